@@ -28,6 +28,7 @@ BENCHMARKS = {
         "many_objects",
         "other_cell",
         "other_physics",
+        "sensors",
         "sequences",
         "shape_size",
     ),

@@ -36,7 +36,13 @@ from simulator.errors import PartGripped, SimulatorError
 from simulator.faults.injector import VOCABULARY, check_fault
 from simulator.realtime.requests import CellRequests
 from simulator.servo.gearing import GEARINGS
-from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, RackLinkage, ServoMount
+from simulator.servo.mechanics import (
+    LARGEST_LINK_ANGLE_RAD,
+    FingerLinkage,
+    ParallelogramLinkage,
+    RackLinkage,
+    ServoMount,
+)
 from simulator.servo.wrist import WristMount
 from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
 from simulator.world.press import PadPair
@@ -50,8 +56,6 @@ from tactile.layout import TaxelLayout
 
 _REPLY_S = 5.0
 """Longest wait in s for the reply to a request: a job may train a model meanwhile."""
-_RACK_TRAVEL_M = 0.1
-"""Travel of each simulated rack in m: more than the fingers of any config need."""
 _NOISE_DRAWS = 200
 """Number of forces of a pad at rest for an estimate of its noise."""
 _NOISE_PER_CONTACT = 1.5
@@ -60,6 +64,8 @@ _NOISE_PER_CONTACT = 1.5
 _SWITCH_MARGIN = 5.0
 """Distance in mm or degrees from a limit of a simulated axis to a limit switch other than its home.
 """
+_PINION_STOP_RAD = math.radians(250.0)
+"""Angle of a simulated pinion with the fingers wide open."""
 _LINKAGE_MARGIN_M = 1e-3
 """Opening in m that a simulated linkage keeps to its end stop."""
 
@@ -425,11 +431,25 @@ def largest_aperture_m(grasps: Sequence[Grasp]) -> float:
 
 
 def _linkage(config: CellConfig) -> FingerLinkage:
+    """Return the simulated linkage: open, a finger stops where its servo's turn ends."""
     drive = config.gripper.linkage
+    stop_rad = min(
+        (servo.zero_pulse if servo.direction < 0 else model.pulses_per_turn - 1 - servo.zero_pulse)
+        * model.rad_per_pulse
+        for servo in config.gripper.servos
+        for model in (MODELS[servo.model],)
+    )
     if isinstance(drive, ParallelLinkageConfig):
-        return ParallelogramLinkage(link_m=drive.link_mm * 1e-3, offset_m=drive.offset_mm * 1e-3)
+        return ParallelogramLinkage(
+            link_m=drive.link_mm * 1e-3,
+            offset_m=drive.offset_mm * 1e-3,
+            open_stop_rad=min(stop_rad, LARGEST_LINK_ANGLE_RAD),
+        )
+    radius_m, offset_m = drive.pinion_radius_mm * 1e-3, drive.offset_mm * 1e-3
+    # A rack that is to open farther than a turn does so.
+    wanted_m = 0.5e-3 * config.gripper.aperture_open_mm + _LINKAGE_MARGIN_M
     return RackLinkage(
-        pinion_radius_m=drive.pinion_radius_mm * 1e-3,
-        offset_m=drive.offset_mm * 1e-3,
-        travel_m=_RACK_TRAVEL_M,
+        pinion_radius_m=radius_m,
+        offset_m=offset_m,
+        travel_m=max(min(stop_rad, _PINION_STOP_RAD) * radius_m + offset_m, wanted_m),
     )

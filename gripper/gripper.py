@@ -634,6 +634,7 @@ def open_gripper(
             clock=clock,
             period_s=settings.period_s,
             name=f"the servo line ({port})",
+            ram_shifts={one.servo_id: one.servo_model.ram_shift for one in settings.servos},
         )
         return Gripper(bus, linkage, settings, clock=clock, force_sensor=force_sensor)
     except BaseException:

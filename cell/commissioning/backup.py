@@ -109,6 +109,7 @@ def register_writes(
 def read_control_table(bus: ServoBus, servo_id: int) -> dict[str, int]:
     """Return the raw values of all items that a servo has, by name."""
     found = {}
+    bus.ping(servo_id)  # says which control table it has
     for register in REGISTERS.values():
         try:
             found[register.name] = bus.read(servo_id, register)

@@ -15,6 +15,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream, SerialStream, serial_candidates
 from tactile.can.bus import CanBus, close_bus, open_bus
 
@@ -139,7 +140,13 @@ class Bench:
         gripper = self.gripper()
         rate = baud_rate or gripper.baud_rate
         stream = self.lines.open_servos(port or gripper.port, rate)
-        bus = ServoBus(stream, baudrate=rate, clock=self.clock, allowance_s=_PATIENCE_S)
+        bus = ServoBus(
+            stream,
+            baudrate=rate,
+            clock=self.clock,
+            allowance_s=_PATIENCE_S,
+            ram_shifts={one.id: MODELS[one.model].ram_shift for one in gripper.servos},
+        )
         try:
             yield bus
         finally:

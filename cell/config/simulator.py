@@ -61,9 +61,12 @@ class SimulatedPadsConfig(Section):
 class SimulatedServosConfig(Section):
     """Differences of the simulated servos from the data of their model."""
 
-    gearing: Literal["ideal", "xm430_assumed", "xl330", "xl330_2", "mx64", "mx106"] = "ideal"
-    """Friction law and backlash: Coulomb friction only, assumptions for an XM430, or laws
-    identified on real servos (two data sets of an XL330-M288); scaled to the model's torque."""
+    gearing: Literal[
+        "ideal", "xm430_assumed", "xl330", "xl330_2", "mx64", "mx106", "rh_p12_assumed"
+    ] = "ideal"
+    """Friction law and backlash: Coulomb friction only, assumptions for an XM430 or RH-P12-RN(A),
+    or laws identified on real servos (two data sets of an XL330-M288); scaled to the model's
+    torque."""
     friction: tuple[Share, Share] = (1.06, 1.03)
     """Factors on the friction without load of the servo of finger 0 and finger 1, 0.1 to 10."""
     kt: tuple[Share, Share] = (0.97, 0.98)

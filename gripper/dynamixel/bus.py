@@ -14,7 +14,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from gripper.clock import Clock
-from gripper.dynamixel.control_table import PRESENT_BLOCK, Register, RegisterBlock
+from gripper.dynamixel.control_table import PRESENT_BLOCK, RAM_START, Register, RegisterBlock
+from gripper.dynamixel.models import ram_shift
 from gripper.dynamixel.protocol2 import (
     STATUS_OVERHEAD,
     CheckedPacketHandler,
@@ -99,6 +100,8 @@ class ServoBus:
         Longest wait in s for another thread's transaction.
     name
         Name of the line in error messages.
+    ram_shifts
+        `ServoModel.ram_shift` by servo ID, where it is known before a servo was pinged.
     """
 
     def __init__(
@@ -111,6 +114,7 @@ class ServoBus:
         allowance_s: float = 0.0015,
         lock_timeout_s: float = 1.0,
         name: str = "the servo line",
+        ram_shifts: Mapping[int, int] | None = None,
     ) -> None:
         self.alerts: set[int] = set()
         """IDs of the servos whose last answer had the Alert bit."""
@@ -130,6 +134,7 @@ class ServoBus:
         self._heard = Heard()
         self._last_error: BusTimeout | BusCorrupt | None = None
         self._misses: dict[int, int] = {}
+        self._ram_shifts = dict(ram_shifts or {})
         self._counts = dict.fromkeys(BusStatistics.__slots__, 0)
         self._lock = threading.RLock()
         self._closed = False
@@ -188,7 +193,7 @@ class ServoBus:
 
     def ping(self, servo_id: int) -> ServoIdentity:
         """Read the identity of a servo; raises BusTimeout if no servo has this ID."""
-        return _identity(self._ask(ping_request(servo_id)))
+        return self._identity(self._ask(ping_request(servo_id)))
 
     def scan(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[ServoIdentity, ...]:
         """Ping each ID once, with short time-outs, and return the servos; for diagnosis."""
@@ -198,7 +203,7 @@ class ServoBus:
                 with suppress(NoAnswerError):
                     status = self._exchange(ping_request(servo_id))
                     if status.error == 0:  # a refusal has no identity
-                        found.append(_identity(status))
+                        found.append(self._identity(status))
             self._mark_suspect()
         return tuple(found)
 
@@ -219,7 +224,7 @@ class ServoBus:
             while (status := self._handler.receive(self._port)) is not None:
                 damaged |= self._handler.dropped_bytes > 0 or len(status.data) != PING_SIZE
                 if len(status.data) == PING_SIZE:
-                    found.append(_identity(status))
+                    found.append(self._identity(status))
             damaged |= self._handler.dropped_bytes > 0
             self._mark_suspect()
         return tuple(found), damaged
@@ -231,7 +236,7 @@ class ServoBus:
         the adapter receives no bytes. One answer may be lost by chance.
         """
         action = f"reading {PRESENT_BLOCK} of servo {servo_id}"
-        params = _words(PRESENT_BLOCK.address, PRESENT_BLOCK.size)
+        params = _words(self._address(servo_id, PRESENT_BLOCK), PRESENT_BLOCK.size)
         request = Request(servo_id, Instruction.READ, PRESENT_BLOCK.size, action, params)
         lost = 0
         for _ in range(_COLLISION_READS):
@@ -250,7 +255,7 @@ class ServoBus:
     def read(self, servo_id: int, register: Register) -> int:
         """Return the raw value of an item, sign-extended."""
         action = f"reading {register.name} of servo {servo_id}"
-        params = _words(register.address, register.size)
+        params = _words(self._address(servo_id, register), register.size)
         request = Request(servo_id, Instruction.READ, register.size, action, params)
         return register.decode(self._ask(request).data)
 
@@ -267,7 +272,7 @@ class ServoBus:
         if not register.writable:
             raise LimitExceeded(f"{register.name} is read-only")
         action = f"writing {register.name} = {raw} to servo {servo_id}"
-        params = _words(register.address) + register.encode(raw)
+        params = _words(self._address(servo_id, register)) + register.encode(raw)
         self._ask(Request(servo_id, Instruction.WRITE, 0, action, params))
 
     def sync_read(self, ids: Sequence[int], block: RegisterBlock) -> dict[int, dict[str, int]]:
@@ -281,7 +286,7 @@ class ServoBus:
             When an answer is still missing; then nothing is returned.
         """
         action = f"reading {block} of servos {ids}"
-        params = _words(block.address, block.size)
+        params = _words(self._common_address(ids, block), block.size)
         found = self._ask_all(ids, params, block.size, action)
         return {servo_id: block.decode(status.data) for servo_id, status in found.items()}
 
@@ -299,7 +304,7 @@ class ServoBus:
             raise LimitExceeded("a sync write needs at least one servo")
         if not block.writable:
             raise LimitExceeded(f"{block}: not all are writable")
-        params = _words(block.address, block.size)
+        params = _words(self._common_address(list(values), block), block.size)
         for servo_id, raws in values.items():
             check_id(servo_id)
             params += bytes((servo_id,)) + block.encode(raws)
@@ -357,6 +362,25 @@ class ServoBus:
         finally:
             self._port.is_using = False
             self._lock.release()
+
+    def _address(self, servo_id: int, what: Register | RegisterBlock) -> int:
+        """Return the address of an item or a block in the control table of a servo's model."""
+        shift = self._ram_shifts.get(servo_id, 0) if what.address >= RAM_START else 0
+        return what.address + shift
+
+    def _common_address(self, ids: Sequence[int], block: RegisterBlock) -> int:
+        addresses = {self._address(servo_id, block) for servo_id in ids}
+        if len(addresses) != 1:
+            raise LimitExceeded(
+                f"servos {ids} have {block} at different addresses: put models with different "
+                "control tables on separate lines"
+            )
+        return addresses.pop()
+
+    def _identity(self, status: StatusPacket) -> ServoIdentity:
+        number = int.from_bytes(status.data[:2], "little")
+        self._ram_shifts[status.servo_id] = ram_shift(number)
+        return ServoIdentity(servo_id=status.servo_id, model_number=number, firmware=status.data[2])
 
     def _ask(self, request: Request) -> StatusPacket:
         """Send a request and return the checked answer; repeat it when the answer is lost.
@@ -556,11 +580,3 @@ class ServoBus:
 
 def _words(*values: int) -> bytes:
     return b"".join(value.to_bytes(2, "little") for value in values)
-
-
-def _identity(status: StatusPacket) -> ServoIdentity:
-    return ServoIdentity(
-        servo_id=status.servo_id,
-        model_number=int.from_bytes(status.data[:2], "little"),
-        firmware=status.data[2],
-    )

@@ -1,7 +1,8 @@
 """Control table of the DYNAMIXEL X series as data: address, size and sign.
 
 Source: ROBOTIS e-Manual, pages of XM430-W350, XM430-W210, XL330-M288 and XC330-M288, section
-"Control Table". The addresses are the same on all four.
+"Control Table". The addresses are the same on all four. The RH-P12-RN(A) has its RAM items farther
+up; the bus adds that (`gripper.dynamixel.models.ram_shift`).
 """
 
 import struct
@@ -12,6 +13,8 @@ from types import MappingProxyType
 
 from gripper.errors import LimitExceeded
 
+RAM_START = 64
+"""First address of the RAM items."""
 WATCHDOG_UNIT_S = 0.02
 """Time in s of one count of Bus Watchdog (register 98)."""
 RETURN_DELAY_UNIT_S = 2e-6

@@ -12,15 +12,14 @@ from math import exp, log, sqrt
 from statistics import fmean
 from typing import NamedTuple, Self
 
-from gripper.dynamixel.models import ServoModel
+from gripper.dynamixel.models import KT_SD, ServoModel
 from gripper.errors import LimitExceeded
 
 SIGMAS = 2.0
 """Standard deviations up to which a value is plausible: 95 % of all servos. [statistics]"""
-_FRICTION_SD, _KT_SD = 0.7, 0.15
-"""Standard deviation of the logarithm of the friction current, and of torque for current, between
-two servos of one model: a quarter to four times, and 30 %. The catalogue alone is so uncertain.
-[assumed]"""
+_FRICTION_SD = 0.7
+"""Standard deviation of the logarithm of the friction current between two servos of one model: a
+quarter to four times. The catalogue alone is so uncertain. [assumed]"""
 
 _MEASURED_FRICTION_SD, _MEASURED_LOAD_SD = 0.1, 0.02
 """The same within a day, once both were measured. [assumed]"""
@@ -50,11 +49,11 @@ class DriveCharacteristic:
     rising_a_nm: float
     falling_a_nm: float
     """Growth of the current in A for each N m of a load that rises, or falls."""
-    load_sd: float = _KT_SD
+    load_sd: float = KT_SD
     """Uncertainty of both."""
     kt_nm_a: float
     """Torque at the output in N m for each A of a rising load, by catalogue and back-EMF."""
-    kt_sd: float = _KT_SD
+    kt_sd: float = KT_SD
     """Its uncertainty."""
     back_emf_v_s: float | None = None
     """Voltage in V that the motor makes for each rad/s of the output; None: not measured."""
@@ -84,7 +83,9 @@ class DriveCharacteristic:
             breakaway_a=friction_a,
             rising_a_nm=1.0 / model.kt_nm_a,
             falling_a_nm=1.0 / model.kt_nm_a,
+            load_sd=model.kt_sd,
             kt_nm_a=model.kt_nm_a,
+            kt_sd=model.kt_sd,
         )
 
     @property
@@ -142,7 +143,7 @@ def disagreement(drives: Sequence[DriveCharacteristic]) -> float:
     It is the mean of some servos, whose motor constants err apart. The catalogue alone is no
     anchor, and without a servo there is none. A weak pad and a weak motor look alike.
     """
-    if any(drive.kt_sd >= _KT_SD for drive in drives) or not drives:
+    if any(drive.kt_sd >= KT_SD for drive in drives) or not drives:
         return 0.0
     apart = -fmean(log(drive.rising_a_nm * drive.kt_nm_a) for drive in drives)
     variances = (drive.load_sd**2 + drive.kt_sd**2 for drive in drives)

@@ -1,4 +1,4 @@
-"""The models of the X series that a gripper can use: electrical and torque figures.
+"""The servo models that a gripper can use: electrical and torque figures, and their registers.
 
 Source: ROBOTIS e-Manual, pages of each model, sections "Specifications" and "Control Table".
 """
@@ -12,6 +12,13 @@ from types import MappingProxyType
 from typing import Any
 
 from gripper.errors import LimitExceeded
+
+KT_SD = 0.15
+"""Standard deviation of the logarithm of torque for current between two servos of one model: 30 %.
+[assumed]"""
+
+_SLOW_RAD_S = 0.229 * tau / 60.0
+"""Speed in rad/s of one count of the X series: 0.229 rev/min."""
 
 
 class OperatingMode(IntEnum):
@@ -36,7 +43,17 @@ class ServoModel:
     """A for one count of the current items."""
     pulses_per_turn: int = 4096
     """Counts of the position items in one turn."""
-    velocity_unit_rad_s: float = 0.229 * tau / 60.0
+    goal_range_raw: tuple[int, int] = (-1_048_575, 1_048_575)
+    """Least and largest Goal Position (register 116) in current-based position mode."""
+    goal_velocity_raw: int = 0
+    """Goal Velocity (register 104) in this mode; above 0 where it limits the speed there."""
+    ram_shift: int = 0
+    """Addresses of the RAM items beyond those of the X series."""
+    absent: frozenset[str] = frozenset()
+    """Names of the items of the X series that it does not have."""
+    factory_mode: OperatingMode = OperatingMode.POSITION
+    """Factory value of Operating Mode (register 11)."""
+    velocity_unit_rad_s: float = _SLOW_RAD_S
     acceleration_unit_rad_s2: float = 214.577 * tau / 3600.0
     """rad/s for one count of the velocity items (0.229 rev/min), and rad/s² for one of Profile
     Acceleration (214.577 rev/min²)."""
@@ -62,6 +79,10 @@ class ServoModel:
     kt_nm_a: float
     friction_nm: float
     """Torque at the output with rising load: T = kt I - friction."""
+    kt_sd: float = KT_SD
+    back_emf_sd: float = 0.1
+    """Uncertainty of ``kt_nm_a`` and of its ratio to the back-EMF for a servo that nobody has
+    measured, as a share. [assumed]"""
     nominal_voltage_v: float
     stall_torque_nm: float
     stall_current_a: float
@@ -82,6 +103,16 @@ class ServoModel:
         return raw * self.current_unit_a
 
     @property
+    def slow_rad_s(self) -> float:
+        """Speed in rad/s that counts as none: a count of the X series, or of its own."""
+        return max(self.velocity_unit_rad_s, _SLOW_RAD_S)
+
+    @property
+    def turns(self) -> bool:
+        """Whether it may turn by more than a whole turn."""
+        return self.goal_range_raw[1] - self.goal_range_raw[0] > self.pulses_per_turn
+
+    @property
     def rad_per_pulse(self) -> float:
         """Angle in rad of one count of the position items."""
         return tau / self.pulses_per_turn
@@ -97,7 +128,7 @@ class ServoModel:
                 "id": 1,
                 "baud_rate": 1,
                 "return_delay_time": 250,
-                "operating_mode": int(OperatingMode.POSITION),
+                "operating_mode": int(self.factory_mode),
                 "secondary_id": 255,
                 "protocol_type": 2,
                 "moving_threshold": 10,
@@ -199,7 +230,45 @@ XC330_M288 = replace(
     **_estimated(0.93, 1.8),
 )
 
-_MODELS = {m.name: m for m in (XM430_W350, XM430_W210, XL330_M288, XC330_M288)}
+RH_P12_RN_A = ServoModel(
+    name="RH-P12-RN(A)",
+    number=35074,
+    current_unit_a=1e-3,
+    goal_range_raw=(0, 1150),
+    goal_velocity_raw=2970,
+    ram_shift=448,
+    absent=frozenset({"drive_mode", "protocol_type", "startup_configuration", "backup_ready"}),
+    factory_mode=OperatingMode.CURRENT_BASED_POSITION,
+    velocity_unit_rad_s=0.01 * _RPM,
+    acceleration_unit_rad_s2=tau / 3600.0,
+    whole_pwm_raw=2009,
+    current_limit_raw=1984,
+    velocity_limit_raw=2970,
+    temperature_limit_c=80,
+    min_voltage_raw=150,
+    max_voltage_raw=350,
+    shutdown_raw=52,
+    position_gains=(0, 0, 8000),
+    velocity_gains=(1920, 100),
+    kt_nm_a=10.0,
+    friction_nm=1.8,
+    kt_sd=0.3,
+    back_emf_sd=0.3,
+    nominal_voltage_v=24.0,
+    stall_torque_nm=32.0,
+    stall_current_a=3.33,
+    no_load_rad_s=0.76,
+    rotor_inertia_kg_m2=0.1,
+    torque_source=(
+        "170 N at each finger, 1.984 A and a lever of 2 x 57 mm make 10 N m/A, and 5 where both "
+        "fingers press with them together; measure before relying on it"
+    ),
+)
+"""A gripper with one servo in it (e-Manual, RH-P12-RN(A)). 3.33 A is its peak current, 0.76 rad/s
+its closing speed of 75 mm/s. Nobody publishes torque constant, friction, inertia or gains: these
+are assumed."""
+
+_MODELS = {m.name: m for m in (XM430_W350, XM430_W210, XL330_M288, XC330_M288, RH_P12_RN_A)}
 MODELS: Mapping[str, ServoModel] = MappingProxyType(_MODELS)
 """Models that can limit their current, by name."""
 
@@ -213,6 +282,11 @@ def add_model(model: ServoModel) -> None:
                 f"({other.name}, {other.number}): give it a name and number of its own"
             )
     _MODELS[model.name] = model
+
+
+def ram_shift(number: int) -> int:
+    """Return `ServoModel.ram_shift` of the model with a Model Number (register 0)."""
+    return next((m.ram_shift for m in MODELS.values() if m.number == number), 0)
 
 
 WITHOUT_CURRENT_CONTROL = frozenset({"XL430-W250", "XC430-W150", "XC430-W240", "2XL430-W250"})

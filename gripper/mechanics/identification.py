@@ -29,9 +29,8 @@ LEAST_FRICTION_SD, _LEAST_LOAD_SD = 0.05, 0.02
 amperes for each N m. [assumed]"""
 _CHANGE_SD = 0.1
 """Spread of the friction of one servo within a day, as a share: grease that warms. [assumed]"""
-_BACK_EMF_SD, _UNPRESSED_SD = 0.1, 0.12
-"""Spread of the back-EMF over the motor constant within a model, as a share, and uncertainty of the
-amperes for each N m that follow from it alone. [assumed]"""
+_UNPRESSED_SD = 0.12
+"""Least uncertainty of the amperes for each N m that follow from the back-EMF alone. [assumed]"""
 _LOSS_SD = 0.1
 """Uncertainty of the losses of a gearing by the relation of both slopes: 0.04 to 0.15 off for four
 identified ones (arXiv 2410.08650). [vendor]"""
@@ -196,7 +195,7 @@ def anchored(
         resistance_ohm = model.nominal_voltage_v / model.stall_current_a
         idle_v = resistance_ohm * model.friction_nm / model.kt_nm_a
         expected_v_s = (model.nominal_voltage_v - idle_v) / model.no_load_rad_s
-        ratio, sd = model.kt_nm_a / expected_v_s, _BACK_EMF_SD
+        ratio, sd = model.kt_nm_a / expected_v_s, model.back_emf_sd
         # Of a motor that makes as much as its back-EMF, with equal losses both ways.
         kept = (drive.falling_a_nm / drive.rising_a_nm) ** 0.5
         if kept < ratio:
@@ -204,13 +203,13 @@ def anchored(
     values = replace(drive, back_emf_v_s=back_emf_v_s)
     if drive.kt_sd >= sd:
         values = replace(values, kt_nm_a=ratio * back_emf_v_s, kt_sd=sd)
-    kt_nm_a = values.kt_nm_a
-    if drive.load_sd < _UNPRESSED_SD:
+    kt_nm_a, load_sd = values.kt_nm_a, max(_UNPRESSED_SD, sd)
+    if drive.load_sd < load_sd:
         return values
     # No pad has measured the load.
     relief = drive.falling_a_nm / drive.rising_a_nm
     return replace(
-        values, rising_a_nm=1.0 / kt_nm_a, falling_a_nm=relief / kt_nm_a, load_sd=_UNPRESSED_SD
+        values, rising_a_nm=1.0 / kt_nm_a, falling_a_nm=relief / kt_nm_a, load_sd=load_sd
     )
 
 

@@ -6,7 +6,7 @@ the normal force on one finger; both fingers carry the same one in equilibrium.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import asin, cos, hypot, isfinite, pi, sin
+from math import asin, cos, hypot, pi, sin
 from typing import NamedTuple, Protocol
 
 from gripper.dynamixel.drive import DriveCharacteristic
@@ -129,7 +129,7 @@ class RackPinion:
     def angles_rad(self, aperture_m: float) -> tuple[float, ...]:
         """Return the angle of each servo for a centred opening in m."""
         angle = (0.5 * aperture_m - self.offset_m) / self.pinion_radius_m
-        if not isfinite(angle) or abs(angle) > pi:
+        if not -0.5 * pi < angle < 1.5 * pi:
             raise LimitExceeded(
                 f"aperture {aperture_m} m is out of reach of one turn of a pinion of "
                 f"{self.pinion_radius_m} m with an offset of {self.offset_m} m"

@@ -143,9 +143,12 @@ class Feedback:
     def _servo_state(self, servo: ServoSettings, raw: dict[str, int]) -> ServoState:
         model, position_raw = servo.servo_model, raw[PRESENT_POSITION.name]
         turned_raw = position_raw - servo.zero_raw
-        # A multi-turn count may be off by whole turns; fingers move by less than half a turn. Under
+        # A multi-turn count may be off by whole turns; linkages turn by -90 to 270 degrees. Under
         # torque it cannot lose or gain one: what does is no motion, and must show.
-        turns = self._turns.setdefault(servo.servo_id, round(turned_raw / model.pulses_per_turn))
+        middle_raw = servo.direction * model.pulses_per_turn // 4
+        turns = self._turns.setdefault(
+            servo.servo_id, round((turned_raw - middle_raw) / model.pulses_per_turn)
+        )
         turned_rad = (turned_raw - turns * model.pulses_per_turn) * model.rad_per_pulse
         velocity_rad_s = raw[PRESENT_VELOCITY.name] * model.velocity_unit_rad_s
         return ServoState(

@@ -60,7 +60,6 @@ _RESERVE_N = 1.5
 """What the moving mass needs beside the force asked for, in N, for the rate of a ramp. [tuned]"""
 _RUNNING_SHARE = 1.25
 """Rate of the opening over ``runaway_speed_m_s`` up to which a set-point does not limit it."""
-
 OPENING_MARGIN_RAD = 0.05
 """How far in rad beyond an opening its goal may lie, so that friction does not stop short of it."""
 
@@ -147,7 +146,7 @@ class GoalGuard:
         """Return the goal of a finger that closes, with its current and its speed bounded."""
         model = servo.servo_model
         empty = force_n < self._settings.contact_force_n
-        if empty and abs(state.velocity_rad_s) <= model.velocity_unit_rad_s:
+        if empty and abs(state.velocity_rad_s) <= model.slow_rad_s:
             stood_a = self._stood_a.get(state.servo_id, 0.0)
             self._stood_a[state.servo_id] = max(stood_a, -state.current_a)
         most_a = min(goal.current_a, self._most_a(state.servo_id, goal, path))
@@ -162,7 +161,7 @@ class GoalGuard:
             )
         fastest_rad_s = fastest_m_s / reach_m
         over_rad_s = -state.velocity_rad_s - fastest_rad_s
-        if over_rad_s > model.velocity_unit_rad_s:
+        if over_rad_s > model.slow_rad_s:
             # No more momentum is taken than it has too much, or the finger would swing.
             drive_n = force_n - impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
             current_a = min(abs(drive_n) / path.n_per_a, most_a)
@@ -384,11 +383,20 @@ class GoalWriter:
             model = settings.servo_model
             delta_rad = (goal.angle_rad - servo.angle_rad) * settings.direction
             goal_current = model.current_raw(goal.current_a)
-            goal_velocity = profile_acceleration = 0
+            profile_acceleration = 0
+            least_raw, most_raw = model.goal_range_raw
+            if not least_raw <= servo.position_raw <= most_raw:
+                raise LimitExceeded(
+                    f"servo {servo.servo_id} stands at {servo.position_raw}, a {model.name} takes "
+                    f"goals from {least_raw} to {most_raw} only: switch its supply off and push "
+                    "its finger back by hand"
+                )
             goal_position = servo.position_raw + round(delta_rad / model.rad_per_pulse)
+            # A goal beyond would be refused, and nothing answers to this write.
+            goal_position = min(max(goal_position, least_raw), most_raw)
             values[servo.servo_id] = [
                 goal_current,
-                goal_velocity,
+                model.goal_velocity_raw,
                 profile_acceleration,
                 round(goal.profile_rad_s / model.velocity_unit_rad_s),
                 goal_position,

@@ -23,6 +23,7 @@ from gripper.dynamixel.control_table import (
     STARTUP_CONFIGURATION,
     STATUS_RETURN_LEVEL,
     TEMPERATURE_LIMIT,
+    VELOCITY_LIMIT,
 )
 from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.errors import LimitExceeded
@@ -89,7 +90,11 @@ def requirements(
     user's decision and is only compared.
     """
     found = _requirements(model, current_max_a, temperature_max_c)
-    return tuple(r if r.item in corrected else replace(r, write_raw=None) for r in found)
+    return tuple(
+        r if r.item in corrected else replace(r, write_raw=None)
+        for r in found
+        if r.item not in model.absent
+    )
 
 
 def _requirements(
@@ -122,6 +127,11 @@ def _requirements(
         ),
         _between(TEMPERATURE_LIMIT.name, round(temperature_max_c), model.temperature_limit_c),
         _between(CURRENT_LIMIT.name, needed_raw, model.current_limit_raw),
+        *(
+            [_between(VELOCITY_LIMIT.name, model.goal_velocity_raw, model.velocity_limit_raw)]
+            if model.goal_velocity_raw
+            else []
+        ),
         Requirement(
             item=MIN_VOLTAGE_LIMIT.name,
             expected=f"{model.min_voltage_raw} or more",

@@ -17,8 +17,8 @@ from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
 from gripper.values.state import ServoFeedback
 
-_FASTEST_RAW = 4
-"""Largest Profile Velocity (register 112) of the test motion: 0.1 rad/s."""
+_FASTEST_RAD_S = 0.1
+"""Largest Profile Velocity (register 112) of the test motion in rad/s."""
 _SILENT_RAD = 0.0096
 """Way in rad that the speed is chosen for within ``watchdog_s``: 6 pulses, 0.6 mm of a finger with
 links of 60 mm. A long watchdog makes the motion slow instead of long."""
@@ -154,7 +154,7 @@ def _motion(
     """Return speed in rad/s and goal angles in rad of the test motion from these angles."""
     unit_rad_s = max(servo.servo_model.velocity_unit_rad_s for servo in settings.servos)
     wanted_raw = round(_SILENT_RAD / settings.watchdog_s / unit_rad_s)
-    speed_rad_s = min(max(wanted_raw, 1), _FASTEST_RAW) * unit_rad_s
+    speed_rad_s = min(max(wanted_raw, 1), int(_FASTEST_RAD_S / unit_rad_s)) * unit_rad_s
     way_rad = _START_RAD + _WAY_SHARE * settings.watchdog_s * speed_rad_s
     if way_rad > _LONGEST_RAD:
         raise LimitExceeded(

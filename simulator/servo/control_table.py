@@ -1,8 +1,9 @@
 """The control table of a simulated servo: bytes, access rules and ranges.
 
-Addresses come from `gripper.dynamixel.control_table`; minima and maxima are from the tables of the
-ROBOTIS e-Manual. Bytes between the items read as 0, as on the servo. Indirect addresses are left
-out: no program here uses them.
+Addresses of the X series come from `gripper.dynamixel.control_table`; minima and maxima are from
+the tables of the ROBOTIS e-Manual. A servo with another table (`simulator.servo.rh_p12`) has the
+memory of the X series, and addresses of its own on the wire. Bytes between the items read as 0, as
+on the servo. Indirect addresses are left out: no program here uses them.
 """
 
 import struct
@@ -13,6 +14,7 @@ from typing import NamedTuple
 from gripper.dynamixel.control_table import REGISTERS, TORQUE_ENABLE, Register
 from gripper.dynamixel.models import OperatingMode, ServoModel
 from simulator.errors import SimulatorSettingsError
+from simulator.servo import rh_p12
 from simulator.servo.protocol2 import StatusError
 
 TABLE_SIZE = 700
@@ -75,6 +77,10 @@ class Item(Register):
     minimum: int
     maximum: int
     """Accepted raw values; anything else is a Data Range Error."""
+    only: frozenset[int] | None = None
+    """The accepted ones, where not all between are."""
+    wire: int
+    """Address on the wire."""
 
 
 class WritePlan(NamedTuple):
@@ -100,7 +106,36 @@ def _items(model: ServoModel) -> dict[int, Item]:
     items = {}
     for register in REGISTERS.values():
         low, high = ranges.get(register.name, register.bounds)
-        items[register.address] = Item(**asdict(register), minimum=low, maximum=high)
+        items[register.address] = Item(
+            **asdict(register),
+            minimum=low,
+            maximum=high,
+            only=_MODES if register.name == "operating_mode" else None,
+            wire=register.address,
+        )
+    return items
+
+
+def _rh_p12_items() -> dict[int, Item]:
+    items = {}
+    for row in rh_p12.ROWS:
+        alike = REGISTERS.get(row.name)
+        register = Register(
+            name=row.name,
+            address=rh_p12.OTHER_PLACES[row.name] if alike is None else alike.address,
+            size=row.size,
+            signed=row.name in rh_p12.SIGNED,
+            writable=row.access == "RW",
+            eeprom=row.address < rh_p12.EEPROM_END,
+        )
+        low, high = register.bounds
+        items[row.address] = Item(
+            **asdict(register),
+            minimum=low if row.low is None else row.low,
+            maximum=high if row.high is None else row.high,
+            only=rh_p12.MODES if row.name == "operating_mode" else None,
+            wire=row.address,
+        )
     return items
 
 
@@ -109,16 +144,25 @@ class ControlTable:
 
     def __init__(self, model: ServoModel) -> None:
         self.data = bytearray(TABLE_SIZE)
-        self._items = _items(model)
-        self._defined = bytearray(TABLE_SIZE)
-        for item in self._items.values():
-            self._defined[item.address : item.address + item.size] = b"\x01" * item.size
+        other = model.number == rh_p12.NUMBER
+        self._items = _rh_p12_items() if other else _items(model)
+        self._size = rh_p12.TABLE_SIZE if other else TABLE_SIZE
+        self._defined = bytearray(self._size)
+        self._place: dict[int, int] | None = {} if other else None
+        for wire, item in self._items.items():
+            self._defined[wire : wire + item.size] = b"\x01" * item.size
+            if self._place is not None:
+                self._place |= {wire + n: item.address + n for n in range(item.size)}
         self._plans: dict[tuple[int, int], WritePlan | StatusError] = {}
 
     @property
     def items(self) -> tuple[Item, ...]:
         """All items in the order of their addresses."""
         return tuple(self._items[address] for address in sorted(self._items))
+
+    def place(self, wire: int) -> int:
+        """Return where in the memory a byte is; -1 where the servo has none."""
+        return wire if self._place is None else self._place.get(wire, -1)
 
     def get(self, address: int, size: int, *, signed: bool = False) -> int:
         """Return the raw value of ``size`` bytes at ``address``."""
@@ -135,9 +179,12 @@ class ControlTable:
         Undefined bytes after a defined start read as 0; an undefined start or a range beyond the
         end of the table is an Access Error.
         """
-        if size == 0 or address + size > TABLE_SIZE or not self._defined[address]:
+        if size == 0 or address + size > self._size or not self._defined[address]:
             return StatusError.ACCESS
-        return bytes(self.data[address : address + size])
+        if self._place is None:
+            return bytes(self.data[address : address + size])
+        places = (self.place(wire) for wire in range(address, address + size))
+        return bytes(0 if place < 0 else self.data[place] for place in places)
 
     def plan(self, address: int, size: int) -> WritePlan | StatusError:
         """Return the items that a write covers completely, or the error of the write."""
@@ -153,7 +200,7 @@ class ControlTable:
         while position < end:
             item = self._items.get(position)
             if item is None:
-                inside = position < TABLE_SIZE and self._defined[position]
+                inside = position < self._size and self._defined[position]
                 return StatusError.DATA_LENGTH if inside else StatusError.ACCESS
             if not item.writable:
                 return StatusError.ACCESS
@@ -169,8 +216,8 @@ class ControlTable:
 
 def in_range(item: Item, value: int) -> bool:
     """Return whether an item accepts a raw value, without limits in other items."""
-    if item.name == "operating_mode":
-        return value in _MODES
+    if item.only is not None:
+        return value in item.only
     return item.minimum <= value <= item.maximum
 
 
@@ -189,6 +236,10 @@ class ServoRegisters:
         self.table = ControlTable(model)
         firmware = _RECENT_FIRMWARE_X330 if is_x330(model) else _RECENT_FIRMWARE
         self._factory = {**model.factory_defaults, "firmware_version": firmware}
+        self.keeps_limits = model.number == rh_p12.NUMBER
+        """Whether position limits and Goal Velocity act in current-based position mode."""
+        if self.keeps_limits:
+            self._factory = {row.name: row.initial for row in rh_p12.ROWS}
         self.load_factory()
         for name, value in settings.items():
             self.configure(name, value)

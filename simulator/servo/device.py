@@ -42,8 +42,11 @@ from simulator.servo.protocol2 import ALERT, MAX_ID, Instruction, StatusError, w
 
 RESET_ALL, RESET_ALL_BUT_ID, RESET_ALL_BUT_ID_BAUD = 0xFF, 0x01, 0x02
 """Parameter of Factory Reset."""
-BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
-"""Baud rate by the content of Baud Rate (8)."""
+BAUD_RATES = (
+    *(9600, 57600, 115200, 1_000_000, 2_000_000),
+    *(3_000_000, 4_000_000, 4_500_000, 6_000_000, 10_500_000),
+)
+"""Baud rate by the content of Baud Rate (8); the last two on the RH-P12-RN(A) only."""
 _KEPT = {
     RESET_ALL: (),
     RESET_ALL_BUT_ID: ("id",),
@@ -154,7 +157,8 @@ class SimulatedServo:
     def read(self, address: int, size: int, now_s: float) -> StatusBody:
         """Return ``size`` bytes from ``address``, present values brought up to date."""
         core = self.core
-        if address < PRESENT_END and address + size > PRESENT_START:
+        place = core.table.place(address)
+        if place < PRESENT_END and place + size > PRESENT_START:
             core.refresh(now_s)
         found = core.table.read(address, size)
         if isinstance(found, StatusError):
@@ -204,7 +208,7 @@ class SimulatedServo:
             upper = registers.get(limit)
             lower, refusal = -upper, StatusError.DATA_LIMIT
         elif item.address == GOAL_POSITION.address:
-            if data[OPERATING_MODE.address] == OperatingMode.POSITION:
+            if registers.keeps_limits or data[OPERATING_MODE.address] == OperatingMode.POSITION:
                 lower = registers.get("min_position_limit")
                 upper = registers.get("max_position_limit")
                 refusal = StatusError.DATA_LIMIT

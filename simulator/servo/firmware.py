@@ -187,6 +187,8 @@ def goal_command(registers: ServoRegisters, position: ServoPosition) -> DriveCom
     if mode == OperatingMode.PWM:
         return DriveCommand(DriveMode.PWM, duty=sign * pwm / model.whole_pwm_raw)
     limited = mode == OperatingMode.CURRENT_BASED_POSITION
+    if registers.keeps_limits:
+        duty *= min(1.0, abs(velocity) * model.velocity_unit_rad_s / model.no_load_rad_s)
     if profile == 0 or (limited and is_x330(model)):
         # No profile is set, or the 330 size has no profile in current-based position mode.
         profile = acceleration = 0

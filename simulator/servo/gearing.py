@@ -276,6 +276,12 @@ MX_106_GEARING = Gearing(
     ),
 )
 """The gearing of an MX-106 (mx106/m6.json), for motors of other models: no gripper here has one."""
+RH_P12_GEARING = Gearing(
+    load_friction=0.3,
+    backlash_rad=math.radians(0.25),
+    output_friction=0.1,
+)
+"""The gearing of an RH-P12-RN(A) of 1181 : 1, assumed: nobody has identified one."""
 
 GEARINGS: Mapping[str, Gearing] = MappingProxyType(
     {
@@ -285,6 +291,7 @@ GEARINGS: Mapping[str, Gearing] = MappingProxyType(
         "xl330_2": XL330_M288_GEARING_2,
         "mx64": MX_64_GEARING,
         "mx106": MX_106_GEARING,
+        "rh_p12_assumed": RH_P12_GEARING,
     }
 )
 """Gearings by name."""

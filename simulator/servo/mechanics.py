@@ -26,7 +26,7 @@ HAND_FORCE_N = 0.3
 """Force in N on the pad at which a person stops closing a finger: both pads touch lightly."""
 _ROUNDING_STEPS = 1e-9
 """Allowance for rounding in a number of steps."""
-_LARGEST_LINK_ANGLE_RAD = math.radians(80.0)
+LARGEST_LINK_ANGLE_RAD = math.radians(80.0)
 """Angle of a parallelogram's link at its open end stop, short of its singular position at 90°."""
 
 
@@ -39,19 +39,21 @@ class ParallelogramLinkage:
     """Length L of the parallelogram's link in m."""
     offset_m: float = 0.0
     """Half opening in m at the angle 0."""
+    open_stop_rad: float = LARGEST_LINK_ANGLE_RAD
+    """Angle in rad of the open end stop."""
 
     def __post_init__(self) -> None:
-        require_positive(link_m=self.link_m)
+        require_positive(link_m=self.link_m, open_stop_rad=self.open_stop_rad)
 
     @property
     def half_opening_max_m(self) -> float:
         """Half opening in m with the link at its largest angle."""
-        return self.link_m * math.sin(_LARGEST_LINK_ANGLE_RAD) + self.offset_m
+        return self.half_opening_m(self.open_stop_rad)
 
     @property
     def half_opening_min_m(self) -> float:
         """Half opening in m with the link at its least angle."""
-        return self.offset_m - self.link_m * math.sin(_LARGEST_LINK_ANGLE_RAD)
+        return self.offset_m - self.link_m * math.sin(LARGEST_LINK_ANGLE_RAD)
 
     def half_opening_m(self, angle_rad: float) -> float:
         """Return the half opening in m at a linkage angle in rad."""

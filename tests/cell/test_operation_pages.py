@@ -102,7 +102,9 @@ class STATE:
     fault = None
 
 
-@pytest.mark.parametrize("page", ["open-parallel-gripper", "connect-flexitac", "connect-uskin"])
+@pytest.mark.parametrize(
+    "page", ["open-parallel-gripper", "rh-p12-rn", "connect-flexitac", "connect-uskin"]
+)
 def test_the_page_on_hardware_can_be_typed(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -96,7 +96,9 @@ def test_an_unknown_kind_lists_what_is_installed_and_the_next_step() -> None:
     wanted = r"no sensor 'glove' is installed; installed are control_unit, flexitac, uskin. Install"
     with pytest.raises(ConfigError, match=wanted + ".*`tactile-cell doctor --plugins`"):
         changed_config(CellConfig(), {"tactile.sensor": {"kind": "glove"}})
-    with pytest.raises(ConfigError, match="no servo model 'XM' is installed; installed are XC330"):
+    with pytest.raises(
+        ConfigError, match="no servo model 'XM' is installed; installed are RH-P12-RN"
+    ):
         changed_config(CellConfig(), {"gripper.servos": [{"id": 1, "model": "XM"}]})
     with pytest.raises(ConfigError, match="a section with kind, one of control_unit, flexitac"):
         changed_config(CellConfig(), {"tactile.sensor": {}})

@@ -186,7 +186,7 @@ class Approach:
         nominal_rad_s = self._nominal_rad_s(state)
         return not self._was_touched and all(
             abs(-servo.velocity_rad_s - nominal_rad_s)
-            <= max((1.0 - _RUNNING_SHARE) * nominal_rad_s, settings.servo_model.velocity_unit_rad_s)
+            <= max((1.0 - _RUNNING_SHARE) * nominal_rad_s, settings.servo_model.slow_rad_s)
             for servo, settings in zip(state.servos, self._settings.servos, strict=True)
         )
 
@@ -364,7 +364,7 @@ class Approach:
         """Return the goal of a braked finger: first at rest, then with growing force."""
         servo, settings = moment.state.servos[finger], self._settings
         model = settings.servos[finger].servo_model
-        creeps_rad_s = _CREEP_COUNTS * model.velocity_unit_rad_s
+        creeps_rad_s = _CREEP_COUNTS * model.slow_rad_s
         if moment.now_s - brake.since_s < _BRAKED_S or -servo.velocity_rad_s > creeps_rad_s:
             return ServoGoal(angle_rad=servo.angle_rad, current_a=self.currents_a[finger])
         path = transmissions(settings, self._linkage, moment.state.angles_rad)[finger]
@@ -419,7 +419,7 @@ class Approach:
         """
         nominal_rad_s = self._nominal_rad_s(state)
         for finger, servo in enumerate(state.servos):
-            unit_rad_s = self._settings.servos[finger].servo_model.velocity_unit_rad_s
+            unit_rad_s = self._settings.servos[finger].servo_model.slow_rad_s
             closing_rad_s = -servo.velocity_rad_s
             pause = self._pauses[finger]
             if pause is not None and now_s >= pause[1]:

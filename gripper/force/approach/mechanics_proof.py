@@ -331,7 +331,7 @@ class _Finger:
         overrun_rad: float,
     ) -> None:
         self._reached_rad = REACHED_PULSES * model.rad_per_pulse
-        self._still_rad_s = _STILL_COUNTS * model.velocity_unit_rad_s
+        self._still_rad_s = _STILL_COUNTS * model.slow_rad_s
         self._least_rad = min(least_rad, start_rad)
         self._overrun_rad = overrun_rad
         self._lead_rad = max(_LEAD_RAD, overrun_rad)

@@ -82,7 +82,7 @@ class FreeMotion:
         """Add one period, in which all fingers may move ``free``, or something may touch them."""
         for servo, settings in zip(moment.state.servos, self._settings.servos, strict=True):
             run = self._runs[servo.servo_id]
-            if not (free and run.goes_on(servo, settings.servo_model.velocity_unit_rad_s)):
+            if not (free and run.goes_on(servo, settings.servo_model.slow_rad_s)):
                 self._take(settings, servo, run)
                 run.begin()
             run.add(moment.now_s, servo, settings)

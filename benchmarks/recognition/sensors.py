@@ -1,0 +1,105 @@
+"""Sensors and grippers compared: each example config teaches and names the paper's five objects.
+
+A row is a whole simulated cell in virtual time. Each object is taught with 20 grasps; ten of each
+are named, with as many grasps as it takes. Errors of the held force and first touches are true
+forces in the simulated world, not what the pads report, of the grasps that teach.
+
+    python -m benchmarks sensors
+    python -m benchmarks.recognition.sensors flexitac uskin
+"""
+
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from statistics import mean
+
+from benchmarks._measure import line, quantile, repeats
+from cell.build import build_cell
+from cell.config.file import load_config
+from cell.config.model import CellConfig
+from cell.control.keeping import Keep
+from cell.jobs.collection import Collection
+from cell.jobs.identify import identify
+from cell.jobs.teach import teach
+from cell.learning.taught_model import TaughtModel
+from gripper.values.state import GripperPhase
+from recognition.recognizer import UNKNOWN
+
+DEFAULT = "default"
+"""The config without a file: the paper's control unit on two XM430-W350."""
+CASES = (DEFAULT, "flexitac", "uskin", "open-parallel-gripper", "rh-p12-rn")
+"""Example configs that are compared."""
+_N_TEACH, _N_NAMED = 20, 10
+"""Grasps that teach each object, and how often each is named."""
+
+
+def config_of(case: str) -> CellConfig:
+    """Return the config of a case, with a seed that nothing was tuned with."""
+    folder = Path(__file__).resolve().parents[2] / "config"
+    config = CellConfig() if case == DEFAULT else load_config(folder / f"{case}.yaml")
+    return config.model_copy(update={"seed": 7000})
+
+
+def row(case: str, effort: float) -> str:
+    """Return the figures of one case as a row of the table in the docs."""
+    config = config_of(case)
+    labels = [entry.label for entry in config.simulator.objects]
+    if effort < 1.0:
+        labels = labels[:2]
+    with closing(build_cell(config)) as cell:
+        controller, model = cell.controller, TaughtModel(config)
+        assert cell.simulated is not None
+        clock, world = cell.simulated.clock, cell.simulated.world
+        errors_n, touches_n = list[float](), list[float]()
+        before, held_n = GripperPhase.OFF, 0.0
+
+        def look(_now_s: float) -> None:
+            nonlocal before, held_n
+            phase = controller.hand.phase
+            if phase in (GripperPhase.RAMPING, GripperPhase.HOLDING):
+                held_n = mean(world.contact_force_n())
+            if phase is GripperPhase.RAMPING and before is GripperPhase.APPROACHING:
+                touches_n.append(max(world.contact_force_n()))
+            before = phase
+
+        def held(so_far: Collection) -> None:
+            errors_n.append(abs(held_n - so_far.records[-1].step.force_n))
+
+        controller.start()
+        if config.self_zero == "on_demand":
+            controller.measure_zero()
+        clock.on_advance.append(look)
+        for seed, label in enumerate(labels):
+            one = Collection(label=label, n_planned=repeats(_N_TEACH, effort, least=6))
+            teach(controller, model, one, seed=seed, on_grasp=held)
+        model.train()
+        names, took_s = Counter[str](), list[float]()
+        for turn in range(repeats(_N_NAMED, effort) * len(labels)):
+            label, start_s = labels[turn % len(labels)], clock.monotonic()
+            found = identify(controller, model, held=label, seed=1000 + turn, keep=Keep.NEVER)
+            took_s.append(clock.monotonic() - start_s)
+            names[{label: "right", UNKNOWN: UNKNOWN}.get(found.label, "wrong")] += 1
+        frames = controller.hand.statistics.source.frames
+    return (
+        f"{names['right']} | {names['wrong']} | {names[UNKNOWN]} | "
+        f"{quantile(errors_n, 0.5):.2f}, {quantile(errors_n, 0.95):.2f} N | "
+        f"{quantile(touches_n, 0.5):.2f}, {max(touches_n):.2f} N | "
+        f"{quantile(took_s, 0.5):.1f}, {quantile(took_s, 0.95):.1f} s | "
+        f"{frames.lost + frames.torn + frames.corrupt} of {frames.complete}"
+    )
+
+
+def main(effort: float = 1.0, cases: Sequence[str] = CASES) -> None:
+    line(
+        "compared",
+        "right | wrong | UNKNOWN | error of the held force, median and 95 % | first touch, median "
+        "and largest | time to a name, median and 95 % | lost frames",
+    )
+    for case in cases if effort == 1.0 else CASES[1:2]:
+        line(case, row(case, effort))
+
+
+if __name__ == "__main__":
+    main(cases=sys.argv[1:] or CASES)
