@@ -61,10 +61,11 @@ campaign: $(DEV)  ## every fault, then 2,000 new inputs for each parser and new 
 	for round in $$(seq $(or $(ROUNDS),1)); do \
 	TACTILE_CELL_INPUTS=2000 $(TESTS) -m "not real_time" --timeout=3600 tests/fuzz tests/faults/test_state_machine.py || exit; done
 
-soak: $(DEV)  ## 10,000 connections to each interface, 10,000 grasps, a watched shift, an hour and more: memory, files, threads stay flat
+soak: $(DEV)  ## 10,000 connections to each interface, 10,000 grasps, a watched shift, a week of starts, an hour and more: memory, files, threads stay flat
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.performance.connects --connects $(or $(CONNECTS),10000)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.performance.soak --grasps $(or $(GRASPS),10000)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.performance.shift --hours $(or $(HOURS),8)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.performance.week --days $(or $(DAYS),7)
 
 vcan: $(DEV)  ## the CAN link on a real SocketCAN interface, in a virtual machine (qemu)
 	.ci/vcan

@@ -189,6 +189,7 @@ def build_cell(
     partial: bool = False,
     source: FrameSource | None = None,
     note: Callable[[str], None] = lambda _text: None,
+    wall_s: Callable[[], float] = time.time,
 ) -> Cell:
     """Open the buses of a config and build the cell; nothing moves yet.
 
@@ -214,6 +215,8 @@ def build_cell(
         Frame source of a simulated cell, instead of its control unit.
     note
         Gets messages for the operator, e.g. that the recording has stopped, from any thread.
+    wall_s
+        Returns the unix time in s.
 
     Raises
     ------
@@ -259,7 +262,7 @@ def build_cell(
             positioner,
             clock=clock,
             recorder=recorder,
-            zeros=kept_zeros(config, kept_folder(config, folder)),
+            zeros=kept_zeros(config, kept_folder(config, folder), now_s=wall_s),
         )
         retention = None
         if recorder is not None and folder is not None:
@@ -271,6 +274,7 @@ def build_cell(
                 keep_bytes=None if kept.keep_gb is None else 1e9 * kept.keep_gb,
                 at_fault=lambda: controller.fault is not None,
                 note=note,
+                wall_s=wall_s,
             )
             retention.start()
             undo.callback(retention.close)

@@ -202,7 +202,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Check `tactile.interface` and `tactile.channel`; run `doctor`.", UNMOVED, OPEN),
     tactile.PluginFault: Fault(315, "Code of a sensor package failed or hangs",
         "A defect of the package that brings `tactile.sensor.kind`.",
-        "Restart the program; report it to its authors.", KEPT, MEND),
+        "Restart the program; report the defect to the authors.", KEPT, MEND),
     # -- 4xx: taxels and frames ----------------------------------------------------------------
     tactile.FrameTimeout: Fault(401, "No whole tactile frames, or frozen values",
         "CAN load, cable, a hanging unit.",
@@ -237,7 +237,8 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     cell.ReportError: Fault(504, "Report cannot be made",
         "File or disk.", "Check folder and disk.", APART, REQUEST),
     cell.ArchiveError: Fault(520, "Archive cannot be read or written",
-        "Place, rights or a damaged file.", "Check the place of the archive.", APART, REQUEST),
+        "Wrong place, missing rights or a damaged file.", "Check the place of the archive.",
+        APART, REQUEST),
     cell.CellStateError: Fault(505, "Command not allowed in the state of the cell",
         "A command out of order, or a job that runs.",
         "Give another command first, or wait for the job's end.", UNMOVED, REQUEST),

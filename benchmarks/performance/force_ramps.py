@@ -128,6 +128,8 @@ CASES = tuple(
     if final_n / part.stiffness_n_m < LONGEST_WAY_M
 )
 
+FAST = tuple(case for case in CASES if case.rate_n_s >= 10.0)
+"""Ramps that are planned motions."""
 GEARED_HZ = 200.0
 """Force messages a second with the gearings of real servos: as a cell has them."""
 FRICTIONS, KTS = (0.5, 1.0, 1.5, 2.0, 3.0), (0.7, 1.0, 1.3)

@@ -29,7 +29,7 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.interfaces.opening import open_interfaces
 from cell.service.opening import open_service
-from cell.service.service import Service
+from cell.service.service import JobView, Service
 
 PART_S = 30.0
 """Time in s from one part of the shift to the next."""
@@ -68,14 +68,20 @@ def watch(address: str, counts: "Sequence[Synchronized[int]]") -> None:
     read("frames=newtons", 0.0, counts[-1], _VISIT_S)
 
 
-def run_job(service: Service, lease: int, goal: Mapping[str, Any]) -> None:
-    """Run a job to its end. SystemExit where it does not succeed."""
-    number, end_s = service.start(lease, goal), time.monotonic() + _JOB_S
+def wait(service: Service, lease: int, number: int) -> JobView:
+    """Return a job that has ended. SystemExit where it takes too long."""
+    end_s = time.monotonic() + _JOB_S
     while (job := service.job(number)).outcome in ("ACCEPTED", "EXECUTING"):
         if time.monotonic() > end_s:
-            raise SystemExit(f"{goal} is not over after {_JOB_S:g} s")
+            raise SystemExit(f"{job.task} is not over after {_JOB_S:g} s")
         service.lease.alive(lease)
         time.sleep(0.002)
+    return job
+
+
+def run_job(service: Service, lease: int, goal: Mapping[str, Any]) -> None:
+    """Run a job to its end. SystemExit where it does not succeed."""
+    job = wait(service, lease, service.start(lease, goal))
     if job.outcome != "SUCCEEDED":
         raise SystemExit(f"{goal}: {job.error}")
 
@@ -113,7 +119,7 @@ def condensed(
         finally:
             clients.kill()
             clients.join()
-        ledger = service.shift.values(n_faults=service.status().n_faults)
+        ledger = service.shift.values()
         return samples, [count.value for count in counts], ledger
 
 

@@ -22,7 +22,7 @@ from tactile.layout import paper_layout, pinch_layout
 
 Array = NDArray[np.float64]
 LayoutName = str
-"""A name in `tactile.layout.LAYOUTS`."""
+"""The named layout of the pads."""
 
 FRAME_S = 0.02
 _REST_S = 0.3

@@ -32,7 +32,7 @@ from cell.commissioning.backup import (
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog
 from cell.commissioning.record import RECORD_NAME
-from cell.commissioning.unit import unit_values
+from cell.commissioning.unit import restore_unit_values, unit_values
 from cell.config.file import (
     MAX_BYTES,
     config_file_text,
@@ -361,6 +361,24 @@ def restore_registers(path: Path, config: CellConfig, bench: Bench, dialog: Dial
             raise CellError(f"{path} has no registers of servos")
         there = Bench(Path(folder), bench.lines, base=config)
         return list(restore_servos(there, dialog, config.gripper.port))
+
+
+def restore_unit(path: Path, bench: Bench, dialog: Dialog) -> list[str]:
+    """Write the objects of the control unit as a backup of the cell has them; return what was done.
+
+    No other program may have the servos meanwhile: it would use the unit, too. Raises as
+    `open_backup`, and CellError where the backup has no objects, or those of another unit.
+    """
+    with open_backup(path) as backup, bench.servo_bus():
+        if not backup.manifest.control_unit:
+            raise CellError(f"{path} holds no objects of a control unit")
+        try:
+            return [restore_unit_values(bench, backup.manifest.control_unit, dialog)]
+        except ValueError as error:
+            wrong = problem_text(error) if isinstance(error, ValidationError) else error
+            raise CellError(
+                f"{path} is damaged, nothing was written ({wrong}); {CELL_BACKUP.remedy}"
+            ) from error
 
 
 def _place(name: str, folder: Path, manifest: Manifest) -> Path:

@@ -4,13 +4,14 @@ import json
 import os
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
@@ -25,7 +26,7 @@ from cell.config.tactile import (
     link_settings,
     make_calibration,
 )
-from cell.errors import ConfigError
+from cell.errors import CellError, ConfigError
 from cell.hand.build import frame_source, sensor_settings
 from cell.plugins import PAD_LAYOUTS
 from tactile.can.bus import CanBus, MissingBus
@@ -36,7 +37,15 @@ from tactile.sensor.opening import open_sensor
 from tactile.sensor.sensor import TactileSensor
 from tactile.unit.bus_load import least_sync_period_s, message_bits
 from tactile.unit.commissioning import identity_checks
-from tactile.unit.search import BusTraffic, FoundUnit, listen, read_unit, read_vendor, scan_nodes
+from tactile.unit.search import (
+    BusTraffic,
+    FoundUnit,
+    listen,
+    read_unit,
+    read_vendor,
+    scan_nodes,
+    write_unit,
+)
 from tactile.unit.settings import ExpectedIdentity
 
 TRIED_BIT_RATES: tuple[int, ...] = tuple(
@@ -53,8 +62,8 @@ _PATIENCE_S = 0.5
 """Longest silence in s of a unit while a person presses its pads."""
 _RATE_FRAMES = 100
 _LEAST_RATE = 0.8
-"""Frames from which the rate of boards is taken, and the share of the usual one below which it is
-worth a word."""
+"""Frames for the measured rate of boards, and the share of the usual rate below which it is
+reported."""
 _FRAMES = 10
 """Frames that prove that the link runs."""
 
@@ -108,6 +117,30 @@ def unit_values(bench: Bench) -> dict[str, Any]:
     """
     with bench.can_bus() as bus:
         return asdict(read_unit(bus, bench.tactile().node_id))
+
+
+def restore_unit_values(bench: Bench, kept: Mapping[str, Any], dialog: Dialog) -> str:
+    """Write the objects of the control unit as `unit_values` has returned them, once approved.
+
+    Returns what was done. Nothing is written where ValueError is raised, as ``kept`` is damaged, or
+    CellError, as it is of another unit. Raises TactileError as `tactile.unit.search.write_unit`.
+    """
+    then = TypeAdapter(FoundUnit).validate_python(kept)
+    with bench.can_bus() as bus:
+        now = read_unit(bus, bench.tactile().node_id)
+        for key in ("node_id", "layout_hash"):
+            if (found := getattr(now, key)) != (wanted := getattr(then, key)):
+                raise CellError(
+                    f"the control unit has {key} {found}, that of the backup {wanted}: this is "
+                    "another unit, nothing was written"
+                )
+        before, after = dict(now.registers), dict(then.registers)
+        changed = [name for name in before if after.get(name, before[name]) != before[name]]
+        if not changed:
+            return "all objects of the control unit are as in the backup"
+        dialog.approve(_changes(now, {name: after[name] for name in changed}))
+        write_unit(bus, now.node_id, {name: after[name] for name in changed})
+        return f"control unit: {len(changed)} objects as in the backup, until it is switched off"
 
 
 class UnitStep(Step):
@@ -452,14 +485,19 @@ def _writes(unit: FoundUnit, tactile: TactileConfig) -> list[ProposedChange]:
         0x380 + unit.node_id,
         round(1e3 * link.force_period_s),
     )
-    where = f"control unit, node {unit.node_id}"
+    names = (name for name, _ in unit.registers)
+    return _changes(unit, dict(zip(names, coming, strict=False)))
+
+
+def _changes(unit: FoundUnit, coming: Mapping[str, int]) -> list[ProposedChange]:
+    before = dict(unit.registers)
     return [
         ProposedChange(
-            where=where,
+            where=f"control unit, node {unit.node_id}",
             what=name,
-            before=str(before),
+            before=str(before[name]),
             after=str(after),
             undo="switch the unit off and on; it is not stored",
         )
-        for (name, before), after in zip(unit.registers, coming, strict=False)
+        for name, after in coming.items()
     ]

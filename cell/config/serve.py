@@ -82,6 +82,11 @@ class ServeConfig(Section):
         default=(), max_length=1000
     )
     """Labels in the order of their ids from 1, for hosts that use numbers; other labels follow."""
+    shift_begins_h: tuple[Annotated[float, Field(ge=0.0, lt=24.0)], ...] = Field(
+        default=(0.0,), min_length=1, max_length=24
+    )
+    """Hours of the local day at which a shift begins, as [6, 14, 22]; its figures begin anew then,
+    and go on after a restart."""
     token_file: str = Field(default="", max_length=500)
     """File with the token of HTTP clients; empty: each start prints a new token."""
     secret_file: str = Field(default="", max_length=500)

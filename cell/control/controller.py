@@ -33,6 +33,7 @@ from cell.errors import (
 from cell.hand.interface import FORCE_FROM_FRAMES, Hand, LatestValues
 from cell.hand.local import LocalHand
 from gripper.clock import Clock
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.gripper import Gripper
 from gripper.values.outcome import GraspResult, ReleaseReport
 from gripper.values.state import GripperPhase, shows_nothing
@@ -248,6 +249,11 @@ class CellController:
     def self_zero(self) -> SelfZero | None:
         """The self-zero of the last 24 hours; None if it was not measured."""
         return self._zeros.newest
+
+    @property
+    def drives(self) -> dict[int, DriveCharacteristic]:
+        """Newest measured drive characteristic of each servo that is there, by its ID."""
+        return self._zeros.kept_drives(self._grasper.homing)
 
     @property
     def zero_note(self) -> str:

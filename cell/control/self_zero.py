@@ -56,11 +56,16 @@ def zero_file(directory: Path, cell_name: str) -> Path:
 
 
 def kept_zeros(
-    config: CellConfig, directory: Path | None, *, new_hand: bool | None = None
+    config: CellConfig,
+    directory: Path | None,
+    *,
+    new_hand: bool | None = None,
+    now_s: Callable[[], float] = time.time,
 ) -> "SelfZeros":
     """Return the self-zeros of a cell, saved in a folder; None: in this program alone.
 
     ``new_hand``: values of earlier programs are of another hand, for example a simulated one.
+    ``now_s`` returns the unix time in s.
     """
     port = config.gripper.port
     return SelfZeros(
@@ -70,6 +75,7 @@ def kept_zeros(
         hand=_hand_of(config),
         new_hand=config.simulated if new_hand is None else new_hand,
         servos={one.id: {"port": port, "model": one.model} for one in config.gripper.servos},
+        now_s=now_s,
     )
 
 
@@ -201,7 +207,7 @@ class SelfZeros:
             for servo_id, drive in drives.items()
             if drive.measured
         }
-        self.drives |= measured
+        self.drives = self.drives | measured  # a new one: health reads it in other threads
         # An unused file belongs to another hand, or a person must inspect it.
         if measured and not self.refused:
             self._write()

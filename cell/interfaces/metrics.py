@@ -39,6 +39,21 @@ _COUNTERS = (
     ("loop_missed_reads", "Periods without an answer of the servos", "loop", "missed_reads"),
 )
 """Name, meaning, and group and key in `Service.counters` of each plain counter."""
+_DRIVES: tuple[tuple[str, str, dict[str, str]], ...] = (
+    ("servo_friction_amperes", "Measured friction of a servo at rest", {"": "breakaway_a"}),
+    (
+        "servo_amperes_per_newton_metre",
+        "Measured growth of a servo's current with a load that rises, or falls",
+        {"rising": "rising_a_nm", "falling": "falling_a_nm"},
+    ),
+    (
+        "servo_motor_constant_newton_metres_per_ampere",
+        "Torque of a servo for its current, by catalogue and back-EMF",
+        {"": "kt_nm_a"},
+    ),
+    ("servo_measured_seconds", "Unix time of a servo's measurement", {"": "measured_s"}),
+)
+"""Name and meaning of each measured value of the servos, and its key by direction."""
 Value = tuple[tuple[str, ...], float]
 """Values of the labels, and the number."""
 
@@ -141,6 +156,15 @@ def _health(health: Mapping[str, Any]) -> Iterator[Metric]:
     ):
         numbered = (((str(n),), value) for n, value in enumerate(servos[key]))
         yield _labelled(GaugeMetricFamily, name, meaning, ["servo"], numbered)
+    drives = [(str(n), drive) for n, drive in enumerate(servos.get("drives", ())) if drive]
+    for name, meaning, directions in _DRIVES:
+        values = (
+            ((n, direction) if direction else (n,), drive[key])
+            for n, drive in drives
+            for direction, key in directions.items()
+        )
+        labels = ["servo", *([] if "" in directions else ["direction"])]
+        yield _labelled(GaugeMetricFamily, name, meaning, labels, values)
     if drift is not None:
         yield _gauge("drift_gain_ratio", "Gain of the pads, as a share of teaching", drift["gain"])
         meaning = "Drift of the zero of the opening since teaching, positive: reads too large"

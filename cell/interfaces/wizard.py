@@ -207,7 +207,7 @@ class Wizard(Dialog):
         self._writes = tuple(writes)
         try:
             if not self._wait(Phase.APPROVING):
-                raise WizardAborted("the writes were refused; none of them was done")
+                raise WizardAborted("the writes were refused; nothing was written or moved")
         finally:
             self._writes = ()
 

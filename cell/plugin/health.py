@@ -7,6 +7,7 @@ from typing import Any
 
 from cell.build import Cell
 from cell.config.model import CellConfig
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.force.timing import LATE_SHARE
 from recognition.drift.grid import DriftGrid
 
@@ -48,7 +49,16 @@ def _servos(config: CellConfig, cell: Cell) -> dict[str, Any]:
     return _level(watch=warmest_c > derated_c, bad=warmest_c > gripper.temperature_max_c) | {
         "temperature_c": [servo.temperature_c for servo in servos],
         "load": [abs(servo.current_a) / gripper.current_max_a for servo in servos],
+        "drives": [_drive(cell.controller.drives.get(servo.id)) for servo in gripper.servos],
     }
+
+
+def _drive(found: DriveCharacteristic | None) -> dict[str, Any] | None:
+    """Return the measured values of a servo; None without a measurement."""
+    if found is None:
+        return None
+    names = ("breakaway_a", "rising_a_nm", "falling_a_nm", "kt_nm_a", "measured_s")
+    return {name: getattr(found, name) for name in names}
 
 
 def _can(config: CellConfig, cell: Cell) -> dict[str, Any]:

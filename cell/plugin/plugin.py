@@ -126,6 +126,7 @@ class TactileCellPlugin:
         ask: Callable[[str], str] | None = None,
         start: bool = True,
         note: Callable[[str], None] = lambda _text: None,
+        wall_s: Callable[[], float] = time.time,
     ) -> None:
         """Connect to the cell, verify the devices and take the zero of the taxels.
 
@@ -163,6 +164,8 @@ class TactileCellPlugin:
             False: `reset` verifies the devices and raises their errors.
         note
             Gets messages for the operator, e.g. that the recording has stopped, from any thread.
+        wall_s
+            Returns the unix time in s, for the age of recordings and of the self-zero.
 
         Raises
         ------
@@ -208,6 +211,7 @@ class TactileCellPlugin:
             capture=capture,
             ask=ask,
             note=note,
+            wall_s=wall_s,
         )
         controller, file = self._cell.controller, self._file
         listeners: list[OnPart] = []

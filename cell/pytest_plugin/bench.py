@@ -24,7 +24,7 @@ class LinkBench:
     config: CellConfig
     """The cell: rates, servo IDs, node."""
     options: HardwareOptions
-    """The real ports."""
+    """Names the real ports."""
     registry: FaultRegistry
     """Registers simulated devices and real hardware."""
     _closing: ExitStack = field(default_factory=ExitStack, init=False)

@@ -211,7 +211,7 @@ def servo_bus(cell_bench: "LinkBench") -> "ServoBus":
 
 @pytest.fixture
 def servo_stream(cell_bench: "LinkBench") -> "ByteStream":
-    """Bytes of the line of servo_bus, for tests below its level."""
+    """Bytes of the same line as servo_bus, for tests below the level of packets."""
     return cell_bench.servo_line[0]
 
 

@@ -18,6 +18,7 @@ from cell.data.files import free_name
 from cell.errors import CellError
 from cell.plugin.answer import HostStatus
 from cell.plugin.part_report import PartReport
+from cell.service.shift import Shift
 from recognition.recognizer import UNKNOWN
 
 VERSION = 1
@@ -65,6 +66,8 @@ class History:
         Returns the state of the cell, with its faults.
     note
         Gets messages for the operator, for example that the file cannot be written.
+    shift
+        Gets the rows of earlier programs in the same shift.
     wall_s
         Unix time in s.
     """
@@ -75,16 +78,18 @@ class History:
         status: Callable[[], HostStatus],
         *,
         note: Callable[[str], None] = lambda _text: None,
+        shift: Shift | None = None,
         wall_s: Callable[[], float] = time.time,
     ) -> None:
         self._path, self._status, self._note, self._wall_s = path, status, note, wall_s
-        self._n_faults = status().n_faults
+        self._shift, self._resumed = shift, False
+        self._n_faults = 0
         self._waiting = deque[dict[str, Any]](maxlen=_WAITING_MAX)
         self._link: sqlite3.Connection | None = None
         self._refused = ""
         self._summed_s = float("-inf")
         self._values: dict[str, Any] = {}
-        self._over = threading.Event()
+        self._over, self._looking = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
         self._add(kind="start")
 
@@ -130,6 +135,12 @@ class History:
 
     def look(self) -> None:
         """Write the rows since the last call, and compute the sums; raises nothing."""
+        with self._looking:
+            self._look()
+
+    def _look(self) -> None:
+        if self._shift is not None:
+            self._shift.values()  # a new shift begins in time, even without a client
         now = self._status()
         for n in range(now.n_faults - self._n_faults, 0, -1):
             newest = n == 1 and now.fault is not None
@@ -137,6 +148,7 @@ class History:
             self._add(kind="fault", fault_number=number, text=now.fault if newest else "")
         self._n_faults = now.n_faults
         try:
+            self._resume_shift()
             if self._write() or not 0.0 <= self._wall_s() - self._summed_s < _FRESH_S:
                 self._sum()
             self._refused = ""
@@ -157,6 +169,19 @@ class History:
 
     def _add(self, **row: Any) -> None:
         self._waiting.append({"time_s": self._wall_s()} | row)
+
+    def _resume_shift(self) -> None:
+        """Give the shift its earlier rows once, before this program writes its first ones.
+
+        A row counts by its own time, even if the clock was set since.
+        """
+        if self._shift is None or self._resumed:
+            return
+        begin, now = (date.fromtimestamp(s) for s in (self._shift.began_s, self._wall_s()))
+        with self._opened() as link:
+            rows = [row for day in sorted({begin, now}) for row in _rows(link, day)]
+        self._shift.add_earlier(rows)
+        self._resumed = True
 
     def _write(self) -> bool:
         """Write all waiting rows in one transaction; return whether there were any."""
@@ -222,10 +247,7 @@ def read_day(path: Path, day: date) -> list[Mapping[str, Any]]:
     """
     try:
         with closing(_connected(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as link:
-            if _table(day) not in _tables(link):
-                return []
-            rows = link.execute(f"SELECT * FROM {_table(day)} ORDER BY rowid").fetchall()
-            return [dict(zip(COLUMNS, row, strict=True)) for row in rows]
+            return _rows(link, day)
     except sqlite3.Error as error:
         raise CellError(f"cannot read the history {path}: {error}; check the path") from error
 
@@ -252,6 +274,13 @@ def _table(day: date) -> str:
 def _tables(link: sqlite3.Connection) -> set[str]:
     query = "SELECT name FROM sqlite_master WHERE type = 'table' AND name GLOB 'day_*'"
     return {name for (name,) in link.execute(query)}
+
+
+def _rows(link: sqlite3.Connection, day: date) -> list[Mapping[str, Any]]:
+    if _table(day) not in _tables(link):
+        return []
+    rows = link.execute(f"SELECT * FROM {_table(day)} ORDER BY rowid").fetchall()
+    return [dict(zip(COLUMNS, row, strict=True)) for row in rows]
 
 
 def _sums(link: sqlite3.Connection, days: list[date]) -> dict[str, Any]:

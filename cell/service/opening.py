@@ -19,6 +19,7 @@ def open_service(
     *,
     note: Callable[[str], None] = lambda _text: None,
     clock: Clock = time,
+    wall_s: Callable[[], float] = time.time,
     **cell: Any,
 ) -> Service:
     """Open a cell and return its service.
@@ -28,7 +29,7 @@ def open_service(
     config
         The cell. A positioner of kind ``callback`` is the pose handshake. ``host_timeout_s`` has no
         effect, because the lease supervises the clients.
-    note, clock
+    note, clock, wall_s
         As `Service`.
     cell
         Model, folder of the recording and other arguments of `TactileCellPlugin`.
@@ -37,7 +38,7 @@ def open_service(
     ------
     As `TactileCellPlugin`.
     """
-    plugin, poses = open_plugin(config, note=note, **cell)
+    plugin, poses = open_plugin(config, note=note, wall_s=wall_s, **cell)
     beside = cell.get("save") or cell.get("model")
     photos_beside = None if beside is None else Path(beside)
     return Service(
@@ -48,6 +49,7 @@ def open_service(
         photos_beside=photos_beside,
         note=note,
         clock=clock,
+        wall_s=wall_s,
     )
 
 

@@ -173,6 +173,8 @@ class Service:
         Gets messages for the operator.
     clock
         Time of the clients: real time even if the cell's time is virtual.
+    wall_s
+        Returns the unix time in s, for shift and history.
     """
 
     def __init__(
@@ -185,17 +187,20 @@ class Service:
         photos_beside: Path | None = None,
         note: Callable[[str], None] = lambda _text: None,
         clock: Clock = time,
+        wall_s: Callable[[], float] = time.time,
     ) -> None:
         self.config = config
         self.version = version("tactile-cell")
         self.boot = int(time.time()) % 0xFFFF + 1
         """Number of this start, 1 to 65535, from the seconds of its time: it differs at each start.
         """
-        self.shift = Shift()
+        self.shift = Shift(config.serve.shift_begins_h, lambda: plugin.status().n_faults, wall_s)
         """The ledger of the parts."""
         self.totals = Totals()
         """Growing totals, for metrics."""
-        self.history = History(history_file, plugin.status, note=note)
+        self.history = History(
+            history_file, plugin.status, note=note, shift=self.shift, wall_s=wall_s
+        )
         """Parts and faults of the days."""
         self.history.start()
         plugin.watch_parts(self._count)

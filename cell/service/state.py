@@ -35,7 +35,7 @@ def state_values(service: Service) -> dict[str, Any]:
             "fault": _fault(service, now.status),
             "taught_revision": service.taught_revision,
             "health": service.health(),
-            "shift": service.shift.values(n_faults=now.status.n_faults),
+            "shift": service.shift.values(),
         }
     )
     return state

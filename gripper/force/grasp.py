@@ -47,9 +47,12 @@ _EQUAL_S = 1e-9
 _LOW_CONTACTS, _HIGH_SHARE, _LEAST_SPAN_N = 2.5, 0.9, 2.0
 """Least force of the measurement of a drive in contact forces, its largest one as a share of the
 force that was held, and the least difference in N of both. [chosen]"""
-_LOAD_N_S, _LOCKED_N_S, _LOCKED_SHARE = 8.0, 30.0, 0.1
-"""Rate in N/s of the drive of that measurement, and while friction locks the finger: until the
-force has changed by this share of its range. [chosen]"""
+_LOAD_N_S = {True: 8.0, False: 7.0}
+"""Rate in N/s of the drive of that measurement while the force rises (True) and falls: by a drive
+that falls a gearing that holds its load gives way two or three times as fast. [chosen]"""
+_LOCKED_N_S, _LOCKED_SHARE = 30.0, 0.1
+"""The same while friction locks the finger: until the force has changed by this share of its range.
+[chosen]"""
 _LIMITED_S = 0.25
 """Time in s without a change of the current after which a limit of the drive has ended it: four
 steps of the goal. [chosen]"""
@@ -319,7 +322,8 @@ class LoadTrial:
             self._from_n = control.force_n
         moved_n = 0.0 if self._from_n is None else self._sign * (control.force_n - self._from_n)
         locked = moved_n < _LOCKED_SHARE * (self._high_n - self._low_n)
-        control.grip.trial_rad = self._next_rad(moment, _LOCKED_N_S if locked else _LOAD_N_S)
+        rate_n_s = _LOCKED_N_S if locked else _LOAD_N_S[self._rises]
+        control.grip.trial_rad = self._next_rad(moment, rate_n_s)
         end_n = self._high_n if self._rises else self._low_n
         done = self._sign * (control.force_n - end_n) >= 0.0 or self._stalled_s > _LIMITED_S
         goals = control.goals(moment, self._high_n)

@@ -230,7 +230,7 @@ def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> 
             else ""
         )
         raise LimitExceeded(
-            f"the ramp goes up to {largest_n} N, the limit is "
+            f"the ramp asks for {largest_n} N, the limit is "
             f"{settings.grasp_force_limit_n:.2f} N{cap}"
         )
     if ramp.final_n < settings.contact_force_n:

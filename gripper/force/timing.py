@@ -1,4 +1,4 @@
-"""Timing statistics of the loop, in bounded memory whatever the length of a run."""
+"""Timing statistics of the loop, in bounded memory."""
 
 from dataclasses import dataclass, field
 from math import log10
@@ -12,7 +12,7 @@ _DECADES = 7
 _N_BINS = _PER_DECADE * _DECADES + 2
 """All bins, with one below and one above that range."""
 LATE_SHARE = 0.5
-"""Share of the period by which a period that began later is counted as late. [chosen]"""
+"""Delay of a period, as a share of its length, above which it counts as late. [chosen]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,9 +87,9 @@ class LoopStatistics:
     worst_lateness_s: float = 0.0
     """Largest lateness in s."""
     lateness: Distribution = field(default_factory=Distribution)
-    """How late each period began."""
+    """Lateness of the start of each period."""
     transaction: Distribution = field(default_factory=Distribution)
-    """How long reading the feedback of all servos took."""
+    """Duration of reading the feedback of all servos."""
     sensor_age: Distribution = field(default_factory=Distribution)
     """Age of the newest force sample when a step of control used it."""
 
@@ -107,13 +107,13 @@ class LoopTimer:
         self._period_s = period_s
         self._lateness = Histogram()
         self.transaction = Histogram()
-        """How long it took to read the feedback, in s."""
+        """Duration of reading the feedback in s."""
         self.sensor_age = Histogram()
-        """How old the force sample was that a step used, in s."""
+        """Age of the force sample of a step in s."""
         self._overruns = self._late = 0
         self.missed_reads = self.derated = 0
         self.overruns_in_row = 0
-        """Overruns since the last period whose work was done in time."""
+        """Overruns since the last period in time."""
 
     def work_done(self, late_s: float, *, counts: bool) -> None:
         """Count a period whose work ended ``late_s`` s after the next was due; 0 is in time.
@@ -123,8 +123,8 @@ class LoopTimer:
         late_s
             Time beyond the period in s.
         counts
-            False where waiting for an answer that never came took the time: what is wrong then
-            is the bus, and its own limit stands against it.
+            False if the time was a wait for a missing answer: this is a fault of the bus, which has
+            its own limit.
         """
         if late_s <= 0.0:
             self.overruns_in_row = 0
@@ -133,7 +133,7 @@ class LoopTimer:
         self.overruns_in_row += counts
 
     def began(self, late_s: float) -> None:
-        """Count a period that began so late, in s."""
+        """Count a period that began ``late_s`` s late."""
         self._lateness.add(late_s)
         self._late += late_s > LATE_SHARE * self._period_s
 

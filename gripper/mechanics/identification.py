@@ -50,8 +50,9 @@ _ALIKE = 2.0
 _FALLING_BASE = (0.7, 0.4)
 """Breakaway of a falling load over that of a rising one, and its uncertainty: 0.3 to 1 for gearings
 that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]"""
-_SUREST = 0.1
-"""Largest uncertainty of a slope that counts, as a share. [chosen]"""
+_SUREST = {True: 0.1, False: 0.25}
+"""Largest uncertainty of a slope that counts, as a share, where the load rises (True) and falls:
+without a line the load counts as falling like it rises, up to three times wrong. [chosen]"""
 _LEAST_SPAN = 1.5
 """Least ratio of the speeds that show resistance and back-EMF apart."""
 _OUTLIER_SIGMAS = 2.5
@@ -276,6 +277,6 @@ def _line(points: Sequence[LoadPoint], before: DriveCharacteristic, *, rises: bo
         rows, current = rows[near], current[near]
     slope, base = float(found[0]), float(found[1])
     slope_sd = float(np.linalg.inv(whole.T @ whole)[0, 0]) ** 0.5
-    if slope <= 0.0 or slope_sd > _SUREST * slope:
+    if slope <= 0.0 or slope_sd > _SUREST[rises] * slope:
         return None
     return _Line(slope, base, slope_sd / slope)

@@ -1,4 +1,4 @@
-"""The newest force samples: as many as a decision needs, whatever the rate of the sensor."""
+"""The newest force samples: as many as a decision needs, at any rate of the sensor."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -7,22 +7,22 @@ from math import sqrt
 from gripper.values.force_sensor import ForceSample
 
 FRAME_S = 0.02
-"""Period in s of whole frames, the slowest samples that figures are given for: 50 Hz. [chosen]"""
+"""Period in s of whole frames, the slowest supported samples: 50 Hz. [chosen]"""
 ONE_FRAME_S = 0.018
 """Time in s in which faster samples count as one frame: just below its period. [chosen]"""
 LOOK_BACK_S = 4.5 * FRAME_S
 """Time in s of a look back: five frames."""
 QUIET_N = 0.08
-"""Noise in N of a mean grip force that control and caps go by: a fraction of what a ramp must
-settle within. [tuned]"""
+"""Noise in N of the mean grip force for control and caps: a fraction of the tolerance of a ramp's
+end. [tuned]"""
 LEAST_SAMPLES = 3
-"""Samples of such a mean where the sensor is too slow for it. [chosen]"""
+"""Samples of this mean for a slower sensor. [chosen]"""
 
 
 class RecentForce:
-    """Newest force samples, as many as bring the noise of their mean below a limit.
+    """Newest force samples, enough for a noise of their mean below a limit.
 
-    A fast sensor needs many in a short time. One that is too slow for that gives its last few.
+    A fast sensor gives many in a short time. A slow sensor gives its last few.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ _REACH = (8 / 3, 3.0)
 _POWER = 0.2
 """Power of the likelihood of an unnamed grasp."""
 _KEPT = 0.99
-"""Share of the evidence of unnamed grasps that one more keeps, because drifts change."""
+"""Share of the evidence of unnamed grasps kept after a further one, because drifts change."""
 _PLACING_LOG_GAIN = 0.1
 """Standard deviation of the logarithm of the load of one object between placings."""
 _LIKELY = 0.9

@@ -121,7 +121,7 @@ class TableCalibration:
     def __post_init__(self) -> None:
         nodes = np.array([(0.0, *self.node_counts), (0.0, *self.node_force_n)])
         if nodes.shape[1] < 2 or not (np.isfinite(nodes).all() and (np.diff(nodes) > 0.0).all()):
-            raise CalibrationError("counts and forces of a table must rise together, from above 0")
+            raise CalibrationError("counts and forces of a table must rise from above 0, together")
         object.__setattr__(self, "gain", _checked_gain(self.gain))
 
     def force_n(self, tared_counts: Array) -> Array:

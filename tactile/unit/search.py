@@ -1,10 +1,10 @@
 """Search for a control unit: who is heard on a bus, who answers, and what a unit says of itself.
 
-For commissioning, before anything of the unit is known; nothing is written to it.
+For commissioning, before anything of the unit is known. Only `write_unit` writes to it.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Self
@@ -13,7 +13,7 @@ import can
 
 from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver
 from tactile.clock import Clock
-from tactile.errors import BusOff, NodeMissing, TactileError
+from tactile.errors import BusOff, IdentityMismatch, NodeMissing, TactileError
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.unit import object_dictionary as od
 from tactile.unit.commissioning import read_identity
@@ -176,6 +176,31 @@ def _read(objects: ObjectAccess, node_id: int) -> FoundUnit:
         sends_forces=sends_forces,
         registers=tuple((name, objects.read_unsigned(i, sub)) for name, i, sub in written),
     )
+
+
+def write_unit(bus: can.BusABC, node_id: int, registers: Mapping[str, int]) -> None:
+    """Write objects of a control unit, by their names in `FoundUnit.registers`; each is read back.
+
+    Raises NodeMissing if the node does not answer or refuses a value, IdentityMismatch if it does
+    not keep one. Nothing is written where a value does not fit its object: ValueError.
+    """
+    with _objects_of(bus, node_id) as objects:
+        places = [row for row in _WRITTEN + _WRITTEN_FORCES if row[0] in registers]
+        writes = []
+        for name, index, sub in places:
+            value, n_bytes = registers[name], len(objects.read(index, sub))
+            if not 0 <= value < 1 << 8 * n_bytes:
+                raise ValueError(
+                    f"{name} is {value}, an object of {n_bytes} bytes does not take it"
+                )
+            writes.append((name, index, sub, value, n_bytes))
+        for name, index, sub, value, n_bytes in writes:
+            if sub == od.PDO_COB_ID and not value & od.PDO_INVALID:
+                # It may be changed while the PDO is off only (CiA 301, 7.5.2.37).
+                objects.write_unsigned(index, sub, od.PDO_INVALID | value, n_bytes)
+            objects.write_unsigned(index, sub, value, n_bytes)
+            if (found := objects.read_unsigned(index, sub)) != value:
+                raise IdentityMismatch(f"the unit did not keep {name}: wrote {value}, is {found}")
 
 
 def read_vendor(bus: can.BusABC, node_id: int) -> tuple[int, int]:

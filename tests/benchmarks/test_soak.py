@@ -2,14 +2,16 @@
 
 import os
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 
 import pytest
 
-from benchmarks.performance import soak
+from benchmarks.performance import soak, week
 from benchmarks.performance.shift import condensed
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
+from cell.service.history import read_day
 
 
 def quick_config() -> CellConfig:
@@ -47,6 +49,19 @@ def test_a_shift_of_six_minutes_is_sorted_before_the_eyes_of_its_clients() -> No
     assert messages[3] < messages[0]
     assert samples[-1].descriptors <= samples[1].descriptors
     assert samples[-1].threads <= samples[1].threads + 1
+
+
+@pytest.mark.long
+@pytest.mark.no_cover
+@pytest.mark.timeout(600)
+def test_a_day_of_shifts_goes_on_after_each_restart_and_a_leap_of_the_clock(tmp_path: Path) -> None:
+    shifts = list(week.week(tmp_path, quick_config(), days=1, n_parts=1))
+    assert week.wrong(shifts, n_parts=1) == []
+    path = next(tmp_path.glob("history-*"))
+    assert [len(read_day(path, date(2027, 3, day))) for day in (1, 2)] == [1 + 3 * 3, 3]
+    assert shifts[-1].process.threads == shifts[0].process.threads
+    lost = replace(shifts[-1], ledger=shifts[-1].ledger | {"parts": 1}, n_recordings=99)
+    assert len(week.wrong([*shifts[:-1], lost], n_parts=1)) == 2
 
 
 def made(n: int, **growth: float) -> list[soak.ResourceUse]:

@@ -1,10 +1,12 @@
-"""Files of earlier versions through the commands of this one, and files of later ones."""
+"""Files of earlier and present versions through the commands, and files of later ones."""
 
 import json
 import shutil
 import zipfile
 from collections.abc import Callable, Iterator
+from datetime import date, datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,11 +15,13 @@ from typer.testing import CliRunner
 
 from cell.config.file import load_config
 from cell.config.tactile import layout_from_config
+from cell.control.self_zero import kept_zeros
 from cell.data import formats
 from cell.data.formats import Format
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.app import app
+from cell.service.history import History, read_day
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
@@ -127,6 +131,72 @@ def test_an_archive_is_read_and_added_to(tmp_path: Path) -> None:
     said = call("archive", tmp_path / "some.npz", "--to", fleet)
     assert "0 grasps of 1 files added" in said
     assert "4 grasps were there already" in said
+
+
+@pytest.fixture
+def current(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Copy files of the formats that are written now, and go there."""
+    shutil.copytree(HERE / "63b50b2f", tmp_path / "files")
+    monkeypatch.chdir(tmp_path / "files")
+    return tmp_path / "files"
+
+
+def test_files_of_the_present_formats_are_read(current: Path) -> None:
+    for name in ("current.yaml", "boards.yaml"):
+        assert call("config", "check", name).startswith(f"{name}: valid")
+        assert "nothing is gone of it" in call("config", "convert", name)
+    assert load_config(current / "boards.yaml").tactile.serial_ports == (
+        "/dev/ttyUSB1", "/dev/ttyUSB2",
+    )  # fmt: skip
+    call("train", "grasps.npz", "--recognizer", "shrinkage_lda", "--no-early", "-o", "again.npz")
+    for model in ("shrinkage_lda.npz", "again.npz"):
+        said = call("identify", "-m", model, "grasps.npz", "-c", "current.yaml")
+        assert [line.split()[2] for line in said.splitlines()] == ["ball"] * 4 + ["box"] * 4
+    path = Path("out/serve-20261123-140000/recording.mcap")
+    path.parent.mkdir()
+    path.touch()
+    assert f"{path}: MB 0.0, age / days 0.0" in call("recordings", "list", "out")
+
+
+def test_the_self_zero_and_the_drives_of_the_present_format_count(current: Path) -> None:
+    kept = kept_zeros(load_config(current / "current.yaml"), Path("out"), new_hand=False)
+    kept.now_s = lambda: kept.measured_s
+    assert kept.refused == ""
+    assert kept.newest is not None
+    assert kept.newest.opening_m == pytest.approx(0.42e-3, abs=1e-5)
+    assert [drive.breakaway_a for drive in kept.kept_drives({}).values()] == pytest.approx(
+        [0.137, 0.132], abs=1e-3
+    )
+    said = call("doctor", "-c", "current.yaml")
+    assert "self-zero: of 2026-11-23" in said
+    assert "servo 1: friction 0.137 A" in said
+
+
+def test_a_history_of_the_present_format_is_read_and_goes_on(current: Path) -> None:
+    path, day = Path("out/history-small-pads.sqlite3"), date(2026, 11, 23)
+    rows = read_day(path, day)
+    assert [row["kind"] for row in rows] == ["start", "part", "part"]
+    assert [row["label"] for row in rows[1:]] == ["ball", "box"]
+    now_s = datetime(2026, 11, 23, 23).timestamp()
+    status: Any = SimpleNamespace(n_faults=0, fault=None, fault_number=0)
+    kept = History(path, lambda: status, wall_s=lambda: now_s)
+    kept.look()
+    kept.close()
+    assert (kept.values()["today"]["parts"], kept.values()["today"]["starts"]) == (2, 2)
+
+
+def test_a_backup_of_the_present_format_is_put_back(
+    current: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "1 files of press" in call("restore", "cell.zip", "--folder", "new", "--yes")
+    config = load_config(current / "new" / "tactile-cell.yaml")
+    assert (config.name, config.gripper.port) == ("press", "/dev/ttyUSB0")
+    with SimulatedCell(SimulatorSettings(layout=layout_from_config(config.tactile))) as cell:
+        monkeypatch.setattr("cell.commissioning.bench.LineOpener", lambda: SimulatedLines(cell))
+        cell.devices.servo_bus.servos[0].core.registers.configure("return_delay_time", 99)
+        done = call("restore", "cell.zip", "--folder", "new", "--servos", "--unit", "--yes")
+    assert "servo 1: 1 items as they were found" in done
+    assert "all objects of the control unit are as in the backup" in done
 
 
 def later(kind: Format) -> str:

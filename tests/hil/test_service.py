@@ -2,6 +2,7 @@
 
 import json
 import os
+import random
 import signal
 import socket
 import subprocess
@@ -18,6 +19,7 @@ import pytest
 from cell.config.file import parse_config
 from cell.pytest_plugin.process import CellProcess
 from cell.service.service import RELEASE_KEY
+from tests.cell.conftest import Taught, small_config, taught  # noqa: F401  a fixture
 from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, done, first
 
 pytestmark = pytest.mark.real_time
@@ -27,6 +29,10 @@ GRIPPED_N = 1.5
 KEPT_N = 0.6
 """Least force in N with which a part counts as held."""
 LOOP_GONE, PART_IN_GRIP = 508, 506
+GRIPPING, HOLDING = 1, 4
+"""States of the grip in which a part is between the fingers, or comes there."""
+FOLLOWED = 50
+"""Looks at the grip after the process of the force loop was killed: a second and more."""
 
 
 class Service:
@@ -69,16 +75,23 @@ def simulator(free_machine: None) -> Iterator[CellProcess]:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     serve = f"serve: {{lease_timeout_s: 30.0, modbus_port: null, xmlrpc_port: {port}}}\n"
-    one = CellProcess(parse_config(CONFIG + serve, source="test"))
+    config = parse_config(CONFIG + serve, source="test")
+    objects = {"simulator": small_config().simulator}
+    one = CellProcess(config.model_copy(update=objects))
     first(one.pid)
     yield one
     one.end()
 
 
 @pytest.fixture(scope="module")
-def service(simulator: CellProcess, tmp_path_factory: Any) -> Iterator[Service]:
+def service(
+    simulator: CellProcess,
+    taught: Taught,  # noqa: F811
+    tmp_path_factory: Any,
+) -> Iterator[Service]:
     folder = tmp_path_factory.mktemp("service")
-    install = (*PROGRAM, "install", "--apply", "--root", folder, "-c", simulator.config_path)
+    install = (*PROGRAM, "install", "--apply", "--root", folder, "-c", simulator.config_path,
+               "--model", taught.result.model)  # fmt: skip
     subprocess.run(install, input="n\nn\ny\n", text=True, check=True, stdout=subprocess.DEVNULL)
     unit = folder / "etc/systemd/system/tactile-cell.service"
     config = parse_config(simulator.config_path.read_text(), source="test")
@@ -129,4 +142,71 @@ def test_a_part_outlasts_the_processes_that_hold_it(
     assert done(cell, lease, cell.release(lease, RELEASE_KEY)) == 4
     assert simulator.grip_n() == 0.0
     assert done(cell, lease, cell.reset(lease)) == 4
+    assert cell.give_up(lease) == 0
+
+
+class Grip(threading.Thread):
+    """Follows the force on both pads of the simulator, until it is asked to end."""
+
+    def __init__(self, simulator: CellProcess) -> None:
+        super().__init__(daemon=True)
+        self.simulator, self.forces_n, self.over = simulator, list[float](), threading.Event()
+        self.start()
+
+    def run(self) -> None:
+        while not self.over.wait(0.01):
+            self.forces_n.append(self.simulator.grip_n())
+
+    def end(self) -> list[float]:
+        self.over.set()
+        self.join(LIMIT_S)
+        return self.forces_n
+
+
+def kill_followed(
+    service: Service, simulator: CellProcess, killed: str, after_s: float
+) -> tuple[float, float]:
+    """Kill processes of a cell that sorts, after a while; wait until the cell answers for it.
+
+    Returns the force in N at the kill, and the least since. A part that is let go at its place, or
+    is about to be, is none to be kept: the kill comes while the fingers close or hold.
+    """
+    cell, since, due_s = service.cell, len(service.events), time.monotonic() + after_s
+    wait_for(lambda: time.monotonic() > due_s and cell.grip_state() in (GRIPPING, HOLDING))
+    main, hand, force_n = service.pid, service.hand, simulator.grip_n()
+    for pid in {"main": [main], "hand": [hand], "both": [hand, main]}[killed]:
+        os.kill(pid, signal.SIGKILL)
+    grip = Grip(simulator)
+    if killed == "hand":
+        wait_for(lambda: cell.state() == 9 and len(grip.forces_n) > FOLLOWED)
+    else:
+        wait_for(lambda: service.sent("READY=1", since))
+    return force_n, min(grip.end())
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.long) for n in (2, 3, 4))])
+def test_random_kills_in_a_sort_drop_no_part_and_the_sort_goes_on(
+    service: Service, simulator: CellProcess, seed: int
+) -> None:
+    cell, draw, n_held = service.cell, random.Random(seed), 0
+    lease = cell.acquire("sort")
+    for killed in draw.sample(["main", "hand", "both"], 3):
+        assert cell.sort(lease, 1000, 1, 0.0) > 0
+        force_n, least_n = kill_followed(service, simulator, killed, draw.uniform(0.0, 6.0))
+        if killed != "hand":
+            lease = cell.acquire("sort again")
+        if force_n > KEPT_N:
+            n_held += 1
+            assert least_n > KEPT_N
+            assert (cell.state(), cell.holding()) == (9, True)
+            assert cell.fault_number() == (LOOP_GONE if killed == "hand" else PART_IN_GRIP)
+        if cell.state() == 9:
+            assert done(cell, lease, cell.clear(lease)) == 4
+            assert simulator.grip_n() >= min(least_n, KEPT_N)
+            assert done(cell, lease, cell.release(lease, RELEASE_KEY)) == 4
+            assert simulator.grip_n() == 0.0
+            assert done(cell, lease, cell.reset(lease)) == 4
+    assert n_held >= 1
+    assert done(cell, lease, cell.sort(lease, 1, 1, 0.0)) == 4
     assert cell.give_up(lease) == 0

@@ -1,9 +1,9 @@
-"""Doubt whether a gripped part is there: what its stages look at, and what ends it.
+"""Doubt whether a gripped part is there: its stages, their evidence and their ends.
 
-Force samples alone decide nothing: a control unit whose messages read zero would let a part go that
-is held. What they show must be confirmed by another witness: fingers that run together, or a whole
-frame that was scanned since. Where a frame still shows load, or the motors press and the fingers
-stand, the witnesses contradict each other: that is a fault, and the grip is kept.
+Force samples alone do not decide: a control unit with zero messages would let a held part go.
+Another measurement must confirm them: fingers that run together, or a newer whole frame. If a frame
+still shows load, or the motors press and the fingers stand, the measurements contradict each other:
+this is a fault, and the grip is kept.
 """
 
 from typing import NamedTuple
@@ -18,25 +18,24 @@ from gripper.values.state import GRAIN_M, STANDING_M_S
 _EMPTY_TIME_S = 5 * FRAME_S
 """Time in s for which pads must be empty before a part may be lost: five frames."""
 _RUN_M_S, RUN_M = 0.008, 3 * GRAIN_M
-"""Growth of the closing speed in m/s, and way in m, from which on nothing holds the fingers apart:
-three units of the servos' velocity, three counts of an encoder. On a part fingers come to rest
-under a drive that stays as it is. [resolution]"""
+"""Growth of the closing speed in m/s, and travel in m, above which nothing holds the fingers apart:
+three counts of the servos' velocity, three counts of an encoder. On a part fingers come to rest
+under a constant drive. [resolution]"""
 _FIRM_N_M = 1000.0
-"""Stiffness in N/m of a part from which on such a way is no swing of fingers and part. [tuned]"""
+"""Least stiffness in N/m of a part with which this travel is no oscillation. [tuned]"""
 _FOLLOWS_S = 0.03
-"""Time in s for which fingers that press on a part go on at their speed though the drive stays.
-[tuned]"""
+"""Time in s for which fingers on a part keep their speed under a constant drive. [tuned]"""
 SOFTEST_N_M = 200.0
-"""Stiffness in N/m of a part whose own is not known yet: foam. [chosen]"""
+"""Stiffness in N/m of a part with unknown stiffness: foam. [chosen]"""
 _STAND_S, _STAND_M, _STAND_M_S = 0.04, GRAIN_M, 1.5 * STANDING_M_S
-"""Time in s after which fingers that have moved by no more than so many m, and are no faster than
-so many m/s, stand: free ones have gone several times as far where the drive is `_PRESSING_N`.
-[tuned]"""
+"""Time in s, and limits of travel in m and speed in m/s, of standing fingers: free fingers travel
+several times as far with a drive of `_PRESSING_N`. [tuned]"""
 _PRESSING_N, BREAKAWAY_SHARE = 1.0, 0.3
-"""Driving force in N beyond friction at rest that moves free fingers for certain, and the share by
-which that friction is larger than in motion, at most. [assumed]"""
+"""Driving force in N beyond friction at rest that certainly moves free fingers, and the largest
+ratio of that friction to friction in motion. [assumed]"""
 _UNDECIDED_S = 0.3
-"""Longest time in s until a witness confirms the loss; then it counts as contradicted. [chosen]"""
+"""Longest time in s until another measurement confirms the loss; then it counts as contradicted.
+[chosen]"""
 ADVICE = (
     "A part that one of them still shows is not let go: the goals are frozen and the grip kept. "
     "Look at the part, check control unit, pads and cable, then clear the fault and release"
@@ -62,38 +61,38 @@ class Evidence(NamedTuple):
     sudden: bool
     """Newest samples; whether their mean shows empty pads, or the newest ones do at once."""
     motions: tuple[Motion, ...]
-    """Those of the look-back window, the newest last."""
+    """Samples of the look-back window, the newest last."""
     apertures: History
     """Opening of the last periods in m."""
     stiffness_n_m: float | None
-    """That of the part in N/m; None while it is not known."""
+    """Stiffness of the part in N/m; None while not known."""
     pressing_n: float
-    """What the measured currents make beyond friction at rest, in N."""
+    """Force of the measured currents beyond friction at rest, in N."""
 
 
 class Sure:
-    """Stage without doubt, the samples show the part; what the other stages begin from."""
+    """Stage without doubt: the samples show the part."""
 
     def enter(self, evidence: Evidence, before: "Sure") -> None:
         """Begin after another stage, by the evidence of this period."""
 
     def step(self, evidence: Evidence) -> None:
-        """Take in a period with a valid sample."""
+        """Add a period with a valid sample."""
 
     def lost(self, _evidence: Evidence) -> bool:
-        """Return whether the part is gone, by all that this period shows."""
+        """Return whether the part is gone, by the evidence of this period."""
         return False
 
     @property
     def lasts(self) -> bool:
-        """Whether what the stage looks at has lasted for long enough."""
+        """Whether the evidence of the stage has lasted for long enough."""
         return False
 
 
 class Suspected(Sure):
-    """Stage in which the samples show empty pads, not for long enough yet.
+    """Stage in which the samples show empty pads, but not yet for long enough.
 
-    It keeps the motion when that began, the force before, and the frames since.
+    It keeps the motion at its start, the force before, and the frames since.
     """
 
     began: Motion
@@ -114,7 +113,7 @@ class Suspected(Sure):
         self.step(evidence)
 
     def step(self, evidence: Evidence) -> None:
-        """Take in a period with a valid sample."""
+        """Add a period with a valid sample."""
         if evidence.moment.sample is not None:
             self.frames.push(evidence.moment.sample)
         self._empty_s = self._empty_s + evidence.moment.dt_s if evidence.empty else 0.0
@@ -126,10 +125,10 @@ class Suspected(Sure):
 
 
 class Doubted(Sure):
-    """Stage in which the samples show a part as gone: another witness decides, the drive stays."""
+    """Stage in which the samples show no part: other measurements decide; the drive stays."""
 
     ran = False
-    """Whether the fingers have run together as they do on no firm part."""
+    """Whether the fingers have run together, unlike on any firm part."""
     _suspected: Suspected
 
     def enter(self, evidence: Evidence, before: Sure) -> None:
@@ -139,16 +138,15 @@ class Doubted(Sure):
         self._shown = _shown(evidence.pads)
 
     def step(self, evidence: Evidence) -> None:
-        """Take in a period with a valid sample; GripContradicted when it shows the part again."""
+        """Add a period with a valid sample; GripContradicted when it shows the part again."""
         if evidence.pads.loaded_again(self._suspected.force_n):
             raise self._contradicted(evidence, f"now it is {_shown(evidence.pads)} again")
         self._suspected.step(evidence)
 
     def lost(self, evidence: Evidence) -> bool:
-        """Return whether another witness confirms the loss; GripContradicted where one denies it.
+        """Return whether another measurement confirms the loss; else may raise GripContradicted.
 
-        Free fingers would stand as well where nothing presses: `EmptyGrip` tries whether they do
-        before they open.
+        Free fingers without a drive also stand: `EmptyGrip` tests this before they open.
         """
         moment, motion, frames = evidence.moment, evidence.motions[-1], self._suspected.frames
         stiffness_n_m = evidence.stiffness_n_m or SOFTEST_N_M
@@ -190,10 +188,10 @@ def _shown(pads: PadSamples) -> str:
 
 
 def _run(moment: Moment, motion: Motion, began: Motion, stiffness_n_m: float) -> bool:
-    """Return whether all fingers have closed since then as they do on no part.
+    """Return whether all fingers have closed since then, unlike on any part.
 
-    What the drive has grown by makes a part yield, and what it was before does so for a moment; but
-    on a part the fingers become slower then.
+    A grown drive makes a part yield, and the earlier drive does so for a moment; but on a part the
+    fingers then become slower.
     """
     if any(servo.velocity_rad_s > 0.0 for servo in moment.state.servos):
         return False

@@ -1,4 +1,4 @@
-"""Confirmation that nothing is held, before an opening that nobody asked for."""
+"""Confirmation that nothing is held, before an opening without a request."""
 
 from gripper.errors import GripContradicted
 from gripper.force.approach.approach import BOOST_PER_S, LEAD_M
@@ -13,14 +13,13 @@ from gripper.values.recent import LEAST_SAMPLES, RecentForce
 from gripper.values.state import ServoFeedback
 
 _TRY_S = 0.5
-"""Time in s, beyond that of the way, within which free fingers have closed. [chosen]"""
+"""Time in s, beyond that of the travel, within which free fingers have closed. [chosen]"""
 _CONFIRMING_FRAMES = 3
-"""Frames from after the fingers have stopped that confirm that nothing is held: in their mean no
-taxel counts as touched any more that was touched before. [tuned]"""
+"""Frames after the stop of the fingers that confirm that nothing is held: in their mean no earlier
+touched taxel still counts as touched. [tuned]"""
 
 _CLOSED_M = 0.0002
-"""How much farther open in m than their smallest opening closed fingers may stand: two counts.
-[chosen]"""
+"""Largest distance in m of closed fingers from their smallest opening: two counts. [chosen]"""
 _CLOSED_ADVICE = (
     "The fingers are closed (gripper.aperture_min_mm): a part is too small to be held, or the pads "
     "press on each other because gripper.approach_speed_mm_s is high. The grip is kept: look, then "
@@ -29,10 +28,10 @@ _CLOSED_ADVICE = (
 
 
 class EmptyGrip:
-    """Step of control that confirms that nothing is held: before an opening that nobody asked for.
+    """Step of control that confirms that nothing is held, before an opening without a request.
 
-    Where the fingers have not run yet they close, as in an approach, by more than any part yields
-    to that; then they stand until the pads have shown once more that they are empty.
+    Fingers that have not run yet close, as in an approach, by more than any part would yield. Then
+    they stand until the pads have shown once more that they are empty.
 
     Parameters
     ----------
@@ -41,12 +40,12 @@ class EmptyGrip:
     state
         Feedback at the end of the grasp.
     stiffness_n_m
-        Stiffness of the part in N/m; None where it is not known.
+        Stiffness of the part in N/m; None if not known.
     approached
-        Whether an approach has just ended, to whose current nothing yields any more; as in it the
-        current grows then while the fingers stand.
+        Whether an approach has just ended, so that nothing yields to its current; the current then
+        grows, as in the approach, while the fingers stand.
     ran
-        Whether the fingers have closed already as they do on no part.
+        Whether the fingers have already closed, unlike on any part.
     """
 
     def __init__(
@@ -89,7 +88,7 @@ class EmptyGrip:
         self._samples = RecentForce()
 
     def step(self, moment: Moment) -> Action:
-        """Return the goals of a period; GripContradicted when anything shows a part."""
+        """Return the goals of a period. Raises GripContradicted when anything shows a part."""
         state = moment.state
         if self._ran:
             return self._pads(moment)
@@ -144,7 +143,7 @@ class EmptyGrip:
         shown_n = self._samples.finger_means_n if self._samples else sample.force_n
         frames_n = self._frames.finger_means_n
         if min(shown_n) > self._loaded_n >= min(frames_n) and len(self._samples) < LEAST_SAMPLES:
-            # The noise of one sample loads both pads now and then.
+            # The noise of one sample sometimes loads both pads.
             return Action()
         if min(shown_n) > self._loaded_n or min(frames_n) > self._loaded_n:
             frames = "the frames {:.2f} and {:.2f} N, ".format(*frames_n)

@@ -8,10 +8,10 @@ from gripper.values.recent import FRAME_S
 from gripper.values.state import ServoFeedback
 
 _CONTRADICTED_S = 5 * FRAME_S
-"""Time in s for which loaded pads contradict a position before that is an error: five frames."""
+"""Time in s for which loaded pads must contradict a position before an error: five frames."""
 _SINKS_S, _CREEP_M = 0.1, 0.0005
-"""Time in s after a rise until the fingers stand, and the way in m by which foam may go on yielding
-after it: a sixth of what two pads of 3 mm give. [chosen]"""
+"""Time in s after a rise until the fingers stand, and the distance in m by which foam may yield
+after it: a sixth of the yield of two pads of 3 mm. [chosen]"""
 
 
 class PadChecks:
@@ -47,14 +47,14 @@ class PadChecks:
         moment, pads
             Feedback, and newest force samples.
         rises
-            Whether more force is asked for than in the last period.
+            Whether the set-point is higher than in the last period.
 
         Raises
         ------
         PositionContradicted
-            When pads are loaded where the fingers, by their position, cannot press on a part.
+            When pads are loaded although the fingers, by their position, cannot press on a part.
         ForceImbalance
-            When the fingers press with different forces for too long.
+            When the forces of the fingers differ for too long.
         """
         if rises:
             self._rose_s = moment.now_s
@@ -64,11 +64,11 @@ class PadChecks:
         self._check_balance(moment.dt_s, pads)
 
     def _check_position(self, dt_s: float, state: ServoFeedback, pads: PadSamples) -> None:
-        """Raise PositionContradicted where loaded pads have contradicted the opening for long.
+        """Raise PositionContradicted if loaded pads have contradicted the opening for long.
 
-        No part presses on both pads where the fingers stand wider open than at the contact, or
-        closed: then the count of a position drifts, and what is gripped is gripped all the same.
-        A small part that has sunk into the foam may go on sinking as far as foam creeps.
+        No part presses on both pads of fingers that are wider open than at the contact, or closed:
+        then a position drifts, but the part is still gripped. A small part in the foam may sink
+        further by the creep of the foam.
         """
         least_m = min(self._settings.least_pressed_m, self._sunk_m - _CREEP_M)
         if least_m <= state.aperture_m <= self._widest_m or not pads.loaded:

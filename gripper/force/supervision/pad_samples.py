@@ -11,13 +11,12 @@ from gripper.values.recent import LOOK_BACK_S, ONE_FRAME_S, RecentForce
 _EMPTY_SHARE = 0.25
 """Share of ``contact_force_n`` below which a pad is empty. [tuned]"""
 _SUDDEN_RATIO = 6.0
-"""Force over that of an empty pad from which on samples that are empty at once count as that.
-[tuned]"""
+"""Least force, relative to an empty pad, before a sudden loss of force on the pads. [tuned]"""
 HELD_SHARE = 0.5
-"""Share of the force before from which on the pads show that the part is there; noise must not turn
-it into that of an empty pad. [tuned]"""
+"""Share of the earlier force above which the pads show the part; noise must not make it look like
+an empty pad. [tuned]"""
 _SUDDEN_SIGMAS = 3.0
-"""How sure of that the samples must be, in standard deviations of each pad's mean. [statistics]"""
+"""Required certainty of the samples, in standard deviations of each pad's mean. [statistics]"""
 _PAD_NOISE = sqrt(2.0)
 """Noise of one pad over that of the grip force, the mean of both. [statistics]"""
 
@@ -68,10 +67,9 @@ class PadSamples:
         return max((force_n for _, force_n in self._before_n), default=0.0)
 
     def suddenly_empty(self, asked_n: float) -> bool:
-        """Return whether next to nothing is left where much force was asked for, in N.
+        """Return whether almost no force is left although ``asked_n`` N were requested.
 
-        One sample shows it where its noise cannot hide the force that was there; of a fast sensor
-        as many as that takes.
+        One sample is enough if its noise cannot hide the earlier force; a fast sensor needs more.
         """
         much_n = min(asked_n, self.before_n)
         if much_n <= _SUDDEN_RATIO * self.empty_n:
@@ -83,7 +81,7 @@ class PadSamples:
         return max(newest.finger_means_n) < max(self.empty_n, noisy_n)
 
     def loaded_again(self, force_n: float) -> bool:
-        """Return whether the newest samples show half of a force in N that was there before."""
+        """Return whether the newest samples show half of an earlier force in N."""
         least_n = min(self._newest(force_n).finger_means_n)
         return least_n > max(self.loaded_n, HELD_SHARE * force_n)
 

@@ -1,4 +1,4 @@
-"""Decision that a gripped part is gone: what the pads show, against frames, motors and opening."""
+"""Decision that a gripped part is gone: pads compared with frames, motors and opening."""
 
 from collections import deque
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from gripper.values.recent import LOOK_BACK_S
 
 
 class PartWatch:
-    """The one place that decides whether a gripped part is gone.
+    """Decides whether a gripped part is gone.
 
     Parameters
     ----------
@@ -43,16 +43,16 @@ class PartWatch:
 
     @property
     def doubts(self) -> bool:
-        """Whether the samples are not to be used for control: they show a part as gone."""
+        """Whether the samples must not be used for control: they show a part as gone."""
         return isinstance(self._stage, Doubted)
 
     @property
     def ran(self) -> bool:
-        """Whether the fingers have run together as they do on no part."""
+        """Whether the fingers have run together, unlike on any part."""
         return self._ran or (isinstance(self._stage, Doubted) and self._stage.ran)
 
     def resume(self) -> None:
-        """Begin again after a pause: what was before it is discarded."""
+        """Begin again after a pause: earlier values are discarded."""
         self.pads.clear()
         self._motions.clear()
         self._stage = self._stages[Sure]
@@ -60,15 +60,15 @@ class PartWatch:
     def lost(self, moment: Moment) -> bool:
         """Return whether the part is gone.
 
-        Both pads have been empty for some time, or are at once where much force was, and the
-        fingers run, or a frame shows the same; or the fingers have closed fully and the pads are
-        not loaded, or run together as nothing holds them apart. Time without samples, as in a
-        stall, shows nothing.
+        It is gone in these cases: both pads are empty for some time, or suddenly after much force,
+        and the fingers run or a frame is also empty; the fingers have closed fully and the pads are
+        not loaded; the fingers run together without resistance. Time without samples, e.g. in a
+        stall, does not count.
 
         Raises
         ------
         GripContradicted
-            When the samples show empty pads and another witness a part.
+            When the samples show empty pads but another measurement shows a part.
         """
         grip, pads, state, sample = self._grip, self.pads, moment.state, moment.sample
         closing_m_s = -state.aperture_velocity_m_s
@@ -79,7 +79,7 @@ class PartWatch:
         if sample is not None and seen:
             pads.take(sample)
             self._was_held |= pads.loaded or grip.asked_n >= grip.settings.contact_force_n
-        # Where noise has ended the approach a little early, nothing was there to be lost.
+        # If noise has ended the approach slightly early, no part can be lost.
         seen &= self._was_held
         paths = transmissions(grip.settings, grip.linkage, state.angles_rad)
         breakaway_n = (1.0 + BREAKAWAY_SHARE) * mean_friction_n(paths)
@@ -113,5 +113,5 @@ TRANSITIONS: tuple[tuple[type[Sure], Callable[[Sure, Evidence], bool], type[Sure
     (Suspected, lambda _, seen: not (seen.empty or seen.sudden), Sure),
     (Suspected, lambda suspected, seen: seen.sudden or suspected.lasts, Doubted),
 )
-"""Stage of the doubt, what ends it, and the stage that follows. The last one ends with the loss of
-the part, or as a contradiction: a fault."""
+"""Stage of the doubt, condition of its end, and next stage. The last one ends with the loss of the
+part, or with a contradiction, which is a fault."""

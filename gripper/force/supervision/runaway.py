@@ -1,4 +1,4 @@
-"""Fingers that close faster, and farther, than any part lets them."""
+"""Fingers that close faster, and farther, than is possible on a part."""
 
 from math import inf
 
@@ -9,23 +9,23 @@ from gripper.force.supervision.pad_samples import HELD_SHARE, PadSamples
 from gripper.values.force_sensor import ForceSample
 
 _RUNAWAY_RESERVE = 2.0
-"""Closing speed that a ramp on the part may need, in multiples of that by its stiffness. [tuned]"""
+"""Largest closing speed of a ramp on the part, in multiples of that by its stiffness. [tuned]"""
 _RUNAWAY_N = 1.0
-"""Force in N by which a part would be loaded more over the way of fingers that run ahead, from
-which on the way alone shows that it has gone; by a stiffness that is known well. [tuned]"""
+"""Increase of the load in N that a known stiffness predicts for the travel of the fingers, above
+which the travel alone shows that the part is gone. [tuned]"""
 _BLIND_N, _BLIND_SHARE = 6.0, 0.05
-"""Growth of the force in N that its stiffness promises for a way of the fingers, and the share of
-it below which the pads do not see what the fingers press on. [tuned]"""
+"""Growth of the force in N that the stiffness predicts for a travel, and the share of it below
+which the pads do not measure the load of the fingers. [tuned]"""
 STEADY_S = 0.3
-"""Time in s of a hold until force and fingers rest, whatever the part. [tuned]"""
+"""Time in s of a hold until force and fingers rest, with any part. [tuned]"""
 
 
 class Runaway:
     """Detector of fingers that run ahead of their force.
 
-    A soft part lets them run far where friction breaks, and its stiffness is not known well before
-    the force has grown: then the pads decide, by a sample from after the beginning. Later, and in a
-    hold that is steady, the way is enough.
+    On a soft part they run far when friction breaks, and its stiffness is uncertain before the
+    force has grown: then the pads decide, by a sample after the start. Later, and in a steady hold,
+    the travel is enough.
 
     Parameters
     ----------
@@ -41,9 +41,9 @@ class Runaway:
         self._steady_s = 0.0
 
     def found(self, moment: Moment, stiffness_n_m: float | None) -> bool:
-        """Add one period; return whether the fingers run as they do on no part.
+        """Add one period; return whether the fingers run unlike on any part.
 
-        ``stiffness_n_m`` is that of the part in N/m, None while it is not known.
+        ``stiffness_n_m``: of the part in N/m, None while not known.
         """
         state, sample, settings = moment.state, moment.sample, self._grip.settings
         rate_n_s, recent = self._grip.rate_n_s, self._pads.recent
@@ -76,7 +76,7 @@ class Runaway:
     def _blind(self, moment: Moment, sample: ForceSample, stiffness_n_m: float | None) -> bool:
         """Return whether fingers that run ahead meet nothing although the pads are loaded.
 
-        The force does not grow with their way. One finger alone may be an encoder that drifts.
+        The force does not grow with their travel. One finger alone may be a drifting encoder.
         """
         if stiffness_n_m is None or self._ahead is None:
             return False

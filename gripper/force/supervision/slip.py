@@ -1,4 +1,4 @@
-"""Detection of a held part that slips: by its force, the way of the fingers, or its place."""
+"""Detection of a held part that slips: by its force, the travel of the fingers, or its position."""
 
 from collections import deque
 from collections.abc import Collection, Sequence
@@ -14,29 +14,28 @@ from gripper.values.force_sensor import ForceSample
 from gripper.values.recent import FRAME_S, RecentForce
 
 _USUAL_TIME_S = 0.6
-"""Time constant in s of the usual force, that a drop is measured from. [tuned]"""
+"""Time constant in s of the usual force, from which a drop is measured. [tuned]"""
 _USUAL_LEAST_S = 0.75 * FRAME_S
 """Time in s of samples that make a first usual force: one at 50 Hz."""
 _QUIET_SHARE, _LEAST_SAMPLES = 0.125, 4
-"""Noise of the mean that is the force now, as a share of the least drop that is a slip, and samples
-of that mean where the sensor is too slow for it. [tuned]"""
+"""Noise of the mean present force, as a share of the least drop of a slip, and samples of that mean
+for a slower sensor. [tuned]"""
 _FALLING_SHARE = 0.5
-"""Share of the mean below which the newest sample shows a force that falls on: to nothing where the
-part is lost, which the control of the force notices by itself. [tuned]"""
+"""Share of the mean below which the newest sample shows a force that still falls, e.g. of a lost
+part, which the force control detects by itself. [tuned]"""
 _SLIDE_SETTLING_S = 0.1
-"""Time in s after the start of a hold from which on the centre of the force is compared. [tuned]"""
+"""Time in s after the start of a hold before the centre of the force is compared. [tuned]"""
 _SLIDE_RECENT_S = 1.5 * FRAME_S
-"""Time in s over which the centre of the force now is taken: 2 samples at 50 Hz."""
+"""Duration in s of the present centre of the force: 2 samples at 50 Hz."""
 _SLIDE_BEFORE_S = 0.2
-"""Time in s before that over which the centre is taken that a sudden way is measured from.
-[tuned]"""
+"""Duration in s of the centre before it, from which a sudden motion is measured. [tuned]"""
 _SLIDE_FIRST_S = 3.5 * FRAME_S
 """Time in s of samples, at least, before a centre is compared with theirs: 4 samples at 50 Hz."""
 _SLIDE_SIGMAS = 5.5
-"""A way is no noise where it is so many standard deviations of one axis: less than one false alarm
-in an hour of a hold, two axes and 200 samples a second taken together. [statistics]"""
+"""Least motion above noise, in standard deviations of one axis: less than one false alarm in an
+hour of a hold, for two axes and 200 samples a second. [statistics]"""
 _SLIDE_LEAST_M = 0.0005
-"""Sudden way in m that is no slide whatever the noise: a part that tilts a little. [tuned]"""
+"""Sudden motion in m that is never a slide: a part that tilts slightly. [tuned]"""
 
 
 class SlipWatch:
@@ -61,7 +60,7 @@ class SlipWatch:
     def check(
         self, now_s: float, aperture_m: float, sample: ForceSample | None, *, setpoint_n: float
     ) -> str | None:
-        """Add one period and return what shows a slip, None without one.
+        """Add one period and return the sign of a slip as text, or None.
 
         Parameters
         ----------
@@ -72,8 +71,8 @@ class SlipWatch:
         sample
             Newest sample, which may be the same as before.
         setpoint_n
-            Force that is asked for in N: what is more than that, as after a stall in the ramp, is
-            given back by the force loop and slips nowhere.
+            Force set-point in N: an excess over it, e.g. after a stall in the ramp, falls by the
+            force loop without a slip.
         """
         if self._since_s is None:
             self._since_s = now_s
@@ -92,7 +91,7 @@ class SlipWatch:
         return self._drop(sample, setpoint_n)
 
     def _drop(self, sample: ForceSample | None, setpoint_n: float) -> str | None:
-        """Add the newest sample and return what shows a drop of the force, None without one."""
+        """Add the newest sample and return a drop of the force as text, or None."""
         settings = self._settings
         replaced = self._recent.push(sample) if sample is not None and sample.valid else None
         if replaced is None:
@@ -104,16 +103,16 @@ class SlipWatch:
         drop_n = held_n - self._recent.grip_n
         falls_on = self._recent.newest.grip_n < _FALLING_SHARE * self._recent.grip_n
         low = drop_n > max(settings.slip_drop_n, settings.slip_drop_share * held_n)
-        # One sample may be the mean of messages from before and after a part was taken away.
+        # One sample may be the mean of messages before and after the removal of a part.
         was_low, self._was_low = self._was_low or len(self._recent) > 1, low
         if falls_on or not (low and was_low):
             return None
         return f"the grip force fell by {drop_n:.2f} N from {held_n:.2f} N"
 
     def _learn(self, samples: Sequence[ForceSample]) -> None:
-        """Add all samples but the last one, which are not of now any more, to the usual force.
+        """Add all samples except the newest one to the usual force.
 
-        Until the time constant has passed the usual force is the mean of all.
+        Until the time constant has passed, the usual force is the mean of all.
         """
         for sample, following in pairwise(samples):
             time_s = following.t_s - sample.t_s
@@ -141,7 +140,7 @@ class _Centre:
         )
 
     def beyond_m(self, other: "_Centre", allowed_m: float) -> float:
-        """Return the distance in m; 0 where it is allowed, or no more than noise."""
+        """Return the distance in m; 0 if it is allowed or within the noise."""
         way_m = hypot(self.x_m - other.x_m, self.y_m - other.y_m)
         noise_m = _SLIDE_SIGMAS * sqrt(self.variance_m2 + other.variance_m2)
         return way_m if way_m > max(allowed_m, noise_m) else 0.0
@@ -150,7 +149,7 @@ class _Centre:
 class SlideWatch:
     """Detector of a part that slides along the pads: the centre of its force moves with it.
 
-    A sudden way need only be more than noise. A slow one, which may be foam that creeps, is
+    A sudden motion only has to exceed the noise. A slow one, which may be creeping foam, is
     compared with the first centre.
 
     Parameters
@@ -166,12 +165,12 @@ class SlideWatch:
         self._recent: deque[ForceSample] = deque()
 
     def check(self, held_s: float, sample: ForceSample | None) -> str | None:
-        """Add the newest sample and return what shows a slide, None without one.
+        """Add the newest sample and return a slide as text, or None.
 
         Parameters
         ----------
         held_s
-            For how long the force has been steady, in s.
+            Time of steady force in s.
         sample
             Newest sample, which may be the same as before.
         """
@@ -210,7 +209,7 @@ class LevelSlip:
         self._watch = SlipWatch(settings)
 
     def check(self, moment: Moment, level: int | None, *, setpoint_n: float) -> None:
-        """Add one period at a level, or on the way to the next; PartSlipped when the part slips."""
+        """Add one period at a level, or between levels; raises PartSlipped when the part slips."""
         if level != self._level:
             self._level, self._watch = level, SlipWatch(self._settings)
         if level is None:

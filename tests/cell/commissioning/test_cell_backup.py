@@ -4,6 +4,8 @@ import itertools
 import json
 import os
 import random
+import re
+import shutil
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,15 +14,21 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from cell.commissioning.bench import Bench
 from cell.commissioning.cell_backup import MANIFEST, UNDO, back_up, open_backup, restore
+from cell.commissioning.unit import unit_values
 from cell.config.file import changed_config, config_text, load_config
 from cell.config.model import CellConfig
+from cell.config.tactile import link_settings
 from cell.control.self_zero import zero_file
+from cell.data.files import json_bytes
 from cell.data.formats import CELL_BACKUP, checksum, json_text
 from cell.errors import CellError
 from cell.interfaces.cli.app import app
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
+from tactile.sensor.opening import open_sensor
+from tactile.unit.search import read_unit
 from tests.cell.commissioning.script import SimulatedLines
 from tests.cell.conftest import REAL, call
 
@@ -187,6 +195,59 @@ def test_registers_of_the_servos_come_back(cell: Path, lines: SimulatedLines) ->
     assert registers.get("return_delay_time") == wanted
 
 
+def test_objects_of_the_control_unit_come_back(cell: Path, lines: SimulatedLines) -> None:
+    config = load_config(cell / "tactile-cell.yaml").tactile
+    layout, unit = lines.cell.settings.layout, f"control unit, node {config.node_id}"
+
+    def registers(*, start: bool = False) -> tuple[tuple[str, int], ...]:
+        with Bench(cell, lines).can_bus() as bus:
+            if start:
+                link = link_settings(config)
+                with open_sensor(bus, layout, node_id=config.node_id, link=link):
+                    pass
+            return read_unit(bus, config.node_id).registers
+
+    call("backup", "b.zip")
+    before = registers()
+    assert "objects of the control unit are as in the backup" in call("restore", "b.zip", "--unit")
+    as_set = registers(start=True)
+    differing = [(one, two) for one, two in zip(as_set, before, strict=True) if one != two]
+    assert len(differing) >= 3, (before, as_set)
+    refused = CliRunner().invoke(app, ["restore", "b.zip", "--unit"], input="n\n")
+    assert refused.exit_code == 1
+    for (name, value), (_, wanted) in differing:
+        assert f"{unit}: {name}: {value} -> {wanted}" in refused.output
+    assert registers() == as_set
+    call("backup", "set.zip")
+    printed = call("restore", "b.zip", "--unit", "--servos", "-y")
+    assert "all servos are as they were found" in printed
+    assert f"unit: {len(differing)} objects as in the backup, until it is switched off" in printed
+    assert registers() == before
+    call("restore", "set.zip", "--unit", "-y")  # a backup made before is the way back
+    assert registers() == registers(start=True) == as_set
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"node_id": 9}, "has node_id 5, that of the backup 9: this is another unit"),
+        ({"layout_hash": "0"}, "this is another unit, nothing was written"),
+        ({"registers": [["heartbeat (1017h) in ms", 70_000]]}, "an object of 2 bytes"),
+        ({"registers": [["heartbeat (1017h) in ms", "x"]]}, "is damaged"),
+        ({}, "holds no objects of a control unit"),
+    ],
+)
+def test_objects_of_another_unit_and_values_that_do_not_fit_are_refused(
+    cell: Path, lines: SimulatedLines, changed: dict[str, Any], message: str
+) -> None:
+    bench = Bench(cell, lines)
+    kept = json.loads(json_bytes(unit_values(bench) | changed)) if changed else {}
+    hostile(cell / "b.zip", "cell/tactile-cell.yaml", control_unit=kept)
+    with pytest.raises(CellError, match=re.escape(message)):
+        call("restore", "b.zip", "--unit", "-y")
+    assert unit_values(bench)["registers"][2] == ("heartbeat (1017h) in ms", 0)
+
+
 def hostile(path: Path, member: str, content: bytes = b"x", **changes: Any) -> None:
     """Write a backup whose checksums fit, with a member that no cell has."""
     content_of = {member: content}
@@ -250,21 +311,23 @@ def test_no_damage_gets_past_the_checksums(cell: Path) -> None:
         begin = random_.randrange(len(data))
         del data[begin : begin + random_.randrange(1, 5000)]
 
-    ways: list[Callable[[bytearray], None]] = [cut, flip, gap]
-    n_refused = 0
-    for number in range(150):
+    ways: list[Callable[[bytearray], None]] = [cut, flip, flip, gap]
+    n_refused, other = 0, cell.parent / "other"
+    for number in range(200):
         data = bytearray(whole)
-        ways[number % 3](data)
+        ways[number % 4](data)
         path.write_bytes(data)
         try:
-            with open_backup(path) as backup:  # times and like fields of the archive do not count
-                held = {name: backup.open(name).read() for name in backup.manifest.members}
+            restore(path, other, len)
         except CellError:
             n_refused += 1
+            assert not other.exists()
             continue
-        assert held["cell/bolts.npz"] == FILES["bolts.npz"]
-        assert {name for name in held if name.startswith("jobs/")}
-    assert n_refused > 120
+        # Times and like fields of the archive do not count.
+        held = there(other)
+        assert {name: held[name] for name in FILES} == FILES
+        shutil.rmtree(other)
+    assert n_refused > 160
     assert there(cell) == before
 
 

@@ -12,6 +12,7 @@ from cell.control.lifecycle import CellLifecycle
 from cell.control.plan import GraspStep, Pose
 from cell.control.self_zero import SelfZeros
 from cell.errors import CellStateError, NoPartFound
+from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from tactile.layout import paper_layout
@@ -27,6 +28,8 @@ def grasper() -> Grasper:
         layout=paper_layout(),
         period_s=0.005,
         phase=GripperPhase.IDLE,
+        largest_ramp_n=12.0,
+        check_ramp=lambda _ramp: None,
         open=lambda _watch: None,
         grasp=lambda _ramp, _watch: SimpleNamespace(result=GraspResult.NO_CONTACT),
         release=released.append,
@@ -55,3 +58,28 @@ def test_fingers_that_close_before_a_frame_comes_open_again(grasper: Grasper) ->
 def test_without_a_kept_part_there_is_nothing_to_verify(grasper: Grasper) -> None:
     with pytest.raises(CellStateError, match="no part was kept"):
         grasper.verify()
+
+
+def test_servos_that_carry_less_than_asked_for_end_the_ramp_there_with_one_note(
+    grasper: Grasper, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hand: Any = grasper.hand
+    finals_n, notes = [], []
+    monkeypatch.setattr(grasper.journal, "note", lambda _kind, text: notes.append(text))
+
+    def grasp(ramp: ForceRamp, _watch: object) -> Any:
+        finals_n.append(ramp.final_n)
+        return SimpleNamespace(result=GraspResult.NO_CONTACT)
+
+    hand.grasp, hand.largest_ramp_n = grasp, 4.0
+    for force_n in (3.0, 6.0, 6.0):
+        with pytest.raises(NoPartFound):
+            grasper.grasp(GraspStep(pose=Pose(), force_n=force_n), "")
+    assert finals_n == pytest.approx([3.0, 3.6, 3.6])
+    (note,) = notes
+    assert "grasps end at 3.6 N, 6.0 N were asked for" in note
+    assert "current_max_a" in note
+    # What the config itself does not allow is refused as ever.
+    hand.check_ramp = lambda ramp: finals_n.append(ramp.final_n)
+    grasper.check(GraspStep(pose=Pose(), force_n=40.0))
+    assert finals_n[-1] == 40.0

@@ -17,6 +17,7 @@ from cell.data.recorder import CONTINUES, Recorder
 from cell.data.recording_reader import read_recording
 from cell.data.retention import LEDGER, Retention, mark, recordings, thin, thin_beside, unmark
 from cell.errors import RecordingError
+from cell.service.history import History
 from recognition.recognizer import Posterior
 from tests.cell.conftest import call
 from tests.cell.data.test_recording import PADS, record_grasp
@@ -318,10 +319,17 @@ def test_a_tmpfs_that_fills_and_empties(tmp_path: Path) -> None:
         assert "stopped after 20 frames" in str(keeper.recorder.fault)
         with filling.open("ab") as file, pytest.raises(OSError, match="No space"):
             file.write(bytes(36 << 20))
+        status: Any = SimpleNamespace(n_faults=0, fault=None, fault_number=0)
+        history = History(place / "history.sqlite3", lambda: status, note=keeper.notes.append)
+        history.look()
+        assert "the history is not kept" in keeper.notes[-1]
         keeper.live(0.1)
         keeper.recorder.look()
         assert keeper.recorder.fault is not None
         filling.unlink()
+        history.look()
+        assert history.values()["today"]["starts"] == 1
+        history._close_link()
         keeper.clock.now_s += 1.0
         keeper.recorder.look()
         record_grasp(keeper.recorder, keeper.clock, "after")

@@ -1014,6 +1014,7 @@ def test_progress_and_complaints_end_no_job_when_the_terminal_is_gone(
     with open("/dev/full", "w", buffering=1) as full:
         monkeypatch.setattr(sys, "stderr", full)
         print_error("unheard")
+        print_note("unheard")
         with progress_bar() as progress:
             for done in range(3):
                 progress("task", done, 2)

@@ -53,6 +53,8 @@ def values_of(text: str) -> dict[str, float]:
 def test_a_scrape_counts_parts_faults_and_links(connect: Any) -> None:
     served, client = connect(cell={})
     lease = client.post("/api/lease", name="host")["lease"]
+    client.post("/api/jobs", lease=lease, goal={"task": "zero"})
+    assert served.ended().error == ""
     goal = {"task": "sort", "parts": 2, "feed": ["ball", "box"], "max_grasps": 1}
     client.post("/api/jobs", lease=lease, goal=goal)
     assert served.ended().error == ""
@@ -73,6 +75,7 @@ def test_a_scrape_counts_parts_faults_and_links(connect: Any) -> None:
     assert found[f"{prefix}disk_free_bytes"] > 0
     assert found[f"{prefix}loop_lateness_seconds{{0.99}}"] >= 0
     assert {f"{prefix}drift_gain_ratio", f"{prefix}drift_zero_metres"} <= found.keys()
+    check_drives(served, found)
     check_dashboard(found)
     with served.service._lock:
         client.ask("POST", "/api/simulation/faults", {"fault": "servo1.off"})
@@ -81,6 +84,20 @@ def test_a_scrape_counts_parts_faults_and_links(connect: Any) -> None:
     found = values_of(scraped(client, client.token)[1])
     assert found[f"{prefix}faults_total{{{number}}}"] == 1
     assert found[f"{prefix}fault"] == number
+
+
+def check_drives(served: Served, found: dict[str, float]) -> None:
+    """Check that what the self-zero has measured of each servo is in the scrape."""
+    for number, drive in enumerate(served.plugin._cell.controller.drives.values()):
+        name = "tactile_cell_servo_{}".format
+        assert drive.measured_s == found[f"{name('measured_seconds')}{{{number}}}"] > 1e9
+        assert drive.breakaway_a == found[f"{name('friction_amperes')}{{{number}}}"]
+        slopes = [found[f"{name('amperes_per_newton_metre')}{{{direction}}}{{{number}}}"]
+                  for direction in ("rising", "falling")]  # fmt: skip
+        assert slopes == [drive.rising_a_nm, drive.falling_a_nm]
+        constant = found[f"{name('motor_constant_newton_metres_per_ampere')}{{{number}}}"]
+        assert constant == drive.kt_nm_a
+    assert number == 1
 
 
 def check_dashboard(found: dict[str, float]) -> None:

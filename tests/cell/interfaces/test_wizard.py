@@ -190,7 +190,7 @@ def test_the_whole_way_left_once_and_taken_up_again(
     assert [w["where"] for w in client.becomes("approving")["writes"]] == ["servo 1", "servo 2"]
     asked(False)
     state = client.becomes("left")
-    assert "none of them was done" in state["error"]["text"]
+    assert "nothing was written or moved" in state["error"]["text"]
     assert [step["status"] for step in state["steps"]] == ["pass", ""]
 
     assert client.tell("run") == 200

@@ -48,7 +48,7 @@ def test_the_force_of_the_grasps_is_the_hosts(plugin: TactileCellPlugin) -> None
     assert plugin.feedback(job).progress["force_n"] == 3.5
     with pytest.raises(ConfigError, match="force_n"):
         plugin.start({"task": "identify", "force_n": 0.0})
-    with pytest.raises(JobFailed, match="the ramp goes up to 50"):
+    with pytest.raises(JobFailed, match="the ramp asks for 50"):
         done(plugin, GripGoal(force_n=50.0))
     assert plugin.fault() is None
 

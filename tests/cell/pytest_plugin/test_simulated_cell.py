@@ -146,5 +146,5 @@ def test_the_cell_is_named_where_a_test_has_several(simulated_cell: Any, inject_
     inject_fault("servos.unplugged", into=two)
     assert not one.simulated.injector.faults
     assert two.simulated.injector.faults
-    with pytest.raises(pytest.fail.Exception, match="not a simulated cell of this test"):
+    with pytest.raises(pytest.fail.Exception, match="no simulated cell of this test"):
         inject_fault("servos.unplugged", into=one.simulated)

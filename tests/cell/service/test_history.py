@@ -1,6 +1,8 @@
 """The history of a cell: a week of shifts in a table per day, and what it survives."""
 
+import errno
 import json
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -12,12 +14,15 @@ from urllib.request import Request, urlopen
 
 import pytest
 
-from cell.errors import CellError
+from cell.data.recorder_sink import DirectFile
+from cell.errors import CellError, RecordingError
 from cell.service import history
 from cell.service.history import History, history_file, read_day
+from cell.service.shift import Shift
 from tests.cell.conftest import small_config
 from tests.cell.served import until
 from tests.cell.service.test_shift import part
+from tests.values import raising
 
 MONDAY_S = datetime(2027, 3, 1, 6, 0).timestamp()
 DAY_S = 86_400.0
@@ -34,8 +39,10 @@ class Kept:
     def begin(self) -> None:
         """Start the program, which may have been killed."""
         self.state.n_faults, self.state.fault = 0, None
+        faults, wall = lambda: self.state.n_faults, lambda: self.now_s
+        self.shift = Shift((6.0, 14.0, 22.0), faults, wall)
         self.history = History(
-            self.path, lambda: self.state, note=self.notes.append, wall_s=lambda: self.now_s
+            self.path, lambda: self.state, note=self.notes.append, shift=self.shift, wall_s=wall
         )
 
     def fault(self, number: int, text: str) -> None:
@@ -90,6 +97,57 @@ def test_a_week_of_shifts_survives_kills_and_is_summed_by_day_and_week(kept: Kep
     assert (found["today"]["parts"], found["yesterday"]["parts"]) == (0, 123)
     assert found["week"]["parts"] == 0
     assert kept.notes == []
+
+
+def test_a_shift_goes_on_after_a_restart_and_ends_with_its_hours(kept: Kept) -> None:
+    def figures() -> tuple[Any, ...]:
+        found = kept.shift.values()
+        names = ("parts", "rejected", "missed", "faults", "cycle_s", "parts_last_hour", "counts")
+        return (found["since_s"] - MONDAY_S, *(found[name] for name in names))
+
+    def work(seconds: float) -> None:
+        for report in (part("pin", seconds=seconds), part("box", rejected=True), part(answer=None)):
+            kept.history.add(report)
+            kept.shift.add(report)
+        kept.fault(301, "a servo is hot")
+        kept.look()
+
+    work(3.0)
+    kept.now_s += 3600.0
+    kept.begin()
+    assert figures()[1] == 0
+    kept.look()
+    assert figures() == (0.0, 2, 1, 1, 1, 3.5, 0, {"pin": 1, "box": 1})
+    work(5.0)
+    before = figures()
+    assert before == (0.0, 4, 2, 2, 2, 4.0, 2, {"pin": 2, "box": 2})
+    kept.begin()
+    kept.shift.add(part("pin"))  # a part before the disk has answered
+    kept.look()
+    assert figures()[1:5] == (5, 2, 2, 2)
+    assert kept.shift.parts[-1].number == 1
+    kept.look()
+    assert figures()[1] == 5
+    # A night shift has two days; nothing of the late shift counts.
+    kept.now_s = MONDAY_S + 16.5 * 3600.0
+    kept.begin()
+    work(3.0)
+    kept.now_s = MONDAY_S + 20.0 * 3600.0
+    kept.begin()
+    kept.look()
+    assert figures()[:3] == (16.5 * 3600.0, 2, 1)
+    kept.now_s = MONDAY_S + 24.0 * 3600.0
+    kept.look()
+    kept.fault(301, "a servo is hot")  # before anybody asks for the figures
+    kept.now_s += 600.0
+    assert figures()[1:5] == (0, 0, 0, 1)
+
+
+def test_a_fault_of_the_start_is_in_the_history(kept: Kept) -> None:
+    kept.fault(506, "a part is in the grip")
+    kept.history = History(kept.path, lambda: kept.state, wall_s=lambda: kept.now_s)
+    kept.look()
+    assert kept.history.values()["today"]["faults"] == 1
 
 
 def test_without_a_word_what_was_held_the_second_label_counts_where_it_is_near(kept: Kept) -> None:
@@ -184,3 +242,29 @@ def test_the_service_keeps_it_and_http_shows_it(tmp_path: Path, serve: Any) -> N
     path = history_file(tmp_path / "out", small_config().name)
     (row,) = (one for one in read_day(path, date.today()) if one["kind"] == "part")
     assert (row["label"], row["held"]) == ("box", "box")
+
+
+@pytest.mark.parametrize("number", [errno.ESTALE, errno.EIO])
+def test_a_share_that_disappears_ends_no_sort_and_its_return_is_noticed(
+    tmp_path: Path, serve: Any, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    folder, notes = tmp_path / "out" / "serve-20270301-060000", list[str]()
+    folder.mkdir(parents=True)
+    service = (served := serve(cell={"folder": folder, "note": notes.append})).service
+    lease, goal = service.lease.acquire("test"), {"task": "sort", "parts": 2}
+    gone = raising(OSError(number, os.strerror(number)))
+    with monkeypatch.context() as patched:
+        for owner, name in ((DirectFile, "write"), (os, "statvfs"), (os, "scandir")):
+            patched.setattr(owner, name, gone)
+        patched.setattr(History, "_opened", raising(sqlite3.OperationalError("disk I/O error")))
+        service.start(lease, goal)
+        assert (served.ended().outcome, service.shift.values()["parts"]) == ("SUCCEEDED", 2)
+        until(lambda: any("history is not kept" in text for text in notes))
+        assert any(os.strerror(number).lower() in text.lower() for text in notes)
+        assert len(notes) <= 4, notes
+    assert service.health()["recording"]["level"] != "ok"
+    until(lambda: service.history.values().get("today", {}).get("parts") == 2)
+    service.start(lease, goal)
+    assert served.ended().outcome == "SUCCEEDED"
+    with pytest.raises(RecordingError, match=r"a gap of \d+ frames"):
+        service.close()

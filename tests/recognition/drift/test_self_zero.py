@@ -100,7 +100,7 @@ def test_dead_taxels_are_named() -> None:
     [
         ({"force_n": np.zeros(70)}, "frames of the ramp"),
         ({"aperture_m": np.full(70, 1e-3)}, "frames of open fingers"),
-        ({"counts": np.full((70, 120), 60)}, "has felt nothing"),
+        ({"counts": np.full((70, 120), 60)}, "shows no load"),
     ],
 )
 def test_what_shows_no_zero_is_refused(change: dict[str, Any], says: str) -> None:

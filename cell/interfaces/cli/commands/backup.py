@@ -51,30 +51,36 @@ def restore(
         bool,
         typer.Option("--servos", help="Restore the registers of the servos only, no files."),
     ] = False,
+    unit: Annotated[
+        bool,
+        typer.Option("--unit", help="Write the objects of the control unit back; no file changes."),
+    ] = False,
 ) -> None:
     """Restore a backup: shows the differences, and asks before the first write.
 
     The ports of the config in the folder stay. End other programs of the cell first.
     """
     from cell.commissioning.bench import Bench
-    from cell.commissioning.cell_backup import UNDO, restore, restore_registers
+    from cell.commissioning.cell_backup import UNDO, restore, restore_registers, restore_unit
     from cell.commissioning.engine import WizardAborted
     from cell.errors import CellError
     from cell.interfaces.cli.dialog import TerminalDialog
     from cell.interfaces.cli.terminal import print_line, print_note
 
-    if (file is None) is not undo or (undo and servos):
+    if (file is None) is not undo or (undo and (servos or unit)):
         raise typer.BadParameter("name a backup, or --undo")
     dialog = TerminalDialog(approved=yes)
     path = folder / UNDO if file is None else file
     if file is None and not path.exists():
         raise CellError(f"there is nothing to undo: {path}, which a restore writes, is missing")
     try:
-        if servos:
-            bench = Bench(folder)
-            lines = restore_registers(path, bench.base, bench, dialog)
-        else:
+        bench, lines = Bench(folder) if servos or unit else None, list[str]()
+        if bench is None:
             lines = restore(path, folder, dialog.approve)
+        if bench and servos:
+            lines += restore_registers(path, bench.base, bench, dialog)
+        if bench and unit:
+            lines += restore_unit(path, bench, dialog)
     except WizardAborted as left:
         print_note(str(left))
         raise typer.Exit(1) from None

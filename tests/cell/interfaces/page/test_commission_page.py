@@ -71,7 +71,7 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(
     page.click("#run[aria-disabled=false]")
     becomes(page, "#state", "Waits for approval")
     page.click("#refuse")
-    becomes(page, "#now_error", "none of them was done")
+    becomes(page, "#now_error", "nothing was written or moved")
     walk[1].go.set()
     page.click("#run")
     page.click("#approve")
