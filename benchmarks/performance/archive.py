@@ -30,6 +30,7 @@ from cell.archive.selection import EVERYTHING
 from cell.archive.store import Archive
 from cell.archive.table import grasp_key
 from cell.data.dataset import read_dataset, write_dataset
+from cell.data.files import json_bytes
 from cell.jobs.common import silent
 from cell.jobs.evaluate import evaluate_recognizers
 from cell.jobs.parallel import workers
@@ -93,9 +94,9 @@ def archived(files: Path, target: str, jobs: int) -> int:
         return ingest(target, files.glob("*.npz"), mapper=mapper, progress=silent).n_grasps
 
 
-def reported(target: str, jobs: int) -> Any:
+def reported(target: str, jobs: int) -> bytes:
     with workers(jobs) as mapper:
-        return ask(target, mapper=mapper).as_json()
+        return json_bytes(ask(target, mapper=mapper).as_json())  # NaN equals NaN there
 
 
 def trained(target: str) -> tuple[str, ...]:
