@@ -108,7 +108,8 @@ class FirstForceStep(Step):
 
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Open, prove, grasp, release; with pads close the empty fingers on each other."""
-        config = changed_config(bench.config, {"gripper.watchdog_self_test": True})
+        proves = _proves_watchdog(bench.config)
+        config = changed_config(bench.config, {"gripper.watchdog_self_test": proves})
         alone = bench.gripper_alone
         cap_n = config.gripper.force_max_n
         if alone:
@@ -143,6 +144,11 @@ class FirstForceStep(Step):
                     notes.figures["force"] = _figure(course, cap_n)
 
 
+def _proves_watchdog(config: CellConfig) -> bool:
+    """Return whether the servos can make the slow motion of the watchdog's self-test."""
+    return all(one.servo_model.profile_in_current_mode for one in config.gripper_settings.servos)
+
+
 def _asked(dialog: Dialog, limit_n: float) -> float:
     """Return the largest force for the soft part in N."""
     answer = dialog.ask(
@@ -167,7 +173,11 @@ def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Proposed
     limp = "the torque goes off at the end of the step; leaving stops the fingers where they are"
     opened = f"{gripper.aperture_open_mm:g} mm open"
     settings = config.gripper_settings
-    travel_mm = 1e3 * proof_travel_m(settings, config.linkage, settings.aperture_open_m)
+    proof = []
+    if _proves_watchdog(config):
+        travel_mm = 1e3 * proof_travel_m(settings, config.linkage, settings.aperture_open_m)
+        after = f"at most {travel_mm:.1f} mm less, then open again"
+        proof = [("close until their bus watchdog stops them", opened, after, limp)]
     motions = [
         (
             "open, empty, at the least current that moves them",
@@ -175,12 +185,7 @@ def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Proposed
             opened,
             limp,
         ),
-        (
-            "close until their bus watchdog stops them",
-            opened,
-            f"at most {travel_mm:.1f} mm less, then open again",
-            limp,
-        ),
+        *proof,
         (
             "grasp the soft part",
             "0 N",
@@ -219,10 +224,17 @@ class _Trial:
         if not self.alone:
             self.hand.start_sensor()
         self._open()
-        self.notes.fact(
-            "The empty fingers opened as direction, zero and linkage predict, and the bus watchdog "
-            "stopped them when this program was silent."
-        )
+        opened = "The empty fingers opened as direction, zero and linkage predict"
+        if _proves_watchdog(self.config):
+            self.notes.fact(
+                f"{opened}, and the bus watchdog stopped them when this program was silent."
+            )
+        else:
+            self.notes.warn(
+                f"{opened}. Their bus watchdog is not proven: servos of the 330 size have no slow "
+                "motion in this mode, and some of their firmware ignores the watchdog. Stay at the "
+                "cell while it works."
+            )
         if not self.alone:
             self._check_empty()
         self._ask(

@@ -274,6 +274,11 @@ class GripperConfig(Section):
                     f"current_max_a {self.current_max_a:g} is above the stall current of servo "
                     f"{servo.id} ({servo.model}), {most_a:g} A; lower it"
                 )
+            if self.watchdog_self_test and not MODELS[servo.model].profile_in_current_mode:
+                raise ValueError(
+                    f"watchdog_self_test needs a slow motion, which servo {servo.id} "
+                    f"({servo.model}) does not have in this mode; set watchdog_self_test to false"
+                )
         if self.aperture_min_mm >= self.aperture_open_mm:
             raise ValueError(
                 f"aperture_min_mm {self.aperture_min_mm:g} must be below "

@@ -47,6 +47,9 @@ class ServoModel:
     """Least and largest Goal Position (register 116) in current-based position mode."""
     goal_velocity_raw: int = 0
     """Goal Velocity (register 104) in this mode; above 0 where it limits the speed there."""
+    profile_in_current_mode: bool = True
+    """Whether Profile Velocity (register 112) limits the speed in this mode; the documents of the
+    330 size list it for modes 3 and 4 alone."""
     ram_shift: int = 0
     """Addresses of the RAM items beyond those of the X series."""
     absent: frozenset[str] = frozenset()
@@ -216,6 +219,7 @@ XL330_M288 = ServoModel(
     no_load_rad_s=103 * _RPM,
     rotor_inertia_kg_m2=0.0012,
     **_estimated(0.52, 1.47),
+    profile_in_current_mode=False,
 )
 XC330_M288 = replace(
     XL330_M288,

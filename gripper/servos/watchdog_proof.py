@@ -90,8 +90,7 @@ def prove_watchdog(
 
     The torque is on and the watchdog armed before and after it. The motion is a profile of 0.1
     rad/s, slower where the watchdog takes longer than 0.1 s; it goes on for its start and three
-    times ``watchdog_s``. A servo without a profile in this mode (330 size) is at its goal at once,
-    and stays unproven. Raises WatchdogUnproven when a servo did not stop, did not trip or did not
+    times ``watchdog_s``. Raises WatchdogUnproven when a servo did not stop, did not trip or did not
     move. Raises LimitExceeded as `proof_travel_m`.
     """
     begin = servos.read()
