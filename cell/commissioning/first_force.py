@@ -224,16 +224,16 @@ class _Trial:
         if not self.alone:
             self.hand.start_sensor()
         self._open()
-        opened = "The empty fingers opened as direction, zero and linkage predict"
         if _proves_watchdog(self.config):
             self.notes.fact(
-                f"{opened}, and the bus watchdog stopped them when this program was silent."
+                "The empty fingers opened as direction, zero and linkage predict, and the bus "
+                "watchdog stopped them when this program was silent."
             )
         else:
             self.notes.warn(
-                f"{opened}. Their bus watchdog is not proven: servos of the 330 size have no slow "
-                "motion in this mode, and some of their firmware ignores the watchdog. Stay at the "
-                "cell while it works."
+                "The empty fingers opened as direction, zero and linkage predict. Their bus "
+                "watchdog is not proven: servos of the 330 size have no slow motion in this mode, "
+                "and some of their firmware ignores the watchdog. Stay at the cell while it works."
             )
         if not self.alone:
             self._check_empty()
