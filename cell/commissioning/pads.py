@@ -37,6 +37,10 @@ a third in the simulated cell."""
 _NOISE_PER_CONTACT = 1.5
 """Largest noise of a pad's force over the contact force: above it no contact can be detected; the
 same limit as for simulated noise."""
+_FINGERTIP_M = 0.008
+"""Distance in m from the middle of a fingertip at which it does not press a taxel."""
+_LEAST_CROSSTALK = 0.01
+"""Crosstalk that is reported, as a share of the most loaded taxel."""
 _PRESS_N = 0.5
 """Force in N on a pad that counts as pressed by a fingertip, by any law."""
 _PRESS_FRAMES = 10
@@ -257,6 +261,27 @@ def pressed_at(layout: TaxelLayout, force_n: NDArray[np.float64]) -> Patch | Non
     return Patch(pad=number, along=along, across=across, force_n=sums[number])
 
 
+def crosstalk_of(
+    layout: TaxelLayout, pad: int, force_n: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Return what a press shows in the rest of its row and of its column, as shares of its peak.
+
+    The rest is farther than a fingertip from the most loaded taxel, less what the other far taxels
+    show. 0 for a pad that has no such taxels.
+    """
+    one, xy_m = force_n[layout.taxels_of(pad)], layout.pads[pad].taxel_xy_m()
+    peak = int(np.argmax(one))
+    away_m = np.abs(xy_m - xy_m[peak])
+    same, far = away_m < 1e-6, away_m > _FINGERTIP_M
+    others = one[far.all(axis=1)]
+    shares = []
+    for at in (0, 1):
+        rest = one[same[:, at] & far[:, 1 - at]]
+        shown_n = rest.mean() - others.mean() if rest.size and others.size else 0.0
+        shares.append(max(0.0, float(shown_n / one[peak])))
+    return shares[0], shares[1]
+
+
 def corner_text(layout: TaxelLayout, pad: int) -> str:
     """Return the corner of the last row and column of a pad as text, for a person facing it."""
     one = layout.pads[pad]
@@ -350,6 +375,15 @@ class PadsPressedStep(Step):
                 "used and the force comes from whole frames, which is slower: turn the pad on its "
                 "finger, run this step again, or set gripper.approach_speed_mm_s to 12."
             )
+        for pad, (row, column) in presses.crosstalk.items():
+            if max(row, column) >= _LEAST_CROSSTALK:
+                notes.fact(
+                    f"Crosstalk of {layout.pads[pad].name}: the rest of the row shows {row:.0%} of "
+                    f"the pressed taxel, the rest of the column {column:.0%}."
+                )
+        notes.values["crosstalk"] = {
+            layout.pads[pad].name: shares for pad, shares in presses.crosstalk.items()
+        }
         for pad in missing:
             (notes.fail if pad in grip else notes.warn)(
                 f"{layout.pads[pad].name} was not found: no other pad of its size showed a patch. "
@@ -369,6 +403,8 @@ class _Presses:
         self._sensor, self._clock, self._dialog = sensor, clock, dialog
         self.patches: dict[int, Patch] = {}
         """Measured patch by requested pad."""
+        self.crosstalk: dict[int, tuple[float, float]] = {}
+        """`crosstalk_of` each requested pad."""
         self.shown_n = np.zeros(sensor.layout.n_taxels)
         """(n_taxels,) float64: largest force in N on each taxel, for the picture."""
         self._force_n = self.shown_n
@@ -383,6 +419,7 @@ class _Presses:
             complaint = _complaint(layout, pad, patch, self.patches)
             if patch is not None and not complaint:
                 self.patches[pad] = patch
+                self.crosstalk[pad] = crosstalk_of(layout, patch.pad, self._force_n)
                 dialog.say(f"{name} is found. Lift the fingertip.")
                 self._lifted()
                 return True

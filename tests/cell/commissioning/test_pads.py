@@ -12,12 +12,13 @@ from cell.commissioning.pads import (
     PadsPressedStep,
     Patch,
     corner_text,
+    crosstalk_of,
     judge_rest,
     mounts_of,
     pressed_at,
     rest_of,
 )
-from tactile.layout import PadMount, paper_layout, pinch_layout
+from tactile.layout import PadMount, inner_pads, paper_layout, pinch_layout
 from tactile.sensor.calibration import LinearCalibration
 from tactile.sensor.tare import TareLimits
 from tests.cell.commissioning.conftest import MakeStand
@@ -145,6 +146,18 @@ def test_a_full_scale_below_the_forces_of_the_sequence_is_a_word_to_the_operator
     assert notes.lines[0].startswith("A small part saturates finger0.inner at 3.2 N")
     judge_rest(layout, frames, rest, notes := Finding(), most_force_n=3.0, **limits)
     assert notes.lines == []
+
+
+def test_crosstalk_is_what_rows_and_columns_show_beyond_the_fingertip() -> None:
+    layout = inner_pads("matrix", 12, 32, 2e-3, adc_max=255)
+    force_n = np.zeros((2, 12, 32))
+    force_n[1] += 0.01  # drift of the whole pad
+    force_n[1, 3, :] += 0.06
+    force_n[1, :, 8] += 0.03
+    force_n[1, 3, 8] = 1.0
+    assert crosstalk_of(layout, 1, force_n.ravel()) == pytest.approx((0.06, 0.03))
+    small = inner_pads("small", 4, 4, 2e-3, adc_max=255)
+    assert crosstalk_of(small, 0, np.ones(32)) == (0.0, 0.0)
 
 
 def test_places_and_mounts_of_patches() -> None:

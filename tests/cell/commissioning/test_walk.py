@@ -130,6 +130,9 @@ def test_boards_with_exchanged_pads_and_another_law_are_brought_up(
         assert config.tactile.serial_ports == ("/dev/ttyACM1", "/dev/ttyACM0")
     assert not config.simulated
     assert tuple(PadMount(**mount.model_dump()) for mount in config.tactile.mounting) == EXCHANGED
+    shares = [share for pad in found["pads_pressed"].values["crosstalk"].values() for share in pad]
+    assert "Crosstalk of finger0" in said
+    assert 0.01 < max(shares) < 0.2
     four = found["first_force"].values["asked_held_peak_n"][-1]
     assert four[1] == pytest.approx(four[0], abs=0.4)
     assert person.pressed_n == pytest.approx(4.0, abs=0.5)
