@@ -6,7 +6,6 @@ way back below them.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import islice
 from math import exp, inf, sqrt
 
@@ -333,17 +332,8 @@ def running_lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) ->
 
 def overrun_rad(model: ServoModel, drive: DriveCharacteristic) -> float:
     """Return how far in rad beyond an opening its goal runs, so that friction stops no finger."""
-    return max(
-        0.6 * OPENING_MARGIN_RAD,
-        running_lead_rad(model, STICTION**2 * drive.breakaway_a, 0.0),
-        closing_margin_rad(model, min(drive.most_breakaway_a, _most_breakaway_a(model))),
-    )
-
-
-@cache
-def _most_breakaway_a(model: ServoModel) -> float:
-    """Return the largest plausible friction in A of a servo that nobody has measured."""
-    return DriveCharacteristic.catalogue(model).most_breakaway_a
+    breaking_a = STICTION**2 * drive.breakaway_a
+    return max(0.6 * OPENING_MARGIN_RAD, running_lead_rad(model, breaking_a, 0.0))
 
 
 class GoalWriter:

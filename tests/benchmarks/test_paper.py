@@ -170,7 +170,7 @@ def test_the_page_stands_alone_and_has_every_part(made):
     assert text.count("<svg") == 4
     assert "<script" not in text
     assert not re.search(r'(?:src|href)="(?!#)', text)
-    assert "Made with little effort" in text
+    assert "Made with few trials" in text
     assert "nan" not in re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)
     assert len(found.contenders) == 11
     for contender in found.contenders:

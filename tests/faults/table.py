@@ -668,7 +668,7 @@ BAD_CONFIGS = (
     ("duplicate key", "gripper:\n  force_max_n: 5\n  force_max_n: 50\n", "force_max_n"),
     ("NaN", "gripper:\n  force_max_n: .nan\n", "gripper.force_max_n"),
     ("out of range", "gripper:\n  force_max_n: 51.0\n", "gripper.force_max_n"),
-    ("misspelt", "gripper:\n  forc_max_n: 5.0\n", "is force_max_n meant"),
+    ("misspelt", "gripper:\n  forc_max_n: 5.0\n", "did you mean force_max_n"),
     ("wrong type", "gripper:\n  force_max_n: '5'\n", "gripper.force_max_n"),
     ("nothing stops below the cap", "gripper:\n  force_max_n: 2.0\n"
      "sequence:\n  force_n: [1.8, 1.8]\n  carry_force_n: 1.0\n", "Raise force_max_n"),

@@ -46,10 +46,10 @@ def test_configs_are_read_once_the_command_that_they_name_has_converted_them(
     files: Path, name: str
 ) -> None:
     path, before = files / name, (files / name).read_text()
-    with pytest.raises(ConfigError, match=rf"is gone: `tactile-cell config convert {path}`"):
+    with pytest.raises(ConfigError, match=rf"is obsolete: `tactile-cell config convert {path}`"):
         call("config", "check", path)
     said = call("config", "convert", path)
-    assert "sequence.candidates: taken out" in said
+    assert "sequence.candidates: removed" in said
     assert call("config", "check", path).startswith(f"{path}: valid")
     copy = path.with_suffix(".1.yaml")
     assert (copy.read_text(), f"copy of the old file: {copy}" in said) == (before, True)
@@ -144,7 +144,7 @@ def current(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_files_of_the_present_formats_are_read(current: Path) -> None:
     for name in ("current.yaml", "boards.yaml"):
         assert call("config", "check", name).startswith(f"{name}: valid")
-        assert "nothing is gone of it" in call("config", "convert", name)
+        assert "no key is obsolete" in call("config", "convert", name)
     assert load_config(current / "boards.yaml").tactile.serial_ports == (
         "/dev/ttyUSB1", "/dev/ttyUSB2",
     )  # fmt: skip
@@ -195,7 +195,7 @@ def test_a_backup_of_the_present_format_is_put_back(
         monkeypatch.setattr("cell.commissioning.bench.LineOpener", lambda: SimulatedLines(cell))
         cell.devices.servo_bus.servos[0].core.registers.configure("return_delay_time", 99)
         done = call("restore", "cell.zip", "--folder", "new", "--servos", "--unit", "--yes")
-    assert "servo 1: 1 items as they were found" in done
+    assert "servo 1: 1 items restored" in done
     assert "all objects of the control unit are as in the backup" in done
 
 

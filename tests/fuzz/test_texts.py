@@ -109,7 +109,7 @@ def test_a_config_is_refused_or_of_plain_numbers(text):
 
 @pytest.mark.parametrize("text", ["? [1, 2]\n: 3\n", "2001-01-01: 3\n"])
 def test_keys_that_are_no_text_are_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match="no plain text"):
+    with pytest.raises(ConfigError, match="not plain text"):
         parse_config(text, source="x")
 
 

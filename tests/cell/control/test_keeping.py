@@ -204,7 +204,7 @@ def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(
 
 def test_forces_of_the_config_that_could_not_hold_a_part_are_refused() -> None:
     for carry_n in (0.3, 14.9):
-        with pytest.raises(ConfigError, match=f"carry_force_n is {carry_n:g} N, a part is held"):
+        with pytest.raises(ConfigError, match=f"carry_force_n is {carry_n:g} N; it must be at"):
             small_config(sequence__carry_force_n=carry_n)
     with pytest.raises(ConfigError, match="a further ramp begins at twice"):
         small_config(sequence__regrasp="none", sequence__force_n=[1.7, 8.0])

@@ -205,7 +205,7 @@ def test_the_whole_way_left_once_and_taken_up_again(
     for wrong in (0.5, 41, "ten", True):
         answer = {"asked_id": client.state()["asked_id"], "value": wrong, "lease": client.lease}
         status, found = client.ask("POST", "/api/answer", answer)
-        assert (status, "within 1 and 40 mm" in found["error"]) == (422, True), wrong
+        assert (status, "from 1 to 40 mm" in found["error"]) == (422, True), wrong
     asked(10)
     state = client.becomes("finished")
     assert [step["status"] for step in state["steps"]] == ["pass", "warn"]

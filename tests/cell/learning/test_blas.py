@@ -59,7 +59,7 @@ def test_training_and_answering_have_one_thread(
             seen.append(threads())
             return Posterior(labels=self.labels, probability=np.array([1.0, 0.0]), unknown=0.0)
 
-    monkeypatch.setattr("cell.learning.training.make_trainer", lambda *_, **__: Noting())
+    monkeypatch.setattr("cell.learning.training.RECOGNISERS", {"force_ramp": lambda **_: Noting()})
     assert train([], "force_ramp").recognizer.labels == ("ball", "box")
     model = TaughtModel(taught.config, training_set=taught.grasps)
     model.train()

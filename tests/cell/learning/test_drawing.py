@@ -299,7 +299,7 @@ def test_a_mesh_is_a_drawing(tmp_path: Path) -> None:
     ("options", "message"),
     [
         (("--shape", "cone:height=3mm"), "unknown shape"),
-        (("--shape", BALL, "--mesh", "x.stl"), "two drawings"),
+        (("--shape", BALL, "--mesh", "x.stl"), "exclude each other"),
         (("--mesh", "missing.stl"), "cannot be read"),
         (("--shape", BALL, "--gauge-shape", BALL), "name its grasps with --gauge"),
         (("--gauge", "g.npz"), "add --shape or --mesh"),
@@ -332,7 +332,7 @@ def test_grasps_that_stand_twice_are_noted(tmp_path: Path) -> None:
     path, nearest = tmp_path / "d.npz", ("--recognizer", "force_ramp")
     call("teach", "ball", "--shape", BALL, "-n", 6, "-o", path)
     said = call("train", path, path, "-o", tmp_path / "m.npz", *nearest)
-    assert "NOTE: 6 of 12 grasps stand twice" in said
+    assert "NOTE: 6 of 12 grasps occur twice" in said
     said = call("evaluate", path, "--train", path, "--fuse", "1", *nearest)
     assert "NOTE: 6 tested grasps were taught" in said
     assert "stand twice" not in call("train", path, "-o", tmp_path / "m.npz", *nearest)

@@ -42,7 +42,12 @@ def test_few_grasps_few_objects_and_drawings_are_said_to_need_more() -> None:
     pin = [replace(grasp("pin", i), source=DRAWING_SOURCE) for i in range(60)]
     note = summarise_teaching([*ball, *pin]).notes[0]
     assert note.startswith("teach 10 grasps of each object")
-    for part in ("(now ball 6)", "4 objects (now 2)", "only drawn (pin)", "one in six of others"):
+    for part in (
+        "(now ball 6)",
+        "4 objects (now 2)",
+        "drawn objects (pin)",
+        "one in six of similar untaught",
+    ):
         assert part in note
     assert summarise_teaching([*ball, *pin]).as_json()["few_grasps"] == {"ball": 6}
     enough = [grasp(label, i) for label in ("a", "b", "c", "d") for i in range(10)]

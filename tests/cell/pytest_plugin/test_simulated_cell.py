@@ -67,7 +67,7 @@ def test_a_recording_is_made_on_request(simulated_cell: Any, tmp_path: Path) -> 
 
 
 def test_objects_are_taught_and_told_apart(simulated_cell: Any) -> None:
-    short = QUICK | {"sequence.force_n": [2.0, 3.0], "sequence.max_grasps": 1}
+    short = QUICK | {"sequence.force_n": [2.0, 3.0], "sequence.max_grasps": 2}
     cell = simulated_cell(objects=PIN | {"ball": "sphere:diameter=9.5mm"}, changes=short).start()
     recognizer = cell.teach(["pin", "ball"], grasps=10)
     assert cell.identify(recognizer, "pin").label == "pin"
@@ -141,10 +141,10 @@ def test_the_cell_is_named_where_a_test_has_several(simulated_cell: Any, inject_
     with pytest.raises(pytest.fail.Exception, match="0 simulated cells so far; make one first"):
         inject_fault("can.loss=0.5")
     one, two = simulated_cell(), simulated_cell()
-    with pytest.raises(pytest.fail.Exception, match="2 simulated cells; say which"):
+    with pytest.raises(pytest.fail.Exception, match="2 simulated cells; name one"):
         inject_fault("servos.unplugged")
     inject_fault("servos.unplugged", into=two)
     assert not one.simulated.injector.faults
     assert two.simulated.injector.faults
-    with pytest.raises(pytest.fail.Exception, match="no simulated cell of this test"):
+    with pytest.raises(pytest.fail.Exception, match="not a simulated cell of this test"):
         inject_fault("servos.unplugged", into=one.simulated)

@@ -300,13 +300,13 @@ def test_the_end_of_the_service_keeps_the_part_and_ends_all_threads(serve: Any) 
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"serve__hosts": ["http://cell.lan"]}, "without port"),
-        ({"serve__hosts": ["cell.lan:80"]}, "without port"),
-        ({"serve__hosts": [""]}, "without port"),
+        ({"serve__hosts": ["http://cell.lan"]}, "not a host name"),
+        ({"serve__hosts": ["cell.lan:80"]}, "not a host name"),
+        ({"serve__hosts": [""]}, "not a host name"),
         ({"serve__listen": "0.0.0.0"}, "serve.allow is empty"),
         ({"serve__listen": "localhost"}, "does not appear to be"),
         ({"serve__allow": ["everyone"]}, "does not appear to be"),
-        ({"serve__tls_key": "key.pem"}, "need each other"),
+        ({"serve__tls_key": "key.pem"}, "set both"),
         ({"serve__objects": ["ball", "ball"]}, "twice"),
         ({"serve__modbus_port": 65536}, "65535"),
     ],
