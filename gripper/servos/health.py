@@ -164,7 +164,7 @@ class ServoHealth:
             )
 
     def end_release(self) -> None:
-        """Accept no further error of a servo."""
+        """End the acceptance of errors of servos."""
         self._accepted = {}
 
     def _verify_one(self, servo: ServoSettings, *, correct: bool) -> tuple[VerificationRow, ...]:
