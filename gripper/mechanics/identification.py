@@ -51,8 +51,7 @@ _FALLING_BASE = (0.7, 0.4)
 that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]"""
 _SUREST = {True: 0.1, False: 0.25}
 """Largest uncertainty of a slope that counts, as a share, where the load rises (True) and falls.
-Without a line the falling load equals the rising one: up to three times wrong.
-[chosen]"""
+Without a line it falls as it rises, up to three times wrong. [chosen]"""
 _LEAST_SPAN = 1.5
 """Least ratio of speeds that separates resistance and back-EMF."""
 _OUTLIER_SIGMAS = 2.5
@@ -226,7 +225,7 @@ def weighed(drive: DriveCharacteristic) -> DriveCharacteristic:
 
 
 def change(point: FreePoint, drive: DriveCharacteristic) -> float:
-    """Return the free friction over the expected one where that is implausible, else 1.
+    """Return the friction of a free motion over the expected one if implausible, else 1.
 
     Only a measured friction can be contradicted.
     """
