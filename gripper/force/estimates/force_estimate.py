@@ -16,8 +16,8 @@ from gripper.values.recent import FRAME_S
 _IMPLAUSIBLE_S = 15 * FRAME_S
 """Longest disagreement in s of sensor and model: 15 frames."""
 _JUMP_N, _JUMP_SHARE, _JUMP_FRICTION_SHARE, _JUMP_SIGMAS = 0.8, 0.15, 0.17, 4.0
-"""Sudden growth of the measured force that no drive makes. It is given in N, as a share of the
-set-point and of the friction, and, for noise, in standard deviations of a sample. Friction that
+"""Sudden growth of the measured force that no drive makes. Its limit in N, as a share of the
+set-point and of the friction, and the added standard deviations of a sample. Friction that
 breaks makes an eighth of it at most where the fingers do not give back force. [tuned]"""
 _JUMP_S = 0.75 * FRAME_S
 """Least duration of the growth in s: two frames."""

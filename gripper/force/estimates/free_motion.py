@@ -39,8 +39,8 @@ _FEW_POINTS, _MOST_POINTS = 4, 16
 _COLD_K = 8.0
 """Fall of the temperature in K that makes grease stiff. [assumed]"""
 _WORN = 5.0
-"""Ratio of the friction to the catalogue's above which a servo is not sound. Without a load it may
-be a tenth of it, as for the gearing of an XL330 (arXiv 2410.08650). [assumed]"""
+"""Ratio of the friction to the catalogue's above which a servo is not sound. A servo without a
+load may have a tenth of the catalogue's, as an XL330's gearing (arXiv 2410.08650). [assumed]"""
 
 
 class FreeMotion:
