@@ -17,8 +17,7 @@ from cell.learning.blas import one_blas_thread
 from recognition.evaluation.evaluation import Mapper, one_by_one
 
 _KINDS = (".mcap", ".npz")
-"""Endings of recordings and data sets; recordings first, as they hold more data of the same
-grasp."""
+"""Endings of recordings and data sets; recordings first, since they hold more data."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -34,9 +34,8 @@ def chronological_split(grasps: Sequence[Grasp], fraction: float) -> TrainTest:
 def shuffled_split(grasps: Sequence[Grasp], fraction: float, seed: int) -> TrainTest:
     """Return (train, test): of each label a random fraction teaches, the rest tests.
 
-    Neighbours in time look alike, so the accuracy is too high; use it only to compare with
-    published results. Raises ValueError where the fraction is not between 0 and 1 or a grasp has no
-    label.
+    Neighbours in time look alike, so the accuracy is too high; only for published comparisons.
+    Raises ValueError where the fraction is not between 0 and 1 or a grasp has no label.
     """
     rng = np.random.default_rng(seed)
     train: list[Grasp] = []
