@@ -17,8 +17,7 @@ _SAMPLES = Struct(">xHHH")
 """Byte 0 is not used; x, y and z follow, high byte first."""
 START_ID, FIRST_ID = 0x200, 0x700
 """Start identifier of board 0, and identifier of its first taxel. Further boards of the XR1944
-follow at 1 and 10h. Identifiers of board 1 are documented by others, those of board 2 are
-likely."""
+follow at 1 and 10h. Others have seen only board 1: those of board 2 are likely."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
