@@ -23,7 +23,7 @@ from tactile.source import (
 _LOSS_FRAMES = 50
 """Number of newest frames for the loss rate."""
 _SILENT_PERIODS = 8.0
-"""Periods without a new frame that are always a fault. [chosen]"""
+"""Least silence without a new frame that is a fault, in periods. [chosen]"""
 _WAIT_SHARE = 0.1
 """Share of the period between two checks for the first frame."""
 

@@ -1,8 +1,8 @@
 """Questions to an archive: confused objects, drifting cells, ageing pads, friction, few grasps.
 
-Each cell and day is one piece of work and gives a few sums, so the answers fit into memory for an
-archive of any size. A value of a grasp also depends on its object. Day effects of a cell are the
-rest after the object effects.
+Each cell and day is one piece of work and gives a few sums, so the answers of any archive fit into
+memory. A value of a grasp also depends on its object. Day effects of a cell are the rest after the
+object effects.
 """
 
 from collections import Counter, defaultdict

@@ -34,7 +34,7 @@ class FlexiTacConfig(SensorConfig):
     baud_rate = BAUD_RATE
     layout = "flexitac_12x32"
     period_s = PERIOD_S
-    # Taxels rest at different 10 to 40 of 255 counts: the mean of nine may deviate this far from
+    # Each taxel rests at its own 10 to 40 of 255 counts. The mean of nine may deviate this far from
     # that of the pad by chance. [derived] A taxel of 8 bit may repeat itself for a second. [chosen]
     rest = RestLimits(rest_share=0.22, bump_share=0.05, stuck_frames=100)
 

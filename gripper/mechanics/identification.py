@@ -47,8 +47,8 @@ _LOCKED, _ENDS = 0.25, 0.05
 _ALIKE = 2.0
 """Factor for the common error of neighbouring parts' means, over their scatter. [tuned]"""
 _FALLING_BASE = (0.7, 0.4)
-"""Breakaway of a falling load over that of a rising one, and its uncertainty: 0.3 to 1 for gearings
-that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]"""
+"""Breakaway of a falling load over that of a rising one, and its uncertainty. It is 0.3 to 1 for
+gearings that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]"""
 _SUREST = {True: 0.1, False: 0.25}
 """Largest uncertainty of a slope that counts, as a share, where the load rises (True) and falls.
 Without a line it falls as it rises, up to three times wrong. [chosen]"""

@@ -282,7 +282,7 @@ class GoalGuard:
 
 
 def pressing_speed_m_s(settings: GripperSettings, impact: ImpactLimit, setpoint_n: float) -> float:
-    """Return the largest speed of a pad in m/s at a set-point in N, independent of its samples.
+    """Return the largest speed of a pad in m/s at a set-point in N, independent of the pads.
 
     The force of the drive leaves the rest below the cap for momentum. Fingers that run freely
     without a part keep enough speed to be detected.

@@ -195,8 +195,8 @@ class ServoGroup:
         part_possible
             True when a part may be held: then a tripped watchdog is a fault.
         releasing
-            True when the part is to be released: then a trip is no fault, and torque that was
-            already on may be switched off to correct the mode.
+            True when the part is to be released: then a trip is no fault. Torque that was already
+            on may be switched off to correct the mode.
         limp
             Feedback just read, where no servo has torque.
         """

@@ -31,7 +31,7 @@ _FEED_S = 0.02
 _WAY_SHARE = 3.0
 """Remaining time of the motion without a trip, in multiples of ``watchdog_s``."""
 _SILENT_SHARE, _SILENT_MORE_S = 1.5, 0.02
-"""Silence of the host, in multiples of ``watchdog_s`` and, then a unit of the watchdog in s."""
+"""Silence of the host, in multiples of ``watchdog_s``, plus a unit of the watchdog in s."""
 _REST_RAD = 0.015
 """Way in rad of a motor without a trip in the time of observation after the stop."""
 _FARTHEST_SHARE, _FARTHEST_MORE_PULSES = 1.5, 4

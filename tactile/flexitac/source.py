@@ -30,7 +30,7 @@ _STALL_PERIODS = 6.0
 """Periods after which unread bytes are dropped: a port keeps 4,096 bytes, without their times.
 [chosen]"""
 _SILENT_PERIODS = 8.0
-"""Periods without a frame that are always a fault: a lost byte costs four. [chosen]"""
+"""Least silence that is a fault, in periods: a lost byte costs four. [chosen]"""
 _LOSS_FRAMES = 50
 """Number of newest frames for the loss rate."""
 _LIVELY_FRAMES, _LIVELY_SHARE = 25, 0.9
@@ -142,7 +142,7 @@ class FlexiTacSource:
     rows_along
         Whether the rows of a board follow each other along the finger; otherwise across it.
     mounts
-        Pads mounted in another orientation than in the layout.
+        Pads mounted differently than in the layout.
     line_errors
         Errors of a line that cannot be opened or is gone.
     silence_s, max_loss_rate, startup_timeout_s

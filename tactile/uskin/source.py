@@ -35,7 +35,7 @@ from tactile.source import (
 from tactile.uskin.messages import FULL_SCALE, PERIOD_S, START, BoardIds, check_layout, samples
 
 _SILENT_PERIODS = 6.0
-"""Periods without a whole cycle that are always a fault. [chosen]"""
+"""Least silence without a whole cycle that is a fault, in periods. [chosen]"""
 _GAP_SHARE = 0.3
 """Share of the period without a message that ends a board's cycle. The messages of a board follow
 each other or are spread evenly. [chosen]"""

@@ -19,7 +19,7 @@ _LOG_STIFFNESS_SD, _LOG_STIFFNESS_RS = 0.5, 2.0
 """Initial standard deviation of the logarithm of the stiffness, and its random walk per root of a
 second: foam hardens. [tuned]"""
 _DISTURBANCE_SHARE, _DISTURBANCE_N_RS = 0.12, 1.5
-"""Initial uncertainty of drive and friction, as a share of the drive, and random walk of the
+"""Initial uncertainty of drive and friction, as a share of the drive, and random walk of their
 difference in N per root of a second. [tuned]"""
 _SPEED_NOISE_M_S = 0.0007
 """Noise in m/s of the speed by the servos: half of its resolution of 1.4 mm/s. [resolution]"""

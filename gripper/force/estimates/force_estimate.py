@@ -14,11 +14,11 @@ from gripper.values.force_sensor import ForceSample
 from gripper.values.recent import FRAME_S
 
 _IMPLAUSIBLE_S = 15 * FRAME_S
-"""Longest disagreement in s of sensor and model: 15 frames."""
+"""Longest allowed disagreement in s of sensor and model: 15 frames."""
 _JUMP_N, _JUMP_SHARE, _JUMP_FRICTION_SHARE, _JUMP_SIGMAS = 0.8, 0.15, 0.17, 4.0
-"""Sudden growth of the measured force that no drive makes. Its limit in N, as a share of the
-set-point and of the friction, and the added standard deviations of a sample. Friction that
-breaks makes an eighth of it at most where the fingers do not give back force. [tuned]"""
+"""Sudden growth of the measured force that no drive makes: in N, as a share of the set-point and of
+the friction, plus standard deviations of the noise of a sample. Friction that breaks makes an
+eighth of it at most where the fingers do not give back force. [tuned]"""
 _JUMP_S = 0.75 * FRAME_S
 """Least duration of the growth in s: two frames."""
 _STICKS_SHARE = 0.6
@@ -81,7 +81,7 @@ class ForceEstimate:
         return sqrt(self._doubt_n2)
 
     def move(self, now_s: float, model_n: float, *, doubt_n: float = 0.0) -> None:
-        """Set the present modelled force in N; ``doubt_n`` is the uncertainty of the motion."""
+        """Set the present modelled force in N; ``doubt_n`` is the doubt that the motion adds."""
         self._doubt_n2 += doubt_n**2
         self.model_n = model_n
         self._history.add(now_s, model_n)

@@ -124,7 +124,7 @@ class FreeMotion:
             return
         drive, servo_id, model = self._drive(settings), settings.servo_id, settings.servo_model
         points = self._points.setdefault(servo_id, [])
-        # Few motions say little about other speeds.
+        # Few motions give little information on other speeds.
         few = 0 < len(points) < _FEW_POINTS and not any(_alike(one, point) for one in points)
         ratio = 1.0 if few else change(point, drive)
         prior = self._priors.setdefault(servo_id, drive)

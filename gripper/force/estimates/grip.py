@@ -36,8 +36,8 @@ class Grip:
     """Commanded force in N now, on the way to the set-point, and its rate in N/s."""
     drive_n: float
     quiet_n: float
-    """Driving force of the last period in N, and without the square wave on it; below 0 it
-    opens."""
+    """Driving force of the last period in N, and without the square wave on it. It opens
+    below 0."""
     moving: int | None = None
     """Index of the finger that is measured, with the other held by position; None: neither."""
     trial_rad: float = 0.0
