@@ -49,7 +49,7 @@ class ShiftUse:
     process: ResourceUse
     """The process; ``done`` counts shifts."""
     ledger: dict[str, Any]
-    """Copy of `Shift.values`, before the end of the shift."""
+    """Values as in `Shift.values`, before the end of the shift."""
     kinds: Counter[str]
     """Rows of the history so far, by kind; rows of the clock ahead are on another day."""
     n_recordings: int

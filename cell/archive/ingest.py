@@ -42,7 +42,7 @@ class Ingested:
     """Added files, and files that were already in the archive."""
     n_grasps: int = 0
     n_before: int = 0
-    """Added grasps, and grasps of added files that were already in the archive."""
+    """Added grasps, and grasps of added files that another file had already added."""
     left: dict[str, str] = field(default_factory=dict)
     """Files that are left for the next run, with the reason."""
 
@@ -114,7 +114,7 @@ def ingest(
 
 @one_blas_thread()
 def read_piece(target: str, cell: str, path: Path) -> Piece:
-    """Read one file and stage its grasps beside the archive; `left` names a problem."""
+    """Read one file and stage its grasps beside the archive; a problem is in `left`."""
     try:
         if path.suffix == ".mcap" and in_use(path):
             return Piece(source=path, left="a program still writes to it")

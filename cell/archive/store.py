@@ -188,7 +188,7 @@ class Archive:
             return bool(self._fs.exists(self._note(sha256)))
 
     def stage(self, sha256: str, tables: Iterator[tuple[str, str, pa.Table]]) -> list[StagedFile]:
-        """Stage the tables of a source beside the archive; a cell and day is contiguous."""
+        """Stage the tables of a source, grouped by cell and day, beside the archive."""
         staged: list[StagedFile] = []
         writer: Any = None
         file: Any = None
