@@ -99,7 +99,7 @@ class GoalGuard:
     def bounded(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> tuple[ServoGoal, ...]:
         """Return the goals, limited so that no closing finger presses or runs beyond its limits.
 
-        The current does not depend on samples of the pads. A finger presses with no more than the
+        Samples of the pads never raise the current. A finger presses with no more than the
         set-point, friction at rest, the possible error of the drive and the force for the moving
         mass. Without a set-point it presses below the cap, as an approach does. A finger is braked
         if it closes faster than the force left below the cap allows (`gripper.mechanics.impact`).
