@@ -207,7 +207,7 @@ def test_a_fault_has_its_bit_and_a_text_that_fits(connect: Any) -> None:
     served.plugin.fail(FrameTimeout("no frame for 0.20 s; " + 60 * "x"))
     inputs = plc.inputs()
     assert inputs[2] & (FAULT | READY) == FAULT
-    assert text_of(inputs).startswith("Check the line of the sensor; tactile.loss_max_share ")
+    assert text_of(inputs).startswith("Check the sensor's line; tactile.loss_max_share ")
 
 
 def test_the_last_refusal_has_number_and_text_on_each_connection(
