@@ -1,7 +1,7 @@
 """Plugins: sensors, servo models and more, found by entry points of this and other packages.
 
-What is built in stands in ``pyproject.toml`` like that of any other package. Nothing is imported
-before it is used.
+Built-in plugins are listed in ``pyproject.toml``, as in any other package. Nothing is imported
+before its use.
 """
 
 from collections.abc import Iterator, Mapping
@@ -14,7 +14,7 @@ from typing import Any
 from cell.errors import ConfigError
 
 OWN_PACKAGE = "tactile-cell"
-"""Distribution whose plugins are built in."""
+"""Distribution of the built-in plugins."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,18 +22,18 @@ class Plugin:
     """One entry point."""
 
     group: str
-    """Group without its prefix ``tactile_cell.``, as sensors."""
+    """Group without its prefix ``tactile_cell.``, for example sensors."""
     name: str
-    """Name that a config uses."""
+    """Name in a config."""
     package: str
-    """Distribution with its version, as ``tactile-cell 0.1.0``."""
+    """Distribution with its version, for example ``tactile-cell 0.1.0``."""
     problem: str = ""
-    """Why it cannot be loaded; empty where it can."""
+    """Reason that it cannot be loaded; empty where it can."""
 
 
 @cache
 def _entries(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
-    """Return the entry points of a group by name; several packages may bring one name."""
+    """Return the entry points of a group by name; several packages may use one name."""
     found = sorted(entry_points(group=f"tactile_cell.{group}"), key=lambda entry: entry.name)
     return {
         name: tuple({e.value: e for e in found if e.name == name}.values())
@@ -46,16 +46,16 @@ def _package(entry: EntryPoint) -> str:
 
 
 class Plugins:
-    """The plugins of one group by name; taking one loads it.
+    """The plugins of one group by name; access loads a plugin.
 
     Parameters
     ----------
     group
         Group without its prefix.
     what
-        What one of them is, for messages.
+        Noun for a plugin of the group, for messages.
     kind
-        Place of the class of which each is an instance or a subclass.
+        Path of the class; each plugin is an instance or a subclass of it.
     """
 
     def __init__(self, group: str, what: str, kind: str = "collections.abc:Callable") -> None:
@@ -68,7 +68,7 @@ class Plugins:
         return name in _entries(self.group)
 
     def __getitem__(self, name: str) -> Any:
-        """Return a plugin. Raises ConfigError if it is unknown, ambiguous or does not load."""
+        """Return a plugin. Raises ConfigError if it is unknown, ambiguous or cannot be loaded."""
         entry = self.entry(name)
         try:
             plugin, wanted = entry.load(), resolve_name(self._kind)
@@ -84,7 +84,7 @@ class Plugins:
         return plugin
 
     def entry(self, name: str) -> EntryPoint:
-        """Return the entry point of a name, not loaded. Raises ConfigError."""
+        """Return the entry point of a name without loading it. Raises ConfigError."""
         entries = _entries(self.group).get(name, ())
         if len(entries) > 1:
             packages = " and ".join(_package(entry) for entry in entries)
@@ -98,7 +98,7 @@ class Plugins:
         return entries[0]
 
     def built_in(self, name: str) -> bool:
-        """Return whether a plugin is one of this project."""
+        """Return whether a plugin belongs to this project."""
         dist = self.entry(name).dist
         return dist is not None and dist.name == OWN_PACKAGE
 
@@ -107,11 +107,11 @@ class Plugins:
         return _package(self.entry(name))
 
     def usable(self) -> dict[str, Any]:
-        """Return those that load, by name."""
+        """Return the plugins that load, by name."""
         return {one.name: self[one.name] for one in self.examine() if not one.problem}
 
     def examine(self) -> Iterator[Plugin]:
-        """Load each, and return what was found."""
+        """Load each plugin and yield its description."""
         for name, entries in _entries(self.group).items():
             packages, problem = " and ".join(_package(entry) for entry in entries), ""
             try:
@@ -128,7 +128,7 @@ SERVO_MODELS = Plugins("servo_models", "servo model", "gripper.dynamixel.models:
 PAD_LAYOUTS = Plugins("pad_layouts", "pad layout")
 """Functions that return a `tactile.layout.TaxelLayout`."""
 RECOGNISERS = Plugins("recognisers", "recogniser")
-"""What makes a `recognition.recognizer.Trainer` when called with ``use_aperture``."""
+"""Factories of a `recognition.recognizer.Trainer`, called with ``use_aperture``."""
 INTERFACES = Plugins("interfaces", "interface", "cell.config.serve:InterfaceConfig")
 """Sections of `serve.interfaces`: subclasses of `cell.config.serve.InterfaceConfig`."""
 GROUPS = (SENSORS, SERVO_MODELS, PAD_LAYOUTS, RECOGNISERS, INTERFACES)

@@ -1,4 +1,4 @@
-"""Base of the frame source of boards without forces: what does not depend on their bytes."""
+"""Base of the frame source of boards without forces, independent of their bytes."""
 
 from abc import ABC, abstractmethod
 from collections import deque
@@ -21,17 +21,17 @@ from tactile.source import (
 )
 
 _LOSS_FRAMES = 50
-"""Frames among which the lost ones are counted."""
+"""Number of newest frames for the loss rate."""
 _SILENT_PERIODS = 8.0
-"""Periods without a new frame that are a fault at least. [chosen]"""
+"""Least silence without a new frame that is a fault, in periods. [chosen]"""
 _WAIT_SHARE = 0.1
-"""Share of the period between two looks for the first frame."""
+"""Share of the period between two checks for the first frame."""
 
 
 class BoardSource(ABC):
-    """Implements `tactile.source.FrameSource` on `open`, `receive` and `close` of a subclass.
+    """Implements `tactile.source.FrameSource` with `open`, `receive` and `close` of a subclass.
 
-    It latches faults, numbers frames, never hands out one twice, and finds silence and loss.
+    It latches faults, numbers frames, removes repeated ones, and detects silence and loss.
 
     Parameters
     ----------
@@ -40,9 +40,9 @@ class BoardSource(ABC):
     period_s
         Usual time between two frames in s.
     silence_s, max_loss_rate, startup_timeout_s
-        Silence in s, share of damaged frames and time of the start in s that are a fault.
+        Limits for a fault: silence in s, share of damaged frames and time of the start in s.
     line_errors
-        Errors with which a line shows that it cannot be opened or is gone.
+        Errors of a line that cannot be opened or is gone.
     """
 
     sends_forces = False
@@ -77,24 +77,24 @@ class BoardSource(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Open the lines and ask for frames; may raise a line error or LinkFault."""
+        """Open the lines and request frames; may raise a line error or LinkFault."""
 
     @abstractmethod
     def receive(self, now_s: float) -> Sequence[tuple[float, NDArray[np.uint16]]]:
-        """Take in what has arrived, without waiting; calls `damaged` for what cannot be used.
+        """Receive the available bytes without waiting; calls `damaged` for each unusable frame.
 
         Returns
         -------
-        For each frame that is whole now, oldest first: the time in s at which its scan began, and
-        the samples (n_taxels,) uint16, pad by pad as the layout has them.
+        For each frame now whole, oldest first: the start of its scan in s, and the samples
+        (n_taxels,) uint16, pad by pad in the order of the layout.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Give the lines back; may be called twice, and before `open`."""
+        """Close the lines; may be called twice, and before `open`."""
 
     def damaged(self) -> None:
-        """Count a frame that cannot be used."""
+        """Count an unusable frame."""
         self._frames.corrupt += 1
         self._sound.append(False)
 
@@ -188,9 +188,9 @@ class BoardSource(ABC):
             )
 
     def set_zero(self, zero: PadZero) -> None:  # noqa: B027
-        """Nothing: the boards send no forces."""
+        """Do nothing: the boards send no forces."""
 
     def stop(self) -> None:
-        """Give the lines back."""
+        """Close the lines."""
         self._running = False
         self.close()

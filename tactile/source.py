@@ -1,6 +1,6 @@
-"""Frame sources: the protocol that each tactile sensor implements, and the values it hands out.
+"""Frame sources: the protocol of each tactile sensor, and its values.
 
-The CANopen control unit (`tactile.unit`) is one source. What stands above works with any source.
+The CANopen control unit (`tactile.unit`) is one source. Higher layers work with any source.
 """
 
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ class FrameStatus(IntFlag):
     """Status bits of a frame."""
 
     TARED = 0x01
-    """The source has subtracted a zero of its own from the samples."""
+    """The source has subtracted its own zero from the samples."""
     SATURATED = 0x02
     """At least one sample is at full scale."""
     CONVERTER_FAULT = 0x04
     """The converter or multiplexer failed its self-test: the samples are void."""
     OVERRUN = 0x08
-    """The frame before this one was not sent in time."""
+    """The previous frame was not sent in time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,7 +35,7 @@ class TactileFrame:
     """One whole scan of all taxels."""
 
     t_s: float
-    """Monotonic time in s at which its last byte was received."""
+    """Monotonic time in s of the reception of its last byte."""
     counter: int
     """Number of the scan, modulo 65536. A source without a counter numbers its frames itself."""
     status: int
@@ -43,12 +43,12 @@ class TactileFrame:
     counts: NDArray[np.uint16]
     """(n_taxels,) uint16: samples in the order of the layout."""
     begun_s: float | None = None
-    """Monotonic time in s at which its first byte was received, just after the scan; None where
-    that is not known."""
+    """Monotonic time in s of the reception of its first byte, just after the scan; None where
+    unknown."""
 
     @property
     def scanned_s(self) -> float:
-        """Monotonic time of the scan in s, as near as it is known."""
+        """Monotonic time of the scan in s, as precisely as known."""
         return self.t_s if self.begun_s is None else self.begun_s
 
 
@@ -62,7 +62,7 @@ class ForceStatus(IntFlag):
     CONVERTER_FAULT = 0x4
     """The converter or multiplexer failed its self-test: the forces are void."""
     OVERRUN = 0x8
-    """The scan before this one was not finished in time and was left out."""
+    """The previous scan was not finished in time and was left out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,14 +79,14 @@ class ForceMessage:
     """Force on the pad of finger 0 and of finger 1 in N."""
     centre_taxels: tuple[float, float] | None = None
     """Centre of force of both pads together, along and across the fingers from the pads' middle, in
-    pitches of the taxels; None where nothing touches."""
+    pitches of the taxels; None without contact."""
 
 
 def mean_centre_taxels(messages: Sequence[ForceMessage]) -> tuple[float, float] | None:
-    """Return the centre of what messages show together, the stronger ones for more, in pitches.
+    """Return the centre of several messages in pitches, weighted by their forces.
 
-    Those of next to no force, as of a part that is let go, have a centre that is noise. None where
-    none with a centre has any force.
+    At almost no force, for example during a release, a centre is only noise. Returns None without
+    a message that has both a centre and a force.
     """
     loaded = [
         (max(0.0, sum(message.force_n)), message.centre_taxels)

@@ -47,7 +47,7 @@ _GRASPS, _OF_FILE = 4000, 250
 """Grasps at effort 1, and grasps of a data set."""
 _CELLS, _DAY_MS, _FIRST_MS = 10, 86_400_000, 1_800_000_000_000
 _NOISE_COUNTS = 3.0
-"""Deviation of the noise of a repeated grasp."""
+"""Standard deviation of the noise added to a repeated grasp."""
 _MOST = 20
 """Grasps of each object that train and test."""
 
@@ -72,13 +72,13 @@ def make_files(folder: Path, n_grasps: int) -> None:
 
 
 def noisy(grasp: Grasp, rng: np.random.Generator) -> Grasp:
-    """Return a grasp with further noise."""
+    """Return a grasp with additional noise."""
     counts = grasp.counts + rng.normal(0.0, _NOISE_COUNTS, grasp.counts.shape)
     return replace(grasp, counts=np.clip(counts, 0, grasp.pads.adc_max))
 
 
 def loop(files: Path) -> int:
-    """Read all files one after the other, with keys and features as the archive has them."""
+    """Read all files one after the other, with keys and features as in the archive."""
     n = 0
     for path in sorted(files.glob("*.npz")):
         grasps = read_dataset(path)
@@ -136,7 +136,7 @@ def measured(work: Callable[[], Any]) -> tuple[Any, float, float, float]:
 
 
 def apart(name: str, n_grasps: int, work: Callable[[], Any]) -> Any:
-    """Do work in a process of its own and print what it took."""
+    """Run work in its own process and print its time and memory."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as child:
         result, took_s, own, worker = child.submit(measured, work).result()

@@ -1,13 +1,13 @@
-"""Each constant of `gripper.force` a third smaller and a third larger: which figures move.
+"""Effect of each constant of `gripper.force`, a third smaller and a third larger.
 
-Each run is a process of its own, in which one constant has another value from the import on; what
-is computed from it follows. The figures are those of `force_ramps` (a torque constant 10 % above
-and friction 15 % below the catalogue) and of `touch`, on parts of three stiffnesses. A range in
-which no figure moves is wide enough for this plant; a constant without effect here may still be
-needed for a case that these figures do not have.
+Each run is its own process, in which one constant has another value from the import on, as have the
+values calculated from it. The figures are those of `force_ramps` (torque constant 10 % above and
+friction 15 % below the catalogue) and of `touch`, on parts of three stiffnesses. A range without a
+changed figure is wide enough for this plant. A constant without effect here may still be needed for
+other cases.
 
-``python -m benchmarks.performance.sensitivity --page`` writes all constants with their origin and
-the figures that move into docs/reference/force-constants.md, in an hour on two processors. With
+``python -m benchmarks.performance.sensitivity --page`` writes all constants, with their origin and
+changed figures, into docs/reference/force-constants.md. It takes an hour on two processors. With
 ``--only`` the other rows keep their figures.
 """
 
@@ -40,7 +40,7 @@ ORIGINS = {
     "statistics": "the rate of false alarms, or a law of averages",
     "computed": "from other constants",
 }
-"""Origin of a constant -> what it means. The last word of a constant's text names it."""
+"""Origin of a constant -> meaning. The last word of a constant's text names the origin."""
 TRIED = ("tuned", "assumed")
 """Origins whose constants are changed."""
 _HEAD = """# Constants of the force loop
@@ -56,13 +56,13 @@ a case that these figures do not cover.
 Origins:
 """
 _MOVED_SHARE, _MOVED_COUNT = 0.25, 2
-"""A mean or a time has moved by more than that share, a number of ramps by so many."""
+"""Least change of a mean or a time, as a share, and of a number of ramps."""
 _TIMEOUT_S = 900.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Constant:
-    """A number of the force loop, as its source has it."""
+    """A number of the force loop, as in its source."""
 
     module: str
     name: str
@@ -137,7 +137,7 @@ def _is_number(node: ast.AST) -> bool:
 
 
 class Scaled(SourceFileLoader):
-    """Loader of a module in which one constant has another value."""
+    """Loader of a module with another value of one constant."""
 
     def __init__(self, module: str, path: str, name: str, factor: float) -> None:
         super().__init__(module, path)
@@ -174,7 +174,7 @@ def _scale(node: ast.stmt, value: ast.expr, factor: float) -> None:
 
 
 class _Finder(PathFinder):
-    """Finder of the one module whose constant is another."""
+    """Finder of the module with the changed constant."""
 
     scaled: tuple[str, str, float] = ("", "", 1.0)
 
@@ -190,7 +190,7 @@ class _Finder(PathFinder):
 
 
 def figures(effort: float) -> dict[str, float]:
-    """Return the figures of the force loop by their names; `math.inf` where nothing is noticed."""
+    """Return the figures of the force loop by name; `math.inf` where nothing is noticed."""
     from benchmarks.performance import _force_plant, force_ramps, touch  # after the finder is set
     from simulator.servo.gearing import GEARINGS
 
@@ -234,7 +234,7 @@ def figures(effort: float) -> dict[str, float]:
 
 
 def _run(constant: Constant | None, factor: float, effort: float) -> dict[str, float] | str:
-    """Return the figures of a process of its own, or the last line of its error."""
+    """Return the figures of a separate process, or the last line of its error."""
     scaled = ["", "", "1.0"] if constant is None else [constant.module, constant.name, str(factor)]
     own = [sys.executable, "-m", "benchmarks.performance.sensitivity", "--effort", str(effort)]
     done = subprocess.run(
@@ -252,7 +252,7 @@ def _run(constant: Constant | None, factor: float, effort: float) -> dict[str, f
 
 
 def moved(base: Mapping[str, float], found: Mapping[str, float] | str) -> list[str]:
-    """Return the figures that moved, each with its value before and now."""
+    """Return the changed figures, each with its value before and now."""
     if isinstance(found, str):
         return [f"ends with {found:.120}"]
     texts = []
@@ -292,7 +292,7 @@ def table(
 def main(
     effort: float = 1.0, *, workers: int | None = None, only: str = "", page: bool = False
 ) -> None:
-    """Measure all constants that are not computed, and print which figures move."""
+    """Measure all constants that are not computed, and print the changed figures."""
     rows = [one for one in constants() if only in one.key and one.origin in TRIED]
     rows = rows[:: round(1.0 / effort)] if effort < 1.0 else rows
     line("compared", f"{len(rows)} constants x 2 values")
@@ -315,7 +315,7 @@ def main(
 
 
 def effects_on_page() -> dict[tuple[str, float], Sequence[str]]:
-    """Return the effects that the page has, by the constant."""
+    """Return the effects on the page, by constant."""
     found: dict[tuple[str, float], Sequence[str]] = {}
     package = ""
     for row in PAGE.read_text(encoding="utf-8").splitlines():
@@ -330,7 +330,7 @@ def effects_on_page() -> dict[tuple[str, float], Sequence[str]]:
 
 
 def write_page(effects: Mapping[tuple[str, float], Sequence[str]]) -> None:
-    """Write all constants, with the figures that move, into the page of the docs."""
+    """Write all constants, with the changed figures, into the page of the docs."""
     origins = [f"- **{name}**: {text}." for name, text in ORIGINS.items()]
     PAGE.write_text(
         "\n".join([_HEAD, *origins, "", *table(constants(), effects)]), encoding="utf-8"

@@ -39,26 +39,26 @@ _MONDAY_S = datetime(2027, 3, 1).timestamp()
 _HOUR_S, _DAY_S = 3600.0, 86_400.0
 _LEAP_S = 3650.0 * _DAY_S
 _TAUGHT = 6
-"""Grasps taught of each object."""
+"""Grasps for teaching each object."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShiftUse:
-    """What a shift has come to, and what it has left."""
+    """Use of resources in a shift, and its results."""
 
     process: ResourceUse
     """The process; ``done`` counts shifts."""
     ledger: dict[str, Any]
-    """As `Shift.values`, before the end of the shift."""
+    """Values as in `Shift.values`, before the end of the shift."""
     kinds: Counter[str]
-    """Rows of the history so far, by their kind; those of the clock ahead are on another day."""
+    """Rows of the history so far, by kind; rows of the clock ahead are on another day."""
     n_recordings: int
     disk_bytes: int
-    """Recordings, and the bytes of all files of the cell."""
+    """Number of recordings, and bytes of all files of the cell."""
 
 
 def week(folder: Path, config: CellConfig, days: int, n_parts: int) -> Iterator[ShiftUse]:
-    """Work for some days, with ``n_parts`` in each half of a shift; yield what each has come to."""
+    """Work for some days, with ``n_parts`` in each half of a shift; yield the use of each shift."""
     changes = {"serve.shift_begins_h": SHIFTS_H, "recording.keep_days": KEEP_DAYS}
     config = changed_config(config, {"serve.lease_timeout_s": 60.0, **changes})
     model, n_shifts, now_s = folder / "parts.npz", len(SHIFTS_H) * days, [_MONDAY_S]
@@ -78,7 +78,7 @@ def week(folder: Path, config: CellConfig, days: int, n_parts: int) -> Iterator[
             now_s[0] = begin_s + (4.0 * half + 0.1) * _HOUR_S
             now_s[0] += _LEAP_S * (number == n_shifts // 2)
             name = f"serve-20270301-{number:03}{half:03}"
-            # A simulated hand is a new one at each start: `daily` would measure it at each.
+            # A simulated hand is a new one at each start: `daily` would measure it each time.
             zero = "on_demand" if number % len(SHIFTS_H) or half else "daily"
             with closing(started(name, zero, model=model)) as service:
                 _work(service, n_parts, seed=100 * number + 50 * half)
@@ -108,7 +108,7 @@ def _work(service: Service, n_parts: int, seed: int) -> None:
 
 
 def wrong(shifts: Sequence[ShiftUse], n_parts: int) -> list[str]:
-    """Return what the shifts should not have come to."""
+    """Return the problems of the shifts."""
     most = int(2 * len(SHIFTS_H) * (KEEP_DAYS + 1.0)) + 1
     found = []
     for number, one in enumerate(shifts):

@@ -1,8 +1,8 @@
-"""Sensors and grippers compared: each example config teaches and names the paper's five objects.
+"""Comparison of sensors and grippers: each example config teaches and names the paper's objects.
 
-A row is a whole simulated cell in virtual time. Each object is taught with 20 grasps; ten of each
-are named, with as many grasps as it takes. Errors of the held force and first touches are true
-forces in the simulated world, not what the pads report, of the grasps that teach.
+A row is a whole simulated cell in virtual time. Each of five objects is taught with 20 grasps; ten
+of each are named, with as many grasps as necessary. Errors of the held force and first touches are
+true forces in the simulated world, not pad values, of the teaching grasps.
 
     python -m benchmarks sensors
     python -m benchmarks.recognition.sensors flexitac uskin
@@ -30,13 +30,13 @@ from recognition.recognizer import UNKNOWN
 DEFAULT = "default"
 """The config without a file: the paper's control unit on two XM430-W350."""
 CASES = (DEFAULT, "flexitac", "uskin", "open-parallel-gripper", "rh-p12-rn")
-"""Example configs that are compared."""
+"""Example configs in the comparison."""
 _N_TEACH, _N_NAMED = 20, 10
-"""Grasps that teach each object, and how often each is named."""
+"""Grasps to teach each object, and number of times each object is named."""
 
 
 def config_of(case: str) -> CellConfig:
-    """Return the config of a case, with a seed that nothing was tuned with."""
+    """Return the config of a case, with a seed that was not used for tuning."""
     folder = Path(__file__).resolve().parents[2] / "config"
     config = CellConfig() if case == DEFAULT else load_config(folder / f"{case}.yaml")
     return config.model_copy(update={"seed": 7000})

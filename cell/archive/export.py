@@ -17,16 +17,16 @@ from cell.data.files import write_atomically
 from cell.errors import ArchiveError
 
 KINDS = (".csv", ".parquet", ".npz")
-"""Endings of what is written."""
+"""File endings of exports."""
 _HELD_BYTES = 1 << 30
-"""Size of frames that a data set may have: it is written whole, and read up to that size."""
+"""Largest size of frames in a data set: it is written whole, and read up to that size."""
 
 
 def export(archive: Archive, path: Path, selection: Selection = EVERYTHING) -> int:
     """Write the selected grasps to one file, whole or not at all; return their number.
 
-    CSV has all columns that are numbers or texts, Parquet all; both have cell and day. A data set
-    has labels and frames. Raises ArchiveError where no grasp is selected or a data set would be too
+    CSV has all columns with numbers or texts, Parquet all; both have cell and day. A data set has
+    labels and frames. Raises ArchiveError where no grasp is selected or a data set would be too
     large, and DatasetError where its grasps were taken on different pads.
     """
     if path.suffix not in KINDS:
@@ -66,7 +66,7 @@ def _pieces(archive: Archive, selection: Selection, names: list[str]) -> Iterato
 
 
 def _flat(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """Return rows with a column for each number of a structure; lists and maps are left out."""
+    """Return rows with a column for each number of a structure, without lists and maps."""
     columns: dict[str, Any] = {}
     for name, values in zip(batch.schema.names, batch.columns, strict=True):
         if pa.types.is_struct(values.type):

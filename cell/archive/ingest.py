@@ -1,4 +1,4 @@
-"""Ingestion: recordings and data sets go into an archive, a file at a time, each of them once."""
+"""Ingestion: recordings and data sets are added to an archive, each file once."""
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
@@ -17,7 +17,7 @@ from cell.learning.blas import one_blas_thread
 from recognition.evaluation.evaluation import Mapper, one_by_one
 
 _KINDS = (".mcap", ".npz")
-"""Endings of recordings and data sets; recordings first, as they hold more of the same grasp."""
+"""Endings of recordings and data sets; recordings first, since they hold more data."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,33 +28,33 @@ class Piece:
     sha256: str = ""
     staged: tuple[StagedFile, ...] = ()
     there: bool = False
-    """Whether the archive has it already."""
+    """Whether the file is already in the archive."""
     left: str = ""
-    """Why it is left for the next run; empty where it is not."""
+    """Reason to leave it for the next run; empty where it is not left."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Ingested:
-    """What an ingestion has done."""
+    """Result of an ingestion."""
 
     n_files: int = 0
     n_there: int = 0
-    """Files that were added, and files that were in the archive."""
+    """Added files, and files that were already in the archive."""
     n_grasps: int = 0
     n_before: int = 0
-    """Grasps that were added, and grasps of added files that were in the archive by another one."""
+    """Added grasps, and grasps of added files that another file had already added."""
     left: dict[str, str] = field(default_factory=dict)
-    """Files that are left for the next run, and why."""
+    """Files that are left for the next run, with the reason."""
 
     def as_json(self) -> dict[str, Any]:
-        """Return what ``--json`` writes."""
+        """Return the output of ``--json``."""
         return asdict(self)
 
 
 def sources(places: Sequence[Path]) -> list[Path]:
     """Return the recordings and data sets of some folders and files.
 
-    Raises ArchiveError where one is not there, or none holds any.
+    Raises ArchiveError where one does not exist, or no file is found.
     """
     found: list[Path] = []
     for place in places:
@@ -86,9 +86,9 @@ def ingest(
     paths
         Recordings and data sets, as `sources` returns them.
     cell
-        The cell that took the grasps that name none.
+        Cell of grasps that name no cell.
     mapper
-        Reads the files, here or elsewhere; what it returns is added here.
+        Reads the files, in this or other processes; the results are added here.
     """
     archive, done = Archive(target, create=True), Ingested()
     archive.clear_staged()
@@ -114,7 +114,7 @@ def ingest(
 
 @one_blas_thread()
 def read_piece(target: str, cell: str, path: Path) -> Piece:
-    """Read one file and stage its grasps beside the archive; what is wrong with it is in `left`."""
+    """Read one file and stage its grasps beside the archive; a problem is in `left`."""
     try:
         if path.suffix == ".mcap" and in_use(path):
             return Piece(source=path, left="a program still writes to it")

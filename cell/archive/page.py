@@ -1,4 +1,4 @@
-"""Report page of an archive: its answers with plots, as one HTML file that needs nothing else."""
+"""Report page of an archive: its answers with plots, as one self-contained HTML file."""
 
 import math
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ _QUESTIONS = {
     "friction": ("Whose friction grows", "No friction grows by more than chance."),
 }
 _MOST_CONFUSIONS = 20
-"""Pairs that are listed."""
+"""Largest number of listed pairs."""
 
 
 def write_page(path: Path, answers: Answers, target: str) -> None:
@@ -48,7 +48,7 @@ def lines(answers: Answers) -> list[str]:
 
 
 def confusion_table(answers: Answers) -> ConfusionTable | None:
-    """Return the table of all identifications of named parts; None where there is none."""
+    """Return the table of all identifications of named parts; None without identifications."""
     asked = [(label, answer, n) for (label, answer), n in answers.parts.items() if label and answer]
     if not asked:
         return None
@@ -73,7 +73,7 @@ def _amount(value: float, unit: str) -> str:
 
 
 def _shown(value: float, unit: str) -> float:
-    """Return a change as it is shown: that of a logarithm in per cent."""
+    """Return a change as displayed: a change of a logarithm in per cent."""
     return 100.0 * math.expm1(value) if unit == "log" else value
 
 

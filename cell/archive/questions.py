@@ -1,8 +1,8 @@
 """Questions to an archive: confused objects, drifting cells, ageing pads, friction, few grasps.
 
-Each cell and day is one piece of work and gives a few sums, so that the answers fit into memory
-whatever the archive has. A value of a grasp depends on its object too: of each cell, effects of
-days are what is left beside those of the objects.
+Each cell and day is one piece of work and gives a few sums, so the answers of any archive fit into
+memory. A value of a grasp also depends on its object. Day effects of a cell are the rest after the
+object effects.
 """
 
 from collections import Counter, defaultdict
@@ -28,11 +28,11 @@ _COLUMNS = (
     "hold_current_a", "touch_aperture_m", "pad_load",
 )  # fmt: skip
 _LEAST_DAYS = 3
-"""Days of a cell from which on a trend is looked for."""
+"""Fewest days of a cell for a trend."""
 _LEAST_EVIDENCE = 5.0
-"""Logarithm of the likelihood ratio from which on a confusion is said to have begun on a day."""
+"""Logarithm of the likelihood ratio above which a confusion has a first day."""
 _FEW_GRASPS, _ENOUGH_RIGHT = 10, 0.95
-"""Fewest grasps of an object, and the share of right names that it should reach."""
+"""Fewest grasps of an object, and the required share of right names."""
 
 
 def _log(value: float) -> float:
@@ -40,7 +40,7 @@ def _log(value: float) -> float:
 
 
 def _response(row: Mapping[str, Any], pad: int) -> float:
-    """Return the logarithm of a pad's load for each A that is not friction."""
+    """Return the logarithm of a pad's load for each A of current without friction."""
     loads, hold = row["pad_load"] or (), row["hold_current_a"]
     if len(loads) <= pad or hold is None or row["closing_current_a"] is None:
         return float("nan")
@@ -60,9 +60,9 @@ class Signal:
     title: str
     unit: str
     question: str
-    """Key of the question that it answers."""
+    """Key of the question that the signal answers."""
     value: Callable[[Mapping[str, Any]], float]
-    """Of a row; NaN where unknown."""
+    """Value of a row; NaN where unknown."""
     least: float
     """Smallest change from the first day to the last that counts."""
     signs: tuple[int, ...] = (-1, 1)
@@ -70,7 +70,7 @@ class Signal:
 
 
 _LOG = "log"
-"""Unit of logarithms of ratios; pages show changes of them in per cent."""
+"""Unit of logarithms of ratios; pages show their changes in per cent."""
 SIGNALS: tuple[Signal, ...] = (
     Signal(
         name="opening", title="Opening at the first touch", unit="mm", question="drift", least=0.5,
@@ -98,7 +98,7 @@ SIGNALS: tuple[Signal, ...] = (
         value=lambda row: _log(row["closing_current_a"] or 0.0),
     ),
 )  # fmt: skip
-"""All signals; changes of a logarithm of 0.1 are 10 %."""
+"""All signals; a change of a logarithm by 0.1 is 10 %."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +109,7 @@ class DaySums:
     day: str
     n_grasps: int
     answers: Mapping[tuple[str, str], int]
-    """Parts by what they were and what was answered."""
+    """Number of parts by true label and answer."""
     objects: Mapping[str, tuple[int, int]]
     """Grasps of each label, and grasps of all its identifications."""
     values: Mapping[str, NDArray[np.float64]]
@@ -158,33 +158,33 @@ class Trend:
     interval: tuple[float, float]
     """Change from the first day to the last by a straight line, and its 95 % interval."""
     found: bool
-    """Whether it answers the question with yes: certain, large enough, in a direction that counts.
+    """Whether the question is answered with yes: certain, large enough, in a counted direction.
     """
     since: str
-    """Day from which on it is off by half of the least change that counts; empty where unknown."""
+    """Day from which it is off by half of the least counted change; empty where unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Confusion:
-    """An object that was taken for another one."""
+    """An object that was identified as another one."""
 
     label: str
     answer: str
     n: int
     n_parts: int
-    """How often, of all its identifications."""
+    """Number of confusions, and number of all its identifications."""
     cells: Mapping[str, int]
-    """How often on each cell."""
+    """Number of confusions on each cell."""
     first: str
     last: str
     """First and last day."""
     since: str
-    """Day from which on it is more frequent; empty where it is as frequent on all days."""
+    """Day from which it is more frequent; empty where it is equally frequent on all days."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectNeed:
-    """How well one object is known."""
+    """Recognition of one object and its need of grasps."""
 
     label: str
     n_grasps: int
@@ -197,7 +197,7 @@ class ObjectNeed:
     grasps_per_part: float
     """Mean number of grasps until an answer; NaN without one."""
     reasons: tuple[str, ...]
-    """Why it needs more grasps; empty where it does not."""
+    """Reasons to take more grasps; empty where they suffice."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,9 +211,9 @@ class Answers:
     """Most frequent first."""
     trends: tuple[Trend, ...]
     objects: tuple[ObjectNeed, ...]
-    """Those that need grasps most come first."""
+    """Objects with the greatest need first."""
     parts: Mapping[tuple[str, str], int] = field(default_factory=dict)
-    """Identifications by what they were and what was answered."""
+    """Number of identifications by true label and answer."""
 
     def found(self, question: str) -> tuple[Trend, ...]:
         """Return the trends that answer a question with yes, the largest first."""
@@ -221,7 +221,7 @@ class Answers:
         return tuple(sorted(those, key=lambda trend: -abs(trend.change)))
 
     def as_json(self) -> dict[str, Any]:
-        """Return what ``--json`` writes."""
+        """Return the output of ``--json``."""
         values = asdict(self)
         values["parts"] = [
             {"label": label, "answer": answer, "n": n} for (label, answer), n in self.parts.items()
@@ -241,7 +241,7 @@ def ask(
     mapper: Mapper = one_by_one,
     progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> Answers:
-    """Return the answers of the selected part of an archive; the mapper does a day at a time.
+    """Return the answers of the selected part of an archive; the mapper works day by day.
 
     Raises ArchiveError where no grasp is selected.
     """
@@ -269,7 +269,7 @@ def ask(
 
 
 def _trends(days: Sequence[DaySums]) -> Iterable[Trend]:
-    """Yield the trend of each signal that a cell has on enough days."""
+    """Yield the trend of each signal with enough days of a cell."""
     labels = sorted({label for one in days for label in one.values})
     nothing = np.zeros((len(SIGNALS), 3))
     every = np.array([[one.values.get(label, nothing) for label in labels] for one in days])
@@ -312,7 +312,7 @@ def _trends(days: Sequence[DaySums]) -> Iterable[Trend]:
 
 
 def _last_run(holds: NDArray[np.bool_]) -> int:
-    """Return where the run of true values at the end begins."""
+    """Return the start of the run of true values at the end."""
     others = np.flatnonzero(~holds)
     return int(others[-1]) + 1 if len(others) else 0
 

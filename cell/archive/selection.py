@@ -1,4 +1,4 @@
-"""Selection: which cells, days and objects are meant, of an archive or of other grasps."""
+"""Selection: cells, days and objects of an archive or of other grasps."""
 
 import re
 from collections.abc import Iterable
@@ -10,34 +10,34 @@ from cell.errors import ConfigError
 from recognition.grasp import CELL_SOURCE, Grasp
 
 NO_CELL = "unknown"
-"""Cell of grasps that name none."""
+"""Cell of grasps that name no cell."""
 HEAD = "_archive.json"
-"""File of an archive that names its format."""
+"""File of an archive that contains its format."""
 
 
 def is_archive(place: str) -> bool:
-    """Return whether a place is that of an archive: a folder with its head, or any URL."""
+    """Return whether a place is an archive: a folder with its head, or any URL."""
     return "://" in place or Path(place, HEAD).is_file()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """Which grasps of an archive are meant; an empty set means all."""
+    """Selected grasps of an archive; an empty set means all."""
 
     cells: frozenset[str] = frozenset()
     """Names of cells."""
     first_day: str = ""
     last_day: str = "9999"
-    """First and last day, as 2027-01-15 (UTC)."""
+    """First and last day, for example 2027-01-15 (UTC)."""
     objects: frozenset[str] = frozenset()
     """Labels."""
 
     def has(self, cell: str, day: str) -> bool:
-        """Return whether the grasps of a cell and day are meant."""
+        """Return whether the grasps of a cell and day are selected."""
         return (not self.cells or cell in self.cells) and self.first_day <= day <= self.last_day
 
     def fits(self, grasp: Grasp) -> bool:
-        """Return whether a grasp of a file is meant."""
+        """Return whether a grasp of a file is selected."""
         known = not self.objects or grasp.label in self.objects
         return known and self.has(cell_of(grasp), day_of(grasp.start_ms))
 
@@ -49,7 +49,7 @@ _DAY = re.compile(r"\d{4}-\d\d-\d\d")
 def parse_selection(cells: Iterable[str], days: str | None, objects: Iterable[str]) -> Selection:
     """Return the selection of some cells, a day or FIRST..LAST, and objects.
 
-    Raises ConfigError for days that are not written so.
+    Raises ConfigError for days in another format.
     """
     first, dots, last = (days or "").partition("..")
     if any(day and not _DAY.fullmatch(day) for day in (first, last)) or (days == ""):
@@ -63,12 +63,12 @@ def parse_selection(cells: Iterable[str], days: str | None, objects: Iterable[st
 
 
 def cell_of(grasp: Grasp) -> str:
-    """Return the cell that took a grasp; `NO_CELL` where its source names none."""
+    """Return the cell that took a grasp; `NO_CELL` where its source names no cell."""
     return grasp.source.removeprefix(CELL_SOURCE) if _names_cell(grasp) else NO_CELL
 
 
 def of_cell(grasp: Grasp, cell: str) -> Grasp:
-    """Return a grasp that names a cell, the given one where it names none."""
+    """Return a grasp that names a cell, the given one where it names no cell."""
     return grasp if _names_cell(grasp) or not cell else replace(grasp, source=CELL_SOURCE + cell)
 
 

@@ -1,7 +1,7 @@
 """Store of an archive: Parquet files by cell and day, in a folder or any store of fsspec.
 
-A file is staged whole and then moved to its place by one writer, so a reader never sees half of
-one. `_sources` has a note for each file that is in the archive; readers of Parquet skip it.
+One writer stages a file whole and then moves it to its place, so a reader never sees a half file.
+`_sources` has a note for each file in the archive; readers of Parquet skip it.
 """
 
 import heapq
@@ -26,9 +26,9 @@ from cell.errors import ArchiveError
 from recognition.grasp import Grasp
 
 SOURCES, STAGED = "_sources", "_staged"
-"""Folders of the notes, and of what is not yet in its place."""
+"""Folders of the notes, and of staged files."""
 _BATCH = 64
-"""Rows that are read at a time."""
+"""Rows in one read."""
 _KEPT_DAYS = 32
 """Days of cells whose keys are kept while grasps are added."""
 
@@ -45,7 +45,7 @@ class Partition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StagedFile:
-    """Rows of one source, cell and day, before they are in their place."""
+    """Rows of one source, cell and day, staged before the move to their place."""
 
     cell: str
     day: str
@@ -60,7 +60,7 @@ class Archive:
     target
         Its folder or URL.
     create
-        Make it where there is none.
+        Create it where it does not exist.
 
     Raises
     ------
@@ -105,7 +105,7 @@ class Archive:
         selection: Selection = EVERYTHING,
         partitions: Sequence[Partition] | None = None,
     ) -> Iterator[tuple[Partition, pa.RecordBatch]]:
-        """Yield some columns of the selected rows in pieces: of all partitions, or of these."""
+        """Yield some columns of the selected rows in pieces, of all or of the given partitions."""
         known = bool(selection.objects)
         wanted = [*columns, *(["label"] if known and "label" not in columns else [])]
         for partition in self.partitions(selection) if partitions is None else partitions:
@@ -121,13 +121,13 @@ class Archive:
     def grasps(
         self, selection: Selection = EVERYTHING, *, most: int | None = None
     ) -> Iterator[Grasp]:
-        """Yield the selected grasps by cell, day and file; labelled ones alone with ``most``.
+        """Yield the selected grasps by cell, day and file; with ``most`` only labelled ones.
 
         Parameters
         ----------
         most
-            Most grasps of each label; those with the smallest keys are taken, which is a random
-            choice that is the same each time.
+            Most grasps of each label. Those with the smallest keys are taken: a random but
+            repeatable choice.
         """
         chosen = None if most is None else self._sample(selection, most)
         for _, batch in self.batches(SCHEMA.names, selection):
@@ -154,7 +154,7 @@ class Archive:
         return {key for heap in kept.values() for _, key in heap}
 
     def _inside(self, place: str) -> list[str]:
-        """Return what is in a folder, sorted; a pattern would read brackets in names."""
+        """Return the content of a folder, sorted; a pattern would interpret brackets in names."""
         if not self._fs.exists(place):
             return []
         return sorted(str(path) for path in self._fs.ls(place, detail=False))
@@ -188,7 +188,7 @@ class Archive:
             return bool(self._fs.exists(self._note(sha256)))
 
     def stage(self, sha256: str, tables: Iterator[tuple[str, str, pa.Table]]) -> list[StagedFile]:
-        """Write the tables of a source beside the archive; the rows of a cell and day follow."""
+        """Stage the tables of a source, grouped by cell and day, beside the archive."""
         staged: list[StagedFile] = []
         writer: Any = None
         file: Any = None
@@ -209,7 +209,7 @@ class Archive:
         return staged
 
     def add(self, sha256: str, source: str, staged: Sequence[StagedFile]) -> tuple[int, int]:
-        """Move staged files to their place; return how many grasps are new and were there before.
+        """Move staged files to their place; return the number of new and of known grasps.
 
         One program at a time may add to an archive.
         """
@@ -234,7 +234,7 @@ class Archive:
         return new, before
 
     def clear_staged(self) -> None:
-        """Remove what an interrupted program has left beside the archive."""
+        """Remove files that an interrupted program left beside the archive."""
         with _named(self.target):
             if self._fs.exists(f"{self._root}/{STAGED}"):
                 self._fs.rm(f"{self._root}/{STAGED}", recursive=True)
@@ -257,12 +257,12 @@ class Archive:
         return self._keys[cell, day]
 
     def _fresh(self, path: str, known: set[str]) -> tuple[set[str], int]:
-        """Return the keys of a staged file that are not known, and how many rows it has."""
+        """Return the unknown keys of a staged file, and its number of rows."""
         every = [key for batch in self._batches(path, ["key"]) for key in _keys(batch)]
         return set(every) - known, len(every)
 
     def _keep(self, path: str, fresh: set[str]) -> None:
-        """Write a staged file again with the first row of each of these keys."""
+        """Write a staged file again with only the first row of each of these keys."""
         left = set(fresh)
         with (
             self._fs.open(f"{path}-fresh", "wb") as file,
@@ -278,7 +278,7 @@ class Archive:
 
 
 def nothing_selected(target: str) -> ArchiveError:
-    """Return the error for a selection without a grasp."""
+    """Return the error for a selection without grasps."""
     return ArchiveError(f"no grasp of {target} is selected: look at its folders for cells and days")
 
 
@@ -301,7 +301,7 @@ def _opened(target: str) -> tuple[Any, str]:
 
 @contextmanager
 def _named(target: str) -> Iterator[None]:
-    """Have errors of the store name the archive."""
+    """Name the archive in errors of the store."""
     try:
         yield
     except (OSError, ValueError, ImportError, pa.ArrowException) as error:

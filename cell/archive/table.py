@@ -33,7 +33,7 @@ from recognition.ramp.ramp import Rest, learn_rest
 _BEFORE_S = 3.0
 """Time in s before the first frame of a grasp in which its fingers close."""
 _SLICE = 64
-"""Grasps of a piece of a table: a group of rows."""
+"""Grasps in a piece of a table: a group of rows."""
 
 _NUMBER, _TEXT = pa.float64(), pa.string()
 _FRAME = pa.struct(
@@ -89,7 +89,7 @@ LIGHT = tuple(name for name in COLUMNS if name not in ("pads", "frames", "featur
 
 
 def grasp_key(grasp: Grasp) -> str:
-    """Return the key of a grasp: files that hold the same grasp give the same one."""
+    """Return the key of a grasp; it is equal for the same grasp in several files."""
     digest = hashlib.sha256(f"{grasp.start_ms}|{grasp.counts.shape}|".encode())
     digest.update(np.asarray(grasp.counts, dtype="<u2").tobytes())
     return digest.hexdigest()[:32]
@@ -97,7 +97,7 @@ def grasp_key(grasp: Grasp) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """A grasp, and what its file has beside it."""
+    """A grasp and the further values of its file."""
 
     grasp: Grasp
     number: int
@@ -107,12 +107,12 @@ class Row:
 
 
 def dataset_rows(grasps: Sequence[Grasp], cell: str) -> list[Row]:
-    """Return the rows of a data set; ``cell`` took the grasps that name none."""
+    """Return the rows of a data set; ``cell`` is the cell of grasps that name no cell."""
     return [Row(grasp=of_cell(grasp, cell), number=i) for i, grasp in enumerate(grasps)]
 
 
 def recording_rows(recording: Recording, cell: str = "") -> list[Row]:
-    """Return the rows of a recording, each with what was answered and what the servos showed."""
+    """Return the rows of a recording, each with its answer and the values of the servos."""
     cell = recording.metadata.get("cell", "") or cell
     answered = _answers(recording)
     return [
@@ -128,7 +128,7 @@ def recording_rows(recording: Recording, cell: str = "") -> list[Row]:
 
 
 def _answers(recording: Recording) -> dict[int, dict[str, Any]]:
-    """Return the columns of the identifications, by the place of the grasp in the recording."""
+    """Return the columns of the identifications, by the index of the grasp in the recording."""
     found: dict[int, dict[str, Any]] = {}
     begin_s = -np.inf
     for part, row in enumerate(recording.results):
@@ -169,7 +169,7 @@ def _answers(recording: Recording) -> dict[int, dict[str, Any]]:
 
 
 def _servos(recording: Recording, grasp: Grasp, t_s: float) -> dict[str, Any]:
-    """Return what the servos showed before and at the end of a grasp; empty without a period."""
+    """Return the servo values before and at the end of a grasp; empty without a period."""
     length_s = float(grasp.t_s[-1])
     closing = recording.cycles.between(t_s - _BEFORE_S, t_s + length_s)
     holding = recording.cycles.between(t_s + 0.9 * length_s, t_s + length_s)
@@ -240,9 +240,9 @@ def _struct(names: Sequence[str], row: GraspCommand | SelfZero | None) -> dict[s
 
 
 def _described(grasps: Sequence[Grasp], rest: Rest | None) -> list[dict[str, Any]]:
-    """Return what the ramps show, of each grasp; nothing of one that is too short or not touched.
+    """Return the features of each grasp; empty for one that is too short or not touched.
 
-    All at once take a tenth of the time of each by itself.
+    All together take a tenth of the time of single ones.
     """
     try:
         levels = load_levels(grasps, rest) if rest is not None else None

@@ -1,1 +1,1 @@
-"""The sensors that are built in, and the guard of those that other packages bring."""
+"""The built-in sensors, and the guard of sensors from other packages."""

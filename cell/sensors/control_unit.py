@@ -21,10 +21,10 @@ from tactile.unit.settings import WINDOW_SHARE
 
 
 class ControlUnitConfig(SensorConfig):
-    """A CANopen control unit, which the keys beside `sensor` describe."""
+    """A CANopen control unit, described by the keys beside `sensor`."""
 
     kind: Literal["control_unit"] = "control_unit"
-    """What reads the pads."""
+    """Kind of the device that reads the pads."""
     canopen = True
     on_can = True
 
@@ -33,11 +33,11 @@ class ControlUnitConfig(SensorConfig):
         return MILLI * tactile.sync_period_ms
 
     def sends_forces(self, tactile: TactileConfig) -> bool:
-        """Return whether the config asks for them."""
+        """Return whether the config requests forces."""
         return tactile.force_period_ms > 0
 
     def check(self, tactile: TactileConfig, layout: TaxelLayout) -> None:
-        """Raise ValueError for frames and forces that its bus cannot carry."""
+        """Raise ValueError for frames and forces that exceed the capacity of its bus."""
         link = link_settings(tactile)
         least_ms = {
             rate: 1e3 * least_sync_period_s(layout, link, rate)
@@ -74,4 +74,4 @@ class ControlUnitConfig(SensorConfig):
         )
 
     def simulated(self) -> None:
-        """Return None: the simulator has it."""
+        """Return None: the unit is part of the simulator."""

@@ -18,23 +18,23 @@ if TYPE_CHECKING:
 class FlexiTacConfig(SensorConfig):
     """Two FlexiTac boards, one on each finger.
 
-    Of the keys beside `sensor` those of CAN, SYNC, heartbeat, force messages and serial numbers are
-    not for them.
+    The keys beside `sensor` for CAN, SYNC, heartbeat, force messages and serial numbers do not
+    apply.
     """
 
     kind: Literal["flexitac"]
-    """What reads the pads."""
+    """Kind of the device that reads the pads."""
     ports: tuple[str, str] = (SIMULATED, SIMULATED)
-    """Serial ports of the boards on finger 0 and 1, best below /dev/serial/by-id."""
+    """Serial ports of the boards on finger 0 and 1, preferably below /dev/serial/by-id."""
     profile: Annotated[str, OneOf(tuple(PROFILES))] = "12x32"
     """Rows and columns that the boards send."""
     rows_along: bool = False
-    """Whether a board's rows follow each other along the finger; else across it, so that the long
-    side of 12x32 lies along the finger."""
+    """Whether a board's rows follow each other along the finger. Otherwise they follow across it,
+    so that the long side of 12x32 lies along the finger."""
     baud_rate = BAUD_RATE
     layout = "flexitac_12x32"
     period_s = PERIOD_S
-    # Taxels rest at 10 to 40 of 255 counts, each at its own: the mean of nine may be this far from
+    # Each taxel rests at its own 10 to 40 of 255 counts. The mean of nine may deviate this far from
     # that of the pad by chance. [derived] A taxel of 8 bit may repeat itself for a second. [chosen]
     rest = RestLimits(rest_share=0.22, bump_share=0.05, stuck_frames=100)
 

@@ -1,6 +1,6 @@
-"""Guard of a frame source that another package brings: it may hang or raise whatever it likes.
+"""Guard of a frame source from another package, which may hang or raise any exception.
 
-Its code runs in a thread of its own, so that the force loop goes on. A hang, an exception or an
+Its code runs in a thread of its own, so the force loop goes on. A hang, an exception or an
 impossible frame is a fault of the link, which keeps the grip.
 """
 
@@ -25,19 +25,19 @@ from tactile.source import (
 )
 
 _PROMPT_S = 5e-4
-"""Time in s for which a poll waits for the answer: a tenth of a period of the force loop. One that
-comes later is taken by the next poll. [chosen]"""
+"""Longest wait of a poll in s for the answer: a tenth of a period of the force loop. The next poll
+takes a later answer. [chosen]"""
 _SWITCH_S = 5e-4
-"""Time in s after which a thread that computes gives way to the force loop; Python's default is
-5 ms. [chosen]"""
+"""Time in s after which a busy thread yields to the force loop; Python's default is 5 ms.
+[chosen]"""
 _STOP_S = 1.0
-"""Time in s for a source to stop; then its thread is left to itself. [chosen]"""
+"""Time in s for a source to stop; after it the thread is abandoned. [chosen]"""
 _START_MARGIN_S = 1.0
-"""Time in s beyond the time-out of the start, which the source itself has to keep."""
+"""Time in s beyond the time-out of the start, which the source itself must keep."""
 
 
 class _Worker:
-    """A thread that carries out one call after another; daemonic, since a call may never return."""
+    """A thread that runs one call after another; daemonic, since a call may never return."""
 
     def __init__(self) -> None:
         self._calls: queue.SimpleQueue[Callable[[], Any] | None] = queue.SimpleQueue()
@@ -53,38 +53,38 @@ class _Worker:
                 self._answers.put((None, error))
 
     def ask(self, call: Callable[[], Any]) -> None:
-        """Have something done."""
+        """Start a call in the thread."""
         self._calls.put(call)
 
     def answer(self, timeout_s: float) -> Any:
-        """Return what came of it; queue.Empty where nothing has come in time, or what it raised."""
+        """Return its result or raise its exception; queue.Empty where none came in time."""
         value, error = self._answers.get(timeout=timeout_s)
         if error is not None:
             raise error
         return value
 
     def end(self, timeout_s: float) -> None:
-        """End after what was asked for; a call that does not return in time is left to itself."""
+        """End after the last call; a call that does not return in time is abandoned."""
         self._calls.put(None)
         self._thread.join(timeout_s)
 
 
 class GuardedSource:
-    """Implements `tactile.source.FrameSource` with one whose code is not trusted.
+    """Implements `tactile.source.FrameSource` with a source whose code is not trusted.
 
-    It is made anew at each start. In virtual time nothing runs beside the force loop: there a hang
-    is not found.
+    It is created anew at each start. In virtual time nothing runs beside the force loop, so a hang
+    is not detected.
 
     Parameters
     ----------
     make
-        Makes the source.
+        Creates the source.
     name
-        Its kind and package, for messages.
+        Kind and package of the source, for messages.
     threaded
         Whether it has a thread of its own: real time.
     silence_s, startup_timeout_s
-        Time in s within which a poll and the start have to return.
+        Longest time in s of a poll and of the start.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class GuardedSource:
         self._fault: LinkFault | None = None
 
     def start(self) -> SourceIdentity:
-        """Make the source and start it; raises what it raises, or PluginFault."""
+        """Create the source and start it; raises its exceptions, or PluginFault."""
         self._fault = None
         if self._threaded:
             self._worker = _Worker()
@@ -142,7 +142,7 @@ class GuardedSource:
         return arrivals or Arrivals()
 
     def _look(self) -> Arrivals:
-        """Poll, and check what comes."""
+        """Poll, and check the result."""
         source = self._source
         if source is None:
             return Arrivals()
@@ -156,7 +156,7 @@ class GuardedSource:
         return arrivals
 
     def _call(self, call: Callable[[], Any], wait_s: float, *, late_s: float = 0.0) -> Any:
-        """Have the source do something; for ``late_s`` s it may take longer, with None so far."""
+        """Call the source; return None while it takes longer, for up to ``late_s`` s."""
         if self._worker is None:
             return self._checked(call)
         now_s = self._clock.monotonic()
@@ -187,7 +187,7 @@ class GuardedSource:
         return value
 
     def _checked(self, call: Callable[[], Any]) -> Any:
-        """Return what a call returns; raise faults as they are, and all else as PluginFault."""
+        """Return the result of a call; raise faults as they are, and all others as PluginFault."""
         try:
             return call()
         except (queue.Empty, TactileError):
@@ -204,7 +204,7 @@ class GuardedSource:
             self._call(lambda: source.set_zero(zero), self._silence_s)
 
     def stop(self) -> None:
-        """Stop the frames; a source that does not return is left to itself."""
+        """Stop the frames; a source that does not return is abandoned."""
         source, worker, hangs = self._source, self._worker, self._asked is not None
         self._source = self._worker = self._asked = None
         if worker is not None:

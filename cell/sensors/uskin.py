@@ -30,21 +30,21 @@ class UskinBoardConfig(Section):
 class UskinConfig(SensorConfig):
     """Two uSkin boards on the bus of `interface`, `channel` and `bitrate`, without CANopen nodes.
 
-    Of the three axes z is used. The keys for SYNC, heartbeat, force messages and serial numbers are
-    not for them.
+    It uses z of the three axes. The keys for SYNC, heartbeat, force messages and serial numbers do
+    not apply.
     """
 
     kind: Literal["uskin"]
-    """What reads the pads."""
+    """Kind of the device that reads the pads."""
     boards: tuple[UskinBoardConfig, UskinBoardConfig] = (
         UskinBoardConfig(**asdict(messages.xr1944(1))),
         UskinBoardConfig(**asdict(messages.xr1944(2))),
     )
-    """The boards on finger 0 and finger 1; the default are an XR1944 at address 1 and one at 2."""
+    """The boards on finger 0 and finger 1; the default is an XR1944 at address 1 and one at 2."""
     falling: bool = False
     """Whether z falls under a force."""
     zero_frames: int = Field(default=20, ge=8, le=500)
-    """Frames of the zero that is taken before each approach, because z drifts, 8 to 500."""
+    """Frames of the zero before each approach, because z drifts, 8 to 500."""
     on_can = True
     lone_on_can = (
         "uSkin boards use identifiers of CANopen (201h is RPDO1 of node 1, 710h to 71Fh are "

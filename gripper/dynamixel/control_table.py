@@ -1,8 +1,8 @@
 """Control table of the DYNAMIXEL X series as data: address, size and sign.
 
 Source: ROBOTIS e-Manual, pages of XM430-W350, XM430-W210, XL330-M288 and XC330-M288, section
-"Control Table". The addresses are the same on all four. The RH-P12-RN(A) has its RAM items farther
-up; the bus adds that (`gripper.dynamixel.models.ram_shift`).
+"Control Table". The addresses are the same on all four. The RH-P12-RN(A) has its RAM items at
+higher addresses; the bus adds the offset (`gripper.dynamixel.models.ram_shift`).
 """
 
 import struct
@@ -20,9 +20,9 @@ WATCHDOG_UNIT_S = 0.02
 RETURN_DELAY_UNIT_S = 2e-6
 """Time in s of one count of Return Delay Time (register 9)."""
 WATCHDOG_TRIPPED_RAW = -1
-"""Content of Bus Watchdog once it has tripped; writing 0 clears it."""
+"""Content of Bus Watchdog after a trip; writing 0 clears it."""
 TICK_MODULO = 32768
-"""Realtime Tick (register 120) counts ms and begins again at this one."""
+"""Modulo of Realtime Tick (register 120), which counts ms."""
 
 BAUD_CODES: Mapping[int, int] = MappingProxyType(
     {9600: 0, 57600: 1, 115200: 2, 1_000_000: 3, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6}
@@ -35,7 +35,7 @@ class Register:
     """One item of the control table."""
 
     name: str
-    """Name in snake_case after the e-Manual."""
+    """Name in snake_case from the e-Manual."""
     address: int
     size: int
     """First byte and number of bytes (1, 2 or 4), little endian."""
@@ -43,7 +43,7 @@ class Register:
     """True for two's complement."""
     writable: bool = True
     eeprom: bool = False
-    """EEPROM items can be written with torque off only."""
+    """EEPROM items can be written only with torque off."""
 
     @property
     def end(self) -> int:
@@ -52,13 +52,13 @@ class Register:
 
     @property
     def code(self) -> str:
-        """Its code in a layout of `struct`."""
+        """Format code of the item for `struct`."""
         code = {1: "b", 2: "h", 4: "i"}[self.size]
         return code if self.signed else code.upper()
 
     @property
     def bounds(self) -> tuple[int, int]:
-        """Least and largest raw value that fit."""
+        """Least and largest raw value of the item."""
         span = 1 << 8 * self.size
         return (-span // 2, span // 2 - 1) if self.signed else (0, span - 1)
 
@@ -156,14 +156,14 @@ REGISTERS: Mapping[str, Register] = _table(tuple(globals().values()))
 
 
 class RegisterBlock:
-    """Contiguous items, which go over the bus as one block of bytes.
+    """Contiguous items, transferred over the bus as one block of bytes.
 
     Parameters
     ----------
     registers
         The items in the order of their addresses; LimitExceeded when bytes between are undefined.
-        Undefined bytes are read without an error on the wire, yet mean nothing: a block must not
-        span them.
+        Undefined bytes are read without an error on the wire but have no meaning, so a block must
+        not span them.
     """
 
     def __init__(self, *registers: Register) -> None:
@@ -200,9 +200,9 @@ class RegisterBlock:
         try:
             return self._layout.pack(*raws)
         except struct.error:
-            # The item's own error says which one it is.
+            # The error of the item names it.
             return b"".join(r.encode(raw) for r, raw in zip(self._registers, raws, strict=True))
 
 
 PRESENT_BLOCK = RegisterBlock.between(REALTIME_TICK, PRESENT_TEMPERATURE)
-"""Registers 120 to 146: what a servo reports of its present state."""
+"""Registers 120 to 146: the present state of a servo."""

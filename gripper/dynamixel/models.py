@@ -1,4 +1,4 @@
-"""The servo models that a gripper can use: electrical and torque figures, and their registers.
+"""The servo models for a gripper: electrical and torque values, and their registers.
 
 Source: ROBOTIS e-Manual, pages of each model, sections "Specifications" and "Control Table".
 """
@@ -34,7 +34,7 @@ class OperatingMode(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoModel:
-    """One model of the series with the figures that a gripper and its simulation need."""
+    """One model of the series with the values for a gripper and its simulation."""
 
     name: str
     number: int
@@ -49,11 +49,11 @@ class ServoModel:
     """Goal Velocity (register 104) in this mode; above 0 where it limits the speed there."""
     profile_in_current_mode: bool = True
     """Whether Profile Velocity (register 112) limits the speed in this mode; the documents of the
-    330 size list it for modes 3 and 4 alone."""
+    330 size list it for modes 3 and 4 only."""
     ram_shift: int = 0
-    """Addresses of the RAM items beyond those of the X series."""
+    """Offset of the RAM addresses from those of the X series."""
     absent: frozenset[str] = frozenset()
-    """Names of the items of the X series that it does not have."""
+    """Names of the X series' items that the model lacks."""
     factory_mode: OperatingMode = OperatingMode.POSITION
     """Factory value of Operating Mode (register 11)."""
     velocity_unit_rad_s: float = _SLOW_RAD_S
@@ -65,7 +65,7 @@ class ServoModel:
     whole_pwm_raw: int = 885
     """PWM Limit (register 36) at which the whole supply reaches the motor."""
     error_per_pwm: float = 128.0
-    """Position error in counts times Position P Gain that makes one count of PWM."""
+    """Position error in counts times Position P Gain for one count of PWM."""
     current_limit_raw: int
     velocity_limit_raw: int
     """Factory values and upper bounds of registers 38 and 44 (the latter: factory value)."""
@@ -84,18 +84,18 @@ class ServoModel:
     """Torque at the output with rising load: T = kt I - friction."""
     kt_sd: float = KT_SD
     back_emf_sd: float = 0.1
-    """Uncertainty of ``kt_nm_a`` and of its ratio to the back-EMF for a servo that nobody has
-    measured, as a share. [assumed]"""
+    """Uncertainty of ``kt_nm_a`` and of its ratio to the back-EMF for a servo without a
+    measurement, as a share. [assumed]"""
     nominal_voltage_v: float
     stall_torque_nm: float
     stall_current_a: float
     no_load_rad_s: float
-    """Data sheet at the nominal voltage."""
+    """Speed without load at the nominal voltage, from the data sheet."""
     rotor_inertia_kg_m2: float
-    """Inertia of rotor and gears at the output in kg m², estimated: the vendor gives none. The
-    simulated servo moves by it, and the impact of an approach follows from it."""
+    """Inertia of rotor and gears at the output in kg m², estimated: the vendor publishes none. The
+    simulated servo uses it, and the impact of an approach follows from it."""
     torque_source: str
-    """Where kt and friction come from."""
+    """Source of kt and friction."""
 
     def current_raw(self, current_a: float) -> int:
         """Return the counts for a current in A, rounded to the nearest."""
@@ -107,12 +107,12 @@ class ServoModel:
 
     @property
     def slow_rad_s(self) -> float:
-        """Speed in rad/s that counts as none: a count of the X series, or of its own."""
+        """Speed in rad/s that counts as rest: a count of the X series, or of the model."""
         return max(self.velocity_unit_rad_s, _SLOW_RAD_S)
 
     @property
     def turns(self) -> bool:
-        """Whether it may turn by more than a whole turn."""
+        """Whether the model may turn by more than a whole turn."""
         return self.goal_range_raw[1] - self.goal_range_raw[0] > self.pulses_per_turn
 
     @property
@@ -268,17 +268,17 @@ RH_P12_RN_A = ServoModel(
         "fingers press with them together; measure before relying on it"
     ),
 )
-"""A gripper with one servo in it (e-Manual, RH-P12-RN(A)). 3.33 A is its peak current, 0.76 rad/s
-its closing speed of 75 mm/s. Nobody publishes torque constant, friction, inertia or gains: these
-are assumed."""
+"""A gripper with one built-in servo (e-Manual, RH-P12-RN(A)). 3.33 A is its peak current, 0.76
+rad/s its closing speed of 75 mm/s. Torque constant, friction, inertia and gains are unpublished:
+they are assumed."""
 
 _MODELS = {m.name: m for m in (XM430_W350, XM430_W210, XL330_M288, XC330_M288, RH_P12_RN_A)}
 MODELS: Mapping[str, ServoModel] = MappingProxyType(_MODELS)
-"""Models that can limit their current, by name."""
+"""Models with a current limit, by name."""
 
 
 def add_model(model: ServoModel) -> None:
-    """Add a model to `MODELS`. Raises LimitExceeded where another one has its name or number."""
+    """Add a model to `MODELS`. Raises LimitExceeded where another model has its name or number."""
     for other in _MODELS.values():
         if other != model and (other.name == model.name or other.number == model.number):
             raise LimitExceeded(
@@ -299,10 +299,10 @@ WITHOUT_CURRENT_CONTROL = frozenset({"XL430-W250", "XC430-W150", "XC430-W240", "
 
 @cache
 def require_current_control(name: str) -> ServoModel:
-    """Return the model of that name; LimitExceeded when it cannot limit its current.
+    """Return the model with that name; LimitExceeded when it cannot limit its current.
 
-    Grip force is limited through Goal Current (register 102) in current-based position mode;
-    a model without current items cannot grip with a bounded force.
+    Grip force is limited through Goal Current (register 102) in current-based position mode. A
+    model without current items cannot grip with a bounded force.
     """
     model = MODELS.get(name)
     if model is not None:
@@ -337,6 +337,6 @@ _OTHER_MODELS = {
 
 
 def model_name(number: int) -> str:
-    """Return the name of a model number, or the number where it has none here."""
+    """Return the name of a model number, or the number where no name is known."""
     known = {model.number: model.name for model in MODELS.values()} | _OTHER_MODELS
     return known.get(number, f"of model number {number}")

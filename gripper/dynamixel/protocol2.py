@@ -1,7 +1,7 @@
 """DYNAMIXEL Protocol 2.0: packets as pure functions, and the SDK's packet handler made strict.
 
-Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". The SDK computes length and CRC before it
-stuffs; here both cover the stuffed bytes, and the CRC is checked before a packet is unstuffed.
+Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". The SDK computes length and CRC before byte
+stuffing; here both cover the stuffed bytes, and the CRC is checked before a packet is unstuffed.
 """
 
 from collections.abc import Sequence
@@ -31,14 +31,14 @@ _HIGHEST_ID_BYTE = 0xFE
 _CRC_SIZE = 2
 """Bytes of the CRC at the end of a packet."""
 _LONGEST_LENGTH = 1024
-"""Longest accepted length field: the answers here are below 300 bytes, and a damaged length must
+"""Longest accepted length field. The answers here are below 300 bytes, and a damaged length must
 not hide the next packet."""
 _READ_AHEAD = 256
-"""Bytes per read: answers that came together are read together."""
+"""Bytes per read: answers that arrived together are read together."""
 _CRC_TABLE = tuple(Protocol2PacketHandler().updateCRC(0, (byte,), 1) for byte in range(256))
-"""The SDK's own table; its method makes it anew with every call."""
+"""The SDK's own table; its method calculates it again with every call."""
 _SHOWN_BYTES = 16
-"""Dropped bytes kept for an error message: a header and what follows it."""
+"""Dropped bytes kept for an error message: a header and the following bytes."""
 
 
 class Instruction(IntEnum):
@@ -94,7 +94,7 @@ def packet_length(buffer: bytes | bytearray) -> int | None:
 
 
 def parse_status(packet: bytes) -> StatusPacket | None:
-    """Return the content of a whole packet; None for an instruction (an echo of our own)."""
+    """Return the content of a whole packet; None for an instruction (an echo of a request)."""
     body = unstuff(packet[_BODY_AT:-_CRC_SIZE])
     if len(body) < 2 or body[0] != STATUS_INSTRUCTION:
         return None
@@ -117,7 +117,7 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
         super().__init__()
         self.dropped_bytes = 0
         self.dropped_head = b""
-        """Number of bytes that the last `receive` passed over, and the first of them."""
+        """Number and first bytes of the data that the last `receive` dropped."""
         self._following = bytearray()
 
     def send(self, port: SdkPort, servo_id: int, instruction: int, params: bytes) -> None:
@@ -128,12 +128,12 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
     def receive(self, port: SdkPort) -> StatusPacket | None:
         """Return the next status packet with a correct CRC; None at the port's time-out.
 
-        On a line with bytes without a pause the wait ends one longest packet after the time-out.
-        Bytes that came while the program was stopped are still read once.
+        If bytes arrive without a pause, the wait ends one longest packet after the time-out. Bytes
+        that arrived while the program was stopped are still read once.
         """
         looked_late = False
         self.dropped_bytes, self.dropped_head = 0, b""
-        # More bytes than one packet may have been read: the next one is among them.
+        # More bytes than one packet may have been read: they contain the next one.
         buffer, self._following = self._following, bytearray()
         while True:
             missing = self._missing(buffer)
@@ -157,7 +157,7 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
                 self._skip(buffer)
 
     def txPacket(self, port: SdkPort, txpacket: Sequence[int]) -> int:  # noqa: N802
-        """Send a packet whose header, length and CRC are still to be filled in."""
+        """Send a packet after its header, length and CRC are filled in."""
         return self._transmit(port, txpacket[_ID_AT], bytes(txpacket[_BODY_AT:-_CRC_SIZE]))
 
     def _transmit(self, port: SdkPort, servo_id: int, body: bytes) -> int:
@@ -183,7 +183,7 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
         return crc
 
     def _missing(self, buffer: bytearray) -> int:
-        """Return how many bytes the packet at the start still lacks; drops what starts none."""
+        """Return the number of missing bytes of the first packet; drops bytes before it."""
         while True:
             whole = packet_length(buffer)
             if whole == 0:

@@ -1,8 +1,8 @@
-"""Identification of a servo's drive from what it does: pure functions, no clock and no bus.
+"""Identification of a servo's drive from its motion: pure functions, without clock and bus.
 
-Free motion shows friction in amperes, and with its voltages the back-EMF. Fingers that press on
-each other, one locked by its friction and the other one moved slowly, show amperes for each N m.
-Neither shows the motor constant and the gain of the pads apart: the back-EMF is the anchor.
+Free motion gives the friction in A and, with its voltages, the back-EMF. Fingers that press on each
+other give A for each N m: friction locks one, the other one moves slowly. Neither separates the
+motor constant from the gain of the pads: the back-EMF is the reference.
 """
 
 from collections.abc import Sequence
@@ -16,44 +16,44 @@ from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
 
 _SHAPES = ((2.5, 1.0), (2.5, 0.8), (2.0, 1.5), (2.5, 2.0), (2.9, 4.0), (2.9, 8.7), (1.0, 1.0))
-"""Speeds in rad/s and exponents of Stribeck's term that are tried: those of the gearings that were
-identified (arXiv 2410.08650), and between."""
+"""Pairs of Stribeck speed in rad/s and exponent that are tried: those of identified gearings (arXiv
+2410.08650), and values between."""
 _STRIBECK_SD, _VISCOUS_SD_S, _OFFSET_SD = 0.4, 0.15, 0.05
-"""Standard deviations of Stribeck's term, of the viscous one for 1 rad/s and of the offset before
-any of them was measured, as shares of the friction. [assumed]"""
+"""Standard deviations before a measurement, as shares of the friction: of Stribeck's term, of the
+viscous one for 1 rad/s and of the offset. [assumed]"""
 _POINT_SD = 0.02
-"""Error of the current of one free motion that its length does not lessen, as a share: teeth,
+"""Error of the current of one free motion that a longer motion does not reduce, as a share: teeth,
 temperature, acceleration. [assumed]"""
 LEAST_FRICTION_SD, _LEAST_LOAD_SD = 0.05, 0.02
-"""Least uncertainty of a measured friction, which wanders from one motion to the next, and of
-amperes for each N m. [assumed]"""
+"""Least uncertainty of a measured friction, which varies between motions, and of A for each N m.
+[assumed]"""
 _CHANGE_SD = 0.1
 """Spread of the friction of one servo within a day, as a share: grease that warms. [assumed]"""
 _UNPRESSED_SD = 0.12
-"""Least uncertainty of the amperes for each N m that follow from the back-EMF alone. [assumed]"""
+"""Least uncertainty of A for each N m when it follows from the back-EMF alone. [assumed]"""
 _LOSS_SD = 0.1
-"""Uncertainty of the losses of a gearing by the relation of both slopes: 0.04 to 0.15 off for four
-identified ones (arXiv 2410.08650). [vendor]"""
+"""Uncertainty of the losses of a gearing from the ratio of both slopes. Four identified gearings
+differ by 0.04 to 0.15 (arXiv 2410.08650). [vendor]"""
 _WEIGHED_SD = 0.05
-"""Uncertainty of a motor constant that weights on the pads have shown: scale, friction that grows
-with the load. [assumed]"""
+"""Uncertainty of a motor constant measured by weights on the pads: scale, friction that grows with
+the load. [assumed]"""
 _VOLTAGE_SD_V, _RESISTANCE_SD = 0.02, 0.15
-"""Error of a voltage in V, and spread of the winding's resistance as a share: it grows by 20 % with
-50 K. [assumed]"""
+"""Error of a voltage in V, and spread of the winding's resistance as a share: 50 K add 20 %.
+[assumed]"""
 _BLOCKS, _LEAST_BLOCKS = 30, 6
 """Parts of the points of a load whose means are taken, and fewest of these in a line. [tuned]"""
 _LOCKED, _ENDS = 0.25, 0.05
-"""Shares of the way of the load that are left out after a turn, and before the next. [tuned]"""
+"""Shares of the load's way that are left out after a turn, and before the next one. [tuned]"""
 _ALIKE = 2.0
-"""By so much more than their scatter the means of neighbouring parts are off together. [tuned]"""
+"""Factor for the common error of neighbouring parts' means, over their scatter. [tuned]"""
 _FALLING_BASE = (0.7, 0.4)
-"""Breakaway of a falling load over that of a rising one, and its uncertainty: 0.3 to 1 for gearings
-that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]"""
+"""Breakaway of a falling load over that of a rising one, and its uncertainty. It is 0.3 to 1 for
+gearings that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]"""
 _SUREST = {True: 0.1, False: 0.25}
-"""Largest uncertainty of a slope that counts, as a share, where the load rises (True) and falls:
-without a line the load counts as falling like it rises, up to three times wrong. [chosen]"""
+"""Largest uncertainty of a slope that counts, as a share, where the load rises (True) and falls.
+Without a line it falls as it rises, up to three times wrong. [chosen]"""
 _LEAST_SPAN = 1.5
-"""Least ratio of the speeds that show resistance and back-EMF apart."""
+"""Least ratio of speeds that separates resistance and back-EMF."""
 _OUTLIER_SIGMAS = 2.5
 """Points farther from a line, in standard deviations, are left out once."""
 
@@ -66,7 +66,7 @@ class FreePoint(NamedTuple):
     sd_a: float
     """Standard deviation of the mean current in A."""
     voltage_v: float | None = None
-    """Voltage that the servo has put on its motor; None: not known."""
+    """Voltage that the servo has put on its motor; None: unknown."""
 
 
 class LoadPoint(NamedTuple):
@@ -77,15 +77,15 @@ class LoadPoint(NamedTuple):
 
 
 def fit_friction(points: Sequence[FreePoint], before: DriveCharacteristic) -> DriveCharacteristic:
-    """Return a characteristic with the friction that free motions show.
+    """Return a characteristic with the friction of free motions.
 
     Parameters
     ----------
     points
-        Free motions; four speeds or more in both directions, one at 0.3 rad/s or slower, show
-        all of it. What they leave open is as it was.
+        Free motions. Four speeds or more in both directions, one at 0.3 rad/s or slower, determine
+        all terms. Undetermined terms stay as they were.
     before
-        What was known, as a prior with its uncertainty.
+        Earlier characteristic, a prior with its uncertainty.
     """
     if not points:
         return before
@@ -142,14 +142,14 @@ def fit_load(
 ) -> DriveCharacteristic:
     """Return a characteristic with amperes for each N m, and with the breakaway.
 
-    Points, in the order of time, must be those of a servo that moves: it alone, slowly, while the
-    other one stands. A direction that shows too little stays as it was; the friction before is a
+    Points, in the order of time, must be those of a moving servo: it alone moves, slowly, while the
+    other one stands. A direction with too little data stays as it was. The earlier friction is a
     prior with its uncertainty.
     """
     up, down = _line(rising, before, rises=True), _line(falling, before, rises=False)
     if up is None:
         return before
-    # Where the gearing gives way it needs no more than where it drives.
+    # A gearing needs no more current to yield than to drive.
     relief = before.falling_a_nm / before.rising_a_nm if down is None else down.slope / up.slope
     return replace(
         before,
@@ -161,10 +161,10 @@ def fit_load(
 
 
 def fit_back_emf(points: Sequence[FreePoint], model: ServoModel) -> float | None:
-    """Return the back-EMF of free motions in V for each rad/s; None where they do not show it.
+    """Return the back-EMF of free motions in V for each rad/s; None where they do not determine it.
 
-    The voltage on the motor is that of its winding, R i, and the back-EMF. R is the model's, but
-    for its uncertainty.
+    The voltage on the motor is the sum of the winding's, R i, and the back-EMF. R is that of the
+    model, within its uncertainty.
     """
     known = [point for point in points if point.voltage_v is not None]
     speeds = [abs(point.speed_rad_s) for point in known]
@@ -173,7 +173,7 @@ def fit_back_emf(points: Sequence[FreePoint], model: ServoModel) -> float | None
     resistance_ohm = model.nominal_voltage_v / model.stall_current_a
     sd_v = [hypot(_VOLTAGE_SD_V, resistance_ohm * point.sd_a) for point in known]
     rows = [(point.current_a, point.speed_rad_s, point.voltage_v) for point in known]
-    # What is known of the resistance is a row too.
+    # The known resistance is a row too.
     rows, sd_v = [*rows, (1.0, 0.0, resistance_ohm)], [*sd_v, _RESISTANCE_SD * resistance_ohm]
     whole = np.array(rows, dtype=np.float64) / np.array(sd_v)[:, None]
     found = np.linalg.lstsq(whole[:, :2], whole[:, 2], rcond=None)[0]
@@ -183,12 +183,11 @@ def fit_back_emf(points: Sequence[FreePoint], model: ServoModel) -> float | None
 def anchored(
     drive: DriveCharacteristic, model: ServoModel, back_emf_v_s: float
 ) -> DriveCharacteristic:
-    """Return a characteristic whose motor constant follows the back-EMF, and no pad.
+    """Return a characteristic whose motor constant follows the back-EMF and no pad.
 
-    A magnet that is weaker makes less torque and less back-EMF, in the same share. A gearing that
-    loses more than the model's graph has shows that: its load then falls at far less current than
-    it rises at, whatever the pads' gain is. A motor constant that is known better, by the config,
-    stays.
+    A weaker magnet reduces torque and back-EMF by the same share. Higher gearing losses than in the
+    model's graph are visible: the load falls at far less current than it rises at, for any gain of
+    the pads. A better known motor constant from the config stays.
     """
     ratio, sd = drive.kt_per_back_emf, _WEIGHED_SD
     if ratio is None:
@@ -196,7 +195,7 @@ def anchored(
         idle_v = resistance_ohm * model.friction_nm / model.kt_nm_a
         expected_v_s = (model.nominal_voltage_v - idle_v) / model.no_load_rad_s
         ratio, sd = model.kt_nm_a / expected_v_s, model.back_emf_sd
-        # Of a motor that makes as much as its back-EMF, with equal losses both ways.
+        # Ratio of a motor with equal torque and back-EMF constants, and equal losses both ways.
         kept = (drive.falling_a_nm / drive.rising_a_nm) ** 0.5
         if kept < ratio:
             ratio, sd = kept, hypot(sd, _LOSS_SD)
@@ -216,7 +215,7 @@ def anchored(
 def weighed(drive: DriveCharacteristic) -> DriveCharacteristic:
     """Return a characteristic whose motor constant is that of its load, by pads under weights.
 
-    From now on its back-EMF keeps that constant, and pads that change contradict it.
+    After this its back-EMF keeps that constant, and pads that change contradict it.
     """
     if drive.back_emf_v_s is None or drive.load_sd >= _UNPRESSED_SD:
         return drive
@@ -226,7 +225,7 @@ def weighed(drive: DriveCharacteristic) -> DriveCharacteristic:
 
 
 def change(point: FreePoint, drive: DriveCharacteristic) -> float:
-    """Return the friction of a free motion over the expected one where that is implausible, else 1.
+    """Return the friction of a free motion over the expected one if implausible, else 1.
 
     Only a measured friction can be contradicted.
     """
@@ -246,7 +245,7 @@ class _Line(NamedTuple):
 
 
 def _line(points: Sequence[LoadPoint], before: DriveCharacteristic, *, rises: bool) -> _Line | None:
-    """Return the line of a servo whose load rises or falls; None where the points show none."""
+    """Return the line of a servo whose load rises or falls; None where the points give no line."""
     size = max(1, len(points) // _BLOCKS)
     n_blocks = len(points) // size
     if n_blocks < _LEAST_BLOCKS:
@@ -254,11 +253,11 @@ def _line(points: Sequence[LoadPoint], before: DriveCharacteristic, *, rises: bo
     # The noise of single loads would make the line too flat.
     blocks = np.array(points[: n_blocks * size]).reshape(n_blocks, size, 2).mean(axis=1)
     low, high = blocks[:, 0].min(), blocks[:, 0].max()
-    # Where the direction has turned, friction locks the finger.
+    # After a turn of the direction, friction locks the finger.
     least, most = (_LOCKED, 1.0 - _ENDS) if rises else (_ENDS, 1.0 - _LOCKED)
     way = (blocks[:, 0] - low) / max(high - low, 1e-9)
     blocks = blocks[(way >= least) & (way <= most)]
-    # Below 0 A the motor drives the load away, and its own losses turn round.
+    # Below 0 A the motor drives the load away, and its own losses change their sign.
     holding = blocks[blocks[:, 1] > 0.0]
     load, current = (holding if len(holding) >= _LEAST_BLOCKS else blocks).T
     if len(load) < _LEAST_BLOCKS:

@@ -4,10 +4,10 @@ Motor and finger, seen at the pad, are a mass that meets a spring, the foam of t
 
     peak force = drive + speed * sqrt(stiffness * mass)
 
-The drive is what the goal current presses with once friction is overcome. No sample of the pads
-enters: on a hard part the impact is over in pi / 2 * sqrt(mass / stiffness), 12 ms as the defaults
-are, before a sample of the touch, the period that it waits for and the rise of a current have
-passed. What stops the finger in time is that it is slow enough when it touches.
+The goal current presses with the drive once friction is overcome. Samples of the pads are not used.
+On a hard part the impact is over in pi / 2 * sqrt(mass / stiffness), 12 ms with the defaults. This
+is before a sample of the touch, the period that it waits for and the rise of a current. Fingers
+stop in time because they are slow enough when they touch.
 """
 
 from collections.abc import Sequence
@@ -22,24 +22,24 @@ from gripper.settings import GripperSettings
 from gripper.values.state import STANDING_M_S
 
 _KEPT_FREE_SHARE = 0.1
-"""Share of the cap that is left free: inertia, torque and foam differ from their figures.
+"""Share of the cap that is left free: inertia, torque and foam differ from their nominal values.
 [chosen]"""
 _FINGER_KG_M2 = 2e-4
-"""Inertia of a finger and its link about the servo's axis in kg m²: 55 g at 60 mm, assumed. That of
-the motor behind its gears is 6 to 60 times as large. [assumed]"""
+"""Inertia of a finger and its link about the servo's axis in kg m²: 55 g at 60 mm, assumed. The
+motor's inertia behind its gears is 6 to 60 times as large. [assumed]"""
 _SMALL_PART_M = 4e-4
-"""Twice the energy over the force that a pad takes in under the smallest parts, in m: foam of 3 mm
-under spheres and edges of 1 to 10 mm, at 15 to 50 N (simulated foam). A small part is soft at first
-and then meets the bottom; up to 22 N a flat one on the whole of the default pads is the harder.
+"""Twice the energy over the force that a pad absorbs under the smallest parts, in m. Foam of 3 mm
+was under spheres and edges of 1 to 10 mm, at 15 to 50 N (simulated foam). A small part is soft at
+first and then meets the bottom. Up to 22 N a flat part on the whole default pads is harder.
 [simulated]"""
 _STOOD_SHARE = 1.1
-"""Current that a finger may have over the one that it has stood still at. [chosen]"""
+"""Largest current of a finger over the current at which it stood still. [chosen]"""
 SLOWEST_M_S = 2.0 * STANDING_M_S
-"""Least rate of the opening in m/s of an approach: twice that below which the fingers count as
+"""Least rate of the opening in m/s of an approach: twice the rate below which the fingers count as
 standing."""
 
 _GOAL_PERIODS = 1.5
-"""Periods from a position to the goal that is made of the one after, on average at the worst.
+"""Worst average number of periods from a position to the goal calculated from the next one.
 [chosen]"""
 CURRENT_S = 0.003
 """Time constant in s of a servo's current. [assumed]"""
@@ -49,18 +49,18 @@ _SLOWED_TIMES = 2.0
 
 
 class ImpactLimit(NamedTuple):
-    """Speed of closing fingers whose momentum the cap of the force allows."""
+    """Largest speed of closing fingers whose momentum stays below the cap of the force."""
 
     most_n: float
-    """Force in N that a peak may reach: the cap less what is left free."""
+    """Largest force in N of a peak: the cap less the free share."""
     drive_n: float
-    """Force in N that the current of an approach may press with."""
+    """Force in N of the current of an approach."""
     mass_kg: float
-    """Moving mass of a finger, with the motor's behind its gears, as it is at the pad."""
+    """Moving mass of a finger at the pad, with the motor's behind its gears."""
     momentum_n_s_m: float
     """Force in N that the moving mass adds for each m/s of a pad."""
     load_share: float
-    """Largest plausible force of a drive over the one that is meant."""
+    """Largest plausible force of a drive over the nominal one."""
 
     def pad_speed_m_s(self, force_n: float | None = None) -> float:
         """Return the largest speed of a pad in m/s, with a force in N on it or before the touch."""
@@ -71,7 +71,7 @@ class ImpactLimit(NamedTuple):
 def impact_limit(
     settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float] | None = None
 ) -> ImpactLimit:
-    """Return how fast fingers may close under the cap of the force.
+    """Return the limit of closing fingers under the cap of the force.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def impact_limit(
         try:
             currents_a = motion_currents_a(settings, paths, settings.approach_force_n)
         except LimitExceeded:
-            # Less than moves the fingers: whoever moves them refuses it.
+            # A current below friction moves no finger: the caller of a motion refuses it.
             currents_a = [settings.current_max_a] * len(paths)
         fingers = 2 / len(paths)
         for servo, path, current_a in zip(settings.servos, paths, currents_a, strict=True):
@@ -116,8 +116,8 @@ def closing_current_max_a(
 ) -> float:
     """Return the current in A with which a closing finger presses with less than the cap.
 
-    A servo that was never measured may need more to move at all. What an untouched finger has stood
-    still at, ``stood_a``, is friction; one as in the catalogue may not pass the cap even so.
+    A servo that was never measured may need more to move at all. An untouched finger that stood
+    still at ``stood_a`` shows its friction. With the catalogue friction the cap holds even so.
     """
     most_n = _most_n(settings)
     by_force_a = path.pressing_current_a(most_n)
@@ -135,7 +135,7 @@ def approach_speed_m_s(
 ) -> float:
     """Return the rate of the opening in m/s of an approach at an angle of each servo in rad.
 
-    ``travelling`` is True where no part has begun so far; one that does is met below the cap too.
+    ``travelling`` is True before a part is expected; the force on a part stays below the cap too.
     """
     wanted_m_s = settings.approach_speed_m_s
     if travelling:
@@ -146,7 +146,7 @@ def approach_speed_m_s(
 def closing_speed_m_s(
     settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float]
 ) -> float:
-    """Return the largest rate of the opening in m/s of fingers that close, whatever is wanted."""
+    """Return the largest rate of the opening in m/s of closing fingers, for any commanded rate."""
     # Each of the fingers closes at half the rate of the opening.
     allowed_m_s = 2.0 * impact_limit(settings, linkage, angles_rad).pad_speed_m_s()
     return max(allowed_m_s, SLOWEST_M_S)
@@ -162,9 +162,9 @@ def slowing_way_m(
 ) -> float:
     """Return the change of the opening in m in which closing fingers slow down.
 
-    The goal of a servo is drawn back to the lead of the lower speed. Until that acts the fingers
-    go on; then the position controller, whose force falls with the speed as the voltage that the
-    motor makes, brings the moving mass to it with a time constant.
+    The goal of a servo is moved back to the lead of the lower speed. Until this acts, the fingers
+    go on. Then position control brings the moving mass to that speed with a time constant. Its
+    force falls with the speed, as the back-EMF rises.
     """
     if to_m_s >= from_m_s:
         return 0.0

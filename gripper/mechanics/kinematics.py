@@ -1,7 +1,7 @@
 """Linkage between servos and fingers: angle <-> aperture, current <-> grip force.
 
-Angles are counted from the zero of each servo and grow while the gripper opens. Grip force is
-the normal force on one finger; both fingers carry the same one in equilibrium.
+Angles are counted from the zero of each servo and grow while the gripper opens. Grip force is the
+normal force on one finger; in equilibrium both fingers carry the same force.
 """
 
 from collections.abc import Sequence
@@ -36,10 +36,9 @@ class Linkage(Protocol):
 
 
 _FRICTION_RESERVE = 1.2
-"""Friction at rest over friction in motion: what a finger needs to break away. [assumed]"""
+"""Friction at rest over friction in motion, which a finger must overcome to move. [assumed]"""
 MOST_FRICTION = 1.6
-"""Friction of a gearing over its model's, at most: what is more is something else that brakes.
-[assumed]"""
+"""Largest friction of a gearing over its model's. A larger value has another cause. [assumed]"""
 
 
 def _check_count(n_servos: int, angles_rad: Sequence[float]) -> None:
@@ -51,7 +50,7 @@ def _check_count(n_servos: int, angles_rad: Sequence[float]) -> None:
 class ParallelLinkage:
     """Rotary fingers on a parallelogram, so that the pads stay parallel.
 
-    Half opening = link_m * sin(angle) + offset_m; by virtual work a grip force F on a finger is a
+    Half opening = link_m * sin(angle) + offset_m. By virtual work a grip force F on a finger is a
     torque of F * link_m * cos(angle), twice that where one servo drives both.
     """
 
@@ -147,7 +146,7 @@ class RackPinion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OneFinger:
-    """One finger of a linkage with a servo for each, as if the other were its mirror image."""
+    """One finger of a linkage with a servo for each, with the other as its mirror image."""
 
     linkage: Linkage
     """The whole linkage."""
@@ -188,13 +187,13 @@ def _check_n_servos(n_servos: int) -> None:
 class Transmission(NamedTuple):
     """Relation of servo current and grip force at one position, with the friction of the gearing.
 
-    The torque at rest may lie anywhere in a band: while the force rises the motor works against
-    friction, while it falls friction helps. Forces of a drive are those that its current would
+    The torque at rest may lie anywhere in a band: the motor works against friction while the force
+    rises, and friction helps while it falls. Forces of a drive are those that its current would
     make of a rising load without friction.
     """
 
     drive: DriveCharacteristic
-    """Of the servo."""
+    """Drive of the servo."""
     radius_m: float
     """Torque of the servo for a grip force of 1 N, in N m / N."""
 
@@ -210,7 +209,7 @@ class Transmission(NamedTuple):
 
     @property
     def relief(self) -> float:
-        """Force that falls at a drive over the one that rises at it, friction without load aside.
+        """Ratio of falling to rising force at a drive, without the friction at no load.
 
         1 where the gearing's friction does not grow with the load.
         """
@@ -255,7 +254,7 @@ def transmissions(
 
 
 def end_transmissions(settings: GripperSettings, linkage: Linkage) -> list[Transmission]:
-    """Return the transmissions of all servos at both ends of the way, one of which is the worst."""
+    """Return the transmissions of all servos at both ends of the way; one of them is the worst."""
     return [
         path
         for aperture_m in (settings.aperture_min_m, settings.aperture_open_m)
@@ -269,7 +268,7 @@ def mean_friction_n(paths: Sequence[Transmission]) -> float:
 
 
 def driving_n(state: ServoFeedback, paths: Sequence[Transmission]) -> float:
-    """Return the driving force in N that the measured currents make, friction left aside."""
+    """Return the driving force in N of the measured currents, without friction."""
     return sum(
         -servo.current_a * path.n_per_a for servo, path in zip(state.servos, paths, strict=True)
     ) / len(paths)
@@ -278,10 +277,10 @@ def driving_n(state: ServoFeedback, paths: Sequence[Transmission]) -> float:
 def motion_currents_a(
     settings: GripperSettings, paths: Sequence[Transmission], force_n: float
 ) -> list[float]:
-    """Return the current in A that moves each finger freely and presses with so many N at most.
+    """Return the current in A that moves each finger freely and presses with at most ``force_n``.
 
-    Friction enters with a reserve for breaking away, as far as the cap of the current has one;
-    LimitExceeded when that does not even allow the friction.
+    Friction is included, with a reserve for breakaway up to the cap of the current. Raises
+    LimitExceeded when the cap is too low for the friction.
     """
     least_a = max(path.loading_current_a(force_n) for path in paths)
     if least_a > settings.current_max_a:

@@ -1,4 +1,4 @@
-"""Feedback of the servos of one gripper in SI units, checked for being new and possible."""
+"""Feedback of the servos of one gripper in SI units, checked to be new and possible."""
 
 from math import pi
 from typing import NamedTuple
@@ -25,38 +25,38 @@ from gripper.values.state import ServoFeedback, ServoState
 _TICK_S = 1e-3
 """One count of Realtime Tick (register 120) in s."""
 _TICK_LAG_S = 0.002
-"""Age in s from which on an answer is an old one: the resolution of the tick, and as much again."""
+"""Age in s from which an answer counts as old: twice the resolution of the tick."""
 _TICK_LEAD_S = 0.004
-"""Tolerance in s of the progress of a tick: its resolution, and the age of the answer before."""
+"""Tolerance in s of the progress of a tick: its resolution, and the age of the previous answer."""
 _TICK_RATE_ERROR = 0.03
-"""Tolerance of the rate of a servo's clock, for which the e-Manual gives no figure."""
+"""Tolerance of the rate of a servo's clock; the e-Manual gives no value."""
 _LEAST_RATE, _LARGEST_RATE = 1.0 / (1.0 + _TICK_RATE_ERROR), 1.0 / (1.0 - _TICK_RATE_ERROR)
-"""Seconds of the host that may pass in a second of a servo."""
+"""Possible ratios of the host's time to a servo's time: least and largest."""
 _TICK_RATE_TIME_S = 5.0
-"""Time in s over which the rate of a servo's clock is measured at least, once it runs so long: an
-error of the ends by 5 ms makes 0.1 % of it."""
+"""Shortest time in s over which the rate of a servo's clock is measured, once it has run so long.
+An error of 5 ms at the ends is 0.1 % of it."""
 _TICK_PAUSE_S = 0.1
-"""Pause in s after which a tick is bounded by the tolerance of the clock alone."""
+"""Pause in s after which the tolerance of the clock alone bounds a tick."""
 _TICK_LONGEST_S = 10.0
-"""Pause in s after which ticks are not compared: less than the 32.8 s of the modulo."""
+"""Pause in s after which ticks are not compared. It is shorter than the modulo of 32.8 s."""
 _TICK_LATEST_S = 0.5
-"""A tick that is back by less is an old answer; one that is back by more is a restarted servo."""
+"""Limit in s for a tick that goes back: less is an old answer, more is a restarted servo."""
 
 _SPEED_RESERVE = 1.5
-"""Fastest motion of a finger in multiples of the no-load speed: supply above nominal, backlash."""
+"""Fastest motion of a finger in multiples of the no-load speed: higher supply voltage, backlash."""
 _LEAP_RAD = 0.05
-"""Motion in rad that is possible beside that: noise of the encoder, time of the reading."""
+"""Possible motion in rad in addition to it: noise of the encoder, time of the reading."""
 _LEAP_LONGEST_S = 0.5
-"""Pause in s after which two positions are not compared: a finger may have been moved by hand."""
+"""Pause in s after which two positions are not compared: a person may have moved a finger."""
 _BEYOND_CLOSED_RAD, BEYOND_CLOSED_M = 0.08, 0.004
-"""How far a finger may stand beyond closed, in rad or in m of the opening if that is more: pads
-give, fingers bend, and a zero is set by hand."""
+"""Limit for a finger beyond closed, in rad, or in m of the opening if that is more. Pads give,
+fingers bend, and the zero is set by hand."""
 _BEYOND_OPEN_RAD = 0.5
-"""How far in rad a finger may stand beyond its widest opening: it may have been moved by hand."""
+"""Limit in rad for a finger beyond its widest opening: a person may have moved it."""
 _CURRENT_RESERVE = 1.5
-"""Largest possible current in multiples of its cap, and of the stall current: regulation, noise."""
+"""Largest possible current in multiples of its cap and of the stall current: regulation, noise."""
 _CURRENT_MORE_A = 0.3
-"""What is added to the multiple of the cap in A: at a low cap the regulation overshoots by more."""
+"""Current in A added to the multiple of the cap: at a low cap the regulation overshoots by more."""
 
 _ADVICE = (
     "where the finger is, is unknown, so the torque is switched off and a held part possibly "
@@ -70,7 +70,7 @@ class Feedback:
     Parameters
     ----------
     health
-        Asked for the torque where a servo seems to have restarted.
+        Checks the torque where a servo seems to have restarted.
     """
 
     def __init__(
@@ -93,12 +93,12 @@ class Feedback:
         self._ticks = TickWatch()
         self._plausible = FeedbackCheck(settings, linkage)
         self.strayed = self._plausible.strayed
-        """Servos whose position has leapt or left its range, and by what that was seen; until they
-        are restarted where their fingers are is unknown."""
+        """Servos whose position has leapt or left its range, with the reason. Where their fingers
+        are is unknown until they are restarted."""
 
     @property
     def off_by_turns(self) -> bool:
-        """Whether a servo counts in another turn than that of its zero; no reading, no turns."""
+        """Whether a servo counts in another turn than its zero; False without a reading."""
         return any(self._turns.values())
 
     def read(self, *, under_torque: bool) -> ServoFeedback:
@@ -106,7 +106,7 @@ class Feedback:
 
         Raises BusTimeout or BusCorrupt when an answer is missing, damaged or older than the
         request. Raises ServoFault when a servo has restarted under torque. Raises
-        FeedbackImplausible when a servo under torque reports what cannot be.
+        FeedbackImplausible when a servo under torque reports impossible values.
 
         Parameters
         ----------
@@ -120,7 +120,7 @@ class Feedback:
             problem = self._ticks.check(servo_id, raw[REALTIME_TICK.name], sent_s, now_s)
             if problem is not None:
                 try:
-                    # An old answer has another length: it cannot pass for this one.
+                    # An old answer has another length, so it cannot pass for this one.
                     if under_torque:
                         self._health.check_torque(servo_id)
                 finally:
@@ -135,7 +135,7 @@ class Feedback:
         return self.last
 
     def forget(self) -> None:
-        """Compare the next feedback with none before it: servos were restarted or switched off."""
+        """Compare the next feedback with no earlier one: servos were restarted or switched off."""
         self._turns.clear()
         self._ticks.forget()
         self._plausible.forget()
@@ -144,7 +144,7 @@ class Feedback:
         model, position_raw = servo.servo_model, raw[PRESENT_POSITION.name]
         turned_raw = position_raw - servo.zero_raw
         # A multi-turn count may be off by whole turns; linkages turn by -90 to 270 degrees. Under
-        # torque it cannot lose or gain one: what does is no motion, and must show.
+        # torque it cannot lose or gain a turn: a change of a turn is an error and must be found.
         middle_raw = servo.direction * model.pulses_per_turn // 4
         turns = self._turns.setdefault(
             servo.servo_id, round((turned_raw - middle_raw) / model.pulses_per_turn)
@@ -190,21 +190,21 @@ class Feedback:
 class TickWatch:
     """Comparison of each servo's tick (register 120) with the host's clock.
 
-    An answer that was made before its request is an old answer taken for a new one; a tick that
-    has jumped is a servo that has started anew.
+    An answer made before its request is an old answer. A tick that has jumped shows that the servo
+    has restarted.
     """
 
     def __init__(self) -> None:
         self._clocks: dict[int, TickClock] = {}
 
     def forget(self) -> None:
-        """Compare the next tick with none before it, after servos were restarted on purpose."""
+        """Compare the next tick with no earlier one, after servos were restarted on purpose."""
         self._clocks.clear()
 
     def check(
         self, servo_id: int, tick_ms: int, sent_s: float, received_s: float
     ) -> BusCorrupt | None:
-        """Return what is wrong with an answer, None when it is new.
+        """Return the problem of an answer, None when it is new.
 
         Parameters
         ----------
@@ -238,13 +238,13 @@ class TickWatch:
 
 
 class TickClock:
-    """Latest host's time at which a servo's tick can have been reached, from its answers so far.
+    """Latest possible time of a servo's tick on the host's clock, from its answers so far.
 
-    An answer was made before it was received: the least difference between host and tick so far,
-    carried on with the largest possible rate, bounds the age of every later answer. The rate is
-    bounded by the tolerance of a servo's clock at first, and soon by what the ticks of the last
-    seconds allow; a drift is followed so. While answers are refused as old the most likely rate
-    is taken instead: a lag that lasts is not accepted after a while.
+    An answer is made before it is received. The least difference between host and tick so far,
+    continued at the largest possible rate, bounds the age of each later answer. At first the
+    tolerance of a servo's clock bounds the rate, later the ticks of the last seconds. This follows
+    a drift. While answers are refused as old, the most likely rate is used, so a lasting lag is
+    never accepted.
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ class TickClock:
 
     def __init__(self, tick_ms: int, sent_s: float, received_s: float) -> None:
         self.sent_s = sent_s
-        """Host's time before the last request that was answered in time."""
+        """Host's time before the last request with a timely answer."""
         self._tick = tick_ms
         self._tick_s = 0.0
         self._latest_s = received_s
@@ -265,9 +265,9 @@ class TickClock:
         self._mark = self._next_mark = TickMark(0.0, sent_s, received_s)
 
     def passed_s(self, tick_ms: int) -> float:
-        """Return the progress of the tick since the last answer in s; negative where it is back."""
+        """Return the progress of the tick since the last answer in s; negative if it went back."""
         passed_s = ((tick_ms - self._tick) % TICK_MODULO) * _TICK_S
-        # A tick slightly back is a lag, not a turn of the modulo; one far back is a restart.
+        # A tick slightly back is a lag, not a turn of the modulo. One far back is a restart.
         back = passed_s > TICK_MODULO * _TICK_S - _TICK_LATEST_S
         return passed_s - TICK_MODULO * _TICK_S if back else passed_s
 
@@ -275,14 +275,14 @@ class TickClock:
         """Return the latest host's time of a tick in s, by its progress since the last answer."""
         rate = self._rate
         if passed_s > _TICK_PAUSE_S:
-            # What is older than a pause needs no sharp bound.
+            # After a pause the bound need not be sharp.
             return self._latest_s + passed_s * _LARGEST_RATE
         if self._refused:
             rate = self._mark.rate(self._tick_s, self._latest_s - self._mark.latest_s + _TICK_S)
         return self._latest_s + passed_s * min(rate, self._rate)
 
     def refuse(self, tick_ms: int, passed_s: float) -> None:
-        """Take note of an old answer: what is known of its tick holds on, at the likely rate."""
+        """Note an old answer: the bound of its tick continues at the likely rate."""
         self._latest_s = self.latest_s(passed_s)
         self._go_on(tick_ms, passed_s)
         self._refused = True
@@ -297,7 +297,7 @@ class TickClock:
             self._mark = self._next_mark
             self._next_mark = TickMark(self._tick_s, sent_s, self._latest_s)
             self._rate = _LARGEST_RATE
-        # Both ends may be off by the age that an answer may have.
+        # Both ends may be off by the allowed age of an answer.
         host_s = received_s - self._mark.sent_s + 2.0 * _TICK_LAG_S
         self._rate = min(self._rate, self._mark.rate(self._tick_s, host_s))
 
@@ -313,10 +313,10 @@ class TickMark(NamedTuple):
     """Progress of the tick since the first answer in s."""
     sent_s: float
     latest_s: float
-    """Host's time before its request, and the latest one of its tick, in s."""
+    """Host's time before its request, and the latest host's time of its tick, in s."""
 
     def rate(self, tick_s: float, host_s: float) -> float:
-        """Return the host's seconds per second of the servo that passed since, if possible ones."""
+        """Return host seconds per servo second since then, limited to possible values."""
         ticks_s = tick_s - self.tick_s
         if ticks_s <= 0.0:
             return _LARGEST_RATE
@@ -324,7 +324,7 @@ class TickMark(NamedTuple):
 
 
 class FeedbackCheck:
-    """Comparison of the feedback of servos under torque with what their fingers can do."""
+    """Comparison of the feedback of servos under torque with possible motion of fingers."""
 
     def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
         self.strayed: dict[int, str] = {}
@@ -340,14 +340,14 @@ class FeedbackCheck:
         self._last: dict[int, tuple[float, float]] = {}
 
     def forget(self) -> None:
-        """Compare the next feedback with none before it."""
+        """Compare the next feedback with no earlier one."""
         self._last.clear()
 
     def check(self, servos: tuple[ServoState, ...], now_s: float) -> None:
         """Check the feedback of one transaction.
 
-        Raises FeedbackImplausible where a finger has leapt or stands where it cannot be, or a
-        current cannot be.
+        Raises FeedbackImplausible where a finger has leapt, or its position or current is
+        impossible.
 
         Parameters
         ----------
@@ -403,7 +403,7 @@ class FeedbackCheck:
 
     def _check_range(self, index: int, servo: ServoState, last_rad: float) -> None:
         low_rad, high_rad = self._lowest_rad[index], self._highest_rad[index]
-        # Fingers that were left outside by hand may be brought back in.
+        # Fingers that a person left outside may be brought back in.
         if low_rad <= last_rad <= high_rad and not low_rad <= servo.angle_rad <= high_rad:
             self.strayed[servo.servo_id] = f"its finger stands at {servo.angle_rad:.3f} rad"
             raise FeedbackImplausible(

@@ -1,7 +1,7 @@
 """Goals of the servos: their limits, and the one place that writes them.
 
-What lowers the currents or opens the fingers passes the caps of force and temperature: it is the
-way back below them.
+Goals that lower the currents or open the fingers pass the caps of force and temperature: they lead
+back below them.
 """
 
 from collections.abc import Sequence
@@ -32,18 +32,18 @@ from gripper.values.recent import QUIET_N, RecentForce
 from gripper.values.state import ServoFeedback, ServoState
 
 _SURE_SAMPLES = 2
-"""Newest samples whose mean is compared with the cap where something else excludes noise."""
+"""Newest samples whose mean is compared with the cap where another measurement excludes noise."""
 _SINGLE_SAMPLE = 3.0
-"""A few samples, or one, trip the cap when they are above it by as many times ``force_noise_n`` as
-their noise is above that of the mean, and by no more than this."""
+"""Largest factor of ``force_noise_n`` by which a few samples must exceed the cap to trip it. The
+factor grows with their noise over that of the mean."""
 _ROUNDING_A = 0.005
-"""What a goal current may exceed its cap by in A: two counts of 2.69 mA."""
+"""Tolerance in A of a goal current above its cap: two counts of 2.69 mA."""
 _EQUAL = 1e-9
 """Difference, in A or rad, that counts as equal."""
 _EQUAL_ANGLE_RAD = 1e-6
-"""Difference of angles in rad that counts as inside of the range; a pulse is 1.5e-3 rad."""
+"""Difference of angles in rad that counts as inside the range; a pulse is 1.5e-3 rad."""
 _MOTION_RESERVE, _MOTION_PULSES = 1.5, 8.0
-"""Factor and pulses by which a goal lies farther than at rest, to make up for the motion."""
+"""Factor and pulses by which a goal lies farther than at rest, to compensate for the motion."""
 _OVER_FORCE = {
     OverForce.LOWER: "the driving current is lowered in one step and the part kept",
     OverForce.OPEN: "the fingers open by one small step",
@@ -56,11 +56,11 @@ GOAL_BLOCK = RegisterBlock.between(GOAL_CURRENT, GOAL_POSITION)
 STICTION = 1.05
 """Friction at rest over friction in motion."""
 _RESERVE_N = 1.5
-"""What the moving mass needs beside the force asked for, in N, for the rate of a ramp. [tuned]"""
+"""Force in N for the moving mass in addition to the set-point, for the rate of a ramp. [tuned]"""
 _RUNNING_SHARE = 1.25
 """Rate of the opening over ``runaway_speed_m_s`` up to which a set-point does not limit it."""
 OPENING_MARGIN_RAD = 0.05
-"""How far in rad beyond an opening its goal may lie, so that friction does not stop short of it."""
+"""Largest distance in rad of a goal beyond its opening: friction stops fingers short of a goal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,13 +72,13 @@ class ServoGoal:
     current_a: float
     """Limit of the current's magnitude."""
     setpoint_n: float | None = None
-    """Grip force in N that is asked for now; None where the fingers move and press on no part."""
+    """Present set-point of the grip force in N; None while fingers move and press on no part."""
     profile_rad_s: float = 0.0
     """Profile Velocity (register 112) in rad/s; 0 is no limit."""
 
 
 class GoalGuard:
-    """Limits of the goals: of force, current, angle, speed, temperature and age of feedback."""
+    """Limits of the goals: force, current, angle, speed, temperature and age of feedback."""
 
     def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
         self._settings = settings
@@ -86,25 +86,25 @@ class GoalGuard:
         self._forces = RecentForce()
         self._stood_a: dict[int, float] = {}
         self._previous_a: tuple[float, ...] = ()
-        # Two apertures bound the angles: wide open, and closed onto each other with the goal as
+        # Two apertures bound the angles. One is wide open. The other is closed, with the goal as
         # far beyond as a gripping servo needs.
         self._open_rad = linkage.angles_rad(settings.aperture_open_m)
         self._lowest_rad = most_closed_rad(settings, linkage)
         self._pads = 0.5 * linkage.n_servos
 
     def note_force(self, sample: ForceSample) -> None:
-        """Add the newest force sample; the same one may come again."""
+        """Add the newest force sample; the same sample may come again."""
         self._forces.push(sample)
 
     def bounded(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> tuple[ServoGoal, ...]:
-        """Return the goals with which no finger that closes presses or runs beyond its limits.
+        """Return the goals, limited so that no closing finger presses or runs beyond its limits.
 
-        No sample of the pads enters the current: whatever these show, a finger presses with no more
-        than the set-point, friction at rest, the share that a drive may lack and what the moving
-        mass needs. Without a set-point it presses below the cap, as an approach does. A finger that
-        closes faster than the force left below the cap allows (`gripper.mechanics.impact`) is
-        braked. While nothing presses on its pad no goal lies farther ahead than that speed needs:
-        between two writes the position controller of the servo keeps to it; a profile does too.
+        Samples of the pads never raise the current. A finger presses with no more than the
+        set-point, friction at rest, the possible error of the drive and the force for the moving
+        mass. Without a set-point it presses below the cap, as an approach does. A finger is braked
+        if it closes faster than the force left below the cap allows (`gripper.mechanics.impact`).
+        While nothing presses on its pad, its goal lies no farther ahead than that speed needs. The
+        servo's position controller keeps to it between two writes; a profile does too.
         """
         impact = impact_limit(self._settings, self._linkage, state.angles_rad)
         newest = self.newest_force
@@ -152,7 +152,7 @@ class GoalGuard:
         reach_m = self._pads * self._linkage.opening_per_rad_m(state.angle_rad)
         fastest_m_s = impact.pad_speed_m_s(None if empty else force_n)
         if empty:
-            # No approach is slower; until it has shown the friction, the current is the limit.
+            # No approach is slower. Until the finger has shown friction, current is the limit.
             fastest_m_s = max(fastest_m_s, 0.5 * SLOWEST_M_S)
         if goal.setpoint_n is not None:
             fastest_m_s = min(
@@ -161,7 +161,7 @@ class GoalGuard:
         fastest_rad_s = fastest_m_s / reach_m
         over_rad_s = -state.velocity_rad_s - fastest_rad_s
         if over_rad_s > model.slow_rad_s:
-            # No more momentum is taken than it has too much, or the finger would swing.
+            # Only the excess momentum is removed, or the finger would swing.
             drive_n = force_n - impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
             current_a = min(abs(drive_n) / path.n_per_a, most_a)
             angle_rad = goal.angle_rad if drive_n > 0.0 else state.angle_rad
@@ -183,8 +183,8 @@ class GoalGuard:
     def check_force(self, *, noise_excluded: bool = False) -> None:
         """Raise ForceAboveCap while the measured force is above the cap.
 
-        With ``noise_excluded`` something else has shown that the force is none: then nothing is
-        allowed for it.
+        With ``noise_excluded`` another measurement has excluded noise: then the cap has no
+        allowance for it.
         """
         settings = self._settings
         if noise_excluded:
@@ -200,9 +200,9 @@ class GoalGuard:
             )
 
     def check(self, goals: Sequence[ServoGoal], state: ServoFeedback, now_s: float) -> None:
-        """Check goals that are to be written now; those that pass are the next ones' measure.
+        """Check goals before they are written; the next goals are compared with those that pass.
 
-        Raises LimitExceeded when a limit is against the goals; it is named.
+        Raises LimitExceeded, which names the limit, when a goal exceeds one.
         """
         settings, age_s = self._settings, now_s - state.t_s
         if age_s > settings.bus_loss_s:
@@ -235,9 +235,9 @@ class GoalGuard:
         self._previous_a = tuple(goal.current_a for goal in goals)
 
     def _excess_n(self) -> float:
-        """Return by how much the force is above what noise may make of the cap, in N.
+        """Return the excess of the force over the cap and its allowance for noise, in N.
 
-        The more samples, the less that is: what is far too much shows with the first one.
+        The allowance falls with the number of samples: a large excess shows in the first sample.
         """
         settings = self._settings
         first_n = second_n = variance_n2 = 0.0
@@ -282,10 +282,10 @@ class GoalGuard:
 
 
 def pressing_speed_m_s(settings: GripperSettings, impact: ImpactLimit, setpoint_n: float) -> float:
-    """Return the largest speed of a pad in m/s at a set-point in N, whatever the pads show.
+    """Return the largest speed of a pad in m/s at a set-point in N, independent of the pads.
 
-    What its drive may press with leaves the rest below the cap for momentum. Fingers that run as
-    they do without a part are not slowed down so far that nothing shows it.
+    The force of the drive leaves the rest below the cap for momentum. Fingers that run freely
+    without a part keep enough speed to be detected.
     """
     runs_m_s = 0.5 * _RUNNING_SHARE * settings.runaway_speed_m_s
     return max(impact.pad_speed_m_s(impact.load_share * setpoint_n + _RESERVE_N), runs_m_s)
@@ -300,11 +300,11 @@ def most_closed_rad(settings: GripperSettings, linkage: Linkage) -> tuple[float,
 
 
 def closing_margin_rad(model: ServoModel, current_a: float) -> float:
-    """Return how far in rad beyond the contact a goal must lie to reach a limit of the current.
+    """Return the distance in rad of a goal beyond the contact at which a current limit is reached.
 
-    The position controller asks for gain / 128 counts of PWM for each pulse of error (e-Manual,
-    Position PID Gain); 885 counts are the whole supply, at rest the stall current. Half as much
-    again and a few pulses make up for the motion.
+    The position controller commands gain / 128 counts of PWM for each pulse of error (e-Manual,
+    Position PID Gain). 885 counts are the whole supply, at rest the stall current. A reserve of a
+    half and a few pulses compensate for the motion.
     """
     _, _, position_p_gain = model.position_gains
     current_share = current_a / model.stall_current_a
@@ -314,15 +314,15 @@ def closing_margin_rad(model: ServoModel, current_a: float) -> float:
 
 
 def lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
-    """Return how far in rad ahead a goal must lie, at the most, for a current and a speed."""
+    """Return the largest necessary lead of a goal in rad for a current and a speed."""
     return closing_margin_rad(model, current_a) + running_lead_rad(model, 0.0, speed_rad_s)
 
 
 def running_lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
-    """Return how far in rad ahead the goal of a servo is that runs steadily with a current.
+    """Return the lead of the goal in rad of a servo that runs steadily with a current.
 
-    The position controller is proportional, see `closing_margin_rad`; what the speed takes is the
-    voltage that the motor makes itself, as a share of the supply that of its no-load speed.
+    The position controller is proportional, see `closing_margin_rad`. Speed uses a share of the
+    supply for back-EMF: the ratio of the speed to the no-load speed.
     """
     _, _, position_p_gain = model.position_gains
     share = current_a / model.stall_current_a + speed_rad_s / model.no_load_rad_s
@@ -331,7 +331,7 @@ def running_lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) ->
 
 
 def overrun_rad(model: ServoModel, drive: DriveCharacteristic) -> float:
-    """Return how far in rad beyond an opening its goal runs, so that friction stops no finger."""
+    """Return the distance in rad of a goal beyond an opening, so that friction stops no finger."""
     breaking_a = STICTION**2 * drive.breakaway_a
     return max(0.6 * OPENING_MARGIN_RAD, running_lead_rad(model, breaking_a, 0.0))
 
@@ -343,27 +343,27 @@ class GoalWriter:
         self, bus: ServoBus, settings: GripperSettings, clock: Clock, guard: GoalGuard
     ) -> None:
         self.last: tuple[ServoGoal, ...] = ()
-        """The goals written last, one for each servo; empty while none is in force."""
+        """The goals written last, one for each servo; empty while no goal is in force."""
         self.earlier: tuple[ServoGoal, ...] = ()
-        """Those written before them."""
+        """The goals before the last ones."""
         self._guard = guard
         self._bus = bus
         self._settings = settings
         self._clock = clock
 
     def forget(self) -> None:
-        """Discard the last goals: none is in force any more."""
+        """Discard the last goals: they are no longer in force."""
         self.last = ()
 
     def write(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> None:
-        """Write goal current and goal position of all servos at once, if no limit is against it.
+        """Write goal current and goal position of all servos at once, within all limits.
 
-        The only place that writes goals.
+        This is the only place that writes goals.
 
         Parameters
         ----------
         state
-            Newest feedback: the goals are reached from there.
+            Newest feedback: the start of the motion to the goals.
         """
         goals = self._guard.bounded(goals, state)
         self._guard.check(goals, state, self._clock.monotonic())
@@ -382,7 +382,7 @@ class GoalWriter:
                     "its finger back by hand"
                 )
             goal_position = servo.position_raw + round(delta_rad / model.rad_per_pulse)
-            # A goal beyond would be refused, and nothing answers to this write.
+            # A servo would refuse a goal beyond, and no servo answers this write.
             goal_position = min(max(goal_position, least_raw), most_raw)
             values[servo.servo_id] = [
                 goal_current,

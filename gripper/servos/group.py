@@ -33,22 +33,22 @@ from gripper.values.force_sensor import ForceSample
 from gripper.values.state import ServoFeedback, ServoState
 
 _PATIENT_READS = 3
-"""Readings between commands before a lost answer is an error."""
+"""Readings between commands until a lost answer is an error."""
 _GOAL_TRIES = 3
-"""Writes of the first goals before a servo counts as not taking them."""
+"""Writes of the first goals until a servo counts as not accepting them."""
 _STOP_TRIES = 3
-"""Writes of the goals that stop a motion before a servo counts as not obeying."""
+"""Writes of the goals that stop a motion until a servo counts as not obeying."""
 _STALE_PERIODS = 2.0
-"""Age of the feedback, in periods, from which on moving fingers are read again before a stop."""
+"""Age of the feedback, in periods, above which moving fingers are read again before a stop."""
 _FARTHEST_GOAL_RAD = 1.0
-"""Distance in rad of a servo under torque from its goal that is still plausible: fingers of 60 mm
-move by 0.6 rad at most; the goals of the force loop lie 0.1 rad beyond what they press on."""
+"""Largest plausible distance in rad of a servo under torque from its goal. Fingers of 60 mm move by
+0.6 rad at most; goals of the force loop lie 0.1 rad beyond the contact."""
 _BOOT_S = 0.5
-"""Wait in s after a reboot before a servo is asked: it hears nothing while it boots."""
+"""Wait in s after a reboot before a request: a servo does not receive while it boots."""
 _BOOT_TIMEOUT_S = 3.0
 """Longest time in s after that wait until a servo answers."""
 _BOOT_RETRY_S = 0.1
-"""Time in s between two questions to a servo that boots."""
+"""Time in s between two requests to a servo that boots."""
 
 
 class ServoGroup:
@@ -69,10 +69,10 @@ class ServoGroup:
         self._health = health
         self._ids = [servo.servo_id for servo in settings.servos]
         self.guard = GoalGuard(settings, linkage)
-        """Limits of the goals, by the force that it is told of."""
+        """Limits of the goals; the force is passed to it."""
         self._goals = GoalWriter(bus, settings, clock, self.guard)
         self.feedback = Feedback(bus, linkage, settings, clock, health)
-        """What was read last."""
+        """Reader of the feedback, with the last one."""
 
     # Feedback
 
@@ -88,12 +88,12 @@ class ServoGroup:
         return self.read()
 
     def silent_and_living(self) -> tuple[list[int], list[int]]:
-        """Return the IDs of the servos that did not answer last, and of those that did."""
+        """Return the IDs of the servos without a last answer, and of those with one."""
         silent = [servo_id for servo_id in self._ids if self._bus.misses(servo_id)]
         return silent, [servo_id for servo_id in self._ids if servo_id not in silent]
 
     def in_loop(self) -> AbstractContextManager[None]:
-        """Let no transaction within the block wait longer than the loop may; see `ServoBus`."""
+        """Limit the wait of each transaction in the block to that of the loop; see `ServoBus`."""
         return self._bus.in_loop()
 
     def forget(self) -> None:
@@ -104,7 +104,7 @@ class ServoGroup:
     # Goals
 
     def write_goals(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> None:
-        """Write the goals of all servos at once, if no limit is against it; see `GoalWriter`."""
+        """Write the goals of all servos at once, within all limits; see `GoalWriter`."""
         self._goals.write(goals, state)
 
     @property
@@ -127,7 +127,7 @@ class ServoGroup:
         fresh = self._clock.monotonic() - sample.t_s <= self._settings.force_stale_s
         return sample if fresh else None
 
-    # Stop goals; nothing is written where no goal is in force or nothing was read before
+    # Stop goals; without a goal in force, or without any feedback, they are not written.
 
     def freeze(self) -> None:
         """Keep the last goals, without the crest of the square wave on the drive."""
@@ -145,13 +145,13 @@ class ServoGroup:
     def stop_motion(self) -> list[int]:
         """End a motion at the present positions; return the IDs of servos not confirmed to obey.
 
-        No servo answers to the write of all goals at once, so that they are read back.
+        No servo answers the write of all goals at once, so they are read back.
         """
         state = self.feedback.last
         age_s = 0.0 if state is None else self._clock.monotonic() - state.t_s
         late = age_s > _STALE_PERIODS * self._settings.period_s
         if late and not any(map(self._bus.misses, self._ids)):
-            # The loop has stalled, and the fingers have gone on since the last reading.
+            # The loop has stalled, and the fingers have moved since the last reading.
             with suppress(GripperError):
                 self.read()
         unconfirmed: list[int] = []
@@ -185,20 +185,20 @@ class ServoGroup:
     ) -> None:
         """Switch the torque on where it is off, arm or restart the watchdog, before a command.
 
-        Goals are set to the present positions before the torque goes on and after a watchdog that
-        has tripped, so that nothing jumps. Raises ServoFault when the watchdog tripped while a part
-        was held. Raises VerificationFailed when a servo to be released does not match the settings.
-        Raises FeedbackImplausible when a servo under torque reports a position far from its goal.
+        Goals are set to the present positions before the torque goes on and after a watchdog trip,
+        so that nothing jumps. Raises ServoFault when the watchdog tripped while a part was held.
+        Raises VerificationFailed when a servo to be released does not match the settings. Raises
+        FeedbackImplausible when a servo under torque reports a position far from its goal.
 
         Parameters
         ----------
         part_possible
             True when a part may be held: then a tripped watchdog is a fault.
         releasing
-            True when the part is to be let go: then it is not, and torque that was found on may be
-            switched off to correct the mode.
+            True when the part is to be released: then a trip is no fault. Torque that was already
+            on may be switched off to correct the mode.
         limp
-            Feedback that was just read, where no servo has torque.
+            Feedback just read, where no servo has torque.
         """
         health, goals_in_force = self._health, self.goals_in_force
         if releasing and not goals_in_force:
@@ -225,15 +225,14 @@ class ServoGroup:
     def disarm_watchdog(self, *, but: Sequence[int] = (), keep_trips: bool = False) -> None:
         """Disarm, or clear after a trip, the bus watchdog of each servo (register 98) but some.
 
-        An error is raised when all servos were tried: a silent one does not hinder the other.
+        An error is raised after all servos were tried: a silent servo does not hinder the other.
 
         Parameters
         ----------
         but
             IDs of the servos whose watchdog stays armed.
         keep_trips
-            True to leave a tripped one as it is: its servo holds less, and the next command finds
-            it so.
+            True to leave a tripped watchdog: its servo holds less, and the next command finds it.
         """
         failed: GripperError | None = None
         for servo_id in (servo_id for servo_id in self._ids if servo_id not in but):
@@ -263,7 +262,7 @@ class ServoGroup:
             self.disarm_watchdog()
 
     def reboot(self, ids: Sequence[int]) -> None:
-        """Reboot servos one after the other and wait until each answers; a part is let go.
+        """Reboot servos one after the other and wait until each answers; a held part is dropped.
 
         The servos come back with their torque off and their RAM at its defaults; the next
         `gripper.gripper.Gripper.start` verifies them. Raises BusTimeout or BusCorrupt when a servo
@@ -289,9 +288,9 @@ class ServoGroup:
             self._bus.write(servo_id, BUS_WATCHDOG, self._settings.watchdog_raw)
 
     def _finds_trip(self) -> bool:
-        """Arm the bus watchdogs that are not; return whether one has tripped and was left so.
+        """Arm the bus watchdogs that are not armed; return whether one has tripped, which stays so.
 
-        To arm a tripped one would clear it, and with the next goals the force would leap back.
+        Arming a tripped one would clear it, and the next goals would make the force jump back.
         """
         tripped = False
         for servo_id in self._ids:
@@ -314,8 +313,8 @@ class ServoGroup:
     def _check_goal_is_near(self, servo: ServoState, model: ServoModel) -> None:
         """Raise FeedbackImplausible where a servo under torque is too far from its goal.
 
-        A count that is farther than a gripping program sets its goals is not the one that the
-        servo goes by; a goal made of it would move the finger there.
+        A position farther from the goal than a gripping program sets one is not the position in the
+        servo's control loop. A goal made of it would move the finger there.
         """
         servo_id, position_raw = servo.servo_id, servo.position_raw
         if self._bus.read(servo_id, TORQUE_ENABLE) == 0:
@@ -336,7 +335,7 @@ class ServoGroup:
         return max(motion_currents_a(self._settings, paths, self._settings.approach_force_n))
 
     def _check_mode(self) -> None:
-        """Raise ServoFault where a servo is in another mode: its goals would mean other things."""
+        """Raise ServoFault where a servo is in another mode: the meaning of goals differs."""
         for servo_id in self._ids:
             if self._bus.read(servo_id, OPERATING_MODE) != OperatingMode.CURRENT_BASED_POSITION:
                 raise ServoFault(
@@ -346,8 +345,8 @@ class ServoGroup:
     def _hold_present_position(self, current_a: float) -> None:
         """Write the present positions as goals and read them back; ServoFault where one differs.
 
-        A servo whose watchdog was cleared stands until the next write of any goal, and follows all
-        its goals then, old ones too: position and current come first, in one write.
+        After its watchdog was cleared, a servo stands until the next write of any goal. Then it
+        follows all its goals, also old ones: position and current come first, in one write.
         """
         for tries_left in reversed(range(_GOAL_TRIES)):
             state = self.read_patiently()
@@ -364,7 +363,7 @@ class ServoGroup:
                 if not tries_left:
                     raise
         for servo_id in self._ids:
-            # The goals of the other modes limit this one too.
+            # The goals of the other modes limit this mode too.
             self._bus.write(servo_id, GOAL_PWM, self._bus.read(servo_id, PWM_LIMIT))
 
     def _check_goals_taken(self, state: ServoFeedback, current_a: float) -> None:
@@ -386,9 +385,9 @@ class ServoGroup:
                     )
 
     def _obeys(self, servo_id: int) -> bool:
-        """Read whether a servo has its last goal; clear a watchdog that keeps it from taking one.
+        """Read whether a servo has its last goal; clear a watchdog that blocks it.
 
-        A servo that did not answer last is not waited for.
+        There is no wait for a servo that did not answer last.
         """
         if self.feedback.last is None or not self._goals.last:
             return True

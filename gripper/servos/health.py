@@ -22,9 +22,9 @@ from gripper.values.state import ServoFeedback
 
 _TORQUE = RegisterBlock(TORQUE_ENABLE)
 _CHECKS = 3
-"""Checks that take turns on each servo: torque, a register of the start, bus watchdog."""
+"""Checks of each servo in turn: torque, a register of the start, bus watchdog."""
 _CONDITION_TRIES = 3
-"""Readings of a servo's condition before it counts as silent: one lost answer does not do."""
+"""Readings of a servo's condition until it counts as silent: one lost answer is not enough."""
 
 
 class ServoHealth:
@@ -51,7 +51,7 @@ class ServoHealth:
         return [found[servo_id][TORQUE_ENABLE.name] for servo_id in self._ids]
 
     def conditions(self) -> tuple[ServoCondition, ...]:
-        """Read torque and errors of each servo; one that does not answer is no error here."""
+        """Read torque and errors of each servo; a silent servo is no error here."""
         return tuple(self._condition(servo_id) for servo_id in self._ids)
 
     def _condition(self, servo_id: int) -> ServoCondition:
@@ -72,7 +72,7 @@ class ServoHealth:
         )
 
     def require_present(self) -> None:
-        """Ping every servo. Raises ServoMissing that names which IDs answer instead."""
+        """Ping every servo. Raises ServoMissing, which names the IDs that answer instead."""
         silent: dict[int, BusTimeout | BusCorrupt] = {}
         for servo_id in self._ids:
             try:
@@ -111,14 +111,13 @@ class ServoHealth:
     def verify(self, *, correct: bool, refuse: bool = False) -> VerificationReport:
         """Compare the registers of all servos with their requirements.
 
-        Raises ServoFault when nothing is wrong but errors that servos report: `clear` may mend
+        Raises ServoFault when the only problems are errors that servos report: `clear` may remove
         them. Raises VerificationFailed when another row does not agree.
 
         Parameters
         ----------
         correct
-            True to rewrite the registers that may be corrected where they differ; needs the
-            torque off.
+            True to rewrite the correctable registers where they differ; the torque must be off.
         refuse
             True to raise when a row does not agree.
         """
@@ -142,11 +141,11 @@ class ServoHealth:
         return report
 
     def make_releasable(self) -> None:
-        """Correct the registers of servos that are to let go; switches their torque off for it.
+        """Correct the registers of servos before a release; switches their torque off for it.
 
-        An error that a servo reports now is no hindrance, neither here nor to `poll` until
-        `end_release`. VerificationFailed where another register does not agree and is not to be
-        corrected: the fingers have no torque then.
+        An error that a servo reports now blocks neither this nor `poll` until `end_release`. Raises
+        VerificationFailed where another register does not agree and may not be corrected: the
+        fingers have no torque then.
         """
         self._accepted = {
             condition.servo_id: condition.error_bits for condition in self.conditions()
@@ -165,7 +164,7 @@ class ServoHealth:
             )
 
     def end_release(self) -> None:
-        """Accept no error of a servo any more."""
+        """End the acceptance of errors of servos."""
         self._accepted = {}
 
     def _verify_one(self, servo: ServoSettings, *, correct: bool) -> tuple[VerificationRow, ...]:
@@ -188,12 +187,12 @@ class ServoHealth:
                 corrected.add(item.item)
             found[item.item] = raw
             if register is MODEL_NUMBER and not item.met_by(raw):
-                # Another model: its other items may mean something else.
+                # For another model the other items may have another meaning.
                 return compare(servo.servo_id, required[:1], found)
         return compare(servo.servo_id, required, found, frozenset(corrected))
 
     def poll(self, state: ServoFeedback, *, watchdog: bool = True) -> None:
-        """Check one more item of one servo; called now and then while the torque is on.
+        """Check one more item of one servo; called repeatedly while the torque is on.
 
         Raises ServoFault when a servo reports a hardware error, has lost its torque or its watchdog
         tripped.
@@ -201,7 +200,7 @@ class ServoHealth:
         Parameters
         ----------
         state
-            Newest feedback; an Alert in it is followed up at once.
+            Newest feedback; an Alert in it is examined at once.
         watchdog
             False where a tripped watchdog does no harm.
         """
@@ -223,7 +222,7 @@ class ServoHealth:
             )
 
     def _check_kept(self, index: int) -> None:
-        """Read the next register that the start has verified; all of them in turn."""
+        """Read the next register that was verified at the start; all of them in turn."""
         servo, settings = self._settings.servos[index], self._settings
         required = requirements(
             servo.servo_model, settings.current_max_a, settings.temperature_max_c
@@ -257,7 +256,7 @@ class ServoHealth:
             raise ServoFault(servo_id, bits, detail, torque_lost=lost)
 
     def check_torque(self, servo_id: int) -> None:
-        """Raise ServoFault when a servo has lost the torque that it was given."""
+        """Raise ServoFault when a servo has lost its torque."""
         if self._bus.read(servo_id, TORQUE_ENABLE) == 0:
             bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
             raise ServoFault(
@@ -269,7 +268,7 @@ class ServoHealth:
             )
 
     def watchdogs_tripped(self) -> frozenset[int]:
-        """Read the bus watchdogs (register 98); the IDs of the servos whose one has tripped."""
+        """Read the bus watchdogs (register 98); return the IDs of the servos with a tripped one."""
         return frozenset(
             i for i in self._ids if self._bus.read(i, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW
         )

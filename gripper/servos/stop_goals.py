@@ -1,8 +1,8 @@
 """Stop goals: goals that end a motion or lower the force of the fingers.
 
 Pure functions of the last goals and the last feedback. `gripper.servos.group.ServoGroup` writes
-what they return; a result never has more current than the goals that it follows, except that of a
-step that opens.
+their results. A result never has more current than the goals before it, except for a step that
+opens.
 """
 
 from collections.abc import Sequence
@@ -19,9 +19,9 @@ def frozen(
 ) -> list[ServoGoal]:
     """Return the last goals with the lower current of the last two periods.
 
-    While the force changes a square wave is on the drive: its crest must not stay. A goal that
-    opens would let the part go: such a finger is held where it is, with the higher current, of
-    which position control takes what it needs.
+    While the force changes, a square wave is on the drive: its crest must not stay. A goal that
+    opens would let the part go. That finger is held at its present position, with the higher
+    current, and position control uses as much of it as it needs.
     """
     return [
         replace(goal, current_a=min(goal.current_a, before.current_a))
@@ -38,7 +38,7 @@ def holding_position(
 ) -> list[ServoGoal]:
     """Return goals at the present positions, with the lower current of the last two periods.
 
-    No finger pushes on, and none yields by more than the servos' position control does.
+    No finger pushes on, and none yields by more than position control of the servos does.
     """
     return [
         replace(goal, angle_rad=servo.angle_rad)

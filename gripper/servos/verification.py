@@ -1,4 +1,4 @@
-"""Requirements of the registers of a servo before it may move, and their comparison."""
+"""Required register values of a servo before it may move, and their comparison."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -35,9 +35,9 @@ _DRIVE_MODE_MASK = 0b1101
 _STARTUP_MASK = 0b11
 """Bits of Startup Configuration (register 60) that must be 0: torque on, RAM restored."""
 _PWM_RESERVE = 1.2
-"""PWM that a current needs at rest is its share of the stall current; the rest is for motion."""
+"""Reserve for motion, over the PWM share at rest: current over stall current."""
 _NO_SECOND_ID = 255
-"""Secondary ID (register 12) of a servo without one; any value above 252 is none."""
+"""Secondary ID (register 12) of a servo without one; any value above 252 means no ID."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +54,7 @@ class Requirement:
     mask: int = -1
     """Bits that count."""
     write_raw: int | None = None
-    """Value to write when it does not agree; None where that is the user's decision."""
+    """Value to write when it does not agree; None where the user decides."""
 
     def met_by(self, raw: int) -> bool:
         """Return whether a raw value agrees."""
@@ -85,9 +85,9 @@ def requirements(
 ) -> tuple[Requirement, ...]:
     """Return the requirements of the registers of a servo that this package may drive.
 
-    Operating mode, return delay, status return level and position gain are made to agree where
-    ``corrected`` names them; what changes the mechanics or the protection of the servo is the
-    user's decision and is only compared.
+    Operating mode, return delay, status return level and position gain are corrected where
+    ``corrected`` names them. Items that change the mechanics or the protection of the servo are
+    only compared: the user decides on them.
     """
     found = _requirements(model, current_max_a, temperature_max_c)
     return tuple(
@@ -143,7 +143,7 @@ def _requirements(
         _exactly(RETURN_DELAY_TIME.name, 0),
         _exactly(OPERATING_MODE.name, int(OperatingMode.CURRENT_BASED_POSITION)),
         _exactly(STATUS_RETURN_LEVEL.name, 2),
-        # After the mode, which sets the gains to its defaults.
+        # This follows the mode, which sets the gains to its defaults.
         _exactly(POSITION_P_GAIN.name, model.position_gains[2]),
     )
 

@@ -1,8 +1,8 @@
 """Self-test of the bus watchdog: it must stop each motor when the host falls silent.
 
-Register 98 alone proves nothing: there is firmware in which it reads -1 and the motor turns on
-(330 size, ROBOTIS forum 4814). So the empty, open fingers are sent on a slow, short way, the host
-stays silent until the watchdog must have tripped, and the positions are compared.
+Register 98 alone is no proof: with some firmware it reads -1 and the motor turns on (330 size,
+ROBOTIS forum 4814). So the empty, open fingers move slowly over a short way. The host stays silent
+until the watchdog must have tripped, and the positions are compared.
 """
 
 from collections.abc import Sequence
@@ -20,24 +20,24 @@ from gripper.values.state import ServoFeedback
 _FASTEST_RAD_S = 0.1
 """Largest Profile Velocity (register 112) of the test motion in rad/s."""
 _SILENT_RAD = 0.0096
-"""Way in rad that the speed is chosen for within ``watchdog_s``: 6 pulses, 0.6 mm of a finger with
-links of 60 mm. A long watchdog makes the motion slow instead of long."""
+"""Way in rad within ``watchdog_s``, which sets the speed: 6 pulses, 0.6 mm of a finger with links
+of 60 mm. A long watchdog time makes the motion slower, not longer."""
 _FORCE_N = 1.0
 """Grip force in N that the current of the test motion allows beyond friction."""
 _START_RAD = 0.04
-"""Way in rad of the goal in which the motors start against friction and reach the speed."""
+"""Way in rad of the goal in which the motors overcome friction and reach the speed."""
 _FEED_S = 0.02
 """Time in s between two readings, which feed the watchdog, until then."""
 _WAY_SHARE = 3.0
-"""Time for which the motion would go on afterwards, in multiples of ``watchdog_s``."""
+"""Remaining time of the motion without a trip, in multiples of ``watchdog_s``."""
 _SILENT_SHARE, _SILENT_MORE_S = 1.5, 0.02
-"""Silence of the host, in multiples of ``watchdog_s`` and, on top, a unit of the watchdog in s."""
+"""Silence of the host, in multiples of ``watchdog_s``, plus a unit of the watchdog in s."""
 _REST_RAD = 0.015
-"""Way in rad that a motor would go on in the time for which it is watched after the stop."""
+"""Way in rad of a motor without a trip in the time of observation after the stop."""
 _FARTHEST_SHARE, _FARTHEST_MORE_PULSES = 1.5, 4
-"""Longest way until the trip, in multiples of that in ``watchdog_s``, and on top in pulses."""
+"""Longest way until the trip, in multiples of that in ``watchdog_s``, and in addition in pulses."""
 _LEAST_PULSES = 3
-"""Way in pulses that counts as motion, and that must be left to the goal."""
+"""Way in pulses that counts as motion, and least remaining way to the goal."""
 _STILL_PULSES = 2
 """Way in pulses that counts as rest: noise of the encoder."""
 _LONGEST_RAD = 0.2
@@ -55,14 +55,14 @@ class WatchdogProof:
     moved_pulses: int
     after_pulses: int
     left_pulses: int
-    """How far it had moved in the silence, how far it moved afterwards, and how far its goal still
-    was: counts of Present Position."""
+    """Way in the silence, way afterwards, and remaining way to the goal: counts of Present
+    Position."""
     farthest_pulses: int
-    """How far it may have moved before the watchdog tripped."""
+    """Largest possible way before the watchdog tripped."""
 
     @property
     def ok(self) -> bool:
-        """True when the servo was on its way, tripped and stood still short of its goal."""
+        """True when the servo moved, its watchdog tripped and it stood still before its goal."""
         return (
             self.tripped
             and _LEAST_PULSES <= self.moved_pulses <= self.farthest_pulses
@@ -89,9 +89,9 @@ def prove_watchdog(
     """Let the watchdog trip during a slow motion of the empty, open fingers.
 
     The torque is on and the watchdog armed before and after it. The motion is a profile of 0.1
-    rad/s, slower where the watchdog takes longer than 0.1 s; it goes on for its start and three
-    times ``watchdog_s``. Raises WatchdogUnproven when a servo did not stop, did not trip or did not
-    move. Raises LimitExceeded as `proof_travel_m`.
+    rad/s, slower where the watchdog takes longer than 0.1 s. It lasts for its start and three times
+    ``watchdog_s``. Raises WatchdogUnproven when a servo did not stop, did not trip or did not move.
+    Raises LimitExceeded as `proof_travel_m` does.
     """
     begin = servos.read()
     speed_rad_s, goals_rad = _motion(settings, linkage, begin.angles_rad)
@@ -104,7 +104,7 @@ def prove_watchdog(
         ],
         begin,
     )
-    # Against friction the motors start late; until then each reading feeds the watchdog.
+    # Friction delays the start of the motors; until then each reading feeds the watchdog.
     before = begin
     while before.t_s - begin.t_s < _START_RAD / speed_rad_s:
         clock.sleep(_FEED_S)
@@ -138,7 +138,7 @@ def prove_watchdog(
 
 
 def proof_travel_m(settings: GripperSettings, linkage: Linkage, aperture_m: float) -> float:
-    """Return by how many m the test motion closes the fingers at most, from an opening in m.
+    """Return the largest closing way of the test motion in m, from an opening in m.
 
     Raises LimitExceeded when the watchdog's time is too long, or the fingers are too closed, for a
     safe motion.

@@ -22,20 +22,20 @@ from recognition.recognizer import UNKNOWN, Posterior, Recognizer, Trainer
 from recognition.statistics import fusion
 
 _BEFORE = 10
-"""Grasps of a shift that are tracked before the first one that counts."""
+"""Grasps of a shift that are tracked before the first counted grasp."""
 _MIN_LABELS_FOR_UNKNOWN = 4
-"""With fewer objects, too few would be left to teach when some are left out."""
+"""Fewest labels for tests of unknown objects: with fewer, too few would remain to be taught."""
 _RANDOM_SUBSETS = 20
 """Random sets of grasps of each label and size that are fused."""
 _CHUNK = 64
-"""Grasps answered in one piece of work: long enough that handing it over costs little."""
+"""Grasps answered in one piece of work: long enough for a small overhead."""
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 
 class Mapper(Protocol):
-    """Applies a function to many items and returns the results in order; possibly elsewhere."""
+    """Applies a function to many items, perhaps elsewhere; returns the results in order."""
 
     def __call__(
         self, work: Callable[[_Item], _Result], items: Sequence[_Item], /
@@ -44,29 +44,29 @@ class Mapper(Protocol):
 
 
 def one_by_one(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> Iterable[_Result]:
-    """Apply a function here, one item after the other; a `Mapper`."""
+    """Apply a function in this process, one item after the other; a `Mapper`."""
     return map(work, items)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShiftFigures:
-    """Figures of a recogniser that follows the drift, over grasps in a mixed order."""
+    """Results of a recogniser that follows the drift, over grasps in a mixed order."""
 
     before: int
-    """Number of grasps of the shift before the first that counts."""
+    """Number of grasps of the shift before the first counted one."""
     n: int
-    """Number of grasps that count."""
+    """Number of counted grasps."""
     accuracy: float
     interval: tuple[float, float]
-    """Share of them whose likeliest label is right, and its 95 % Wilson interval."""
+    """Share of counted grasps with the right likeliest label, and its 95 % Wilson interval."""
     named_right: float
     named_wrong: float
-    """Shares of them that are named so."""
+    """Shares of counted grasps that are named rightly and wrongly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evaluation:
-    """Figures of a recogniser on grasps that did not teach it."""
+    """Results of a recogniser on grasps that did not teach it."""
 
     trainer: str
     uses_aperture: bool
@@ -76,12 +76,12 @@ class Evaluation:
     n: int
     """Number of tested grasps of taught objects."""
     n_untaught: int
-    """Number of tested grasps of other objects; they count in no accuracy."""
+    """Number of tested grasps of other objects; no accuracy includes them."""
     single_accuracy: float
     interval: tuple[float, float]
-    """Share of grasps whose likeliest label is right, and its 95 % Wilson interval."""
+    """Share of grasps with the right likeliest label, and its 95 % Wilson interval."""
     fused_accuracy: Mapping[int, float]
-    """The same for k grasps of one label that follow each other in time, all such runs, by k."""
+    """The same for k consecutive grasps of one label in time, all runs of k, by k."""
     random_fused_accuracy: Mapping[int, float]
     """The same for random sets of k grasps of one label."""
     calibration_error: float
@@ -93,18 +93,18 @@ class Evaluation:
     known_rejected: float
     """Share of tested grasps of taught objects with ``unknown`` above 0.5."""
     unknown_auroc: float
-    """Area under the curve of ``unknown`` for objects that were left out of teaching, against those
-    that were not; NaN where it was not measured."""
+    """Area under the curve of ``unknown`` for objects that were left out of teaching against the
+    others; NaN where it was not measured."""
     unknown_rejected: float
     """Share of grasps of left-out objects with ``unknown`` above 0.5; NaN where not measured."""
     confusion: NDArray[np.int64]
-    """(C, C) int64: row = what it was, column = the likeliest label."""
+    """(C, C) int64: row = true label, column = likeliest label."""
     shift: ShiftFigures | None = None
-    """The same grasps in a mixed order; None for a recogniser that does not follow the drift."""
+    """Results of the same grasps in a mixed order; None for a recogniser without drift tracking."""
 
     @property
     def confused(self) -> tuple[tuple[str, str, int], ...]:
-        """What each confused object was, what it was taken for, and how often; most often first."""
+        """True label, answered label and number of each confusion; most frequent first."""
         counts = self.confusion.tolist()
         pairs = [
             (truth, answer, counts[row][column])
@@ -124,7 +124,7 @@ def evaluate(
     unknown_groups: int = 6,
     mapper: Mapper = one_by_one,
 ) -> Evaluation:
-    """Teach a recogniser with one part of the grasps and test it on the other; again for each pair.
+    """Teach a recogniser with one part of the grasps and test it on the other, for each pair.
 
     Raises ValueError where no tested grasp is of a taught object, or a grasp has no label.
 
@@ -132,16 +132,16 @@ def evaluate(
     ----------
     parts
         Pairs of labelled grasps to teach and to test; no grasp may be in both of a pair. The
-        answers of all pairs count together, grasps of different pairs are not fused.
+        answers of all pairs count together; grasps of different pairs are not fused.
     fuse
         Numbers of grasps to fuse.
     seed
-        Of the random sets of grasps.
+        Seed of the random sets of grasps.
     unknown_groups
-        Into how many groups the labels are dealt out; each group in turn is left out of teaching
-        and must then be found unknown. That many more recognisers are taught; 0 for none.
+        Number of groups of labels. Each group in turn is left out of teaching and must then be
+        found unknown. One more recogniser is taught for each group; 0 for no test.
     mapper
-        Maps the work to processes or machines; the figures do not depend on it.
+        Maps the work to processes or machines; the results do not depend on it.
     """
     known: list[Grasp] = []
     posteriors: list[Posterior] = []
@@ -208,7 +208,7 @@ def evaluate(
 
 
 def evaluate_shift(recognizer: object, grasps: Sequence[Grasp], seed: int) -> ShiftFigures | None:
-    """Return figures over labelled grasps of taught objects in a mixed order, the drift followed.
+    """Return results over labelled grasps of taught objects in a mixed order, with drift tracking.
 
     None where the recogniser does not follow the drift, or there are too few grasps.
     """
@@ -251,7 +251,7 @@ def _leave_out(
     n_groups: int,
     mapper: Mapper,
 ) -> tuple[list[float], list[float]]:
-    """Return the area under the curve per group of left-out labels, and their unknown scores."""
+    """Return the area under the curve for each group of left-out labels, and unknown scores."""
     labels = sorted({g.label for g in train})
     if len(labels) < _MIN_LABELS_FOR_UNKNOWN:
         return [], []
@@ -270,7 +270,7 @@ def _leave_out(
 def _scores_without(
     train: Sequence[Grasp], test: Sequence[Grasp], trainer: Trainer, out: frozenset[str]
 ) -> tuple[list[float], list[float]]:
-    """Return how unknown the tested grasps of other labels and of those left out look."""
+    """Return the unknown scores of tested grasps of other labels and of the left-out labels."""
     recognizer = trainer.fit([g for g in train if g.label not in out])
     score = {True: list[float](), False: list[float]()}
     for grasp in test:
@@ -279,7 +279,7 @@ def _scores_without(
 
 
 def _consecutive(runs: Sequence[tuple[str, Sequence[Posterior]]], k: int) -> float:
-    """Return the share of right answers over all runs of k grasps; NaN where there is none."""
+    """Return the share of right answers over all runs of k grasps; NaN without a run."""
     right = [
         fusion.fuse(members[i : i + k]).best == label
         for label, members in runs
@@ -289,7 +289,7 @@ def _consecutive(runs: Sequence[tuple[str, Sequence[Posterior]]], k: int) -> flo
 
 
 def _random(runs: Sequence[tuple[str, Sequence[Posterior]]], k: int, seed: int) -> float:
-    """Return the share of right answers over random sets of k grasps; NaN where there is none."""
+    """Return the share of right answers over random sets of k grasps; NaN without a set."""
     rng = np.random.default_rng(seed)
     right = [
         fusion.fuse([members[i] for i in rng.choice(len(members), k, replace=False)]).best == label

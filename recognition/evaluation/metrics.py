@@ -1,4 +1,4 @@
-"""Figures of merit: confusion, intervals, calibration and separation."""
+"""Measures of recognition: confusion, intervals, calibration and separation."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ _N_BINS = 10
 def confusion_matrix(
     truth: Sequence[str], answers: Sequence[str], labels: Sequence[str]
 ) -> NDArray[np.int64]:
-    """Return (C, C) counts: row = what it was, column = the answer, in the order of `labels`.
+    """Return (C, C) counts: row = true label, column = answer, in the order of `labels`.
 
     Raises ValueError where the lengths differ or a label is not listed.
     """
@@ -46,10 +46,9 @@ def wilson_interval(successes: int, n: int) -> tuple[float, float]:
 
 
 def paired_difference(first: ArrayLike, second: ArrayLike) -> tuple[float, tuple[float, float]]:
-    """Return how much more often the second of two is right, and the 95 % interval of it.
+    """Return the difference of the second accuracy to the first, and its 95 % interval.
 
-    By Wald's interval with half a grasp added to each cell (Agresti and Min 2005, Stat. Med.
-    24:729).
+    Wald's interval with half a grasp added to each cell (Agresti and Min 2005, Stat. Med. 24:729).
 
     Parameters
     ----------
@@ -73,7 +72,7 @@ def paired_difference(first: ArrayLike, second: ArrayLike) -> tuple[float, tuple
 def expected_calibration_error(confidence: ArrayLike, correct: ArrayLike) -> float:
     """Return the mean gap between confidence and share of right answers over bins of confidence.
 
-    Bins are tenths of 0 to 1, weighted by what falls in them. Raises ValueError where the two
+    Bins are tenths of 0 to 1, weighted by their number of answers. Raises ValueError where the two
     differ in length or are empty.
     """
     p = np.asarray(confidence, dtype=np.float64)

@@ -34,7 +34,7 @@ def chronological_split(grasps: Sequence[Grasp], fraction: float) -> TrainTest:
 def shuffled_split(grasps: Sequence[Grasp], fraction: float, seed: int) -> TrainTest:
     """Return (train, test): of each label a random fraction teaches, the rest tests.
 
-    Neighbours in time look alike, so this flatters; for comparison with published figures only.
+    Neighbours in time look alike, so the accuracy is too high; only for published comparisons.
     Raises ValueError where the fraction is not between 0 and 1 or a grasp has no label.
     """
     rng = np.random.default_rng(seed)
@@ -49,10 +49,10 @@ def shuffled_split(grasps: Sequence[Grasp], fraction: float, seed: int) -> Train
 
 
 def series_parts(grasps: Sequence[Grasp]) -> list[TrainTest]:
-    """Return a part for each series of the objects that have several: it tests, all else teaches.
+    """Return a part for each series of objects with several: the series tests, all else teaches.
 
-    This is what another day costs an object that was taught on several. Raises ValueError where no
-    object has several series, or a grasp has no label.
+    The result is the loss on another day for an object that was taught on several. Raises
+    ValueError where no object has several series, or a grasp has no label.
     """
     series = {label: series_of(members) for label, members in by_label(grasps).items()}
     held_out = [one for found in series.values() if len(found) > 1 for one in found]
@@ -70,10 +70,10 @@ def series_parts(grasps: Sequence[Grasp]) -> list[TrainTest]:
 def left_out_parts(
     grasps: Sequence[Grasp], groups: Sequence[str], *, least: int = 3
 ) -> list[TrainTest]:
-    """Return a part for each group, as a day or a cell: it tests, and all others teach.
+    """Return a part for each group, for example a day or a cell: it tests, and all others teach.
 
     Objects with fewer than ``least`` grasps left to teach neither teach nor test. Raises ValueError
-    where that leaves no part.
+    where no part remains.
     """
     parts = []
     for out in sorted(set(groups)):
@@ -92,9 +92,9 @@ def left_out_parts(
 
 
 def parse_split(text: str, *, seed: int = 0) -> Split:
-    """Return the split that the text names: ``chronological:0.6`` or ``shuffled:0.8``.
+    """Return the split that a text names: ``chronological:0.6`` or ``shuffled:0.8``.
 
-    Raises ValueError, naming what is accepted, for any other text.
+    Raises ValueError, naming the accepted texts, for any other text.
     """
     name, _, number = text.partition(":")
     try:
@@ -112,7 +112,7 @@ def parse_split(text: str, *, seed: int = 0) -> Split:
 
 
 def a_day_later(grasp: Grasp) -> Grasp:
-    """Return the grasp as if it had been taken on the next day: sensors drift from day to day."""
+    """Return a copy of the grasp with a date one day later: sensors drift from day to day."""
     return replace(grasp, start_ms=grasp.start_ms + _DAY_MS)
 
 

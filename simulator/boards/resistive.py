@@ -25,7 +25,7 @@ class ResistiveLaw:
     exponent: float = 0.9
     """Exponent of the conductance over the force."""
     hysteresis: float = 0.1
-    """Share by which the conductance stays above that of a force that falls."""
+    """Share by which the conductance stays above that of a falling force."""
     row_share: float = 0.25
     column_share: float = 0.15
     """Share of the mean conductance of its row and of its column that is added to a taxel."""

@@ -17,7 +17,7 @@ _PERIOD_S = 0.01
 _REST = (0x7E31, 0x7E31, 0x9312)
 """Samples of x, y and z at rest."""
 _SPREAD_COUNTS = 900.0
-"""Standard deviation of the rest of taxels of z. [assumed]"""
+"""Standard deviation of the rest values of z between taxels. [assumed]"""
 _JITTER = 0.02
 
 
@@ -42,9 +42,9 @@ class UskinSettings:
     limit_n: float = 12.0
     """Force in N at which the silicone is compressed to its base."""
     crosstalk: float = 0.12
-    """Share of a taxel's force that each neighbour shows too."""
+    """Share of a taxel's force that each neighbour also measures."""
     hysteresis: float = 0.06
-    """Share by which a taxel stays above a force that falls."""
+    """Share by which a taxel stays above a falling force."""
     noise_counts: float = 12.0
     """Standard deviation of the noise."""
     drift_counts_s: float = 5.0

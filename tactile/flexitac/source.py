@@ -1,7 +1,7 @@
 """Frame source of two FlexiTac boards: one on each finger, each on a serial port of its own.
 
-The boards run freely and send neither counter nor checksum. A frame that is torn, repeated or late
-is found by its header, its content and the time alone.
+The boards run freely and send neither counter nor checksum. Only header, content and time show a
+torn, repeated or late frame.
 """
 
 from collections import deque
@@ -27,29 +27,29 @@ from tactile.source import (
 
 _READ_BYTES = 65536
 _STALL_PERIODS = 6.0
-"""Periods after which bytes that nobody fetched are dropped: a port keeps 4,096 of them, and none
-has a time. [chosen]"""
+"""Periods after which unread bytes are dropped: a port keeps 4,096 bytes, without their times.
+[chosen]"""
 _SILENT_PERIODS = 8.0
-"""Periods without a frame that are a fault at least: a lost byte costs four. [chosen]"""
+"""Least silence that is a fault, in periods: a lost byte costs four. [chosen]"""
 _LOSS_FRAMES = 50
-"""Frames among which the lost ones are counted."""
+"""Number of newest frames for the loss rate."""
 _LIVELY_FRAMES, _LIVELY_SHARE = 25, 0.9
-"""Among so many frames this share has to differ from the one before: from then on an equal one is a
-repeat, because the noise of hundreds of taxels does not repeat itself. [chosen]"""
+"""Newest frames, and the share of them that must differ from the previous one. Then an equal frame
+is a repeat, because the noise of hundreds of taxels does not repeat itself. [chosen]"""
 
 
 class BoardLine(Protocol):
     """Serial line of a board."""
 
     def read(self, size: int, timeout_s: float, /) -> bytes:
-        """Return 1 to ``size`` bytes as soon as any is there, b"" after ``timeout_s`` s."""
+        """Return 1 to ``size`` bytes as soon as one is available, b"" after ``timeout_s`` s."""
 
     def close(self) -> None:
-        """Give the line back; may be called twice."""
+        """Close the line; may be called twice."""
 
 
 class _Board:
-    """One board: its line, its frames that wait for the other board, and how they come."""
+    """One board: its line, its frames that wait for the other board, and its frame statistics."""
 
     def __init__(self, finger: int, open_line: Callable[[], BoardLine], profile: Profile) -> None:
         self.name = f"the board of finger {finger}"
@@ -73,13 +73,13 @@ class _Board:
         self.last, self.repeated = None, False
 
     def close(self) -> None:
-        """Give the line back."""
+        """Close the line."""
         if self._line is not None:
             self._line.close()
             self._line = None
 
     def receive(self, now_s: float, statistics: FrameStatistics, *, stalled: bool) -> None:
-        """Take in what has arrived."""
+        """Receive the available bytes."""
         if self._line is None:
             raise LinkStateError("the line of the sensor is closed: start it first")
         data = b""
@@ -100,7 +100,7 @@ class _Board:
     def _take(self, frame: BoardFrame, statistics: FrameStatistics) -> None:
         same = self.last is not None and frame.samples == self.last.samples
         lively = sum(self.changes) >= _LIVELY_SHARE * _LIVELY_FRAMES
-        # A pad at an end of its scale, or without supply, shows no noise.
+        # A pad at an end of its scale, or without supply, has no noise.
         self.repeated = same and lively and len(set(frame.samples)) > 1
         if self.repeated:
             statistics.duplicate += 1
@@ -130,7 +130,7 @@ def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> 
 class FlexiTacSource:
     """Two FlexiTac boards; implements `tactile.source.FrameSource`.
 
-    A frame is made of the newest ones of both boards, as soon as both have a new one. Raises
+    A frame consists of the newest frames of both boards, as soon as both have a new one. Raises
     LayoutError where the layout has other pads than two of the profile's size.
 
     Parameters
@@ -140,13 +140,13 @@ class FlexiTacSource:
     profile
         Size of the matrix that both boards send.
     rows_along
-        Whether the rows of a board follow each other along the finger; else across it.
+        Whether the rows of a board follow each other along the finger; otherwise across it.
     mounts
-        Pads that sit otherwise than the layout has them.
+        Pads mounted differently than in the layout.
     line_errors
-        Errors with which a line shows that it cannot be opened or is gone.
+        Errors of a line that cannot be opened or is gone.
     silence_s, max_loss_rate, startup_timeout_s
-        Silence in s, share of torn frames and time of the start in s that are a fault.
+        Limits for a fault: silence in s, share of torn frames and time of the start in s.
     """
 
     sends_forces = False
@@ -226,7 +226,7 @@ class FlexiTacSource:
         newest = (board.waiting[len(board.waiting) - n :] for board in self._boards)
         pairs = list(zip(*newest, strict=True))
         for board in self._boards:
-            # Without a frame of the other board the newest one waits for it.
+            # Without a frame of the other board its newest frame waits.
             board.waiting = [] if n else board.waiting[-1:]
         return Arrivals(tuple(self._frame(pair) for pair in pairs))
 
@@ -242,7 +242,7 @@ class FlexiTacSource:
             except self._line_errors as error:
                 raise LinkFault(f"the line of {board.name} is gone: {error}") from error
             if stalled and board.last is not None:
-                # It may be silent for as long as it takes to lock anew.
+                # The board may be silent until the stream has locked again.
                 board.last = BoardFrame(t_s=now_s, samples=board.last.samples)
 
     def _check(self) -> None:
@@ -285,10 +285,10 @@ class FlexiTacSource:
         return (matrix.T if self._transposed else matrix).astype(np.uint16).ravel()
 
     def set_zero(self, zero: PadZero) -> None:
-        """Nothing: the boards send no forces."""
+        """Do nothing: the boards send no forces."""
 
     def stop(self) -> None:
-        """Give the lines back."""
+        """Close the lines."""
         self._running = False
         for board in self._boards:
             board.close()

@@ -1,7 +1,7 @@
-"""Frames in the byte stream of a FlexiTac board: lock on their header, torn ones found. Pure.
+"""Frames in the byte stream of a FlexiTac board: lock on their header, torn frames. Pure.
 
 A frame is ``AA 55`` and one byte for each taxel, row by row. It has no length, counter or checksum,
-and ``AA 55`` may occur inside: of all offsets only that counts at which each frame has a header.
+and ``AA 55`` may occur inside. So an offset counts only if each frame has a header there.
 """
 
 from collections.abc import Mapping
@@ -12,14 +12,14 @@ HEADER = b"\xaa\x55"
 BAUD_RATE = 2_000_000
 """Line rate in bit/s (package ``flexitac`` 0.3.1)."""
 PERIOD_S = 0.01
-"""Usual period of the frames in s: boards send 85 to 110 a second."""
+"""Usual period of the frames in s: boards send 85 to 110 frames a second."""
 _BURST_SHARE = 0.75
-"""Share of the period within which the bytes of a frame come. They take 2 ms on the line; what is
-lost of a frame is made up by bytes of the next one, a period later. [chosen]"""
+"""Share of the period for the bytes of a frame. They take 2 ms on the line; bytes of the next
+frame, a period later, replace lost ones. [chosen]"""
 _LOCK_FRAMES = 3
-"""Frames that a header has to survive. Noise repeats one by chance in 1 of 65,536. [chosen]"""
+"""Consecutive frames with a header at one offset; noise repeats one in 1 of 65,536. [chosen]"""
 _AMBIGUOUS_FRAMES = 20
-"""Frames after which several offsets that survive are a static picture, not chance. [chosen]"""
+"""Frames after which several remaining offsets are a static picture, not chance. [chosen]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Profile:
 PROFILES: Mapping[str, Profile] = MappingProxyType(
     {"12x32": Profile(12, 32), "16x32": Profile(16, 32), "16x16": Profile(16, 16)}
 )
-"""The sizes that boards are made for."""
+"""The sizes of available boards."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,30 +48,30 @@ class BoardFrame:
     t_s: float
     """Monotonic time in s at which its last byte was found."""
     samples: bytes
-    """One byte a taxel, row by row."""
+    """One byte for each taxel, row by row."""
 
 
 class FrameStream:
-    """Takes the bytes of one board and gives back its whole frames."""
+    """Converts the bytes of one board to its whole frames."""
 
     def __init__(self, profile: Profile) -> None:
         self._profile = profile
         self._size = profile.frame_bytes
         self.torn = 0
-        """Frames that were given up, because the next header was not where it belongs."""
+        """Frames that were discarded because the next header was not at its place."""
         self.reset()
 
     def reset(self) -> None:
-        """Forget all bytes and the lock."""
+        """Discard all bytes and the lock."""
         self._bytes = bytearray()
         self._begun_s = 0.0
         self.locked = False
         """Whether one offset of the header is known."""
         self.trouble = "it sends nothing"
-        """Why there is no lock."""
+        """Reason for the missing lock."""
 
     def feed(self, data: bytes, now_s: float) -> list[BoardFrame]:
-        """Return the frames that are whole with these bytes, found at ``now_s`` s, oldest first."""
+        """Return the frames completed by these bytes, found at ``now_s`` s, oldest first."""
         if not self._bytes:
             self._begun_s = now_s
         self._bytes += data
@@ -85,7 +85,7 @@ class FrameStream:
                 self._unlock(now_s)
                 break
             if not behind and now_s - self._begun_s > _BURST_SHARE * PERIOD_S:
-                # Slow enough to end with a byte of the next frame: that one's header will show it.
+                # It is slow enough to end with a byte of the next frame, whose header will show it.
                 break
             frames.append(bytes(self._bytes[len(HEADER) : self._size]))
             del self._bytes[: self._size]
@@ -102,13 +102,13 @@ class FrameStream:
         self._find_lock(now_s)
 
     def _find_lock(self, now_s: float) -> None:
-        """Lock if one offset alone has a header in each of several frames."""
+        """Lock if exactly one offset has a header in each of several frames."""
         n_frames = (len(self._bytes) - 1) // self._size
         if n_frames < _LOCK_FRAMES:
             return
         offsets = _offsets(self._bytes, self._size, n_frames)
         if len(offsets) == 1:
-            # What came before the newest frames is older than anybody can date.
+            # The time of bytes before the newest frames is unknown.
             del self._bytes[: offsets[0] + (n_frames - 1) * self._size]
             self._begun_s, self.locked, self.trouble = now_s, True, ""
             return
@@ -133,7 +133,7 @@ class FrameStream:
 
 
 def _offsets(data: bytearray, size: int, n_frames: int) -> list[int]:
-    """Return each offset below ``size`` with a header in all of so many frames."""
+    """Return each offset below ``size`` with a header in all of ``n_frames`` frames."""
     found, offset = [], data.find(HEADER)
     while 0 <= offset < size:
         if all(data.startswith(HEADER, offset + n * size) for n in range(1, n_frames)):

@@ -14,10 +14,10 @@ FULL_SCALE = 0xFFFF
 PERIOD_S = 0.01
 """Usual period of the samples in s."""
 _SAMPLES = Struct(">xHHH")
-"""Byte 0 is not for us; x, y and z, high byte first."""
+"""Byte 0 is not used; x, y and z follow, high byte first."""
 START_ID, FIRST_ID = 0x200, 0x700
-"""Start identifier of board 0, and identifier of its first taxel; further boards of the XR1944
-follow at 1 and 10h. Only board 1 was seen by others: those of board 2 are likely."""
+"""Start identifier of board 0, and identifier of its first taxel. Further boards of the XR1944
+follow at 1 and 10h. Others have seen only board 1: those of board 2 are likely."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,13 +25,13 @@ class BoardIds:
     """Identifiers of one board."""
 
     start: int
-    """Of the message that starts it."""
+    """Identifier of its start message."""
     taxels: tuple[int, ...]
-    """Of the samples of each taxel, row by row along the finger."""
+    """Identifier of the samples of each taxel, row by row along the finger."""
 
 
 def xr1944(board: int, n_taxels: int = 16) -> BoardIds:
-    """Return the identifiers of an XR1944 whose address is ``board``."""
+    """Return the identifiers of an XR1944 with the address ``board``."""
     first = FIRST_ID + 0x10 * board
     return BoardIds(start=START_ID + board, taxels=tuple(range(first, first + n_taxels)))
 
@@ -43,7 +43,7 @@ def samples(data: bytes | bytearray) -> tuple[int, int, int] | None:
 
 def check_layout(layout: TaxelLayout, boards: Sequence[BoardIds]) -> None:
     """Raise LayoutError where a layout does not fit the taxels of two boards, or ids repeat."""
-    # A start may have the identifier of a taxel, as 203h of newer boards: it goes the other way.
+    # A start may have a taxel's identifier, as 203h of newer boards: its direction is the opposite.
     for ids in ([i for board in boards for i in board.taxels], [board.start for board in boards]):
         if len(set(ids)) < len(ids):
             raise LayoutError("identifiers of the boards repeat: each taxel and start has its own")

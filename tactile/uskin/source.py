@@ -1,7 +1,7 @@
-"""Frame source of two uSkin boards on one CAN bus; of the three axes z is used.
+"""Frame source of two uSkin boards on one CAN bus, with z of the three axes.
 
 The messages have neither counter nor checksum. A cycle of a board is whole when each of its taxels
-has come once; one that comes twice before shows that another was lost, or a second board.
+has sent once. If a taxel sends twice before, another message was lost, or there is a second board.
 """
 
 from collections import deque
@@ -35,23 +35,23 @@ from tactile.source import (
 from tactile.uskin.messages import FULL_SCALE, PERIOD_S, START, BoardIds, check_layout, samples
 
 _SILENT_PERIODS = 6.0
-"""Periods without a whole cycle that are a fault at least. [chosen]"""
+"""Least silence without a whole cycle that is a fault, in periods. [chosen]"""
 _GAP_SHARE = 0.3
-"""Share of the period without a message of a board that ends its cycle: the messages of one follow
-each other, or are spread evenly. [chosen]"""
+"""Share of the period without a message that ends a board's cycle. The messages of a board follow
+each other or are spread evenly. [chosen]"""
 _CYCLES = 100
-"""Cycles among which those are counted that lack a taxel."""
+"""Number of newest cycles for the share without a taxel."""
 _DOUBLED = 1.7
-"""Multiple of the usual rate of cycles from which two boards have one address. [chosen]"""
+"""Multiple of the usual rate of cycles above which two boards have one address. [chosen]"""
 _MIXED, _MIXED_PERIODS = 40, 3.0
-"""So many cycles that end too early within so many periods: the messages of two boards alternate,
-and not only those that were under way when one of them was taken off. [chosen]"""
+"""Number of cycles that end too early within a number of periods, when the messages of two boards
+alternate. Messages in transit from a board just removed give fewer. [chosen]"""
 _BUS_OFF = 0x40
-"""Class of an error frame as SocketCAN has it in the identifier (linux/can/error.h)."""
+"""Class of an error frame in SocketCAN's identifier (linux/can/error.h)."""
 
 
 class _Board:
-    """One board: the cycle that is coming in, and the newest whole one."""
+    """One board: its incoming cycle, and its newest whole one."""
 
     def __init__(self, finger: int, ids: BoardIds) -> None:
         self.name = f"the board of finger {finger} (start {ids.start:X}h)"
@@ -60,14 +60,14 @@ class _Board:
         self.restart(0.0)
 
     def restart(self, now_s: float) -> None:
-        """Forget all samples."""
+        """Discard all samples."""
         self._z: dict[int, int] = {}
         self._begun_s = self._message_s = self.last_s = now_s
         self.waiting: tuple[float, float, NDArray[np.uint16]] | None = None
         self._cycles: deque[tuple[float, bool]] = deque(maxlen=_CYCLES)
 
     def take(self, identifier: int, z: int, t_s: float) -> bool:
-        """Take the sample of a taxel; returns whether it ended a cycle that lacks another one."""
+        """Add the sample of a taxel; return whether it ended a cycle without another taxel."""
         place = self._place[identifier]
         gap_s, self._message_s = t_s - self._message_s, t_s
         torn = place in self._z or (bool(self._z) and gap_s > _GAP_SHARE * PERIOD_S)
@@ -87,7 +87,7 @@ class _Board:
 
     @property
     def loss_rate(self) -> float:
-        """Share of the newest cycles that lacked a taxel."""
+        """Share of the newest cycles without a taxel."""
         if len(self._cycles) < _CYCLES:
             return 0.0
         return 1.0 - sum(whole for _, whole in self._cycles) / _CYCLES
@@ -100,7 +100,7 @@ class _Board:
 
     @property
     def doubled(self) -> bool:
-        """Whether the taxels come so often that two boards must send them."""
+        """Whether the rate of the taxels is so high that two boards must send them."""
         full = len(self._cycles) == _CYCLES
         span_s = self._cycles[-1][0] - self._cycles[0][0] if full else _CYCLES * PERIOD_S
         return self.mixed >= _MIXED or span_s < _CYCLES * PERIOD_S / _DOUBLED
@@ -118,11 +118,11 @@ class UskinSource:
     boards
         Identifiers of the board on finger 0 and on finger 1.
     falling
-        Whether z falls under a force; counts rise in any case.
+        Whether z falls under a force; counts rise in both cases.
     threaded
-        True: a thread receives (real buses). False: `poll` asks the bus (buses in memory).
+        True: a thread receives (real buses). False: `poll` reads the bus (buses in memory).
     reopen
-        Opens the bus anew where it was lost.
+        Opens the bus again after its loss.
     """
 
     sends_forces = False
@@ -176,7 +176,7 @@ class UskinSource:
     def start(self) -> SourceIdentity:
         """Start both boards and wait for a whole cycle of each.
 
-        Raises FrameTimeout where a board sends none, DuplicateNode where two have one address.
+        Raises FrameTimeout where a board sends no cycle, DuplicateNode where two have one address.
         """
         lost = isinstance(self._fault, BusOff | ReceiveLoopDead)
         if self._reopen is not None and (lost or isinstance(self._bus, MissingBus)):
@@ -267,7 +267,7 @@ class UskinSource:
                     f"{self._silence_s:g} s: check its cable and supply; a board that restarted "
                     "sends after the next start"
                 )
-            # More than two in a period are no loss: whether the board is doubled shows soon.
+            # More than two in a period are no loss: the check for a doubled board follows soon.
             if board.loss_rate > self._max_loss_rate and board.mixed <= 2.0 * _MIXED_PERIODS:
                 raise FrameTimeout(
                     f"{board.loss_rate:.0%} of the last {_CYCLES} cycles of {board.name} lack a "
@@ -294,7 +294,7 @@ class UskinSource:
         )
 
     def set_zero(self, zero: PadZero) -> None:
-        """Nothing: the boards send no forces."""
+        """Do nothing: the boards send no forces."""
 
     def stop(self) -> None:
         """Stop receiving; the boards go on and the bus stays open."""

@@ -1,1 +1,1 @@
-"""What is known of a grip: its force, the stiffness of the part, the friction of the gearing."""
+"""Estimates of a grip: its force, the stiffness of the part, the friction of the gearing."""

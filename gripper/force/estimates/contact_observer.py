@@ -1,6 +1,6 @@
-"""Observer of fingers that press on a part: force, speed, what the drive lacks, stiffness.
+"""Observer of fingers that press on a part: force, speed, drive error, stiffness.
 
-Motor and finger, seen at the pad, are a mass that friction brakes and a spring, pad and part,
+Motor and finger, seen at the pad, are a mass. Friction brakes it, and a spring, pad and part,
 pushes back.
 """
 
@@ -16,37 +16,37 @@ from gripper.values.force_sensor import ForceSample
 _SOFTEST_N_M = 100.0
 """Least stiffness in N/m of pad and part at one pad. [chosen]"""
 _LOG_STIFFNESS_SD, _LOG_STIFFNESS_RS = 0.5, 2.0
-"""How uncertain the logarithm of the stiffness is at first, and how fast it wanders, per root of a
+"""Initial standard deviation of the logarithm of the stiffness, and its random walk per root of a
 second: foam hardens. [tuned]"""
 _DISTURBANCE_SHARE, _DISTURBANCE_N_RS = 0.12, 1.5
-"""How uncertain drive and friction are at first, as a share of the drive, and how fast the
-difference wanders, in N per root of a second. [tuned]"""
+"""Initial uncertainty of drive and friction, as a share of the drive, and random walk of their
+difference in N per root of a second. [tuned]"""
 _SPEED_NOISE_M_S = 0.0007
-"""Noise in m/s of the speed that the servos report: half of its grain of 1.4 mm/s. [resolution]"""
+"""Noise in m/s of the speed by the servos: half of its resolution of 1.4 mm/s. [resolution]"""
 _SPEED_WANDER_M_S, _FORCE_WANDER_N = 0.0004, 0.02
-"""What a period adds by itself to speed in m/s and force in N: ripple and creep. [tuned]"""
+"""Random change of speed in m/s and force in N in a period: ripple and creep. [tuned]"""
 _BELIEVED_SDS, _BELIEVED_N = 3.0, 0.2
-"""Deviations of a sample that are made up for at once, and at least so many N: pads that jump by
-more lie, or a part slips, and what watches over them ends the ramp. [tuned]"""
+"""Deviations of a sample that are corrected at once, and their least value in N. A larger jump is
+an error of the pads or a slipping part, and supervision ends the ramp. [tuned]"""
 _EDGE_DOUBT_N = 0.2
-"""How uncertain in N the edge of the friction is at which slowly pushed fingers have come loose.
+"""Uncertainty in N of the edge of the friction at which slowly pushed fingers start to move.
 [tuned]"""
 
 
 class ContactObserver:
     """Kalman filter of force, speed, drive and stiffness of fingers that press on a part.
 
-    The state is: force in N, closing speed of a pad in m/s, what the drive lacks in N, and the
+    The state is force in N, closing speed of a pad in m/s, missing force of the drive in N, and the
     logarithm of the stiffness at one pad in N/m.
 
     Parameters
     ----------
     grip
-        What is known of the grip at the start.
+        State of the grip at the start.
     start_s
         Monotonic time in s.
     stiffness_n_m, lacking_n
-        Stiffness at one pad in N/m and what the drive lacks in N, as far as they are known.
+        Stiffness at one pad in N/m and missing force of the drive in N, as far as they are known.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class ContactObserver:
     def step(
         self, moment: Moment, *, drive_n: float, friction_n: float, sample: ForceSample | None
     ) -> None:
-        """Advance to the feedback of now and take it in.
+        """Advance to the present feedback and use it.
 
         Parameters
         ----------
@@ -118,9 +118,9 @@ class ContactObserver:
             self._history.shift(self.force_n - before_n)
 
     def open_from(self, drive_n: float, friction_n: float) -> None:
-        """Take the drive in N at which fingers came loose and open for the edge of the friction.
+        """Set the edge of the friction from the drive in N at which fingers started to open.
 
-        Fingers that came loose later than expected show no new edge.
+        Fingers that started later than expected give no new edge.
         """
         edge_n = drive_n - self.force_n + STICTION * friction_n
         if edge_n <= self.lacking_n:
@@ -131,7 +131,7 @@ class ContactObserver:
         self._p[2][2] = _EDGE_DOUBT_N**2
 
     def unexplained_n(self, sample: ForceSample) -> float:
-        """Return by how much in N a sample is more than the force was when it was measured."""
+        """Return the excess in N of a sample over the force at the time of its measurement."""
         return sample.grip_n - self._history.at(sample.measured_s)
 
     def _predict(self, dt_s: float, drive_n: float, friction_n: float) -> None:
@@ -142,7 +142,7 @@ class ContactObserver:
         self.speed_m_s = after
         p = self._p
         if after == 0.0:
-            # A locked mass tells nothing about drive and stiffness.
+            # A locked mass gives no information on drive and stiffness.
             for one in range(4):
                 for other in range(4):
                     if one != other:
@@ -166,7 +166,7 @@ class ContactObserver:
         p[0][0] += _FORCE_WANDER_N**2
 
     def _correct(self, of: int, error: float, noise2: float) -> None:
-        """Take one measured entry of the state in."""
+        """Correct the state by one of its measured entries."""
         p = self._p
         gains = [p[row][of] / (p[of][of] + noise2) for row in range(4)]
         self.force_n += gains[0] * error

@@ -1,7 +1,7 @@
 """Estimate of the grip force: a model of the drive, and its difference from the sensor.
 
-The difference, the bias, is learnt by a Kalman filter with one state. What the sensor shows is
-compared with the model at the time of the measurement, so that its delay does not enter.
+A Kalman filter with one state learns the difference, the bias. A sample is compared with the model
+at the time of its measurement, so its delay has no effect.
 """
 
 from math import sqrt
@@ -14,21 +14,21 @@ from gripper.values.force_sensor import ForceSample
 from gripper.values.recent import FRAME_S
 
 _IMPLAUSIBLE_S = 15 * FRAME_S
-"""Time in s for which sensor and model may disagree: 15 frames."""
+"""Longest allowed disagreement in s of sensor and model: 15 frames."""
 _JUMP_N, _JUMP_SHARE, _JUMP_FRICTION_SHARE, _JUMP_SIGMAS = 0.8, 0.15, 0.17, 4.0
 """Sudden growth of the measured force that no drive makes: in N, as a share of the set-point and of
-the friction, and beside the noise of a sample in its standard deviations. Friction that breaks
-makes an eighth of it at most where the fingers do not give back force. [tuned]"""
+the friction, plus standard deviations of the noise of a sample. Friction that breaks makes an
+eighth of it at most where the fingers do not give back force. [tuned]"""
 _JUMP_S = 0.75 * FRAME_S
-"""Time in s that it must last: two frames."""
+"""Least duration of the growth in s: two frames."""
 _STICKS_SHARE = 0.6
-"""Share of the friction that may hold more force than the model has, just after it has fallen:
-friction differs from the model's by a third at most, and that at both edges. [assumed]"""
+"""Share of the friction that may hold more force than the model, just after it has fallen. Friction
+differs from the model's by a third at most, at both edges. [assumed]"""
 _BIAS_SIGMAS = 5.0
-"""Standard deviations of the force by current that sensor and current may disagree by. [chosen]"""
+"""Standard deviations of the force by current by which sensor and current may disagree. [chosen]"""
 _MOTION_S = FRAME_S
-"""Time in s for which the motion of the fingers makes the model equally wrong: faster samples do
-not tell more."""
+"""Time in s for which the motion of the fingers makes the model equally wrong: faster samples give
+no further information."""
 
 
 class Observer(Protocol):
@@ -36,7 +36,7 @@ class Observer(Protocol):
 
     force_n: float
     lacking_n: float
-    """Grip force in N, and by how much the drive makes less of it than the model has."""
+    """Grip force in N, and the missing force of the drive compared with the model in N."""
 
     @property
     def doubt_n(self) -> float:
@@ -44,12 +44,12 @@ class Observer(Protocol):
 
 
 class ForceEstimate:
-    """Grip force by the drive, and what the sensor shows beside it; the modes of control move it.
+    """Grip force by the drive, and its difference from the sensor; the modes of control move it.
 
     Parameters
     ----------
     tuning
-        Of the force loop.
+        Settings of the force loop.
     force_n
         Grip force at the start in N.
     now_s
@@ -60,9 +60,9 @@ class ForceEstimate:
         self.model_n = force_n
         """Modelled grip force in N."""
         self.bias_n = 0.0
-        """Difference between sensor and model in N, as learnt."""
+        """Learnt difference between sensor and model in N."""
         self.sample_s = now_s
-        """Time in s of the newest sample that was taken in."""
+        """Time in s of the newest sample used."""
         self._tuning = tuning
         self._doubt_n2 = tuning.start_doubt_n**2
         self._history = History()
@@ -81,24 +81,24 @@ class ForceEstimate:
         return sqrt(self._doubt_n2)
 
     def move(self, now_s: float, model_n: float, *, doubt_n: float = 0.0) -> None:
-        """Set the modelled force of now in N; ``doubt_n`` is what the motion adds to the doubt."""
+        """Set the present modelled force in N; ``doubt_n`` is the doubt that the motion adds."""
         self._doubt_n2 += doubt_n**2
         self.model_n = model_n
         self._history.add(now_s, model_n)
 
     def correct(self, shift_n: float, bias_n: float) -> None:
-        """Shift the modelled force in N, now and before, and set the bias that belongs to it."""
+        """Shift the modelled force in N, present and past, and set the bias that belongs to it."""
         self._history.shift(shift_n)
         self.model_n += shift_n
         self.bias_n = bias_n
 
     def follow(self, now_s: float, sample: ForceSample, observer: Observer) -> None:
-        """Take over what an observer of the motion has found.
+        """Take over the results of an observer of the motion.
 
         Parameters
         ----------
         now_s, sample
-            Monotonic time in s, and the newest sample, which the observer has taken in.
+            Monotonic time in s, and the newest sample, which the observer has used.
         """
         self._history.shift(self.bias_n + observer.lacking_n)
         self.bias_n, self._doubt_n2 = -observer.lacking_n, observer.doubt_n**2
@@ -106,20 +106,20 @@ class ForceEstimate:
         self.sample_s = sample.t_s
 
     def unexplained_n(self, sample: ForceSample) -> float:
-        """Return by how much in N a sample is more than the model was when it was measured."""
+        """Return the excess in N of a sample over the model at the time of its measurement."""
         return sample.grip_n - self._history.at(sample.measured_s)
 
     def learn(self, sample: ForceSample, *, drift_n_rs: float, motion_n: float) -> None:
-        """Correct the bias by a new sample: the doubt has grown with time, the sample lowers it.
+        """Correct the bias by a new sample; its doubt grows with time and falls with a sample.
 
         Parameters
         ----------
         sample
-            Valid and newer than all before.
+            Valid sample, newer than all before.
         drift_n_rs
-            How fast the bias wanders, in N per root of a second.
+            Random walk of the bias, in N per root of a second.
         motion_n
-            How wrong the model is by the motion of the fingers now, in N.
+            Error of the model by the present motion of the fingers in N.
         """
         step_s = sample.t_s - self.sample_s
         self._doubt_n2 += drift_n_rs**2 * step_s
@@ -138,18 +138,18 @@ class ForceEstimate:
         *,
         fell: bool = False,
     ) -> bool:
-        """Return whether a sample shows far more force than before though no drive made it.
+        """Return whether a sample shows a large jump of the force that no drive made.
 
-        Following it would let a part go whose force has not changed.
+        Control that follows it would release a part although its force has not changed.
 
         Parameters
         ----------
         sample
-            Newest valid force sample; the same one may come again.
+            Newest valid force sample; the same sample may come again.
         jump_n
-            What it shows beyond the force that the drive explains, in N.
+            Its excess in N over the force that the drive explains.
         setpoint_n
-            Grip force that is asked for in N.
+            Set-point of the grip force in N.
         friction_n
             Half the width of the friction band as grip force.
         fell
@@ -158,7 +158,7 @@ class ForceEstimate:
         Raises
         ------
         LimitExceeded
-            When it lasts.
+            When the jump lasts.
         """
         least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n, _JUMP_FRICTION_SHARE * friction_n)
         least_n += _JUMP_SIGMAS * sample.noise_n
@@ -183,8 +183,8 @@ class ForceEstimate:
     ) -> None:
         """Raise LimitExceeded when the bias has been larger than plausible for some time.
 
-        Then the sensor does not see the force that the current makes. The force lies anywhere in
-        the friction band, of half the width ``friction_n``; ``current_doubt_n`` is the standard
+        In this case the sensor does not measure the force of the current. The force lies anywhere
+        in the friction band, of half the width ``friction_n``; ``current_doubt_n`` is the standard
         deviation in N of its middle.
         """
         limit_n = self._tuning.bias_max_n + friction_n + _BIAS_SIGMAS * current_doubt_n

@@ -1,4 +1,4 @@
-"""Free motion of the fingers: what it shows of the friction of each servo."""
+"""Free motion of the fingers, which gives the friction of each servo."""
 
 from collections import deque
 from dataclasses import replace
@@ -24,32 +24,32 @@ _BEFORE_END_S = 0.05
 """Time in s before the end of free motion that is left out: the pads report a contact late.
 [tuned]"""
 _WINDOW_S = 0.4
-"""Time in s of free motion that one point is taken over. [tuned]"""
+"""Time in s of free motion for one point. [tuned]"""
 _LEAST_PERIODS = 12
 """Least periods of one point: 0.06 s at 200 Hz. [tuned]"""
 _STEADY_SHARE, _STEADY_COUNTS, _LEAST_COUNTS = 0.1, 1.5, 0.5
-"""By what share and how many counts the speed of a steady motion may differ from its mean, and the
-least speed in counts. [resolution]"""
+"""Largest deviation of the speed of a steady motion from its mean, as a share and in counts, and
+the least speed in counts. [resolution]"""
 _EVEN_SHARE = 0.15
-"""Share by which the current of both halves of a free motion may differ. [tuned]"""
+"""Share by which the currents of both halves of a free motion may differ. [tuned]"""
 _SAME_SPEED = 1.3
-"""Speeds whose ratio is less are one point: the newest motion counts. [chosen]"""
+"""Ratio of speeds below which they are one point: the newest motion counts. [chosen]"""
 _FEW_POINTS, _MOST_POINTS = 4, 16
-"""Points that show the friction at all speeds, and newest ones that are kept. [chosen]"""
+"""Fewest points for the friction at all speeds, and number of newest points kept. [chosen]"""
 _COLD_K = 8.0
 """Fall of the temperature in K that makes grease stiff. [assumed]"""
 _WORN = 5.0
-"""Friction over the catalogue's that no sound servo has; one without a load may have a tenth of it,
-as a gearing of an XL330 has (arXiv 2410.08650). [assumed]"""
+"""Ratio of the friction to the catalogue's above which a servo is not sound. A servo without a
+load may have a tenth of the catalogue's, as an XL330's gearing (arXiv 2410.08650). [assumed]"""
 
 
 class FreeMotion:
-    """Watcher of the servos while nothing touches; keeps their friction in `settings.drives`.
+    """Watcher of the servos during free motion; keeps their friction in `settings.drives`.
 
     Parameters
     ----------
     settings
-        Of the gripper.
+        Settings of the gripper.
     """
 
     def __init__(self, settings: GripperSettings) -> None:
@@ -58,15 +58,15 @@ class FreeMotion:
         self._runs = {servo.servo_id: _Run() for servo in settings.servos}
         self._priors: dict[int, DriveCharacteristic] = {}
         self.notes: list[str] = []
-        """Unusual changes that nobody has taken yet."""
+        """Unusual changes that were not yet fetched."""
 
     def forget(self) -> None:
-        """Discard all points: other characteristics were given."""
+        """Discard all points: the characteristics were replaced."""
         self._points.clear()
         self._priors.clear()
 
     def distrust(self) -> None:
-        """Take no friction for known: after a fault the next motion measures it anew."""
+        """Discard the known friction: after a fault the next motion measures it again."""
         self.forget()
         for servo in self._settings.servos:
             drive = self._drive(servo)
@@ -79,7 +79,7 @@ class FreeMotion:
             run.begin()
 
     def push(self, moment: Moment, *, free: bool) -> None:
-        """Add one period, in which all fingers may move ``free``, or something may touch them."""
+        """Add one period, with all fingers moving ``free``, or with a possible contact."""
         for servo, settings in zip(moment.state.servos, self._settings.servos, strict=True):
             run = self._runs[servo.servo_id]
             if not (free and run.goes_on(servo, settings.servo_model.slow_rad_s)):
@@ -88,20 +88,20 @@ class FreeMotion:
             run.add(moment.now_s, servo, settings)
             drive = self._drive(settings)
             if not drive.measured and run.lasts():
-                # The rest of the first motion is made with what its beginning has shown.
+                # The rest of the first motion uses the result of its beginning.
                 self._take(settings, servo, run)
 
     def end(self, state: ServoFeedback) -> None:
-        """End a motion with its last feedback, and take what it has shown.
+        """End a motion with its last feedback, and use its result.
 
-        Raises ServoFault where a servo takes what no sound one does.
+        Raises ServoFault where a servo needs more current than a sound one.
         """
         for servo, settings in zip(state.servos, self._settings.servos, strict=True):
             self._take(settings, servo, self._runs[servo.servo_id])
         self.begin()
 
     def compare(self) -> None:
-        """Note where pads and motor constant contradict each other: neither follows the other."""
+        """Note contradictions of pads and motor constant: neither follows the other."""
         drives = [self._drive(servo) for servo in self._settings.servos]
         together = disagreement(drives)
         for servo, drive in zip(self._settings.servos, drives, strict=True):
@@ -118,13 +118,13 @@ class FreeMotion:
         return self._settings.drives.of(settings.servo_id, settings.drive)
 
     def _take(self, settings: ServoSettings, servo: ServoState, run: "_Run") -> None:
-        """Fit the friction of a servo anew with the motion that has ended."""
+        """Fit the friction of a servo again with the ended motion."""
         point = run.point()
         if point is None:
             return
         drive, servo_id, model = self._drive(settings), settings.servo_id, settings.servo_model
         points = self._points.setdefault(servo_id, [])
-        # What few motions have shown says little of other speeds.
+        # Few motions give little information on other speeds.
         few = 0 < len(points) < _FEW_POINTS and not any(_alike(one, point) for one in points)
         ratio = 1.0 if few else change(point, drive)
         prior = self._priors.setdefault(servo_id, drive)
@@ -185,12 +185,12 @@ class _Run:
         self.begin()
 
     def begin(self) -> None:
-        """Begin another one."""
+        """Begin another motion."""
         self._since_s: float | None = None
         self._periods: deque[tuple[float, float, float, float]] = deque()
 
     def goes_on(self, servo: ServoState, count_rad_s: float) -> bool:
-        """Return whether a servo moves as it did before."""
+        """Return whether a servo moves as before."""
         speed = servo.velocity_rad_s
         if abs(speed) < _LEAST_COUNTS * count_rad_s:
             return False
@@ -216,11 +216,11 @@ class _Run:
         return [one for one in self._periods if first_s <= one[0] <= last_s]
 
     def lasts(self) -> bool:
-        """Return whether it is long enough for a point."""
+        """Return whether the motion is long enough for a point."""
         return len(self._inner()) >= _LEAST_PERIODS
 
     def point(self) -> FreePoint | None:
-        """Return what it has shown; None where it was too short."""
+        """Return the point of the motion; None where it was too short."""
         inner = self._inner()
         if len(inner) < _LEAST_PERIODS:
             return None
@@ -231,7 +231,7 @@ class _Run:
         if speed_rad_s * current_a <= 0.0 or abs(halves_a[1] - halves_a[0]) > _EVEN_SHARE * abs(
             current_a
         ):
-            # It is driven from outside, slows down, or presses on something.
+            # The servo is driven from outside, slows down, or presses on something.
             return None
         voltage_v = fmean(one[3] for one in inner)
         return FreePoint(

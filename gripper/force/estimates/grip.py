@@ -10,16 +10,16 @@ from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.settings import GripperSettings
 
 _LEVER_M = 0.06
-"""Lever in m between servo and fingertip for which damping, inertia and doubt by motion are given:
-what a motor weighs at the fingertip goes with the inverse of its square. [chosen]"""
+"""Lever in m between servo and fingertip for which damping, inertia and doubt by motion are given.
+The motor's mass at the fingertip goes with the inverse of its square. [chosen]"""
 _DAMPED_SHARE = 0.25
-"""Share of its momentum that damping may take from a finger in one period, at the most: more would
-swing a light finger that is looked at rarely. [tuned]"""
+"""Largest share of its momentum that damping may remove from a finger in one period. A larger share
+would make a light finger swing at a low sample rate. [tuned]"""
 
 
 @dataclass(slots=True, kw_only=True)
 class Grip:
-    """What is known of one grip, and what its control asks for."""
+    """State of one grip, and the set-points of its control."""
 
     settings: GripperSettings
     linkage: Linkage
@@ -33,19 +33,19 @@ class Grip:
     """Set-point of the grip force in N in the last period."""
     asked_n: float
     rate_n_s: float = 0.0
-    """Force in N that control asks for now, on the way to the set-point, and its rate in N/s."""
+    """Commanded force in N now, on the way to the set-point, and its rate in N/s."""
     drive_n: float
     quiet_n: float
-    """Driving force of the last period in N, and without the square wave on it; below 0 it pushes
-    open."""
+    """Driving force of the last period in N, and without the square wave on it. It opens
+    below 0."""
     moving: int | None = None
-    """Index of the one finger that is measured, the other one held by position; None: neither."""
+    """Index of the finger that is measured, with the other held by position; None: neither."""
     trial_rad: float = 0.0
     """Goal of that finger in rad."""
     mass_kg: float = field(init=False)
-    """Moving mass of a finger, as it is at the pad."""
+    """Moving mass of a finger at the pad."""
     motor_share: float = field(init=False)
-    """What a motor weighs at the fingertip over that with a lever of 60 mm."""
+    """Motor's mass at the fingertip over that with a lever of 60 mm."""
 
     def __post_init__(self) -> None:
         closed = transmissions(self.settings, self.linkage, self.linkage.angles_rad(0.0))
@@ -53,6 +53,6 @@ class Grip:
         self.mass_kg = impact_limit(self.settings, self.linkage).mass_kg
 
     def swing_n_s_m(self, share_n_s_m: float) -> float:
-        """Return a drive in N for each m/s, given for a lever of 60 mm, for this gripper."""
+        """Convert a drive in N for each m/s from a lever of 60 mm to this gripper."""
         stable_n_s_m = _DAMPED_SHARE * self.mass_kg / self.settings.period_s
         return min(self.motor_share * share_n_s_m, stable_n_s_m)

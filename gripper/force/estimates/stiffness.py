@@ -10,13 +10,13 @@ from gripper.values.recent import ONE_FRAME_S
 from gripper.values.state import GRAIN_M
 
 _MEAN_SAMPLES = 3
-"""Samples whose mean a stiffness is taken with: 60 ms at 50 Hz. [tuned]"""
+"""Number of samples in a mean for a stiffness: 60 ms at 50 Hz. [tuned]"""
 _TOUCH_SHARE = 0.3
 """Share of ``contact_force_n`` below which a sample shows no touch. [tuned]"""
 KNOWN_N = 3.0
-"""Force in N from which on a stiffness is known well: it is taken anew with each 0.7 N. [tuned]"""
+"""Force in N from which a stiffness is known well; it is measured anew each 0.7 N. [tuned]"""
 _SLOPE_N = 0.7
-"""Growth of the force in N over which one stiffness is taken: several times the noise. [tuned]"""
+"""Growth of the force in N for one stiffness: several times the noise. [tuned]"""
 STIFFEST_N_M = 1e5
 """Largest stiffness in N/m, of part and pads or of one pad: steel between foam is far below it.
 [chosen]"""
@@ -25,12 +25,12 @@ STIFFEST_N_M = 1e5
 class StiffnessEstimate:
     """Stiffness of the gripped part: growth of the grip force over travel, from the touch on.
 
-    It need not be exact: it distinguishes foam from steel.
+    It distinguishes foam from steel and need not be exact.
 
     Parameters
     ----------
     settings
-        Of the gripper.
+        Settings of the gripper.
     """
 
     def __init__(self, settings: GripperSettings) -> None:
@@ -45,11 +45,11 @@ class StiffnessEstimate:
 
     @property
     def stiffness_n_m(self) -> float | None:
-        """Grip force gained for each m that the opening shrinks; None before it was measured."""
+        """Growth of the grip force for each m of closing; None before it was measured."""
         return self._stiffness_n_m
 
     def push(self, moment: Moment) -> None:
-        """Add the opening of now and the newest sample, which may be the same as before."""
+        """Add the present opening and the newest sample, which may be the same as before."""
         self._apertures.add(moment.now_s, moment.state.aperture_m)
         sample = moment.sample
         if sample is None or not sample.valid or sample.t_s == self._sample_s:
