@@ -46,11 +46,12 @@ TRIED = ("tuned", "assumed")
 _HEAD = """# Constants of the force loop
 
 Written by `python -m benchmarks.performance.sensitivity --page`. The tables have each constant of
-`gripper/force` with its value, meaning and origin. Names without a unit in the text are shares or
-counts. The last two columns name the figures that move when a tuned or assumed constant is a third
-smaller or larger. The figures come from the plants of `benchmarks force_ramps` (ideal gearing, and
-further truths: load-dependent friction, backlash, ripple, creep) and `benchmarks touch`. "-" means
-that no figure moved: the constant may still be needed for a case that these figures do not have.
+`gripper/force` with its value, meaning and origin. Values without a unit in the text are shares or
+counts. The last two columns show the figures that change when a tuned or assumed constant is a
+third smaller or larger. The figures come from `benchmarks force_ramps` and `benchmarks touch`.
+The simulated grippers of the first have ideal gearing, or load-dependent friction, backlash, ripple
+and creep (further truths). "-" means that no figure changed. The constant may still be needed for
+a case that these figures do not cover.
 
 Origins:
 """
