@@ -512,6 +512,13 @@ class Gripper:
         if restart and reboot:
             self._servos.reboot(restart)
             conditions = self.conditions()
+            for condition in conditions:
+                if condition.error_bits:
+                    raise ServoFault(
+                        condition.servo_id,
+                        condition.error_bits,
+                        "the error lasts after a reboot: remedy its cause, then clear it again",
+                    )
         self._fingers.free.distrust()
         self._life.fault = None
         self._life.motion_unconfirmed = False

@@ -269,7 +269,8 @@ class ServoGroup:
         does not answer within 3 s.
         """
         for servo_id in ids:
-            self._bus.reboot(servo_id)
+            with suppress(BusTimeout, BusCorrupt):  # a late answer is lost in the restart
+                self._bus.reboot(servo_id)
             self.feedback.strayed.pop(servo_id, None)
             self._clock.sleep(_BOOT_S)
             deadline_s = self._clock.monotonic() + _BOOT_TIMEOUT_S

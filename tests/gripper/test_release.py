@@ -2,6 +2,7 @@
 
 import pytest
 
+from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import TORQUE_ENABLE
 from gripper.errors import (
     BusTimeout,
@@ -51,6 +52,28 @@ def test_the_other_finger_opens_where_a_servo_has_shut_down(cell, limp) -> None:
     assert gripper.start().ok
     gripper.open()
     assert cell.mechanics.finger_position_m[limp] == pytest.approx(0.015, abs=0.001)
+
+
+@pytest.mark.parametrize("lost", ["answer", "request"])
+def test_a_reboot_is_judged_by_the_servo_not_by_its_answer(cell, monkeypatch, lost) -> None:
+    held(cell)
+    overload(cell, 0)
+    gripper = cell.new_gripper()
+    gripper.release()
+    reboot = ServoBus.reboot
+
+    def without(bus: ServoBus, servo_id: int) -> None:
+        if lost == "answer":
+            reboot(bus, servo_id)
+        raise BusTimeout("reboot: no answer")
+
+    monkeypatch.setattr(ServoBus, "reboot", without)
+    if lost == "request":
+        with pytest.raises(ServoFault, match="lasts after a reboot"):
+            gripper.clear_fault(reboot=True)
+        return
+    gripper.clear_fault(reboot=True)
+    assert gripper.start().ok
 
 
 @pytest.mark.parametrize("how", ["torque 0", "reboot"])
