@@ -160,15 +160,15 @@ class GuardedSource:
         if self._worker is None:
             return self._checked(call)
         now_s = self._clock.monotonic()
-        if self._asked not in (call, None):
-            self._checked(lambda: self._answer(self._silence_s))
-        if self._asked is None:
-            self._asked, self._asked_s = call, now_s
-            self._worker.ask(call)
         try:
+            if self._asked not in (call, None):
+                self._checked(lambda: self._answer(self._silence_s))
+            if self._asked is None:
+                self._asked, self._asked_s = call, now_s
+                self._worker.ask(call)
             return self._checked(lambda: self._answer(wait_s))
         except queue.Empty:
-            if now_s - self._asked_s < late_s:
+            if self._asked == call and now_s - self._asked_s < late_s:
                 return None
         raise PluginFault(
             f"the code of {self._name} has not returned for {max(wait_s, late_s):.3g} s: restart "

@@ -13,6 +13,7 @@ from tactile.layout import pinch_layout
 from tactile.source import (
     Arrivals,
     FrameStatistics,
+    PadZero,
     SourceIdentity,
     SourceStatistics,
     TactileFrame,
@@ -20,6 +21,11 @@ from tactile.source import (
 
 LAYOUT = pinch_layout()
 LIMIT_S = 10.0
+ZERO = PadZero(
+    offset_counts=np.zeros(LAYOUT.n_taxels),
+    noise_counts=np.ones(LAYOUT.n_taxels),
+    bad=np.zeros(LAYOUT.n_taxels, dtype=bool),
+)
 
 
 class Clock:
@@ -174,6 +180,8 @@ def test_a_poll_that_does_not_return_is_a_fault_and_the_next_start_has_a_thread_
     guard.start()
     source.then = hang
     assert guard.poll() == Arrivals()
+    with pytest.raises(PluginFault, match="has not returned"):
+        guard.set_zero(ZERO)
     clock.now_s = 0.09
     assert guard.poll() == Arrivals()
     clock.now_s = 0.11
