@@ -232,7 +232,7 @@ def build_cell(
             undo.callback(simulated.close)
         if simulated is not None:
             if not config.simulated:
-                raise ConfigError(f"{config.name} has real ports: it takes no simulated cell")
+                raise ConfigError(f"{config.name} has real ports and cannot use a simulated cell")
             clock = simulated.clock
         if capture is not None:
             capture_traffic(simulated, capture, undo)

@@ -75,7 +75,7 @@ class Plugins:
             if not isinstance(plugin, wanted) and not (
                 isinstance(plugin, type) and issubclass(plugin, wanted)
             ):
-                raise TypeError(f"{entry.value} is no {wanted.__name__}")
+                raise TypeError(f"{entry.value} is not a {wanted.__name__}")
         except Exception as error:
             raise ConfigError(
                 f"{self.what} {name!r} of {_package(entry)} does not load: "

@@ -86,8 +86,8 @@ def simulator_settings(
         reach_m = 2.0 * linkage.half_opening_max_m - _LINKAGE_MARGIN_M
         if opening_m > reach_m:
             raise ConfigError(
-                f"gripper.aperture_open_mm is {opening_m * 1e3:g}, "
-                f"the linkage reaches {reach_m * 1e3:.1f} mm"
+                f"gripper.aperture_open_mm is {opening_m * 1e3:g} mm, the linkage opens to "
+                f"{reach_m * 1e3:.1f} mm at most: lower it"
             )
         for text in settings.faults:
             check_fault(text, len(config.gripper.servos), len(config.positioner.axes))

@@ -99,4 +99,6 @@ class SensorConfig(Section):
 
     def simulated(self) -> "SimulatedBoards | None":
         """Return its simulated devices; None for the control unit. Raises ConfigError without."""
-        raise ConfigError(f"sensor {self.kind} has no simulated device: name real ports")
+        raise ConfigError(
+            f"sensor {self.kind} cannot be simulated: set real ports in tactile.sensor"
+        )

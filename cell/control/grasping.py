@@ -178,7 +178,7 @@ class Grasper:
     def verify(self) -> HeldCheck:
         """Measure the held part once more and compare it with what was kept."""
         if self._held is None:
-            raise CellStateError("no part was kept, so there is nothing to compare with")
+            raise CellStateError("no part is kept: identify with `keep` first")
         zero, then = self._held
         return compared(self._look_at_held(zero), then)
 

@@ -142,7 +142,7 @@ def evaluate_recognizers(
     gauged, n_gauged = None, 0
     if gauge is not None:
         if len(parts) > 1:
-            raise CellError("a gauge needs a single split: omit --gauge or --split series")
+            raise CellError("--gauge needs one training part: omit it, or choose another --split")
         gauged, n_gauged, test_part = _gauge(*parts[0], gauge)
         parts = [(parts[0][0], test_part)]
     measure = partial(evaluate, parts, fuse=fuse, seed=seed, mapper=mapper)
@@ -207,7 +207,9 @@ def _parts(
                 "to test; both need at least one labelled grasp of each object"
             )
         if not train_part[0].pads.same_as(test_part[0].pads):
-            raise CellError("the grasps to train and to test were taken on different pads")
+            raise CellError(
+                "training and test grasps are from different pads: use data sets of the same pads"
+            )
     return parts
 
 
@@ -219,7 +221,9 @@ def _gauge(
     taken = of_label[:GAUGE_GRASPS]
     others = [grasp for grasp in test if not any(grasp is one for one in taken)]
     if not others:
-        raise CellError(f"{len(taken)} gauge grasps of {label!r} leave no grasp to test")
+        raise CellError(
+            f"all {len(taken)} grasps to test are used for the gauge with {label!r}: add grasps"
+        )
     taught = training.gaugeable(training.train(train, ForceRampTrainer.name), label)
     found = training.gauged(taught, label, taken).grid
     return found, len(taken), tuple(found.drift.undo(grasp) for grasp in others)

@@ -42,8 +42,8 @@ def spread(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> Itera
             deaths += 1
             if deaths == _MOST_DEATHS:
                 raise CellError(
-                    f"{deaths} times a process ended at the same work: it may need less memory, "
-                    "so fewer --jobs; what was done before stays"
+                    f"{deaths} processes ended at the same work, probably by lack of memory: use "
+                    "fewer --jobs; finished work is kept"
                 ) from error
 
 
@@ -88,7 +88,9 @@ def _cluster(scheduler: str) -> Iterator[None]:
         ) from error
     try:
         if not client.scheduler_info()["workers"]:
-            raise CellError(f"the Dask scheduler at {scheduler} has no workers: `dask worker`")
+            raise CellError(
+                f"the Dask scheduler at {scheduler} has no workers: start `dask worker`"
+            )
         with joblib.parallel_config(
             "dask", client=client, wait_for_workers_timeout=CONNECT_TIMEOUT_S
         ):

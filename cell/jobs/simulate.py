@@ -122,8 +122,8 @@ def _alone_in(folder: Path) -> Iterator[None]:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise CellError(
-                f"{folder} has the devices of a simulated cell that is running; end that one, or "
-                "name another folder with --out"
+                f"another simulated cell is running in {folder}: end it, or choose another folder "
+                "with --out"
             ) from error
         yield
     finally:

@@ -35,7 +35,7 @@ class Places:
         missing = [label for label in labels if label not in self._places]
         if missing:
             raise ConfigError(
-                f"sort.places has no place for {', '.join(missing)}; give each taught part one"
+                f"sort.places has no place for {', '.join(missing)}: add a place for each"
             )
 
     @property

@@ -88,7 +88,9 @@ def test_a_sensor_of_another_package_has_a_section_of_its_own(installed: Install
     assert "fingers" in str(config_schema())
     with pytest.raises(ConfigError, match=r"cell.yaml:2:25: tactile.sensor.finger: .*mean fingers"):
         parse_config(text.replace("fingers", "finger"), source="cell.yaml")
-    with pytest.raises(ConfigError, match="sensor glove has no simulated device: name real ports"):
+    with pytest.raises(
+        ConfigError, match=r"sensor glove cannot be simulated: set real ports in tactile\.sensor"
+    ):
         config.tactile.sensor.simulated()
 
 
@@ -113,7 +115,10 @@ def test_a_name_of_two_packages_is_refused(installed: Install) -> None:
 
 @pytest.mark.parametrize(
     ("entry", "problem"),
-    [("Missing", "AttributeError"), ("SERVO", "TypeError: some_plugins:SERVO is no SensorConfig")],
+    [
+        ("Missing", "AttributeError"),
+        ("SERVO", "TypeError: some_plugins:SERVO is not a SensorConfig"),
+    ],
 )
 def test_doctor_names_what_does_not_load(installed: Install, entry: str, problem: str) -> None:
     installed(sensors={"broken": entry}, pad_layouts={"fine": "Glove"})

@@ -56,7 +56,7 @@ def test_fingers_that_close_before_a_frame_comes_open_again(grasper: Grasper) ->
 
 
 def test_without_a_kept_part_there_is_nothing_to_verify(grasper: Grasper) -> None:
-    with pytest.raises(CellStateError, match="no part was kept"):
+    with pytest.raises(CellStateError, match="no part is kept"):
         grasper.verify()
 
 

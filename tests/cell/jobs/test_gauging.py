@@ -100,7 +100,7 @@ def test_what_cannot_be_gauged_says_why(taught: Any, tmp_path: Path) -> None:
     with pytest.raises(CellError, match="was not taught"):
         evaluate_recognizers(taught.grasps, gauge="ghost", **options)
     of_ball = [grasp for grasp in taught.grasps if grasp.label == "ball"]
-    with pytest.raises(CellError, match="leave no grasp to test"):
+    with pytest.raises(CellError, match="are used for the gauge"):
         evaluate_recognizers(of_ball, gauge="ball", **options)
     with pytest.raises(ConfigError, match="--drift"):
         call("evaluate", taught.result.dataset, "--drift", "speed=3")

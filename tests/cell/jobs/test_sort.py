@@ -169,7 +169,7 @@ def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
 
 
 def test_places_are_checked_before_anything_is_sorted(taught: Any) -> None:
-    with pytest.raises(ConfigError, match=r"no place for box; give each taught part one"):
+    with pytest.raises(ConfigError, match=r"no place for box: add a place for each"):
         Places(changed_config(taught.config, {"sort.places": BINS[:1]}), ("ball", "box"))
     with pytest.raises(ConfigError, match=r"sort\.places repeat"):
         changed_config(taught.config, {"sort.places": [BINS[0], BINS[0]]})
