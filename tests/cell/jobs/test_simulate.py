@@ -40,7 +40,7 @@ def test_a_folder_serves_one_simulated_cell_at_a_time(
         served.append(folder)
         announce(FOUND)
         if len(served) == 1:
-            with pytest.raises(CellError, match="name another folder with --out"):
+            with pytest.raises(CellError, match="choose another folder with --out"):
                 serve_here()
 
     monkeypatch.setattr(simulate, "serve", serve)
