@@ -1,8 +1,9 @@
-"""Base of the frame source of boards without forces, independent of their bytes."""
+"""Bases of the frame sources of boards without forces, independent of their bytes."""
 
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,34 +23,31 @@ from tactile.source import (
 
 _LOSS_FRAMES = 50
 """Number of newest frames for the loss rate."""
-_SILENT_PERIODS = 8.0
-"""Least silence without a new frame that is a fault, in periods. [chosen]"""
 _WAIT_SHARE = 0.1
 """Share of the period between two checks for the first frame."""
 
 
-class BoardSource(ABC):
-    """Implements `tactile.source.FrameSource` with `open`, `receive` and `close` of a subclass.
+class PolledBoards(ABC):
+    """Common part of `tactile.source.FrameSource` for boards without forces.
 
-    It latches faults, numbers frames, removes repeated ones, and detects silence and loss.
+    It latches faults, and makes numbered frames of the samples of both pads.
 
     Parameters
     ----------
-    name
-        Name of the device, for people.
     period_s
         Usual time between two frames in s.
+    mounts
+        Pads mounted differently than in the layout.
     silence_s, max_loss_rate, startup_timeout_s
         Limits for a fault: silence in s, share of damaged frames and time of the start in s.
-    line_errors
-        Errors of a line that cannot be opened or is gone.
     """
 
     sends_forces = False
+    silent_periods = 8.0
+    """Least silence without a new frame that is a fault, in periods. [chosen]"""
 
     def __init__(
         self,
-        name: str,
         *,
         layout: TaxelLayout,
         clock: Clock,
@@ -58,15 +56,66 @@ class BoardSource(ABC):
         silence_s: float = 0.0,
         max_loss_rate: float = 0.05,
         startup_timeout_s: float = 3.0,
-        line_errors: tuple[type[Exception], ...] = (OSError,),
     ) -> None:
         self.layout, self.clock, self.period_s = layout, clock, period_s
-        self._name, self._line_errors = name, line_errors
         self._order = taxel_order(layout, mounts)
-        self._silence_s = max(silence_s, _SILENT_PERIODS * period_s)
+        self._silence_s = max(silence_s, self.silent_periods * period_s)
         self._max_loss_rate, self._startup_s = max_loss_rate, startup_timeout_s
+        self._frames = FrameStatistics()
         self._fault: LinkFault | None = None
         self._running = False
+
+    @abstractmethod
+    def _look(self) -> Sequence[TactileFrame]:
+        """Return the frames since the last call; raises LinkFault."""
+
+    def poll(self) -> Arrivals:
+        """Return the frames since the last call; does not wait."""
+        if self._fault is not None:
+            raise self._fault
+        if not self._running:
+            raise LinkStateError("the sensor is not running: start it first")
+        try:
+            return Arrivals(tuple(self._look()))
+        except LinkFault as fault:
+            self._fault = fault
+            raise
+
+    def _frame(self, samples: NDArray[np.uint16], begun_s: float, t_s: float) -> TactileFrame:
+        """Return the next frame of samples, pad by pad in the order of the layout."""
+        counts = samples[self._order]
+        counts.setflags(write=False)
+        self._frames.complete += 1
+        full = FrameStatus.SATURATED if counts.max() >= self.layout.adc_max else 0
+        counter = self._frames.complete & 0xFFFF
+        return TactileFrame(
+            t_s=t_s, begun_s=begun_s, counter=counter, status=int(full), counts=counts
+        )
+
+    def set_zero(self, zero: PadZero) -> None:  # noqa: B027
+        """Do nothing: the boards send no forces."""
+
+
+class BoardSource(PolledBoards):
+    """Implements `tactile.source.FrameSource` with `open`, `receive` and `close` of a subclass.
+
+    It latches faults, numbers frames, removes repeated ones, and detects silence and loss.
+
+    Parameters
+    ----------
+    name
+        Name of the device, for people.
+    line_errors
+        Errors of a line that cannot be opened or is gone.
+    options
+        Further arguments of `PolledBoards`.
+    """
+
+    def __init__(
+        self, name: str, *, line_errors: tuple[type[Exception], ...] = (OSError,), **options: Any
+    ) -> None:
+        super().__init__(**options)
+        self._name, self._line_errors = name, line_errors
         self._reset()
 
     def _reset(self) -> None:
@@ -125,33 +174,27 @@ class BoardSource(ABC):
         except BaseException:
             self.close()
             raise
-        self._running, self._fault = True, None
+        self._running = True
         return SourceIdentity(name=self._name)
 
-    def poll(self) -> Arrivals:
-        """Return the frames since the last call; does not wait."""
-        if not self._running:
-            raise LinkStateError("the sensor is not running: start it first")
-        if self._fault is not None:
-            raise self._fault
+    def _look(self) -> Sequence[TactileFrame]:
         try:
             frames = self._take()
-            self._check()
         except self._line_errors as error:
-            self._fault = LinkFault(f"the line of {self._name} is gone: {error}")
-            raise self._fault from error
-        except LinkFault as fault:
-            self._fault = fault
-            raise
-        return Arrivals(tuple(frames))
+            raise LinkFault(f"the line of {self._name} is gone: {error}") from error
+        self._check()
+        return frames
 
     def _take(self) -> list[TactileFrame]:
         now_s = self.clock.monotonic()
-        return [
-            self._frame(begun_s, samples, now_s)
+        frames = [
+            self._frame(samples, begun_s, now_s)
             for begun_s, samples in self.receive(now_s)
             if self._is_new(samples)
         ]
+        if frames:
+            self._new_s = now_s
+        return frames
 
     def _is_new(self, samples: NDArray[np.uint16]) -> bool:
         """Return whether a frame differs from the last one: noise does not repeat itself."""
@@ -159,19 +202,8 @@ class BoardSource(ABC):
             self._frames.duplicate += 1
             return False
         self._last = samples
-        return True
-
-    def _frame(self, begun_s: float, samples: NDArray[np.uint16], now_s: float) -> TactileFrame:
-        counts = samples[self._order]
-        counts.setflags(write=False)
-        self._new_s = now_s
         self._sound.append(True)
-        self._frames.complete += 1
-        full = FrameStatus.SATURATED if counts.max() >= self.layout.adc_max else 0
-        counter = self._frames.complete & 0xFFFF
-        return TactileFrame(
-            t_s=now_s, begun_s=begun_s, counter=counter, status=int(full), counts=counts
-        )
+        return True
 
     def _check(self) -> None:
         silent_s = self.clock.monotonic() - self._new_s
@@ -187,10 +219,7 @@ class BoardSource(ABC):
                 f"allowed are {self._max_loss_rate:.0%} (tactile.loss_max_share): check its cable"
             )
 
-    def set_zero(self, zero: PadZero) -> None:  # noqa: B027
-        """Do nothing: the boards send no forces."""
-
     def stop(self) -> None:
         """Close the lines."""
-        self._running = False
+        self._running, self._fault = False, None
         self.close()

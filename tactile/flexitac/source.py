@@ -6,31 +6,21 @@ torn, repeated or late frame.
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.clock import Clock
+from tactile.board_source import PolledBoards
 from tactile.errors import FrameTimeout, LayoutError, LinkFault, LinkStateError, NodeMissing
 from tactile.flexitac.stream import PERIOD_S, BoardFrame, FrameStream, Profile
-from tactile.layout import PadMount, TaxelLayout, taxel_order
-from tactile.source import (
-    Arrivals,
-    FrameStatistics,
-    FrameStatus,
-    PadZero,
-    SourceIdentity,
-    SourceStatistics,
-    TactileFrame,
-)
+from tactile.layout import TaxelLayout
+from tactile.source import FrameStatistics, SourceIdentity, SourceStatistics, TactileFrame
 
 _READ_BYTES = 65536
 _STALL_PERIODS = 6.0
 """Periods after which unread bytes are dropped: a port keeps 4,096 bytes, without their times.
 [chosen]"""
-_SILENT_PERIODS = 8.0
-"""Least silence that is a fault, in periods: a lost byte costs four. [chosen]"""
 _LOSS_FRAMES = 50
 """Number of newest frames for the loss rate."""
 _LIVELY_FRAMES, _LIVELY_SHARE = 25, 0.9
@@ -127,7 +117,7 @@ def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> 
         )
 
 
-class FlexiTacSource:
+class FlexiTacSource(PolledBoards):
     """Two FlexiTac boards; implements `tactile.source.FrameSource`.
 
     A frame consists of the newest frames of both boards, as soon as both have a new one. Raises
@@ -141,15 +131,11 @@ class FlexiTacSource:
         Size of the matrix that both boards send.
     rows_along
         Whether the rows of a board follow each other along the finger; otherwise across it.
-    mounts
-        Pads mounted differently than in the layout.
     line_errors
         Errors of a line that cannot be opened or is gone.
-    silence_s, max_loss_rate, startup_timeout_s
-        Limits for a fault: silence in s, share of torn frames and time of the start in s.
+    options
+        Further arguments of `PolledBoards`.
     """
-
-    sends_forces = False
 
     def __init__(
         self,
@@ -157,26 +143,15 @@ class FlexiTacSource:
         *,
         profile: Profile,
         layout: TaxelLayout,
-        clock: Clock,
         rows_along: bool = False,
-        mounts: Sequence[PadMount] = (),
         line_errors: tuple[type[Exception], ...] = (OSError,),
-        silence_s: float = 0.0,
-        max_loss_rate: float = 0.05,
-        startup_timeout_s: float = 3.0,
+        **options: Any,
     ) -> None:
         check_layout(layout, profile, rows_along=rows_along)
-        self.layout = layout
-        self._clock = clock
+        super().__init__(layout=layout, period_s=PERIOD_S, **options)
         self._profile, self._transposed = profile, not rows_along
-        self._order = taxel_order(layout, mounts)
         self._line_errors = line_errors
-        self._silence_s = max(silence_s, _SILENT_PERIODS * PERIOD_S)
-        self._max_loss_rate, self._startup_s = max_loss_rate, startup_timeout_s
         self._boards = [_Board(n, line, profile) for n, line in enumerate(open_lines)]
-        self._frames = FrameStatistics()
-        self._fault: LinkFault | None = None
-        self._running = False
         self._polled_s = 0.0
 
     @property
@@ -197,41 +172,32 @@ class FlexiTacSource:
         except self._line_errors as error:
             self.stop()
             raise NodeMissing(f"{board.name} cannot be opened: {error}") from error
-        self._polled_s = began_s = self._clock.monotonic()
+        self._polled_s = began_s = self.clock.monotonic()
         while missing := [board for board in self._boards if board.last is None]:
-            if self._clock.monotonic() - began_s > self._startup_s:
+            if self.clock.monotonic() - began_s > self._startup_s:
                 self.stop()
                 raise FrameTimeout(
                     f"{missing[0].name} sent no frame of {self._profile.rows} x "
                     f"{self._profile.columns} within {self._startup_s:g} s: "
                     f"{missing[0].stream.trouble}"
                 )
-            self._clock.sleep(0.1 * PERIOD_S)
+            self.clock.sleep(0.1 * PERIOD_S)
             self._receive()
         return SourceIdentity(name="FlexiTac")
 
-    def poll(self) -> Arrivals:
-        """Return the frames since the last call; does not wait."""
-        if self._fault is not None:
-            raise self._fault
-        if not self._running:
-            raise LinkStateError("the sensor is not running: start it first")
-        try:
-            self._receive()
-            self._check()
-        except LinkFault as fault:
-            self._fault = fault
-            raise
+    def _look(self) -> list[TactileFrame]:
+        self._receive()
+        self._check()
         n = min(len(board.waiting) for board in self._boards)
         newest = (board.waiting[len(board.waiting) - n :] for board in self._boards)
         pairs = list(zip(*newest, strict=True))
         for board in self._boards:
             # Without a frame of the other board its newest frame waits.
             board.waiting = [] if n else board.waiting[-1:]
-        return Arrivals(tuple(self._frame(pair) for pair in pairs))
+        return [self._frame_of(pair) for pair in pairs]
 
     def _receive(self) -> None:
-        now_s = self._clock.monotonic()
+        now_s = self.clock.monotonic()
         stalled = now_s - self._polled_s > _STALL_PERIODS * PERIOD_S
         if stalled:
             self._frames.lost += int((now_s - self._polled_s) / PERIOD_S)
@@ -247,7 +213,7 @@ class FlexiTacSource:
 
     def _check(self) -> None:
         """Raise the fault of a board that is silent, frozen or damaged."""
-        now_s = self._clock.monotonic()
+        now_s = self.clock.monotonic()
         for board in self._boards:
             silent_s = now_s - (board.last.t_s if board.last is not None else self._polled_s)
             if silent_s > self._silence_s:
@@ -263,29 +229,16 @@ class FlexiTacSource:
                     "its cable and what else loads the computer"
                 )
 
-    def _frame(self, pair: Sequence[BoardFrame]) -> TactileFrame:
+    def _frame_of(self, pair: Sequence[BoardFrame]) -> TactileFrame:
         pads = [self._pad(pair[pad.finger].samples) for pad in self.layout.pads]
-        counts = np.concatenate(pads)[self._order]
-        counts.setflags(write=False)
-        self._frames.complete += 1
-        full = FrameStatus.SATURATED if counts.max() >= self.layout.adc_max else 0
         times_s = [board.t_s for board in pair]
-        return TactileFrame(
-            t_s=max(times_s),
-            begun_s=min(times_s),
-            counter=self._frames.complete & 0xFFFF,
-            status=int(full),
-            counts=counts,
-        )
+        return self._frame(np.concatenate(pads), min(times_s), max(times_s))
 
     def _pad(self, samples: bytes) -> NDArray[np.uint16]:
         matrix = np.frombuffer(samples, dtype=np.uint8).reshape(
             self._profile.rows, self._profile.columns
         )
         return (matrix.T if self._transposed else matrix).astype(np.uint16).ravel()
-
-    def set_zero(self, zero: PadZero) -> None:
-        """Do nothing: the boards send no forces."""
 
     def stop(self) -> None:
         """Close the lines."""

@@ -6,11 +6,13 @@ has sent once. If a taxel sends twice before, another message was lost, or there
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import can
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.board_source import PolledBoards
 from tactile.can.bus import MissingBus
 from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver, interface_failed
 from tactile.clock import Clock
@@ -18,24 +20,12 @@ from tactile.errors import (
     BusOff,
     DuplicateNode,
     FrameTimeout,
-    LinkFault,
-    LinkStateError,
     ReceiveLoopDead,
 )
-from tactile.layout import PadMount, TaxelLayout, taxel_order
-from tactile.source import (
-    Arrivals,
-    FrameStatistics,
-    FrameStatus,
-    PadZero,
-    SourceIdentity,
-    SourceStatistics,
-    TactileFrame,
-)
+from tactile.layout import TaxelLayout
+from tactile.source import FrameStatistics, SourceIdentity, SourceStatistics, TactileFrame
 from tactile.uskin.messages import FULL_SCALE, PERIOD_S, START, BoardIds, check_layout, samples
 
-_SILENT_PERIODS = 6.0
-"""Least silence without a whole cycle that is a fault, in periods. [chosen]"""
 _GAP_SHARE = 0.3
 """Share of the period without a message that ends a board's cycle. The messages of a board follow
 each other or are spread evenly. [chosen]"""
@@ -106,7 +96,7 @@ class _Board:
         return self.mixed >= _MIXED or span_s < _CYCLES * PERIOD_S / _DOUBLED
 
 
-class UskinSource:
+class UskinSource(PolledBoards):
     """Two uSkin boards on one CAN bus; implements `tactile.source.FrameSource`.
 
     Raises LayoutError where the layout has other pads than the boards' taxels.
@@ -123,9 +113,12 @@ class UskinSource:
         True: a thread receives (real buses). False: `poll` reads the bus (buses in memory).
     reopen
         Opens the bus again after its loss.
+    options
+        Further arguments of `PolledBoards`.
     """
 
-    sends_forces = False
+    silent_periods = 6.0
+    """Least silence without a whole cycle that is a fault, in periods. [chosen]"""
 
     def __init__(
         self,
@@ -135,32 +128,22 @@ class UskinSource:
         layout: TaxelLayout,
         clock: Clock,
         falling: bool = False,
-        mounts: Sequence[PadMount] = (),
-        silence_s: float = 0.0,
-        max_loss_rate: float = 0.05,
-        startup_timeout_s: float = 3.0,
         threaded: bool = True,
         reopen: Callable[[], can.BusABC] | None = None,
+        **options: Any,
     ) -> None:
         check_layout(layout, boards)
-        self.layout = layout
+        super().__init__(layout=layout, clock=clock, period_s=PERIOD_S, **options)
         self._bus, self._reopen, self._threaded = bus, reopen, threaded
-        self._clock = clock
         self._boards = [_Board(finger, ids) for finger, ids in enumerate(boards)]
         self._owner = {i: board for board in self._boards for i in board.ids.taxels}
-        self._order = taxel_order(layout, mounts)
         self._falling = falling
-        self._silence_s = max(silence_s, _SILENT_PERIODS * PERIOD_S)
-        self._max_loss_rate, self._startup_s = max_loss_rate, startup_timeout_s
-        self._frames = FrameStatistics()
         self._foreign = self._malformed = self._errors = 0
-        self._fault: LinkFault | None = None
-        self._running = False
         self._source = self._new_source()
 
     def _new_source(self) -> MessageSource:
         kind = ThreadedReceiver if self._threaded else PolledSource
-        return kind(self._bus, self._clock)
+        return kind(self._bus, self.clock)
 
     @property
     def statistics(self) -> SourceStatistics:
@@ -193,7 +176,7 @@ class UskinSource:
 
     def _begin(self) -> None:
         self._source.start()
-        began_s = self._clock.monotonic()
+        began_s = self.clock.monotonic()
         for board in self._boards:
             board.restart(began_s)
             try:
@@ -203,7 +186,7 @@ class UskinSource:
         while not self._receive():
             self._check_doubled()
             missing = [board for board in self._boards if board.waiting is None]
-            if self._clock.monotonic() - began_s > self._startup_s:
+            if self.clock.monotonic() - began_s > self._startup_s:
                 raise FrameTimeout(
                     f"{missing[0].name} sent no whole cycle of {len(missing[0].ids.taxels)} taxels "
                     f"within {self._startup_s:g} s; {self._foreign} messages have identifiers that "
@@ -211,20 +194,11 @@ class UskinSource:
                 )
             self._source.wait(PERIOD_S)
 
-    def poll(self) -> Arrivals:
-        """Return the frames since the last call; does not wait."""
-        if self._fault is not None:
-            raise self._fault
-        if not self._running:
-            raise LinkStateError("the sensor is not running: start it first")
-        try:
-            frames = self._receive()
-            self._check_doubled()
-            self._check()
-        except LinkFault as fault:
-            self._fault = fault
-            raise
-        return Arrivals(tuple(frames))
+    def _look(self) -> list[TactileFrame]:
+        frames = self._receive()
+        self._check_doubled()
+        self._check()
+        return frames
 
     def _receive(self) -> list[TactileFrame]:
         frames = []
@@ -246,7 +220,7 @@ class UskinSource:
                 continue
             self._frames.torn += board.take(message.arbitration_id, found[2], t_s)
             if all(board.waiting is not None for board in self._boards):
-                frames.append(self._frame())
+                frames.append(self._newest())
         return frames
 
     def _check_doubled(self) -> None:
@@ -258,7 +232,7 @@ class UskinSource:
                 )
 
     def _check(self) -> None:
-        now_s = self._clock.monotonic()
+        now_s = self.clock.monotonic()
         for board in self._boards:
             silent_s = now_s - board.last_s
             if silent_s > self._silence_s:
@@ -275,26 +249,15 @@ class UskinSource:
                     "cable, termination and bus load"
                 )
 
-    def _frame(self) -> TactileFrame:
+    def _newest(self) -> TactileFrame:
         found = [board.waiting for board in self._boards if board.waiting is not None]
-        pads = [found[pad.finger][2] for pad in self.layout.pads]
-        counts = np.concatenate(pads)[self._order]
+        samples = np.concatenate([found[pad.finger][2] for pad in self.layout.pads])
         if self._falling:
-            counts = (FULL_SCALE - counts).astype(np.uint16)
-        counts.setflags(write=False)
+            samples = (FULL_SCALE - samples).astype(np.uint16)
         for board in self._boards:
             board.waiting = None
-        self._frames.complete += 1
-        return TactileFrame(
-            t_s=max(end_s for _, end_s, _ in found),
-            begun_s=min(begun_s for begun_s, _, _ in found),
-            counter=self._frames.complete & 0xFFFF,
-            status=int(FrameStatus.SATURATED) if counts.max() >= self.layout.adc_max else 0,
-            counts=counts,
-        )
-
-    def set_zero(self, zero: PadZero) -> None:
-        """Do nothing: the boards send no forces."""
+        begun_s, end_s = min(one[0] for one in found), max(one[1] for one in found)
+        return self._frame(samples, begun_s, end_s)
 
     def stop(self) -> None:
         """Stop receiving; the boards go on and the bus stays open."""
