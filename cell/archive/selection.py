@@ -46,8 +46,10 @@ EVERYTHING = Selection()
 _DAY = re.compile(r"\d{4}-\d\d-\d\d")
 
 
-def parse_selection(cells: Iterable[str], days: str | None, objects: Iterable[str]) -> Selection:
-    """Return the selection of some cells, a day or FIRST..LAST, and objects.
+def parse_selection(
+    cells: Iterable[str] | None, days: str | None, objects: Iterable[str] | None
+) -> Selection:
+    """Return the selection of some cells, a day or FIRST..LAST, and objects; None means all.
 
     Raises ConfigError for days in another format.
     """
@@ -55,10 +57,10 @@ def parse_selection(cells: Iterable[str], days: str | None, objects: Iterable[st
     if any(day and not _DAY.fullmatch(day) for day in (first, last)) or (days == ""):
         raise ConfigError(f"--days is {days!r}; write 2027-01-15, or 2027-01-01..2027-03-31")
     return Selection(
-        cells=frozenset(cells),
+        cells=frozenset(cells or ()),
         first_day=first,
         last_day=(last if dots else first) or EVERYTHING.last_day,
-        objects=frozenset(objects),
+        objects=frozenset(objects or ()),
     )
 
 

@@ -72,9 +72,7 @@ class ServeConfig(Section):
     opcua_folder: str = Field(default="", max_length=500)
     """Certificates of OPC UA: certificate.der and key.pem of the cell, made at the first start, and
     in trusted/ the certificates of clients that may command; empty: read-only."""
-    interfaces: tuple[Annotated[InterfaceConfig, SectionOf(INTERFACES, built_in=False)], ...] = (
-        Field(default=(), max_length=20)
-    )
+    interfaces: tuple[ForeignInterface, ...] = Field(default=(), max_length=20)
     """Interfaces of other packages, each with its `kind` and the keys of that package."""
     lease_timeout_s: float = Field(default=2.0, ge=0.2, le=60.0)
     """Longest silence of the client in command in s, 0.2 to 60; then a running job is held."""

@@ -89,7 +89,7 @@ def export(
         from cell.archive.export import export as write
         from cell.archive.store import Archive
 
-    n = write(Archive(archive), output, parse_selection(cells or (), days, objects or ()))
+    n = write(Archive(archive), output, parse_selection(cells, days, objects))
     print_line(f"{n} grasps: {output}")
 
 
@@ -119,7 +119,7 @@ def report(
         from cell.archive.page import lines, write_page
         from cell.archive.questions import ask
 
-    selection = parse_selection(cells or (), days, objects or ())
+    selection = parse_selection(cells, days, objects)
     with workers(jobs, scheduler=scheduler) as mapper, progress_bar() as progress:
         answers = ask(archive, selection, mapper=mapper, progress=progress)
     write_page(output, answers, archive)

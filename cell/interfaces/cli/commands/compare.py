@@ -40,7 +40,7 @@ def compare(
     from cell.learning.model import load_model
 
     models = load_model(first), load_model(second)
-    selection = parse_selection(cells or (), days, objects or ())
+    selection = parse_selection(cells, days, objects)
     grasps = selected_grasps(datasets, selection, most, print_line)
     with workers(jobs, scheduler=scheduler) as mapper:
         found = compare_models(*models, grasps, mapper)

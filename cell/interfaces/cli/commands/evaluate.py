@@ -92,7 +92,7 @@ def evaluate(
     from cell.jobs.teach import duplicate_grasps
 
     names = recognizers or list(TRAINERS)
-    selection = parse_selection(cells or (), days, objects or ())
+    selection = parse_selection(cells, days, objects)
     grasps = selected_grasps(datasets, selection, most, print_line)
     taught = None
     if train_on is not None:

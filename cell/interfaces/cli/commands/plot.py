@@ -34,7 +34,7 @@ def grasp(
     from cell.interfaces.cli.terminal import print_line
     from cell.report.pictures import grasp_figure, write_picture
 
-    selection = parse_selection(cells or (), days, objects or ())
+    selection = parse_selection(cells, days, objects)
     if is_archive(source):
         with extra("archive", needed_by="an archive"):
             from cell.archive.store import Archive
@@ -71,7 +71,7 @@ def confusion(
         from cell.archive.page import confusion_table
         from cell.archive.questions import ask
 
-    table = confusion_table(ask(archive, parse_selection(cells or (), days, objects or ())))
+    table = confusion_table(ask(archive, parse_selection(cells, days, objects)))
     if table is None:
         raise CellError(
             f"{archive} has no selected identification of a part that was named; "

@@ -70,7 +70,7 @@ def train(
     from cell.learning.teaching_summary import summarise_teaching
     from cell.learning.training import train as train_model
 
-    selection = parse_selection(cells or (), days, objects or ())
+    selection = parse_selection(cells, days, objects)
     grasps = selected_grasps(datasets, selection, most, print_line)
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
         raise CellError("the data sets are of different pads; train a model for each")
