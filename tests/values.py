@@ -4,7 +4,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from cell.control.controller import CellController
 from cell.control.identification import Identification
+from cell.control.states import Command
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
@@ -25,6 +27,14 @@ _SERVO = ServoState(
     tick_ms=4711,
     alert=False,
 )
+
+
+def command_of(controller: CellController, command: str) -> Callable[[], Any]:
+    """Return a command without arguments."""
+    owners = dict.fromkeys((Command.CANCEL, Command.CLEAR, Command.RESET), controller.life)
+    owner = {**owners, Command.VERIFY: controller.kept}.get(Command(command), controller)
+    call: Callable[[], Any] = getattr(owner, command)
+    return call
 
 
 def make_servo(**changes: Any) -> ServoState:

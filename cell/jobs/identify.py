@@ -127,7 +127,7 @@ def identify(
     recognizer, sequence = model.recognizer, model.config.sequence
     if force_n is not None:
         sequence = sequence.with_force(force_n)
-    controller.present(held)
+    controller.moves.present(held)
     found = controller.identify(
         recognizer,
         plan(sequence, max_grasps or sequence.max_grasps, seed=seed),
@@ -138,7 +138,7 @@ def identify(
     )
     remark = model.remark_on(found.records)
     if remark:
-        controller.remark("drift", remark)
+        controller.journal.note("drift", remark)
     return replace(found, remark=remark)
 
 

@@ -98,7 +98,7 @@ class TaxelNewtons:
 
     def of(self, counts: NDArray[np.uint16]) -> NDArray[np.float32] | None:
         """Return the force in N on each taxel, (n_taxels,) float32; None before the first zero."""
-        zero, made = self._controller.zero, self._made
+        zero, made = self._controller.zeroing.taxels, self._made
         if zero is None:
             return None
         if made is None or made[0] is not zero:
@@ -110,16 +110,16 @@ def part_reporter(
     task: str, controller: CellController, newtons: TaxelNewtons, listeners: Sequence[OnPart]
 ) -> PartCallback:
     """Return the function with which a starting task reports its parts to all listeners."""
-    since_s = controller.now_s
+    since_s = controller.clock.monotonic()
 
     def seen(found: Identification | None, **fields: Any) -> None:
         nonlocal since_s
-        before_s, since_s = since_s, controller.now_s
+        before_s, since_s = since_s, controller.clock.monotonic()
         report = PartReport(
             task=task,
             answer=None if found is None else Answer.of(found),
             found=found,
-            held=controller.brought or "",
+            held=controller.journal.brought or "",
             seconds=since_s - before_s,
             curves=None if found is None else _curves(found.records[-1], newtons),
             **fields,

@@ -115,7 +115,7 @@ def test_the_page_on_hardware_can_be_typed(
     cell = build_cell(load_config(written))
     try:
         cell.controller.start()
-        cell.controller.present("box")
+        cell.controller.moves.present("box")
         record = cell.controller.grasp(GraspStep(pose=Pose(), force_n=4.0))
     finally:
         cell.close()
