@@ -106,8 +106,8 @@ def test_a_grip_that_a_fault_opens_and_torque_that_comes_by_itself_are_found(
         plain(it, **options)
         if isinstance(it, Gripper) or it.fault is not None:
             gripper = it if isinstance(it, Gripper) else it.hand.gripper
-            for servo in gripper._settings.servos:
-                gripper._bus.write(servo.servo_id, REGISTERS[register], value)
+            for servo in gripper.settings.servos:
+                gripper.bus.write(servo.servo_id, REGISTERS[register], value)
 
     monkeypatch.setattr(owner, method, spoilt)
     with pytest.raises(InvariantBroken, match=complaint):
