@@ -95,7 +95,7 @@ class Cell:
         """Supervise the cell while no job runs; advance the paced clock to now."""
         life = self.controller.life
         if self._recorder is not None:
-            self._recorder.look()
+            self._recorder.check()
         if self.simulated is None or self._pace is None:
             life.tick()
             return

@@ -88,7 +88,7 @@ class Gripper:
         self._servos, self._health = fingers.servos, fingers.health
         self._runner, self._life = fingers.runner, fingers.life
         self._grasping = GraspRun(
-            fingers.runner, fingers.servos, linkage, settings, fingers.life.set_phase, fingers.free
+            fingers.runner, linkage, settings, fingers.life.set_phase, fingers.free
         )
         fingers.on_torque = self._grasping.start_proving
         self.drives = DriveMeasurement(fingers, self._grasping)

@@ -42,7 +42,7 @@ class KeptPart:
         ``zero``: counts of the open fingers, (n_taxels,) float64.
         """
         self._zero = zero
-        self._then = self._measured()
+        self._then = self._measure()
 
     def verify(self) -> HeldCheck:
         """Measure whether the part in the grip is still the kept one; it stays there.
@@ -57,12 +57,12 @@ class KeptPart:
             If the part is gone or slips; this is a fault at any time of a carry.
         """
         with self.life.executing(Event.VERIFY):
-            check = compared(self._measured(), self._then)
+            check = compared(self._measure(), self._then)
             self.life.keep(since="answer")
         self.journal.note("verify", "; ".join(check.reasons) or "the same part")
         return check
 
-    def _measured(self) -> HeldPart:
+    def _measure(self) -> HeldPart:
         self.hold()
         collector, watch = self.watch.collecting()
         self.hand.hold_at(self.force_n, HELD_LOOK_S, watch)

@@ -660,11 +660,11 @@ class TactileCellPlugin:
             The real clock.
         """
 
-        def begin() -> None:
+        def follow() -> None:
             self._worker.idle_period_s = self._cell.follow(clock, speed)
 
         if not self._cell.realtime:
-            self._worker.between_jobs(begin)
+            self._worker.between_jobs(follow)
 
     def simulate(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Send a request to the simulated cell and return its reply, also while a job runs.
@@ -855,7 +855,7 @@ class TactileCellPlugin:
             finally:
                 _write_remarks(controller, remarks)
                 controller.journal.note("job", f"{task} {end}")
-                if not controller.life.status.holding:  # nothing to supervise meanwhile
+                if not controller.life.holding:  # nothing to supervise meanwhile
                     with suppress(CellError):  # `close` tries last, and raises it
                         file.write()
 

@@ -21,7 +21,6 @@ from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.slip import LevelSlip
 from gripper.mechanics.kinematics import Linkage, driving_n, mean_friction_n, transmissions
-from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import STANDING_M_S, GripperPhase, ServoFeedback
@@ -46,7 +45,7 @@ class GraspRun:
 
     Parameters
     ----------
-    runner, servos, linkage, settings
+    runner, linkage, settings
         Of the gripper.
     set_phase
         Gets each new phase of a grasp.
@@ -57,7 +56,6 @@ class GraspRun:
     def __init__(
         self,
         runner: LoopRunner,
-        servos: ServoGroup,
         linkage: Linkage,
         settings: GripperSettings,
         set_phase: Callable[[GripperPhase], None],
@@ -65,7 +63,6 @@ class GraspRun:
     ) -> None:
         self._runner = runner
         self._set_phase = set_phase
-        self._servos = servos
         self._free = free
         self._linkage = linkage
         self._settings = settings
@@ -188,7 +185,7 @@ class GraspRun:
         approach = Approach(
             settings,
             self._linkage,
-            self._servos.read_patiently(),
+            self._runner.servos.read_patiently(),
             widest_m=self._begins_m if known else None,
         )
         stiffness = StiffnessEstimate(self._settings)

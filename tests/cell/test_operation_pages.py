@@ -87,7 +87,7 @@ def test_the_page_on_recordings_can_be_typed(here: Path) -> None:
     assert str(recording) in listed
     assert (marked, unmarked) == (f"{recording}: marked\n", f"{recording}: not marked\n")
     history = History(Path("out/history-press-4.sqlite3"), lambda: STATE)
-    history.look()
+    history.update()
     history._close_link()
     found: dict[str, Any] = {}
     (example,) = blocks("keep-recordings.md", "python")

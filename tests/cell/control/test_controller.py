@@ -10,6 +10,7 @@ import pytest
 
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose, plan
+from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, NoPartFound, PlanRefused, PositionerError
@@ -46,7 +47,7 @@ def test_a_grasp_reaches_its_force_and_lets_go(bench: Any) -> None:
 def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) -> None:
     record = bench.ready().grasp(4.0)
     grasp, cycles = record.grasp, record.cycles
-    assert grasp.pads.same_as(bench.controller.pads)
+    assert grasp.pads.same_as(pad_array(bench.controller.hand.layout))
     assert grasp.label == ""
     assert grasp.source == "cell simulated cell"
     np.testing.assert_allclose(np.diff(grasp.t_s), 0.02, atol=2e-3)

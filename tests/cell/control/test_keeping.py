@@ -12,6 +12,7 @@ from cell.control.keeping import HeldPart, Keep, compared
 from cell.control.live import LiveValues
 from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination, HostPlaces, OperatorPositioner
+from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, ConfigError, PositionerError
@@ -179,7 +180,7 @@ def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(
         """The taught recogniser, from which three ramps are wanted."""
 
         def __init__(self) -> None:
-            self._taught = load_model(model, bench.controller.pads).recognizer
+            self._taught = load_model(model, pad_array(bench.controller.hand.layout)).recognizer
             self.labels = self._taught.labels
 
         def posterior(self, grasp: Any) -> Posterior:
