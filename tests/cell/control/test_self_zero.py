@@ -124,7 +124,7 @@ def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, part: 
     assert bench.life.state is CellState.ABORTED
     assert bench.life.holding
     assert bench.controller.zeros.newest is None
-    assert 0.3 < bench.grip_n < bench.controller.carry_force_n + 0.5
+    assert 0.3 < bench.grip_n < bench.controller.kept.wanted_force_n + 0.5
     bench.life.clear()
     bench.controller.release_held()
     bench.simulated.remove()
@@ -147,7 +147,7 @@ def test_a_daily_start_opens_again_on_a_part_and_goes_on(
     bench.clock.on_advance.append(lambda _now_s: pressed_n.append(bench.grip_n))
     bench.controller.start()
     # Less than any grasp presses it, not with the 10 N of a self-zero.
-    assert 0.3 < max(pressed_n) < bench.controller.carry_force_n
+    assert 0.3 < max(pressed_n) < bench.controller.kept.wanted_force_n
     assert bench.grip_n == 0.0
     assert bench.life.state is CellState.IDLE
     assert not bench.life.holding

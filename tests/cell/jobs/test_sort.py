@@ -160,7 +160,7 @@ def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
                 sorter.bench.simulated.remove()
             return reached
 
-    sorter.controller.moves.positioner = sorter.controller._grasper.positioner = Feed()
+    sorter.controller.moves.positioner = Feed()
     with pytest.raises(NoPartFound):
         sorter.sort(*["ball"] * 8)
     assert len(turns) == 6
