@@ -101,7 +101,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
         tally, feed = Tally(places=Places(config, labels)), simulated_feed(config, 5 * rounds)
         started_s = clock.monotonic()
         sort_parts(controller, model, tally, n_parts=len(feed), feed=feed.__getitem__)
-        part_s = (clock.monotonic() - started_s) / max(1, len(tally.parts))
+        part_s = (clock.monotonic() - started_s) / max(1, tally.n_parts)
         line("sort", f"{3600.0 / part_s:.0f} parts an hour, {part_s:.2f} s a part, n = {len(feed)}")
 
 

@@ -96,7 +96,7 @@ class _Story:
         examples = self._examples()
         paper = paper_table()
         tables = tuple(scores.values())
-        known = {one.truth for one in self.answers}
+        known = {one.held for one in self.answers}
         return ReportData(
             title="Report of the cell",
             subtitle=f"{name}: {len(self.taught)} grasps taught, "
@@ -152,10 +152,10 @@ class _Story:
             first: dict[str, Posterior] = {}
             if one.posteriors and one.grasps:
                 first[default] = one.posteriors[0]
-                if self.baseline is not None and default != BASELINE and one.whole_ramps:
+                if self.baseline is not None and default != BASELINE and not one.n_ended_early:
                     first[BASELINE] = self.baseline.posterior(one.grasps[0])
-            if one.truth:
-                trials.append((one.truth, one.label, first))
+            if one.held:
+                trials.append((one.held, one.label, first))
         named = (label for truth, label, _ in trials for label in (truth, label))
         labels = tuple(dict.fromkeys(label for label in named if label != UNKNOWN))
         common = set.intersection(*(set(first) for *_, first in trials)) if trials else set()
@@ -220,16 +220,16 @@ def _answers(story: _Story) -> list[Answered]:
         places = [str(event["text"]) for t_s, event in placed if end_s <= t_s < next_s]
         found.append(
             Answered(
-                truth=str(row.get("held", "")),
+                held=str(row.get("held", "")),
                 label=str(row["label"]),
                 fused=_posterior(labels, row),
                 posteriors=tuple(_posterior(labels, one) for one in row.get("grasp_answers", ())),
                 n_grasps=n_grasps,
-                whole_ramps=not row.get("n_ended_early", 0),
+                n_ended_early=int(row.get("n_ended_early", 0)),
                 grasps=tuple(grasp for grasp, _ in met),
                 notes=tuple("{}; {:.1f} N".format(*story.note(*one)) for one in met),
                 shape=_shape(row["shape"]) if row.get("shape") else None,
-                place=places[-1].rpartition(" at ")[2] if places else "",
+                place=places[-1].rpartition(" at ")[2] if places else None,
             )
         )
     return found

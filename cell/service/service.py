@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 
 from cell.config.model import CellConfig
 from cell.config.simulator import checked_label
+from cell.control.answer import Answer, HostStatus, Verification
+from cell.control.identification import Identification
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import CellError, HeldByClient, RequestRefused
 from cell.fault_catalogue import error_text
-from cell.plugin.answer import Answer, HostStatus, Verification
 from cell.plugin.goals import (
     TASKS,
     Goal,
@@ -36,7 +37,6 @@ from cell.plugin.goals import (
     goal_of,
 )
 from cell.plugin.lease import Lease
-from cell.plugin.part_report import PartReport
 from cell.plugin.plugin import TactileCellPlugin
 from cell.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from cell.service.history import History
@@ -136,7 +136,7 @@ class Snapshot:
     """Name of the client with the lease; empty for none."""
     held_by: tuple[str, ...]
     """Clients that keep the cell on hold; "(gone)" follows the name of a disconnected client."""
-    part: PartReport | None
+    part: Answer | None
     """The newest part of an identification or sort; None before the first."""
     held_part: int | None
     """Number of the part in the grip; None if nothing is held or the part has no name."""
@@ -279,8 +279,8 @@ class Service:
             job, task, _, since_s = self._jobs[wanted]
             return self._view(wanted, task, self._plugin.feedback(job), since_s)
 
-    def part(self, number: int) -> PartReport:
-        """Return a part by its number. Raises RequestRefused if it is not kept."""
+    def part(self, number: int) -> Answer:
+        """Return the answer of a part by its number. Raises RequestRefused if it is not kept."""
         if (found := self.shift.part(number)) is None:
             newest = self.shift.parts[-1].number if self.shift.parts else 0
             raise RequestRefused(
@@ -708,11 +708,10 @@ class Service:
         self.history.close()
         self._plugin.close(timeout_s)
 
-    def _count(self, report: PartReport) -> None:
+    def _count(self, answer: Answer, found: Identification | None) -> None:
         """Count a part with the present id of its label."""
-        self.totals.add(report)
-        label = "" if report.answer is None else report.answer.label
-        part = replace(report, found=None, label_id=self.label_id(label))
+        self.totals.add(answer, found)
+        part = replace(answer, label_id=self.label_id(answer.label))
         self.shift.add(part)
         self.history.add(part)
 

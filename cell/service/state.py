@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, fields
 from typing import Any
 
+from cell.control.answer import HostStatus
 from cell.control.states import CellStatus
 from cell.fault_catalogue import BY_NUMBER, Refusal
-from cell.plugin.answer import HostStatus
 from cell.service.service import Service
 
 

@@ -128,18 +128,9 @@ def test_recorded_grasps_are_answered_one_by_one(taught: Any) -> None:
     model = load_model(taught.result.model)
     grasps = [taught.grasps[0], replace(taught.grasps[9], label="")]
     answers = identify_recorded(model, grasps)
-    assert [answer.number for answer in answers] == [0, 1]
-    assert [answer.label for answer in answers] == ["ball", "box"]
-    assert [answer.truth for answer in answers] == ["ball", ""]
-    assert answers[0].probability > 0.5
-    assert answers[1].as_json() == {
-        "grasp": 1,
-        "label": "box",
-        "probability": answers[1].probability,
-        "unknown": answers[1].unknown,
-        "truth": None,
-        "shape": None,
-    }
+    assert [posterior.name for posterior, *_ in answers] == ["ball", "box"]
+    assert answers[0][0].name_probability > 0.5
+    assert answers[1][1:] == (None, None)
 
 
 def test_grasps_on_other_pads_are_refused(taught: Any) -> None:
@@ -171,8 +162,8 @@ def test_a_model_of_other_pads_is_refused_before_the_cell_is_built(taught: Any) 
 def test_an_unknown_object_has_the_probability_of_being_unknown(taught: Any) -> None:
     grasp = taught.grasps[0]
     untouched = replace(grasp, counts=np.repeat(grasp.counts[:1], grasp.n_frames, 0))
-    (answer,) = identify_recorded(load_model(taught.result.model), [untouched])
-    assert (answer.label, answer.probability, answer.unknown) == ("UNKNOWN", 1.0, 1.0)
+    ((answer, *_),) = identify_recorded(load_model(taught.result.model), [untouched])
+    assert (answer.name, answer.name_probability, answer.unknown) == ("UNKNOWN", 1.0, 1.0)
 
 
 def test_pads_that_differ_in_full_scale_or_place_are_told_apart(taught: Any) -> None:

@@ -130,12 +130,12 @@ def test_recorded_grasps_are_followed_in_the_order_of_time() -> None:
         recognizer=Follower(), trainer_name="force_ramp", pads=grasps[0].pads
     )
     answers = identify_recorded(model, grasps, follow=True)
-    assert [answer.number for answer in answers] == [0, 1, 2, 3]
-    assert [answer.drift.n_followed for answer in answers if answer.drift] == [2, 3, 1, 0]
-    assert [answer.label for answer in answers] == ["ball", "ball", "UNKNOWN", "UNKNOWN"]
-    assert answers[0].as_json()["drift"]["gain"] == pytest.approx(0.72, abs=0.01)
+    drifts = [drift for *_, drift in answers if drift]
+    assert [drift.n_followed for drift in drifts] == [2, 3, 1, 0]
+    assert [answer.name for answer, *_ in answers] == ["ball", "ball", "UNKNOWN", "UNKNOWN"]
+    assert drifts[0].values["gain"] == pytest.approx(0.72, abs=0.01)
     alone = identify_recorded(model, grasps)
-    assert [answer.label for answer in alone] == 4 * ["UNKNOWN"]
+    assert [answer.name for answer, *_ in alone] == 4 * ["UNKNOWN"]
 
 
 class Grasping:
@@ -155,7 +155,6 @@ class Grasping:
         posterior = recognizer.posterior(self.given)
         return Identification(
             label="ball",
-            probability=0.9,
             decision=Decision(kind=DecisionKind.DECIDED, label="ball", probability=0.9),
             posteriors=(posterior,),
             fused=posterior,
