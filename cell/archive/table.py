@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -230,13 +230,9 @@ def _plain(grasp: Grasp) -> dict[str, Any]:
         "taught": bool(grasp.label),
         "shape": grasp.shape,
         "thickness_m": grasp.thickness_m,
-        "asked": _struct(COMMAND_COLUMNS, grasp.command),
-        "zero": _struct(ZERO_COLUMNS, grasp.zero),
+        "asked": grasp.command and asdict(grasp.command),
+        "zero": grasp.zero and asdict(grasp.zero),
     }
-
-
-def _struct(names: Sequence[str], row: GraspCommand | SelfZero | None) -> dict[str, float] | None:
-    return None if row is None else dict(zip(names, row.values, strict=True))
 
 
 def _described(grasps: Sequence[Grasp], rest: Rest | None) -> list[dict[str, Any]]:

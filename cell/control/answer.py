@@ -78,6 +78,11 @@ class Answer:
         return dict(zip(("probability", "label"), max(others), strict=True)) if others else None
 
     @property
+    def kind(self) -> str:
+        """Kind of its shape; empty if it was not measured."""
+        return "" if self.shape is None else self.shape.kind
+
+    @property
     def size_mm(self) -> float:
         """Size in mm; 0 if it was not measured."""
         return 0.0 if self.shape is None else 1e3 * self.shape.size_m

@@ -252,12 +252,13 @@ class WebInterface(WebServer):
 
     def jobs(self) -> list[dict[str, Any]]:
         """List the newest jobs, oldest first."""
-        return [plain_data(asdict(job)) for job in self._service.jobs()]
+        found: list[dict[str, Any]] = plain_data(self._service.jobs())
+        return found
 
     def job(self, number: int) -> dict[str, Any]:
         """One job: outcome, progress, answer."""
         try:
-            found: dict[str, Any] = plain_data(asdict(self._service.job(number)))
+            found: dict[str, Any] = plain_data(self._service.job(number))
         except RequestRefused as error:
             raise HTTPException(404, str(error)) from error
         return found

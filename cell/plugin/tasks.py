@@ -13,7 +13,7 @@ from cell.control.identification import Identification
 from cell.control.keeping import Keep
 from cell.control.plan import Pose
 from cell.control.records import GraspRecord
-from cell.control.self_zero import zero_text, zero_values
+from cell.control.self_zero import zero_text
 from cell.errors import CellError, NoPartFound
 from cell.jobs.collection import Collection
 from cell.jobs.identify import identify
@@ -173,7 +173,7 @@ class Tasks:
         before = self.controller.self_zero
         found = self.controller.measure_zero()
         moved_mm = None if before is None else 1e3 * (found.zero.opening_m - before.opening_m)
-        values = zero_values(found.zero) | {"moved_mm": moved_mm}
+        values = asdict(found.zero) | {"moved_mm": moved_mm}
         report({"task": "zero", "zero": values, "text": zero_text(found)})
         return found.zero
 

@@ -10,7 +10,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
@@ -517,7 +517,7 @@ class Service:
     def simulated_part(self) -> dict[str, Any]:
         """Return the chosen ``part``, its ``pose``, the part between the fingers, all objects."""
         found = self._plugin.simulate({"state": True})
-        pose = {name: found["offset"][name] for name in Pose().as_dict()}
+        pose = {name: found["offset"][name] for name in asdict(Pose())}
         return {
             "part": self._part,
             "pose": pose,
@@ -539,7 +539,7 @@ class Service:
         """
         self.lease.alive(lease)
         placed = self._plugin.simulate({"state": True})["placed"] if part is None else part
-        self._plugin.simulate({"place": placed or "nothing", "offset": pose.as_dict()})
+        self._plugin.simulate({"place": placed or "nothing", "offset": asdict(pose)})
         self._part = part
         self._plugin.remark("simulation", f"part {part or 'in turn'} at {pose}")
 
@@ -725,7 +725,21 @@ class Service:
         return self._view(answer.job, "identify", ended, since_s)
 
     def _view(self, number: int, task: str, status: JobStatus, since_s: float) -> JobView:
-        view = JobView(
+        progress, answer = status.progress, status.value
+        found: dict[str, Any] = {
+            "label": progress.get("best", ""),
+            "n_grasps": progress.get("grasps", 0),
+        }
+        if task == "sort" and progress.get("label"):
+            found = {name: progress[name] for name in ("label", "probability")}
+            found["label_id"] = self.label_id(found["label"])
+        if isinstance(answer, Answer):
+            names = ("label", "probability", "n_grasps", "size_mm", "kept")
+            found = {name: getattr(answer, name) for name in names}
+            found |= {"label_id": self.label_id(answer.label), "shape": answer.kind}
+        elif isinstance(answer, Verification):
+            found |= {"held": answer.held, "same": answer.same, "kept": answer.held}
+        return JobView(
             number=number,
             task=task,
             since_s=since_s,
@@ -733,31 +747,8 @@ class Service:
             outcome_number=OUTCOME_NUMBERS[status.outcome],
             fault_number=status.fault_number,
             error=status.error,
-            label=str(status.progress.get("best", "")),
-            n_grasps=int(status.progress.get("grasps", 0)),
-            taught=status.progress.get("taught"),
-            gauged=status.progress.get("gauged"),
-            progress=status.progress,
+            taught=progress.get("taught"),
+            gauged=progress.get("gauged"),
+            progress=progress,
+            **found,
         )
-        answer = status.value
-        if task == "sort" and (label := str(status.progress.get("label", ""))):
-            return replace(
-                view,
-                label=label,
-                label_id=self.label_id(label),
-                probability=float(status.progress["probability"]),
-            )
-        if isinstance(answer, Answer):
-            return replace(
-                view,
-                label=answer.label,
-                label_id=self.label_id(answer.label),
-                probability=answer.probability,
-                n_grasps=answer.n_grasps,
-                shape="" if answer.shape is None else answer.shape.kind,
-                size_mm=answer.size_mm,
-                kept=answer.kept,
-            )
-        if isinstance(answer, Verification):
-            return replace(view, held=answer.held, same=answer.same, kept=answer.held)
-        return view

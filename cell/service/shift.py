@@ -131,9 +131,9 @@ def part_values(part: Answer) -> dict[str, Any]:
     """Return a part as plain data, without its curves; lengths in mm."""
     shape = part.shape
     return {name: getattr(part, name) for name in _SHOWN} | {
-        "shape": None if shape is None else shape.kind,
-        "size_mm": None if shape is None else part.size_mm,
-        "interval_mm": None if shape is None else (1e3 * shape.low_m, 1e3 * shape.high_m),
+        "shape": part.kind or None,
+        "size_mm": part.size_mm or None,
+        "interval_mm": shape and (1e3 * shape.low_m, 1e3 * shape.high_m),
     }
 
 

@@ -149,7 +149,7 @@ def test_turns_without_a_part_are_reported_as_such(monkeypatch: pytest.MonkeyPat
         return tasks.Places(CellConfig(), ("ball",))
 
     file = tasks.ModelFile(model, None)
-    cell = tasks.Tasks(nothing, file, places, lambda: seen.append)  # type: ignore[arg-type]
+    cell = tasks.Tasks(nothing, file, places, lambda: seen.append)
     with pytest.raises(NoPartFound):
         cell.identify(IdentifyGoal(), lambda _now: None)
     answer = cell.sort(SortGoal(parts=2), lambda _now: None)
