@@ -65,12 +65,12 @@ class MainResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
+        names = ("seconds", "n_taught", "labels", "default", "remarks")
+        files = ("report", "recording", "dataset", "model")
+        counts = [float(trial.n_grasps) for trial in self.trials]
         return {
-            "seconds": round(self.seconds, 2),
-            "n_taught": self.n_taught,
+            **{name: getattr(self, name) for name in (*names, *files)},
             "n_trials": len(self.trials),
-            "labels": self.labels,
-            "default": self.default,
             "recognizers": {
                 name: {
                     key: getattr(counted, key) for key in ("accuracy", "interval", "n", "n_right")
@@ -88,16 +88,9 @@ class MainResult:
                 }
                 for trial in self.trials
             ],
-            "grasps_per_trial": float(
-                np.mean([float(trial.n_grasps) for trial in self.trials] or [0.0])
-            ),
+            "grasps_per_trial": float(np.mean(counts or [0.0])),
             "grasp_seconds": self.grasp_s,
-            "drift": None if self.drift is None else self.drift.values,
-            "remarks": self.remarks,
-            "report": self.report,
-            "recording": self.recording,
-            "dataset": self.dataset,
-            "model": self.model,
+            "drift": self.drift and self.drift.values,
             **self.extra,
         }
 
@@ -153,7 +146,7 @@ def teach_and_identify(
         labels=tuple(labels),
         default=default,
         n_taught=n_taught,
-        seconds=time.monotonic() - started_s,
+        seconds=round(time.monotonic() - started_s, 2),
         scores=score_tables(
             [(one.held, one.label, first) for one, first in zip(trials, firsts, strict=True)],
             labels,
