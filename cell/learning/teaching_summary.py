@@ -83,8 +83,8 @@ class TeachingSummary:
         if once:
             return (
                 f"taught in several series: {', '.join(self.taught_again)}; in one: the {once} "
-                "others. Grasps of another day are most similar to those taught on another day, so the "
-                "others may be named as one of these: teach all objects again, or omit the "
+                "others. Grasps of another day are most similar to those taught on another day, so "
+                "the others may be named as one of these: teach all objects again, or omit the "
                 "further series (`tactile-cell evaluate --split series` measures it)"
             )
         return ""
