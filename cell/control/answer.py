@@ -4,11 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from cell.control.states import CellStatus
 from recognition.recognizer import UNKNOWN
 
 if TYPE_CHECKING:
-    from cell.control.live import LiveValues
     from recognition.drift.grid import DriftGrid
     from recognition.shape.answer import ShapeAnswer
 
@@ -117,16 +115,3 @@ class SortAnswer:
     """Parts at the place of the rejects: never taught, or changed since they were named."""
     places: Mapping[str, int] = field(hash=False)
     """Parts at each place."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HostStatus(CellStatus):
-    """States of cell and grip, live values and the last answer, for a host."""
-
-    live: "LiveValues" = field(compare=False)
-    """Present force, opening, temperature and taxels."""
-    recording_fault: str = ""
-    """Why the recording has stopped; empty while it is written or without a recording."""
-    last_answer: Answer | None
-    """Answer of the last identification, also after other jobs. None from the start of the next
-    identification or sort until an identification succeeds."""

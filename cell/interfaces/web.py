@@ -364,5 +364,5 @@ class WebInterface(WebServer):
         ``latch=false``. A pressed button repeats it within each serve.lease_timeout_s.
         """
         host = "" if request.client is None else request.client.host
-        self._service.hold_as(f"HTTP {host} {name}".rstrip(), latch)
+        self._service.stop_as(f"HTTP {host} {name}".rstrip(), latch)
         return {"state": self._service.status().state, "held_by": self._service.held_by}

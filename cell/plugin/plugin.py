@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from cell.config.file import load_config
 from cell.config.model import CellConfig
-from cell.control.answer import Answer, HostStatus, SortAnswer, Verification
+from cell.control.answer import Answer, SortAnswer, Verification
 from cell.control.plan import Pose
 from cell.control.states import CellState, Command, command_effect
 from cell.errors import (
@@ -43,6 +43,7 @@ from cell.plugin.goals import (
     ZeroGoal,
     checked_goal,
 )
+from cell.plugin.host_status import HostStatus
 from cell.plugin.lease import Lease
 from cell.plugin.worker import CellWorker, Job, JobFailed, JobOutcome, JobStatus, Report
 from gripper.errors import LinkTooSlow, ServoFault, VerificationFailed, fingers_left

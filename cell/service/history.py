@@ -14,9 +14,10 @@ from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
-from cell.control.answer import Answer, HostStatus
+from cell.control.answer import Answer
 from cell.data.files import free_name
 from cell.errors import CellError
+from cell.plugin.host_status import HostStatus
 from cell.service.shift import Shift
 from recognition.recognizer import UNKNOWN
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.control.answer import Answer, HostStatus, Verification
+from cell.control.answer import Answer, Verification
 from cell.control.live import LiveValues
 from cell.control.states import (
     CellState,
@@ -25,6 +25,7 @@ from cell.control.states import (
 from cell.errors import CellStateError, CellStopped
 from cell.fault_catalogue import error_text, fault_number
 from cell.plugin.goals import TASKS, Goal, GripGoal, IdentifyGoal, TeachGoal, VerifyGoal
+from cell.plugin.host_status import HostStatus
 from cell.plugin.part_report import OnPart
 from cell.plugin.worker import Job, JobOutcome, JobStatus
 from recognition.recognizer import UNKNOWN
