@@ -67,8 +67,9 @@ class Tally:
     """The places."""
     placed: Counter[tuple[str, str]] = field(default_factory=Counter)
     """Number of parts by their true object (empty if not known) and by place."""
-    mistakes: list[Answer] = field(default_factory=list)
-    """Parts at the place of another kind (simulated cell); rejects do not count."""
+    mistakes: list[dict[str, Any]] = field(default_factory=list)
+    """``number``, true object and ``place`` of each part at the place of another kind (simulated
+    cell); rejects do not count."""
     n_missed: int = 0
     """Number of turns without a part."""
 
@@ -77,7 +78,8 @@ class Tally:
         self.placed[part.held, str(part.place)] += 1
         right = (self.places.of(part.held).place, self.places.reject.place)
         if part.held and part.place not in right:
-            self.mistakes.append(part)
+            mistake = {"number": part.number, "was": part.held, "place": part.place}
+            self.mistakes.append(mistake)
 
     @property
     def n_parts(self) -> int:
@@ -119,10 +121,7 @@ class Tally:
             "share_named": self.share_named if self.placed else None,
             "places": self.counts,
             "matrix": self.matrix(),
-            "mistakes": [
-                {"number": part.number, "was": part.held, "place": part.place}
-                for part in self.mistakes
-            ],
+            "mistakes": list(self.mistakes),
         }
 
 

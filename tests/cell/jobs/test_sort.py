@@ -86,7 +86,7 @@ def test_a_part_in_another_bin_is_a_mistake_and_a_reject_is_none(taught: Any) ->
         [("ball", "bin 1"), ("ball", "bin 2"), ("box", "reject"), ("", "bin 1")]
     ):
         tally.add(Answer(number=number, held=truth, place=place))
-    assert [part.number for part in tally.mistakes] == [1]
+    assert tally.mistakes == [{"number": 1, "was": "ball", "place": "bin 2"}]
     assert tally.n_rejected == 1
     assert tally.matrix() == {
         "ball": {"bin 1": 1, "bin 2": 1, "reject": 0},
