@@ -81,7 +81,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
             for turn in range(rounds * len(labels)):
                 spent_s.clear()
                 held = labels[turn % len(labels)]
-                found = identify(controller, model, held=held, seed=1000 + turn, keep=keep)
+                found = identify(controller, model, presented=held, seed=1000 + turn, keep=keep)
                 took_s = dict(spent_s) | {"computing": answers(found)}
                 alone_s = max(0.0, took_s["computing"] - sum(spent_s[name] for name in beside))
                 totals_s.append(sum(spent_s.values()) + alone_s)

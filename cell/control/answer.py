@@ -37,7 +37,7 @@ class Answer:
     """``identify`` or ``sort``."""
     job: int = 0
     """Number of the job that found it; 0 in a sort."""
-    held: str = ""
+    presented: str = ""
     """Label of the brought object according to host, person or simulator; empty if not given."""
     number: int = 0
     """Number of the part from 1: in its sort, in a service since the program began."""

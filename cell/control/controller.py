@@ -617,7 +617,7 @@ class CellController:
             on_grasp=on_grasp,
             execute=self._start_answer,
         )
-        found = replace(found, held=self.brought or "")
+        found = replace(found, presented=self.brought or "")
         self._journal.result(found)
         return found
 

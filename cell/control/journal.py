@@ -137,8 +137,8 @@ class Journal:
                 for one in found.posteriors
             ],
         }
-        if found.held:
-            values["held"] = found.held
+        if found.presented:
+            values["held"] = found.presented
         if found.shape is not None:
             values["shape"] = shape_values(found.shape)
         if found.shapes:

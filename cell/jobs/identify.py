@@ -63,7 +63,7 @@ def identify(
     controller: CellController,
     model: TaughtModel,
     *,
-    held: str | None,
+    presented: str | None,
     seed: int,
     max_grasps: int | None = None,
     force_n: float | None = None,
@@ -77,7 +77,7 @@ def identify(
 
     Parameters
     ----------
-    held
+    presented
         Object for the positioner to bring; None: the present object.
     max_grasps
         Most grasps; None: as many as the config allows.
@@ -91,7 +91,7 @@ def identify(
     recognizer, sequence = model.recognizer, model.config.sequence
     if force_n is not None:
         sequence = sequence.with_force(force_n)
-    controller.present(held)
+    controller.present(presented)
     found = controller.identify(
         recognizer,
         plan(sequence, max_grasps or sequence.max_grasps, seed=seed),

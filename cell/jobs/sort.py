@@ -75,10 +75,10 @@ class Tally:
 
     def add(self, part: Answer) -> None:
         """Count a part that was released at its place."""
-        self.placed[part.held, str(part.place)] += 1
-        right = (self.places.of(part.held).place, self.places.reject.place)
-        if part.held and part.place not in right:
-            mistake = {"number": part.number, "was": part.held, "place": part.place}
+        self.placed[part.presented, str(part.place)] += 1
+        right = (self.places.of(part.presented).place, self.places.reject.place)
+        if part.presented and part.place not in right:
+            mistake = {"number": part.number, "was": part.presented, "place": part.place}
             self.mistakes.append(mistake)
 
     @property
@@ -178,7 +178,7 @@ def sort_parts(
             found = identify(
                 controller,
                 model,
-                held=truth,
+                presented=truth,
                 seed=seed + turn,
                 max_grasps=max_grasps,
                 force_n=force_n,

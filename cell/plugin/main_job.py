@@ -80,7 +80,7 @@ class MainResult:
             },
             "identifications": [
                 {
-                    "held": trial.held,
+                    "held": trial.presented,
                     "label": trial.label,
                     "probability": trial.decision.probability,
                     "n_grasps": trial.n_grasps,
@@ -148,7 +148,7 @@ def teach_and_identify(
         n_taught=n_taught,
         seconds=round(time.monotonic() - started_s, 2),
         scores=score_tables(
-            [(one.held, one.label, first) for one, first in zip(trials, firsts, strict=True)],
+            [(one.presented, one.label, first) for one, first in zip(trials, firsts, strict=True)],
             labels,
             default,
         ),

@@ -59,7 +59,7 @@ def part_reporter(
     def seen(answer: Answer, found: Identification | None = None) -> Answer:
         nonlocal since_s
         before_s, since_s = since_s, controller.now_s
-        answer = replace(answer, held=controller.brought or "", seconds=since_s - before_s)
+        answer = replace(answer, presented=controller.brought or "", seconds=since_s - before_s)
         curves = None if found is None else _curves(found.records[-1], newtons)
         for on_part in listeners:
             on_part(replace(answer, curves=curves), found)

@@ -206,7 +206,7 @@ class Tasks:
             found = identify(
                 self.controller,
                 self.model,
-                held=goal.present,
+                presented=goal.present,
                 seed=goal.seed,
                 max_grasps=goal.max_grasps,
                 force_n=goal.force_n,
@@ -258,7 +258,9 @@ class Tasks:
 
         def sorted_part(part: Answer, found: Identification) -> None:
             seen(part, found)
-            progress({name: getattr(part, name) for name in _SORTED} | {"was": part.held or None})
+            progress(
+                {name: getattr(part, name) for name in _SORTED} | {"was": part.presented or None}
+            )
 
         progress({})
         feed = goal.feed

@@ -36,7 +36,7 @@ class Answered(Answer):
     @property
     def name(self) -> str:
         """True name if known, else the answer."""
-        return self.held or self.label
+        return self.presented or self.label
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -97,7 +97,7 @@ class _Story:
         examples = self._examples()
         paper = paper_table()
         tables = tuple(scores.values())
-        known = {one.held for one in self.answers}
+        known = {one.presented for one in self.answers}
         return ReportData(
             title="Report of the cell",
             subtitle=f"{name}: {len(self.taught)} grasps taught, "
@@ -155,8 +155,8 @@ class _Story:
                 first[default] = one.posteriors[0]
                 if self.baseline is not None and default != BASELINE and not one.n_ended_early:
                     first[BASELINE] = self.baseline.posterior(one.grasps[0])
-            if one.held:
-                trials.append((one.held, one.label, first))
+            if one.presented:
+                trials.append((one.presented, one.label, first))
         named = (label for truth, label, _ in trials for label in (truth, label))
         labels = tuple(dict.fromkeys(label for label in named if label != UNKNOWN))
         common = set.intersection(*(set(first) for *_, first in trials)) if trials else set()
@@ -218,7 +218,7 @@ def _answers(story: _Story) -> list[Answered]:
         places = [str(event["text"]) for t_s, event in placed if end_s <= t_s < next_s]
         found.append(
             Answered(
-                held=str(row.get("held", "")),
+                presented=str(row.get("held", "")),
                 label=str(row["label"]),
                 fused=_posterior(labels, row),
                 posteriors=tuple(_posterior(labels, one) for one in row.get("grasp_answers", ())),

@@ -106,12 +106,13 @@ class History:
     def add(self, part: Answer) -> None:
         """Add a part, or a turn without one; nothing is written yet."""
         if not part.label:
-            self._add(kind="miss", held=part.held)
+            self._add(kind="miss", held=part.presented)
             return
         second = part.runner_up or {"label": "", "probability": 0.0}
-        names = ("label", "held", "probability", "place", "rejected", "n_grasps", "seconds")
+        names = ("label", "probability", "place", "rejected", "n_grasps", "seconds")
         self._add(
             kind="part",
+            held=part.presented,
             second=second["label"],
             second_probability=second["probability"],
             **{name: getattr(part, name) for name in names},

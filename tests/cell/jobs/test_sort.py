@@ -85,7 +85,7 @@ def test_a_part_in_another_bin_is_a_mistake_and_a_reject_is_none(taught: Any) ->
     for number, (truth, place) in enumerate(
         [("ball", "bin 1"), ("ball", "bin 2"), ("box", "reject"), ("", "bin 1")]
     ):
-        tally.add(Answer(number=number, held=truth, place=place))
+        tally.add(Answer(number=number, presented=truth, place=place))
     assert tally.mistakes == [{"number": 1, "was": "ball", "place": "bin 2"}]
     assert tally.n_rejected == 1
     assert tally.matrix() == {

@@ -89,7 +89,7 @@ def model_of(recognizer: Any, **changes: object) -> TaughtModel:
 def identified(model: TaughtModel, *records: Any) -> str:
     """Identify once; return the remark."""
     controller: Any = Grasping(records[0].grasp, records)
-    return identify(controller, model, held=None, seed=0).remark
+    return identify(controller, model, presented=None, seed=0).remark
 
 
 def test_it_learns_after_each_answer_and_speaks_once() -> None:
@@ -270,6 +270,6 @@ def test_a_model_that_was_taught_without_a_self_zero_is_named_once(
 ) -> None:
     bench = make_bench(small_config(self_zero="always")).ready()
     model = TaughtModel.load(bench.config, taught.result.model)
-    first, second = (identify(bench.controller, model, held="ball", seed=s) for s in (1, 2))
+    first, second = (identify(bench.controller, model, presented="ball", seed=s) for s in (1, 2))
     assert "was taught without a self-zero" in first.remark
     assert "without a self-zero" not in second.remark

@@ -71,8 +71,8 @@ def test_a_week_of_shifts_survives_kills_and_is_summed_by_day_and_week(kept: Kep
             kept.begin()
             for number in range(40):
                 named = "box" if number % 10 == 0 else "ball"
-                kept.history.add(part(named, held="ball", seconds=4.0 + shift))
-            kept.history.add(part("UNKNOWN", held="pin", rejected=True))
+                kept.history.add(part(named, presented="ball", seconds=4.0 + shift))
+            kept.history.add(part("UNKNOWN", presented="pin", rejected=True))
             kept.history.add(part(""))
             kept.look()
             kept.fault(301 + shift, "a servo is hot")
