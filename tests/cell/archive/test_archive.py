@@ -1,9 +1,7 @@
 """An archive has each grasp once, as it was recorded, whatever is archived how often."""
 
 import json
-import os
 import shutil
-import signal
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -16,14 +14,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from cell.archive.export import export
-from cell.archive.ingest import Piece, ingest, read_piece, sources
+from cell.archive.ingest import ingest, sources
+from cell.archive.questions import ask
 from cell.archive.selection import Selection, parse_selection
 from cell.archive.store import Archive
 from cell.archive.table import COLUMNS, SCHEMA
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import recording_grasps
-from cell.errors import ArchiveError, CellError, ConfigError
+from cell.errors import ArchiveError, ConfigError
 from cell.jobs.common import silent
 from cell.jobs.parallel import workers
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
@@ -174,7 +173,14 @@ def test_an_interrupted_run_goes_on_where_it_was(
     assert len(every(target)) == 6
     note = next(Path(target, "_sources").iterdir())
     note.unlink()  # as if it had ended before the note
-    done = add(target, sources([fleet]))
+
+    def twice(work: Callable[[Any], Any], items: Any, /) -> Iterator[Any]:
+        """Do each piece again, as after the death of a worker that had done it."""
+        for item in items:
+            work(item)
+            yield work(item)
+
+    done = add(target, sources([fleet]), mapper=twice)
     assert (done.n_files, done.n_grasps, done.n_before) == (6, 30, 6)
     assert every(target) == every(archived)
     assert not Path(target, "_staged").exists()
@@ -267,64 +273,11 @@ def test_duckdb_reads_the_table(archived: str) -> None:
     assert all(row[2] > 0 for row in found)
 
 
-def killed_once(token: Path, target: str, path: Path) -> Piece:
-    """Do a piece of work in a process that the system kills the first time."""
-    try:
-        token.unlink()
-    except FileNotFoundError:
-        return read_piece(target, "", path)
-    os.kill(os.getpid(), signal.SIGKILL)
-    raise AssertionError
-
-
-def survivors(mapper: Any, fleet: Path, target: str, token: Path) -> None:
-    """Archive while a worker dies once."""
-    token.touch()
-
-    def mortal(_work: Any, items: Any, /) -> Any:
-        return mapper(partial(killed_once, token, target), items)
-
-    done = add(target, sources([fleet]), mapper=mortal)
-    assert (done.n_files, done.n_grasps) == (6, 36)
-    assert not token.exists()
-
-
-@pytest.mark.timeout(300)
-def test_a_process_that_dies_costs_its_piece_of_work_alone(
+def test_two_processes_archive_and_answer_as_one(
     fleet: Path, archived: str, tmp_path: Path
 ) -> None:
     target = str(tmp_path / "archive")
     with workers(2) as mapper:
-        survivors(mapper, fleet, target, tmp_path / "token")
+        assert add(target, sources([fleet]), mapper=mapper).n_grasps == 36
+        assert ask(target, mapper=mapper) == ask(target)
     assert every(target) == every(archived)
-
-
-@pytest.mark.timeout(300)
-def test_a_worker_of_a_cluster_that_dies_costs_its_piece_of_work_alone(
-    fleet: Path, archived: str, tmp_path: Path
-) -> None:
-    from distributed import LocalCluster
-
-    target = str(tmp_path / "archive")
-    with (
-        LocalCluster(
-            n_workers=2,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=":0",
-            silence_logs=50,
-        ) as cluster,
-        workers(scheduler=cluster.scheduler_address) as mapper,
-    ):
-        survivors(mapper, fleet, target, tmp_path / "token")
-    assert every(target) == every(archived)
-
-
-def dies(_item: int) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-@pytest.mark.timeout(300)
-def test_work_that_kills_each_process_is_an_error() -> None:
-    with workers(2) as mapper, pytest.raises(CellError, match="ended at the same work"):
-        list(mapper(dies, [1, 2, 3]))

@@ -1,7 +1,10 @@
 """Evaluation spread over processes and over a Dask cluster gives what one process gives."""
 
+import os
+import signal
 from collections.abc import Iterator
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -94,6 +97,33 @@ def test_a_cluster_of_two_workers_gives_the_same_figures(
 ) -> None:
     with workers(scheduler=cluster.scheduler_address) as mapper:
         assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
+
+
+@pytest.mark.parametrize("kind", ["processes", "cluster"])
+def test_a_worker_that_dies_costs_its_piece_of_work_alone(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    token = tmp_path / "token"
+    token.touch()
+
+    def work(number: int) -> int:
+        if number == 2 and token.exists():
+            token.unlink()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number
+
+    cluster = request.getfixturevalue("cluster") if kind == "cluster" else None
+    with workers(2, scheduler=cluster and cluster.scheduler_address) as mapper:
+        assert list(mapper(work, range(6))) == [*range(6)]
+    assert not token.exists()
+
+
+def test_work_that_kills_each_process_is_an_error() -> None:
+    def dies(_item: int) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    with workers(2) as mapper, pytest.raises(CellError, match="ended at the same work"):
+        list(mapper(dies, [1, 2, 3]))
 
 
 @pytest.mark.timeout(60)
