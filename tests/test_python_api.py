@@ -22,9 +22,7 @@ FACES = ("gripper", "tactile", "motion", "recognition", "simulator", "cell")
 
 
 @pytest.mark.parametrize(("example", "printed"), list(zip(EXAMPLES, PRINTED, strict=True)))
-def test_the_examples_run_as_they_are_printed(
-    example: str, printed: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_examples_run_as_they_are_printed(example, printed, capsys) -> None:
     exec(compile(example, PAGE.name, "exec"), {})
     assert re.fullmatch(printed, capsys.readouterr().out)
 
@@ -35,7 +33,7 @@ def test_one_package_takes_at_most_ten_lines() -> None:
 
 
 @pytest.mark.parametrize("package", FACES)
-def test_a_face_names_what_its_homes_have_and_type_checkers_see_the_same(package: str) -> None:
+def test_a_face_names_what_its_homes_have_and_type_checkers_see_the_same(package) -> None:
     module = import_module(package)
     assert set(module.__all__) == set(module._HOMES) <= set(dir(module))
     for name in module.__all__:
@@ -52,7 +50,7 @@ def test_a_face_names_what_its_homes_have_and_type_checkers_see_the_same(package
 
 
 @pytest.mark.parametrize("package", FACES)
-def test_a_package_imports_nothing_before_it_is_used(package: str) -> None:
+def test_a_package_imports_nothing_before_it_is_used(package) -> None:
     code = f"import sys, {package}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     heavy = {"numpy", "scipy", "serial", "can", "canopen", "dynamixel_sdk", "pydantic"}

@@ -5,7 +5,6 @@ import threading
 import time
 from collections.abc import Callable
 from math import radians
-from pathlib import Path
 
 import pytest
 
@@ -63,9 +62,7 @@ def wait_until(condition: Callable[[], bool]) -> None:
         threading.Event().wait(0.02)
 
 
-def test_axes_bring_the_object_and_stop_when_a_drive_is_silent(
-    free_machine: None, tmp_path: Path
-) -> None:
+def test_axes_bring_the_object_and_stop_when_a_drive_is_silent(free_machine, tmp_path) -> None:
     base = changed_config(
         parse_config(CONFIG, source="tests"),
         CHANGES

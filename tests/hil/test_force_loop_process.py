@@ -97,7 +97,7 @@ def in_a_grasp(cell: Cell, simulator: CellProcess, then: Callable[[], Any]) -> t
     return thread
 
 
-def test_a_job_a_stop_and_the_release(make_cell: Any, simulator: CellProcess) -> None:
+def test_a_job_a_stop_and_the_release(make_cell, simulator) -> None:
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)
     pid = hand.pid
@@ -160,7 +160,7 @@ def test_a_job_a_stop_and_the_release(make_cell: Any, simulator: CellProcess) ->
     assert kept.statistics[-1]["cycles"] == loop["cycles"]
 
 
-def test_a_carried_part_outlasts_its_loop(make_cell: Any, simulator: CellProcess) -> None:
+def test_a_carried_part_outlasts_its_loop(make_cell, simulator) -> None:
     cell = make_cell()
     controller = cell.controller
     controller.start()
@@ -188,7 +188,7 @@ def test_a_carried_part_outlasts_its_loop(make_cell: Any, simulator: CellProcess
     assert str(controller.fault).endswith(" s after the grip")
 
 
-def test_a_killed_loop_is_a_fault_that_says_so(make_cell: Any, simulator: CellProcess) -> None:
+def test_a_killed_loop_is_a_fault_that_says_so(make_cell, simulator) -> None:
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)
     controller.start()
@@ -212,9 +212,7 @@ def test_a_killed_loop_is_a_fault_that_says_so(make_cell: Any, simulator: CellPr
     assert simulator.grip_n() == 0.0
 
 
-def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(
-    make_cell: Any, simulator: CellProcess
-) -> None:
+def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(make_cell, simulator) -> None:
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)
     controller.start()

@@ -56,9 +56,7 @@ def teaching(simulator: CellProcess, folder: Path, n: int = 50, *more: object) -
     return (*command, "-o", folder / "d.npz", "--out", folder / "out")
 
 
-def test_the_program_teaches_and_identifies_over_real_ports(
-    simulator: CellProcess, tmp_path: Path
-) -> None:
+def test_the_program_teaches_and_identifies_over_real_ports(simulator, tmp_path) -> None:
     config = load_config(simulator.config_path)
     assert not config.simulated
     assert config.gripper.port == simulator.servo_port
@@ -84,9 +82,7 @@ def test_the_program_teaches_and_identifies_over_real_ports(
     assert "fail" not in run("doctor", "--config", simulator.config_path)
 
 
-def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
-    simulator: CellProcess, tmp_path: Path
-) -> None:
+def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(simulator, tmp_path) -> None:
     report = tmp_path / "ended.json"
     with running(*teaching(simulator, tmp_path, 50, "--json", report)) as client:
         simulator.wait_for_grip(2.4)
@@ -117,9 +113,7 @@ def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
     assert simulator.grip_n() == 0.0
 
 
-def test_a_part_that_one_finger_holds_alone_is_let_go(
-    simulator: CellProcess, tmp_path: Path
-) -> None:
+def test_a_part_that_one_finger_holds_alone_is_let_go(simulator, tmp_path) -> None:
     config = ("--config", simulator.config_path)
     simulator.ask(inject="servo1.overload@contact+0.3s")
     said = run(*teaching(simulator, tmp_path), code=1)
@@ -146,7 +140,7 @@ def test_a_part_that_one_finger_holds_alone_is_let_go(
 
 
 def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_servos(
-    simulator: CellProcess, tmp_path: Path
+    simulator, tmp_path
 ) -> None:
     """The two lines one after the other: each is enough for what it carries."""
     config = ("--config", simulator.config_path)
@@ -193,7 +187,7 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     ],
 )
 def test_a_line_that_fails_is_a_fault_with_the_grip_kept_until_clear_and_reset(
-    simulator: CellProcess, fault: str, errors: str
+    simulator, fault, errors
 ) -> None:
     with TactileCellPlugin(simulator.config_path) as plugin:
         failing = simulator.inject(f"{fault}@contact+0.3s")
@@ -214,9 +208,7 @@ def test_a_line_that_fails_is_a_fault_with_the_grip_kept_until_clear_and_reset(
         plugin.release(LIMIT_S)
 
 
-def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(
-    simulator: CellProcess, tmp_path: Path
-) -> None:
+def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(simulator, tmp_path) -> None:
     with running(*teaching(simulator, tmp_path)) as client:
         simulator.wait_for_grip(0.5)
         simulator.kill()
@@ -231,9 +223,7 @@ def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(
 
 
 @pytest.mark.usefixtures("hurried")
-def test_a_part_is_kept_in_real_time_until_the_host_lets_it_go(
-    simulator: CellProcess,
-) -> None:
+def test_a_part_is_kept_in_real_time_until_the_host_lets_it_go(simulator) -> None:
     with TactileCellPlugin(simulator.config_path) as plugin:
         assert not plugin.info()["simulated"]
         for seed, label in enumerate(("ball", "box")):

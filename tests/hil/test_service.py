@@ -114,9 +114,7 @@ def wait_for(true: Callable[[], Any]) -> None:
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("killed", ["main", "hand", "both"])
-def test_a_part_outlasts_the_processes_that_hold_it(
-    service: Service, simulator: CellProcess, killed: str
-) -> None:
+def test_a_part_outlasts_the_processes_that_hold_it(service, simulator, killed) -> None:
     cell = service.cell
     lease = cell.acquire("before")
     assert cell.teach(lease, "box", 5) > 0
@@ -186,9 +184,7 @@ def kill_followed(
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.long) for n in (2, 3, 4))])
-def test_random_kills_in_a_sort_drop_no_part_and_the_sort_goes_on(
-    service: Service, simulator: CellProcess, seed: int
-) -> None:
+def test_random_kills_in_a_sort_drop_no_part_and_the_sort_goes_on(service, simulator, seed) -> None:
     cell, draw, n_held = service.cell, random.Random(seed), 0
     lease = cell.acquire("sort")
     for killed in draw.sample(["main", "hand", "both"], 3):

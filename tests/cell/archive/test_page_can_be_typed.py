@@ -14,9 +14,7 @@ PAGE = "archive-a-fleet.md"
 
 
 @pytest.mark.timeout(400)
-def test_the_page_can_be_typed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_can_be_typed(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     get_reusable_executor().shutdown()  # processes of another test are in its folder
     record_fleet(Path("out"), n_days=2, n_each=1)

@@ -66,9 +66,7 @@ def findings(folder: Path) -> dict[str, dict[str, object]]:
 
 
 @pytest.mark.real_time
-def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
-    cell: CellProcess, tmp_path: Path
-) -> None:
+def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(cell, tmp_path) -> None:
     hands = hands_at(cell)
     # The config of a simulated cell names its ports, and allows for the stalls of its process.
     command = ["commission", "box", "--config", str(cell.config_path)]
@@ -102,9 +100,7 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
         assert person.meet({}) == 0, person.text
 
 
-def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(
-    cell: CellProcess, tmp_path: Path
-) -> None:
+def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(cell, tmp_path) -> None:
     folder = Path(cell.positioner_socket).parent
     ask = ["simulate", "--out", str(folder), "--ask"]
     for request, replied in (

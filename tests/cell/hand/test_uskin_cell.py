@@ -85,8 +85,6 @@ def test_a_bus_that_is_shared_with_canopen_is_refused() -> None:
         ({"gripper.force_stale_ms": 20.0}, "come every 10 ms"),
     ],
 )
-def test_a_config_that_boards_cannot_have_is_refused(
-    changes: dict[str, object], named: str
-) -> None:
+def test_a_config_that_boards_cannot_have_is_refused(changes, named) -> None:
     with pytest.raises(ConfigError, match=named):
         changed_config(PRESET, changes)

@@ -50,7 +50,7 @@ def values_of(text: str) -> dict[str, float]:
     }
 
 
-def test_a_scrape_counts_parts_faults_and_links(connect: Any) -> None:
+def test_a_scrape_counts_parts_faults_and_links(connect) -> None:
     served, client = connect(cell={})
     lease = client.post("/api/lease", name="host")["lease"]
     client.post("/api/jobs", lease=lease, goal={"task": "zero"})
@@ -144,7 +144,7 @@ def test_each_result_of_a_part_is_counted() -> None:
     assert totals.force_errors_n.sum == pytest.approx(1.8)
 
 
-def test_metrics_need_a_token_and_health_does_not(connect: Any) -> None:
+def test_metrics_need_a_token_and_health_does_not(connect) -> None:
     served, client = connect()
     assert scraped(client, "wrong")[0] == 401
     well = {"working": True, "state": "IDLE", "fault_number": 0, "holding": False}
@@ -162,9 +162,7 @@ def test_nothing_of_prometheus_is_loaded_before_a_scrape() -> None:
     assert done.stdout.strip() == "False"
 
 
-def test_without_its_extra_a_scrape_says_what_to_install(
-    connect: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_its_extra_a_scrape_says_what_to_install(connect, monkeypatch) -> None:
     _, client = connect()
     monkeypatch.delitem(sys.modules, "cell.interfaces.metrics", raising=False)
     monkeypatch.setitem(sys.modules, "prometheus_client", None)

@@ -4,7 +4,6 @@ import os
 import signal
 from collections.abc import Iterator
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,7 +53,7 @@ def assert_same(a: Evaluation, b: Evaluation) -> None:
             np.testing.assert_allclose(x, y)
 
 
-def test_two_processes_give_the_same_figures(parts: Any, alone: Evaluation) -> None:
+def test_two_processes_give_the_same_figures(parts, alone) -> None:
     with workers(2) as mapper:
         assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
 
@@ -72,9 +71,7 @@ def test_a_number_of_processes_below_none_is_refused() -> None:
 
 
 @pytest.mark.parametrize("address", ["nowhere", "tcp://127.0.0.1:9"])
-def test_a_scheduler_that_does_not_answer_is_named(
-    address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_that_does_not_answer_is_named(address, monkeypatch) -> None:
     monkeypatch.setattr(parallel, "CONNECT_TIMEOUT_S", 0.3)
     complaint = f"no Dask scheduler answers at {address}"
     with pytest.raises(CellError, match=complaint), workers(scheduler=address):
@@ -92,17 +89,13 @@ def cluster() -> Iterator[Any]:
 
 
 @pytest.mark.timeout(60)
-def test_a_cluster_of_two_workers_gives_the_same_figures(
-    cluster: Any, parts: Any, alone: Evaluation
-) -> None:
+def test_a_cluster_of_two_workers_gives_the_same_figures(cluster, parts, alone) -> None:
     with workers(scheduler=cluster.scheduler_address) as mapper:
         assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
 
 
 @pytest.mark.parametrize("kind", ["processes", "cluster"])
-def test_a_worker_that_dies_costs_its_piece_of_work_alone(
-    kind: str, request: pytest.FixtureRequest, tmp_path: Path
-) -> None:
+def test_a_worker_that_dies_costs_its_piece_of_work_alone(kind, request, tmp_path) -> None:
     token = tmp_path / "token"
     token.touch()
 

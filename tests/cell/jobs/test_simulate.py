@@ -25,9 +25,7 @@ FOUND = {
 """Ports of a simulated cell that is served."""
 
 
-def test_a_folder_serves_one_simulated_cell_at_a_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_serves_one_simulated_cell_at_a_time(tmp_path, monkeypatch) -> None:
     folder = tmp_path / "sim"
     served: list[Path] = []
 
@@ -51,9 +49,7 @@ def test_a_folder_serves_one_simulated_cell_at_a_time(
     assert (positioner.kind, positioner.socket) == ("simulated", "socket")
 
 
-def test_a_client_gets_the_axes_at_their_ports_and_more_patience(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_client_gets_the_axes_at_their_ports_and_more_patience(tmp_path, monkeypatch) -> None:
     config = changed_config(small_config(simulator__faults=["unit.stuck@9s"]), CHANGES)
     announced: list[dict[str, Any]] = []
 
