@@ -6,7 +6,6 @@ import os
 import re
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from cell.data.recording_reader import read_recording
 from cell.plugin.plugin import GripGoal, JobFailed, TactileCellPlugin, TeachGoal
 from cell.pytest_plugin.process import CellProcess
 from gripper.errors import PortLost, ServoFault
+from tests.cell.served import until
 from tests.hil.program import CONFIG, LIMIT_S, end, first, hurry, run, running
 
 pytestmark = pytest.mark.real_time
@@ -247,9 +247,6 @@ def test_a_part_is_kept_in_real_time_until_the_host_lets_it_go(simulator) -> Non
         grip = {"task": "grip", "force_n": 3.0, "present": "ball"}
         plugin.result(plugin.start(grip), LIMIT_S)
         simulator.ask(inject="object.gone")
-        end_s = time.monotonic() + LIMIT_S
-        while plugin.fault() is None:
-            assert time.monotonic() < end_s, "the loss was not found"
-            threading.Event().wait(0.05)
+        until(plugin.fault)
         assert plugin.status().grasp == "PART LOST"
         assert str(plugin.fault()).endswith(" s after the grip")

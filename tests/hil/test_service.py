@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xmlrpc.client import ServerProxy
@@ -20,6 +20,7 @@ from cell.config.file import parse_config
 from cell.pytest_plugin.process import CellProcess
 from cell.service.service import RELEASE_KEY
 from tests.cell.conftest import Taught, small_config, taught  # noqa: F401  a fixture
+from tests.cell.served import until
 from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, done, first
 
 pytestmark = pytest.mark.real_time
@@ -96,20 +97,13 @@ def service(
     unit = folder / "etc/systemd/system/tactile-cell.service"
     config = parse_config(simulator.config_path.read_text(), source="test")
     found = Service(unit, config.serve.xmlrpc_port or 0)
-    wait_for(lambda: found.sent("READY=1"))
+    until(lambda: found.sent("READY=1"))
     with found.process, found.cell:
         yield found
         found.process.terminate()
         assert found.process.wait(LIMIT_S) == 0
         found.reader.join(LIMIT_S)
     assert found.events[-1] == {"event": "ended", "code": 0}
-
-
-def wait_for(true: Callable[[], Any]) -> None:
-    end_s = time.monotonic() + LIMIT_S
-    while not true():
-        assert time.monotonic() < end_s
-        threading.Event().wait(0.01)
 
 
 @pytest.mark.timeout(300)
@@ -129,7 +123,7 @@ def test_a_part_outlasts_the_processes_that_hold_it(service, simulator, killed) 
         number = LOOP_GONE if killed == "hand" else PART_IN_GRIP
         return service.sent(f"STATUS=ABORTED, a part is held, fault {number}", since)
 
-    wait_for(reported)
+    until(reported)
     assert (service.pid == main) == (killed == "hand")
     assert min(forces_n) > KEPT_N
     assert (cell.state(), cell.holding()) == (9, True)
@@ -170,15 +164,15 @@ def kill_followed(
     is about to be, is none to be kept: the kill comes while the fingers close or hold.
     """
     cell, since, due_s = service.cell, len(service.events), time.monotonic() + after_s
-    wait_for(lambda: time.monotonic() > due_s and cell.grip_state() in (GRIPPING, HOLDING))
+    until(lambda: time.monotonic() > due_s and cell.grip_state() in (GRIPPING, HOLDING))
     main, hand, force_n = service.pid, service.hand, simulator.grip_n()
     for pid in {"main": [main], "hand": [hand], "both": [hand, main]}[killed]:
         os.kill(pid, signal.SIGKILL)
     grip = Grip(simulator)
     if killed == "hand":
-        wait_for(lambda: cell.state() == 9 and len(grip.forces_n) > FOLLOWED)
+        until(lambda: cell.state() == 9 and len(grip.forces_n) > FOLLOWED)
     else:
-        wait_for(lambda: service.sent("READY=1", since))
+        until(lambda: service.sent("READY=1", since))
     return force_n, min(grip.end())
 
 

@@ -4,11 +4,9 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from http.client import HTTPConnection
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
@@ -21,15 +19,6 @@ from tests.cell.served import Served
 
 DASHBOARD = Path("docs/examples/grafana-dashboard.json")
 PAGE = Path("docs/how-to/run-as-a-service.md")
-
-
-@pytest.fixture
-def connect(serve: Any) -> Callable[..., tuple[Served, Client]]:
-    def make(**changes: Any) -> tuple[Served, Client]:
-        served = serve("http", **changes)
-        return served, Client(served.interfaces)
-
-    return make
 
 
 def scraped(client: Client, token: str) -> tuple[int, str]:

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from http.client import HTTPConnection, HTTPSConnection
 from importlib.metadata import version
@@ -36,17 +35,6 @@ from tests.cell.served import Served, ended, until
 from tests.values import raising
 
 PAGE = Path("docs/how-to/use-it-over-http.md")
-
-
-@pytest.fixture
-def connect(serve: Any) -> Callable[..., tuple[Served, Client]]:
-    """Return the maker of a served cell and a client."""
-
-    def make(**changes: Any) -> tuple[Served, Client]:
-        served = serve("http", **changes)
-        return served, Client(served.interfaces)
-
-    return make
 
 
 def test_the_state_names_who_commands_and_keeps_the_last_answer(connect) -> None:

@@ -1,6 +1,6 @@
 """The frame source of two FlexiTac boards, on simulated boards in virtual time."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
 
@@ -18,7 +18,6 @@ from tactile.layout import PadMount, TaxelLayout
 from tactile.source import FrameStatus, TactileFrame
 
 LAYOUT = PAD_LAYOUTS["flexitac_12x32"]()
-MakeSource = Callable[..., FlexiTacSource]
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import base64
 import re
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -17,8 +16,6 @@ PIXEL = base64.b64decode(
 )
 """A picture of one pixel."""
 STATES = ("idle", "working", "named", "unknown", "faulted", "teaching", "sorting")
-
-OpenPage = Callable[..., Any]
 
 
 def becomes(page: Any, selector: str, wanted: str) -> None:
