@@ -19,7 +19,7 @@ NOISE_MM = 0.1
 BAD_CHI2 = 40.0
 
 
-def fit_of(kind: str, normal: Any, truth: Any, mean: Any, sd: Any, chi2: float) -> ShapeFit:
+def fit_of(kind: str, normal: Any, truth: Any, mean: Any, sd: Any, *, chi2: float) -> ShapeFit:
     """Fit a linear problem whose data alone say ``truth``."""
     precision = normal + np.diag(sd**-2)
     theta = np.linalg.solve(precision, normal @ truth + mean / sd**2)
@@ -58,7 +58,7 @@ def linear_fit(
     mean[0] = np.log(7.0)
     truth = np.zeros(n)
     truth[0] = np.log(half_mm) + 0.5 * (zero_mm + wrong) / half_mm
-    return fit_of(kind, normal, truth, mean, sd, chi2)
+    return fit_of(kind, normal, truth, mean, sd, chi2=chi2)
 
 
 def answer(

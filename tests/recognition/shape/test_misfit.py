@@ -30,7 +30,7 @@ def linear_fit(kind: str, chi2: float) -> tuple[ShapeFit, np.ndarray]:
     n = SHAPE_MODELS[kind].n_own + 2
     half = np.random.default_rng(3).normal(size=(3 * n, n))
     normal, truth, mean, sd = 40.0 * half.T @ half, np.full(n, 0.8), np.zeros(n), np.full(n, 0.5)
-    return fit_of(kind, normal, truth, mean, sd, chi2), truth
+    return fit_of(kind, normal, truth, mean, sd, chi2=chi2), truth
 
 
 @pytest.mark.parametrize("scale", [1.0, 30.0, 1e6])
