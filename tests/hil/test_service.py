@@ -107,15 +107,15 @@ def service(
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("killed", ["main", "hand", "both"])
+@pytest.mark.parametrize("killed", ["main", "hand", "both", "ended"])
 def test_a_part_outlasts_the_processes_that_hold_it(service, simulator, killed) -> None:
     cell = service.cell
     lease = cell.acquire("before")
     assert cell.teach(lease, "box", 5) > 0
     simulator.wait_for_grip(GRIPPED_N)
     main, hand = service.pid, service.hand
-    for pid in {"main": [main], "hand": [hand], "both": [hand, main]}[killed]:
-        os.kill(pid, signal.SIGKILL)
+    for pid in {"main": [main], "hand": [hand], "both": [hand, main], "ended": [main]}[killed]:
+        os.kill(pid, signal.SIGTERM if killed == "ended" else signal.SIGKILL)
     forces_n, since = [], len(service.events)
 
     def reported() -> bool:
