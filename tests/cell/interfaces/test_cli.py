@@ -251,6 +251,18 @@ def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
     assert not (tmp_path / "out").exists()
 
 
+def page_of(recording: str) -> str:
+    """Return the page that `report` writes of a job that taught nothing."""
+    page = Path(recording).with_name("report.html")
+    assert call("report", recording) == f"report: {page}\n"
+    text = page.read_text("utf-8")
+    assert "0 grasps taught" in text
+    for section in ("result", "sequences", "examples", "health", "cell"):
+        assert f'<section id="{section}">' in text
+    assert '<section id="trajectories">' not in text
+    return text
+
+
 def test_identify_on_the_cell(config, model, tmp_path) -> None:
     text = call(
         *("identify", "-m", model, "--object", "box", "-c", config),
@@ -272,6 +284,10 @@ def test_identify_on_the_cell(config, model, tmp_path) -> None:
     assert data["kept"] is False
     assert "the part was kept" not in text
     assert "COMPLETE" not in [state["state"] for state in recording.states]
+    page, again = page_of(data["recording"]), tmp_path / "again.html"
+    assert "released at: box" not in page
+    call("report", data["recording"], "-o", again)
+    assert again.read_text("utf-8") == page
 
 
 @pytest.mark.parametrize(
@@ -757,9 +773,6 @@ def files(tmp_path: Path, taught: Any, config: Path) -> dict[str, Path]:
         (1, "train {nameless} -o {made}", "its 1 grasps have no label"),
         (1, "train {empty} -o {made}", "has no whole grasp"),
         (1, "replay {empty}", "has no whole grasp"),
-        (1, "evaluate {other}", "cannot be evaluated"),
-        (1, "evaluate {dataset} --split x --fuse 1", "not understood"),
-        (1, "identify {other} -m {model}", "teach on these pads"),
         (1, "identify -m {dataset}", "is a data set"),
         (1, "identify -m {model} -c {pinch}", "teach again on these pads"),
         (1, "run -m {model} -c {pinch}", "teach again on these pads"),
@@ -1024,3 +1037,4 @@ def test_sort_prints_how_many_parts_lie_where(config, taught, tmp_path) -> None:
     events = [(event["kind"], event["text"]) for event in recording.events]
     assert [kind for kind, _ in events if kind in ("place", "release")] == ["place", "release"] * 4
     assert ("place", "box at box") in events
+    assert "released at: box" in page_of(written["recording"])

@@ -1,4 +1,4 @@
-"""The report of a recording: of a run, an identification and a sort, whole, old, cut or spoiled."""
+"""The report of a recording: whole, old, cut or spoiled."""
 
 import json
 import shutil
@@ -7,13 +7,12 @@ from typing import Any
 
 import pytest
 
-from cell.config.file import changed_config, config_text
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import Recording, read_recording
 from cell.errors import RecordingError
 from cell.report.page import render_report
 from cell.report.recorded import recorded_report
-from tests.cell.conftest import call, plain_pads
+from tests.cell.conftest import plain_pads
 from tests.fuzz.harness import Clock
 
 
@@ -62,29 +61,6 @@ def test_the_papers_method_as_recogniser_of_the_cell_has_one_table(recording) ->
     assert [one.caption for one in data.key_figures] == [
         *("right", "right with one grasp", "grasps until sure")
     ]
-
-
-@pytest.mark.parametrize("job", ["identify", "sort"])
-def test_the_command_writes_the_page_of_an_identification_and_of_a_sort(
-    job, taught, tmp_path
-) -> None:
-    config = tmp_path / "cell.yaml"
-    config.write_text(
-        config_text(changed_config(taught.config, {"recording.directory": str(tmp_path / "out")}))
-    )
-    options = ("--parts", 2) if job == "sort" else ("--object", "box")
-    call(job, "-c", config, "-m", taught.result.model, *options)
-    (path,) = (tmp_path / "out").glob(f"{job}-*/recording.mcap")
-    page = path.with_name("report.html")
-    assert call("report", path) == f"report: {page}\n"
-    text = page.read_text("utf-8")
-    assert ("released at: box" in text) == (job == "sort")
-    assert "0 grasps taught" in text
-    for section in ("result", "sequences", "examples", "health", "cell"):
-        assert f'<section id="{section}">' in text
-    assert '<section id="trajectories">' not in text
-    call("report", path, "-o", tmp_path / "again.html")
-    assert (tmp_path / "again.html").read_text("utf-8") == text
 
 
 def test_an_older_recording_shows_what_it_has(recording) -> None:
