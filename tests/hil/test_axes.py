@@ -31,11 +31,7 @@ X_MM, ROTATION_DEG, ROLL_DEG = -2.0, 20.0, 30.0
 """Pose of the identification."""
 FAR_X_MM, FAR_DEG = 4.0, 95.0
 """Pose that is 4 s away for the drive along x and 7 s for the one that turns."""
-AXES = (
-    X_AXIS | {"velocity": 1.5},
-    ROTATION_AXIS | {"velocity": 10.0},
-    WRIST | {"velocity": 30.0},
-)
+AXES = (X_AXIS | {"velocity": 1.5}, ROTATION_AXIS | {"velocity": 10.0}, WRIST | {"velocity": 30.0})
 SILENT = r"axis x \(drive 11\)"
 """How the error names a drive 1 that is silent."""
 NEAR_M, NEAR_RAD = 1e-4, radians(1.5)

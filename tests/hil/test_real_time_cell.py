@@ -36,10 +36,7 @@ def hurried() -> Iterator[None]:
 
 
 @pytest.fixture
-def simulator(
-    free_machine: None,
-    cell_process: Callable[..., CellProcess],
-) -> CellProcess:
+def simulator(free_machine: None, cell_process: Callable[..., CellProcess]) -> CellProcess:
     one = cell_process(parse_config(CONFIG + SEQUENCE, source="test"))
     first(one.pid)
     return one

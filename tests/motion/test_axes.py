@@ -136,11 +136,7 @@ def test_a_wrist_that_counts_in_another_turn_is_taken_where_it_stands(make_wrist
         ("silent", AxisSilent, "does not answer as it should"),
         ("overload", AxisFault, "hardware error overload; remedy the cause"),
         ("reboot", AxisSilent, "does not answer as it should"),
-        (
-            "jump",
-            PositionImplausible,
-            r"reads a position of 2\d\d.\d\d deg, its limits are 0",
-        ),
+        ("jump", PositionImplausible, r"reads a position of 2\d\d.\d\d deg, its limits are 0"),
     ],
 )
 def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, error, words) -> None:

@@ -135,10 +135,7 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ("sequence:\n  kind: list\n", ["poses"]),
         ("sequence:\n  candidates: 24\n", ["cell.yaml:2:3: sequence.candidates: is obsolete"]),
         ("sequence:\n  kind: active\n", ["cell.yaml:2:3: sequence.kind: is obsolete", "'active'"]),
-        (
-            "serve: {foxglove_port: 8765}\n",
-            ["port: is obsolete: `tactile-cell config convert"],
-        ),
+        ("serve: {foxglove_port: 8765}\n", ["port: is obsolete: `tactile-cell config convert"]),
         ("gripper: {port: /dev/ttyUSB0}\n", ["both be `simulated` or both be real"]),
         (
             "gripper: {port: /dev/ttyUSB0}\ntactile: {interface: socketcan}\n",

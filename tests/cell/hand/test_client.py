@@ -30,9 +30,7 @@ from tests.values import make_cycle, make_source_statistics
 
 RAMP = ForceRamp.linear(3.0, 5.0)
 STATISTICS = HandStatistics(
-    loop=LoopStatistics(cycles=5),
-    servo_bus=BusStatistics(),
-    source=make_source_statistics(),
+    loop=LoopStatistics(cycles=5), servo_bus=BusStatistics(), source=make_source_statistics()
 )
 
 

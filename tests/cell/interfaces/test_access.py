@@ -11,12 +11,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from cell.interfaces.access import (
-    BUSY_MAX,
-    ConnectionPlaces,
-    is_for_this_machine,
-    may_connect,
-)
+from cell.interfaces.access import BUSY_MAX, ConnectionPlaces, is_for_this_machine, may_connect
 from tests.cell.conftest import small_config
 from tests.cell.served import until
 

@@ -18,12 +18,7 @@ from cell.config.file import changed_config, load_config, parse_config
 from cell.config.model import CellConfig
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.service_manager import ServiceManager
-from cell.interfaces.cli.system_files import (
-    UNIT_FILE,
-    closed_to_others,
-    system_files,
-    usb_identity,
-)
+from cell.interfaces.cli.system_files import UNIT_FILE, closed_to_others, system_files, usb_identity
 from tests.cell.conftest import REAL, small_config
 from tests.hil.supervisor import read_unit
 

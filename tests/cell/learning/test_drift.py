@@ -228,9 +228,7 @@ def test_the_recording_names_the_drift_of_each_answer(taught) -> None:
 def test_a_cell_that_grasps_one_object_has_nothing_to_follow(taught) -> None:
     with pytest.raises(ConfigError, match="--follow"):
         CliRunner().invoke(
-            app,
-            ["identify", "--follow", "-m", str(taught.result.model)],
-            catch_exceptions=False,
+            app, ["identify", "--follow", "-m", str(taught.result.model)], catch_exceptions=False
         )
 
 

@@ -214,11 +214,7 @@ def test_a_model_taught_without_ramps_cut_short_says_once_that_its_ramps_are_who
 
 def resaved(model: LoadedModel, path: Path, sections: Any) -> Path:
     save_model(
-        path,
-        model.recognizer,
-        trainer_name=model.trainer_name,
-        pads=model.pads,
-        sections=sections,
+        path, model.recognizer, trainer_name=model.trainer_name, pads=model.pads, sections=sections
     )
     return path
 

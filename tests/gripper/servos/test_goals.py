@@ -7,10 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from gripper.dynamixel.control_table import GOAL_CURRENT
-from gripper.errors import (
-    ForceAboveCap,
-    LimitExceeded,
-)
+from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.servos.goals import GoalGuard, GoalWriter, ServoGoal

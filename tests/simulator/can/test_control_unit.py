@@ -34,9 +34,7 @@ class Line:
     """A unit on a line on which a message takes 100 us."""
 
     def __init__(
-        self,
-        layout: TaxelLayout | None = None,
-        settings: ControlUnitSettings | None = None,
+        self, layout: TaxelLayout | None = None, settings: ControlUnitSettings | None = None
     ) -> None:
         self.layout = layout or paper_layout()
         self.skin = Skin(self.layout)

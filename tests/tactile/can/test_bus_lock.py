@@ -76,11 +76,7 @@ def test_a_lock_file_of_another_user_is_used(tmp_path, monkeypatch) -> None:
     with bus_lock("socketcan", "can79"):
         (file,) = tmp_path.iterdir()
     file.chmod(0o444)
-    with (
-        bus_lock("socketcan", "can79"),
-        file.open() as other,
-        pytest.raises(BlockingIOError),
-    ):
+    with bus_lock("socketcan", "can79"), file.open() as other, pytest.raises(BlockingIOError):
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 

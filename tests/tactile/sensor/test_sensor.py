@@ -5,12 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tactile.errors import (
-    FrameTimeout,
-    NodeRebooted,
-    TareRefused,
-    ZeroDrifted,
-)
+from tactile.errors import FrameTimeout, NodeRebooted, TareRefused, ZeroDrifted
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import FoamCalibration, LinearCalibration
 from tactile.sensor.filters import Neighbourhood

@@ -20,11 +20,7 @@ def dictionary() -> canopen.ObjectDictionary:
 def test_dcfchk_finds_nothing() -> None:
     checker = Path(sys.executable).with_name("dcfchk")
     done = subprocess.run(
-        [checker, "-n", "5", od.EDS_PATH],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=30,
+        [checker, "-n", "5", od.EDS_PATH], capture_output=True, text=True, check=False, timeout=30
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
