@@ -23,6 +23,7 @@ from websockets.asyncio.client import connect as open_in_one_thread
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
+from cell.interfaces.access import BUSY_MAX
 from cell.interfaces.http_server import HttpConnection
 from cell.interfaces.opening import open_interfaces
 from cell.interfaces.web import WebInterface
@@ -549,8 +550,8 @@ links = []
 while True:
     link = socket.create_connection(("127.0.0.1", int(sys.argv[1])))
     link.sendall(b"POST /api/hold HTTP/1.1\\r\\nHost: localhost\\r\\n")
-    links = [*links[-500:], link]
-    if len(links) == 500:
+    links = [*links[-int(sys.argv[2]):], link]
+    if len(links) == int(sys.argv[2]):
         print("flooded", flush=True)
 """
 """Makes one connection after the other that never ends its request."""
@@ -558,7 +559,7 @@ while True:
 
 def test_a_hold_gets_through_a_flood_of_half_sent_requests(connect) -> None:
     _, host = connect()
-    command = [sys.executable, "-c", FLOOD, str(host.port)]
+    command = [sys.executable, "-c", FLOOD, str(host.port), str(2 * BUSY_MAX)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as flood:
         try:
             assert flood.stdout is not None
@@ -614,7 +615,9 @@ def test_the_token_comes_as_subprotocol_or_first_message(connect) -> None:
                 link.recv(timeout=20)
 
 
-def test_a_socket_that_takes_nothing_is_cut(serve) -> None:
+def test_a_socket_that_takes_nothing_is_cut(serve, monkeypatch) -> None:
+    for name in ("_PEER_IDLE_S", "_PEER_ASKED_S", "_PEER_ASKED_MAX"):
+        monkeypatch.setattr(f"cell.interfaces.access.{name}", 1)
     interface = WebInterface(serve(serve__http_port=0, serve__request_timeout_s=0.3).service)
     link = socket.socket()
     link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
