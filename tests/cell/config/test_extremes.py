@@ -32,9 +32,10 @@ _BESIDE: dict[str, dict[str, Any]] = {
     "gripper.aperture_open_mm=2": {
         "simulator.objects": [{"label": "ball", "shape": "box:length=20mm,width=10mm,height=1.5mm"}]
     },
+    "sequence.ramp.rate_n_s=0.1": {"sequence.force_n": [1.0, 1.5]},
     "simulator.noise_level=2.5": {"gripper.contact_force_n": 1.5, "tactile.tare_frames": 50},
 }
-"""What an end needs beside it, because of the object or of the short tare of these jobs."""
+"""What an end needs beside it: because of the object, the short tare, or the time of a ramp."""
 _ALONE = (
     "gripper.contact.samples",
     "gripper.open_speed_mm_s",
