@@ -145,12 +145,6 @@ def test_metrics_need_a_token_and_health_does_not(connect) -> None:
     assert client.ask("GET", "/healthz", token=None)[0] == 503
 
 
-def test_nothing_of_prometheus_is_loaded_before_a_scrape() -> None:
-    code = "import sys, cell.interfaces.web; print('prometheus_client' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
-
-
 def test_without_its_extra_a_scrape_says_what_to_install(connect, monkeypatch) -> None:
     _, client = connect()
     monkeypatch.delitem(sys.modules, "cell.interfaces.metrics", raising=False)

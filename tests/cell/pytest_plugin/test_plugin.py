@@ -21,17 +21,11 @@ FIXTURES = (
     "cell_process",
     "inject_fault",
 )
-HEAVY = ("numpy", "scipy", "pydantic", "can", "canopen", "serial", "simulator", "gripper", "rich")
 
 
-def test_pytest_finds_the_plugin_and_pays_nothing_for_it() -> None:
+def test_pytest_finds_the_plugin() -> None:
     (entry,) = entry_points(group="pytest11", name="tactile_cell")
     assert entry.value == "cell.pytest_plugin"
-    code = f"import sys, {entry.value}; print([n for n in {HEAVY} if n in sys.modules])"
-    found = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
-    )
-    assert found.stdout.strip() == "[]"
 
 
 def test_fixtures_and_options_say_what_they_are(pytester) -> None:
