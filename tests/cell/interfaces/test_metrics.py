@@ -2,7 +2,6 @@
 
 import json
 import re
-import subprocess
 import sys
 from http.client import HTTPConnection
 from pathlib import Path

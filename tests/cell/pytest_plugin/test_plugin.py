@@ -1,8 +1,6 @@
 """The plugin as pytest sees it: options, docs, failures, and what it costs others."""
 
 import re
-import subprocess
-import sys
 from importlib.metadata import entry_points
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-import subprocess
-import sys
 from itertools import pairwise
 
 import pytest
