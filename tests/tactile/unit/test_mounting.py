@@ -35,8 +35,8 @@ def test_the_order_of_the_taxels_is_that_of_the_mounts() -> None:
 @pytest.mark.parametrize(
     ("mounts", "complaint"),
     [
-        ((PadMount(pad=0, sent_as=1),), "stand there once"),
-        ((PadMount(pad=7, sent_as=7),) * 2, "stand there once"),
+        ((PadMount(pad=0, sent_as=1),), "name each pad once"),
+        ((PadMount(pad=7, sent_as=7),) * 2, "name each pad once"),
         (
             (PadMount(pad=0, sent_as=2), PadMount(pad=2, sent_as=0)),
             "16 x 4 taxels, finger0.side_a, in whose place it is sent, 16 x 2",
