@@ -6,8 +6,6 @@ from contextlib import closing
 from typing import Any
 from xmlrpc.client import ServerProxy
 
-import pytest
-
 from cell.control.answer import Answer
 from cell.jobs.sort import Tally
 from tests.cell.interfaces.hosts import BlockPlc, Client, Plc
@@ -42,9 +40,7 @@ def events(link: Any) -> list[dict[str, Any]]:
     return parts
 
 
-def test_each_part_of_a_sort_reaches_plc_robot_and_program_once(
-    serve: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_part_of_a_sort_reaches_plc_robot_and_program_once(serve, monkeypatch) -> None:
     parts: list[Answer] = []
     count = Tally.add
 

@@ -71,9 +71,7 @@ def test_what_cannot_be_evaluated_says_why(taught: Any) -> None:
 def test_replayed_grasps_come_back_bit_for_bit_and_are_named(taught: Any, tmp_path: Path) -> None:
     told: list[tuple[str, int, int]] = []
     result = play(
-        taught.grasps,
-        capture=tmp_path / "bus.pcap",
-        progress=lambda *step: told.append(step),
+        taught.grasps, capture=tmp_path / "bus.pcap", progress=lambda *step: told.append(step)
     )
     assert result.frames_equal
     assert result.difference is None

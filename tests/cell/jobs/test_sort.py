@@ -25,8 +25,7 @@ class Sorter:
     def __init__(self, make_bench: MakeBench, taught: Any, **changes: Any) -> None:
         objects = [entry.model_dump() for entry in taught.config.simulator.objects]
         config = changed_config(
-            taught.config,
-            {"sort.places": BINS, "simulator.objects": [*objects, STRANGE]} | changes,
+            taught.config, {"sort.places": BINS, "simulator.objects": [*objects, STRANGE]} | changes
         )
         self.seen: list[tuple[str, str | None, float]] = []
         self.on_place: Callable[[Destination], Any] = lambda _destination: None

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -166,9 +165,7 @@ class Grasping:
         self.remarks.append((kind, text))
 
 
-def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(monkeypatch) -> None:
     taught_with: list[list[Grasp]] = []
 
     def train(grasps: list[Grasp], name: str, **_options: object) -> Trained:
@@ -196,7 +193,7 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
     assert model.drift.n_followed == 3
 
 
-def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught: Any, tmp_path: Any) -> None:
+def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught, tmp_path) -> None:
     plugin = TactileCellPlugin(taught.config, model=taught.result.model)
     try:
         goal = IdentifyGoal(max_grasps=1, present="ball", whole_ramps=True)
@@ -218,7 +215,7 @@ def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught: Any, tmp_pat
     assert followed != before
 
 
-def test_the_recording_names_the_drift_of_each_answer(taught: Any) -> None:
+def test_the_recording_names_the_drift_of_each_answer(taught) -> None:
     results = read_recording(taught.result.recording).results
     assert results[0]["drift_n_grasps"] == 0 < results[1]["drift_n_grasps"]
     assert all(result["drift_gain"] == pytest.approx(1.0, abs=0.1) for result in results)
@@ -227,16 +224,14 @@ def test_the_recording_names_the_drift_of_each_answer(taught: Any) -> None:
     assert not taught.result.as_json()["remarks"]
 
 
-def test_a_cell_that_grasps_one_object_has_nothing_to_follow(taught: Any) -> None:
+def test_a_cell_that_grasps_one_object_has_nothing_to_follow(taught) -> None:
     with pytest.raises(ConfigError, match="--follow"):
         CliRunner().invoke(
-            app,
-            ["identify", "--follow", "-m", str(taught.result.model)],
-            catch_exceptions=False,
+            app, ["identify", "--follow", "-m", str(taught.result.model)], catch_exceptions=False
         )
 
 
-def test_a_model_that_cannot_follow_is_refused(taught: Any, tmp_path: Path) -> None:
+def test_a_model_that_cannot_follow_is_refused(taught, tmp_path) -> None:
     result = taught.result
     model = tmp_path / "level.npz"
     recognizer = train(taught.grasps, "level_check").recognizer
@@ -249,7 +244,7 @@ def test_a_model_that_cannot_follow_is_refused(taught: Any, tmp_path: Path) -> N
         )
 
 
-def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught: Any) -> None:
+def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
     model = load_model(taught.result.model)
     drift = Drift(gains=(0.8,), aperture_offset_m=-1e-3)
     balls = [drift.apply(grasp) for grasp in taught.grasps if grasp.label == "ball"]
@@ -265,9 +260,7 @@ def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught: Any) -> No
     assert gauged.drift.drift == before
 
 
-def test_a_model_that_was_taught_without_a_self_zero_is_named_once(
-    taught: Any, make_bench: Any
-) -> None:
+def test_a_model_that_was_taught_without_a_self_zero_is_named_once(taught, make_bench) -> None:
     bench = make_bench(small_config(self_zero="always")).ready()
     model = TaughtModel.load(bench.config, taught.result.model)
     first, second = (identify(bench.controller, model, presented="ball", seed=s) for s in (1, 2))
