@@ -112,7 +112,7 @@ def test_each_result_of_a_part_is_counted() -> None:
     record = SimpleNamespace(
         cycles=(SimpleNamespace(setpoint_n=5.0),), outcome=SimpleNamespace(final_force_n=4.7)
     )
-    found: Any = SimpleNamespace(records=(record, record))
+    found = SimpleNamespace(records=(record, record))
     for label, rejected in (("ball", False), ("ball", True), (UNKNOWN, True)):
         totals.add(Answer(label=label, rejected=rejected, seconds=70.0), found)
     totals.add(Answer(seconds=70.0), None)
