@@ -1,6 +1,7 @@
 """The controller of a cell: runs grasp-then-classify sequences, latches faults, shuts down."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 from cell.config.model import CellConfig
@@ -299,7 +300,7 @@ class CellController:
             If the plan is empty or one of its steps cannot be carried out; nothing has moved.
         """
         self.check_plan(plan)
-        result = grasp_and_classify(
+        found = grasp_and_classify(
             self._grasp,
             recognizer,
             plan,
@@ -311,8 +312,9 @@ class CellController:
             on_grasp=on_grasp,
             execute=self._start_answer,
         )
-        self.journal.result(result)
-        return result
+        found = replace(found, presented=self.journal.brought or "")
+        self.journal.result(found)
+        return found
 
     # -- inside --------------------------------------------------------------------------------
 

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.control.answer import Verification
 from cell.control.journal import Journal
-from cell.control.keeping import HELD_LOOK_S, HeldCheck, HeldPart, compared, measure_held_part
+from cell.control.keeping import HELD_LOOK_S, HeldPart, compared, measure_held_part
 from cell.control.lifecycle import CellLifecycle
 from cell.control.states import Event
 from cell.control.watch import MotionWatch
@@ -44,7 +45,7 @@ class KeptPart:
         self._zero = zero
         self._then = self._measure()
 
-    def verify(self) -> HeldCheck:
+    def verify(self) -> Verification:
         """Measure whether the part in the grip is still the kept one; it stays there.
 
         Raises

@@ -262,13 +262,13 @@ def no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def hold_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        Service, "hold", lambda service, _why="": service._plugin._cell.controller.life.cancel()
+        Service, "stop", lambda service, _why="": service._plugin._cell.controller.life.cancel()
     )
     monkeypatch.setattr(CellLifecycle, "forget_cancel", lambda _life: None)
 
 
 def holds_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Service, "_check_held", lambda *_: None)
+    monkeypatch.setattr(Service, "_check_stopped", lambda *_: None)
 
 
 DEFECTS = {
