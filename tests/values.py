@@ -6,7 +6,6 @@ from typing import Any
 
 from cell.control.controller import CellController
 from cell.control.identification import Identification
-from cell.control.states import Command
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
@@ -29,12 +28,10 @@ _SERVO = ServoState(
 )
 
 
-def command_of(controller: CellController, command: str) -> Callable[[], Any]:
-    """Return a command without arguments."""
-    owners = dict.fromkeys((Command.CANCEL, Command.CLEAR, Command.RESET), controller.life)
-    owner = {**owners, Command.VERIFY: controller.kept}.get(Command(command), controller)
-    call: Callable[[], Any] = getattr(owner, command)
-    return call
+def command_of(controller: CellController, command: str) -> Any:
+    """Return a command without arguments, of the controller or one of its parts."""
+    owners = (controller, controller.life, controller.kept)
+    return next(getattr(one, command) for one in owners if hasattr(one, command))
 
 
 def make_servo(**changes: Any) -> ServoState:

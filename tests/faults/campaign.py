@@ -256,11 +256,8 @@ def observe(
         if len(text) > OUTCOME_CHARACTERS:
             text = f"{text[: OUTCOME_CHARACTERS - 3]}..."
         left = fingers_left(error)
-        grip = (
-            f"{cell.controller.life.state.value}, {left} ({cell.grip_n:.1f} N)"
-            if left
-            else cell.grip
-        )
+        state = cell.controller.life.state.value
+        grip = f"{state}, {left} ({cell.grip_n:.1f} N)" if left else cell.grip
         return Observed(_reaction(cell), max(0.0, known_s - began_s), f"{text}; {grip}")
     if monitor.noted_s is not None:
         after_s = max(0.0, monitor.noted_s - began_s)
@@ -307,9 +304,8 @@ def recovered(
     if cell.controller.life.state is CellState.IDLE:
         next_job()
         return seen
-    return replace(
-        seen, reaction=f"STAYS {cell.controller.life.state}: {cell.controller.life.fault}"
-    )
+    life = cell.controller.life
+    return replace(seen, reaction=f"STAYS {life.state}: {life.fault}")
 
 
 def take_steps(cell: VirtualCell, number: int) -> None:

@@ -163,11 +163,9 @@ class InvariantMonitor:
             yield
         finally:
             self._deadline_s = float("inf")
-        cell = self._cell
-        if cell is not None and cell.controller.life.state.acting:
-            self._break(
-                f"a command is over and the cell is still {cell.controller.life.state.value}"
-            )
+        state = None if self._cell is None else self._cell.controller.life.state
+        if state is not None and state.acting:
+            self._break(f"a command is over and the cell is still {state.value}")
 
     def check(self) -> None:
         if self.broken:

@@ -174,10 +174,7 @@ def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(make_be
     bent = make_bench(small_config(self_zero="daily", simulator__pads={"tilt_deg": [6.0, 0.0]}))
     bent.controller.start()
     assert "a finger is bent" in bent.controller.zeroing.note
-    assert (bent.controller.life.state, bent.controller.zeros.newest) == (
-        CellState.IDLE,
-        None,
-    )
+    assert (bent.life.state, bent.controller.zeros.newest) == (CellState.IDLE, None)
 
 
 @pytest.mark.parametrize("when", ["daily", "always"])
@@ -205,10 +202,7 @@ def test_a_part_that_is_lost_during_a_daily_start_is_a_note(make_bench) -> None:
     bench.controller.start()
     assert taken_s
     assert "something is between them" in bench.controller.zeroing.note
-    assert (bench.life.state, bench.controller.zeros.newest) == (
-        CellState.IDLE,
-        None,
-    )
+    assert (bench.life.state, bench.controller.zeros.newest) == (CellState.IDLE, None)
     assert not bench.life.holding
 
 
@@ -432,10 +426,7 @@ def test_a_zero_of_another_control_unit_counts_as_none(make_bench, tmp_path: Pat
 
     begun("first").controller.zeroing.measure()
     same = begun("same")
-    assert (same.controller.zeros.newest is None, same.controller.zeroing.note) == (
-        False,
-        "",
-    )
+    assert (same.controller.zeros.newest is None, same.controller.zeroing.note) == (False, "")
     kept = json.loads(zero_file(tmp_path, config.name).read_text())
     del kept["format"], kept["sha256"]
     kept["hand"]["unit.boards"] = [1, 9]
