@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from cell.config.gripper import GripperConfig
 from cell.config.model import CellConfig
 from cell.control.journal import Journal
 from cell.control.lifecycle import CellLifecycle
@@ -20,10 +19,8 @@ from cell.control.watch import MotionWatch
 from cell.errors import ZeroRefused
 from cell.hand.interface import Hand
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
-from gripper.dynamixel.models import MODELS
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
-from gripper.mechanics.kinematics import Linkage
 from gripper.values.outcome import GraspOutcome
 from gripper.values.state import Cycle
 from recognition.drift.self_zero import ZeroMeasurement, measure_zero, shows_part
@@ -193,7 +190,7 @@ class Zeroing:
                 collector.grasp(),
                 collector.current_a,
                 layout.gripping_pads,
-                step_m=_opening_step_m(self.config.linkage, self.config.gripper),
+                step_m=_opening_step_m(self.config),
             )
         except ValueError as error:
             return outcome, None, f"{error}; measure again"
@@ -202,16 +199,16 @@ class Zeroing:
     def _note_each_drive(self) -> None:
         """Save and note the drive characteristic of each servo after a start or a self-zero."""
         report = self.keep_drives()
-        for servo in self.config.gripper.servos:
-            drive = report.drives.get(servo.id)
+        for servo in self.config.gripper_settings.servos:
+            drive = report.drives.get(servo.servo_id)
             if drive is not None:
-                text = drive_text(servo.id, drive, MODELS[servo.model])
-                self.journal.note("servo drive", text)
+                self.journal.note("servo drive", drive_text(servo, drive))
 
 
-def _opening_step_m(linkage: Linkage, gripper: GripperConfig) -> float:
+def _opening_step_m(config: CellConfig) -> float:
     """Return the step in m in which the servos read the opening of closed fingers."""
+    linkage, servos = config.linkage, config.gripper_settings.servos
     return sum(
-        linkage.opening_per_rad_m(closed_rad) * MODELS[servo.model].rad_per_pulse
-        for closed_rad, servo in zip(linkage.angles_rad(0.0), gripper.servos, strict=True)
+        linkage.opening_per_rad_m(closed_rad) * servo.servo_model.rad_per_pulse
+        for closed_rad, servo in zip(linkage.angles_rad(0.0), servos, strict=True)
     )
