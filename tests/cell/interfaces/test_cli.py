@@ -346,6 +346,9 @@ def test_a_recording_is_identified_without_shapes(taught, config, model, tmp_pat
     text = call("identify", recording, "-m", model, "-c", config, "--json", tmp_path / "i.json")
     assert "mm" not in text
     answers = read_json(tmp_path / "i.json")["answers"]
+    names = {"grasp", "label", "probability", "unknown", "truth", "shape"}
+    assert [set(answer) for answer in answers] == len(answers) * [names]
+    assert [answer["grasp"] for answer in answers] == [*range(len(answers))]
     assert {answer["shape"] for answer in answers} == {None}
     assert [answer["truth"] for answer in answers[:10]] == ["ball"] * 5 + ["box"] * 5
     assert text.count("(was ball)") >= 5

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from cell.control.answer import Answer
 from cell.service.totals import Totals
 from recognition.recognizer import UNKNOWN
 from tactile.errors import HeartbeatLost
@@ -112,15 +113,9 @@ def test_each_result_of_a_part_is_counted() -> None:
         cycles=(SimpleNamespace(setpoint_n=5.0),), outcome=SimpleNamespace(final_force_n=4.7)
     )
     found = SimpleNamespace(records=(record, record))
-    for label, rejected in (("ball", False), ("ball", True), (UNKNOWN, True), (None, False)):
-        totals.add(
-            SimpleNamespace(  # type: ignore[arg-type]
-                answer=None if label is None else SimpleNamespace(label=label),
-                rejected=rejected,
-                seconds=70.0,
-                found=found,
-            )
-        )
+    for label, rejected in (("ball", False), ("ball", True), (UNKNOWN, True)):
+        totals.add(Answer(label=label, rejected=rejected, seconds=70.0), found)
+    totals.add(Answer(seconds=70.0), None)
     assert dict(totals.parts) == {
         ("ball", "named"): 1,
         ("ball", "rejected"): 1,

@@ -223,7 +223,7 @@ def test_the_robot_program_of_the_example_ends_with_the_part_where_it_is_held(ro
 
     def hold() -> None:
         until(lambda: served.service.job().number)
-        served.service.hold()
+        served.service.stop()
 
     operator = threading.Thread(target=hold)
     operator.start()

@@ -62,6 +62,6 @@ def test_training_and_answering_have_one_thread(make_bench, taught, monkeypatch)
     model.train()
     bench = make_bench(taught.config)
     bench.controller.start()
-    identify(bench.controller, model, held="ball", seed=1)
+    identify(bench.controller, model, presented="ball", seed=1)
     assert seen == [{1}] * 3
     assert threads() == {HOST_THREADS}

@@ -144,7 +144,7 @@ def test_a_size_that_the_drawing_excludes_is_no_name(taught, tmp_path) -> None:
 
     def names(text: str, at_ms: int, read: Any = read) -> set[str]:
         grasps = drawn("", text, 4, at_ms, known=known)
-        return {answer.label for answer in identify_recorded(model, grasps, read_shape=read)}
+        return {answer.name for answer, *_ in identify_recorded(model, grasps, read_shape=read)}
 
     assert names(CYLINDER, soon_ms) == {"UNKNOWN"}
     assert names(pin, soon_ms) == {"pin"}

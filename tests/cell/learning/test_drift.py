@@ -88,7 +88,7 @@ def model_of(recognizer: Any, **changes: object) -> TaughtModel:
 def identified(model: TaughtModel, *records: Any) -> str:
     """Identify once; return the remark."""
     controller: Any = Grasping(records[0].grasp, records)
-    return identify(controller, model, held=None, seed=0).remark
+    return identify(controller, model, presented=None, seed=0).remark
 
 
 def test_it_learns_after_each_answer_and_speaks_once() -> None:
@@ -129,12 +129,12 @@ def test_recorded_grasps_are_followed_in_the_order_of_time() -> None:
         recognizer=Follower(), trainer_name="force_ramp", pads=grasps[0].pads
     )
     answers = identify_recorded(model, grasps, follow=True)
-    assert [answer.number for answer in answers] == [0, 1, 2, 3]
-    assert [answer.drift.n_followed for answer in answers if answer.drift] == [2, 3, 1, 0]
-    assert [answer.label for answer in answers] == ["ball", "ball", "UNKNOWN", "UNKNOWN"]
-    assert answers[0].as_json()["drift"]["gain"] == pytest.approx(0.72, abs=0.01)
+    drifts = [drift for *_, drift in answers if drift]
+    assert [drift.n_followed for drift in drifts] == [2, 3, 1, 0]
+    assert [answer.name for answer, *_ in answers] == ["ball", "ball", "UNKNOWN", "UNKNOWN"]
+    assert drifts[0].values["gain"] == pytest.approx(0.72, abs=0.01)
     alone = identify_recorded(model, grasps)
-    assert [answer.label for answer in alone] == 4 * ["UNKNOWN"]
+    assert [answer.name for answer, *_ in alone] == 4 * ["UNKNOWN"]
 
 
 class Grasping:
@@ -154,7 +154,6 @@ class Grasping:
         posterior = recognizer.posterior(self.given)
         return Identification(
             label="ball",
-            probability=0.9,
             decision=Decision(kind=DecisionKind.DECIDED, label="ball", probability=0.9),
             posteriors=(posterior,),
             fused=posterior,
@@ -264,6 +263,6 @@ def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
 def test_a_model_that_was_taught_without_a_self_zero_is_named_once(taught, make_bench) -> None:
     bench = make_bench(small_config(self_zero="always")).ready()
     model = TaughtModel.load(bench.config, taught.result.model)
-    first, second = (identify(bench.controller, model, held="ball", seed=s) for s in (1, 2))
+    first, second = (identify(bench.controller, model, presented="ball", seed=s) for s in (1, 2))
     assert "was taught without a self-zero" in first.remark
     assert "without a self-zero" not in second.remark

@@ -142,7 +142,7 @@ def test_objects_are_named_in_less_time_and_none_wrongly(make_bench, taught) -> 
         ended = 0
         for number, label in enumerate(["ball", "box"]):
             found = identify(
-                bench.controller, model, held=label, seed=20 + number, whole_ramps=whole
+                bench.controller, model, presented=label, seed=20 + number, whole_ramps=whole
             )
             assert found.label in (label, UNKNOWN)
             times_s += [record.duration_s for record in found.records]
@@ -174,7 +174,7 @@ def test_by_touch_alone_ramps_are_whole_and_nothing_is_said(make_bench, taught) 
         taught.config.model_copy(update={"recognition": touch}), training_set=taught.grasps
     )
     model.train()
-    found = identify(bench.controller, model, held="box", seed=0)
+    found = identify(bench.controller, model, presented="box", seed=0)
     assert all(record.early is None for record in found.records)
     assert found.remark == ""
 
@@ -204,7 +204,7 @@ def test_a_model_taught_without_ramps_cut_short_says_once_that_its_ramps_are_who
     bench = make_bench(taught.config).ready()
     path = resaved(load_model(taught.result.model), tmp_path / "m.npz", {})
     model = TaughtModel.load(taught.config, path)
-    found = [identify(bench.controller, model, held="box", seed=seed) for seed in range(2)]
+    found = [identify(bench.controller, model, presented="box", seed=seed) for seed in range(2)]
     assert all(record.early is None for one in found for record in one.records)
     assert [one.remark.partition(":")[0] for one in found] == [
         "the model has no early classifiers, so no ramp ends early",

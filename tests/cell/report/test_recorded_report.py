@@ -46,12 +46,11 @@ def test_figures_tables_and_files_of_a_run(recording, taught) -> None:
         assert (shown.name, shown.labels) == (counted.name, counted.labels)
         assert shown.counts.tolist() == counted.counts.tolist()
     for one, trial in zip(data.sequences, taught.result.trials, strict=True):
-        assert (one.truth, one.label) == (trial.truth, trial.found.label)
-        assert one.n_grasps == len(one.posteriors) == len(trial.found.records)
-        assert str(one.shape) == str(trial.found.shape)
-        assert one.notes[0] == f"{trial.found.records[0].reached}; " + (
-            f"{trial.found.records[0].step.force_n:.1f} N"
-        )
+        assert (one.presented, one.label) == (trial.presented, trial.label)
+        assert one.n_grasps == len(one.posteriors) == len(trial.records)
+        assert str(one.shape) == str(trial.shape)
+        first = trial.records[0]
+        assert one.notes[0] == f"{first.reached}; {first.step.force_n:.1f} N"
 
 
 def test_the_papers_method_as_recogniser_of_the_cell_has_one_table(recording) -> None:
@@ -80,7 +79,7 @@ def test_an_older_recording_shows_what_it_has(recording) -> None:
     assert data.confusions == ()
     assert [group.title for group in data.health] == ["Force loop"]
     assert data.key_figures[0].value == "2 of 2"
-    assert [(one.name, one.truth, one.posteriors) for one in data.sequences] == [
+    assert [(one.name, one.presented, one.posteriors) for one in data.sequences] == [
         ("ball", "", ()),
         ("box", "", ()),
     ]

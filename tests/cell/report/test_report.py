@@ -43,7 +43,7 @@ LAYOUT = paper_layout()
 def identified(truth: str, answer: str, *posteriors: Posterior, **changes: Any) -> Answered:
     n = len(posteriors)
     known = {"fused": fuse(posteriors), "posteriors": posteriors, "n_grasps": n}
-    return Answered(truth=truth, label=answer, **known | changes)
+    return Answered(presented=truth, label=answer, **known | changes)
 
 
 def report(**parts: Any) -> ReportData:
@@ -59,7 +59,7 @@ def run(taught: Any) -> ReportData:
     return replace(
         data,
         examples=(late, *others),
-        sequences=(*data.sequences, replace(data.sequences[0], truth="cylinder")),
+        sequences=(*data.sequences, replace(data.sequences[0], presented="cylinder")),
         confusions=(*data.confusions, paper_table()),
     )
 
@@ -248,7 +248,7 @@ def test_many_labels_make_a_dense_table_and_few_sequences() -> None:
     # Two of each object, the wrong ones first.
     assert (page.count("card sequence wrong"), page.count("card sequence right")) == (70, 2)
     assert "36 more are not drawn" in page
-    others = [replace(one, truth=f"another {one.truth}") for one in answers]
+    others = [replace(one, presented=f"another {one.presented}") for one in answers]
     assert len(drawn_sequences(replace(data, sequences=(*answers, *others)))) == 80
     assert f'<th scope="col">{UNKNOWN}</th>' not in page  # nobody was named so
 

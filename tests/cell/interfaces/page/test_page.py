@@ -263,7 +263,7 @@ def test_what_is_not_allowed_is_grey_with_its_reason(open_page, cell) -> None:
     ):
         show(page, cell, name)
         becomes(page, selector, reason)
-    cell.service.begin_hold("gate", "HTTP 10.0.0.7 gate")
+    cell.service.begin_stop("gate", "HTTP 10.0.0.7 gate")
     allowed = cell.state["allowed"]
     cell.changes = {"allowed": {task: allowed[task] for task in ("verify", "grip")}}
     becomes(page, "#do_verify", "on hold by HTTP 10.0.0.7 gate")
