@@ -342,7 +342,8 @@ def drive_text(servo: ServoSettings, drive: DriveCharacteristic) -> str:
     torque = f"{1.0 / drive.rising_a_nm:.2f} Nm/A (±{100 * drive.load_sd:.0f} %)"
     return (
         f"servo {servo.servo_id}: friction {drive.breakaway_a:.3f} A "
-        f"(±{100 * drive.friction_sd:.0f} %, catalogue {usual.breakaway_a:.3f}), {torque}, falling {1.0 / drive.falling_a_nm:.2f} "
+        f"(±{100 * drive.friction_sd:.0f} %, catalogue {usual.breakaway_a:.3f}), "
+        f"{torque}, falling {1.0 / drive.falling_a_nm:.2f} "
         f"(catalogue {model.kt_nm_a:.2f}), motor constant {drive.kt_nm_a:.2f} "
         f"(±{100 * drive.kt_sd:.0f} %)"
     )
