@@ -23,8 +23,8 @@ from gripper.errors import LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
-from tests.cell.served import until
 from tests.hil.program import first
+from tests.waiting import until
 
 pytestmark = pytest.mark.real_time
 

@@ -32,8 +32,9 @@ from cell.service.service import RELEASE_KEY, Service
 from tactile.errors import HeartbeatLost
 from tests.cell.conftest import REAL
 from tests.cell.interfaces.hosts import Client
-from tests.cell.served import Served, ended, until
+from tests.cell.served import Served, ended
 from tests.values import raising
+from tests.waiting import until
 
 PAGE = Path("docs/how-to/use-it-over-http.md")
 
