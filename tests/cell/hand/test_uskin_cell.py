@@ -21,22 +21,22 @@ def test_each_approach_has_a_zero_of_its_own_while_z_drifts() -> None:
     clock, world = cell.simulated.clock, cell.simulated.devices.physical
     with closing(cell):
         cell.controller.start()
-        first = cell.controller.zero
+        first = cell.controller.zeroing.taxels
         for _ in range(2):
             # 2,000 counts are 0.45 N on each taxel: no force could be measured by the first zero.
             day = cell.simulated.inject("uskin.drift=2000")
             for _ in range(10):
                 clock.sleep(0.1)
-                cell.controller.tick()
+                cell.controller.life.tick()
             day.clear()
             slow = cell.simulated.inject("uskin.drift=100")
-            cell.controller.present("box")
+            cell.controller.moves.present("box")
             cell.controller.grip(4.0, Pose())
             assert cell.controller.hand.phase is GripperPhase.HOLDING
             assert min(world.contact_force_n()) == pytest.approx(4.0, abs=0.6)
             cell.controller.release()
             slow.clear()
-        zero = cell.controller.zero
+        zero = cell.controller.zeroing.taxels
         assert first is not None
         assert zero is not None
         moved = zero.offset_counts - first.offset_counts
