@@ -8,7 +8,9 @@ from gripper.errors import (
     ForceAboveCap,
     LimitExceeded,
 )
+from gripper.force.estimates.force_estimate import ForceEstimate
 from gripper.force.ramp import ForceRamp
+from gripper.settings import ForceLoopSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
 from tests.gripper.force.pads import WrongPads
@@ -20,6 +22,16 @@ def test_friction_that_breaks_on_a_short_lever_is_no_jump_of_the_zero(make_cell,
     cell.gripper.start()
     outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=1.0, hold_s=0.5))
     assert outcome.result is GraspResult.FORCE_REACHED
+
+
+def test_a_sample_from_before_a_motion_shows_nothing_of_it() -> None:
+    estimate = ForceEstimate(ForceLoopSettings(), force_n=2.0, now_s=0.0)
+    estimate.move(0.02, 2.5, doubt_n=0.4)
+    before = ForceSample(t_s=0.022, force_n=(2.0, 2.0), lag_s=0.005, noise_n=0.01)
+    estimate.learn(before, drift_n_rs=0.1, motion_n=0.0)
+    assert estimate.doubt_n >= 0.4
+    estimate.learn(replace(before, t_s=0.03), drift_n_rs=0.1, motion_n=0.0)
+    assert estimate.doubt_n < 0.05
 
 
 @pytest.mark.parametrize("rate_hz", [None, 500.0])
