@@ -125,7 +125,8 @@ def test_the_force_of_quiet_frames_is_that_of_one_frame_and_of_noisy_ones_the_me
     link.press(4.0, "blob")
     readings(sensor, link, 1)
     reading, sample = sensor.latest, force.latest_force()
-    assert sample is not None and reading is not None
+    assert sample is not None
+    assert reading is not None
     assert sample.force_n == (reading.scan_force_n if alone else reading.finger_force_n)
     if alone:
         assert sample.noise_n == sensor.scan_noise_n < 0.02
