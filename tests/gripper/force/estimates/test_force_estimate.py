@@ -24,14 +24,12 @@ def test_friction_that_breaks_on_a_short_lever_is_no_jump_of_the_zero(make_cell,
     assert outcome.result is GraspResult.FORCE_REACHED
 
 
-def test_a_sample_from_before_a_motion_shows_nothing_of_it() -> None:
-    estimate = ForceEstimate(ForceLoopSettings(), force_n=2.0, now_s=0.0)
-    estimate.move(0.02, 2.5, doubt_n=0.4)
-    before = ForceSample(t_s=0.022, force_n=(2.0, 2.0), lag_s=0.005, noise_n=0.01)
-    estimate.learn(before, drift_n_rs=0.1, motion_n=0.0)
-    assert estimate.doubt_n >= 0.4
-    estimate.learn(replace(before, t_s=0.03), drift_n_rs=0.1, motion_n=0.0)
-    assert estimate.doubt_n < 0.05
+def test_growth_just_after_friction_has_broken_is_no_jump() -> None:
+    estimate = ForceEstimate(ForceLoopSettings(), force_n=4.0, now_s=0.0)
+    estimate.move(0.02, 4.2, doubt_n=0.4)
+    sample = ForceSample(t_s=0.06, force_n=(5.4, 5.4), lag_s=0.005, noise_n=0.04)
+    assert not estimate.jumps(sample, 1.2, 4.2, 3.7)
+    assert estimate.jumps(replace(sample, t_s=0.09), 1.2, 4.2, 3.7)
 
 
 @pytest.mark.parametrize("rate_hz", [None, 500.0])
