@@ -62,7 +62,7 @@ REAL = {"gripper.port": "/dev/ttyUSB0", "positioner": {"kind": "operator"}}
         ({"tactile.sensor.ports": ["/dev/a", "simulated"]}, "name different ports"),
         ({"tactile.sensor.ports": ["/dev/a", "/dev/b"]}, "must both be `simulated` or both"),
         (REAL | {"tactile.sensor.ports": ["/dev/a", "/dev/ttyUSB0"]}, "need separate ports"),
-        ({"gripper.force_stale_ms": 20.0}, "come every 10 ms"),
+        ({"gripper.force_stale_ms": 20.0}, "the least is 25, 2.5 periods"),
         (
             {"tactile.calibration": {"kind": "table", "counts": [9.0, 5.0], "force_n": [1.0, 2.0]}},
             "rise from above 0, together",

@@ -85,7 +85,7 @@ def test_a_bus_that_is_shared_with_canopen_is_refused() -> None:
             },
             "identifiers of the boards repeat",
         ),
-        ({"gripper.force_stale_ms": 20.0}, "come every 10 ms"),
+        ({"gripper.force_stale_ms": 20.0}, "the least is 25, 2.5 periods"),
     ],
 )
 def test_a_config_that_boards_cannot_have_is_refused(changes, named) -> None:
