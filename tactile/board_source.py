@@ -81,15 +81,30 @@ class PolledBoards(ABC):
             self._fault = fault
             raise
 
-    def _frame(self, samples: NDArray[np.uint16], begun_s: float, t_s: float) -> TactileFrame:
-        """Return the next frame of samples, pad by pad in the order of the layout."""
+    def _frame(
+        self,
+        samples: NDArray[np.uint16],
+        begun_s: float,
+        t_s: float,
+        extra: NDArray[np.uint16] | None = None,
+    ) -> TactileFrame:
+        """Return the next frame of samples, pad by pad in the order of the layout.
+
+        ``extra``: (n_taxels, k) uint16, further samples of each taxel to be recorded.
+        """
         counts = samples[self._order]
         counts.setflags(write=False)
+        extra = None if extra is None else extra[self._order]
         self._frames.complete += 1
         full = FrameStatus.SATURATED if counts.max() >= self.layout.adc_max else 0
         counter = self._frames.complete & 0xFFFF
         return TactileFrame(
-            t_s=t_s, begun_s=begun_s, counter=counter, status=int(full), counts=counts
+            t_s=t_s,
+            begun_s=begun_s,
+            counter=counter,
+            status=int(full),
+            counts=counts,
+            extra=extra,
         )
 
     def set_zero(self, zero: PadZero) -> None:  # noqa: B027

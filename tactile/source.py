@@ -42,6 +42,9 @@ class TactileFrame:
     """`FrameStatus` bits; 0 from a source without a status."""
     counts: NDArray[np.uint16]
     """(n_taxels,) uint16: samples in the order of the layout."""
+    extra: NDArray[np.uint16] | None = None
+    """(n_taxels, k) uint16: further samples of each taxel, which are only recorded; None without
+    any."""
     begun_s: float | None = None
     """Monotonic time in s of the reception of its first byte, just after the scan; None where
     unknown."""

@@ -6,6 +6,7 @@ import json
 import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from pathlib import Path
 from shlex import quote
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
@@ -47,7 +48,7 @@ def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
             owner = owner.get(name) if isinstance(owner, dict) else None
         if not isinstance(owner, dict) or last not in owner:
             raise ConfigError(f"the config has no value {path!r}")
-        owner[last] = value
+        owner[last] = deepcopy(value)
     try:
         return type(config).model_validate_json(json.dumps(values))
     except ValidationError as error:

@@ -142,16 +142,15 @@ class Recorder:
             raise ValueError(f"frame of shape {counts.shape}, the pads have {self._pads.n_taxels}")
         self._go_on()
         self._n_frames += 1
-        self._put(
-            schema.FRAME,
-            frame.t_s,
-            {
-                "number": self._n_frames - 1,
-                "counter": int(frame.counter),
-                "status": int(frame.status),
-                "counts": counts.tolist(),
-            },
-        )
+        values = {
+            "number": self._n_frames - 1,
+            "counter": int(frame.counter),
+            "status": int(frame.status),
+            "counts": counts.tolist(),
+        }
+        if frame.extra is not None:
+            values["extra"] = frame.extra.ravel().tolist()
+        self._put(schema.FRAME, frame.t_s, values)
         self._newest.append((frame.t_s, schema.counts_crc32(counts)))
 
     def cycle(self, cycle: "Cycle") -> None:

@@ -52,8 +52,11 @@ MAX_BRACKETS = 10_000
 MAX_TIME_S = 1e9
 """Latest monotonic time in s: a machine that has run for 30 years."""
 
+MAX_EXTRA = 8
+"""Most further samples of a taxel in a frame."""
 _ROW_BYTES = 100
-"""Memory in bytes of a period of the loop, and of a frame without its counts: numbers in arrays."""
+"""Memory in bytes of a period of the loop, and of a frame without its samples: numbers in
+arrays."""
 _MESSAGE_SHARE = 20
 """Most memory in bytes of a message kept unchanged, for each byte of its JSON."""
 _RECORD = struct.Struct("<BQ")
@@ -91,7 +94,7 @@ class RecordedMessage(NamedTuple):
 
     topic: str
     content: dict[str, Any]
-    """Its fields in `recording_schema`; the counts of a frame as ``array("H")``."""
+    """Its fields in `recording_schema`; the samples of a frame as ``array("H")``."""
     data: bytes
     """Its JSON."""
 
@@ -123,6 +126,7 @@ class RecordedMessages:
         self._chunks: set[tuple[int, int, int]] = set()
         self._numbers: Counter[str] = Counter()
         self._left_bytes = self._left_messages = 0
+        self._n_extra: int | None = None
 
     @property
     def lost_reason(self) -> str:
@@ -245,14 +249,29 @@ class RecordedMessages:
             if data.count(b"[") + data.count(b"{") > MAX_BRACKETS:
                 raise ValueError(f"it has more than {MAX_BRACKETS} lists and objects")
             content = _checked(topic, from_json(data), pads)
+            if topic == schema.FRAME:
+                self._check_extra(len(content.get("extra", ())), pads)
         except _DAMAGE as cause:
             self.lose(f"message {self._numbers[topic]} of {topic} is left out: {_brief(cause)}")
             return None
-        as_array = {schema.FRAME: _ROW_BYTES + 2 * pads.n_taxels, schema.CYCLE: _ROW_BYTES}
+        n_samples = pads.n_taxels + (self._n_extra or 0)
+        as_array = {schema.FRAME: _ROW_BYTES + 2 * n_samples, schema.CYCLE: _ROW_BYTES}
         self._left_bytes -= as_array.get(topic, _MESSAGE_SHARE * len(data))
         if self._left_bytes < 0:
             raise _Full("its content takes more memory than a file of its size can")
         return RecordedMessage(topic, content, data)
+
+    def _check_extra(self, n_extra: int, pads: PadArray) -> None:
+        """Raise ValueError unless all frames have equally many further samples of each taxel."""
+        if n_extra % pads.n_taxels or n_extra > MAX_EXTRA * pads.n_taxels:
+            raise ValueError(
+                f"it has {n_extra} further samples, allowed are 0 to {MAX_EXTRA} for each taxel"
+            )
+        if self._n_extra not in (None, n_extra):
+            raise ValueError(
+                f"it has {n_extra} further samples, the frames before it have {self._n_extra}"
+            )
+        self._n_extra = n_extra
 
 
 class _Full(Exception):
@@ -296,9 +315,11 @@ def _checked(topic: str, content: Any, pads: PadArray) -> dict[str, Any]:
             raise ValueError(f"{name} is missing")
     if topic == schema.FRAME:
         content["counts"] = _counts(content["counts"], pads)
+        if "extra" in content:
+            content["extra"] = _samples(content["extra"])
     known = {name: value for name, value in content.items() if name in properties}
     for name, value in known.items():
-        if name != "counts":
+        if not isinstance(value, array):
             _check(name, value, properties[name])
     if not 0.0 <= content["t_s"] <= MAX_TIME_S:
         raise ValueError(f"its time is {content['t_s']:g} s, must be 0 to {MAX_TIME_S:g} s")
@@ -307,16 +328,20 @@ def _checked(topic: str, content: Any, pads: PadArray) -> dict[str, Any]:
 
 def _counts(counts: Any, pads: PadArray) -> "array[int]":
     """Return the counts of a frame. Raises ValueError if they do not fit the pads."""
-    try:
-        found = array("H", counts)
-    except (TypeError, OverflowError):
-        raise ValueError("its counts are not a list of numbers from 0 to 65535") from None
+    found = _samples(counts)
     if len(found) != pads.n_taxels or max(found) > pads.adc_max:
         raise ValueError(
             f"it has {len(found)} counts up to {max(found, default=0)}, expected {pads.n_taxels} "
             f"up to {pads.adc_max}"
         )
     return found
+
+
+def _samples(samples: Any) -> "array[int]":
+    try:
+        return array("H", samples)
+    except (TypeError, OverflowError):
+        raise ValueError("its counts are not a list of numbers from 0 to 65535") from None
 
 
 def _check(name: str, value: Any, described: Mapping[str, Any]) -> None:

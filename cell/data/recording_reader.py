@@ -33,6 +33,8 @@ class RecordedFrames:
     """(n,) int64: values of the control unit."""
     counts: NDArray[np.uint16]
     """(n, n_taxels) uint16: raw counts."""
+    extra: NDArray[np.uint16]
+    """(n, n_taxels, k) uint16: further samples of each taxel; k is 0 without any."""
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -145,7 +147,7 @@ class _Builder:
     def __init__(self) -> None:
         self._columns: defaultdict[str, array[float]] = defaultdict(lambda: array("d"))
         self._numbers: defaultdict[str, array[int]] = defaultdict(lambda: array("q"))
-        self._counts = array("H")
+        self._counts, self._extra = array("H"), array("H")
         self._phases: list[str] = []
         self._phase_names: dict[str, str] = {}
         self._rows: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
@@ -157,6 +159,7 @@ class _Builder:
             for name in ("number", "counter", "status"):
                 self._numbers[name].append(content[name])
             self._counts.extend(content["counts"])
+            self._extra.extend(content.get("extra", ()))
         elif topic == schema.CYCLE:
             phase = content["phase"]
             self._phases.append(self._phase_names.setdefault(phase, phase))
@@ -170,10 +173,12 @@ class _Builder:
     def build(self, messages: RecordedMessages) -> Recording:
         """Return the recording, after the last message."""
         described, rows = messages.description, self._rows
+        counts = _read_only(self._counts).reshape(-1, described.pads.n_taxels)
         frames = RecordedFrames(
             t_s=_read_only(self._columns["frame"]),
             **{name: _read_only(self._numbers[name]) for name in ("number", "counter", "status")},
-            counts=_read_only(self._counts).reshape(-1, described.pads.n_taxels),
+            counts=counts,
+            extra=_read_only(self._extra).reshape(*counts.shape, -1 if counts.size else 0),
         )
         cycles = RecordedCycles(
             **{name: _read_only(self._columns[name]) for name in _CYCLE_COLUMNS},

@@ -118,6 +118,11 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         counter=_integer("counter of the control unit, 16 bit"),
         status=_integer("status byte of the control unit"),
         counts=_numbers("raw counts of all taxels, pad after pad, row-major", "integer"),
+        extra=_numbers(
+            "further raw samples of each taxel in the same order, such as x and y of a uSkin; left "
+            "out where the sensor has none",
+            "integer",
+        ),
     ),
     CYCLE: _schema(
         "tactile_cell.Cycle",

@@ -151,6 +151,10 @@ class GuardedSource:
             counts = frame.counts
             if counts.shape != (n,) or counts.dtype != np.uint16:
                 raise ValueError(f"a frame of {counts.shape} {counts.dtype}, not ({n},) uint16")
+            if (extra := frame.extra) is not None and (
+                extra.ndim != 2 or len(extra) != n or extra.dtype != np.uint16
+            ):
+                raise ValueError(f"extra of {extra.shape} {extra.dtype}, not ({n}, k) uint16")
             counts.setflags(write=False)
         self.statistics = source.statistics
         return arrivals

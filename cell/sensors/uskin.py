@@ -30,8 +30,8 @@ class UskinBoardConfig(Section):
 class UskinConfig(SensorConfig):
     """Two uSkin boards on the bus of `interface`, `channel` and `bitrate`, without CANopen nodes.
 
-    It uses z of the three axes. The keys for SYNC, heartbeat, force messages and serial numbers do
-    not apply.
+    It uses z of the three axes, and records x and y. The keys for SYNC, heartbeat, force messages
+    and serial numbers do not apply.
     """
 
     kind: Literal["uskin"]

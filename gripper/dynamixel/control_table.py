@@ -2,7 +2,8 @@
 
 Source: ROBOTIS e-Manual, pages of XM430-W350, XM430-W210, XL330-M288 and XC330-M288, section
 "Control Table". The addresses are the same on all four. The RH-P12-RN(A) has its RAM items at
-higher addresses; the bus adds the offset (`gripper.dynamixel.models.ram_shift`).
+higher addresses; the bus adds the offset (`gripper.dynamixel.models.ram_shift`). Only this gripper
+has Acceleration Limit and External Port Mode.
 """
 
 import struct
@@ -108,9 +109,14 @@ MAX_VOLTAGE_LIMIT = _eeprom("max_voltage_limit", 32, 2)
 MIN_VOLTAGE_LIMIT = _eeprom("min_voltage_limit", 34, 2)
 PWM_LIMIT = _eeprom("pwm_limit", 36, 2)
 CURRENT_LIMIT = _eeprom("current_limit", 38, 2)
+ACCELERATION_LIMIT = _eeprom("acceleration_limit", 40, 4)
 VELOCITY_LIMIT = _eeprom("velocity_limit", 44, 4)
 MAX_POSITION_LIMIT = _eeprom("max_position_limit", 48, 4)
 MIN_POSITION_LIMIT = _eeprom("min_position_limit", 52, 4)
+EXTERNAL_PORT_MODE_1 = _eeprom("external_port_mode_1", 56, 1)
+EXTERNAL_PORT_MODE_2 = _eeprom("external_port_mode_2", 57, 1)
+EXTERNAL_PORT_MODE_3 = _eeprom("external_port_mode_3", 58, 1)
+EXTERNAL_PORT_MODE_4 = _eeprom("external_port_mode_4", 59, 1)
 STARTUP_CONFIGURATION = _eeprom("startup_configuration", 60, 1)
 SHUTDOWN = _eeprom("shutdown", 63, 1)
 TORQUE_ENABLE = _ram("torque_enable", 64, 1)

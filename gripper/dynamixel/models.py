@@ -52,8 +52,11 @@ class ServoModel:
     330 size list it for modes 3 and 4 only."""
     ram_shift: int = 0
     """Offset of the RAM addresses from those of the X series."""
-    absent: frozenset[str] = frozenset()
-    """Names of the X series' items that the model lacks."""
+    absent: frozenset[str] = frozenset(
+        {"acceleration_limit", *(f"external_port_mode_{n}" for n in (1, 2, 3, 4))}
+    )
+    """Names of the items of the control table that the model lacks; by default those that the X
+    series lacks."""
     factory_mode: OperatingMode = OperatingMode.POSITION
     """Factory value of Operating Mode (register 11)."""
     velocity_unit_rad_s: float = _SLOW_RAD_S

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from gripper.clock import Clock
 from gripper.errors import LimitExceeded, WatchdogUnproven
+from gripper.mechanics.impact import closing_current_max_a
 from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
@@ -96,7 +97,11 @@ def prove_watchdog(
     begin = servos.read()
     speed_rad_s, goals_rad = _motion(settings, linkage, begin.angles_rad)
     paths = transmissions(settings, linkage, begin.angles_rad)
-    currents_a = motion_currents_a(settings, paths, _FORCE_N)
+    # A servo that was never measured may have several times the friction of its model.
+    currents_a = [
+        max(current_a, min(path.drive.most_breakaway_a, closing_current_max_a(settings, path)))
+        for current_a, path in zip(motion_currents_a(settings, paths, _FORCE_N), paths, strict=True)
+    ]
     servos.write_goals(
         [
             ServoGoal(angle_rad=angle_rad, current_a=current_a, profile_rad_s=speed_rad_s)

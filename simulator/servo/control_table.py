@@ -105,6 +105,8 @@ def _items(model: ServoModel) -> dict[int, Item]:
         ranges["baud_rate"] = (0, 6)
     items = {}
     for register in REGISTERS.values():
+        if register.name in model.absent:
+            continue
         low, high = ranges.get(register.name, register.bounds)
         items[register.address] = Item(
             **asdict(register),

@@ -1,8 +1,8 @@
 """Control table of the RH-P12-RN(A) as data, for its simulation.
 
 Source: ROBOTIS e-Manual, RH-P12-RN(A), "Control Table of EEPROM Area" and "of RAM Area". It shares
-no figure with the driver. External ports and indirect addresses are left out: nothing here uses
-them.
+no figure with the driver. Data of external ports and indirect addresses are left out: nothing here
+uses them.
 """
 
 from typing import NamedTuple
@@ -43,6 +43,10 @@ ROWS = (
     Row(44, 4, "velocity_limit", "RW", 2970, 0, 2970),
     Row(48, 4, "max_position_limit", "RW", 1150, 0, 1150),
     Row(52, 4, "min_position_limit", "RW", 0, 0, 1150),
+    Row(56, 1, "external_port_mode_1", "RW", 3, 0, 3),
+    Row(57, 1, "external_port_mode_2", "RW", 3, 0, 3),
+    Row(58, 1, "external_port_mode_3", "RW", 3, 0, 3),
+    Row(59, 1, "external_port_mode_4", "RW", 3, 0, 3),
     Row(63, 1, "shutdown", "RW", 52, 0, 255),
     Row(512, 1, "torque_enable", "RW", 0, 0, 1),
     Row(513, 1, "led", "RW", 0, 0, 255),
@@ -93,5 +97,5 @@ SIGNED = frozenset(
 """
 TABLE_SIZE = 762
 """Bytes that can be addressed."""
-OTHER_PLACES = {"acceleration_limit": 40, "led_green": 66, "led_blue": 67}
+OTHER_PLACES = {"led_green": 66, "led_blue": 67}
 """Bytes of the items that the X series does not have, in the memory of its simulation."""

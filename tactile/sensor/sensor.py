@@ -42,6 +42,8 @@ from tactile.source import (
 
 _KEPT_FORCES = 1000
 """Size of the queue of force messages: five seconds at 200 a second; older ones are dropped."""
+_ROUNDING_COUNTS = 12.0**-0.5
+"""Standard deviation of the rounding to whole counts."""
 _LEAST_TOUCHED = 9
 """Least number of touched taxels of a pad: one and its neighbours."""
 _EDGE = 1.7
@@ -284,7 +286,7 @@ class TactileSensor:
 
     @property
     def scan_noise_n(self) -> float:
-        """Standard deviation in N of the grip force of one force message."""
+        """Standard deviation in N of the grip force of one force message, or of one frame."""
         if self._latest is None:
             return inf
         variance_n2 = 0.0
@@ -342,14 +344,15 @@ class TactileSensor:
         return result
 
     def _write_zero(self, tare: TareResult) -> None:
-        """Set the zero, and the taxels that fail now, for the force messages of the source."""
+        """Set the noise, and for force messages of the source the zero and what fails now."""
         self._force_bad = None
-        if not self.source.sends_forces:
-            return
+        noise_counts = np.maximum(tare.noise_counts, _ROUNDING_COUNTS)
         first_n, second_n = (
-            float(np.median(self._per_count_n[one] * tare.noise_counts[one])) for one in self._grips
+            float(np.median(self._per_count_n[one] * noise_counts[one])) for one in self._grips
         )
         self._taxel_noise_n = (first_n, second_n)
+        if not self.source.sends_forces:
+            return
         grip = np.concatenate([np.arange(one.start, one.stop) for one in self._grips])
         bad = self._quality.bad
         self.source.set_zero(

@@ -1,4 +1,4 @@
-"""Frame source of two uSkin boards on one CAN bus, with z of the three axes.
+"""Frame source of two uSkin boards on one CAN bus, with z of the three axes as counts.
 
 The messages have neither counter nor checksum. A cycle of a board is whole when each of its taxels
 has sent once. If a taxel sends twice before, another message was lost, or there is a second board.
@@ -51,28 +51,28 @@ class _Board:
 
     def restart(self, now_s: float) -> None:
         """Discard all samples."""
-        self._z: dict[int, int] = {}
+        self._xyz: dict[int, tuple[int, int, int]] = {}
         self._begun_s = self._message_s = self.last_s = now_s
         self.waiting: tuple[float, float, NDArray[np.uint16]] | None = None
         self._cycles: deque[tuple[float, bool]] = deque(maxlen=_CYCLES)
 
-    def take(self, identifier: int, z: int, t_s: float) -> bool:
-        """Add the sample of a taxel; return whether it ended a cycle without another taxel."""
+    def take(self, identifier: int, xyz: tuple[int, int, int], t_s: float) -> bool:
+        """Add the samples of a taxel; return whether it ended a cycle without another taxel."""
         place = self._place[identifier]
         gap_s, self._message_s = t_s - self._message_s, t_s
-        torn = place in self._z or (bool(self._z) and gap_s > _GAP_SHARE * PERIOD_S)
+        torn = place in self._xyz or (bool(self._xyz) and gap_s > _GAP_SHARE * PERIOD_S)
         if torn:
             self._cycles.append((t_s, False))
-            self._z.clear()
-        if not self._z:
+            self._xyz.clear()
+        if not self._xyz:
             self._begun_s = t_s
-        self._z[place] = z
-        if len(self._z) == len(self._place):
-            counts = np.array([self._z[n] for n in range(len(self._place))], dtype=np.uint16)
-            self.waiting = (self._begun_s, t_s, counts)
+        self._xyz[place] = xyz
+        if len(self._xyz) == len(self._place):
+            found = np.array([self._xyz[n] for n in range(len(self._place))], dtype=np.uint16)
+            self.waiting = (self._begun_s, t_s, found)
             self.last_s = t_s
             self._cycles.append((t_s, True))
-            self._z.clear()
+            self._xyz.clear()
         return torn
 
     @property
@@ -218,7 +218,7 @@ class UskinSource(PolledBoards):
             if found is None:
                 self._malformed += 1
                 continue
-            self._frames.torn += board.take(message.arbitration_id, found[2], t_s)
+            self._frames.torn += board.take(message.arbitration_id, found, t_s)
             if all(board.waiting is not None for board in self._boards):
                 frames.append(self._newest())
         return frames
@@ -251,13 +251,12 @@ class UskinSource(PolledBoards):
 
     def _newest(self) -> TactileFrame:
         found = [board.waiting for board in self._boards if board.waiting is not None]
-        samples = np.concatenate([found[pad.finger][2] for pad in self.layout.pads])
-        if self._falling:
-            samples = (FULL_SCALE - samples).astype(np.uint16)
+        xyz = np.concatenate([found[pad.finger][2] for pad in self.layout.pads])
+        z = (FULL_SCALE - xyz[:, 2]).astype(np.uint16) if self._falling else xyz[:, 2]
         for board in self._boards:
             board.waiting = None
         begun_s, end_s = min(one[0] for one in found), max(one[1] for one in found)
-        return self._frame(samples, begun_s, end_s)
+        return self._frame(z, begun_s, end_s, xyz[:, :2])
 
     def stop(self) -> None:
         """Stop receiving; the boards go on and the bus stays open."""

@@ -30,6 +30,7 @@ from cell.simulation import simulation_of
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import REGISTERS, TORQUE_ENABLE, Register
+from gripper.dynamixel.models import XM430_W350
 from gripper.dynamixel.serial_port import ByteStream
 from motion import object_dictionary as od
 from motion.axes import Axes
@@ -47,7 +48,7 @@ BOOT_S = 3.0
 POWER_UP_S = 0.2
 """The simulated unit has just got power and hears nothing before its first boot-up."""
 NMT_RESET_COMMUNICATION = 130
-EEPROM = [register for register in REGISTERS.values() if register.eeprom]
+EEPROM = [r for r in REGISTERS.values() if r.eeprom and r.name not in XM430_W350.absent]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -90,13 +90,17 @@ USKIN_SILENT_S = 0.07 + 2 * LOOP_S
 """Six periods of a board on CAN without a whole cycle are a fault."""
 
 
-def _preset(name: str) -> dict[str, Any]:
-    """Return the sensor of an example config: boards without counter and checksum."""
+def _preset(name: str, *sections: str) -> dict[str, Any]:
+    """Return the sensor of an example config, boards without counter and checksum, and sections."""
     config = load_config(Path(__file__).parents[2] / "config" / f"{name}.yaml")
-    return {"tactile": config.tactile.model_dump(mode="json"), "self_zero": config.self_zero}
+    values = config.model_dump(mode="json")
+    return {one: values[one] for one in ("tactile", "self_zero", *sections)} | {
+        "simulator.servos": values["simulator"]["servos"]
+    }
 
 
 FLEXITAC, OF_USKIN = _preset("flexitac"), _preset("uskin")
+OF_RH_P12 = _preset("rh-p12-rn", "gripper") | {"gripper.aperture_open_mm": 14.0}
 LONG_HOLD = {"sequence.ramp.hold_s": 3.0}
 FRAME_S = SYNC_S + BURST_S
 """A whole frame of a later scan is there after so long at most."""
@@ -396,6 +400,42 @@ BOARDS = tuple(replace(row, changes=FLEXITAC | dict(row.changes)) for row in _ne
     FaultRow(45, "saturated", "all taxels of a pad read full scale in the ramp",
              "taxels.saturated=0@contact+0.1s", "HOLD", FORCE_STALE_S + 2 * BOARD_S, number=204),
 )))
+
+RH_P12 = tuple(replace(row, changes=OF_RH_P12 | dict(row.changes), long=True) for row in (
+    FaultRow(18, "rh-p12 one lost answer", "one answer of its servo is lost in the ramp",
+             "servos.lose_next=1@contact+0.2s", "NOTE", None),
+    FaultRow(19, "rh-p12 cable out", "the cable of the servo bus is pulled in the ramp",
+             "servos.unplugged@contact+0.2s", "HOLD", BUS_LOST_S, number=101),
+    # Its only servo moves both fingers: no finger answers any more.
+    FaultRow(21, "rh-p12 silent", "its servo falls silent in the ramp",
+             "servo1.off@contact+0.2s", "HOLD", BUS_LOST_S, number=102),
+    FaultRow(22, "rh-p12 overload", "the overload protection of its servo latches in the ramp",
+             "servo1.overload@contact+0.2s", "ABORT", CYCLE_S, number=109),
+    FaultRow(23, "rh-p12 hot", "its servo is warmer than temperature_max_c",
+             "servo1.overheat=74@contact+0.2s", "HOLD", 1.0, number=200),
+    FaultRow(24, "rh-p12 dip", "its supply of 24 V falls to 14 V in the ramp",
+             "servo1.supply=14@contact+0.2s", "HOLD", CYCLE_S, number=109),
+    FaultRow(25, "rh-p12 restart", "its servo restarts in the ramp",
+             "servo1.reboot@contact+0.2s", "ABORT", BUS_LOST_S, number=102),
+    FaultRow(26, "rh-p12 current limit", "a current limit in its EEPROM is too low",
+             "servo1.wrong=current_limit:100", "REJECT", VERIFY_S, number=110),
+    FaultRow(26, "rh-p12 direction", "it closes where the config has it open",
+             "servo1.turned", "REJECT", VERIFY_S, number=110),
+    FaultRow(27, "rh-p12 encoder jump", "its position leaps by 0.3 rad in the ramp",
+             "servo1.jump=0.3@contact+0.2s", "LIMP", CYCLE_S, number=112),
+    *(FaultRow(27, f"rh-p12 drift to {side}", f"its reported position drifts, to {side}",
+               f"servo1.drift={speed}@contact+0.2s", "HOLD", DRIFT_S, changes=LONG_HOLD, number=202)
+      for side, speed in (("open", 0.3), ("closed", -0.3))),
+    *(FaultRow(28, f"rh-p12 part lost in {where}", f"the part leaves its fingers in {where}",
+               f"object.gone@contact+{after_s}s", "PART LOST", 0.03, servo.part_leaves, LONG_HOLD)
+      for where, after_s in (("the ramp", 0.3), ("a hold", 1.5))),
+    FaultRow(28, "rh-p12 part slips", "the held part slides along the pads with 20 mm/s",
+             "object.slips=20@contact+1.5s", "HOLD", 0.2,
+             partial(grasp_with_fault, look_again=False), LONG_HOLD, number=206),
+    FaultRow(30, "rh-p12", "its bus watchdog trips and the motor turns on; the self-test is on",
+             "servo1.watchdog_off", "REJECT", 3.0, changes={"gripper.watchdog_self_test": True},
+             number=113),
+))
 
 SERVO_BUS = (
     FaultRow(18, "one lost answer", "one answer of a servo is lost in the ramp",
@@ -748,6 +788,7 @@ GROUPS = {
     "sensor boards": BOARDS + USKIN,
     "servo bus": SERVO_BUS,
     "servos": SERVOS,
+    "RH-P12-RN(A) with FlexiTac": RH_P12,
     "grip": GRIP,
     "host program": HOST_PROGRAM,
     "disk, recordings, ports": DISK_AND_PORTS,

@@ -4,7 +4,7 @@ A Kalman filter with one state learns the difference, the bias. A sample is comp
 at the time of its measurement, so its delay has no effect.
 """
 
-from math import sqrt
+from math import hypot, inf, sqrt
 from typing import Protocol
 
 from gripper.errors import LimitExceeded
@@ -21,6 +21,8 @@ the friction, plus standard deviations of the noise of a sample. Friction that b
 eighth of it at most where the fingers do not give back force. [tuned]"""
 _JUMP_S = 0.75 * FRAME_S
 """Least duration of the growth in s: two frames."""
+_BREAKS_S = 3 * FRAME_S
+"""Time in s after the first motion in which the model is as uncertain as its friction. [tuned]"""
 _STICKS_SHARE = 0.6
 """Share of the friction that may hold more force than the model, just after it has fallen. Friction
 differs from the model's by a third at most, at both edges. [assumed]"""
@@ -65,6 +67,7 @@ class ForceEstimate:
         """Time in s of the newest sample used."""
         self._tuning = tuning
         self._doubt_n2 = tuning.start_doubt_n**2
+        self._broke_s, self._broke_n = -inf, 0.0
         self._history = History()
         self._history.add(now_s, force_n)
         self._implausible_since_s: float | None = None
@@ -83,6 +86,8 @@ class ForceEstimate:
     def move(self, now_s: float, model_n: float, *, doubt_n: float = 0.0) -> None:
         """Set the present modelled force in N; ``doubt_n`` is the doubt that the motion adds."""
         self._doubt_n2 += doubt_n**2
+        if doubt_n > 0.0:
+            self._broke_s, self._broke_n = now_s, doubt_n
         self.model_n = model_n
         self._history.add(now_s, model_n)
 
@@ -161,7 +166,8 @@ class ForceEstimate:
             When the jump lasts.
         """
         least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n, _JUMP_FRICTION_SHARE * friction_n)
-        least_n += _JUMP_SIGMAS * sample.noise_n
+        broke = sample.measured_s - self._broke_s < _BREAKS_S
+        least_n += _JUMP_SIGMAS * hypot(sample.noise_n, self._broke_n if broke else 0.0)
         if fell:
             least_n += _STICKS_SHARE * friction_n
         if jump_n <= least_n:

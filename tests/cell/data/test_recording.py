@@ -221,6 +221,17 @@ def test_a_grasp_with_a_label_that_none_may_have_is_left_out(label, tmp_path) ->
     assert recording.lost_reason.startswith("grasp 2 is left out: its label is")
 
 
+def test_further_samples_of_the_taxels_come_back(whole, tmp_path) -> None:
+    shear = np.arange(96, dtype=np.uint16).reshape(2, 24, 2)
+    with Recorder(tmp_path / "shear.mcap", Clock(100.0), pads=PADS) as recorder:
+        for number in (0, 1):
+            frame = make_frame(0.02 * number, np.random.default_rng(number))
+            recorder.frame(replace(frame, extra=shear[number]))
+    np.testing.assert_array_equal(read_recording(tmp_path / "shear.mcap").frames.extra, shear)
+    frames = read_recording(whole[0]).frames
+    assert frames.extra.shape == (len(frames), 24, 0)
+
+
 def test_unknown_values_are_left_out(tmp_path) -> None:
     nan = float("nan")
     with Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS) as recorder:

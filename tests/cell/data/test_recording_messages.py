@@ -134,6 +134,8 @@ def test_other_mcap_files_are_refused_before_a_message_is_read(
         (frame_json(counts="[70000]"), "from 0 to 65535"),
         (frame_json(counts="[-1]"), "from 0 to 65535"),
         (frame_json(counts="[1.5]"), "from 0 to 65535"),
+        (frame_json(extra="[-1]"), "from 0 to 65535"),
+        (frame_json(extra="[1]"), "1 further samples, the frames before it have 0"),
         (frame_json(number="-1"), "number is -1, out of its range"),
         (frame_json(number="9223372036854775808"), "out of its range"),
         (frame_json(counter="true"), "counter is True, expected integer"),
@@ -157,6 +159,13 @@ def test_a_message_that_does_not_fit_is_left_out_named_and_not_recovered(
     assert (found.n_frames, found.lost_reason) == (2, recording.lost_reason)
     whole = read_recording(found.recording)
     assert (whole.complete, whole.frames.number.tolist()) == (True, [0, 1])
+
+
+@pytest.mark.parametrize(("n", "says"), [(8, ""), (9, "9 further samples, allowed are 0 to 8")])
+def test_further_samples_of_a_taxel_have_a_limit(n: int, says: str, tmp_path: Path) -> None:
+    found = read_recording(foreign(tmp_path / "f.mcap", frame_json(extra=str([7] * n))))
+    assert says in found.lost_reason
+    assert found.frames.extra.shape == ((0, 1, 0) if says else (1, 1, 8))
 
 
 WIDE = b'{"t_s":0,"kind":"","text":"","x":[%s]}' % (b"[]," * 500_000 + b"[]")

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -135,6 +136,10 @@ def test_frames_and_counts_come_through(guard: GuardedSource, source: Source) ->
             r"failed: ValueError: a frame of \(3,\) uint16, not \(156,",
         ),
         (lambda: Arrivals((frame(kind=np.float64),)), "float64"),
+        (
+            lambda: Arrivals((replace(frame(), extra=np.ones((3, 2), np.uint16)),)),
+            r"extra of \(3, 2\) uint16, not \(156, k\)",
+        ),
     ],
 )
 def test_what_it_must_not_do_is_a_fault_of_each_call_until_the_next_start(

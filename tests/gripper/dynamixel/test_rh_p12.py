@@ -4,11 +4,13 @@ from pathlib import Path
 
 import pytest
 
+from cell.commissioning.backup import read_control_table
 from cell.config.file import load_config
+from cell.config.model import CellConfig
 from cell.simulation import simulation_of
 from gripper.dynamixel import control_table as table
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.models import MODELS, OperatingMode
+from gripper.dynamixel.models import MODELS, XM430_W350, OperatingMode
 from gripper.dynamixel.protocol2 import Instruction
 from gripper.errors import LimitExceeded, ServoRejected
 from gripper.servos.verification import requirements
@@ -51,6 +53,18 @@ def test_the_bus_learns_the_table_from_a_ping() -> None:
         bus._ram_shifts[2] = 0
         with pytest.raises(LimitExceeded, match="separate lines"):
             bus.sync_read([1, 2], table.PRESENT_BLOCK)
+
+
+def test_its_backup_has_the_items_that_the_x_series_lacks() -> None:
+    with simulation_of(load_config(CONFIG)) as cell:
+        bus = ServoBus(cell.servo_port, baudrate=1_000_000, clock=cell.clock)
+        kept = read_control_table(bus, 1)
+    assert kept["acceleration_limit"] == 3447
+    assert [kept[f"external_port_mode_{n}"] for n in (1, 2, 3, 4)] == [3] * 4
+    assert set(table.REGISTERS) - set(kept) == MODEL.absent
+    with simulation_of(CellConfig()) as cell:
+        bus = ServoBus(cell.servo_port, baudrate=1_000_000, clock=cell.clock)
+        assert set(table.REGISTERS) - set(read_control_table(bus, 1)) == XM430_W350.absent
 
 
 def test_goals_keep_to_the_range_and_a_goal_velocity_of_none_stops() -> None:

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gripper.values.force_sensor import ForceSample
 from simulator.can.messages import read_table
 from tactile.errors import ForceContradicted
 from tactile.frames.force_message import TABLE_NODES
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces
+from tactile.sensor.grip_force import GripForce
 from tactile.sensor.opening import force_table
 from tactile.sensor.sensor import TactileSensor
 from tactile.source import ForceMessage, ForceStatus, PadZero
@@ -107,6 +109,28 @@ def test_the_noise_of_a_message_follows_what_is_touched() -> None:
     link.force_n = (4.0, 0.0)
     readings(sensor, link, 10)
     assert 0.05 < light_n <= sensor.scan_noise_n < 0.4
+
+
+@pytest.mark.parametrize(("noise", "alone"), [(False, True), (True, False)])
+def test_the_force_of_quiet_frames_is_that_of_one_frame_and_of_noisy_ones_the_mean(
+    noise: bool, alone: bool
+) -> None:
+    link = Frames()
+    link.noise = noise
+    sensor = TactileSensor(link, CALIBRATION, clock=link)
+    force = GripForce(sensor, ForceSample)
+    sensor.start()
+    sensor.tare()
+    sensor.refresh()
+    link.press(4.0, "blob")
+    readings(sensor, link, 1)
+    reading, sample = sensor.latest, force.latest_force()
+    assert sample is not None
+    assert reading is not None
+    assert sample.force_n == (reading.scan_force_n if alone else reading.finger_force_n)
+    if alone:
+        assert sample.noise_n == sensor.scan_noise_n < 0.02
+        assert sample.lag_s == reading.frame.t_s - reading.frame.scanned_s
 
 
 def test_messages_that_differ_from_the_frames_are_a_fault_with_both_numbers() -> None:

@@ -8,7 +8,9 @@ from gripper.errors import (
     ForceAboveCap,
     LimitExceeded,
 )
+from gripper.force.estimates.force_estimate import ForceEstimate
 from gripper.force.ramp import ForceRamp
+from gripper.settings import ForceLoopSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
 from tests.gripper.force.pads import WrongPads
@@ -20,6 +22,14 @@ def test_friction_that_breaks_on_a_short_lever_is_no_jump_of_the_zero(make_cell,
     cell.gripper.start()
     outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=1.0, hold_s=0.5))
     assert outcome.result is GraspResult.FORCE_REACHED
+
+
+def test_growth_just_after_friction_has_broken_is_no_jump() -> None:
+    estimate = ForceEstimate(ForceLoopSettings(), force_n=4.0, now_s=0.0)
+    estimate.move(0.02, 4.2, doubt_n=0.4)
+    sample = ForceSample(t_s=0.06, force_n=(5.4, 5.4), lag_s=0.005, noise_n=0.04)
+    assert not estimate.jumps(sample, 1.2, 4.2, 3.7)
+    assert estimate.jumps(replace(sample, t_s=0.09), 1.2, 4.2, 3.7)
 
 
 @pytest.mark.parametrize("rate_hz", [None, 500.0])
