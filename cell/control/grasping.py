@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import inf
+from statistics import fmean
 from typing import TypeVar
 
 import numpy as np
@@ -39,14 +40,14 @@ from cell.data.grasp_limits import text_refused
 from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
 from cell.hand.interface import Hand, OnPeriod
 from gripper.clock import Clock
-from gripper.dynamixel.drive import DriveReport
+from gripper.dynamixel.drive import DriveReport, pad_gain
 from gripper.dynamixel.models import MODELS
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.kinematics import Linkage
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import Cycle
-from recognition.drift.self_zero import ZeroMeasurement, measure_zero, shows_part
+from recognition.drift.self_zero import ZeroMeasurement, anchored, measure_zero, shows_part
 from recognition.grasp import CELL_SOURCE, PadArray, SelfZero
 from recognition.recognizers.early_classifiers import EarlyDecider
 from tactile.source import TactileFrame
@@ -101,6 +102,7 @@ class Grasper:
         self._held: tuple[NDArray[np.float64], HeldPart] | None = None
         self._last_start_ms = 0
         self._opening_step_m = _opening_step_m(self.config.linkage, self._gripper)
+        self._catalogue_n_a = _catalogue_n_a(self.config.linkage, self._gripper)
         self._catalogue_n, self._noted_n = self.config.largest_ramp_n, inf
         self._patient = PatientCaller(self.clock, self.hand.period_s)
         self.pads: PadArray = pad_array(self.hand.layout)
@@ -284,7 +286,7 @@ class Grasper:
         try:
             found = measure_zero(
                 collector.grasp(),
-                collector.current_a,
+                collector.pads_n,
                 layout.gripping_pads,
                 step_m=self._opening_step_m,
             )
@@ -299,6 +301,8 @@ class Grasper:
             self.take_zero(n_frames)
 
     def _kept_zero(self, found: ZeroMeasurement) -> ZeroMeasurement:
+        gain = pad_gain(list(self.note_drives().drives.values()))
+        found = anchored(found, self._catalogue_n_a, gain.log_gain, gain.log_sd)
         self.zeros.keep(found.zero)
         self.journal.note("self_zero", zero_text(found))
         if self.zeros.unkept:
@@ -442,4 +446,13 @@ def _opening_step_m(linkage: Linkage, gripper: GripperConfig) -> float:
     return sum(
         linkage.opening_per_rad_m(closed_rad) * MODELS[servo.model].rad_per_pulse
         for closed_rad, servo in zip(linkage.angles_rad(0.0), gripper.servos, strict=True)
+    )
+
+
+def _catalogue_n_a(linkage: Linkage, gripper: GripperConfig) -> float:
+    """Return the grip force in N of closed fingers for each A, by the catalogue's constants."""
+    radii_m = map(linkage.effective_radius_m, linkage.angles_rad(0.0))
+    return fmean(
+        MODELS[servo.model].kt_nm_a / radius_m
+        for servo, radius_m in zip(gripper.servos, radii_m, strict=True)
     )

@@ -38,7 +38,7 @@ def pressed(
     dead: tuple[int, ...] = (),
     seed: int = 0,
 ) -> tuple[Grasp, np.ndarray]:
-    """Return frames of two pads that press on each other, and the current at each."""
+    """Return frames of two pads that press on each other, and the force by their law at each."""
     rng = np.random.default_rng(seed)
     way_mm = np.r_[np.linspace(10.0, 1.5, 20), np.linspace(0.0, -0.6, 50) + 0.05]
     reach_mm = XY_MM @ np.array(tilt)
@@ -62,8 +62,8 @@ def pressed(
 
 
 def measured(**changes: Any) -> ZeroMeasurement:
-    grasp, current_a = pressed(**changes)
-    return measure_zero(grasp, current_a, (0, 1), step_m=STEP_M)
+    grasp, pads_n = pressed(**changes)
+    return measure_zero(grasp, pads_n, (0, 1), step_m=STEP_M)
 
 
 @pytest.mark.parametrize(
@@ -104,12 +104,12 @@ def test_dead_taxels_are_named() -> None:
     ],
 )
 def test_what_shows_no_zero_is_refused(change: dict[str, Any], says: str) -> None:
-    grasp, current_a = pressed()
+    grasp, pads_n = pressed()
     values = {name: getattr(grasp, name) for name in ("pads", "counts", "t_s", "aperture_m")}
     with pytest.raises(ValueError, match=says):
         measure_zero(
             Grasp(**(values | {"force_n": grasp.force_n} | change)),
-            current_a,
+            pads_n,
             (0, 1),
             step_m=STEP_M,
         )
