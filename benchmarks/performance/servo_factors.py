@@ -39,8 +39,9 @@ TAUGHT, IDENTIFIED, FIRST = 6, 4, 3
 
 COLD_C, FASTER = 5.0, 10.0
 """Temperature of cold servos in degrees Celsius, and factor on the speed of its changes."""
-HELD_N, HELD_S, SETTLED_S = 5.0, 2.0, 0.3
-"""Force of each hold in N, its duration in s, and time in s after which its force counts."""
+GRIPPED_N, HELD_S, SETTLED_S = 5.0, 2.0, 0.3
+"""Force of each grip in N, and time in s for which the part is held then with the force of a carry,
+which counts after a part of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +120,7 @@ def warm_up(*, gearing: str = "ideal", duration_s: float = 3600.0) -> None:
     """Print the temperature and the force of grips of a cell whose servos start cold."""
     keys = {"servos.gearing": gearing, "faults": [f"servos.cold={COLD_C:g}degC"]}
     config = changed_config(CellConfig(), {f"simulator.{key}": keys[key] for key in keys})
-    last_s, worst_n = 0.0, 0.0
+    held_n, last_s, worst_n = config.sequence.carry_force_n, 0.0, 0.0
     with simulation_of(config) as simulated:
         motors = simulated.devices.mechanics.motors
 
@@ -137,16 +138,16 @@ def warm_up(*, gearing: str = "ideal", duration_s: float = 3600.0) -> None:
             while last_s < duration_s / FASTER:
                 controller.present(config.simulator.objects[0].label)
                 begin_c = motors[0].temperature_c
-                controller.grip(HELD_N, Pose())
+                controller.grip(GRIPPED_N, Pose())
                 begin_s, forces_n = last_s, []
                 while last_s < begin_s + HELD_S:
                     controller.tick()
                     if last_s > begin_s + SETTLED_S:
                         forces_n.append(fmean(simulated.world.contact_force_n()))
                 controller.release()
-                worst_n = max(worst_n, *(abs(force_n - HELD_N) for force_n in forces_n))
+                worst_n = max(worst_n, *(abs(force_n - held_n) for force_n in forces_n))
                 where = f"{FASTER * begin_s / 60.0:4.1f} min, {begin_c:.1f} C"
-                line(where, f"{min(forces_n):.2f} to {max(forces_n):.2f} N of {HELD_N:g}")
+                line(where, f"{min(forces_n):.2f} to {max(forces_n):.2f} N of {held_n:g}")
     line("warm-up", f"largest error of the force {worst_n:.2f} N")
 
 

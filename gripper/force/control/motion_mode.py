@@ -184,7 +184,8 @@ class MotionMode(Mode):
         elif self._locked:
             self._locked = False
             observer.open_from(grip.drive_n, friction_n)
-        if arrived:
+        # Fingers that still open after the longest time must be locked too.
+        if arrived or (self.over and self._falls):
             push_n = sign * band_n if stands else 0.0
         push_n = sign * max(sign * push_n, -band_n)
         drive_max_n = period.drive_max_n - period.inertia_n
