@@ -178,7 +178,7 @@ def anchored(
 def drawn_zero(opening_m: float = 0.0, opening_sd_m: float = _DRAWN_SD_M) -> SelfZero:
     """Return the self-zero for grasps of a drawing, from an opening and its deviation in m.
 
-    Both pads have the same gain. Counts for current and travel, and so the gain, are unknown.
+    Both pads have the same gain. Counts for force and travel, and so the gain, are unknown.
     """
     return SelfZero(
         opening_m=opening_m,

@@ -127,7 +127,7 @@ class MotionMode(Mode):
         return grip.quiet_n
 
     def _friction_n(self, period: Period) -> float:
-        """Return the friction in N at the present speed; on the way down the load loses some too."""
+        """Return the friction in N at the present speed; on a way down the load loses some too."""
         held_n = (1.0 - 1.0 / period.relief) * max(0.0, self.observer.force_n)
         fingers = 2 / len(period.paths)
         friction_n = fmean(
