@@ -47,9 +47,8 @@ def _refuse_shadows() -> None:
         found = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
         if found is not None and found != home / name / "__init__.py":
             raise ImportError(
-                f"{found} hides the package {name!r} of tactile-cell, which is in {home}: both are "
-                f"called {name!r} and the other one comes first on sys.path; rename it, or start "
-                "the program in another folder"
+                f"{found} hides the package {name!r} of tactile-cell in {home}: it comes first on "
+                "sys.path; rename it, or start the program in another folder"
             )
 
 

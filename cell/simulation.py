@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import ExitStack, suppress
+from dataclasses import asdict
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -400,10 +401,10 @@ class InProcessPlacer:
     def place(self, label: str, pose: Pose) -> Pose:
         """Place an object and return where it came to rest. Raises PositionerError."""
         try:
-            reached = self._cell.place(label, ObjectPose(**pose.as_dict()))
+            reached = self._cell.place(label, ObjectPose(**asdict(pose)))
         except SimulatorError as error:
             raise PositionerError(f"{label} cannot be placed at {pose}: {error}") from error
-        return Pose(**{name: getattr(reached, name) for name in pose.as_dict()})
+        return Pose(**{name: getattr(reached, name) for name in asdict(pose)})
 
 
 def capture_traffic(cell: SimulatedCell | None, path: Path, undo: ExitStack) -> None:

@@ -3,7 +3,7 @@
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -24,11 +24,13 @@ _SAME_PLACE_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Numbers:
+class Numbers:
+    """Base of records of numbers, which files keep as rows."""
+
     @property
     def values(self) -> tuple[float, ...]:
         """The numbers in the order of the fields."""
-        return tuple(getattr(self, one.name) for one in fields(self))
+        return astuple(self)
 
     @classmethod
     def from_values(cls, values: Sequence[float]) -> Self:
@@ -38,7 +40,7 @@ class _Numbers:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GraspCommand(_Numbers):
+class GraspCommand(Numbers):
     """Commanded pose and force of one grasp; the pose that was reached may differ.
 
     Raises
@@ -65,7 +67,7 @@ class GraspCommand(_Numbers):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SelfZero(_Numbers):
+class SelfZero(Numbers):
     """Measurements of the empty fingers of a cell pressed on each other; logarithms are natural.
 
     Raises

@@ -60,6 +60,12 @@ class Posterior:
         """The likeliest of the taught labels."""
         return self.labels[int(np.argmax(self.probability))]
 
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Probability of each taught label and, last, of ``UNKNOWN``; they sum to 1."""
+        known = ((1.0 - self.unknown) * self.probability).tolist()
+        return {**dict(zip(self.labels, known, strict=True)), UNKNOWN: self.unknown}
+
     @classmethod
     def uninformed(cls, labels: tuple[str, ...]) -> "Posterior":
         """Return the posterior of a grasp without evidence: even probabilities, unknown is 1."""

@@ -215,14 +215,14 @@ def taxel_order(layout: TaxelLayout, mounts: Sequence[PadMount]) -> NDArray[np.i
     Parameters
     ----------
     mounts
-        Pads that sit otherwise; the others sit as the layout has them.
+        Pads mounted differently than in the layout.
     """
     by_pad = {mount.pad: mount for mount in mounts}
     places = [by_pad[pad].sent_as if pad in by_pad else pad for pad in range(layout.n_pads)]
     if len(by_pad) < len(mounts) or sorted(places) != list(range(layout.n_pads)):
         raise LayoutError(
             f"mounts of layout {layout.name}: the pads 0 to {layout.n_pads - 1} are sent as "
-            f"{places}; each must exist, and stand there once"
+            f"{places}; name each pad once"
         )
     order = np.arange(layout.n_taxels)
     for mount in by_pad.values():

@@ -81,7 +81,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
             for turn in range(rounds * len(labels)):
                 spent_s.clear()
                 held = labels[turn % len(labels)]
-                found = identify(controller, model, held=held, seed=1000 + turn, keep=keep)
+                found = identify(controller, model, presented=held, seed=1000 + turn, keep=keep)
                 took_s = dict(spent_s) | {"computing": answers(found)}
                 alone_s = max(0.0, took_s["computing"] - sum(spent_s[name] for name in beside))
                 totals_s.append(sum(spent_s.values()) + alone_s)
@@ -101,7 +101,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
         tally, feed = Tally(places=Places(config, labels)), simulated_feed(config, 5 * rounds)
         started_s = clock.monotonic()
         sort_parts(controller, model, tally, n_parts=len(feed), feed=feed.__getitem__)
-        part_s = (clock.monotonic() - started_s) / max(1, len(tally.parts))
+        part_s = (clock.monotonic() - started_s) / max(1, tally.n_parts)
         line("sort", f"{3600.0 / part_s:.0f} parts an hour, {part_s:.2f} s a part, n = {len(feed)}")
 
 

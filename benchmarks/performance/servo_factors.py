@@ -100,7 +100,7 @@ def job(
                 model.train()
                 for seed in range(IDENTIFIED * len(labels)):
                     held = labels[seed % len(labels)]
-                    found = identify(controller, model, held=held, seed=1000 + seed)
+                    found = identify(controller, model, presented=held, seed=1000 + seed)
                     right += found.label == held
                     records += found.records
             except (CellError, GripperError, TactileError) as caught:

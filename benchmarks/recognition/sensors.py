@@ -78,7 +78,7 @@ def row(case: str, effort: float) -> str:
         names, took_s = Counter[str](), list[float]()
         for turn in range(repeats(_N_NAMED, effort) * len(labels)):
             label, start_s = labels[turn % len(labels)], clock.monotonic()
-            found = identify(controller, model, held=label, seed=1000 + turn, keep=Keep.NEVER)
+            found = identify(controller, model, presented=label, seed=1000 + turn, keep=Keep.NEVER)
             took_s.append(clock.monotonic() - start_s)
             names[{label: "right", UNKNOWN: UNKNOWN}.get(found.label, "wrong")] += 1
         frames = controller.hand.statistics.source.frames

@@ -2,10 +2,9 @@
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from cell.archive.store import Archive, StagedFile
 from cell.archive.table import Row, dataset_rows, recording_rows, tables
@@ -45,10 +44,6 @@ class Ingested:
     """Added grasps, and grasps of added files that another file had already added."""
     left: dict[str, str] = field(default_factory=dict)
     """Files that are left for the next run, with the reason."""
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the output of ``--json``."""
-        return asdict(self)
 
 
 def sources(places: Sequence[Path]) -> list[Path]:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -130,16 +130,7 @@ def recording_rows(recording: Recording, cell: str = "") -> list[Row]:
 def _answers(recording: Recording) -> dict[int, dict[str, Any]]:
     """Return the columns of the identifications, by the index of the grasp in the recording."""
     found: dict[int, dict[str, Any]] = {}
-    begin_s = -np.inf
-    for part, row in enumerate(recording.results):
-        met = [
-            i
-            for i, (grasp, t_s) in enumerate(
-                zip(recording.grasps, recording.grasp_t_s, strict=True)
-            )
-            if begin_s < t_s <= row["t_s"] and not grasp.label
-        ][-max(1, int(row["n_grasps"])) :]
-        begin_s = row["t_s"]
+    for part, (row, met) in enumerate(recording.identified):
         singles, shapes = row.get("grasp_answers", []), row.get("grasp_shapes", [])
         for place, i in enumerate(met):
             shape = shapes[place] if len(shapes) == len(met) else row.get("shape", {})
@@ -230,13 +221,9 @@ def _plain(grasp: Grasp) -> dict[str, Any]:
         "taught": bool(grasp.label),
         "shape": grasp.shape,
         "thickness_m": grasp.thickness_m,
-        "asked": _struct(COMMAND_COLUMNS, grasp.command),
-        "zero": _struct(ZERO_COLUMNS, grasp.zero),
+        "asked": grasp.command and asdict(grasp.command),
+        "zero": grasp.zero and asdict(grasp.zero),
     }
-
-
-def _struct(names: Sequence[str], row: GraspCommand | SelfZero | None) -> dict[str, float] | None:
-    return None if row is None else dict(zip(names, row.values, strict=True))
 
 
 def _described(grasps: Sequence[Grasp], rest: Rest | None) -> list[dict[str, Any]]:

@@ -151,9 +151,9 @@ class CellConfig(Section):
         contact_n = self.gripper.contact_force_n
         if self.sequence.regrasp == "none" and least_n < 3.0 * contact_n:
             raise ValueError(
-                f"sequence asks for {least_n:g} N; with sequence.regrasp none a further ramp "
-                f"begins at twice gripper.contact_force_n = {contact_n:g} N: ask for at least "
-                f"{3.0 * contact_n:g} N"
+                f"sequence asks for {least_n:g} N; with sequence.regrasp none it needs at least "
+                f"{3.0 * contact_n:g} N, three times gripper.contact_force_n: a further ramp "
+                "begins at twice this force"
             )
         carry_n = self.sequence.carry_force_n
         if not self.gripper.contact_force_n <= carry_n <= allowed_n:
@@ -236,9 +236,9 @@ class CellConfig(Section):
         period_ms = 1e3 * tactile.frame_period_s
         if not tactile.sends_forces and gripper.force_stale_ms < 2.5 * period_ms:
             raise ValueError(
-                f"gripper.force_stale_ms is {gripper.force_stale_ms:g}: without force messages it "
-                f"must be at least 2.5 periods of the frames (tactile.sync_period_ms), which come "
-                f"every {period_ms:g} ms; raise the limit or lower the period"
+                f"gripper.force_stale_ms is {gripper.force_stale_ms:g}; without force messages the "
+                f"least is {2.5 * period_ms:g}, 2.5 periods of the frames: raise it, or lower "
+                "tactile.sync_period_ms"
             )
 
     def _check_closing(self) -> None:

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TypeVar
 
 from cell.config.model import CellConfig
+from cell.control.answer import Verification
 from cell.control.grasping import NOTHING_HELD, Grasper
 from cell.control.identification import (
     Identification,
@@ -13,7 +15,7 @@ from cell.control.identification import (
     grasp_and_classify,
 )
 from cell.control.journal import Journal
-from cell.control.keeping import HeldCheck, Judge, Keep
+from cell.control.keeping import Judge, Keep
 from cell.control.lifecycle import ON_REQUEST, CellLifecycle
 from cell.control.live import FRESH_S, LiveValues, live_values
 from cell.control.plan import GraspStep, Pose
@@ -472,7 +474,7 @@ class CellController:
         self._check_found(record)
         return record
 
-    def verify(self) -> HeldCheck:
+    def verify(self) -> Verification:
         """Measure whether the part in the grip is still the kept one; it stays there.
 
         Raises
@@ -603,7 +605,7 @@ class CellController:
             self._grasper.check(step)
             return self._grasp(step, early_checks, judge)
 
-        result = grasp_and_classify(
+        found = grasp_and_classify(
             grasp,
             recognizer,
             steps,
@@ -615,8 +617,9 @@ class CellController:
             on_grasp=on_grasp,
             execute=self._start_answer,
         )
-        self._journal.result(result)
-        return result
+        found = replace(found, presented=self.brought or "")
+        self._journal.result(found)
+        return found
 
     def remark(self, kind: str, text: str) -> None:
         """Write a message for the operator into the recording."""

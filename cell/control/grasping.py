@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from cell.config.gripper import GripperConfig
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
+from cell.control.answer import Verification
 from cell.control.journal import Journal
 from cell.control.keeping import (
     HELD_LOOK_S,
-    HeldCheck,
     HeldPart,
     Judge,
     compared,
@@ -177,7 +177,7 @@ class Grasper:
             self._held = (zero, self._look_at_held(zero))
         return record
 
-    def verify(self) -> HeldCheck:
+    def verify(self) -> Verification:
         """Measure the held part once more and compare it with what was kept."""
         if self._held is None:
             raise CellStateError("no part is kept: identify with `keep` first")

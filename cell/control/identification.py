@@ -1,15 +1,16 @@
 """The grasp-then-classify sequence: grasp, classify, then stop or grasp again."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
+from cell.control.answer import Answer
 from cell.control.keeping import Judge, Keep, PartDecision
 from cell.control.plan import GraspStep
 from cell.control.records import GraspRecord
 from cell.fault_catalogue import error_text
-from recognition.drift.grid import DriftFollowing, DriftGrid
+from recognition.drift.grid import DriftFollowing
 from recognition.grasp import Grasp
-from recognition.recognizer import UNKNOWN, Posterior, Recognizer
+from recognition.recognizer import Posterior, Recognizer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
 from recognition.shape.answer import ShapeAnswer
 from recognition.shape.fusion import fuse_shapes
@@ -26,44 +27,30 @@ ReadShape = Callable[[Grasp], ShapeAnswer | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Identification:
-    """The answer of one grasp-then-classify sequence."""
+class Identification(Answer):
+    """The answer of one grasp-then-classify sequence, with all its grasps: megabytes."""
 
-    label: str
-    """A taught label, or ``UNKNOWN``."""
-    probability: float
-    """Probability of the label after all grasps, given that the object was taught. For ``UNKNOWN``
-    the probability that it was not taught. The stop rule uses it; see also `probabilities`."""
     decision: Decision
-    """Why the sequence ended."""
+    """Why the sequence ended. Its probability is that of the label, given that the object was
+    taught; for ``UNKNOWN`` that of not being the likeliest object. The stop rule uses it."""
     posteriors: tuple[Posterior, ...]
     """Answer to each grasp by itself, in order."""
     fused: Posterior
     """Answer to all grasps together."""
     records: tuple[GraspRecord, ...]
     """The grasps."""
-    drift: DriftGrid | None = None
-    """The sensor drift assumed for the answer; None if the recogniser does not follow drift."""
     complaints: tuple[str, ...] = ()
     """Errors of the callback, early checks and shape fits; they do not end the sequence."""
     shapes: tuple[ShapeAnswer | None, ...] = ()
     """Shape and size by each grasp, in order; None if its pads do not show them. Empty if not
     requested."""
-    shape: ShapeAnswer | None = None
-    """Shape and size by all grasps together; None if no grasp shows them."""
-    remark: str = ""
-    """Message for the operator, for example about sensor drift; or empty."""
-    kept: bool = False
-    """Whether the part is still in the grip, for the host."""
 
     @property
-    def probabilities(self) -> dict[str, float]:
-        """Probability of each taught label and, last, of ``UNKNOWN``; they sum to 1."""
-        known = (1.0 - self.fused.unknown) * self.fused.probability
-        return {
-            **dict(zip(self.fused.labels, known.tolist(), strict=True)),
-            UNKNOWN: self.fused.unknown,
-        }
+    def answer(self) -> Answer:
+        """The answer without the grasps; without a remark of its own it has that of a ramp."""
+        shorts = (record.outcome.short for record in self.records)
+        known = {one.name: getattr(self, one.name) for one in fields(Answer)}
+        return Answer(**known | {"remark": self.remark or next(filter(None, shorts), "")})
 
 
 OnGrasp = Callable[[int, GraspRecord, Posterior, ShapeAnswer | None], None]
@@ -151,13 +138,15 @@ class SequenceAnswers:
 
     def identification(self, *, kept: bool) -> Identification:
         """Return the answer of the sequence."""
-        shape = self._fused_shape()
+        shape, fused = self._fused_shape(), fuse(self.posteriors)
         return Identification(
             label=self.decision.label,
-            probability=self.decision.probability,
+            probabilities=fused.probabilities,
+            n_grasps=len(self.records),
+            n_ended_early=sum(record.early is not None for record in self.records),
             decision=self.decision,
             posteriors=tuple(self.posteriors),
-            fused=fuse(self.posteriors),
+            fused=fused,
             records=tuple(self.records),
             drift=self.recognizer.grid if isinstance(self.recognizer, DriftFollowing) else None,
             complaints=tuple(self._complaints),

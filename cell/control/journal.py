@@ -122,12 +122,12 @@ class Journal:
             self.note("callback", text)
         values: dict[str, Any] = {
             "label": found.label,
-            "probability": float(found.probability),
+            "probability": found.decision.probability,
             "labels": list(found.fused.labels),
             "probabilities": found.fused.probability.tolist(),
             "unknown": float(found.fused.unknown),
-            "n_grasps": len(found.records),
-            "n_ended_early": sum(record.early is not None for record in found.records),
+            "n_grasps": found.n_grasps,
+            "n_ended_early": found.n_ended_early,
             "grasp_answers": [
                 {
                     "probabilities": one.probability.tolist(),
@@ -137,8 +137,8 @@ class Journal:
                 for one in found.posteriors
             ],
         }
-        if self.brought is not None:
-            values["held"] = self.brought
+        if found.presented:
+            values["held"] = found.presented
         if found.shape is not None:
             values["shape"] = shape_values(found.shape)
         if found.shapes:

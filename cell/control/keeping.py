@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.control.answer import Verification
 from cell.control.plan import GraspStep
 from cell.control.records import GraspCollector, GraspRecord
 from recognition.grasp import Grasp
@@ -79,22 +80,6 @@ class HeldPart:
     """Sum over the taxels of the variance of the mean, in counts squared."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HeldCheck:
-    """Comparison of the part in the grip with the kept part."""
-
-    held: bool
-    """Whether the pads are loaded."""
-    same: bool | None
-    """Whether opening and footprint are unchanged; None if nothing is held."""
-    force_n: float
-    """Grip force in N."""
-    opening_m: float
-    """Opening between the pads in m."""
-    reasons: tuple[str, ...] = ()
-    """What differs, with value and limit."""
-
-
 def measure_held_part(collector: GraspCollector, zero: NDArray[np.float64]) -> HeldPart:
     """Return the measurement of a held part from the collected periods.
 
@@ -116,7 +101,7 @@ def open_counts(grasp: Grasp) -> NDArray[np.float64]:
     return first
 
 
-def compared(now: HeldPart, then: HeldPart) -> HeldCheck:
+def compared(now: HeldPart, then: HeldPart) -> Verification:
     """Return whether a held part, measured now, is still the kept one."""
     least_n = _HELD_SHARE * then.force_n
     held = now.force_n >= least_n
@@ -137,7 +122,7 @@ def compared(now: HeldPart, then: HeldPart) -> HeldCheck:
             f"the similarity to the kept footprint is {likeness:.2f}; it must be at least "
             f"{_LIKENESS:g}"
         )
-    return HeldCheck(
+    return Verification(
         held=held,
         same=not reasons if held else None,
         force_n=now.force_n,

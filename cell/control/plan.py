@@ -33,10 +33,6 @@ class Pose:
             if not math.isfinite(value):
                 raise ValueError(f"pose has {name} = {value}; give a finite number")
 
-    def as_dict(self) -> dict[str, float]:
-        """Return the pose as plain numbers, keys with units."""
-        return asdict(self)
-
     @classmethod
     def of_mm(cls, x_mm: float, y_mm: float, rotation_deg: float, roll_deg: float) -> Self:
         """Return a pose from lengths in mm and angles in degrees, the units of the config."""
@@ -67,7 +63,7 @@ class GraspStep:
     @property
     def command(self) -> GraspCommand:
         """Pose and force in the form that a grasp stores."""
-        return GraspCommand(**self.pose.as_dict(), force_n=self.force_n)
+        return GraspCommand(**asdict(self.pose), force_n=self.force_n)
 
 
 def _levels(low: float, high: float, count: int) -> list[float]:

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Protocol, TypeVar
 
 from cell.control.plan import Pose
@@ -171,9 +171,9 @@ class SocketPlacer:
 
     def place(self, label: str, pose: Pose) -> Pose:
         """Place an object in the other process; see `ObjectPlacer`."""
-        reply = self.ask({"place": label, "pose": pose.as_dict()})
+        reply = self.ask({"place": label, "pose": asdict(pose)})
         try:
-            return Pose(**{name: float(reply["pose"][name]) for name in pose.as_dict()})
+            return Pose(**{name: float(reply["pose"][name]) for name in asdict(pose)})
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise PositionerError(
                 f"the simulated cell at {self._path} answers without a pose: {error}"

@@ -231,7 +231,7 @@ class SelfZeros:
         kept = {
             "measured_s": self.measured_s,
             "hand": self._kept_hand,
-            "zero": None if self._last is None else zero_values(self._last),
+            "zero": None if self._last is None else asdict(self._last),
             "drives": {str(servo_id): kept for servo_id, kept in self.drives.items()},
         }
         try:
@@ -325,11 +325,6 @@ def dead_taxels_text(found: ZeroMeasurement, layout: TaxelLayout) -> str:
         for pad in (int(layout.taxel_pad[taxel]),)
     )
     return f"{len(found.dead)} taxels measure nothing although their neighbours do: {places}"
-
-
-def zero_values(zero: SelfZero) -> dict[str, float]:
-    """Return a self-zero as plain data, by the names of its numbers."""
-    return dict(zip(ZERO_COLUMNS, zero.values, strict=True))
 
 
 def _mm(opening_m: float) -> str:

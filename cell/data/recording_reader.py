@@ -2,6 +2,7 @@
 
 from array import array
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Self
@@ -96,6 +97,17 @@ class Recording:
     """Whether the file was closed and nothing in it is damaged."""
     lost_reason: str = ""
     """Why it is not complete, or empty."""
+
+    @property
+    def identified(self) -> Iterator[tuple[dict[str, Any], list[int]]]:
+        """Each result with the indices of its grasps, the newest unlabelled ones before it."""
+        begin_s = -np.inf
+        for row in self.results:
+            end_s = float(row["t_s"])
+            met = [i for i, t_s in enumerate(self.grasp_t_s) if begin_s < t_s <= end_s]
+            begin_s = end_s
+            n_grasps = max(1, int(row["n_grasps"]))
+            yield row, [i for i in met if not self.grasps[i].label][-n_grasps:]
 
 
 def read_recording(path: Path | str) -> Recording:

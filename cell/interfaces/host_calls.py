@@ -120,7 +120,7 @@ class Calls:
         -1: stop once. A pressed button repeats 1 within each `serve.lease_timeout_s`.
         """
         who = " ".join(filter(None, (self._interface, CLIENT.get(), str(name)[:60])))
-        self._service.hold_as(who, None if latch < 0 else bool(latch))
+        self._service.stop_as(who, None if latch < 0 else bool(latch))
         return 0
 
     def next_job(self) -> int:

@@ -252,12 +252,13 @@ class WebInterface(WebServer):
 
     def jobs(self) -> list[dict[str, Any]]:
         """List the newest jobs, oldest first."""
-        return [plain_data(asdict(job)) for job in self._service.jobs()]
+        found: list[dict[str, Any]] = plain_data(self._service.jobs())
+        return found
 
     def job(self, number: int) -> dict[str, Any]:
         """One job: outcome, progress, answer."""
         try:
-            found: dict[str, Any] = plain_data(asdict(self._service.job(number)))
+            found: dict[str, Any] = plain_data(self._service.job(number))
         except RequestRefused as error:
             raise HTTPException(404, str(error)) from error
         return found
@@ -363,5 +364,5 @@ class WebInterface(WebServer):
         ``latch=false``. A pressed button repeats it within each serve.lease_timeout_s.
         """
         host = "" if request.client is None else request.client.host
-        self._service.hold_as(f"HTTP {host} {name}".rstrip(), latch)
+        self._service.stop_as(f"HTTP {host} {name}".rstrip(), latch)
         return {"state": self._service.status().state, "held_by": self._service.held_by}

@@ -1,8 +1,7 @@
 """Comparison of two models on the same grasps: paired, with an interval."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from cell.errors import CellError
 from cell.learning.blas import one_blas_thread
@@ -28,10 +27,6 @@ class Comparison:
     difference: float
     interval: tuple[float, float]
     """How many more the second one names rightly, as a share, and its 95 % interval (paired)."""
-
-    def as_json(self) -> dict[str, Any]:
-        """Return what ``--json`` writes."""
-        return asdict(self)
 
 
 @one_blas_thread()

@@ -64,30 +64,15 @@ class EvaluationResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
-        return {
-            "split": self.split,
-            "n_train": self.n_train,
-            "n_test": self.n_test,
-            "labels": self.labels,
-            "seconds": round(self.seconds, 2),
-            "default": self.default,
+        names = ("split", "n_train", "n_test", "labels", "seconds", "default", "left_out")
+        gauged = {"label": self.gauge, "n_grasps": self.n_gauged}
+        return {name: getattr(self, name) for name in names} | {
             "drift": drift_values(self.drift),
-            "gauge": None
-            if self.gauged is None
-            else {
-                "label": self.gauge,
-                "n_grasps": self.n_gauged,
-                **drift_values(self.gauged.drift),
-            },
-            "left_out": self.left_out,
+            "gauge": self.gauged and gauged | drift_values(self.gauged.drift),
             "recognizers": {
-                name: _figures(figures.full)
-                | {
-                    "without_aperture": None
-                    if figures.without_aperture is None
-                    else _figures(figures.without_aperture)
-                }
-                for name, figures in self.recognizers.items()
+                name: _figures(one.full)
+                | {"without_aperture": one.without_aperture and _figures(one.without_aperture)}
+                for name, one in self.recognizers.items()
             },
         }
 
@@ -173,7 +158,7 @@ def evaluate_recognizers(
         n_train=min(len(taught) for taught, _ in parts),
         n_test=sum(len(test) for _, test in parts),
         labels=tuple(sorted({grasp.label for taught, _ in parts for grasp in taught})),
-        seconds=time.monotonic() - started_s,
+        seconds=round(time.monotonic() - started_s, 2),
         default=DEFAULT_TRAINER,
         recognizers=figures,
         left_out=left_out,

@@ -1,8 +1,7 @@
 """Identification: of the object in a cell, or of recorded grasps, with a taught model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,37 +16,12 @@ from cell.learning.model import LoadedModel, check_pads
 from cell.learning.taught_model import TaughtModel
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
+from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordedAnswer:
-    """Answer to one recorded grasp."""
-
-    number: int
-    """Index of the grasp in its file, from 0."""
-    label: str
-    probability: float
-    """The answer and its probability."""
-    unknown: float
-    """Probability that the object was never taught."""
-    truth: str
-    """Label in the file, or empty."""
-    drift: DriftGrid | None = None
-    """The drift assumed for the answer; None if drift is not followed."""
-    shape: ShapeAnswer | None = None
-    """Shape and size; None if not requested, or if the pads do not show them."""
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the answer as plain data."""
-        return {
-            "grasp": self.number,
-            "label": self.label,
-            "probability": self.probability,
-            "unknown": self.unknown,
-            "truth": self.truth or None,
-            "shape": None if self.shape is None else self.shape.as_dict(),
-        } | ({} if self.drift is None else {"drift": self.drift.values})
+AnsweredGrasp = tuple[Posterior, ShapeAnswer | None, DriftGrid | None]
+"""Answer to one recorded grasp, its shape and size, and the drift that it assumes; None: shape or
+drift are not requested, or the pads do not show the shape."""
 
 
 @one_blas_thread()
@@ -57,7 +31,7 @@ def identify_recorded(
     *,
     follow: bool = False,
     read_shape: ReadShape | None = None,
-) -> list[RecordedAnswer]:
+) -> list[AnsweredGrasp]:
     """Answer each recorded grasp, in the order of the file.
 
     With ``follow`` they are answered in the order of time, and the drift is followed from grasp to
@@ -69,7 +43,7 @@ def identify_recorded(
         raise ModelError(
             f"a model of {model.trainer_name} cannot follow a drift; train a force_ramp model"
         )
-    answers: list[RecordedAnswer] = []
+    answers: dict[int, AnsweredGrasp] = {}
     order = range(len(grasps))
     for number in sorted(order, key=lambda i: grasps[i].start_ms) if follow else order:
         grasp = grasps[number]
@@ -78,20 +52,10 @@ def identify_recorded(
         if shape is not None:
             posterior = posterior.with_size(shape.low_m, shape.high_m)
         followed = recognizer if follow and isinstance(recognizer, DriftFollowing) else None
-        answers.append(
-            RecordedAnswer(
-                number=number,
-                label=posterior.name,
-                probability=posterior.name_probability,
-                unknown=posterior.unknown,
-                truth=grasp.label,
-                drift=None if followed is None else followed.grid,
-                shape=shape,
-            )
-        )
+        answers[number] = posterior, shape, None if followed is None else followed.grid
         if followed is not None:
             recognizer = followed.follow(grasp)
-    return sorted(answers, key=lambda answer: answer.number)
+    return [answers[number] for number in order]
 
 
 @one_blas_thread()
@@ -99,7 +63,7 @@ def identify(
     controller: CellController,
     model: TaughtModel,
     *,
-    held: str | None,
+    presented: str | None,
     seed: int,
     max_grasps: int | None = None,
     force_n: float | None = None,
@@ -113,7 +77,7 @@ def identify(
 
     Parameters
     ----------
-    held
+    presented
         Object for the positioner to bring; None: the present object.
     max_grasps
         Most grasps; None: as many as the config allows.
@@ -127,7 +91,7 @@ def identify(
     recognizer, sequence = model.recognizer, model.config.sequence
     if force_n is not None:
         sequence = sequence.with_force(force_n)
-    controller.present(held)
+    controller.present(presented)
     found = controller.identify(
         recognizer,
         plan(sequence, max_grasps or sequence.max_grasps, seed=seed),

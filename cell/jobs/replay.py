@@ -3,9 +3,9 @@
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -45,10 +45,10 @@ class ReplayResult:
     """Number of tactile frames sent to the simulated control unit and received."""
     frames_equal: bool
     """Whether each received frame equals the sent one, bit for bit."""
-    difference: str
-    """The first difference, or empty."""
-    aperture_error_m: float
-    """Largest difference of a received opening in m: the servos report whole pulses."""
+    difference: str | None
+    """The first difference."""
+    aperture_error_mm: float
+    """Largest difference of a received opening in mm: the servos report whole pulses."""
     accuracy: float | None
     interval: tuple[float, float] | None
     """Share of grasps whose likeliest label is right, and its 95 % interval; None without labels to
@@ -56,21 +56,10 @@ class ReplayResult:
     n_train: int
     """Number of grasps for training; they are not replayed."""
     recognizer: str
-    unnamed: str
-    """Why no grasp was identified, or empty."""
+    unnamed: str | None
+    """Why no grasp was identified."""
     seconds: float
     """Duration in s."""
-
-    def as_json(self) -> dict[str, Any]:
-        """Return what ``--json`` writes."""
-        values = asdict(self)
-        error_mm = round(values.pop("aperture_error_m") * 1e3, 4)
-        return values | {
-            "difference": self.difference or None,
-            "aperture_error_mm": error_mm,
-            "unnamed": self.unnamed or None,
-            "seconds": round(self.seconds, 2),
-        }
 
 
 @one_blas_thread()
@@ -139,14 +128,14 @@ def replay_grasps(
         frames_sent=sum(grasp.n_frames for grasp in test_part),
         frames_received=sum(grasp.n_frames for grasp in received),
         frames_equal=not difference,
-        difference=difference,
-        aperture_error_m=_aperture_error_m(test_part, received),
+        difference=difference or None,
+        aperture_error_mm=round(1e3 * _aperture_error_m(test_part, received), 4),
         accuracy=None if right is None else right / len(test_part),
         interval=None if right is None else wilson_interval(right, len(test_part)),
         n_train=len(train_part),
         recognizer=recognizer,
-        unnamed=unnamed,
-        seconds=time.monotonic() - started_s,
+        unnamed=unnamed or None,
+        seconds=round(time.monotonic() - started_s, 2),
     )
 
 

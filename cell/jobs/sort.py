@@ -2,13 +2,14 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from cell.config.model import CellConfig
 from cell.config.sort import PlacePoseConfig
+from cell.control.answer import Answer
 from cell.control.controller import MISSES_IN_A_ROW, CellController
 from cell.control.identification import Identification
 from cell.control.keeping import Keep
@@ -58,40 +59,32 @@ def _pose(config: PlacePoseConfig | None) -> Pose | None:
     return None if config is None else Pose.of_mm(**config.model_dump())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SortedPart:
-    """One part that was brought to a place."""
-
-    number: int
-    """Its number in the sort, from 1."""
-    label: str
-    probability: float
-    """Answer of its identification."""
-    place: str
-    """Place where it was released."""
-    n_grasps: int
-    """Grasps of its identification."""
-    truth: str | None = None
-    """The true object of a simulated cell; None if not known."""
-    changed: tuple[str, ...] = ()
-    """Changes in the grip on the way, for which it was rejected; empty without any."""
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the part as plain data; ``was`` is the true object."""
-        values = asdict(self)
-        return values | {"was": values.pop("truth")}
-
-
 @dataclass(slots=True, kw_only=True)
 class Tally:
     """Counts of a sort so far, also valid if the sort ends early."""
 
     places: Places
     """The places."""
-    parts: list[SortedPart] = field(default_factory=list)
-    """The parts that were released at a place, in order."""
+    placed: Counter[tuple[str, str]] = field(default_factory=Counter)
+    """Number of parts by their true object (empty if not known) and by place."""
+    mistakes: list[dict[str, Any]] = field(default_factory=list)
+    """``number``, true object and ``place`` of each part at the place of another kind (simulated
+    cell); rejects do not count."""
     n_missed: int = 0
     """Number of turns without a part."""
+
+    def add(self, part: Answer) -> None:
+        """Count a part that was released at its place."""
+        self.placed[part.presented, str(part.place)] += 1
+        right = (self.places.of(part.presented).place, self.places.reject.place)
+        if part.presented and part.place not in right:
+            mistake = {"number": part.number, "was": part.presented, "place": part.place}
+            self.mistakes.append(mistake)
+
+    @property
+    def n_parts(self) -> int:
+        """Number of parts."""
+        return self.placed.total()
 
     @property
     def n_rejected(self) -> int:
@@ -101,49 +94,34 @@ class Tally:
     @property
     def counts(self) -> dict[str, int]:
         """Number of parts at each place."""
-        found = Counter(part.place for part in self.parts)
-        return {name: found[name] for name in self.places.names}
+        return {
+            name: sum(n for (_, place), n in self.placed.items() if place == name)
+            for name in self.places.names
+        }
 
     @property
     def share_named(self) -> float:
         """Share of the parts that have a name, the yield; NaN without a part."""
-        return 1.0 - self.n_rejected / len(self.parts) if self.parts else float("nan")
-
-    @property
-    def mistakes(self) -> tuple[SortedPart, ...]:
-        """Parts at the place of another kind (simulated cell); rejects do not count."""
-        return tuple(
-            part
-            for part in self.parts
-            if part.truth is not None
-            and part.place not in (self.places.of(part.truth).place, self.places.reject.place)
-        )
+        return 1.0 - self.n_rejected / self.n_parts if self.placed else float("nan")
 
     def matrix(self) -> dict[str, dict[str, int]]:
         """Return how many parts of each true kind lie at each place; empty on a real cell."""
-        truths = dict.fromkeys(part.truth for part in self.parts if part.truth is not None)
+        truths = dict.fromkeys(truth for truth, _ in self.placed if truth)
         return {
-            truth: {
-                place: sum(part.truth == truth and part.place == place for part in self.parts)
-                for place in self.places.names
-            }
+            truth: {place: self.placed[truth, place] for place in self.places.names}
             for truth in truths
         }
 
     def as_json(self) -> dict[str, Any]:
         """Return the counts as plain data."""
         return {
-            "n_parts": len(self.parts),
+            "n_parts": self.n_parts,
             "n_missed": self.n_missed,
             "n_rejected": self.n_rejected,
-            "share_named": self.share_named if self.parts else None,
+            "share_named": self.share_named if self.placed else None,
             "places": self.counts,
             "matrix": self.matrix(),
-            "mistakes": [
-                {"number": part.number, "was": part.truth, "place": part.place}
-                for part in self.mistakes
-            ],
-            "parts": [part.as_json() for part in self.parts],
+            "mistakes": list(self.mistakes),
         }
 
 
@@ -157,8 +135,8 @@ def sort_parts(
     seed: int = 0,
     max_grasps: int | None = None,
     force_n: float | None = None,
-    on_part: Callable[[SortedPart, Identification], None] = lambda part, found: None,
-    on_missed: Callable[[], None] = lambda: None,
+    on_part: Callable[[Answer, Identification], None] = lambda part, found: None,
+    on_missed: Callable[[], object] = lambda: None,
 ) -> None:
     """Name parts, keep each, bring it to its place, look at it once more, and let it go there.
 
@@ -170,7 +148,7 @@ def sort_parts(
     controller, model
         The started cell and its taught model.
     tally
-        Gets each released part.
+        Counts each released part.
     n_parts
         Number of turns.
     feed
@@ -200,7 +178,7 @@ def sort_parts(
             found = identify(
                 controller,
                 model,
-                held=truth,
+                presented=truth,
                 seed=seed + turn,
                 max_grasps=max_grasps,
                 force_n=force_n,
@@ -221,16 +199,17 @@ def sort_parts(
             destination = tally.places.reject
             controller.carry_to(destination)
         controller.put_down()
-        part = SortedPart(
+        part = replace(
+            found.answer,
+            task="sort",
+            kept=False,
             number=turn + 1,
-            label=found.label,
-            probability=found.probabilities[found.label],
             place=destination.place,
-            n_grasps=len(found.records),
-            truth=truth,
+            place_id=tally.places.names.index(destination.place) + 1,
             changed=check.reasons,
+            rejected=destination.place == tally.places.reject.place,
         )
-        tally.parts.append(part)
+        tally.add(part)
         on_part(part, found)
 
 

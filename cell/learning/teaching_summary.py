@@ -1,10 +1,10 @@
 """Teaching summary: how much the taught grasps vary, and what is missing."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from pydantic import Field, computed_field
+from pydantic.dataclasses import dataclass
 
 from cell.learning.blas import one_blas_thread
 from recognition.grasp import DRAWING_SOURCE, Grasp, by_label, series_of
@@ -27,23 +27,24 @@ _ENOUGH_OBJECTS = 4
 class TeachingSummary:
     """How much the taught grasps vary."""
 
-    n_objects: int
-    n_grasps: int
+    n_objects: int = Field(exclude=True)
+    n_grasps: int = Field(exclude=True)
     """Number of objects and of their grasps."""
-    few: Mapping[str, int]
+    few_grasps: Mapping[str, int]
     """Number of grasps of each object that has too few."""
-    drawn: tuple[str, ...]
+    only_drawn: tuple[str, ...]
     """Objects that were taught only from drawings."""
-    again: tuple[str, ...]
+    taught_again: tuple[str, ...]
     """Objects that were taught in several series, with a pause of an hour or more between them."""
     longest_series_s: float
     """Duration of the longest series in s."""
-    n_without_zero: int
+    without_self_zero: int
     """Grasps without a self-zero while others have one: the model then uses no self-zero."""
     opening_sd_mm: float | None
     """Standard deviation in mm of the smallest opening over the grasps of an object, the median of
     all objects; None without a known opening."""
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user: limits of this teaching, and what is missing."""
@@ -54,13 +55,13 @@ class TeachingSummary:
     @property
     def _amount_note(self) -> str:
         needs = []
-        if self.few:
-            counted = ", ".join(f"{label} {n}" for label, n in self.few.items())
+        if self.few_grasps:
+            counted = ", ".join(f"{label} {n}" for label, n in self.few_grasps.items())
             needs.append(f"{_ENOUGH_GRASPS} grasps of each object (now {counted}), better 20")
         if self.n_objects < _ENOUGH_OBJECTS:
             needs.append(f"{_ENOUGH_OBJECTS} objects (now {self.n_objects})")
-        if self.drawn:
-            needs.append(f"real grasps of drawn objects ({', '.join(self.drawn)}), or a gauge")
+        if self.only_drawn:
+            needs.append(f"real grasps of drawn objects ({', '.join(self.only_drawn)}), or a gauge")
         if not needs:
             return ""
         return (
@@ -70,7 +71,7 @@ class TeachingSummary:
 
     @property
     def _series_note(self) -> str:
-        if not self.again:
+        if not self.taught_again:
             return (
                 "each object was taught in one series, so with one individual: if a label is a "
                 "kind, for example of fruit, teach several individuals, an hour apart or later. On "
@@ -78,37 +79,25 @@ class TeachingSummary:
                 "names; measure the zero (`tactile-cell zero`) or gauge with two objects "
                 "(`tactile-cell calibrate --gauge LABEL --gauge OTHER`)"
             )
-        once = self.n_objects - len(self.again)
+        once = self.n_objects - len(self.taught_again)
         if once:
             return (
-                f"taught in several series: {', '.join(self.again)}; in one: the {once} others. "
-                "Grasps of another day are most similar to those taught on another day, so the "
-                "others may be named as one of these: teach all objects again, or omit the "
+                f"taught in several series: {', '.join(self.taught_again)}; in one: the {once} "
+                "others. Grasps of another day are most similar to those taught on another day, so "
+                "the others may be named as one of these: teach all objects again, or omit the "
                 "further series (`tactile-cell evaluate --split series` measures it)"
             )
         return ""
 
     @property
     def _zero_note(self) -> str:
-        if not self.n_without_zero:
+        if not self.without_self_zero:
             return ""
         return (
-            f"{self.n_without_zero} of {self.n_grasps} grasps have no self-zero, so the model uses "
-            "none and answers allow for any drift on another day: teach their objects again "
+            f"{self.without_self_zero} of {self.n_grasps} grasps have no self-zero, so the model "
+            "uses none and answers allow for any drift on another day: teach their objects again "
             "after a self-zero (config `self_zero`, `tactile-cell zero`)"
         )
-
-    def as_json(self) -> dict[str, Any]:
-        """Return what ``--json`` writes."""
-        return {
-            "few_grasps": dict(self.few),
-            "only_drawn": list(self.drawn),
-            "taught_again": list(self.again),
-            "without_self_zero": self.n_without_zero,
-            "longest_series_s": round(self.longest_series_s, 1),
-            "opening_sd_mm": self.opening_sd_mm,
-            "notes": list(self.notes),
-        }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,19 +156,22 @@ def summarise_teaching(grasps: Sequence[Grasp]) -> TeachingSummary:
     return TeachingSummary(
         n_objects=len(members),
         n_grasps=len(grasps),
-        few={k: len(group) for k, group in members.items() if len(group) < _ENOUGH_GRASPS},
-        drawn=tuple(
+        few_grasps={k: len(group) for k, group in members.items() if len(group) < _ENOUGH_GRASPS},
+        only_drawn=tuple(
             label
             for label, group in members.items()
             if all(g.source == DRAWING_SOURCE for g in group)
         ),
-        again=tuple(label for label, found in series.items() if len(found) > 1),
-        longest_series_s=max(
-            1e-3 * (one[-1].start_ms - one[0].start_ms) + float(one[-1].t_s[-1])
-            for found in series.values()
-            for one in found
+        taught_again=tuple(label for label, found in series.items() if len(found) > 1),
+        longest_series_s=round(
+            max(
+                1e-3 * (one[-1].start_ms - one[0].start_ms) + float(one[-1].t_s[-1])
+                for found in series.values()
+                for one in found
+            ),
+            1,
         ),
-        n_without_zero=without % len(grasps),
+        without_self_zero=without % len(grasps),
         opening_sd_mm=float(np.median(spreads_mm)) if spreads_mm else None,
     )
 

@@ -16,25 +16,12 @@ from cell.learning.blas import one_blas_thread
 from cell.learning.taught_model import training_set_file
 from cell.learning.training import train
 from cell.plugin.goals import IdentifyGoal, TeachGoal
-from cell.plugin.part_report import PartReport
 from cell.plugin.plugin import TactileCellPlugin
 from cell.report.build import BASELINE, score_tables
 from cell.report.data import ConfusionTable
 from recognition.drift.grid import DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior, Recognizer
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
-    """One identification, the true object, and the answers to its first grasp."""
-
-    truth: str
-    """The object that was held."""
-    found: Identification
-    """The answer of the sequence."""
-    first: dict[str, Posterior]
-    """Answer of each recogniser to the first grasp alone, by name."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -51,8 +38,8 @@ class MainResult:
     """Duration in s."""
     scores: dict[str, ConfusionTable]
     """Answers counted, by recogniser."""
-    trials: tuple[Trial, ...]
-    """The identifications, in order."""
+    trials: tuple[Identification, ...]
+    """The identifications of known objects, in order."""
     dataset: Path | None
     model: Path | None
     recording: Path | None
@@ -69,7 +56,7 @@ class MainResult:
     @property
     def records(self) -> tuple[GraspRecord, ...]:
         """All grasps of the identifications, in order."""
-        return tuple(record for trial in self.trials for record in trial.found.records)
+        return tuple(record for trial in self.trials for record in trial.records)
 
     @property
     def grasp_s(self) -> float:
@@ -78,12 +65,12 @@ class MainResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
+        names = ("seconds", "n_taught", "labels", "default", "remarks")
+        files = ("report", "recording", "dataset", "model")
+        counts = [float(trial.n_grasps) for trial in self.trials]
         return {
-            "seconds": round(self.seconds, 2),
-            "n_taught": self.n_taught,
+            **{name: getattr(self, name) for name in (*names, *files)},
             "n_trials": len(self.trials),
-            "labels": self.labels,
-            "default": self.default,
             "recognizers": {
                 name: {
                     key: getattr(counted, key) for key in ("accuracy", "interval", "n", "n_right")
@@ -93,24 +80,17 @@ class MainResult:
             },
             "identifications": [
                 {
-                    "held": trial.truth,
-                    "label": trial.found.label,
-                    "probability": trial.found.probability,
-                    "n_grasps": len(trial.found.records),
-                    "shape": None if trial.found.shape is None else trial.found.shape.as_dict(),
+                    "held": trial.presented,
+                    "label": trial.label,
+                    "probability": trial.decision.probability,
+                    "n_grasps": trial.n_grasps,
+                    "shape": trial.shape and trial.shape.as_dict(),
                 }
                 for trial in self.trials
             ],
-            "grasps_per_trial": float(
-                np.mean([float(len(trial.found.records)) for trial in self.trials] or [0.0])
-            ),
+            "grasps_per_trial": float(np.mean(counts or [0.0])),
             "grasp_seconds": self.grasp_s,
-            "drift": None if self.drift is None else self.drift.values,
-            "remarks": self.remarks,
-            "report": self.report,
-            "recording": self.recording,
-            "dataset": self.dataset,
-            "model": self.model,
+            "drift": self.drift and self.drift.values,
             **self.extra,
         }
 
@@ -151,35 +131,33 @@ def teach_and_identify(
         progress("train", 2, 2)
     else:
         default = plugin.trainer_name
-    parts: list[PartReport] = []
-    plugin.watch_parts(parts.append)
-    trials = []
+    trials: list[Identification] = []
+    plugin.watch_parts(lambda _, found: trials.append(found) if found else None)
+    firsts: list[dict[str, Posterior]] = []
     for number, label in enumerate(labels):
         for repeat in range(n_trials):
             seed = _seed(config, 1 + repeat, number)
             plugin.run(IdentifyGoal(present=label, seed=seed, whole_ramps=True))
-            found = parts.pop().found
-            assert found is not None
-            first = {default: found.posteriors[0]} | {
-                name: recognizer.posterior(found.records[0].grasp)
-                for name, recognizer in recognizers.items()
-            }
-            trials.append(Trial(truth=label, found=found, first=first))
+            first = trials[-1].records[0].grasp
+            others = {name: one.posterior(first) for name, one in recognizers.items()}
+            firsts.append({default: trials[-1].posteriors[0]} | others)
             progress(f"identify {label}", repeat + 1, n_trials)
     return MainResult(
         labels=tuple(labels),
         default=default,
         n_taught=n_taught,
-        seconds=time.monotonic() - started_s,
+        seconds=round(time.monotonic() - started_s, 2),
         scores=score_tables(
-            [(trial.truth, trial.found.label, trial.first) for trial in trials], labels, default
+            [(one.presented, one.label, first) for one, first in zip(trials, firsts, strict=True)],
+            labels,
+            default,
         ),
         trials=tuple(trials),
         dataset=None if model is None else training_set_file(model),
         model=model,
         recording=plugin.recording_path,
         drift=plugin.drift,
-        remarks=(*remarks, *(trial.found.remark for trial in trials if trial.found.remark)),
+        remarks=(*remarks, *(trial.remark for trial in trials if trial.remark)),
     )
 
 

@@ -1,10 +1,10 @@
-"""The report of one part of a job, for programs that count parts: answer, place, time, grasp.
+"""The report of each part of a job, for programs that count parts: its answer with its last grasp.
 
 It is made in the thread of the cell between two grasps, from received data of the force loop.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from cell.config.model import CellConfig
 from cell.config.tactile import make_calibration
+from cell.control.answer import Answer
 from cell.control.controller import CellController
 from cell.control.identification import Identification
 from cell.control.records import GraspRecord
-from cell.plugin.answer import Answer
 from tactile.sensor.tare import TareResult
 from tactile.sensor.taxel_forces import TaxelForces
 
@@ -23,68 +23,12 @@ POINTS_MAX = 300
 """Most points of a curve, enough for a display."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PartReport:
-    """One identified or sorted part, or one turn without a part."""
-
-    number: int = 0
-    """Its number since the program began, from 1; 0 for a turn without a part."""
-    time_s: float = 0.0
-    """Unix time in s at which it was counted."""
-    task: str
-    """``identify`` or ``sort``."""
-    answer: Answer | None
-    """None if no part was found."""
-    found: Identification | None = field(default=None, repr=False, compare=False)
-    """Data of the answer with all frames: megabytes, for listeners in this program. None if no part
-    was found."""
-    held: str = ""
-    """Label of the brought object according to host, person or simulator; empty if not given."""
-    label_id: int = 0
-    """Id of its label, from 1; 0 for UNKNOWN."""
-    place: str | None = None
-    """Place where it was released; None outside of a sort."""
-    place_id: int = 0
-    """Number of that place, from 1, in the order of `Places.names`; 0 outside of a sort."""
-    rejected: bool = False
-    """Whether it has no name, or was released at the place of the rejects."""
-    seconds: float
-    """Time since the previous part, or since the start of the job, in s of the cell's clock."""
-    curves: dict[str, Any] | None = None
-    """The last grasp: ``t_s``, ``force_n``, ``setpoint_n``, ``opening_mm``, each a list with at
-    most `POINTS_MAX` values. ``frame``: force in N of each taxel at the highest load."""
-
-    def as_json(self) -> dict[str, Any]:
-        """Return a part as plain data, without its curves; lengths in mm."""
-        answer = self.answer
-        if answer is None:
-            raise ValueError("a turn without a part has no data")
-        others = [(p, label) for label, p in answer.probabilities.items() if label != answer.label]
-        second = max(others, default=None)
-        shape = answer.shape
-        return {
-            "number": self.number,
-            "time_s": self.time_s,
-            "task": self.task,
-            "label": answer.label,
-            "label_id": self.label_id,
-            "probability": answer.probability,
-            "runner_up": second and {"label": second[1], "probability": second[0]},
-            "shape": None if shape is None else shape.kind,
-            "size_mm": None if shape is None else shape.size_mm,
-            "interval_mm": None if shape is None else shape.interval_mm,
-            "n_grasps": answer.n_grasps,
-            "seconds": self.seconds,
-            "place": self.place,
-            "place_id": self.place_id,
-        }
-
-
-OnPart = Callable[[PartReport], None]
-"""Called with each part, in the thread of the cell."""
-PartCallback = Callable[..., None]
-"""Called by a task with the `Identification` of a part, or None if no part was found, and with
-further fields of `PartReport` by name."""
+OnPart = Callable[[Answer, Identification | None], None]
+"""Called in the thread of the cell with each part, and its grasps; without a label and grasps for a
+turn without a part."""
+PartReporter = Callable[..., Answer]
+"""Called by a task with the answer of a part and its grasps as `OnPart`; returns the answer with
+the object that was brought and its time."""
 
 
 class TaxelNewtons:
@@ -107,31 +51,25 @@ class TaxelNewtons:
 
 
 def part_reporter(
-    task: str, controller: CellController, newtons: TaxelNewtons, listeners: Sequence[OnPart]
-) -> PartCallback:
+    controller: CellController, newtons: TaxelNewtons, listeners: Sequence[OnPart]
+) -> PartReporter:
     """Return the function with which a starting task reports its parts to all listeners."""
     since_s = controller.now_s
 
-    def seen(found: Identification | None, **fields: Any) -> None:
+    def seen(answer: Answer, found: Identification | None = None) -> Answer:
         nonlocal since_s
         before_s, since_s = since_s, controller.now_s
-        report = PartReport(
-            task=task,
-            answer=None if found is None else Answer.of(found),
-            found=found,
-            held=controller.brought or "",
-            seconds=since_s - before_s,
-            curves=None if found is None else _curves(found.records[-1], newtons),
-            **fields,
-        )
+        answer = replace(answer, presented=controller.brought or "", seconds=since_s - before_s)
+        curves = None if found is None else _curves(found.records[-1], newtons)
         for on_part in listeners:
-            on_part(report)
+            on_part(replace(answer, curves=curves), found)
+        return answer
 
     return seen
 
 
 def _curves(record: GraspRecord, newtons: TaxelNewtons) -> dict[str, Any]:
-    """Return `PartReport.curves`, with the frame of the highest load; NaN becomes None."""
+    """Return `Answer.curves`, with the frame of the highest load; NaN becomes None."""
     grasp, cycles = record.grasp, record.cycles
     at = np.unique(np.linspace(0, len(cycles) - 1, POINTS_MAX).round().astype(int))
     highest = int(np.argmax(grasp.counts.sum(axis=1, dtype=np.int64)))

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from cell.config.file import load_config
 from cell.config.model import CellConfig
+from cell.control.answer import Answer, SortAnswer, Verification
 from cell.control.plan import Pose
 from cell.control.states import CellState, Command, command_effect
 from cell.errors import (
@@ -30,13 +31,6 @@ from cell.errors import (
     RequestRefused,
 )
 from cell.fault_catalogue import error_text
-from cell.plugin.answer import (
-    Answer,
-    FeltShape,
-    HostStatus,
-    SortAnswer,
-    Verification,
-)
 from cell.plugin.goals import (
     TASKS,
     GaugeGoal,
@@ -49,6 +43,7 @@ from cell.plugin.goals import (
     ZeroGoal,
     checked_goal,
 )
+from cell.plugin.host_status import HostStatus
 from cell.plugin.lease import Lease
 from cell.plugin.worker import CellWorker, Job, JobFailed, JobOutcome, JobStatus, Report
 from gripper.errors import LinkTooSlow, ServoFault, VerificationFailed, fingers_left
@@ -70,7 +65,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Answer",
-    "FeltShape",
     "GaugeGoal",
     "GripGoal",
     "HostStatus",
@@ -223,7 +217,7 @@ class TactileCellPlugin:
             controller,
             file,
             self._places,
-            lambda task: part_reporter(task, controller, newtons, listeners),
+            lambda: part_reporter(controller, newtons, listeners),
         )
         self._remarks: deque[tuple[str, str]] = deque(maxlen=_REMARKS_MAX)
         self._last_answer: deque[Answer] = deque(maxlen=1)
@@ -279,7 +273,7 @@ class TactileCellPlugin:
             return Places(self._config, ()).names
 
     def watch_parts(self, on_part: "OnPart") -> None:
-        """Call a function with each identified or sorted part and each miss.
+        """Call a function with the answer of each part and its grasps, and with each miss.
 
         It runs in the thread of the cell.
         """

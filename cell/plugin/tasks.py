@@ -2,24 +2,24 @@
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from cell.config.model import CellConfig
+from cell.control.answer import Answer, SortAnswer, Verification
 from cell.control.controller import CellController
 from cell.control.identification import Identification
 from cell.control.keeping import Keep
 from cell.control.plan import Pose
 from cell.control.records import GraspRecord
-from cell.control.self_zero import zero_text, zero_values
+from cell.control.self_zero import zero_text
 from cell.errors import CellError, NoPartFound
 from cell.jobs.collection import Collection
 from cell.jobs.identify import identify
-from cell.jobs.sort import Places, SortedPart, Tally, sort_parts
+from cell.jobs.sort import Places, Tally, sort_parts
 from cell.jobs.teach import teach
 from cell.learning.taught_model import TaughtModel
-from cell.plugin.answer import Answer, SortAnswer, Verification
 from cell.plugin.goals import (
     GaugeGoal,
     GripGoal,
@@ -29,7 +29,7 @@ from cell.plugin.goals import (
     VerifyGoal,
     ZeroGoal,
 )
-from cell.plugin.part_report import PartCallback
+from cell.plugin.part_report import PartReporter
 from cell.plugin.worker import Report
 from recognition.drift.drift import Drift
 from recognition.grasp import SelfZero
@@ -38,6 +38,8 @@ from recognition.statistics.fusion import fuse
 
 __all__ = ["ModelFile", "Places", "Tasks"]
 
+_SORTED = ("number", "label", "probability", "place", "n_grasps", "changed")
+"""Values of the newest part in the progress of a sort; ``was`` is its true object."""
 _SHOWN_GRASPS = 100
 """Number of newest grasps in the progress of a teaching."""
 
@@ -84,7 +86,7 @@ class Tasks:
     """The model and its file."""
     places: Callable[[], Places] = lambda: Places(CellConfig(), ())
     """Returns the places of a sort for the objects taught now."""
-    reporter: Callable[[str], PartCallback] = lambda _task: lambda *_, **__: None
+    reporter: Callable[[], PartReporter] = lambda: lambda answer, _found=None: answer
     """Starts the reports of the parts of a task, as `part_reporter`; by default no reports."""
 
     @property
@@ -171,7 +173,7 @@ class Tasks:
         before = self.controller.self_zero
         found = self.controller.measure_zero()
         moved_mm = None if before is None else 1e3 * (found.zero.opening_m - before.opening_m)
-        values = zero_values(found.zero) | {"moved_mm": moved_mm}
+        values = asdict(found.zero) | {"moved_mm": moved_mm}
         report({"task": "zero", "zero": values, "text": zero_text(found)})
         return found.zero
 
@@ -181,7 +183,7 @@ class Tasks:
         ``goal.keep`` decides whether the part stays in the grip. Raises as
         `cell.jobs.identify.identify`.
         """
-        seen, posteriors = self.reporter("identify"), list[Posterior]()
+        seen, posteriors = self.reporter(), list[Posterior]()
 
         def progress(number: int, record: GraspRecord, posterior: Posterior, shape: Any) -> None:
             posteriors.append(posterior)
@@ -204,7 +206,7 @@ class Tasks:
             found = identify(
                 self.controller,
                 self.model,
-                held=goal.present,
+                presented=goal.present,
                 seed=goal.seed,
                 max_grasps=goal.max_grasps,
                 force_n=goal.force_n,
@@ -213,12 +215,12 @@ class Tasks:
                 on_grasp=progress,
             )
         except NoPartFound:
-            seen(None)
+            seen(Answer())
             raise
-        seen(found, rejected=found.label == UNKNOWN)
+        answer = seen(replace(found.answer, rejected=found.label == UNKNOWN), found)
         if found.remark:
             report({"task": "identify", "remark": found.remark})
-        return Answer.of(found)
+        return answer
 
     def grip(self, goal: GripGoal, report: Report) -> Verification:
         """Grip a part and keep it; return its measurement.
@@ -240,7 +242,7 @@ class Tasks:
         Raises as `CellController.verify`.
         """
         report({"task": "verify"})
-        return Verification.of(self.controller.verify())
+        return self.controller.verify()
 
     def sort(self, goal: SortGoal, report: Report) -> SortAnswer:
         """Name parts and release each at its place; return the counts.
@@ -248,26 +250,19 @@ class Tasks:
         Raises as `cell.jobs.sort.sort_parts`; the part is then kept, and the progress has the
         counts so far.
         """
-        seen, places = self.reporter("sort"), self.places()
-        tally = Tally(places=places)
+        seen, tally = self.reporter(), Tally(places=self.places())
 
-        def progress(part: SortedPart | None = None) -> None:
-            now: dict[str, Any] = {"task": "sort", "of": goal.parts} | tally.as_json()
-            now["parts"] = len(tally.parts)
-            if part is not None:
-                now |= part.as_json()
-            report(now)
+        def progress(part: dict[str, Any]) -> None:
+            counts = {"task": "sort", "of": goal.parts, "parts": tally.n_parts} | tally.as_json()
+            report(counts | part)
 
-        def sorted_part(part: SortedPart, found: Identification) -> None:
-            seen(
-                found,
-                place=part.place,
-                place_id=places.names.index(part.place) + 1,
-                rejected=part.place == places.reject.place,
+        def sorted_part(part: Answer, found: Identification) -> None:
+            seen(part, found)
+            progress(
+                {name: getattr(part, name) for name in _SORTED} | {"was": part.presented or None}
             )
-            progress(part)
 
-        progress()
+        progress({})
         feed = goal.feed
         sort_parts(
             self.controller,
@@ -279,10 +274,10 @@ class Tasks:
             max_grasps=goal.max_grasps,
             force_n=goal.force_n,
             on_part=sorted_part,
-            on_missed=lambda: seen(None),
+            on_missed=lambda: seen(Answer(task="sort")),
         )
         return SortAnswer(
-            n_parts=len(tally.parts),
+            n_parts=tally.n_parts,
             n_missed=tally.n_missed,
             n_rejected=tally.n_rejected,
             places=tally.counts,

@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.control.answer import Answer
 from cell.data.recording_reader import RecordedCycles
 from recognition.evaluation.metrics import wilson_interval
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior
-from recognition.shape.answer import ShapeAnswer
 from tactile.layout import TaxelLayout
 
 HealthState = Literal["ok", "warn", "bad", "plain"]
@@ -21,34 +21,22 @@ HealthState = Literal["ok", "warn", "bad", "plain"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Answered:
-    """One identification."""
+class Answered(Answer):
+    """Answer of a recorded identification."""
 
-    truth: str
-    """True name of the part; empty if not known."""
-    label: str
-    """The answer."""
     fused: Posterior
     """Answer of all grasps together."""
     posteriors: tuple[Posterior, ...] = ()
     """Answer of each single grasp, in order; empty if not known."""
-    n_grasps: int = 1
-    """Number of grasps."""
     notes: tuple[str, ...] = ()
     """Pose and force of each grasp; not of further ramps in the same grip."""
     grasps: tuple[Grasp, ...] = ()
     """The grasps, without further ramps in the same grip."""
-    whole_ramps: bool = True
-    """Whether all ramps reached their force."""
-    shape: ShapeAnswer | None = None
-    """Shape and size by all grasps; None if not measured."""
-    place: str = ""
-    """Place where a sort released it; else empty."""
 
     @property
     def name(self) -> str:
         """True name if known, else the answer."""
-        return self.truth or self.label
+        return self.presented or self.label
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

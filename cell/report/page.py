@@ -111,7 +111,7 @@ def drawn_sequences(data: ReportData) -> list[Answered]:
     drawn = []
     for name in dict.fromkeys(one.name for one in data.sequences):
         found = [one for one in data.sequences if one.name == name]
-        found.sort(key=lambda one: (one.label == one.truth, -one.n_grasps))
+        found.sort(key=lambda one: (one.label == one.presented, -one.n_grasps))
         drawn += found[:_SEQUENCES_PER_OBJECT]
     return drawn[:MAX_SEQUENCES]
 
@@ -137,15 +137,15 @@ def sequence_view(found: Answered, colours: Mapping[str, int]) -> dict[str, Any]
     share = found.fused.unknown if unknown else (1.0 - found.fused.unknown) * shares[found.label]
     shape = "" if found.shape is None else in_words(found.shape) if unknown else str(found.shape)
     return {
-        "truth": found.truth,
+        "truth": found.presented,
         "answer": found.label,
         "probability": _percent(share),
         "verdict": "right"
-        if found.label == found.truth
+        if found.label == found.presented
         else "unknown"
         if unknown
         else "wrong"
-        if found.truth
+        if found.presented
         else "named",
         "place": found.place,
         "shape": shape,
@@ -238,7 +238,7 @@ def page_view(data: ReportData) -> dict[str, Any]:
     order = label_order(data)
     colours = {label: place for place, label in enumerate(order)}
     shown = drawn_sequences(data)
-    shapes = shapes_view([(one.truth, one.label, one.shape) for one in data.sequences])
+    shapes = shapes_view([(one.presented, one.label, one.shape) for one in data.sequences])
     sections = {
         "result": "Confusion" if data.confusions else "",
         "shapes": "Shape and size" if shapes is not None else "",

@@ -6,6 +6,7 @@ It uses only the recording, so `run` and `report` write the same page.
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from itertools import pairwise
 from math import nan
 from typing import Any
 
@@ -96,7 +97,7 @@ class _Story:
         examples = self._examples()
         paper = paper_table()
         tables = tuple(scores.values())
-        known = {one.truth for one in self.answers}
+        known = {one.presented for one in self.answers}
         return ReportData(
             title="Report of the cell",
             subtitle=f"{name}: {len(self.taught)} grasps taught, "
@@ -152,10 +153,10 @@ class _Story:
             first: dict[str, Posterior] = {}
             if one.posteriors and one.grasps:
                 first[default] = one.posteriors[0]
-                if self.baseline is not None and default != BASELINE and one.whole_ramps:
+                if self.baseline is not None and default != BASELINE and not one.n_ended_early:
                     first[BASELINE] = self.baseline.posterior(one.grasps[0])
-            if one.truth:
-                trials.append((one.truth, one.label, first))
+            if one.presented:
+                trials.append((one.presented, one.label, first))
         named = (label for truth, label, _ in trials for label in (truth, label))
         labels = tuple(dict.fromkeys(label for label in named if label != UNKNOWN))
         common = set.intersection(*(set(first) for *_, first in trials)) if trials else set()
@@ -206,30 +207,27 @@ def _answers(story: _Story) -> list[Answered]:
     recording, config = story.recording, story.config
     in_one_grip = config is not None and config.sequence.regrasp == "none"
     found = []
-    ends_s = [-np.inf, *(float(row["t_s"]) for row in recording.results), np.inf]
+    ends_s = [*(float(row["t_s"]) for row in recording.results), np.inf]
     placed = [(float(row["t_s"]), row) for row in recording.events if row["kind"] == "place"]
-    for number, row in enumerate(recording.results):
-        begin_s, end_s, next_s = ends_s[number : number + 3]
-        n_grasps = int(row["n_grasps"])
+    for (row, every), (end_s, next_s) in zip(recording.identified, pairwise(ends_s), strict=True):
         met = [
-            (grasp, t_s)
-            for grasp, t_s in zip(recording.grasps, recording.grasp_t_s, strict=True)
-            if begin_s < t_s <= end_s and not grasp.label
-        ][-1 if in_one_grip else -n_grasps :]
+            (recording.grasps[i], recording.grasp_t_s[i])
+            for i in (every[-1:] if in_one_grip else every)
+        ]
         labels = tuple(map(str, row["labels"]))
         places = [str(event["text"]) for t_s, event in placed if end_s <= t_s < next_s]
         found.append(
             Answered(
-                truth=str(row.get("held", "")),
+                presented=str(row.get("held", "")),
                 label=str(row["label"]),
                 fused=_posterior(labels, row),
                 posteriors=tuple(_posterior(labels, one) for one in row.get("grasp_answers", ())),
-                n_grasps=n_grasps,
-                whole_ramps=not row.get("n_ended_early", 0),
+                n_grasps=int(row["n_grasps"]),
+                n_ended_early=int(row.get("n_ended_early", 0)),
                 grasps=tuple(grasp for grasp, _ in met),
                 notes=tuple("{}; {:.1f} N".format(*story.note(*one)) for one in met),
                 shape=_shape(row["shape"]) if row.get("shape") else None,
-                place=places[-1].rpartition(" at ")[2] if places else "",
+                place=places[-1].rpartition(" at ")[2] if places else None,
             )
         )
     return found

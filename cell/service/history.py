@@ -14,10 +14,10 @@ from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
+from cell.control.answer import Answer
 from cell.data.files import free_name
 from cell.errors import CellError
-from cell.plugin.answer import HostStatus
-from cell.plugin.part_report import PartReport
+from cell.plugin.host_status import HostStatus
 from cell.service.shift import Shift
 from recognition.recognizer import UNKNOWN
 
@@ -103,20 +103,19 @@ class History:
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
 
-    def add(self, report: PartReport) -> None:
+    def add(self, part: Answer) -> None:
         """Add a part, or a turn without one; nothing is written yet."""
-        if report.answer is None:
-            self._add(kind="miss", held=report.held)
+        if not part.label:
+            self._add(kind="miss", held=part.presented)
             return
-        values = report.as_json()
-        second = values["runner_up"] or {"label": "", "probability": 0.0}
+        second = part.runner_up or {"label": "", "probability": 0.0}
+        names = ("label", "probability", "place", "rejected", "n_grasps", "seconds")
         self._add(
             kind="part",
-            held=report.held,
-            rejected=report.rejected,
+            held=part.presented,
             second=second["label"],
             second_probability=second["probability"],
-            **{name: values[name] for name in COLUMNS if name in values and name != "time_s"},
+            **{name: getattr(part, name) for name in names},
         )
 
     def values(self) -> dict[str, Any]:

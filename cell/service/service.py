@@ -1,8 +1,8 @@
 """The service: one cell for many clients; one client at a time may command.
 
 Every call returns at once: each motion is a job with a number, whose state can be read. A client
-commands under a lease that it renews. `hold` needs no lease: anyone may call it, once or while a
-button is pressed. If the lease is lost while a job runs, the job is held: the grip is kept, and
+commands under a lease that it renews. `stop` needs no lease: anyone may call it, once or while a
+button is pressed. If the lease is lost while a job runs, the job is stopped: the grip is kept, and
 nothing resumes by itself.
 """
 
@@ -10,7 +10,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 
 from cell.config.model import CellConfig
 from cell.config.simulator import checked_label
+from cell.control.answer import Answer, Verification
+from cell.control.identification import Identification
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import CellError, HeldByClient, RequestRefused
 from cell.fault_catalogue import error_text
-from cell.plugin.answer import Answer, HostStatus, Verification
 from cell.plugin.goals import (
     TASKS,
     Goal,
@@ -35,8 +36,8 @@ from cell.plugin.goals import (
     checked_goal,
     goal_of,
 )
+from cell.plugin.host_status import HostStatus
 from cell.plugin.lease import Lease
-from cell.plugin.part_report import PartReport
 from cell.plugin.plugin import TactileCellPlugin
 from cell.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from cell.service.history import History
@@ -49,10 +50,10 @@ from gripper.clock import Clock
 
 RELEASE_KEY = 0x4F50
 """Key of a release ("OP"): zeroed or repeated outputs of a controller never release a part."""
-_HOLDERS_MAX = 100
-"""Most clients that keep the cell on hold; more are refused, but the cell is held."""
+_STOPS_MAX = 100
+"""Most clients that keep the cell stopped; more are refused, but the cell stops."""
 _UNMOVING = (Command.CLEAR.value, Command.SHUTDOWN.value)
-"""Commands without motion, allowed while a client keeps the cell on hold."""
+"""Commands without motion, allowed while a client keeps the cell stopped."""
 _KEEPING = (*_UNMOVING, Command.RESET.value, "verify", "forget", "forget_drift")
 """Tasks and commands that leave the part in the grip."""
 _COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
@@ -136,7 +137,7 @@ class Snapshot:
     """Name of the client with the lease; empty for none."""
     held_by: tuple[str, ...]
     """Clients that keep the cell on hold; "(gone)" follows the name of a disconnected client."""
-    part: PartReport | None
+    part: Answer | None
     """The newest part of an identification or sort; None before the first."""
     held_part: int | None
     """Number of the part in the grip; None if nothing is held or the part has no name."""
@@ -146,8 +147,8 @@ class Snapshot:
 
 
 @dataclass(slots=True)
-class _Holder:
-    """A client that keeps the cell on hold; its time is inf while it is connected."""
+class _Stop:
+    """A client that keeps the cell stopped; its time is inf while it is connected."""
 
     name: str
     heard_s: float
@@ -217,8 +218,8 @@ class Service:
             clock=clock,
             lock=self._lock,
         )
-        """Commands need it; its loss holds the running job."""
-        self._holders: dict[Hashable, _Holder] = {}
+        """Commands need it; its loss stops the running job."""
+        self._stops: dict[Hashable, _Stop] = {}
         self._jobs: dict[int, tuple[Job, str, int, float]] = {}
         self._newest = self._gripped_by = 0
         self._health: tuple[float, dict[str, Any]] = (-inf, {})
@@ -279,8 +280,8 @@ class Service:
             job, task, _, since_s = self._jobs[wanted]
             return self._view(wanted, task, self._plugin.feedback(job), since_s)
 
-    def part(self, number: int) -> PartReport:
-        """Return a part by its number. Raises RequestRefused if it is not kept."""
+    def part(self, number: int) -> Answer:
+        """Return the answer of a part by its number. Raises RequestRefused if it is not kept."""
         if (found := self.shift.part(number)) is None:
             newest = self.shift.parts[-1].number if self.shift.parts else 0
             raise RequestRefused(
@@ -302,7 +303,7 @@ class Service:
         with self._lock:
             for task in (*TASKS, *_COMMANDS):
                 try:
-                    self._check_held(task)
+                    self._check_stopped(task)
                     if task != Command.CLEAR or not self._gone:
                         self._plugin.check(task)
                     found[task] = None
@@ -351,7 +352,7 @@ class Service:
 
     def _lose(self, reason: str) -> None:
         self._plugin.remark("lease", f"nobody is in command, {reason}")
-        self.hold(reason)
+        self.stop(reason)
 
     def start(self, lease: int, goal: Mapping[str, Any], *, number: int = 0) -> int:
         """Start a job and return its number at once; see `TactileCellPlugin.start`.
@@ -401,7 +402,7 @@ class Service:
         key
             `RELEASE_KEY` for a release.
 
-        A clear also acknowledges the holds of clients that are gone.
+        A clear also acknowledges the stops of clients that are gone.
         """
 
         def begin() -> Job:
@@ -412,7 +413,7 @@ class Service:
             gone = self._gone
             job = self._plugin.start_command(command, reboot=reboot, needless=bool(gone))
             for client in gone:
-                self.end_hold(client)
+                self.end_stop(client)
             return job
 
         given = {"reboot": True} if reboot else {}
@@ -517,7 +518,7 @@ class Service:
     def simulated_part(self) -> dict[str, Any]:
         """Return the chosen ``part``, its ``pose``, the part between the fingers, all objects."""
         found = self._plugin.simulate({"state": True})
-        pose = {name: found["offset"][name] for name in Pose().as_dict()}
+        pose = {name: found["offset"][name] for name in asdict(Pose())}
         return {
             "part": self._part,
             "pose": pose,
@@ -539,7 +540,7 @@ class Service:
         """
         self.lease.alive(lease)
         placed = self._plugin.simulate({"state": True})["placed"] if part is None else part
-        self._plugin.simulate({"place": placed or "nothing", "offset": pose.as_dict()})
+        self._plugin.simulate({"place": placed or "nothing", "offset": asdict(pose)})
         self._part = part
         self._plugin.remark("simulation", f"part {part or 'in turn'} at {pose}")
 
@@ -566,7 +567,7 @@ class Service:
         self._part = None
         return number
 
-    def hold(self, reason: str = "on request") -> None:
+    def stop(self, reason: str = "on request") -> None:
         """Stop the running job and keep the grip; any client may call this."""
         with self._lock:
             entry = self._jobs.get(self._newest)
@@ -578,65 +579,65 @@ class Service:
 
     @property
     def held_by(self) -> tuple[str, ...]:
-        """Names of the clients that keep the cell on hold; clients that are gone are marked."""
+        """Names of the clients that keep the cell stopped; clients that are gone are marked."""
         with self._lock:
-            every = self._holders.values()
+            every = self._stops.values()
             return tuple(f"{one.name} (gone)" if self._is_gone(one) else one.name for one in every)
 
-    def hold_as(self, name: str, latch: bool | None) -> None:
-        """Hold for a client without a connection: True begins, False ends, None holds once."""
+    def stop_as(self, name: str, latch: bool | None) -> None:
+        """Stop for a client without a connection: True begins, False ends, None stops once."""
         if latch is None:
-            self.hold(f"by {name}")
+            self.stop(f"by {name}")
         elif latch:
-            self.begin_hold(name, name)
+            self.begin_stop(name, name)
         else:
-            self.end_hold(name)
+            self.end_stop(name)
 
-    def begin_hold(self, client: Hashable, name: str, *, connected: bool = False) -> None:
-        """Stop the running job, and allow no motion until this client ends its hold.
+    def begin_stop(self, client: Hashable, name: str, *, connected: bool = False) -> None:
+        """Stop the running job, and allow no motion until this client ends its stop.
 
-        A client that returns takes over the hold left by a client of the same name. ``connected``:
-        the end of its connection calls `leave_hold`. Any other client counts as gone if it does not
-        repeat this within ``serve.lease_timeout_s``. The cell stays on hold for a client that is
-        gone until the client returns and ends the hold, or until a clear.
-        Raises RequestRefused if too many clients hold the cell; the running job is stopped anyway.
+        A client that returns takes over the stop left by a client of the same name. ``connected``:
+        the end of its connection calls `leave_stop`. Any other client counts as gone if it does not
+        repeat this within ``serve.lease_timeout_s``. The cell stays stopped for a client that is
+        gone until the client returns and ends the stop, or until a clear.
+        Raises RequestRefused if too many clients stop the cell; the running job is stopped anyway.
         """
         with self._lock:
-            for left in [k for k, one in self._holders.items() if one.name == name and k != client]:
-                if self._is_gone(self._holders[left]):
-                    del self._holders[left]
-            if room := client in self._holders or len(self._holders) < _HOLDERS_MAX:
-                if client not in self._holders:
+            for left in [k for k, one in self._stops.items() if one.name == name and k != client]:
+                if self._is_gone(self._stops[left]):
+                    del self._stops[left]
+            if room := client in self._stops or len(self._stops) < _STOPS_MAX:
+                if client not in self._stops:
                     self._plugin.remark("hold", f"begun by {name}")
                 heard_s = inf if connected else self._clock.monotonic()
-                self._holders[client] = _Holder(name, heard_s)
-            self.hold(f"by {name}")
+                self._stops[client] = _Stop(name, heard_s)
+            self.stop(f"by {name}")
         if not room:
-            raise RequestRefused(f"{_HOLDERS_MAX} clients hold the cell already")
+            raise RequestRefused(f"{_STOPS_MAX} clients hold the cell already")
 
-    def end_hold(self, client: Hashable) -> None:
-        """End the hold of a client, if it has one; nothing is resumed."""
+    def end_stop(self, client: Hashable) -> None:
+        """End the stop of a client, if it has one; nothing is resumed."""
         with self._lock:
-            holder = self._holders.pop(client, None)
-            if holder is not None:
-                self._plugin.remark("hold", f"ended for {holder.name}")
+            stop = self._stops.pop(client, None)
+            if stop is not None:
+                self._plugin.remark("hold", f"ended for {stop.name}")
 
-    def leave_hold(self, client: Hashable) -> None:
-        """Mark a client as gone; its hold stays."""
+    def leave_stop(self, client: Hashable) -> None:
+        """Mark a client as gone; its stop stays."""
         with self._lock:
-            if client in self._holders:
-                self._holders[client].heard_s = -inf
+            if client in self._stops:
+                self._stops[client].heard_s = -inf
 
     @property
     def _gone(self) -> list[Hashable]:
-        """Clients that keep the cell on hold and are gone."""
-        return [client for client, holder in self._holders.items() if self._is_gone(holder)]
+        """Clients that keep the cell stopped and are gone."""
+        return [client for client, stop in self._stops.items() if self._is_gone(stop)]
 
-    def _is_gone(self, holder: _Holder) -> bool:
-        return self._clock.monotonic() - holder.heard_s > self.config.serve.lease_timeout_s
+    def _is_gone(self, stop: _Stop) -> bool:
+        return self._clock.monotonic() - stop.heard_s > self.config.serve.lease_timeout_s
 
-    def _check_held(self, task: str) -> None:
-        if self._holders and task not in _UNMOVING:
+    def _check_stopped(self, task: str) -> None:
+        if self._stops and task not in _UNMOVING:
             raise HeldByClient(
                 f"{task}: {', '.join(self.held_by)} keeps the cell on hold; release its button, or "
                 "clear the hold of a client that is gone"
@@ -664,7 +665,7 @@ class Service:
             values = "".join(f", {field} {value}" for field, value in given.items())
             self._plugin.remark("command", f"job {self._next}: {task}{values}, by {name!r}")
             try:
-                self._check_held(task)
+                self._check_stopped(task)
                 with self._poses.beginning():
                     job = begin()
             except Exception as error:
@@ -697,22 +698,21 @@ class Service:
     # -- the end -------------------------------------------------------------------------------
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """Hold the running job and disconnect; a held part stays held. Can be called twice.
+        """Stop the running job and disconnect; a held part stays held. Can be called twice.
 
         Raises ModelError or DatasetError if the taught model cannot be saved; all has ended then.
         """
         self.lease.end_watch()
-        self.hold("because the service ends")
+        self.stop("because the service ends")
         self._poses.stop()
         self.lease.close()
         self.history.close()
         self._plugin.close(timeout_s)
 
-    def _count(self, report: PartReport) -> None:
+    def _count(self, answer: Answer, found: Identification | None) -> None:
         """Count a part with the present id of its label."""
-        self.totals.add(report)
-        label = "" if report.answer is None else report.answer.label
-        part = replace(report, found=None, label_id=self.label_id(label))
+        self.totals.add(answer, found)
+        part = replace(answer, label_id=self.label_id(answer.label))
         self.shift.add(part)
         self.history.add(part)
 
@@ -726,7 +726,21 @@ class Service:
         return self._view(answer.job, "identify", ended, since_s)
 
     def _view(self, number: int, task: str, status: JobStatus, since_s: float) -> JobView:
-        view = JobView(
+        progress, answer = status.progress, status.value
+        found: dict[str, Any] = {
+            "label": progress.get("best", ""),
+            "n_grasps": progress.get("grasps", 0),
+        }
+        if task == "sort" and progress.get("label"):
+            found = {name: progress[name] for name in ("label", "probability")}
+            found["label_id"] = self.label_id(found["label"])
+        if isinstance(answer, Answer):
+            names = ("label", "probability", "n_grasps", "size_mm", "kept")
+            found = {name: getattr(answer, name) for name in names}
+            found |= {"label_id": self.label_id(answer.label), "shape": answer.kind}
+        elif isinstance(answer, Verification):
+            found |= {"held": answer.held, "same": answer.same, "kept": answer.held}
+        return JobView(
             number=number,
             task=task,
             since_s=since_s,
@@ -734,31 +748,8 @@ class Service:
             outcome_number=OUTCOME_NUMBERS[status.outcome],
             fault_number=status.fault_number,
             error=status.error,
-            label=str(status.progress.get("best", "")),
-            n_grasps=int(status.progress.get("grasps", 0)),
-            taught=status.progress.get("taught"),
-            gauged=status.progress.get("gauged"),
-            progress=status.progress,
+            taught=progress.get("taught"),
+            gauged=progress.get("gauged"),
+            progress=progress,
+            **found,
         )
-        answer = status.value
-        if task == "sort" and (label := str(status.progress.get("label", ""))):
-            return replace(
-                view,
-                label=label,
-                label_id=self.label_id(label),
-                probability=float(status.progress["probability"]),
-            )
-        if isinstance(answer, Answer):
-            return replace(
-                view,
-                label=answer.label,
-                label_id=self.label_id(answer.label),
-                probability=answer.probability,
-                n_grasps=answer.n_grasps,
-                shape="" if answer.shape is None else answer.shape.kind,
-                size_mm=answer.size_mm,
-                kept=answer.kept,
-            )
-        if isinstance(answer, Verification):
-            return replace(view, held=answer.held, same=answer.same, kept=answer.held)
-        return view

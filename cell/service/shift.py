@@ -9,12 +9,17 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 from typing import Any
 
-from cell.plugin.part_report import PartReport
+from cell.control.answer import Answer
 
 KEPT_ANSWERS = 20
 """Number of newest answers that are kept, each with its last grasp."""
 _KEPT_CYCLES = 1000
 """Number of newest parts whose cycle times are kept."""
+_SHOWN = (
+    *("number", "time_s", "task", "label", "label_id", "probability", "runner_up"),
+    *("n_grasps", "seconds", "place", "place_id"),
+)
+"""Values of a part in the ledger."""
 _HOUR_S = 3600.0
 """Time in s before now in which recent parts are counted."""
 
@@ -43,7 +48,7 @@ class Shift:
         self._started_s = wall_clock()
         self._number = 0
         self._times_s = deque[float]()
-        self.parts: tuple[PartReport, ...] = ()
+        self.parts: tuple[Answer, ...] = ()
         """The newest parts, at most `KEPT_ANSWERS`, oldest first; replaced with each part."""
         self._begin(wall_clock(), 0)
 
@@ -60,17 +65,17 @@ class Shift:
         if (now_s := began_s(self._now_s(), self._begins_h)) != self.began_s:
             self._begin(now_s, n_faults)
 
-    def add(self, report: PartReport) -> None:
+    def add(self, answer: Answer) -> None:
         """Count a part, or a turn without one."""
         n_faults = self._n_faults()
         with self._lock:
             self._look(n_faults)
-            if report.answer is None:
+            if not answer.label:
                 self._n_missed += 1
                 return
             self._number += 1
-            part = replace(report, number=self._number, time_s=self._now_s())
-            self._count(report.answer.label, part.rejected, part.seconds, part.time_s)
+            part = replace(answer, number=self._number, time_s=self._now_s())
+            self._count(part.label, part.rejected, part.seconds, part.time_s)
             self.parts = (*self.parts, part)[-KEPT_ANSWERS:]
 
     def _count(self, label: str, rejected: bool, seconds: float, time_s: float) -> None:
@@ -114,12 +119,22 @@ class Shift:
                 "cycle_s": statistics.median(self._cycles_s) if self._cycles_s else None,
                 "parts_last_hour": len(self._times_s),
                 "counts": dict(self._counts),
-                "answers": [part.as_json() for part in self.parts],
+                "answers": [part_values(part) for part in self.parts],
             }
 
-    def part(self, number: int) -> PartReport | None:
+    def part(self, number: int) -> Answer | None:
         """Return a part by its number; None if it is no longer kept."""
         return next((part for part in self.parts if part.number == number), None)
+
+
+def part_values(part: Answer) -> dict[str, Any]:
+    """Return a part as plain data, without its curves; lengths in mm."""
+    shape = part.shape
+    return {name: getattr(part, name) for name in _SHOWN} | {
+        "shape": part.kind or None,
+        "size_mm": part.size_mm or None,
+        "interval_mm": shape and (1e3 * shape.low_m, 1e3 * shape.high_m),
+    }
 
 
 def began_s(now_s: float, begins_h: Sequence[float]) -> float:

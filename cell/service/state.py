@@ -1,15 +1,19 @@
 """The state of a service as plain data, for interfaces that show all of it."""
 
-import math
 import time
-from collections.abc import Mapping
 from dataclasses import asdict, fields
+from functools import partial
 from typing import Any
+
+from pydantic_core import to_jsonable_python
 
 from cell.control.states import CellStatus
 from cell.fault_catalogue import BY_NUMBER, Refusal
-from cell.plugin.answer import HostStatus
+from cell.plugin.host_status import HostStatus
 from cell.service.service import Service
+
+plain_data = partial(to_jsonable_python, inf_nan_mode="null")
+"""Returns JSON types, also of dataclasses; null for each number that is not finite."""
 
 
 def state_values(service: Service) -> dict[str, Any]:
@@ -20,16 +24,16 @@ def state_values(service: Service) -> dict[str, Any]:
         {
             "time_s": time.time(),
             "status": {one.name: getattr(now.status, one.name) for one in fields(CellStatus)},
-            "job": asdict(now.job),
-            "last_answer": None if now.last_answer is None else asdict(now.last_answer),
+            "job": now.job,
+            "last_answer": now.last_answer,
             "live": {name: getattr(live, name) for name in live.__slots__ if name != "counts"},
             "commander": now.commander,
             "held_by": now.held_by,
             "held_part": now.held_part,
             "pose_seq": now.pose_seq,
-            "pose": None if now.pose is None else now.pose.as_dict(),
+            "pose": now.pose,
             "allowed": {
-                task: None if error is None else asdict(Refusal.of(error))
+                task: None if error is None else Refusal.of(error)
                 for task, error in service.allowed().items()
             },
             "fault": _fault(service, now.status),
@@ -39,17 +43,6 @@ def state_values(service: Service) -> dict[str, Any]:
         }
     )
     return state
-
-
-def plain_data(value: Any) -> Any:
-    """Return plain data with null for each number that is not finite, because JSON has none."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: plain_data(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain_data(one) for one in value]
-    return value
 
 
 def _fault(service: Service, status: HostStatus) -> dict[str, Any] | None:

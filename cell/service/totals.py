@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from itertools import accumulate
 from math import inf
 
-from cell.plugin.part_report import PartReport
+from cell.control.answer import Answer
+from cell.control.identification import Identification
 from recognition.recognizer import UNKNOWN
 
 _CYCLES_S = (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 30.0, 60.0)
@@ -41,19 +42,18 @@ class Totals:
         """Parts by label and result: ``named``, ``unknown``, ``rejected`` (named, but released at
         the place of the rejects) or ``missed`` (no part found; without label)."""
         self.cycles_s = Distribution(_CYCLES_S)
-        """Time of each part in s, as `PartReport.seconds`."""
+        """Time of each part in s, as `Answer.seconds`."""
         self.force_errors_n = Distribution(_ERRORS_N)
         """Distance in N between force and set-point at the end of each grasp of a part."""
 
-    def add(self, report: PartReport) -> None:
+    def add(self, answer: Answer, found: Identification | None) -> None:
         """Count a part with its grasps, or a turn without a part."""
-        if report.answer is None:
+        if not answer.label:
             self.parts["", "missed"] += 1
             return
-        label = report.answer.label
-        named = "rejected" if report.rejected else "named"
-        self.parts[label, "unknown" if label == UNKNOWN else named] += 1
-        self.cycles_s.add(report.seconds)
-        for record in () if report.found is None else report.found.records:
+        named = "rejected" if answer.rejected else "named"
+        self.parts[answer.label, "unknown" if answer.label == UNKNOWN else named] += 1
+        self.cycles_s.add(answer.seconds)
+        for record in () if found is None else found.records:
             wanted_n = record.cycles[-1].setpoint_n
             self.force_errors_n.add(abs(record.outcome.final_force_n - wanted_n))

@@ -86,6 +86,11 @@ class RecentForce:
         """Standard deviation of the mean grip force in N."""
         return sqrt(sum([sample.noise_n**2 for sample in self._samples])) / len(self._samples)
 
+    @property
+    def complete(self) -> bool:
+        """Whether the noise of the mean is low enough, or the samples are the least number."""
+        return len(self._samples) >= self._least or self.noise_n <= self._noise_n
+
     def clear(self) -> None:
         """Discard all samples."""
         self._samples.clear()

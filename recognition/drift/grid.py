@@ -7,7 +7,7 @@ over the grid.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, Self, runtime_checkable
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from recognition.drift.drift import Drift, drift_values
-from recognition.grasp import Grasp, SelfZero
+from recognition.grasp import Grasp, Numbers, SelfZero
 from recognition.recognizer import Recognizer
 
 _LOG_GAIN_STEP = 1 / 6
@@ -36,7 +36,7 @@ _LIKELY = 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriftPrior:
+class DriftPrior(Numbers):
     """Prior of the drift since teaching, before any object is grasped.
 
     The default is for another day. Two self-zeros, at teaching and today, narrow it. Raises
@@ -200,9 +200,8 @@ class DriftGrid:
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the grid without the unnamed grasps as plain arrays."""
-        prior = self.prior
         return {
-            "drift_prior": np.array([getattr(prior, one.name) for one in fields(prior)]),
+            "drift_prior": np.array(self.prior.values),
             "drift_zero": np.array([] if self.zero is None else self.zero.values),
             "drift_gauged": self.gauged,
             "drift_gauges": np.array(self.n_gauged),
@@ -211,10 +210,8 @@ class DriftGrid:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
         """Rebuild from `to_arrays`; KeyError or ValueError where an array does not fit."""
-        names = [one.name for one in fields(DriftPrior)]
-        values = arrays["drift_prior"].tolist()
         found = cls(
-            prior=DriftPrior(**dict(zip(names, values, strict=True))),
+            prior=DriftPrior.from_values(arrays["drift_prior"].tolist()),
             zero=SelfZero.from_values(zero) if (zero := arrays["drift_zero"].tolist()) else None,
             gauged=arrays["drift_gauged"],
             n_gauged=int(arrays["drift_gauges"]),

@@ -54,14 +54,14 @@ class ShapeAnswer:
 
     kind: str
     """``sphere``, ``oval``, ``cylinder``, ``flat``, ``dumbbell`` or `UNCLEAR`."""
-    probability: Mapping[str, float]
+    probability: Mapping[str, float] = field(hash=False)
     """Probability of each kind, given that the object is one of them."""
     size_m: float
     low_m: float
     high_m: float
     """Thickness along the closing axis in m (the diameter of a round object), and its 90 %
     interval, over all kinds."""
-    dimensions_m: Mapping[str, float]
+    dimensions_m: Mapping[str, float] = field(hash=False)
     """Dimensions of the likeliest kind in m by their names, without interval."""
     misfit: float
     """Squared residual of the best kind per degree of freedom: 1 if it fits within the noise; the

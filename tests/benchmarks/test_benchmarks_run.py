@@ -24,9 +24,7 @@ TESTED_ELSEWHERE = {"reproduction"}
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(MODULES.keys() - TESTED_ELSEWHERE))
-def test_it_prints_its_figures(
-    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_prints_its_figures(name, capsys, monkeypatch) -> None:
     monkeypatch.delenv("TACTILE_CELL_DATA", raising=False)
     monkeypatch.chdir(Path(benchmarks.__file__).resolve().parent.parent)
     importlib.import_module(MODULES[name]).main(EFFORT)
@@ -36,7 +34,7 @@ def test_it_prints_its_figures(
     assert "nan" not in printed
 
 
-def test_the_command_names_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_names_what_there_is(monkeypatch) -> None:
     assert {"identify", "reproduction"} <= set(MODULES)
     monkeypatch.setattr(sys, "argv", ["benchmarks", "nothing"])
     with pytest.raises(SystemExit, match=", ".join(MODULES)):

@@ -1,7 +1,5 @@
 """The figures on the page of the force loop are those that its benchmark gives today."""
 
-from pathlib import Path
-
 import pytest
 
 from benchmarks.performance import force_ramps
@@ -44,7 +42,7 @@ def line_of(page: str, case: Case) -> str:
 
 
 @pytest.mark.parametrize("case", RAN_AGAIN, ids=lambda case: case.part)
-def test_the_page_has_the_figures_of_today(case: Case) -> None:
+def test_the_page_has_the_figures_of_today(case) -> None:
     printed = line_of(force_ramps.PAGE.read_text(encoding="utf-8"), case)
     today_n: list[float] = []
     for name in (OWN, force_ramps.OWN_TRUTHS):
@@ -60,9 +58,7 @@ def test_a_ramp_with_frames_alone_meets_its_aims() -> None:
     assert all(force_ramps.met(quality, case.final_n))
 
 
-def test_the_figures_alone_are_written_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_figures_alone_are_written_anew(tmp_path, monkeypatch) -> None:
     path = tmp_path / "page.md"
     path.write_text(f"# Page\n\n{force_ramps.BEGIN}\nstale\n{force_ramps.END}\n\nafter\n")
     monkeypatch.setattr(force_ramps, "PAGE", path)

@@ -77,9 +77,7 @@ def test_a_figure_that_is_printed_no_more_is_named() -> None:
         ),
     ],
 )
-def test_the_run_of_today_prints_what_is_quoted(
-    command: str, options: tuple[object, ...], n_cells: int, tmp_path: Path
-) -> None:
+def test_the_run_of_today_prints_what_is_quoted(command, options, n_cells, tmp_path) -> None:
     text = printed("run", *options, "--out", tmp_path)
     cells = quoted((ROOT / "README.md").read_text(encoding="utf-8"), command)
     assert len(cells) == n_cells
@@ -93,7 +91,7 @@ def test_the_run_of_today_prints_what_is_quoted(
     "TACTILE_CELL_DATA" not in os.environ,
     reason="TACTILE_CELL_DATA does not name the folder of recorded grasps",
 )
-def test_the_evaluation_of_today_prints_what_is_quoted(tmp_path: Path) -> None:
+def test_the_evaluation_of_today_prints_what_is_quoted(tmp_path) -> None:
     data = Path(os.environ["TACTILE_CELL_DATA"])
     first, later, report = data / "pinch36.npz", data / "pinch_november.npz", tmp_path / "e.json"
     text = printed("evaluate", first, "--json", report)

@@ -47,9 +47,7 @@ def test_the_page_has_each_constant_of_today() -> None:
         ("supervision.doubt", "_RUN_M_S", 2.0, 0.016),
     ],
 )
-def test_one_constant_is_another_from_the_import_on(
-    module: str, name: str, factor: float, wanted: object
-) -> None:
+def test_one_constant_is_another_from_the_import_on(module, name, factor, wanted) -> None:
     whole = f"gripper.force.{module}"
     path = ROOT.joinpath(*whole.split(".")).with_suffix(".py")
     spec = importlib.util.spec_from_loader(whole, Scaled(whole, str(path), name, factor))

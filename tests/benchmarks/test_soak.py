@@ -76,8 +76,7 @@ def made(n: int, **growth: float) -> list[soak.ResourceUse]:
 
 
 @pytest.mark.parametrize(
-    ("name", "leak"),
-    [("rss_kib", 1.5), ("objects", 1.0), ("descriptors", 0.05), ("threads", 0.05)],
+    ("name", "leak"), [("rss_kib", 1.5), ("objects", 1.0), ("descriptors", 0.05), ("threads", 0.05)]
 )
 def test_each_kind_of_leak_is_found(name: str, leak: float) -> None:
     assert soak.grown(made(50)) == []

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.control.answer import Answer, Verification
 from cell.control.live import LiveValues
 from cell.control.states import (
     CellState,
@@ -23,24 +24,16 @@ from cell.control.states import (
 )
 from cell.errors import CellStateError, CellStopped
 from cell.fault_catalogue import error_text, fault_number
-from cell.plugin.answer import Answer, FeltShape, HostStatus, Verification
 from cell.plugin.goals import TASKS, Goal, GripGoal, IdentifyGoal, TeachGoal, VerifyGoal
-from cell.plugin.part_report import OnPart, PartReport
+from cell.plugin.host_status import HostStatus
+from cell.plugin.part_report import OnPart
 from cell.plugin.worker import Job, JobOutcome, JobStatus
 from recognition.recognizer import UNKNOWN
+from tests.values import make_shape
 
 GRIP_N = 3.25
 """Force of the stub on a part, in N."""
-ROUND = FeltShape(
-    kind="sphere",
-    probability=1.0,
-    probabilities={"sphere": 1.0},
-    size_mm=9.5,
-    interval_mm=(9.0, 10.0),
-    thicknesses_mm=((9.5, 9.0, 10.0),),
-    dimensions_mm={"diameter": 9.5},
-    n_grasps=1,
-)
+ROUND = make_shape("sphere", 9.5, half_mm=0.5, dimensions_m={"diameter": 9.5e-3})
 """Shape of each part."""
 FLAT = {"shape": "flat", "size_mm": 2.0}
 """Shape of an object that is taught."""
@@ -49,7 +42,7 @@ CURVES = {
     "opening_mm": [18.0, 9.5, 9.4], "frame": [0.1] * 408,
 }  # fmt: skip
 """Last grasp of each part."""
-FOUND = Verification(held=True, same=True, force_n=GRIP_N, opening_mm=9.5)
+FOUND = Verification(held=True, same=True, force_n=GRIP_N, opening_m=9.5e-3)
 """Answer of each grip and verify."""
 
 
@@ -102,8 +95,8 @@ class StubPlugin:
         if (job := self._running) is not None:
             state, holding, value = self._end
             if isinstance(value, Answer):
-                value = self._last_answer = replace(value, job=job.number)
-                self.on_part(PartReport(task="identify", answer=value, seconds=9.4, curves=CURVES))
+                value = self._last_answer = replace(value, job=job.number, seconds=9.4)
+                self.on_part(replace(value, curves=CURVES), None)
             if isinstance(self._goal, TeachGoal):
                 taught = self.objects.setdefault(self._goal.label, {"n_grasps": 0, **FLAT})
                 taught["n_grasps"] += self._goal.grasps

@@ -2,7 +2,6 @@
 
 import json
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +14,7 @@ from cell.errors import ConfigError, PositionerError
 from gripper.errors import PortLost
 from gripper.values.outcome import GraspResult
 from tactile.errors import BusNotOpened, TactileError
-from tests.cell.conftest import MakeBench, small_config
+from tests.cell.conftest import small_config
 from tests.cell.jobs.test_doctor import REAL
 from tests.fuzz.harness import Clock
 
@@ -41,7 +40,7 @@ def positioner(bench: Any) -> Any:
     ],
     ids=["one servo, rack", "two servos, rack", "mounts", "pinch", "node", "stairs", "s-curve"],
 )
-def test_cells_of_other_make_grasp_too(make_bench: MakeBench, change: dict[str, Any]) -> None:
+def test_cells_of_other_make_grasp_too(make_bench, change) -> None:
     bench = make_bench(small_config(**change)).ready("box")
     record = bench.grasp(3.0)
     assert record.outcome.result is not GraspResult.NO_CONTACT
@@ -49,14 +48,14 @@ def test_cells_of_other_make_grasp_too(make_bench: MakeBench, change: dict[str, 
     assert bench.grip_n == 0.0
 
 
-def test_operator_needs_somebody_to_ask(make_bench: MakeBench) -> None:
+def test_operator_needs_somebody_to_ask(make_bench) -> None:
     config = small_config(positioner__kind="operator")
     with pytest.raises(ConfigError, match="no terminal to ask at"):
         make_bench(config)
     assert isinstance(positioner(make_bench(config, ask=lambda _text: "")), OperatorPositioner)
 
 
-def test_callback_needs_a_mover(make_bench: MakeBench) -> None:
+def test_callback_needs_a_mover(make_bench) -> None:
     config = small_config(positioner__kind="callback")
     with pytest.raises(ConfigError, match="must pass its mover"):
         make_bench(config)
@@ -64,7 +63,7 @@ def test_callback_needs_a_mover(make_bench: MakeBench) -> None:
     assert isinstance(moved, CallbackPositioner)
 
 
-def test_a_socket_is_used_where_one_is_named(make_bench: MakeBench, tmp_path: Path) -> None:
+def test_a_socket_is_used_where_one_is_named(make_bench, tmp_path) -> None:
     with pytest.raises(PositionerError, match="no simulated cell answers"):
         make_bench(small_config(positioner__socket=str(tmp_path / "s")))
 
@@ -77,15 +76,13 @@ def test_a_socket_is_used_where_one_is_named(make_bench: MakeBench, tmp_path: Pa
         ({"tactile__interface": "nonsense"}, BusNotOpened, "nonsense"),
     ],
 )
-def test_wrong_ports_are_named_and_nothing_stays_open(
-    tmp_path: Path, change: dict[str, Any], error: type[Exception], name: str
-) -> None:
+def test_wrong_ports_are_named_and_nothing_stays_open(tmp_path, change, error, name) -> None:
     with pytest.raises(error, match=name):
         build_cell(small_config(**REAL | change), folder=tmp_path, ask=str)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_health_counts_what_the_links_did(make_bench: MakeBench, tmp_path: Path) -> None:
+def test_health_counts_what_the_links_did(make_bench, tmp_path) -> None:
     bench = make_bench(folder=tmp_path).ready()
     bench.grasp()
     health = bench.cell.health()
@@ -104,7 +101,7 @@ def paced(cell: Cell, real: Clock, real_s: float) -> None:
         cell.idle()
 
 
-def test_a_paced_cell_lives_on_while_no_command_runs(make_bench: MakeBench) -> None:
+def test_a_paced_cell_lives_on_while_no_command_runs(make_bench) -> None:
     bench, real = make_bench().ready(), Clock()
     cell, clock = bench.cell, bench.simulated.clock
     began_s = clock.monotonic()
@@ -129,7 +126,7 @@ def test_a_paced_cell_lives_on_while_no_command_runs(make_bench: MakeBench) -> N
     assert clock.monotonic() - began_s < 0.2
 
 
-def test_a_paced_cell_keeps_a_part_and_its_fault_and_is_ready_again(make_bench: MakeBench) -> None:
+def test_a_paced_cell_keeps_a_part_and_its_fault_and_is_ready_again(make_bench) -> None:
     bench, real = make_bench().ready(), Clock()
     cell, controller, clock = bench.cell, bench.controller, bench.simulated.clock
     cell.follow(real, 1.0)

@@ -48,7 +48,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
     return tmp_path
 
 
-def test_the_page_on_updates_can_be_typed(here: Path) -> None:
+def test_the_page_on_updates_can_be_typed(here) -> None:
     record = Path("commissioning.html")
     record.write_text("signed")
     commands = typed("update.md")
@@ -75,7 +75,7 @@ def test_a_wheel_of_the_page_has_the_name_that_a_build_gives_it() -> None:
     }
 
 
-def test_the_page_on_recordings_can_be_typed(here: Path) -> None:
+def test_the_page_on_recordings_can_be_typed(here) -> None:
     (config,) = blocks("keep-recordings.md", "yaml")
     Path("of-the-page.yaml").write_text(config)
     kept = load_config(Path("of-the-page.yaml")).recording
@@ -105,9 +105,7 @@ class STATE:
 @pytest.mark.parametrize(
     "page", ["open-parallel-gripper", "rh-p12-rn", "connect-flexitac", "connect-uskin"]
 )
-def test_the_page_on_hardware_can_be_typed(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_on_hardware_can_be_typed(page, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     *_, checked = typed(f"{page}.md")
     assert "valid" in checked

@@ -261,13 +261,13 @@ def no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def hold_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        Service, "hold", lambda service, _why="": service._plugin._cell.controller.cancel()
+        Service, "stop", lambda service, _why="": service._plugin._cell.controller.cancel()
     )
     monkeypatch.setattr(CellController, "forget_cancel", lambda _controller: None)
 
 
 def holds_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Service, "_check_held", lambda *_: None)
+    monkeypatch.setattr(Service, "_check_stopped", lambda *_: None)
 
 
 DEFECTS = {

@@ -42,9 +42,7 @@ def files(request: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
 
 
 @pytest.mark.parametrize("name", ["small.yaml", "cell/tactile-cell.yaml"])
-def test_configs_are_read_once_the_command_that_they_name_has_converted_them(
-    files: Path, name: str
-) -> None:
+def test_configs_are_read_once_the_command_that_they_name_has_converted_them(files, name) -> None:
     path, before = files / name, (files / name).read_text()
     with pytest.raises(ConfigError, match=rf"is obsolete: `tactile-cell config convert {path}`"):
         call("config", "check", path)
@@ -59,7 +57,7 @@ def test_configs_are_read_once_the_command_that_they_name_has_converted_them(
     assert call("config", "convert", path) == f"{path}: no key is obsolete, the file is unchanged\n"
 
 
-def test_grasps_models_and_recordings_are_read(files: Path) -> None:
+def test_grasps_models_and_recordings_are_read(files) -> None:
     call("config", "convert", "small.yaml")
     for model in ("force_ramp.npz", "again.npz"):
         said = call("identify", "-m", model, "grasps.npz", "-c", "small.yaml")
@@ -93,9 +91,7 @@ def commissioned(files: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Simul
         yield cell
 
 
-def test_a_commissioned_cell_is_done_and_its_servos_come_back(
-    files: Path, commissioned: SimulatedCell
-) -> None:
+def test_a_commissioned_cell_is_done_and_its_servos_come_back(files, commissioned) -> None:
     done = call("commission", "cell")
     assert "commissioned: cell/tactile-cell.yaml" in done
     restored = CliRunner().invoke(app, ["commission", "cell", "--restore"], input="y\n")
@@ -112,7 +108,7 @@ def test_a_commissioned_cell_is_done_and_its_servos_come_back(
     assert {"ports", "unit", "pads_law"} < set(kept["steps"])
 
 
-def test_a_self_zero_is_to_be_measured_again(files: Path) -> None:
+def test_a_self_zero_is_to_be_measured_again(files) -> None:
     call("config", "convert", "small.yaml")
     said = " ".join(call("doctor", "-c", "small.yaml").split())
     assert "it names no format, expected tactile-cell-self-zero/2; `tactile-cell zero`" in said
@@ -122,7 +118,7 @@ def test_a_self_zero_is_to_be_measured_again(files: Path) -> None:
     assert "is not used" not in said
 
 
-def test_an_archive_is_read_and_added_to(tmp_path: Path) -> None:
+def test_an_archive_is_read_and_added_to(tmp_path) -> None:
     fleet = tmp_path / "fleet"
     shutil.copytree(HERE / "archive-1", fleet)
     call("archive", "export", fleet, "-o", tmp_path / "some.npz", "--object", "ball")
@@ -141,7 +137,7 @@ def current(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "files"
 
 
-def test_files_of_the_present_formats_are_read(current: Path) -> None:
+def test_files_of_the_present_formats_are_read(current) -> None:
     for name in ("current.yaml", "boards.yaml"):
         assert call("config", "check", name).startswith(f"{name}: valid")
         assert "no key is obsolete" in call("config", "convert", name)
@@ -158,7 +154,7 @@ def test_files_of_the_present_formats_are_read(current: Path) -> None:
     assert f"{path}: MB 0.0, age / days 0.0" in call("recordings", "list", "out")
 
 
-def test_the_self_zero_and_the_drives_of_the_present_format_count(current: Path) -> None:
+def test_the_self_zero_and_the_drives_of_the_present_format_count(current) -> None:
     kept = kept_zeros(load_config(current / "current.yaml"), Path("out"), new_hand=False)
     kept.now_s = lambda: kept.measured_s
     assert kept.refused == ""
@@ -172,7 +168,7 @@ def test_the_self_zero_and_the_drives_of_the_present_format_count(current: Path)
     assert "servo 1: friction 0.137 A" in said
 
 
-def test_a_history_of_the_present_format_is_read_and_goes_on(current: Path) -> None:
+def test_a_history_of_the_present_format_is_read_and_goes_on(current) -> None:
     path, day = Path("out/history-small-pads.sqlite3"), date(2026, 11, 23)
     rows = read_day(path, day)
     assert [row["kind"] for row in rows] == ["start", "part", "part"]
@@ -185,9 +181,7 @@ def test_a_history_of_the_present_format_is_read_and_goes_on(current: Path) -> N
     assert (kept.values()["today"]["parts"], kept.values()["today"]["starts"]) == (2, 2)
 
 
-def test_a_backup_of_the_present_format_is_put_back(
-    current: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_backup_of_the_present_format_is_put_back(current, monkeypatch) -> None:
     assert "1 files of press" in call("restore", "cell.zip", "--folder", "new", "--yes")
     config = load_config(current / "new" / "tactile-cell.yaml")
     assert (config.name, config.gripper.port) == ("press", "/dev/ttyUSB0")
@@ -278,16 +272,14 @@ LATER: dict[str, tuple[Format, Callable[[Format], object], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("what", LATER)
-def test_a_file_of_a_later_version_is_refused_with_the_way_to_read_it(
-    commissioned: SimulatedCell, what: str
-) -> None:
+def test_a_file_of_a_later_version_is_refused_with_the_way_to_read_it(commissioned, what) -> None:
     kind, write, command = LATER[what]
     write(kind)
     with pytest.raises(CellError, match=rf"{later(kind)}; this program reads up to {kind}: update"):
         call(*command)
 
 
-def test_a_self_zero_of_a_later_version_does_not_count(files: Path) -> None:
+def test_a_self_zero_of_a_later_version_does_not_count(files) -> None:
     call("config", "convert", "small.yaml")
     later_text(Path("out/self-zero-small-pads.json"), formats.SELF_ZERO)
     said = " ".join(call("doctor", "-c", "small.yaml").split())

@@ -158,9 +158,7 @@ strangers = st.builds(
 
 
 @bad_input(
-    before=st.lists(strangers, max_size=4),
-    harm=damages(),
-    after=st.lists(strangers, max_size=4),
+    before=st.lists(strangers, max_size=4), harm=damages(), after=st.lists(strangers, max_size=4)
 )
 def test_a_link_in_operation_gives_frames_that_came_or_its_own_errors(bus, before, harm, after):
     sent = [message(0x180 + NODE, data) for data in disturbed(burst(PAPER, 9), harm)]
@@ -265,13 +263,7 @@ def read(bus: QuietBus, index: int, subindex: int, answer: Callable[[bytes], lis
     return ObjectAccess(client, name="the unit").read(index, subindex)
 
 
-PLACES = (
-    (od.IDENTITY, 1),
-    (od.DEVICE_NAME, 0),
-    (od.LAYOUT, 3),
-    (od.LAYOUT, 2),
-    (od.FORMAT, 2),
-)
+PLACES = ((od.IDENTITY, 1), (od.DEVICE_NAME, 0), (od.LAYOUT, 3), (od.LAYOUT, 2), (od.FORMAT, 2))
 
 
 responses = st.tuples(damages(at_least=1, at_most=1), st.just([]) | st.lists(eight, max_size=4))

@@ -141,14 +141,12 @@ def test_the_simulated_adapter_sends_whole_lines_only(stream, harm, piece):
     "line",
     [b"t1818112233", b"t1_0211AA", b"t+181 0", b"tFFF0", b"TFFFFFFFF0", b"t1811AABB", b"d1810"],
 )
-def test_a_line_that_is_not_whole_is_no_message(
-    terminal: tuple[int, BulkSlcanBus], line: bytes
-) -> None:
+def test_a_line_that_is_not_whole_is_no_message(terminal, line) -> None:
     assert received(*terminal, [line + b"\rt1811AA\r"]) == [(0x181, False, b"\xaa")]
     assert terminal[1].bad_lines == 1
 
 
-def test_the_end_of_an_overlong_line_is_no_message(terminal: tuple[int, BulkSlcanBus]) -> None:
+def test_the_end_of_an_overlong_line_is_no_message(terminal) -> None:
     parts = [b"x" * 40, b"t1811AA\r", b"t1821BB\r"]
     assert received(*terminal, parts) == [(0x182, False, b"\xbb")]
     assert terminal[1].bad_lines == 1

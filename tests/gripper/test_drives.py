@@ -1,6 +1,5 @@
 """Drives of servos that differ from their catalogue: measured while the gripper works."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -28,7 +27,7 @@ def true_friction_a(motor: Any) -> float:
 
 @pytest.mark.parametrize("friction", [(0.5, 0.5), (3.0, 3.0), (3.0, 1.0), (1.0, 0.5)])
 def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
-    make_cell: Callable[..., Any], friction: tuple[float, float]
+    make_cell, friction
 ) -> None:
     cell = make_cell(drive_sds=NEVER, aperture_m=0.03)
     for motor, factor in zip(cell.motors, friction, strict=True):
@@ -48,7 +47,7 @@ def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
     assert cell.clock.monotonic() - began_s < 3.0
 
 
-def test_one_finger_after_the_other_shows_its_torque(make_cell: Callable[..., Any]) -> None:
+def test_one_finger_after_the_other_shows_its_torque(make_cell) -> None:
     cell = make_cell(drive_sds=NEVER)
     for motor, factor in zip(cell.motors, (0.75, 1.2), strict=True):
         motor.kt_factor = factor
@@ -65,9 +64,7 @@ def test_one_finger_after_the_other_shows_its_torque(make_cell: Callable[..., An
         assert drive.kt_nm_a == XM430_W350.kt_nm_a, "no pad moves the motor constant"
 
 
-def test_free_motions_at_several_speeds_anchor_the_motor_constant(
-    make_cell: Callable[..., Any], make_part: Callable[..., Any]
-) -> None:
+def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_cell, make_part) -> None:
     cell = make_cell(drive_sds=NEVER, part=make_part(present=False))
     for motor, factor in zip(cell.motors, (0.75, 1.25), strict=True):
         motor.kt_factor = factor
@@ -82,9 +79,7 @@ def test_free_motions_at_several_speeds_anchor_the_motor_constant(
         assert drive.temperature_c == pytest.approx(motor.temperature_c, abs=1.0)
 
 
-def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(
-    make_cell: Callable[..., Any], make_part: Callable[..., Any]
-) -> None:
+def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_cell, make_part) -> None:
     cell = make_cell(part=make_part(present=False))
     cell.gripper.start()
     cell.gripper.open()
@@ -98,9 +93,7 @@ def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(
     assert drives(cell)[1].breakaway_a == pytest.approx(true_friction_a(cell.motors[1]), rel=0.1)
 
 
-def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(
-    make_cell: Callable[..., Any], make_part: Callable[..., Any]
-) -> None:
+def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_cell, make_part) -> None:
     cell = make_cell(part=make_part(present=False), current_max_a=1.2)
     cell.gripper.start()
     cell.gripper.open()
@@ -120,9 +113,7 @@ def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(
 
 
 @pytest.mark.parametrize("gain", [0.6, 0.8])
-def test_pads_that_read_too_little_are_noted_once_the_back_emf_is_known(
-    make_cell: Callable[..., Any], gain: float
-) -> None:
+def test_pads_that_read_too_little_are_noted_once_the_back_emf_is_known(make_cell, gain) -> None:
     cell = make_cell(drive_sds=NEVER, force_max_n=12.0)
     cell.sensor.gain = gain
     cell.gripper.start()

@@ -9,12 +9,7 @@ import pytest
 from gripper.dynamixel import models
 from gripper.dynamixel.control_table import BUS_WATCHDOG, TORQUE_ENABLE
 from gripper.dynamixel.models import XL330_M288, XM430_W350
-from gripper.errors import (
-    GripContradicted,
-    GripperStateError,
-    LimitExceeded,
-    VerificationFailed,
-)
+from gripper.errors import GripContradicted, GripperStateError, LimitExceeded, VerificationFailed
 from gripper.force.ramp import ForceRamp, largest_ramp_n
 from gripper.gripper import Gripper
 from gripper.mechanics.kinematics import ParallelLinkage
@@ -57,11 +52,7 @@ def test_another_model_is_named_and_nothing_of_it_is_rewritten(make_cell) -> Non
         servos=tuple(ServoSettings(servo_id=i) for i in (1, 2)), current_max_a=0.3
     )
     gripper = Gripper(
-        cell.bus,
-        ParallelLinkage(link_m=0.06),
-        settings,
-        clock=cell.clock,
-        force_sensor=cell.sensor,
+        cell.bus, ParallelLinkage(link_m=0.06), settings, clock=cell.clock, force_sensor=cell.sensor
     )
     with pytest.raises(VerificationFailed, match="model_number: expected 1020, found 1200"):
         gripper.start()

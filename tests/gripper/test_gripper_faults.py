@@ -2,12 +2,7 @@
 
 import pytest
 
-from gripper.errors import (
-    BusTimeout,
-    ForceSensorStale,
-    MechanicsContradicted,
-    ServoFault,
-)
+from gripper.errors import BusTimeout, ForceSensorStale, MechanicsContradicted, ServoFault
 from gripper.force.ramp import ForceRamp
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)

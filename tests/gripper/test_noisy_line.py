@@ -3,12 +3,7 @@
 import pytest
 
 from gripper.dynamixel.control_table import PRESENT_POSITION, RegisterBlock
-from gripper.errors import (
-    BusCorrupt,
-    BusTimeout,
-    ForceAboveCap,
-    ForceSensorStale,
-)
+from gripper.errors import BusCorrupt, BusTimeout, ForceAboveCap, ForceSensorStale
 from gripper.force.ramp import ForceRamp
 from simulator.servo.faults import Chatter
 
@@ -30,8 +25,7 @@ SLOW = {
 
 
 @pytest.mark.parametrize(
-    ("knob", "value", "error"),
-    [("gain", 3.0, ForceAboveCap), ("dead", True, ForceSensorStale)],
+    ("knob", "value", "error"), [("gain", 3.0, ForceAboveCap), ("dead", True, ForceSensorStale)]
 )
 def test_pads_are_watched_while_the_servos_are_not_understood(
     make_cell, knob, value, error

@@ -22,9 +22,7 @@ def gripped_n(sim: SimulatedCell) -> float:
 
 
 @pytest.mark.parametrize("error", [None, KeyError])
-def test_leaving_the_block_closes_the_port_and_keeps_the_part(
-    error: type[Exception] | None,
-) -> None:
+def test_leaving_the_block_closes_the_port_and_keeps_the_part(error) -> None:
     with simulated_cell("box") as sim:
         try:
             with open_gripper(sim.servo_port) as gripper:
@@ -73,7 +71,7 @@ def test_a_line_that_is_cut_is_a_lost_port() -> None:
 
 
 @pytest.mark.parametrize("kind", [GroupSyncRead, GroupBulkRead])
-def test_the_groups_of_the_sdk_read_over_our_port_and_handler(kind: type) -> None:
+def test_the_groups_of_the_sdk_read_over_our_port_and_handler(kind) -> None:
     with simulated_cell() as sim:
         port, handler = SdkPort(*open_line(sim.servo_port, 1_000_000)), CheckedPacketHandler()
         place = (PRESENT_POSITION.address, PRESENT_POSITION.size)

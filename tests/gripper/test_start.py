@@ -3,11 +3,7 @@
 import pytest
 
 from gripper.dynamixel.control_table import REGISTERS
-from gripper.errors import (
-    LimitExceeded,
-    LinkTooSlow,
-    VerificationFailed,
-)
+from gripper.errors import LimitExceeded, LinkTooSlow, VerificationFailed
 from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.outcome import GraspResult

@@ -4,13 +4,11 @@ import contextlib
 import os
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Iterator
 from typing import Any
 
-LIMIT_S = 60.0
-"""Patience in s with a program."""
+from tests.cell.served import LIMIT_S, until
+
 PROGRAM = (sys.executable, "-c", "from cell.interfaces.cli import main; main()")
 CONFIG = """
 self_zero: on_demand
@@ -39,11 +37,7 @@ def hurry(pid: int) -> None:
 def done(cell: Any, lease: int, job: int) -> int:
     """Wait for a job over XML-RPC and return how it ended."""
     assert job > 0, job
-    end_s = time.monotonic() + LIMIT_S
-    while cell.job_state(job) < 4:
-        assert cell.alive(lease) == 0
-        assert time.monotonic() < end_s
-        threading.Event().wait(0.05)
+    until(lambda: cell.alive(lease) or cell.job_state(job) >= 4)
     ended: int = cell.job_state(job)
     return ended
 

@@ -1,17 +1,14 @@
 """Axes of a simulated cell in a process of its own: they bring the object, and stop at a fault."""
 
 import contextlib
-import threading
-import time
-from collections.abc import Callable
 from math import radians
-from pathlib import Path
 
 import pytest
 
 from cell.config.file import changed_config, load_config, parse_config
 from cell.plugin.plugin import IdentifyGoal, JobFailed, TactileCellPlugin, TeachGoal
 from cell.pytest_plugin.process import CellProcess
+from tests.cell.served import LIMIT_S, until
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.hil.program import first
 
@@ -30,16 +27,11 @@ sequence:
 """
 """Half the rate: other tests may take turns on the same processors."""
 LABELS = ("box", "cylinder")
-LIMIT_S = 60.0
 X_MM, ROTATION_DEG, ROLL_DEG = -2.0, 20.0, 30.0
 """Pose of the identification."""
 FAR_X_MM, FAR_DEG = 4.0, 95.0
 """Pose that is 4 s away for the drive along x and 7 s for the one that turns."""
-AXES = (
-    X_AXIS | {"velocity": 1.5},
-    ROTATION_AXIS | {"velocity": 10.0},
-    WRIST | {"velocity": 30.0},
-)
+AXES = (X_AXIS | {"velocity": 1.5}, ROTATION_AXIS | {"velocity": 10.0}, WRIST | {"velocity": 30.0})
 SILENT = r"axis x \(drive 11\)"
 """How the error names a drive 1 that is silent."""
 NEAR_M, NEAR_RAD = 1e-4, radians(1.5)
@@ -56,16 +48,7 @@ def positions(cell: CellProcess) -> dict[str, float]:
     return {name: axis["position"] for name, axis in cell.ask(state=True)["axes"].items()}
 
 
-def wait_until(condition: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + LIMIT_S
-    while not condition():
-        assert time.monotonic() < end_s, "it did not come"
-        threading.Event().wait(0.02)
-
-
-def test_axes_bring_the_object_and_stop_when_a_drive_is_silent(
-    free_machine: None, tmp_path: Path
-) -> None:
+def test_axes_bring_the_object_and_stop_when_a_drive_is_silent(free_machine, tmp_path) -> None:
     base = changed_config(
         parse_config(CONFIG, source="tests"),
         CHANGES
@@ -97,7 +80,7 @@ def test_axes_bring_the_object_and_stop_when_a_drive_is_silent(
         assert found["roll"] == pytest.approx(radians(ROLL_DEG), abs=NEAR_RAD)
 
         job = plugin.start(TeachGoal(label=LABELS[0], grasps=2))
-        wait_until(
+        until(
             lambda: (
                 plugin.feedback(job).outcome.terminal
                 or positions(cell)["x"] > 1e-3 * X_MM + 2.0 * NEAR_M
@@ -108,7 +91,7 @@ def test_axes_bring_the_object_and_stop_when_a_drive_is_silent(
             plugin.result(job, LIMIT_S)
         assert plugin.state() == "ABORTED"
         # The drive that is silent stops by itself when it misses its host.
-        wait_until(lambda: not any(a["moving"] for a in cell.ask(state=True)["axes"].values()))
+        until(lambda: not any(a["moving"] for a in cell.ask(state=True)["axes"].values()))
         stopped = positions(cell)
         assert stopped["x"] < 1e-3 * FAR_X_MM - NEAR_M
         assert stopped["rotation"] < radians(FAR_DEG) - NEAR_RAD

@@ -23,11 +23,11 @@ from gripper.errors import LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
+from tests.cell.served import until
 from tests.hil.program import first
 
 pytestmark = pytest.mark.real_time
 
-LIMIT_S = 30.0
 CONFIG = """
 self_zero: on_demand
 tactile: {tare_frames: 25, sync_period_ms: 30.0, force_period_ms: 10}
@@ -78,18 +78,11 @@ def gone(pid: int) -> bool:
     return not Path(f"/proc/{pid}").exists()
 
 
-def wait_for(what: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + LIMIT_S
-    while not what():
-        assert time.monotonic() < end_s
-        threading.Event().wait(0.01)
-
-
 def in_a_grasp(cell: Cell, simulator: CellProcess, then: Callable[[], Any]) -> threading.Thread:
     """Start a thread that does something once the part is gripped."""
 
     def wait() -> None:
-        wait_for(lambda: simulator.grip_n() > 2.4)
+        until(lambda: simulator.grip_n() > 2.4)
         then()
 
     thread = threading.Thread(target=wait)
@@ -97,7 +90,7 @@ def in_a_grasp(cell: Cell, simulator: CellProcess, then: Callable[[], Any]) -> t
     return thread
 
 
-def test_a_job_a_stop_and_the_release(make_cell: Any, simulator: CellProcess) -> None:
+def test_a_job_a_stop_and_the_release(make_cell, simulator) -> None:
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)
     pid = hand.pid
@@ -160,7 +153,7 @@ def test_a_job_a_stop_and_the_release(make_cell: Any, simulator: CellProcess) ->
     assert kept.statistics[-1]["cycles"] == loop["cycles"]
 
 
-def test_a_carried_part_outlasts_its_loop(make_cell: Any, simulator: CellProcess) -> None:
+def test_a_carried_part_outlasts_its_loop(make_cell, simulator) -> None:
     cell = make_cell()
     controller = cell.controller
     controller.start()
@@ -175,7 +168,7 @@ def test_a_carried_part_outlasts_its_loop(make_cell: Any, simulator: CellProcess
         shown.add(controller.live.force_n)
         return len(shown) > 20
 
-    wait_for(measured)
+    until(measured)
     assert controller.live.force_n == pytest.approx(4.0, abs=1.0)
     assert controller.live.force_age_s < 0.5
     os.kill(hand_of(cell).pid, signal.SIGKILL)
@@ -188,7 +181,7 @@ def test_a_carried_part_outlasts_its_loop(make_cell: Any, simulator: CellProcess
     assert str(controller.fault).endswith(" s after the grip")
 
 
-def test_a_killed_loop_is_a_fault_that_says_so(make_cell: Any, simulator: CellProcess) -> None:
+def test_a_killed_loop_is_a_fault_that_says_so(make_cell, simulator) -> None:
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)
     controller.start()
@@ -212,9 +205,7 @@ def test_a_killed_loop_is_a_fault_that_says_so(make_cell: Any, simulator: CellPr
     assert simulator.grip_n() == 0.0
 
 
-def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(
-    make_cell: Any, simulator: CellProcess
-) -> None:
+def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(make_cell, simulator) -> None:
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)
     controller.start()
@@ -222,7 +213,7 @@ def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(
     controller.grip(5.0, Pose())
     os.kill(hand.pid, signal.SIGTERM)
     with pytest.raises(HandLost, match=r"asked to end \(SIGTERM\); a held part stays held"):
-        wait_for(controller.tick)
+        until(controller.tick)
     assert simulator.grip_n() > 0.8
     controller.clear()
     controller.reset()

@@ -6,7 +6,6 @@ import os
 import re
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from cell.data.recording_reader import read_recording
 from cell.plugin.plugin import GripGoal, JobFailed, TactileCellPlugin, TeachGoal
 from cell.pytest_plugin.process import CellProcess
 from gripper.errors import PortLost, ServoFault
+from tests.cell.served import until
 from tests.hil.program import CONFIG, LIMIT_S, end, first, hurry, run, running
 
 pytestmark = pytest.mark.real_time
@@ -36,10 +36,7 @@ def hurried() -> Iterator[None]:
 
 
 @pytest.fixture
-def simulator(
-    free_machine: None,
-    cell_process: Callable[..., CellProcess],
-) -> CellProcess:
+def simulator(free_machine: None, cell_process: Callable[..., CellProcess]) -> CellProcess:
     one = cell_process(parse_config(CONFIG + SEQUENCE, source="test"))
     first(one.pid)
     return one
@@ -56,9 +53,7 @@ def teaching(simulator: CellProcess, folder: Path, n: int = 50, *more: object) -
     return (*command, "-o", folder / "d.npz", "--out", folder / "out")
 
 
-def test_the_program_teaches_and_identifies_over_real_ports(
-    simulator: CellProcess, tmp_path: Path
-) -> None:
+def test_the_program_teaches_and_identifies_over_real_ports(simulator, tmp_path) -> None:
     config = load_config(simulator.config_path)
     assert not config.simulated
     assert config.gripper.port == simulator.servo_port
@@ -84,9 +79,7 @@ def test_the_program_teaches_and_identifies_over_real_ports(
     assert "fail" not in run("doctor", "--config", simulator.config_path)
 
 
-def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
-    simulator: CellProcess, tmp_path: Path
-) -> None:
+def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(simulator, tmp_path) -> None:
     report = tmp_path / "ended.json"
     with running(*teaching(simulator, tmp_path, 50, "--json", report)) as client:
         simulator.wait_for_grip(2.4)
@@ -117,9 +110,7 @@ def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
     assert simulator.grip_n() == 0.0
 
 
-def test_a_part_that_one_finger_holds_alone_is_let_go(
-    simulator: CellProcess, tmp_path: Path
-) -> None:
+def test_a_part_that_one_finger_holds_alone_is_let_go(simulator, tmp_path) -> None:
     config = ("--config", simulator.config_path)
     simulator.ask(inject="servo1.overload@contact+0.3s")
     said = run(*teaching(simulator, tmp_path), code=1)
@@ -146,7 +137,7 @@ def test_a_part_that_one_finger_holds_alone_is_let_go(
 
 
 def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_servos(
-    simulator: CellProcess, tmp_path: Path
+    simulator, tmp_path
 ) -> None:
     """The two lines one after the other: each is enough for what it carries."""
     config = ("--config", simulator.config_path)
@@ -193,7 +184,7 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     ],
 )
 def test_a_line_that_fails_is_a_fault_with_the_grip_kept_until_clear_and_reset(
-    simulator: CellProcess, fault: str, errors: str
+    simulator, fault, errors
 ) -> None:
     with TactileCellPlugin(simulator.config_path) as plugin:
         failing = simulator.inject(f"{fault}@contact+0.3s")
@@ -214,9 +205,7 @@ def test_a_line_that_fails_is_a_fault_with_the_grip_kept_until_clear_and_reset(
         plugin.release(LIMIT_S)
 
 
-def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(
-    simulator: CellProcess, tmp_path: Path
-) -> None:
+def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(simulator, tmp_path) -> None:
     with running(*teaching(simulator, tmp_path)) as client:
         simulator.wait_for_grip(0.5)
         simulator.kill()
@@ -231,9 +220,7 @@ def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(
 
 
 @pytest.mark.usefixtures("hurried")
-def test_a_part_is_kept_in_real_time_until_the_host_lets_it_go(
-    simulator: CellProcess,
-) -> None:
+def test_a_part_is_kept_in_real_time_until_the_host_lets_it_go(simulator) -> None:
     with TactileCellPlugin(simulator.config_path) as plugin:
         assert not plugin.info()["simulated"]
         for seed, label in enumerate(("ball", "box")):
@@ -257,9 +244,6 @@ def test_a_part_is_kept_in_real_time_until_the_host_lets_it_go(
         grip = {"task": "grip", "force_n": 3.0, "present": "ball"}
         plugin.result(plugin.start(grip), LIMIT_S)
         simulator.ask(inject="object.gone")
-        end_s = time.monotonic() + LIMIT_S
-        while plugin.fault() is None:
-            assert time.monotonic() < end_s, "the loss was not found"
-            threading.Event().wait(0.05)
+        until(plugin.fault)
         assert plugin.status().grasp == "PART LOST"
         assert str(plugin.fault()).endswith(" s after the grip")

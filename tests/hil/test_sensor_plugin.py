@@ -40,11 +40,7 @@ def simulator(free_machine: None) -> Iterator[CellProcess]:
     ],
 )
 def test_code_that_goes_wrong_is_a_fault_that_keeps_the_grip(
-    how: str,
-    named: str,
-    simulator: CellProcess,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    how: str, named: str, simulator: CellProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     entries = {"tactile_cell.sensors": {"faulty": "tests.hil.faulty_sensor:FaultyConfig"}}
     install(tmp_path / "target", "faulty-sensor", entries)

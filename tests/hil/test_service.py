@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xmlrpc.client import ServerProxy
@@ -20,6 +20,7 @@ from cell.config.file import parse_config
 from cell.pytest_plugin.process import CellProcess
 from cell.service.service import RELEASE_KEY
 from tests.cell.conftest import Taught, small_config, taught  # noqa: F401  a fixture
+from tests.cell.served import until
 from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, done, first
 
 pytestmark = pytest.mark.real_time
@@ -96,7 +97,7 @@ def service(
     unit = folder / "etc/systemd/system/tactile-cell.service"
     config = parse_config(simulator.config_path.read_text(), source="test")
     found = Service(unit, config.serve.xmlrpc_port or 0)
-    wait_for(lambda: found.sent("READY=1"))
+    until(lambda: found.sent("READY=1"))
     with found.process, found.cell:
         yield found
         found.process.terminate()
@@ -105,25 +106,16 @@ def service(
     assert found.events[-1] == {"event": "ended", "code": 0}
 
 
-def wait_for(true: Callable[[], Any]) -> None:
-    end_s = time.monotonic() + LIMIT_S
-    while not true():
-        assert time.monotonic() < end_s
-        threading.Event().wait(0.01)
-
-
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("killed", ["main", "hand", "both"])
-def test_a_part_outlasts_the_processes_that_hold_it(
-    service: Service, simulator: CellProcess, killed: str
-) -> None:
+@pytest.mark.parametrize("killed", ["main", "hand", "both", "ended"])
+def test_a_part_outlasts_the_processes_that_hold_it(service, simulator, killed) -> None:
     cell = service.cell
     lease = cell.acquire("before")
     assert cell.teach(lease, "box", 5) > 0
     simulator.wait_for_grip(GRIPPED_N)
     main, hand = service.pid, service.hand
-    for pid in {"main": [main], "hand": [hand], "both": [hand, main]}[killed]:
-        os.kill(pid, signal.SIGKILL)
+    for pid in {"main": [main], "hand": [hand], "both": [hand, main], "ended": [main]}[killed]:
+        os.kill(pid, signal.SIGTERM if killed == "ended" else signal.SIGKILL)
     forces_n, since = [], len(service.events)
 
     def reported() -> bool:
@@ -131,7 +123,7 @@ def test_a_part_outlasts_the_processes_that_hold_it(
         number = LOOP_GONE if killed == "hand" else PART_IN_GRIP
         return service.sent(f"STATUS=ABORTED, a part is held, fault {number}", since)
 
-    wait_for(reported)
+    until(reported)
     assert (service.pid == main) == (killed == "hand")
     assert min(forces_n) > KEPT_N
     assert (cell.state(), cell.holding()) == (9, True)
@@ -172,23 +164,21 @@ def kill_followed(
     is about to be, is none to be kept: the kill comes while the fingers close or hold.
     """
     cell, since, due_s = service.cell, len(service.events), time.monotonic() + after_s
-    wait_for(lambda: time.monotonic() > due_s and cell.grip_state() in (GRIPPING, HOLDING))
+    until(lambda: time.monotonic() > due_s and cell.grip_state() in (GRIPPING, HOLDING))
     main, hand, force_n = service.pid, service.hand, simulator.grip_n()
     for pid in {"main": [main], "hand": [hand], "both": [hand, main]}[killed]:
         os.kill(pid, signal.SIGKILL)
     grip = Grip(simulator)
     if killed == "hand":
-        wait_for(lambda: cell.state() == 9 and len(grip.forces_n) > FOLLOWED)
+        until(lambda: cell.state() == 9 and len(grip.forces_n) > FOLLOWED)
     else:
-        wait_for(lambda: service.sent("READY=1", since))
+        until(lambda: service.sent("READY=1", since))
     return force_n, min(grip.end())
 
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.long) for n in (2, 3, 4))])
-def test_random_kills_in_a_sort_drop_no_part_and_the_sort_goes_on(
-    service: Service, simulator: CellProcess, seed: int
-) -> None:
+def test_random_kills_in_a_sort_drop_no_part_and_the_sort_goes_on(service, simulator, seed) -> None:
     cell, draw, n_held = service.cell, random.Random(seed), 0
     lease = cell.acquire("sort")
     for killed in draw.sample(["main", "hand", "both"], 3):

@@ -113,7 +113,7 @@ def bench(make_wrist: Any) -> Any:
     return make_wrist()
 
 
-def test_a_wrist_turns_between_its_limits(bench: Any) -> None:
+def test_a_wrist_turns_between_its_limits(bench) -> None:
     for roll_rad in (0.0, math.pi, 1.0):
         assert bench.move(roll_rad) == pytest.approx(roll_rad, abs=NEAR_RAD)
         assert bench.simulated.position == pytest.approx(roll_rad, abs=NEAR_RAD)
@@ -123,7 +123,7 @@ def test_a_wrist_turns_between_its_limits(bench: Any) -> None:
         bench.servo.go_to(2049)
 
 
-def test_a_wrist_that_counts_in_another_turn_is_taken_where_it_stands(make_wrist: Any) -> None:
+def test_a_wrist_that_counts_in_another_turn_is_taken_where_it_stands(make_wrist) -> None:
     bench = make_wrist(start_rad=1.75 - math.tau)
     bench.move(1.0)
     assert bench.simulated.position == pytest.approx(1.0 - math.tau, abs=NEAR_RAD)
@@ -136,16 +136,10 @@ def test_a_wrist_that_counts_in_another_turn_is_taken_where_it_stands(make_wrist
         ("silent", AxisSilent, "does not answer as it should"),
         ("overload", AxisFault, "hardware error overload; remedy the cause"),
         ("reboot", AxisSilent, "does not answer as it should"),
-        (
-            "jump",
-            PositionImplausible,
-            r"reads a position of 2\d\d.\d\d deg, its limits are 0",
-        ),
+        ("jump", PositionImplausible, r"reads a position of 2\d\d.\d\d deg, its limits are 0"),
     ],
 )
-def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(
-    bench: Any, fail: str, error: type[Exception], words: str
-) -> None:
+def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, error, words) -> None:
     bench.move(0.5)
     simulated = bench.simulated
 
@@ -169,7 +163,7 @@ def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(
     assert bench.move(1.0) == pytest.approx(1.0, abs=NEAR_RAD)
 
 
-def test_a_wrist_that_is_silent_for_a_moment_is_asked_again(bench: Any) -> None:
+def test_a_wrist_that_is_silent_for_a_moment_is_asked_again(bench) -> None:
     bench.move(0.5)
     silent = bench.simulated.bus.faults.silent
     began_s = once(bench.clock, lambda: bench.simulated.moving, lambda: silent.add(7))
@@ -178,7 +172,7 @@ def test_a_wrist_that_is_silent_for_a_moment_is_asked_again(bench: Any) -> None:
     assert began_s
 
 
-def test_a_wrist_that_restarted_meanwhile_is_found(bench: Any) -> None:
+def test_a_wrist_that_restarted_meanwhile_is_found(bench) -> None:
     bench.move(0.5)
     bench.simulated.servo.core.boot(bench.clock.monotonic())
     bench.clock.sleep(1.0)
@@ -186,7 +180,7 @@ def test_a_wrist_that_restarted_meanwhile_is_found(bench: Any) -> None:
         bench.move(1.0)
 
 
-def test_a_wrist_whose_host_is_gone_stops_by_itself(bench: Any) -> None:
+def test_a_wrist_whose_host_is_gone_stops_by_itself(bench) -> None:
     bench.move(0.5)
     bench.servo.go_to(2000)
     bench.clock.sleep(1.0)
@@ -195,7 +189,7 @@ def test_a_wrist_whose_host_is_gone_stops_by_itself(bench: Any) -> None:
     bench.move(1.0)
 
 
-def test_a_wrist_is_refused_that_is_another_or_stands_outside(make_wrist: Any) -> None:
+def test_a_wrist_is_refused_that_is_another_or_stands_outside(make_wrist) -> None:
     with pytest.raises(AxisFault, match="its limits are 0 to 2048: turn it back by hand"):
         make_wrist(start_rad=4.5).move(1.0)
     bench = make_wrist()
@@ -208,9 +202,7 @@ def test_a_wrist_is_refused_that_is_another_or_stands_outside(make_wrist: Any) -
         bench.move(1.0)
 
 
-def test_faults_of_an_earlier_program_are_cleared_without_motion(
-    make_wrist: Any, make_drive: Any
-) -> None:
+def test_faults_of_an_earlier_program_are_cleared_without_motion(make_wrist, make_drive) -> None:
     bench = make_drive()
     bench.simulated.fail(0x2310)
     bench.axes.clear_faults(reboot=False)

@@ -1,7 +1,6 @@
 """One CiA 402 drive: set-up, motion, homing, stops, and each way in which it fails."""
 
 from collections.abc import Callable
-from typing import Any
 
 import can
 import pytest
@@ -18,7 +17,6 @@ from motion.errors import (
     AxisSilent,
     HomingFailed,
     LimitSwitchReached,
-    MotionError,
     PositionImplausible,
     PositionNotReached,
 )
@@ -33,7 +31,7 @@ def bench(make_drive: MakeDrive) -> DriveBench:
     return make_drive()
 
 
-def test_an_axis_finds_its_home_and_goes_where_it_shall(bench: DriveBench) -> None:
+def test_an_axis_finds_its_home_and_goes_where_it_shall(bench) -> None:
     for x_m in (0.0, 0.012, -0.02, 0.02):
         assert bench.move(x_m) == pytest.approx(x_m, abs=NEAR_M)
         assert bench.simulated.position == pytest.approx(x_m, abs=NEAR_M)
@@ -42,16 +40,14 @@ def test_an_axis_finds_its_home_and_goes_where_it_shall(bench: DriveBench) -> No
 
 
 @pytest.mark.parametrize("homing", [HomingMethod.POSITIVE_SWITCH, HomingMethod.HERE, None])
-def test_every_way_of_homing_gives_true_positions(
-    make_drive: MakeDrive, homing: HomingMethod | None
-) -> None:
+def test_every_way_of_homing_gives_true_positions(make_drive, homing) -> None:
     home = {HomingMethod.POSITIVE_SWITCH: 25_000, HomingMethod.HERE: 3_000, None: 0}[homing]
     bench = make_drive(homing=homing, home=home)
     bench.move(-0.01)
     assert bench.simulated.position == pytest.approx(-0.01, abs=NEAR_M)
 
 
-def test_the_speed_is_that_of_the_profile(make_drive: MakeDrive) -> None:
+def test_the_speed_is_that_of_the_profile(make_drive) -> None:
     bench = make_drive(homing=None)
     bench.move(-0.015)
     fastest = 0.0
@@ -69,14 +65,14 @@ def test_the_speed_is_that_of_the_profile(make_drive: MakeDrive) -> None:
 
 
 @pytest.mark.parametrize("x_m", [0.0201, -0.0201, float("nan"), float("inf")])
-def test_nothing_moves_beyond_a_limit(make_drive: MakeDrive, x_m: float) -> None:
+def test_nothing_moves_beyond_a_limit(make_drive, x_m) -> None:
     bench = make_drive(homing=None)
     with pytest.raises(AxisLimitExceeded, match=r"limits are -20.00 mm to 20.00 mm; nothing"):
         bench.move(x_m)
     assert bench.simulated.state is State.SWITCH_ON_DISABLED
 
 
-def test_the_limits_stand_beside_the_write_and_in_the_drive(make_drive: MakeDrive) -> None:
+def test_the_limits_stand_beside_the_write_and_in_the_drive(make_drive) -> None:
     bench = make_drive(homing=None)
     bench.move(0.0)
     with pytest.raises(AxisLimitExceeded, match="was asked for 20001 increments"):
@@ -101,9 +97,7 @@ def test_the_limits_stand_beside_the_write_and_in_the_drive(make_drive: MakeDriv
         ("jump", PositionImplausible, r"reads a position of \d{4}.\d\d mm, its limits are -20.00"),
     ],
 )
-def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(
-    bench: DriveBench, fail: str, error: type[MotionError], words: str
-) -> None:
+def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, error, words) -> None:
     bench.move(-0.01)
     simulated = bench.simulated
     acts = {
@@ -141,9 +135,7 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(
     assert simulated.position == pytest.approx(0.005, abs=NEAR_M)
 
 
-def test_a_drive_that_another_master_stopped_is_started_by_the_next_motion(
-    bench: DriveBench,
-) -> None:
+def test_a_drive_that_another_master_stopped_is_started_by_the_next_motion(bench) -> None:
     bench.move(-0.01)
     bench.simulated.command(2)
     bench.clock.sleep(1.0)
@@ -163,7 +155,7 @@ def test_a_drive_that_another_master_stopped_is_started_by_the_next_motion(
         bench.move(0.01)
 
 
-def test_of_two_drives_with_one_node_id_none_is_enabled(bench: DriveBench) -> None:
+def test_of_two_drives_with_one_node_id_none_is_enabled(bench) -> None:
     bench.second_drive()
     bench.clock.sleep(BOOT_S)
     for _ in range(2):
@@ -172,7 +164,7 @@ def test_of_two_drives_with_one_node_id_none_is_enabled(bench: DriveBench) -> No
         assert bench.simulated.state is State.SWITCH_ON_DISABLED
 
 
-def test_an_answer_to_another_question_is_no_silence(bench: DriveBench) -> None:
+def test_an_answer_to_another_question_is_no_silence(bench) -> None:
     bench.move(0.0)
     other = bytes((0x4B, 0x64, 0x60, 0, 0, 0, 0, 0))
     bench.simulated._network._send = lambda t_s, can_id, data: bench.simulated._emit(
@@ -182,7 +174,7 @@ def test_an_answer_to_another_question_is_no_silence(bench: DriveBench) -> None:
         bench.move(0.01)
 
 
-def test_a_fault_is_reset_only_by_who_has_seen_it(bench: DriveBench) -> None:
+def test_a_fault_is_reset_only_by_who_has_seen_it(bench) -> None:
     bench.simulated.fail(0x3220)
     assert "FAULT" in next(iter(bench.axes.inspect().values()))  # type: ignore[operator]
     with pytest.raises(AxisFault, match="error 3220h: under-voltage"):
@@ -191,7 +183,7 @@ def test_a_fault_is_reset_only_by_who_has_seen_it(bench: DriveBench) -> None:
     bench.move(0.0)
 
 
-def test_a_fault_between_two_motions_is_found_before_the_next(bench: DriveBench) -> None:
+def test_a_fault_between_two_motions_is_found_before_the_next(bench) -> None:
     bench.move(0.0)
     bench.simulated.fail(0x4310)
     bench.clock.sleep(1.0)
@@ -204,7 +196,7 @@ def test_a_fault_between_two_motions_is_found_before_the_next(bench: DriveBench)
         bench.move(0.0)
 
 
-def test_what_the_supervision_raises_stops_the_axis(make_drive: MakeDrive) -> None:
+def test_what_the_supervision_raises_stops_the_axis(make_drive) -> None:
     bench = make_drive(homing_velocity=5_000)
     bench.move(-0.02)
 
@@ -224,7 +216,7 @@ def test_what_the_supervision_raises_stops_the_axis(make_drive: MakeDrive) -> No
     assert bench.clock.monotonic() - began_s < 1.0  # it knows its position, and is not homed
 
 
-def test_a_way_that_takes_too_long_is_stopped(make_drive: MakeDrive) -> None:
+def test_a_way_that_takes_too_long_is_stopped(make_drive) -> None:
     bench = make_drive(homing=None, following_error=10**9)
     bench.move(0.0)
     bench.simulated.motion.blocked = True
@@ -233,7 +225,7 @@ def test_a_way_that_takes_too_long_is_stopped(make_drive: MakeDrive) -> None:
     assert not bench.simulated.motion.speed
 
 
-def test_a_home_that_is_not_found_is_given_up(make_drive: MakeDrive) -> None:
+def test_a_home_that_is_not_found_is_given_up(make_drive) -> None:
     bench = make_drive(following_error=10**9)
     bench.simulated.motion.blocked = True
     with pytest.raises(HomingFailed, match="has not found its home"):
@@ -241,7 +233,7 @@ def test_a_home_that_is_not_found_is_given_up(make_drive: MakeDrive) -> None:
     assert bench.simulated.state is State.QUICK_STOP_ACTIVE
 
 
-def test_who_is_no_drive_or_not_there_is_refused(bench: DriveBench) -> None:
+def test_who_is_no_drive_or_not_there_is_refused(bench) -> None:
     bench.simulated.dead = True
     with pytest.raises(AxisMissing, match=r"does not answer .*is its node-ID and the bit rate"):
         bench.move(0.0)
@@ -257,13 +249,13 @@ def test_who_is_no_drive_or_not_there_is_refused(bench: DriveBench) -> None:
         bench.move(0.0)
 
 
-def test_a_limit_that_the_drive_does_not_keep_is_refused(bench: DriveBench) -> None:
+def test_a_limit_that_the_drive_does_not_keep_is_refused(bench) -> None:
     bench.simulated._live[od.FOLLOWING_ERROR_WINDOW] = lambda: 5
     with pytest.raises(AxisMissing, match=r"keeps 5 in 6065h:0 instead of 1000"):
         bench.move(0.0)
 
 
-def test_an_adapter_that_is_gone_is_named(bench: DriveBench) -> None:
+def test_an_adapter_that_is_gone_is_named(bench) -> None:
     bench.move(0.0)
     bench.bus.faults.unplugged = True
     with pytest.raises(AxisSilent, match=r"CAN interface of the axes failed.*emergency stop"):
@@ -271,7 +263,7 @@ def test_an_adapter_that_is_gone_is_named(bench: DriveBench) -> None:
 
 
 @pytest.mark.parametrize("rate", [0.02, 0.05])
-def test_lost_and_damaged_messages_cost_time_not_the_motion(bench: DriveBench, rate: float) -> None:
+def test_lost_and_damaged_messages_cost_time_not_the_motion(bench, rate) -> None:
     bench.bus.faults.drop_rate = rate
     bench.bus.faults.truncate_rate = rate
     for x_m in (0.01, -0.01, 0.0):
@@ -287,14 +279,14 @@ def test_lost_and_damaged_messages_cost_time_not_the_motion(bench: DriveBench, r
         {"arbitration_id": 0x580 + NODE, "data": b"\xff" * 3},
     ],
 )
-def test_messages_that_are_none_are_passed_over(bench: DriveBench, frame: dict[str, Any]) -> None:
+def test_messages_that_are_none_are_passed_over(bench, frame) -> None:
     bench.move(0.0)
     message = can.Message(is_extended_id=False, **frame)
     bench.once_moving(lambda: bench.bus._link._inbox.appendleft(message))
     assert bench.move(0.01) == pytest.approx(0.01, abs=NEAR_M)
 
 
-def test_a_drive_whose_host_is_gone_stops_by_itself(make_drive: MakeDrive) -> None:
+def test_a_drive_whose_host_is_gone_stops_by_itself(make_drive) -> None:
     bench = make_drive(homing=None)
     bench.move(-0.02)
     bench.clock.sleep(5.0)  # while it stands, nobody has to send anything

@@ -73,9 +73,7 @@ class ServoBench:
 
     def read(self, servo_id: int, address: int, size: int, *, signed: bool = False) -> int:
         error, data = self.ask(
-            servo_id,
-            Instruction.READ,
-            address.to_bytes(2, "little") + size.to_bytes(2, "little"),
+            servo_id, Instruction.READ, address.to_bytes(2, "little") + size.to_bytes(2, "little")
         )
         assert error & 0x7F == 0
         assert len(data) == size

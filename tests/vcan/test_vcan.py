@@ -63,7 +63,7 @@ def frames(link: TactileLink, n: int) -> list[np.ndarray]:
     return found
 
 
-def test_whole_frames_and_the_same_by_sdo(link: TactileLink, unit: "subprocess.Popen[str]") -> None:
+def test_whole_frames_and_the_same_by_sdo(link, unit) -> None:
     identity = link.start()
     assert (identity.serial, identity.product_code) == (77, 0x408)
     counts = frames(link, 12)
@@ -75,7 +75,7 @@ def test_whole_frames_and_the_same_by_sdo(link: TactileLink, unit: "subprocess.P
     assert link._session.objects.read_unsigned(od.LAST_FRAME_COUNTER) >= 11
 
 
-def test_a_unit_that_dies_is_noticed(link: TactileLink, unit: "subprocess.Popen[str]") -> None:
+def test_a_unit_that_dies_is_noticed(link, unit) -> None:
     link.start()
     frames(link, 2)
     unit.kill()
@@ -102,9 +102,7 @@ def test_an_interface_that_is_not_there_is_said_so() -> None:
         open_bus("socketcan", "vcan7")
 
 
-def test_a_silent_unit_is_a_lost_heartbeat_or_frame(
-    link: TactileLink, unit: "subprocess.Popen[str]"
-) -> None:
+def test_a_silent_unit_is_a_lost_heartbeat_or_frame(link, unit) -> None:
     link.start()
     frames(link, 2)
     unit.send_signal(signal.SIGSTOP)

@@ -212,9 +212,9 @@ class ModbusInterface:
             # First, and for any client: a hold also works in a block that is refused.
             client.hold = new[HOLD]
             if client.hold:
-                self._service.begin_hold(client, client.name, connected=True)
+                self._service.begin_stop(client, client.name, connected=True)
             else:
-                self._service.end_hold(client)
+                self._service.end_stop(client)
         if list(new) == [HOLD]:
             return
         self._command(client, new)
@@ -231,7 +231,7 @@ class ModbusInterface:
 
     def disconnected(self, client: "_Client") -> None:
         """Keep the hold of this client, and the lease for its host until the lease expires."""
-        self._service.leave_hold(client)
+        self._service.leave_stop(client)
         if client is self._owner:
             self._owner = None
 
@@ -284,7 +284,7 @@ class ModbusInterface:
         try:
             match number:
                 case 4:
-                    service.hold("by its client over Modbus")
+                    service.stop("by its client over Modbus")
                 case 40 | 41:
                     service.pose_reached(self._lease, asked[OBJECT], ok=number == 40)
                 case _ if number in _COMMANDS:

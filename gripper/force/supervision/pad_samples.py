@@ -46,7 +46,7 @@ class PadSamples:
 
     def take(self, sample: ForceSample) -> None:
         """Add a sample, which may be the same as before."""
-        if self.recent.push(sample) is not None:
+        if self.recent.push(sample) is not None and self.recent.complete:
             self._before_n.append((sample.t_s, self.recent.grip_n))
             while sample.t_s - self._before_n[0][0] > LOOK_BACK_S:
                 self._before_n.popleft()
@@ -63,7 +63,7 @@ class PadSamples:
 
     @property
     def before_n(self) -> float:
-        """Largest grip force in N of the look-back window."""
+        """Largest grip force in N of the look-back window, a mean of enough samples."""
         return max((force_n for _, force_n in self._before_n), default=0.0)
 
     def suddenly_empty(self, asked_n: float) -> bool:

@@ -1,9 +1,7 @@
 """An archive has each grasp once, as it was recorded, whatever is archived how often."""
 
 import json
-import os
 import shutil
-import signal
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -16,14 +14,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from cell.archive.export import export
-from cell.archive.ingest import Piece, ingest, read_piece, sources
+from cell.archive.ingest import ingest, sources
+from cell.archive.questions import ask
 from cell.archive.selection import Selection, parse_selection
 from cell.archive.store import Archive
 from cell.archive.table import COLUMNS, SCHEMA
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import recording_grasps
-from cell.errors import ArchiveError, CellError, ConfigError
+from cell.errors import ArchiveError, ConfigError
 from cell.jobs.common import silent
 from cell.jobs.parallel import workers
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
@@ -62,7 +61,7 @@ def assert_same(a: Grasp, b: Grasp) -> None:
         assert getattr(a, name) == getattr(b, name)
 
 
-def test_the_second_run_adds_nothing(fleet: Path, archived: str) -> None:
+def test_the_second_run_adds_nothing(fleet, archived) -> None:
     before = every(archived)
     assert len(before) == 36
     done = add(archived, sources([fleet]))
@@ -70,7 +69,7 @@ def test_the_second_run_adds_nothing(fleet: Path, archived: str) -> None:
     assert every(archived) == before
 
 
-def test_a_row_leads_back_to_its_recording(archived: str) -> None:
+def test_a_row_leads_back_to_its_recording(archived) -> None:
     row = next(one for one in every(archived) if one["answer"])
     grasp = recording_grasps(row["recording"])[row["grasp"]]
     where = Selection(cells=frozenset({grasp.source.removeprefix("cell ")}))
@@ -88,7 +87,7 @@ def test_a_row_leads_back_to_its_recording(archived: str) -> None:
     assert np.all(np.isfinite(row["features"]))
 
 
-def test_a_data_set_comes_back_as_it_was(tmp_path: Path) -> None:
+def test_a_data_set_comes_back_as_it_was(tmp_path) -> None:
     rng = np.random.default_rng(1)
     rich = {name: getattr(ramp("box", rng), name) for name in Grasp.__dataclass_fields__} | {
         "command": GraspCommand(**dict.fromkeys(COMMAND_COLUMNS, 0.25)),
@@ -116,9 +115,7 @@ def test_a_data_set_comes_back_as_it_was(tmp_path: Path) -> None:
     }
 
 
-def test_a_data_set_beside_its_recording_and_a_copy_add_nothing(
-    fleet: Path, tmp_path: Path
-) -> None:
+def test_a_data_set_beside_its_recording_and_a_copy_add_nothing(fleet, tmp_path) -> None:
     recording = sources([fleet])[0]
     (tmp_path / "job").mkdir()
     shutil.copy(recording, tmp_path / "job" / "recording.mcap")
@@ -134,7 +131,7 @@ def test_a_data_set_beside_its_recording_and_a_copy_add_nothing(
 
 
 def test_what_is_torn_foreign_or_unfinished_is_named_and_left_for_the_next_run(
-    fleet: Path, tmp_path: Path
+    fleet, tmp_path
 ) -> None:
     whole = sources([fleet])[0]
     torn = tmp_path / "torn.mcap"
@@ -159,9 +156,7 @@ def test_what_is_torn_foreign_or_unfinished_is_named_and_left_for_the_next_run(
     assert (done.n_files, done.n_grasps, len(done.left)) == (2, 6, 2)
 
 
-def test_an_interrupted_run_goes_on_where_it_was(
-    fleet: Path, archived: str, tmp_path: Path
-) -> None:
+def test_an_interrupted_run_goes_on_where_it_was(fleet, archived, tmp_path) -> None:
     target = str(tmp_path / "archive")
 
     def dies(work: Callable[[Any], Any], items: Any, /) -> Iterator[Any]:
@@ -174,13 +169,20 @@ def test_an_interrupted_run_goes_on_where_it_was(
     assert len(every(target)) == 6
     note = next(Path(target, "_sources").iterdir())
     note.unlink()  # as if it had ended before the note
-    done = add(target, sources([fleet]))
+
+    def twice(work: Callable[[Any], Any], items: Any, /) -> Iterator[Any]:
+        """Do each piece again, as after the death of a worker that had done it."""
+        for item in items:
+            work(item)
+            yield work(item)
+
+    done = add(target, sources([fleet]), mapper=twice)
     assert (done.n_files, done.n_grasps, done.n_before) == (6, 30, 6)
     assert every(target) == every(archived)
     assert not Path(target, "_staged").exists()
 
 
-def test_an_object_store_is_an_archive_too(fleet: Path, archived: str) -> None:
+def test_an_object_store_is_an_archive_too(fleet, archived) -> None:
     target = "memory://fleet"
     add(target, sources([fleet])[:2])
     expected = [row for row in every(archived) if "run-00" in row["recording"]]
@@ -189,7 +191,7 @@ def test_an_object_store_is_an_archive_too(fleet: Path, archived: str) -> None:
     fsspec.filesystem("memory").rm("/fleet", recursive=True)
 
 
-def test_other_places_are_refused(tmp_path: Path) -> None:
+def test_other_places_are_refused(tmp_path) -> None:
     with pytest.raises(ArchiveError, match=r"is no archive; `tactile-cell archive"):
         Archive(str(tmp_path))
     (tmp_path / "_archive.json").write_text(json.dumps({"format": "tactile-cell-archive/2"}))
@@ -206,7 +208,7 @@ def test_other_places_are_refused(tmp_path: Path) -> None:
         Archive("nothing://here", create=True)
 
 
-def test_a_damaged_file_is_named(archived: str, tmp_path: Path) -> None:
+def test_a_damaged_file_is_named(archived, tmp_path) -> None:
     target = tmp_path / "archive"
     shutil.copytree(archived, target)
     file = next(target.glob("cell=*/*/*.parquet"))
@@ -215,7 +217,7 @@ def test_a_damaged_file_is_named(archived: str, tmp_path: Path) -> None:
         every(str(target))
 
 
-def test_a_selection_reads_only_its_cells_days_and_objects(archived: str) -> None:
+def test_a_selection_reads_only_its_cells_days_and_objects(archived) -> None:
     chosen = parse_selection(["press 2"], "2027-01-05..2027-01-06", ["box"])
     grasps = list(Archive(archived).grasps(chosen))
     assert len(grasps) == 4
@@ -227,7 +229,7 @@ def test_a_selection_reads_only_its_cells_days_and_objects(archived: str) -> Non
         parse_selection([], "January", [])
 
 
-def test_some_grasps_of_each_object_are_the_same_each_time(archived: str) -> None:
+def test_some_grasps_of_each_object_are_the_same_each_time(archived) -> None:
     archive = Archive(archived)
     some = [g.start_ms for g in archive.grasps(most=5)]
     assert some == [g.start_ms for g in archive.grasps(most=5)]
@@ -236,7 +238,7 @@ def test_some_grasps_of_each_object_are_the_same_each_time(archived: str) -> Non
 
 
 @pytest.mark.parametrize("kind", [".csv", ".parquet", ".npz"])
-def test_an_export_has_the_selected_grasps(archived: str, tmp_path: Path, kind: str) -> None:
+def test_an_export_has_the_selected_grasps(archived, tmp_path, kind) -> None:
     chosen, path = Selection(objects=frozenset({"ball"})), tmp_path / f"balls{kind}"
     assert export(Archive(archived), path, chosen) == 12
     if kind == ".npz":
@@ -250,14 +252,14 @@ def test_an_export_has_the_selected_grasps(archived: str, tmp_path: Path, kind: 
         assert pq.read_table(path).column_names == ["cell", "day", *COLUMNS]
 
 
-def test_an_export_of_nothing_is_refused(archived: str, tmp_path: Path) -> None:
+def test_an_export_of_nothing_is_refused(archived, tmp_path) -> None:
     with pytest.raises(ArchiveError, match=r"no grasp of .* is selected"):
         export(Archive(archived), tmp_path / "a.csv", Selection(cells=frozenset({"none"})))
     with pytest.raises(ArchiveError, match=r"ends in \.csv, \.parquet, \.npz"):
         export(Archive(archived), tmp_path / "a.txt")
 
 
-def test_duckdb_reads_the_table(archived: str) -> None:
+def test_duckdb_reads_the_table(archived) -> None:
     found = duckdb.sql(
         f"select cell, count(*), any_value(frames[30].counts[1]), any_value(zero.opening_m) "
         f"from read_parquet('{archived}/cell=*/*/*.parquet', hive_partitioning=true) "
@@ -267,64 +269,9 @@ def test_duckdb_reads_the_table(archived: str) -> None:
     assert all(row[2] > 0 for row in found)
 
 
-def killed_once(token: Path, target: str, path: Path) -> Piece:
-    """Do a piece of work in a process that the system kills the first time."""
-    try:
-        token.unlink()
-    except FileNotFoundError:
-        return read_piece(target, "", path)
-    os.kill(os.getpid(), signal.SIGKILL)
-    raise AssertionError
-
-
-def survivors(mapper: Any, fleet: Path, target: str, token: Path) -> None:
-    """Archive while a worker dies once."""
-    token.touch()
-
-    def mortal(_work: Any, items: Any, /) -> Any:
-        return mapper(partial(killed_once, token, target), items)
-
-    done = add(target, sources([fleet]), mapper=mortal)
-    assert (done.n_files, done.n_grasps) == (6, 36)
-    assert not token.exists()
-
-
-@pytest.mark.timeout(300)
-def test_a_process_that_dies_costs_its_piece_of_work_alone(
-    fleet: Path, archived: str, tmp_path: Path
-) -> None:
+def test_two_processes_archive_and_answer_as_one(fleet, archived, tmp_path) -> None:
     target = str(tmp_path / "archive")
     with workers(2) as mapper:
-        survivors(mapper, fleet, target, tmp_path / "token")
+        assert add(target, sources([fleet]), mapper=mapper).n_grasps == 36
+        assert ask(target, mapper=mapper) == ask(target)
     assert every(target) == every(archived)
-
-
-@pytest.mark.timeout(300)
-def test_a_worker_of_a_cluster_that_dies_costs_its_piece_of_work_alone(
-    fleet: Path, archived: str, tmp_path: Path
-) -> None:
-    from distributed import LocalCluster
-
-    target = str(tmp_path / "archive")
-    with (
-        LocalCluster(
-            n_workers=2,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=":0",
-            silence_logs=50,
-        ) as cluster,
-        workers(scheduler=cluster.scheduler_address) as mapper,
-    ):
-        survivors(mapper, fleet, target, tmp_path / "token")
-    assert every(target) == every(archived)
-
-
-def dies(_item: int) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-@pytest.mark.timeout(300)
-def test_work_that_kills_each_process_is_an_error() -> None:
-    with workers(2) as mapper, pytest.raises(CellError, match="ended at the same work"):
-        list(mapper(dies, [1, 2, 3]))

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from joblib.externals.loky import get_reusable_executor
 
 from cell.data.dataset import write_dataset
 from tests.cell.archive.fleet import FIRST_DAY, SIZES_MM, ramp, record_fleet
@@ -13,10 +14,9 @@ PAGE = "archive-a-fleet.md"
 
 
 @pytest.mark.timeout(400)
-def test_the_page_can_be_typed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_can_be_typed(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
+    get_reusable_executor().shutdown()  # processes of another test are in its folder
     record_fleet(Path("out"), n_days=2, n_each=1)
     rng, start_ms = np.random.default_rng(4), int(1e3 * FIRST_DAY.timestamp()) + 900_000_000
     write_dataset(

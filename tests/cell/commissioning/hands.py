@@ -1,12 +1,10 @@
 """A person at a simulated cell: does and types what each question of the wizard asks for."""
 
 import re
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from cell.commissioning.engine import Question
-from cell.pytest_plugin.process import CellProcess
 from simulator.cell import SimulatedCell
 from simulator.realtime.hands import Hands
 from simulator.realtime.requests import CellRequests
@@ -43,27 +41,17 @@ _PLACES = {"the tip and": "tip", "left": "left", "right": "right", "the other fi
 """Words of the hands for those by which the wizard names a corner of a pad."""
 
 
-def done(match: re.Match[str], words: str, typed: str) -> tuple[list[str], str]:
-    """Return what hands do, and what is typed, for the match of a pattern of the practice."""
-    hands = match.expand(words)
-    if hands.startswith("press "):
-        corner = [word for said, word in _PLACES.items() if said in hands]
-        hands = " ".join([*hands.split()[:2], *corner])
-    return [one for one in hands.split("; ") if one], match.expand(typed)
-
-
 def practised(text: str, *, said: bool, otherwise: Practice) -> tuple[list[str], str]:
     """Return what hands do and what is typed where the wizard asks a text, or only says it."""
-    for pattern, practice in [*otherwise.items(), *PRACTICE.items()]:
+    for pattern, (words, typed) in [*otherwise.items(), *PRACTICE.items()]:
         match = re.search(pattern.removeprefix("!"), text)
         if match and said == pattern.startswith("!"):
-            return done(match, *practice)
+            hands = match.expand(words)
+            if hands.startswith("press "):
+                corner = [word for corner, word in _PLACES.items() if corner in hands]
+                hands = " ".join([*hands.split()[:2], *corner])
+            return [one for one in hands.split("; ") if one], match.expand(typed)
     return [], ""
-
-
-def hands_at(cell: CellProcess) -> Hands:
-    """Return hands at a cell of another process."""
-    return Hands(lambda request: cell.ask(**request), time.sleep)
 
 
 class Person:

@@ -65,9 +65,7 @@ def found(
     return carry_out(AxesStep(), bench, script)
 
 
-def test_a_wrist_and_drives_are_found_and_named(
-    tmp_path: Path, cell: SimulatedCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrist_and_drives_are_found_and_named(tmp_path, cell, monkeypatch) -> None:
     monkeypatch.setattr(axes, "network_interfaces", lambda: ["can0", "can1"])
     script = Script({"axes.port": "yes", "axes.can": "can1"})
     finding = found(tmp_path, cell, script)
@@ -80,19 +78,17 @@ def test_a_wrist_and_drives_are_found_and_named(
     assert script.writes == []
 
 
-def test_a_cell_without_axes_is_asked_nothing(tmp_path: Path, cell: SimulatedCell) -> None:
+def test_a_cell_without_axes_is_asked_nothing(tmp_path, cell) -> None:
     finding = found(tmp_path, cell, script := Script(), ports=(GRIPPER,))
     assert (finding.status, finding.values, script.asked) == (Verdict.PASS, {"axes": []}, [])
 
 
-def test_a_port_that_leads_elsewhere_is_left_alone(tmp_path: Path, cell: SimulatedCell) -> None:
+def test_a_port_that_leads_elsewhere_is_left_alone(tmp_path, cell) -> None:
     finding = found(tmp_path, cell, Script({"axes.port": "no"}))
     assert finding.values == {"axes": []}
 
 
-def test_a_wrist_without_supply_or_with_too_little_is_named(
-    tmp_path: Path, cell: SimulatedCell
-) -> None:
+def test_a_wrist_without_supply_or_with_too_little_is_named(tmp_path, cell) -> None:
     wrist = LinesWithAxes(cell).wrist
     wrist.servo.core.plant.voltage_v = 6.0
     low = found(tmp_path, cell, Script({"axes.port": "yes"}))

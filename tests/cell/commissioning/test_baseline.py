@@ -21,7 +21,6 @@ from cell.commissioning.baseline import BaselineStep, changed_hardware, gauge_ag
 from cell.errors import CellError
 from simulator.world.taxels import NoiseModel
 from tactile.layout import PadMount, pinch_layout
-from tests.cell.commissioning.conftest import MakeStand
 
 FOUND: dict[str, Any] = {
     "unit": {"serial_number": 7, "revision": 0x10001},
@@ -71,7 +70,7 @@ def test_the_same_hardware_has_not_changed() -> None:
         ({"boards": (2, 1)}, "pads", "pads_at_rest"),
     ],
 )
-def test_another_unit_or_pad_names_the_step(change: Any, what: str, step: str) -> None:
+def test_another_unit_or_pad_names_the_step(change, what, step) -> None:
     (found,) = changed_unit(FOUND, **SOUND | change)
     assert (found.what, found.step) == (what, step)
     assert f"commission box --redo {step}`" in found.advice(Path("box"))
@@ -117,14 +116,12 @@ def test_what_was_found_at_rest_is_compared_taxel_by_taxel_where_pads_are_exchan
         ({"current_ma": 600.0}, "current of the motors at the same force", "pads_law"),
     ],
 )
-def test_a_gauge_object_that_feels_otherwise_names_the_step(
-    change: Any, what: str, step: str
-) -> None:
+def test_a_gauge_object_that_feels_otherwise_names_the_step(change, what, step) -> None:
     (found,) = changed_gauge(GAUGE, replace(GAUGE, **change))
     assert (found.what, found.step) == (what, step)
 
 
-def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(stand: MakeStand) -> None:
+def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(stand) -> None:
     one = stand()
     servos = [{"id": n, "model": "XM430-W350", "firmware": 0} for n in (1, 2)]
     one.bench.found = FOUND | {"unit": {"serial_number": 1}, "servos": {"servos": servos}}
@@ -138,9 +135,7 @@ def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(stand: MakeStand) -> 
     assert changed_hardware(one.bench) == []
 
 
-def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(
-    stand: MakeStand, tmp_path: Path
-) -> None:
+def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(stand, tmp_path) -> None:
     one = stand(noise=NoiseModel(level=0.3))
     finding = one.passes(BaselineStep())
     was = gauge_of({"baseline": finding.values})

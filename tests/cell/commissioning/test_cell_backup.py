@@ -85,9 +85,7 @@ def made(folder: Path) -> Path:
     return path
 
 
-def test_a_backup_holds_the_cell_and_what_its_devices_have_stored(
-    cell: Path, lines: SimulatedLines
-) -> None:
+def test_a_backup_holds_the_cell_and_what_its_devices_have_stored(cell, lines) -> None:
     printed = call("backup", "../cell.zip")
     assert printed == f"../cell.zip: press 4, 8 files, {open_size(cell.parent):.1f} MB\n"
     with open_backup(cell.parent / "cell.zip") as backup:
@@ -113,9 +111,7 @@ def open_size(folder: Path) -> float:
         return sum(one.n_bytes for one in backup.manifest.members.values()) / 1e6
 
 
-def test_devices_that_do_not_answer_are_named_and_the_rest_is_backed_up(
-    cell: Path, lines: SimulatedLines
-) -> None:
+def test_devices_that_do_not_answer_are_named_and_the_rest_is_backed_up(cell, lines) -> None:
     lines.ports = ()
     said = CliRunner().invoke(app, ["backup", "b.zip"], catch_exceptions=False)
     assert "not in the backup: registers of servo 1: cannot open serial port" in said.output
@@ -123,7 +119,7 @@ def test_devices_that_do_not_answer_are_named_and_the_rest_is_backed_up(
     assert "b.zip: press 4, 8 files" in said.output
 
 
-def test_a_restore_shows_what_differs_asks_and_is_taken_back(cell: Path) -> None:
+def test_a_restore_shows_what_differs_asks_and_is_taken_back(cell) -> None:
     path, before = made(cell), there(cell)
     with pytest.raises(CellError, match="there is nothing to undo: restore-undo"):
         call("restore", "--undo")
@@ -147,7 +143,7 @@ def test_a_restore_shows_what_differs_asks_and_is_taken_back(cell: Path) -> None
     assert there(cell) == before
 
 
-def test_a_machine_with_other_ports_keeps_them(cell: Path, tmp_path: Path) -> None:
+def test_a_machine_with_other_ports_keeps_them(cell, tmp_path) -> None:
     path, other = made(cell), tmp_path / "there"
     other.mkdir()
     config = load_config(cell / "tactile-cell.yaml")
@@ -164,7 +160,7 @@ def test_a_machine_with_other_ports_keeps_them(cell: Path, tmp_path: Path) -> No
         assert (other / name).read_bytes() == content
 
 
-def test_a_new_machine_gets_all_files_and_an_undo_removes_them(cell: Path, tmp_path: Path) -> None:
+def test_a_new_machine_gets_all_files_and_an_undo_removes_them(cell, tmp_path) -> None:
     path, other = made(cell), tmp_path / "new"
     restore(path, other, len)
     expected = {k: v for k, v in there(cell).items() if not k.startswith("out/")}
@@ -173,7 +169,7 @@ def test_a_new_machine_gets_all_files_and_an_undo_removes_them(cell: Path, tmp_p
     assert there(other) == {}
 
 
-def test_an_older_config_is_converted(cell: Path, tmp_path: Path) -> None:
+def test_an_older_config_is_converted(cell, tmp_path) -> None:
     config = cell / "tactile-cell.yaml"
     loaded = load_config(config)
     text = config.read_text().replace("\nserve:", "\nserve:\n  foxglove_port: 8765")
@@ -185,7 +181,7 @@ def test_an_older_config_is_converted(cell: Path, tmp_path: Path) -> None:
     assert load_config(config) == loaded
 
 
-def test_registers_of_the_servos_come_back(cell: Path, lines: SimulatedLines) -> None:
+def test_registers_of_the_servos_come_back(cell, lines) -> None:
     call("backup", "b.zip")
     registers = lines.cell.devices.servo_bus.servos[0].core.registers
     wanted = registers.get("return_delay_time")
@@ -195,7 +191,7 @@ def test_registers_of_the_servos_come_back(cell: Path, lines: SimulatedLines) ->
     assert registers.get("return_delay_time") == wanted
 
 
-def test_objects_of_the_control_unit_come_back(cell: Path, lines: SimulatedLines) -> None:
+def test_objects_of_the_control_unit_come_back(cell, lines) -> None:
     config = load_config(cell / "tactile-cell.yaml").tactile
     layout, unit = lines.cell.settings.layout, f"control unit, node {config.node_id}"
 
@@ -238,7 +234,7 @@ def test_objects_of_the_control_unit_come_back(cell: Path, lines: SimulatedLines
     ],
 )
 def test_objects_of_another_unit_and_values_that_do_not_fit_are_refused(
-    cell: Path, lines: SimulatedLines, changed: dict[str, Any], message: str
+    cell, lines, changed, message
 ) -> None:
     bench = Bench(cell, lines)
     kept = json.loads(json_bytes(unit_values(bench) | changed)) if changed else {}
@@ -269,7 +265,7 @@ def hostile(path: Path, member: str, content: bytes = b"x", **changes: Any) -> N
      "cell/x.photos/../../y.jpg", "C:/evil.yaml"],
 )  # fmt: skip
 @pytest.mark.parametrize("absent", [False, True])
-def test_files_of_no_cell_are_refused(tmp_path: Path, member: str, absent: bool) -> None:
+def test_files_of_no_cell_are_refused(tmp_path, member, absent) -> None:
     path = tmp_path / "b.zip"
     hostile(path, "cell/c.npz" if absent else member, absent=[member] if absent else [])
     with pytest.raises(CellError, match="not a file of a cell; take another copy"):
@@ -277,7 +273,7 @@ def test_files_of_no_cell_are_refused(tmp_path: Path, member: str, absent: bool)
     assert [one.name for one in tmp_path.iterdir()] == ["b.zip"]
 
 
-def test_bombs_later_formats_and_foreign_files_are_refused(tmp_path: Path) -> None:
+def test_bombs_later_formats_and_foreign_files_are_refused(tmp_path) -> None:
     path = tmp_path / "b.zip"
     hostile(path, "cell/a.npz", bytes(100_000_000))
     with pytest.raises(CellError, match="it is compressed, has a file twice"):
@@ -296,7 +292,7 @@ def test_bombs_later_formats_and_foreign_files_are_refused(tmp_path: Path) -> No
         call("restore", path, "-y")
 
 
-def test_no_damage_gets_past_the_checksums(cell: Path) -> None:
+def test_no_damage_gets_past_the_checksums(cell) -> None:
     path = made(cell)
     (cell / "bolts.npz").write_bytes(b"other")
     whole, before, random_ = path.read_bytes(), there(cell), random.Random(7)
@@ -331,9 +327,7 @@ def test_no_damage_gets_past_the_checksums(cell: Path) -> None:
     assert there(cell) == before
 
 
-def test_a_restore_that_a_full_disk_ends_is_taken_back(
-    cell: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_restore_that_a_full_disk_ends_is_taken_back(cell, monkeypatch) -> None:
     path = made(cell)
     for name in ("bolts.npz", "commissioning.html"):
         (cell / name).write_bytes(b"other")
@@ -358,9 +352,7 @@ def test_a_restore_that_a_full_disk_ends_is_taken_back(
     assert there(cell) == before
 
 
-def test_files_that_change_meanwhile_and_names_that_collide_are_refused(
-    cell: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_that_change_meanwhile_and_names_that_collide_are_refused(cell, monkeypatch) -> None:
     (cell / "else").mkdir()
     (cell / "else" / "bolts.npz").touch()
     with pytest.raises(CellError, match="have the same name"):

@@ -15,11 +15,7 @@ from cell.errors import CellError, ConfigError
 from gripper.errors import PortLost
 from tests.cell.commissioning.script import Script
 
-REAL = {
-    "gripper.port": "/dev/ttyUSB0",
-    "tactile.interface": "socketcan",
-    "tactile.channel": "can0",
-}
+REAL = {"gripper.port": "/dev/ttyUSB0", "tactile.interface": "socketcan", "tactile.channel": "can0"}
 
 
 @dataclass

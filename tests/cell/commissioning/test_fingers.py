@@ -1,6 +1,5 @@
 """Fingers of badly mounted servos: linkage, directions and zeros by hand, the first motion."""
 
-from collections.abc import Callable
 from math import asin, radians, sin
 from typing import Any
 
@@ -114,7 +113,7 @@ def limp(stand: MakeStand) -> MakeStand:
     return make
 
 
-def test_one_servo_with_a_pinion(stand: MakeStand) -> None:
+def test_one_servo_with_a_pinion(stand) -> None:
     one = stand(
         servos=(SimulatedServoSettings(servo_id=1, mount=ServoMount(direction=-1)),),
         linkage=RackLinkage(pinion_radius_m=0.02),
@@ -129,7 +128,7 @@ def test_one_servo_with_a_pinion(stand: MakeStand) -> None:
     assert linkage["pinion_radius_mm"] == pytest.approx(20.0, rel=0.02)
 
 
-def test_directions_zero_and_linkage_of_badly_mounted_servos(limp: MakeStand) -> None:
+def test_directions_zero_and_linkage_of_badly_mounted_servos(limp) -> None:
     one = limp("servo2.turned", "servo1.horn=164")
     second_first = {"Open one finger": ("open 1", ""), "open the other": ("open 0", "")}
     found = one.passes(STEP, practice=second_first)
@@ -150,7 +149,7 @@ def test_directions_zero_and_linkage_of_badly_mounted_servos(limp: MakeStand) ->
     assert one.person.script.watched
 
 
-def test_a_wrong_linkage_and_opening_of_the_config_are_named(limp: MakeStand) -> None:
+def test_a_wrong_linkage_and_opening_of_the_config_are_named(limp) -> None:
     one = limp()
     wrong = {
         "gripper.linkage": {"kind": "rack_pinion", "pinion_radius_mm": 40.0},
@@ -165,7 +164,7 @@ def test_a_wrong_linkage_and_opening_of_the_config_are_named(limp: MakeStand) ->
     assert opening.startswith("gripper.aperture_open_mm was 150, is now 11")
 
 
-def test_a_person_stops_the_first_motion_while_it_runs(limp: MakeStand) -> None:
+def test_a_person_stops_the_first_motion_while_it_runs(limp) -> None:
     one = limp()
 
     def stop() -> None:
@@ -178,7 +177,7 @@ def test_a_person_stops_the_first_motion_while_it_runs(limp: MakeStand) -> None:
 
 
 @pytest.mark.parametrize("tight", ["close", "open"])
-def test_a_first_motion_begins_with_room_on_both_sides(limp: MakeStand, tight: str) -> None:
+def test_a_first_motion_begins_with_room_on_both_sides(limp, tight) -> None:
     one = limp()
     one.passes(STEP, fingers__free=[one.does("empty", tight), one.does("half")])
     assert one.person.script.asked.count("fingers.free") == 2
@@ -199,9 +198,7 @@ def drifting(one: Stand) -> None:
         (drifting, "finger 0 (servo 1): closed instead of opening"),
     ],
 )
-def test_a_finger_that_does_not_open_is_named_and_limp(
-    limp: MakeStand, happens: Callable[[Stand], None], named: str
-) -> None:
+def test_a_finger_that_does_not_open_is_named_and_limp(limp, happens, named) -> None:
     one = limp()
 
     def free() -> None:
@@ -215,7 +212,7 @@ def test_a_finger_that_does_not_open_is_named_and_limp(
     assert one.torques == [0, 0]
 
 
-def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(limp: MakeStand) -> None:
+def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(limp) -> None:
     one = limp()
     found = one.run(STEP, fingers__opened="no")
     assert found.status is Verdict.FAIL
@@ -223,7 +220,7 @@ def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(limp: Make
     assert one.torques == [0, 0]
 
 
-def test_closed_that_was_confirmed_too_early_is_measured_again(limp: MakeStand) -> None:
+def test_closed_that_was_confirmed_too_early_is_measured_again(limp) -> None:
     one = limp()
     found = one.passes(
         STEP,
@@ -252,7 +249,7 @@ def test_closed_that_was_confirmed_too_early_is_measured_again(limp: MakeStand) 
     ],
 )
 def test_a_finger_that_stands_closer_on_a_block_than_closed_is_measured_again(
-    limp: MakeStand, replies: dict[str, Any], named: str
+    limp, replies, named
 ) -> None:
     one = limp()
     ((key, wrong),) = replies.items()
@@ -274,7 +271,7 @@ def test_a_finger_that_stands_closer_on_a_block_than_closed_is_measured_again(
     assert named in one.person.script.text
 
 
-def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(limp: MakeStand) -> None:
+def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(limp) -> None:
     one = limp()
     with pytest.raises(AssertionError, match="no reply"):
         one.run(STEP, practice={"How do the fingers move": ("", "")})
@@ -293,7 +290,7 @@ def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(limp: MakeSta
     assert decided(fit_linkages([on_parallel(m, 0.03) for m in BLOCKS_M]))
 
 
-def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(limp: MakeStand) -> None:
+def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(limp) -> None:
     one = limp()
     replies: dict[str, Any] = {
         "fingers.on_block2": one.does("block 30"),
@@ -309,13 +306,13 @@ def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(limp: MakeSt
     assert "the residual is above 0.5 mm: measure the blocks again" in "\n".join(found.lines)
 
 
-def test_one_block_is_enough_and_worth_a_word(limp: MakeStand) -> None:
+def test_one_block_is_enough_and_worth_a_word(limp) -> None:
     found = limp().run(STEP, fingers__block2=0.0)
     assert found.status is Verdict.WARN
     assert found.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.05)
 
 
-def test_leaving_at_each_question_leaves_no_torque(limp: MakeStand) -> None:
+def test_leaving_at_each_question_leaves_no_torque(limp) -> None:
     one = limp()
     one.run(STEP)
     for place in [*one.person.script.asked, "approve"]:
@@ -324,9 +321,7 @@ def test_leaving_at_each_question_leaves_no_torque(limp: MakeStand) -> None:
         assert one.torques == [0, 0], place
 
 
-def test_an_interruption_of_the_first_motion_leaves_the_fingers_limp(
-    limp: MakeStand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interruption_of_the_first_motion_leaves_the_fingers_limp(limp, monkeypatch) -> None:
     one = limp()
     write, seen = ServoGroup.write_goals, []
 

@@ -20,7 +20,7 @@ def one(stand: MakeStand) -> Stand:
     return stand(noise=NoiseModel(level=0.3))
 
 
-def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(one: Stand) -> None:
+def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(one) -> None:
     finding = one.passes(STEP)
     (first, four) = finding.values["asked_held_peak_n"]
     assert first[:2] == pytest.approx([1.0, 1.0], abs=0.1)
@@ -33,9 +33,7 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(one: Stand) -
 
 
 @pytest.mark.parametrize("with_weights", [True, False])
-def test_what_it_measures_of_the_servos_is_kept_for_the_cell(
-    one: Stand, with_weights: bool
-) -> None:
+def test_what_it_measures_of_the_servos_is_kept_for_the_cell(one, with_weights) -> None:
     if with_weights:
         one.bench.found["pads_law"] = {"factor": 1.0}
     one.passes(STEP)
@@ -49,9 +47,7 @@ def test_what_it_measures_of_the_servos_is_kept_for_the_cell(
 
 
 @pytest.mark.parametrize("watchdog_ms", [100.0, 500.0])
-def test_the_self_test_of_the_watchdog_closes_no_further_than_was_shown(
-    one: Stand, watchdog_ms: float
-) -> None:
+def test_the_self_test_of_the_watchdog_closes_no_further_than_was_shown(one, watchdog_ms) -> None:
     one.knows(gripper__watchdog_ms=watchdog_ms)
     opened_m = []
     one.cell.clock.on_advance.append(
@@ -64,7 +60,7 @@ def test_the_self_test_of_the_watchdog_closes_no_further_than_was_shown(
     assert 0.0142 - min(opened_m) < 1e-3 * float(shown[1]) < 0.01
 
 
-def test_nothing_moves_that_was_not_shown(one: Stand) -> None:
+def test_nothing_moves_that_was_not_shown(one) -> None:
     before = one.cell.devices.mechanics.aperture_m
     with pytest.raises(WizardAborted):
         one.run(STEP, leave_at=["approve"])
@@ -72,9 +68,7 @@ def test_nothing_moves_that_was_not_shown(one: Stand) -> None:
 
 
 @pytest.mark.long
-def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_time(
-    one: Stand,
-) -> None:
+def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_time(one) -> None:
     with pytest.raises(WizardAborted, match="keep their grip: take hold of the part"):
         one.run(STEP, leave_at=["first_force.release"])
     assert one.torques == [1, 1]
@@ -85,7 +79,7 @@ def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_t
 
 
 @pytest.mark.parametrize("moment", ["while they open", "while they grasp"])
-def test_a_person_stops_a_motion_while_it_runs(one: Stand, moment: str) -> None:
+def test_a_person_stops_a_motion_while_it_runs(one, moment) -> None:
     looks = 0
 
     def stop() -> None:
@@ -107,14 +101,14 @@ def test_a_person_stops_a_motion_while_it_runs(one: Stand, moment: str) -> None:
     assert one.torques == ([1, 1] if grasps else [0, 0])
 
 
-def test_fingers_that_find_no_part_fail_the_step(one: Stand) -> None:
+def test_fingers_that_find_no_part_fail_the_step(one) -> None:
     finding = one.run(STEP, first_force__part=lambda: None)
     assert finding.status is Verdict.FAIL
     assert "The fingers hold nothing (no_contact)" in finding.lines[-1]
     assert one.torques == [0, 0]
 
 
-def test_a_gripper_without_pads_presses_by_current(one: Stand) -> None:
+def test_a_gripper_without_pads_presses_by_current(one) -> None:
     one.cell.inject("unit.off")
     one.bench.found = {"unit": {"gripper_alone": True}}
     finding = one.run(STEP, first_force__most=3.0)

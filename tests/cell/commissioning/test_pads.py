@@ -21,14 +21,13 @@ from cell.commissioning.pads import (
 from tactile.layout import PadMount, inner_pads, paper_layout, pinch_layout
 from tactile.sensor.calibration import LinearCalibration
 from tactile.sensor.tare import TareLimits
-from tests.cell.commissioning.conftest import MakeStand
 from tests.values import raising
 
 REST, PRESSED = PadsAtRestStep(), PadsPressedStep()
 
 
 @pytest.mark.parametrize("layout", [pinch_layout(), paper_layout()])
-def test_sound_pads_at_rest_pass_without_a_word(stand: MakeStand, layout: Any) -> None:
+def test_sound_pads_at_rest_pass_without_a_word(stand, layout) -> None:
     one = stand(layout=layout)
     one.knows(tactile__layout=layout.name)
     finding = one.passes(REST)
@@ -37,7 +36,7 @@ def test_sound_pads_at_rest_pass_without_a_word(stand: MakeStand, layout: Any) -
     assert set(finding.figures) == {"zero", "noise"}
 
 
-def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(stand: MakeStand) -> None:
+def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(stand) -> None:
     finding = stand(board_serial_numbers=(0, 0)).run(REST)
     assert finding.status is Verdict.WARN
     assert "press each pad after every work" in "\n".join(finding.lines)
@@ -65,9 +64,7 @@ EXCHANGED = [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
         ),
     ],
 )
-def test_pads_that_sit_otherwise_are_found_named_and_set(
-    stand: MakeStand, fault: str, mounts: list[PadMount], named: str
-) -> None:
+def test_pads_that_sit_otherwise_are_found_named_and_set(stand, fault, mounts, named) -> None:
     finding = stand(fault).run(PRESSED)
     assert finding.status is Verdict.WARN
     assert named in "\n".join(finding.lines)
@@ -75,7 +72,7 @@ def test_pads_that_sit_otherwise_are_found_named_and_set(
     assert found == mounts
 
 
-def test_both_pads_turned_and_exchanged_are_what_the_simulated_cell_has(stand: MakeStand) -> None:
+def test_both_pads_turned_and_exchanged_are_what_the_simulated_cell_has(stand) -> None:
     mounts = (
         PadMount(pad=0, sent_as=1, rows_mirrored=True, columns_mirrored=True),
         PadMount(pad=1, sent_as=0, rows_mirrored=True, columns_mirrored=True),
@@ -86,7 +83,7 @@ def test_both_pads_turned_and_exchanged_are_what_the_simulated_cell_has(stand: M
     assert "force messages cannot be used" not in "\n".join(finding.lines)
 
 
-def test_a_dead_pad_is_named_and_fails_the_step(stand: MakeStand) -> None:
+def test_a_dead_pad_is_named_and_fails_the_step(stand) -> None:
     one = stand()
     finding = one.run(
         PRESSED, practice={"!Press finger0.inner": ("lift", "")}, pads_pressed__again="skip"
@@ -97,7 +94,7 @@ def test_a_dead_pad_is_named_and_fails_the_step(stand: MakeStand) -> None:
     assert finding.settings == {}
 
 
-def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand: MakeStand) -> None:
+def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand) -> None:
     one = stand()
     practice = {"!Press finger1.inner with": ("press finger0.inner", "")}
 
@@ -113,14 +110,14 @@ def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand: MakeStand) -> Non
 
 
 @pytest.mark.parametrize("layout", [pinch_layout(), paper_layout()])
-def test_each_pad_is_found_by_who_follows_the_words(stand: MakeStand, layout: Any) -> None:
+def test_each_pad_is_found_by_who_follows_the_words(stand, layout) -> None:
     one = stand(layout=layout)
     one.knows(tactile__layout=layout.name)
     assert one.passes(PRESSED).settings == {"tactile.mounting": []}
     assert one.person.script.asked == []
 
 
-def test_leaving_while_a_pad_is_pressed_ends_the_step(stand: MakeStand) -> None:
+def test_leaving_while_a_pad_is_pressed_ends_the_step(stand) -> None:
     with pytest.raises(WizardAborted):
         stand().run(PRESSED, moment=raising(WizardAborted("left")))
 

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -22,16 +21,14 @@ def lines() -> SimulatedLines:
     return SimulatedLines(SimulatedCell(), ("/dev/ttyUSB0", "/dev/ttyUSB1", "/dev/ttyACM0"))
 
 
-def test_the_only_port_is_taken_unasked(tmp_path: Path) -> None:
+def test_the_only_port_is_taken_unasked(tmp_path) -> None:
     bench = Bench(tmp_path, SimulatedLines(SimulatedCell()))
     found = carry_out(PortsStep(), bench, script := Script())
     assert found.settings == {"gripper.port": "/dev/ttyUSB0"}
     assert script.asked == []
 
 
-def test_a_port_is_found_by_pulling_and_putting_back_its_plug(
-    tmp_path: Path, lines: SimulatedLines
-) -> None:
+def test_a_port_is_found_by_pulling_and_putting_back_its_plug(tmp_path, lines) -> None:
     def without(*gone: str) -> None:
         lines.ports = tuple(port for port in lines.ports if port not in gone)
 
@@ -47,7 +44,7 @@ def test_a_port_is_found_by_pulling_and_putting_back_its_plug(
     assert script.asked.count("ports.plug_back") == 2
 
 
-def test_a_cell_without_any_port_asks_for_the_plug(tmp_path: Path, lines: SimulatedLines) -> None:
+def test_a_cell_without_any_port_asks_for_the_plug(tmp_path, lines) -> None:
     lines.ports = ()
 
     def plug_in() -> None:
@@ -59,7 +56,7 @@ def test_a_cell_without_any_port_asks_for_the_plug(tmp_path: Path, lines: Simula
 
 
 def test_a_slow_latency_timer_is_named_with_the_command_that_mends_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path, monkeypatch
 ) -> None:
     monkeypatch.setattr(ports, "latency_timer_ms", lambda _port: 16)
     found = carry_out(PortsStep(), Bench(tmp_path, SimulatedLines(SimulatedCell())), Script())
@@ -69,9 +66,7 @@ def test_a_slow_latency_timer_is_named_with_the_command_that_mends_it(
     assert 'ATTR{latency_timer}="1"' in advice
 
 
-def test_a_port_of_another_group_is_named_with_the_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_port_of_another_group_is_named_with_the_command(tmp_path, monkeypatch) -> None:
     device = tmp_path / "tty"
     device.touch(mode=0o600)
     monkeypatch.setattr(ports.os, "access", lambda *_: False)
@@ -81,7 +76,7 @@ def test_a_port_of_another_group_is_named_with_the_command(
     assert "sudo usermod -a -G" in found.lines[-1]
 
 
-def test_a_port_that_is_taken_or_gone_is_named(tmp_path: Path, lines: SimulatedLines) -> None:
+def test_a_port_that_is_taken_or_gone_is_named(tmp_path, lines) -> None:
     class Taken(SimulatedLines):
         def open_servos(self, port: str, baud_rate: int) -> None:  # type: ignore[override]
             raise PortLost(f"serial port {port} is used by another program")
@@ -92,7 +87,7 @@ def test_a_port_that_is_taken_or_gone_is_named(tmp_path: Path, lines: SimulatedL
     assert "used by another program" in found.lines[-1]
 
 
-def test_programs_that_have_a_port_open_are_named(tmp_path: Path) -> None:
+def test_programs_that_have_a_port_open_are_named(tmp_path) -> None:
     device = tmp_path / "tty"
     device.touch()
     assert users_of(str(device)) == ()
@@ -107,7 +102,7 @@ def test_programs_that_have_a_port_open_are_named(tmp_path: Path) -> None:
     assert os.path.exists(device)
 
 
-def test_ports_are_named_by_the_serial_number_of_their_adapter(tmp_path: Path) -> None:
+def test_ports_are_named_by_the_serial_number_of_their_adapter(tmp_path) -> None:
     device, names = tmp_path / "ttyUSB0", tmp_path / "by-id"
     device.touch()
     names.mkdir()

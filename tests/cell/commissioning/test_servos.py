@@ -36,7 +36,7 @@ def eeproms(one: Stand) -> list[bytes]:
     return [bytes(s.core.table.data[:64]) for s in one.cell.devices.servo_bus.servos]
 
 
-def test_factory_new_servos_are_numbered_one_at_a_time(new: Stand, tmp_path: Path) -> None:
+def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
     found = new.passes(STEP)
     script = new.person.script
     assert script.asked == ["servos.connect_one", "servos.connect_next"]
@@ -61,7 +61,7 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new: Stand, tmp_path: Pat
         assert kept["found"]["return_delay_time"] == 250
 
 
-def test_a_step_that_goes_on_knows_that_two_servos_answered(new: Stand) -> None:
+def test_a_step_that_goes_on_knows_that_two_servos_answered(new) -> None:
     engine = Engine([PortsStep(), STEP], new.bench)
     for leave_at in (["servos.connect_next"], []):
         person = Person(new.cell)
@@ -73,12 +73,12 @@ def test_a_step_that_goes_on_knows_that_two_servos_answered(new: Stand) -> None:
     assert [one["id"] for one in engine.findings["servos"].values["servos"]] == [1, 2]
 
 
-def test_a_second_servo_that_is_not_there_after_all_is_not_waited_for(new: Stand) -> None:
+def test_a_second_servo_that_is_not_there_after_all_is_not_waited_for(new) -> None:
     one = new.run(STEP, servos__connect_next="none")
     assert [servo["id"] for servo in one.settings["gripper.servos"]] == [1]
 
 
-def test_restore_brings_the_servos_back_as_they_came(new: Stand, tmp_path: Path) -> None:
+def test_restore_brings_the_servos_back_as_they_came(new, tmp_path) -> None:
     before = eeproms(new)
     new.run(STEP)
     lines = restore(new.bench, script := Script(), PORT)
@@ -114,7 +114,7 @@ def killed_after(n_writes: int) -> Iterator[list[Register]]:
 
 
 @pytest.mark.parametrize("n_writes", range(1, 8))
-def test_a_restore_brings_back_what_a_kill_left_half_done(stand: MakeStand, n_writes: int) -> None:
+def test_a_restore_brings_back_what_a_kill_left_half_done(stand, n_writes) -> None:
     """Behind each write of the step, and again behind each write of the way back."""
     one = stand("servo1.factory", "servo2.factory", "servo1.wrong=homing_offset:100")
     one.cell.clock.sleep(1.0)
@@ -134,7 +134,7 @@ def test_a_restore_brings_back_what_a_kill_left_half_done(stand: MakeStand, n_wr
     assert eeproms(one) == before
 
 
-def test_a_servo_that_is_not_there_is_named_with_the_way_to_find_it(new: Stand) -> None:
+def test_a_servo_that_is_not_there_is_named_with_the_way_to_find_it(new) -> None:
     new.passes(STEP)
     before = eeproms(new)
     new.person.does("disconnect servo 2")()
@@ -176,9 +176,7 @@ NO_SUM = {"format": None, "sha256": None}
         ({"format": "tactile-cell-servo-backup/2"}, "update tactile-cell"),
     ],
 )
-def test_nothing_is_written_of_a_backup_that_is_damaged(
-    new: Stand, tmp_path: Path, values: dict[str, Any], says: str
-) -> None:
+def test_nothing_is_written_of_a_backup_that_is_damaged(new, tmp_path, values, says) -> None:
     new.passes(STEP)
     before = eeproms(new)
     altered(tmp_path / "backup-servo2.json", **values)
@@ -188,7 +186,7 @@ def test_nothing_is_written_of_a_backup_that_is_damaged(
     assert (eeproms(new), begun) == (before, [])
 
 
-def test_nothing_is_written_that_was_refused(new: Stand, tmp_path: Path) -> None:
+def test_nothing_is_written_that_was_refused(new, tmp_path) -> None:
     before = eeproms(new)
     with pytest.raises(WizardAborted):
         new.run(STEP, leave_at=["approve"])
@@ -196,7 +194,7 @@ def test_nothing_is_written_that_was_refused(new: Stand, tmp_path: Path) -> None
     assert not list(tmp_path.glob("backup*"))
 
 
-def test_wrong_registers_are_shown_then_set_and_read_back(stand: MakeStand) -> None:
+def test_wrong_registers_are_shown_then_set_and_read_back(stand) -> None:
     one = stand("servo1.wrong=homing_offset:100", "servo2.wrong=drive_mode:1")
     one.passes(STEP)
     shown = {(w.where, w.what, w.before, w.after) for w in one.person.script.writes}
@@ -205,7 +203,7 @@ def test_wrong_registers_are_shown_then_set_and_read_back(stand: MakeStand) -> N
     assert one.registers("homing_offset") == one.registers("drive_mode") == [0, 0]
 
 
-def test_torque_that_holds_a_part_is_not_switched_off_unasked(stand: MakeStand) -> None:
+def test_torque_that_holds_a_part_is_not_switched_off_unasked(stand) -> None:
     one = stand("servo1.wrong=homing_offset:100")
     for servo in one.cell.devices.servo_bus.servos:
         servo.core.set_torque(on=True)

@@ -69,7 +69,7 @@ def brought_up(
     return person
 
 
-def test_a_sound_cell_is_brought_up_without_a_warning(tmp_path: Path) -> None:
+def test_a_sound_cell_is_brought_up_without_a_warning(tmp_path) -> None:
     found = brought_up(tmp_path).script.findings
     assert {key: one.lines for key, one in found.items() if one.status is not Verdict.PASS} == {}
     config = load_config(tmp_path / CONFIG_NAME)
@@ -81,7 +81,7 @@ def test_a_sound_cell_is_brought_up_without_a_warning(tmp_path: Path) -> None:
     assert load_config(tmp_path / CONFIG_NAME).tactile.board_serial_numbers == (1, 9)
 
 
-def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_path: Path) -> None:
+def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_path) -> None:
     leave_at = ("fingers.kind", "pads_law.1.2", "first_force.part")
     person = brought_up(tmp_path, *PADS, *SERVOS, leave_at=leave_at)
     found = person.script.findings
@@ -105,9 +105,7 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_pat
 
 
 @pytest.mark.parametrize("sensor", ["flexitac", "uskin"])
-def test_boards_with_exchanged_pads_and_another_law_are_brought_up(
-    sensor: str, tmp_path: Path
-) -> None:
+def test_boards_with_exchanged_pads_and_another_law_are_brought_up(sensor, tmp_path) -> None:
     preset = load_config(Path(__file__).parents[3] / "config" / f"{sensor}.yaml")
     settings = replace(
         simulator_settings(preset), faults=("taxels.force_gain=0.7", "servo1.horn=164")
@@ -138,7 +136,7 @@ def test_boards_with_exchanged_pads_and_another_law_are_brought_up(
     assert person.pressed_n == pytest.approx(4.0, abs=0.5)
 
 
-def test_a_gripper_without_pads_is_brought_up_by_current(tmp_path: Path) -> None:
+def test_a_gripper_without_pads_is_brought_up_by_current(tmp_path) -> None:
     person = brought_up(tmp_path, *SERVOS, "unit.off", alone=True)
     found = person.script.findings
     assert all(one.status is not Verdict.FAIL for one in found.values())

@@ -29,9 +29,7 @@ def with_sensor(preset: str, sensor: str) -> CellConfig:
 
 @pytest.mark.parametrize("sensor", ["flexitac", "uskin", "unit"])
 @pytest.mark.parametrize("preset", ["rh-p12-rn", "open-parallel-gripper"])
-def test_a_gripper_preset_is_brought_up_from_the_box(
-    preset: str, sensor: str, tmp_path: Path
-) -> None:
+def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path) -> None:
     base = with_sensor(preset, sensor)
     settings = replace(
         simulator_settings(base), faults=("servo1.factory",), mounts=(), aperture_m=0.016
@@ -47,10 +45,7 @@ def test_a_gripper_preset_is_brought_up_from_the_box(
     with SimulatedCell(settings) as cell:
         person = Person(
             cell,
-            {
-                r"Does it drive both fingers": ("", "1"),
-                r"With which force may it be": ("", "8"),
-            },
+            {r"Does it drive both fingers": ("", "1"), r"With which force may it be": ("", "8")},
         )
         bench = Bench(tmp_path, SimulatedLines(cell, ports), given=given, base=base)
         Engine(brisk_steps(), bench).run(person.script)

@@ -3,7 +3,6 @@
 import pytest
 
 from cell.checks.findings import Verdict
-from cell.commissioning.engine import Step
 from cell.commissioning.first_force import FirstForceStep
 from cell.commissioning.link_quality import LinkQualityStep
 from cell.commissioning.pads import PadsAtRestStep, PadsPressedStep
@@ -11,7 +10,6 @@ from cell.commissioning.servos import ServosStep
 from cell.commissioning.unit import UnitStep
 from cell.commissioning.walk import all_steps
 from simulator.world.taxels import NoiseModel
-from tests.cell.commissioning.conftest import MakeStand
 
 SERVOS, UNIT, REST, FORCE = ServosStep(), UnitStep(), PadsAtRestStep(), FirstForceStep()
 PRESSED, LINES = PadsPressedStep(), LinkQualityStep(duration_s=2.5)
@@ -58,9 +56,7 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (FORCE, "servo2.turned", FAIL, "on its own side"),
     ],
 )
-def test_what_is_wrong_is_named(
-    stand: MakeStand, step: Step, fault: str, status: Verdict, named: str
-) -> None:
+def test_what_is_wrong_is_named(stand, step, fault, status, named) -> None:
     one = stand(noise=NoiseModel(level=0.3)) if step is FORCE else stand()
     one.cell.inject(fault)
     finding = one.run(step)
@@ -70,7 +66,7 @@ def test_what_is_wrong_is_named(
 
 
 @pytest.mark.parametrize("step", [step for step in all_steps() if step.needs_pads])
-def test_steps_of_the_pads_pass_by_where_there_are_none(stand: MakeStand, step: Step) -> None:
+def test_steps_of_the_pads_pass_by_where_there_are_none(stand, step) -> None:
     one = stand("unit.off")
     one.bench.found = {"unit": {"gripper_alone": True}}
     finding = one.run(step)

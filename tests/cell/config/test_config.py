@@ -36,7 +36,7 @@ def test_without_a_file_it_is_the_simulated_cell() -> None:
 @pytest.mark.parametrize(
     "name", ["flexitac", "paper-gripper", "pinch-13x6", "two-axes-and-wrist", "uskin"]
 )
-def test_an_example_is_written_in_full_with_the_schema_named(name: str) -> None:
+def test_an_example_is_written_in_full_with_the_schema_named(name) -> None:
     config = load_config(CONFIG_FOLDER / f"{name}.yaml")
     text = config_text(config)
     for written in (text, config_text(config, comments=False)):
@@ -135,10 +135,7 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ("sequence:\n  kind: list\n", ["poses"]),
         ("sequence:\n  candidates: 24\n", ["cell.yaml:2:3: sequence.candidates: is obsolete"]),
         ("sequence:\n  kind: active\n", ["cell.yaml:2:3: sequence.kind: is obsolete", "'active'"]),
-        (
-            "serve: {foxglove_port: 8765}\n",
-            ["port: is obsolete: `tactile-cell config convert"],
-        ),
+        ("serve: {foxglove_port: 8765}\n", ["port: is obsolete: `tactile-cell config convert"]),
         ("gripper: {port: /dev/ttyUSB0}\n", ["both be `simulated` or both be real"]),
         (
             "gripper: {port: /dev/ttyUSB0}\ntactile: {interface: socketcan}\n",
@@ -163,7 +160,7 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ("name: " + "[" * 30 + "]" * 30 + "\n", ["levels"]),
     ],
 )
-def test_complaints_name_line_key_and_limit(text: str, parts: list[str]) -> None:
+def test_complaints_name_line_key_and_limit(text, parts) -> None:
     message = complaint(text)
     for part in parts:
         assert part in message
@@ -189,11 +186,11 @@ def test_complaints_name_line_key_and_limit(text: str, parts: list[str]) -> None
         ("- 1\n", "cell.yaml:1:1: a config is a mapping"),
     ],
 )
-def test_each_complaint_begins_with_its_place(text: str, begin: str) -> None:
+def test_each_complaint_begins_with_its_place(text, begin) -> None:
     assert complaint(text).startswith(begin)
 
 
-def test_a_file_that_was_cut_off_within_a_line_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_was_cut_off_within_a_line_is_refused(tmp_path) -> None:
     whole = "gripper:\n  force_max_n: 12.5\n"
     path = tmp_path / "cell.yaml"
     for end in range(len("gripper:\n") + 1, len(whole)):
@@ -204,7 +201,7 @@ def test_a_file_that_was_cut_off_within_a_line_is_refused(tmp_path: Path) -> Non
     assert load_config(path).gripper.force_max_n == 12.5
 
 
-def test_missing_unreadable_and_oversized_files_are_refused(tmp_path: Path) -> None:
+def test_missing_unreadable_and_oversized_files_are_refused(tmp_path) -> None:
     with pytest.raises(ConfigError, match=r"cannot read config .*check the path"):
         load_config(tmp_path / "none.yaml")
     binary = tmp_path / "binary.yaml"
@@ -217,7 +214,7 @@ def test_missing_unreadable_and_oversized_files_are_refused(tmp_path: Path) -> N
         load_config(large)
 
 
-def test_what_is_no_plain_file_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+def test_what_is_no_plain_file_is_refused_and_not_waited_for(tmp_path) -> None:
     os.mkfifo(tmp_path / "pipe.yaml")
     (tmp_path / "link.yaml").symlink_to(tmp_path / "pipe.yaml")
     for path in (tmp_path / "pipe.yaml", tmp_path / "link.yaml", Path("/dev/zero"), tmp_path):
@@ -239,14 +236,14 @@ def test_what_is_no_plain_file_is_refused_and_not_waited_for(tmp_path: Path) -> 
         'gripper: {port: "/dev/\\x9b"}',
     ],
 )
-def test_texts_that_a_terminal_would_obey_are_refused(text: str) -> None:
+def test_texts_that_a_terminal_would_obey_are_refused(text) -> None:
     said = complaint(text + "\n")
     assert "cannot be printed" in said or "not YAML" in said
     assert said.isprintable()
 
 
 @pytest.mark.parametrize("digits", ["9" * 5000, "0x" + "f" * 5000, "-" + "1" * 1001])
-def test_a_number_of_thousands_of_digits_is_named_by_its_place(digits: str) -> None:
+def test_a_number_of_thousands_of_digits_is_named_by_its_place(digits) -> None:
     assert complaint(f"seed: {digits}\n") == (
         f"cell.yaml:1:7: the value has {len(digits)} characters; at most 1000 are allowed"
     )
@@ -273,9 +270,7 @@ GONE = {"serve.interface": None, "sequence.kind": {"old": "grid"}, "sequence.ext
         ("serve: {interface: 1}\nsequence:\n  extra: 1\n", ""),
     ],
 )
-def test_what_is_gone_is_named_and_converted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str, after: str
-) -> None:
+def test_what_is_gone_is_named_and_converted(tmp_path, monkeypatch, before, after) -> None:
     """All else stays as it is, comments and line ends too."""
     for module in ("config.file", "data.formats"):
         monkeypatch.setattr(f"cell.{module}.GONE_KEYS", GONE)

@@ -32,9 +32,10 @@ _BESIDE: dict[str, dict[str, Any]] = {
     "gripper.aperture_open_mm=2": {
         "simulator.objects": [{"label": "ball", "shape": "box:length=20mm,width=10mm,height=1.5mm"}]
     },
+    "sequence.ramp.rate_n_s=0.1": {"sequence.force_n": [1.0, 1.5]},
     "simulator.noise_level=2.5": {"gripper.contact_force_n": 1.5, "tactile.tare_frames": 50},
 }
-"""What an end needs beside it, because of the object or of the short tare of these jobs."""
+"""What an end needs beside it: because of the object, the short tare, or the time of a ramp."""
 _ALONE = (
     "gripper.contact.samples",
     "gripper.open_speed_mm_s",
@@ -143,21 +144,19 @@ def _default(end: End) -> float:
 
 
 @pytest.mark.parametrize("end", ENDS, ids=str)
-def test_an_end_that_is_refused_names_its_key(end: End) -> None:
+def test_an_end_that_is_refused_names_its_key(end) -> None:
     text = refusal(end)
     section, _, name = end.path.rpartition(".")
     assert not text or name in text or section.rpartition(".")[2] in text
 
 
 @pytest.mark.parametrize("at", groups(), ids=lambda at: ", ".join(map(str, at)))
-def test_a_grasp_is_done_at_the_ends(at: tuple[End, ...]) -> None:
+def test_a_grasp_is_done_at_the_ends(at) -> None:
     grasp(*at)
 
 
 @pytest.mark.parametrize(("bitrate", "period_ms"), [(250_000, 43), (500_000, 20), (1_000_000, 10)])
-def test_each_frame_is_through_in_the_shortest_period_of_a_bit_rate(
-    bitrate: int, period_ms: int
-) -> None:
+def test_each_frame_is_through_in_the_shortest_period_of_a_bit_rate(bitrate, period_ms) -> None:
     keys = {"self_zero": "never", "tactile.bitrate": bitrate, "tactile.tare_frames": 50}
     with pytest.raises(ConfigError, match=f"tactile.sync_period_ms {period_ms} or more"):
         changed_config(CellConfig(), keys | {"tactile.sync_period_ms": period_ms - 1.0})
@@ -172,5 +171,5 @@ def test_each_frame_is_through_in_the_shortest_period_of_a_bit_rate(
 
 @pytest.mark.long
 @pytest.mark.parametrize("end", accepted(), ids=str)
-def test_a_grasp_is_done_at_each_end_alone(end: End) -> None:
+def test_a_grasp_is_done_at_each_end_alone(end) -> None:
     grasp(end)

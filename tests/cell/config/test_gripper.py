@@ -31,9 +31,7 @@ def of_gripper(config: CellConfig, link: Declared) -> Any:
 
 
 @pytest.mark.parametrize(("path", "key", "link"), KEYS, ids=[path for path, _, _ in KEYS])
-def test_a_key_has_the_default_of_its_setting_and_reaches_it(
-    path: str, key: FieldInfo, link: Declared
-) -> None:
+def test_a_key_has_the_default_of_its_setting_and_reaches_it(path, key, link) -> None:
     plain = link.owner()
     assert of_gripper(CellConfig(), link) == pytest.approx(getattr(plain, link.name))
     other = key.default + 1 if isinstance(key.default, int) else 0.98 * key.default

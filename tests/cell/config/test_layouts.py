@@ -42,8 +42,7 @@ def test_own_pads_become_a_layout() -> None:
 
 
 @pytest.mark.parametrize(
-    "pads",
-    [(pad(0), pad(0)), (pad(0), pad(0, "tip")), (pad(0, "tip"), pad(1))],
+    "pads", [(pad(0), pad(0)), (pad(0), pad(0, "tip")), (pad(0, "tip"), pad(1))]
 )
 def test_pads_that_make_no_gripper_are_a_config_error(pads: tuple[PadConfig, ...]) -> None:
     with pytest.raises(ConfigError, match=r"tactile\.layout: layout own"):

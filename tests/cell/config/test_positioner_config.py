@@ -11,11 +11,7 @@ from cell.errors import ConfigError
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 
 EXAMPLE = Path(__file__).parents[3] / "config" / "two-axes-and-wrist.yaml"
-REAL = {
-    "gripper.port": "/dev/ttyUSB0",
-    "tactile.interface": "socketcan",
-    "tactile.channel": "can0",
-}
+REAL = {"gripper.port": "/dev/ttyUSB0", "tactile.interface": "socketcan", "tactile.channel": "can0"}
 TURN = WRIST | {"port": "/dev/ttyUSB1"}
 
 

@@ -21,7 +21,7 @@ from tests.values import raising
 @pytest.fixture
 def record(taught: Any) -> GraspRecord:
     """Return a grasp of the ball without its label."""
-    ball: GraspRecord = taught.result.trials[0].found.records[0]
+    ball: GraspRecord = taught.result.trials[0].records[0]
     return replace(ball, grasp=replace(ball.grasp, label=""))
 
 
@@ -50,8 +50,9 @@ def test_identifying_ends_as_soon_as_it_is_sure_or_with_its_plan(record: GraspRe
     assert (found.label, found.decision.kind) == ("ball", DecisionKind.DECIDED)
     assert told == [1, 2]
     assert len(found.records) == len(found.posteriors) == 2
-    assert found.probability == pytest.approx(float(found.fused.probability.max()), abs=1e-6)
-    assert found.probability > 0.98
+    certain = found.decision.probability
+    assert certain == pytest.approx(float(found.fused.probability.max()), abs=1e-6)
+    assert certain > 0.98
     found = identified(record, UNSURE)
     assert len(found.records) == 2
     assert found.decision.kind is not DecisionKind.CONTINUE

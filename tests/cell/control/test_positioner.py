@@ -2,6 +2,7 @@ import json
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +109,7 @@ def serve(tmp_path: Path) -> Iterator[Callable[[list[bytes]], str]]:
 
 
 def test_socket_placer_speaks_json_lines(serve: Callable[[list[bytes]], str]) -> None:
-    reply = json.dumps({"ok": True, "pose": Pose(x_m=3e-3).as_dict()}).encode() + b"\n"
+    reply = json.dumps({"ok": True, "pose": asdict(Pose(x_m=3e-3))}).encode() + b"\n"
     placer = SocketPlacer(serve([reply, b'{"error": "no such object"}\n', b"nonsense\n"]))
     assert placer.place("ball", POSE) == Pose(x_m=3e-3)
     with pytest.raises(PositionerError, match="no such object"):

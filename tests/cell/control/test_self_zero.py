@@ -4,7 +4,7 @@ import json
 import math
 import os
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from cell.checks.findings import Verdict
 from cell.config.file import changed_config, config_text, parse_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
-from cell.control.self_zero import SelfZeros, kept_zeros, zero_file, zero_values
+from cell.control.self_zero import SelfZeros, kept_zeros, zero_file
 from cell.control.states import CellState
 from cell.data.dataset import read_grasps
 from cell.data.formats import SELF_ZERO, write_json
@@ -294,7 +294,7 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     goal = checked_goal({"task": "zero"})
     assert isinstance(goal, ZeroGoal)
     found = tasks.Tasks(bench.controller, None).zero(goal, reports.append)
-    assert reports[-1]["zero"] == zero_values(found) | {"moved_mm": None}
+    assert reports[-1]["zero"] == asdict(found) | {"moved_mm": None}
     assert bench.controller.self_zero == found
 
 
@@ -382,7 +382,7 @@ def test_a_damaged_file_is_named_and_counts_as_none(tmp_path: Path, how: str, sa
 def test_a_whole_file_of_other_values_counts_as_none(
     tmp_path: Path, values: dict[str, Any]
 ) -> None:
-    kept = {"measured_s": 1.8e9, "hand": {}} | (zero_values(ZERO) if values else {}) | values
+    kept = {"measured_s": 1.8e9, "hand": {}} | (asdict(ZERO) if values else {}) | values
     write_json(tmp_path / "zero.json", SELF_ZERO, kept, error=CellError)
     zeros = SelfZeros("daily", path=tmp_path / "zero.json")
     assert zeros.newest is None
@@ -537,7 +537,7 @@ def test_a_self_zero_of_version_1_is_read(tmp_path: Path) -> None:
     zeros = kept_zeros(here, tmp_path)
     assert zeros.path is not None
     first = replace(SELF_ZERO, text="tactile-cell-self-zero/1")
-    kept = {"measured_s": zeros.now_s(), "hand": zeros.hand} | zero_values(ZERO)
+    kept = {"measured_s": zeros.now_s(), "hand": zeros.hand} | asdict(ZERO)
     write_json(zeros.path, first, kept, error=CellError)
     read = kept_zeros(here, tmp_path)
     assert (read.newest, read.drives, read.refused) == (ZERO, {}, "")

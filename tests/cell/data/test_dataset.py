@@ -50,7 +50,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_what_is_written_comes_back(tmp_path: Path) -> None:
+def test_what_is_written_comes_back(tmp_path) -> None:
     grasps = [
         make_grasp(0),
         make_grasp(1, 1, label="", shape="", source="", force_n=np.array([np.nan])),
@@ -75,7 +75,7 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
         assert now.thickness_m == pytest.approx(was.thickness_m, rel=1e-6, nan_ok=True)
 
 
-def test_file_is_the_documented_format_for_numpy_alone(good: Path) -> None:
+def test_file_is_the_documented_format_for_numpy_alone(good) -> None:
     arrays = arrays_of(good)
     assert str(arrays["format"]) == "grasp-dataset/1"
     assert arrays["counts"].dtype == np.uint16
@@ -87,7 +87,7 @@ def test_file_is_the_documented_format_for_numpy_alone(good: Path) -> None:
         assert {m.compress_type for m in archive.infolist()} == {zipfile.ZIP_DEFLATED}
 
 
-def test_optional_arrays_are_left_out_where_nothing_is_known(tmp_path: Path) -> None:
+def test_optional_arrays_are_left_out_where_nothing_is_known(tmp_path) -> None:
     blank = make_grasp(shape="", source="", force_n=np.full(4, np.nan))
     write_dataset(tmp_path / "d.npz", [blank])
     optional = {"force_n", "shape", "source", "thickness_mm", "pose", "self_zero"}
@@ -96,7 +96,7 @@ def test_optional_arrays_are_left_out_where_nothing_is_known(tmp_path: Path) -> 
 
 
 @pytest.mark.shared_data
-def test_recorded_grasps_load_and_round_trip(tmp_path: Path) -> None:
+def test_recorded_grasps_load_and_round_trip(tmp_path) -> None:
     folder = os.environ.get("TACTILE_CELL_DATA")
     if folder is None:
         pytest.skip("TACTILE_CELL_DATA does not name the folder with pinch36.npz")
@@ -189,7 +189,7 @@ DAMAGE: dict[str, tuple[Change, str]] = {
 
 
 @pytest.mark.parametrize("name", DAMAGE)
-def test_damage_is_refused_naming_file_and_array(name: str, good: Path, tmp_path: Path) -> None:
+def test_damage_is_refused_naming_file_and_array(name, good, tmp_path) -> None:
     change, says = DAMAGE[name]
     arrays = arrays_of(good)
     change(arrays)
@@ -206,7 +206,7 @@ class Bomb:
         return setattr, (Bomb, "exploded", True)
 
 
-def test_pickle_in_disguise_is_refused_and_not_run(good: Path, tmp_path: Path) -> None:
+def test_pickle_in_disguise_is_refused_and_not_run(good, tmp_path) -> None:
     arrays = arrays_of(good) | {"label": np.array([Bomb()] * 3, dtype=object)}
     np.savez(tmp_path / "evil.npz", **arrays)  # type: ignore[arg-type]
     with pytest.raises(DatasetError, match="no pickled objects"):
@@ -238,9 +238,7 @@ LIE = npy(b"{'descr': '<u2', 'fortran_order': False, 'shape': (99999999999, 99),
         ),
     ],
 )
-def test_archives_of_something_else_or_beyond_a_limit_are_refused(
-    members: dict[str, bytes], says: str, tmp_path: Path
-) -> None:
+def test_archives_of_something_else_or_beyond_a_limit_are_refused(members, says, tmp_path) -> None:
     with zipfile.ZipFile(tmp_path / "x.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():
             archive.writestr(name, data)
@@ -261,9 +259,7 @@ def test_archives_of_something_else_or_beyond_a_limit_are_refused(
         (b"\x89MCAP0\r\n" + bytes(100), r"is a recording, not a grasp data set; .* in \.mcap"),
     ],
 )
-def test_what_is_no_archive_is_refused_with_advice(
-    content: bytes | None, says: str, tmp_path: Path
-) -> None:
+def test_what_is_no_archive_is_refused_with_advice(content, says, tmp_path) -> None:
     if content is not None:
         (tmp_path / "x.npz").write_bytes(content)
     for path in (tmp_path / "x.npz", *([] if content else [tmp_path])):
@@ -271,7 +267,7 @@ def test_what_is_no_archive_is_refused_with_advice(
             read_dataset(path)
 
 
-def test_what_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:
+def test_what_could_not_be_read_again_is_not_written(tmp_path) -> None:
     other = replace(PADS, adc_max=256)
     for grasps, says in (
         ([], "no grasp"),
@@ -292,9 +288,7 @@ def test_what_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:
     ("number", "says"),
     [(errno.ENOSPC, "no space left"), (errno.EROFS, "not writable"), (errno.EIO, "Input/output")],
 )
-def test_full_disk_leaves_the_old_file(
-    number: int, says: str, good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_full_disk_leaves_the_old_file(number, says, good, tmp_path, monkeypatch) -> None:
     path = tmp_path / "d.npz"
     path.write_bytes(good.read_bytes())
     path.chmod(0o640)
@@ -310,7 +304,7 @@ def test_full_disk_leaves_the_old_file(
     assert path.stat().st_mode & 0o777 == 0o640
 
 
-def test_a_missing_folder_and_what_is_no_plain_file_are_refused(tmp_path: Path) -> None:
+def test_a_missing_folder_and_what_is_no_plain_file_are_refused(tmp_path) -> None:
     with pytest.raises(DatasetError, match="does not exist; make it first"):
         write_dataset(tmp_path / "nowhere" / "d.npz", [make_grasp()])
     with pytest.raises(DatasetError, match="not a plain file"):

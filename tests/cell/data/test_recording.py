@@ -140,7 +140,7 @@ def same(was: Grasp, now: Grasp) -> bool:
     )
 
 
-def test_grasps_come_back_from_the_recording(whole: tuple[Path, list[Grasp]]) -> None:
+def test_grasps_come_back_from_the_recording(whole) -> None:
     path, grasps = whole
     back = recording_grasps(path)
     assert len(back) == len(grasps)
@@ -148,7 +148,7 @@ def test_grasps_come_back_from_the_recording(whole: tuple[Path, list[Grasp]]) ->
     assert all(grasp.pads is back[0].pads for grasp in back)
 
 
-def test_recording_holds_all_that_happened(whole: tuple[Path, list[Grasp]]) -> None:
+def test_recording_holds_all_that_happened(whole) -> None:
     assert whole[0].stat().st_size < 60_000
     recording = read_recording(whole[0])
     assert recording.complete
@@ -185,9 +185,7 @@ def test_recording_holds_all_that_happened(whole: tuple[Path, list[Grasp]]) -> N
     assert not recording.cycles.force_n.flags.writeable
 
 
-def test_foreign_reader_finds_schemas_that_each_message_fits(
-    whole: tuple[Path, list[Grasp]],
-) -> None:
+def test_foreign_reader_finds_schemas_that_each_message_fits(whole) -> None:
     validators: dict[str, jsonschema.Draft202012Validator] = {}
     with whole[0].open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
@@ -211,7 +209,7 @@ def test_schemas_have_plain_types_only_so_that_viewers_plot_them() -> None:
 
 
 @pytest.mark.parametrize("label", ["UNKNOWN", "\x1b[2J", "x" * 201])
-def test_a_grasp_with_a_label_that_none_may_have_is_left_out(label: str, tmp_path: Path) -> None:
+def test_a_grasp_with_a_label_that_none_may_have_is_left_out(label, tmp_path) -> None:
     clock = Clock(now_s=1.0)
     with Recorder(tmp_path / "r.mcap", clock, pads=PADS) as recorder:
         record_grasp(recorder, clock, "ball")
@@ -223,7 +221,7 @@ def test_a_grasp_with_a_label_that_none_may_have_is_left_out(label: str, tmp_pat
     assert recording.lost_reason.startswith("grasp 2 is left out: its label is")
 
 
-def test_unknown_values_are_left_out(tmp_path: Path) -> None:
+def test_unknown_values_are_left_out(tmp_path) -> None:
     nan = float("nan")
     with Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS) as recorder:
         recorder.cycle(make_cycle(1.0, force=None, setpoint_n=nan, level=None))
@@ -265,9 +263,7 @@ def test_values_of_any_kind_become_plain_ones() -> None:
     }  # fmt: skip
 
 
-def test_recording_cut_anywhere_gives_every_whole_chunk(
-    whole: tuple[Path, list[Grasp]], tmp_path: Path
-) -> None:
+def test_recording_cut_anywhere_gives_every_whole_chunk(whole, tmp_path) -> None:
     path, grasps = whole
     data = path.read_bytes()
     cut = tmp_path / "cut.mcap"
@@ -293,7 +289,7 @@ def test_recording_cut_anywhere_gives_every_whole_chunk(
     assert len(set(n_frames)) > 4
 
 
-def test_killed_program_leaves_a_readable_recording(tmp_path: Path) -> None:
+def test_killed_program_leaves_a_readable_recording(tmp_path) -> None:
     clock = Clock(100.0)
     recorder = Recorder(tmp_path / "r.mcap", clock, pads=PADS)
     for i in range(4):
@@ -307,7 +303,7 @@ def test_killed_program_leaves_a_readable_recording(tmp_path: Path) -> None:
     assert lost * 4 * 450 < 2 * 65536  # about a chunk: four cycles go with a frame
 
 
-def test_what_is_no_recording_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_no_recording_is_refused(tmp_path, monkeypatch) -> None:
     (tmp_path / "text").write_text("hello")
     for name, says in (
         ("none", "check the path"),
@@ -347,7 +343,7 @@ def fill_disk_after(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> list[int]:
 @pytest.mark.parametrize("background", [False, True])
 @pytest.mark.parametrize("room", [0, 100, 9_000, 25_000, *range(27_800, 31_400, 400)])
 def test_a_recording_that_stopped_names_the_frames_that_can_be_read(
-    room: int, background: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    room, background, tmp_path, monkeypatch
 ) -> None:
     clock, path = Clock(100.0), tmp_path / "r.mcap"
     fill_disk_after(monkeypatch, room)
@@ -369,7 +365,7 @@ def test_a_recording_that_stopped_names_the_frames_that_can_be_read(
 
 @pytest.mark.parametrize("background", [False, True])
 def test_a_recording_goes_on_in_a_new_file_when_its_disk_has_room_again(
-    background: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    background, tmp_path, monkeypatch
 ) -> None:
     monkeypatch.setattr(recorder_module, "_LOOK_S", 1e-3)
     clock, path, notes = Clock(100.0), tmp_path / "r.mcap", list[str]()
@@ -414,9 +410,7 @@ def test_a_recording_goes_on_in_a_new_file_when_its_disk_has_room_again(
     assert f"a gap of {n_lost} frames" in gap
 
 
-def test_a_disk_that_fails_again_and_again_is_not_littered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_fails_again_and_again_is_not_littered(tmp_path, monkeypatch) -> None:
     clock = Clock(100.0)
     room = fill_disk_after(monkeypatch, 25_000)
     monkeypatch.setattr(
@@ -437,9 +431,7 @@ def test_a_disk_that_fails_again_and_again_is_not_littered(
         recorder.close()
 
 
-def test_fault_of_the_recording_does_not_hide_another_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fault_of_the_recording_does_not_hide_another_error(tmp_path, monkeypatch) -> None:
     recorder = Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS)
     fill_disk_after(monkeypatch, 0)
     with pytest.raises(ZeroDivisionError) as caught, recorder:
@@ -463,13 +455,7 @@ def test_fault_of_the_recording_does_not_hide_another_error(
     ],
 )
 def test_a_disk_that_fails_at_the_end_or_in_the_thread_is_a_fault(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    *,
-    owner: Any,
-    name: str,
-    error: Exception,
-    background: bool,
+    tmp_path, monkeypatch, *, owner, name, error, background
 ) -> None:
     if isinstance(error, RuntimeError) and not background:
         pytest.skip("a defect of the program is raised as it is where it happens")
@@ -483,7 +469,7 @@ def test_a_disk_that_fails_at_the_end_or_in_the_thread_is_a_fault(
         recorder.close()
 
 
-def test_recorder_refuses_what_is_not_in_order(tmp_path: Path) -> None:
+def test_recorder_refuses_what_is_not_in_order(tmp_path) -> None:
     clock = Clock(100.0)
     with pytest.raises(RecordingError, match="check folder"):
         Recorder(tmp_path / "no" / "r.mcap", clock, pads=PADS)
@@ -507,7 +493,7 @@ def test_recorder_refuses_what_is_not_in_order(tmp_path: Path) -> None:
         recorder.now(recording_schema.EVENT, {})
 
 
-def test_writing_from_a_thread_gives_the_same_file(tmp_path: Path) -> None:
+def test_writing_from_a_thread_gives_the_same_file(tmp_path) -> None:
     for name, background in (("direct", False), ("thread", True)):
         clock = Clock(100.0)
         with Recorder(
@@ -518,7 +504,7 @@ def test_writing_from_a_thread_gives_the_same_file(tmp_path: Path) -> None:
     assert not any(thread.name == "recording" for thread in threading.enumerate())
 
 
-def test_slow_disk_is_an_error_not_a_delay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_disk_is_an_error_not_a_delay(tmp_path, monkeypatch) -> None:
     go_on, write = threading.Event(), DirectFile.write
 
     def stuck(file: DirectFile, data: bytes) -> int:

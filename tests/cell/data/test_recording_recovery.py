@@ -53,7 +53,7 @@ def damage(path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["cut", "bit"])
-def test_what_is_whole_is_kept_and_what_is_lost_is_said(recording: Path, kind: str) -> None:
+def test_what_is_whole_is_kept_and_what_is_lost_is_said(recording, kind) -> None:
     before = read_recording(recording)
     whole = recover_recording(recording, recording.with_name("copy.mcap"))
     assert (whole.lost_reason, whole.n_grasps) == ("", 40)
@@ -79,9 +79,7 @@ def test_what_is_whole_is_kept_and_what_is_lost_is_said(recording: Path, kind: s
         np.testing.assert_array_equal(grasp.counts, labels[grasp.label].counts)
 
 
-def test_the_command_says_what_is_lost_and_never_overwrites(
-    recording: Path, tmp_path: Path
-) -> None:
+def test_the_command_says_what_is_lost_and_never_overwrites(recording, tmp_path) -> None:
     damage(recording, "cut")
     report = tmp_path / "r.json"
     done = CliRunner().invoke(app, ["recover", str(recording), "--json", str(report)])

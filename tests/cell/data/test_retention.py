@@ -94,7 +94,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return free
 
 
-def test_recordings_go_by_age_and_size_oldest_first_and_marked_ones_stay(keep: Any) -> None:
+def test_recordings_go_by_age_and_size_oldest_first_and_marked_ones_stay(keep) -> None:
     keeper = keep(keep_s=3 * DAY_S, keep_bytes=5000)
     first, second, marked, newest = (keeper.job(number) for number in range(1, 5))
     mark(marked)
@@ -120,7 +120,7 @@ def test_recordings_go_by_age_and_size_oldest_first_and_marked_ones_stay(keep: A
 
 @pytest.mark.parametrize("leap_s", [365 * DAY_S, -20 * 365 * DAY_S])
 @pytest.mark.parametrize("stopped", [False, True])
-def test_a_clock_that_leaps_makes_no_recording_old(keep: Any, leap_s: float, stopped: bool) -> None:
+def test_a_clock_that_leaps_makes_no_recording_old(keep, leap_s, stopped) -> None:
     keeper = keep(keep_s=30 * DAY_S)
     paths = [keeper.job(number) for number in range(1, 5)]
     keeper.live(10.0)
@@ -133,7 +133,7 @@ def test_a_clock_that_leaps_makes_no_recording_old(keep: Any, leap_s: float, sto
     assert not any(path.exists() for path in paths)
 
 
-def test_two_programs_in_one_folder_count_each_day_once(keep: Any) -> None:
+def test_two_programs_in_one_folder_count_each_day_once(keep) -> None:
     keeper = keep(keep_s=30 * DAY_S)
     path = keeper.job(1)
     first = keeper.retention
@@ -146,7 +146,7 @@ def test_two_programs_in_one_folder_count_each_day_once(keep: Any) -> None:
     assert path.exists()
 
 
-def test_the_recording_of_an_open_fault_stays(keep: Any) -> None:
+def test_the_recording_of_an_open_fault_stays(keep) -> None:
     keeper = keep(keep_s=2 * DAY_S)
     at_fault = keeper.recorder.path
     keeper.fault = True
@@ -165,7 +165,7 @@ def test_the_recording_of_an_open_fault_stays(keep: Any) -> None:
     assert keeper.recorder.path.exists()
 
 
-def test_only_recordings_in_folders_of_jobs_are_looked_after(keep: Any) -> None:
+def test_only_recordings_in_folders_of_jobs_are_looked_after(keep) -> None:
     keeper = keep(keep_s=1 * DAY_S, keep_bytes=1)
     own = [keeper.folder / "mine" / "recording.mcap", keeper.job(1).with_name("other.mcap")]
     for path in own:
@@ -176,9 +176,7 @@ def test_only_recordings_in_folders_of_jobs_are_looked_after(keep: Any) -> None:
     assert all(path.exists() for path in own)
 
 
-def test_a_long_recording_goes_on_in_a_new_file_without_a_gap(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_long_recording_goes_on_in_a_new_file_without_a_gap(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(recorder_module, "PART_BYTES", 20_000)
     clock, answer = Clock(100.0), make_identification(
         Posterior(labels=("a", "b"), probability=np.array([0.99, 0.01]), unknown=0.0)
@@ -200,7 +198,7 @@ def test_a_long_recording_goes_on_in_a_new_file_without_a_gap(
 
 
 def test_an_hour_of_space_is_noted_then_recordings_are_thinned_then_it_stops_and_goes_on(
-    keep: Any, disk: list[int]
+    keep, disk
 ) -> None:
     keeper = keep()
     old = keeper.job(1)
@@ -249,9 +247,7 @@ def record_named_and_unknown(path: Path) -> None:
         record_grasp(recorder, clock, "taught")
 
 
-def test_thinning_takes_the_frames_of_named_parts_and_leaves_a_whole_recording(
-    tmp_path: Path,
-) -> None:
+def test_thinning_takes_the_frames_of_named_parts_and_leaves_a_whole_recording(tmp_path) -> None:
     path = tmp_path / "recording.mcap"
     record_named_and_unknown(path)
     before = read_recording(path)
@@ -270,9 +266,7 @@ def test_thinning_takes_the_frames_of_named_parts_and_leaves_a_whole_recording(
         thin_beside(path)
 
 
-def test_a_share_that_disappears_is_noted_once_and_stops_nothing(
-    keep: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_share_that_disappears_is_noted_once_and_stops_nothing(keep, monkeypatch) -> None:
     keeper = keep(keep_s=DAY_S)
     with monkeypatch.context() as patched:
         for name in ("statvfs", "scandir"):
@@ -285,9 +279,7 @@ def test_a_share_that_disappears_is_noted_once_and_stops_nothing(
     assert recordings(keeper.folder)
 
 
-def test_a_disk_that_does_not_answer_holds_up_neither_start_nor_end(
-    keep: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_does_not_answer_holds_up_neither_start_nor_end(keep, monkeypatch) -> None:
     import threading
 
     keeper, answers = keep(), threading.Event()
@@ -302,7 +294,7 @@ def test_a_disk_that_does_not_answer_holds_up_neither_start_nor_end(
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting needs root")
-def test_a_tmpfs_that_fills_and_empties(tmp_path: Path) -> None:
+def test_a_tmpfs_that_fills_and_empties(tmp_path) -> None:
     place = tmp_path / "disk"
     place.mkdir()
     mounted = ["mount", "-t", "tmpfs", "-o", "size=40m", "none", str(place)]
@@ -343,7 +335,7 @@ def test_a_tmpfs_that_fills_and_empties(tmp_path: Path) -> None:
         subprocess.run(["umount", place], check=True)
 
 
-def test_recordings_are_listed_and_marked_by_commands(keep: Any) -> None:
+def test_recordings_are_listed_and_marked_by_commands(keep) -> None:
     keeper = keep()
     path = keeper.job(1, n_bytes=2_000_000)
     assert call("recordings", "mark", path) == f"{path}: marked\n"

@@ -5,7 +5,6 @@ import subprocess
 import time
 from collections import deque
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -31,9 +30,7 @@ from tests.values import make_cycle, make_source_statistics
 
 RAMP = ForceRamp.linear(3.0, 5.0)
 STATISTICS = HandStatistics(
-    loop=LoopStatistics(cycles=5),
-    servo_bus=BusStatistics(),
-    source=make_source_statistics(),
+    loop=LoopStatistics(cycles=5), servo_bus=BusStatistics(), source=make_source_statistics()
 )
 
 
@@ -116,7 +113,7 @@ def nothing(_cycle: Any, _frames: Any) -> None:
     pass
 
 
-def test_periods_reach_the_watch_and_the_answer_is_returned(hand: HandProcess) -> None:
+def test_periods_reach_the_watch_and_the_answer_is_returned(hand) -> None:
     seen: list[Any] = []
     loop_of(hand).script.append([period(), period(), answer(99), None])
     assert (
@@ -129,7 +126,7 @@ def test_periods_reach_the_watch_and_the_answer_is_returned(hand: HandProcess) -
     assert hand.statistics.loop.cycles == 5
 
 
-def test_what_the_process_measures_is_shown_in_a_motion_and_between_two(hand: HandProcess) -> None:
+def test_what_the_process_measures_is_shown_in_a_motion_and_between_two(hand) -> None:
     loop = loop_of(hand)
     assert hand.latest == LatestValues()
     moved = period()
@@ -150,7 +147,7 @@ def test_what_the_process_measures_is_shown_in_a_motion_and_between_two(hand: Ha
     assert hand.latest == LatestValues(cycle=spoilt, force=force, frame=frame)
 
 
-def test_the_end_of_a_ramp_names_the_grasp_that_it_is_meant_for(hand: HandProcess) -> None:
+def test_the_end_of_a_ramp_names_the_grasp_that_it_is_meant_for(hand) -> None:
     loop = loop_of(hand)
     hand.start()
     loop.script.append([period(), period(), None])
@@ -160,15 +157,13 @@ def test_the_end_of_a_ramp_names_the_grasp_that_it_is_meant_for(hand: HandProces
     assert loop.stops == 0
 
 
-def test_a_ramp_beyond_a_limit_is_refused_without_asking_the_process(hand: HandProcess) -> None:
+def test_a_ramp_beyond_a_limit_is_refused_without_asking_the_process(hand) -> None:
     hand.check_ramp(RAMP)
     with pytest.raises(LimitExceeded, match="the limit is 14"):
         hand.check_ramp(ForceRamp.linear(14.9, 5.0))
 
 
-def test_what_the_watch_raises_stops_the_command_and_comes_with_where_the_fingers_are(
-    hand: HandProcess,
-) -> None:
+def test_what_the_watch_raises_stops_the_command_and_comes_with_where_the_fingers_are(hand) -> None:
     told: list[int] = []
 
     def fail(_cycle: Any, _frames: Any) -> None:
@@ -185,13 +180,13 @@ def test_what_the_watch_raises_stops_the_command_and_comes_with_where_the_finger
     assert (len(told), loop.stops, loop.lost) == (1, 1, None)
 
 
-def test_an_error_of_the_process_is_raised_as_what_it_is(hand: HandProcess) -> None:
+def test_an_error_of_the_process_is_raised_as_what_it_is(hand) -> None:
     loop_of(hand).script.append([lambda number: answer(number, BusTimeout("cable"))])
     with pytest.raises(BusTimeout, match="cable"):
         hand.start()
 
 
-def test_a_fault_between_commands_comes_with_the_next_tick_or_command(hand: HandProcess) -> None:
+def test_a_fault_between_commands_comes_with_the_next_tick_or_command(hand) -> None:
     loop = loop_of(hand)
     hand.tick()
     for call in (hand.tick, hand.start_sensor):
@@ -202,7 +197,7 @@ def test_a_fault_between_commands_comes_with_the_next_tick_or_command(hand: Hand
     assert hand.phase is GripperPhase.IDLE
 
 
-def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(hand: HandProcess) -> None:
+def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(hand) -> None:
     loop = loop_of(hand)
     assert hand.shutdown() == ""
     loop.coming.append(SILENT)
@@ -210,7 +205,7 @@ def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(hand: HandProcess)
     assert loop.sent == [("shutdown", {})] * 2
 
 
-def test_a_lost_process_is_told_until_it_is_cleared(hand: HandProcess) -> None:
+def test_a_lost_process_is_told_until_it_is_cleared(hand) -> None:
     loop = loop_of(hand)
     loop.script.append([period(), HandLost("killed")])
     with pytest.raises(HandLost):
@@ -226,7 +221,7 @@ def test_a_lost_process_is_told_until_it_is_cleared(hand: HandProcess) -> None:
     hand.start()
 
 
-def test_a_process_that_says_that_it_ends_is_lost(hand: HandProcess) -> None:
+def test_a_process_that_says_that_it_ends_is_lost(hand) -> None:
     fault = HandFault(error=HandLost("told to end"), phase=GripperPhase.IDLE)
     loop_of(hand).coming.append(fault)
     with pytest.raises(HandLost, match="told to end"):
@@ -236,9 +231,7 @@ def test_a_process_that_says_that_it_ends_is_lost(hand: HandProcess) -> None:
 
 
 @pytest.mark.parametrize("again", [False, True])
-def test_a_signal_while_waiting_stops_first_and_a_second_ends_at_once(
-    hand: HandProcess, again: bool
-) -> None:
+def test_a_signal_while_waiting_stops_first_and_a_second_ends_at_once(hand, again) -> None:
     loop = loop_of(hand)
     more = [KeyboardInterrupt()] if again else []
     loop.script.append([period(), KeyboardInterrupt(), *more, period(), None])
@@ -248,9 +241,7 @@ def test_a_signal_while_waiting_stops_first_and_a_second_ends_at_once(
     assert bool(loop.coming) is again
 
 
-def test_a_process_that_says_nothing_between_commands_is_lost(
-    hand: HandProcess, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_process_that_says_nothing_between_commands_is_lost(hand, monkeypatch) -> None:
     now_s = time.monotonic()
     monkeypatch.setattr(client, "time", SimpleNamespace(monotonic=lambda: now_s))
     loop = FakeLoop.made[0]
@@ -267,9 +258,7 @@ def test_a_process_that_says_nothing_between_commands_is_lost(
     hand.tick()
 
 
-def test_ctrl_c_while_the_process_comes_up_is_the_programs_business(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_ctrl_c_while_the_process_comes_up_is_the_programs_business(monkeypatch, tmp_path) -> None:
     """Its ports do not exist: it lives to say so."""
     start = subprocess.Popen
 

@@ -42,9 +42,7 @@ class Openers:
 
 
 @pytest.mark.parametrize(("failing", "error"), [("servos", PortLost), ("can", BusNotOpened)])
-def test_a_line_that_is_missing_is_refused_and_the_other_one_given_back(
-    failing: str, error: type[Exception]
-) -> None:
+def test_a_line_that_is_missing_is_refused_and_the_other_one_given_back(failing, error) -> None:
     openers = Openers(failing)
     with pytest.raises(error):
         HandConnections(openers.servos, openers.can)

@@ -17,7 +17,7 @@ PRESET = load_config(Path(__file__).parents[3] / "config" / "flexitac.yaml")
 
 
 @pytest.mark.parametrize("profile", ["12x32", "16x32", "16x16"])
-def test_a_cell_grasps_and_records_on_boards_of_each_profile(profile: str, tmp_path: Path) -> None:
+def test_a_cell_grasps_and_records_on_boards_of_each_profile(profile, tmp_path) -> None:
     config = changed_config(
         PRESET,
         {
@@ -73,9 +73,7 @@ REAL = {"gripper.port": "/dev/ttyUSB0", "positioner": {"kind": "operator"}}
         ),
     ],
 )
-def test_a_config_that_boards_cannot_have_is_refused(
-    changes: dict[str, object], named: str
-) -> None:
+def test_a_config_that_boards_cannot_have_is_refused(changes, named) -> None:
     with pytest.raises(ConfigError, match=named):
         changed_config(PRESET, changes)
 

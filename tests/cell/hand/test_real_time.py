@@ -31,7 +31,7 @@ def refuse(*_args: Any) -> None:
     raise PermissionError(errno.EPERM, "Operation not permitted")
 
 
-def test_what_is_configured_is_asked_for_and_nothing_else(asked: list[Any]) -> None:
+def test_what_is_configured_is_asked_for_and_nothing_else(asked) -> None:
     assert real_time.enter_real_time(LoopConfig(priority=0, lock_memory=False)) == ()
     assert asked == []
     assert real_time.enter_real_time(LoopConfig(cpu=0, priority=42)) == ()
@@ -39,9 +39,7 @@ def test_what_is_configured_is_asked_for_and_nothing_else(asked: list[Any]) -> N
 
 
 @pytest.mark.usefixtures("asked")
-def test_what_is_refused_is_noted_with_its_meaning_and_remedy(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_is_refused_is_noted_with_its_meaning_and_remedy(monkeypatch) -> None:
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     monkeypatch.setattr(os, "sched_setaffinity", refuse)
     monkeypatch.setattr(real_time, "lock_memory", refuse)
@@ -53,7 +51,7 @@ def test_what_is_refused_is_noted_with_its_meaning_and_remedy(
     assert "ulimit -r" in notes[2]
 
 
-def test_memory_that_may_not_be_locked_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_that_may_not_be_locked_is_an_error(monkeypatch) -> None:
     class Libc:
         @staticmethod
         def mlockall(flags: int) -> int:
@@ -98,7 +96,7 @@ def test_one_line_says_whether_the_loop_was_on_time() -> None:
 
 @pytest.mark.parametrize(("priority", "granted"), [(0, True), (49, True), (49, False)])
 def test_a_simulated_device_gets_priority_where_granted_and_gives_it_back(
-    monkeypatch: pytest.MonkeyPatch, priority: int, granted: bool
+    monkeypatch, priority, granted
 ) -> None:
     calls: list[Any] = []
     before = os.sched_getscheduler(0), os.sched_getparam(0)

@@ -11,12 +11,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from cell.interfaces.access import (
-    BUSY_MAX,
-    ConnectionPlaces,
-    is_for_this_machine,
-    may_connect,
-)
+from cell.interfaces.access import BUSY_MAX, ConnectionPlaces, is_for_this_machine, may_connect
 from tests.cell.conftest import small_config
 from tests.cell.served import until
 
@@ -59,9 +54,7 @@ LETS_IN = {"modbus": "modbus.registers", "xmlrpc": "http_server", "opcua": "opc_
 
 
 @pytest.mark.parametrize("interface", EVERY)
-def test_other_hosts_are_refused(
-    serve: Any, link: Any, monkeypatch: pytest.MonkeyPatch, interface: str
-) -> None:
+def test_other_hosts_are_refused(serve, link, monkeypatch, interface) -> None:
     port = serve(interface).interfaces[f"{interface}_port"]
     monkeypatch.setattr(f"cell.interfaces.{LETS_IN[interface]}.may_connect", lambda *_: False)
     found = answered(link(port, "127.0.0.1"), INTERFACES[interface][0])
@@ -69,9 +62,7 @@ def test_other_hosts_are_refused(
 
 
 @pytest.mark.parametrize("interface", EVERY)
-def test_one_address_with_all_places_keeps_no_other_out(
-    serve: Any, link: Any, interface: str
-) -> None:
+def test_one_address_with_all_places_keeps_no_other_out(serve, link, interface) -> None:
     request, half = INTERFACES[interface]
     port = serve(interface, serve__request_timeout_s=60.0).interfaces[f"{interface}_port"]
     quiet, heard = link(port, "127.0.0.2"), link(port, "127.0.0.1")
@@ -89,7 +80,7 @@ def test_one_address_with_all_places_keeps_no_other_out(
 
 
 @pytest.mark.parametrize("interface", EVERY)
-def test_half_sent_requests_leave_within_their_time(serve: Any, link: Any, interface: str) -> None:
+def test_half_sent_requests_leave_within_their_time(serve, link, interface) -> None:
     _, half = INTERFACES[interface]
     port = serve(interface, serve__request_timeout_s=0.2).interfaces[f"{interface}_port"]
     links = [link(port, "127.0.0.1") for _ in range(8)]
@@ -101,9 +92,7 @@ def test_half_sent_requests_leave_within_their_time(serve: Any, link: Any, inter
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="the timers of Linux are looked at")
 @pytest.mark.parametrize("interface", [*EVERY, "http"])
-def test_the_system_asks_whether_a_peer_is_still_there(
-    serve: Any, link: Any, interface: str
-) -> None:
+def test_the_system_asks_whether_a_peer_is_still_there(serve, link, interface) -> None:
     port = serve(interface).interfaces[f"{interface}_port"]
     link(port, "127.0.0.1")
 
@@ -182,7 +171,7 @@ def test_hosts_are_this_machine_and_those_allowed() -> None:
         ("localhost\n", False),
     ],
 )
-def test_requests_name_this_machine(host: str, may: bool) -> None:
+def test_requests_name_this_machine(host, may) -> None:
     config = small_config(serve__hosts=["cell.lan", "10.0.0.7"]).serve
     assert is_for_this_machine([host], "192.0.2.1", config) is may
     assert not is_for_this_machine([host, host], "192.0.2.1", config)

@@ -108,7 +108,7 @@ def read_json(path: Path) -> Any:
 # -- commands on the cell --------------------------------------------------------------------------
 
 
-def test_run_teaches_identifies_and_writes_everything(config: Path, tmp_path: Path) -> None:
+def test_run_teaches_identifies_and_writes_everything(config, tmp_path) -> None:
     out, report = tmp_path / "elsewhere", tmp_path / "json" / "run.json"
     text = call(
         *("run", "--config", config, "--object", "ball", "--object", "box", "--teach", 5),
@@ -131,9 +131,7 @@ def test_run_teaches_identifies_and_writes_everything(config: Path, tmp_path: Pa
     assert len(read_dataset(data["dataset"])) == 10
 
 
-def test_run_with_a_model_teaches_nothing_and_says_what_it_is(
-    config: Path, taught: Any, tmp_path: Path
-) -> None:
+def test_run_with_a_model_teaches_nothing_and_says_what_it_is(config, taught, tmp_path) -> None:
     trainer = make_trainer("level_check", use_aperture=True)
     pads = taught.grasps[0].pads
     model = tmp_path / "level.npz"
@@ -149,9 +147,7 @@ def test_run_with_a_model_teaches_nothing_and_says_what_it_is(
 
 
 @pytest.mark.parametrize("width", [40, 80, None])
-def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(
-    monkeypatch: pytest.MonkeyPatch, width: int | None
-) -> None:
+def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(monkeypatch, width) -> None:
     console = Console(file=io.StringIO(), force_terminal=width is not None, width=width)
     monkeypatch.setattr("cell.interfaces.cli.terminal.out", console)
     labels = ("long_name", "a_longer_name", "the_longest_name")
@@ -165,7 +161,7 @@ def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(
         assert text.splitlines()[:2] == ["held:", "  long_name: long_name 9, UNKNOWN 1"]
 
 
-def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_paper_is_put_beside_its_five_objects(capsys) -> None:
     from cell.plugin.main_job import MainResult
     from cell.report.build import score
 
@@ -193,7 +189,7 @@ def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[
 
 @pytest.mark.parametrize("folder", ["stays", "goes"])
 def test_what_was_grasped_before_a_stop_is_in_the_data_set(
-    config: Path, tmp_path: Path, meddle: Callable[[Any], list[Any]], folder: str
+    config, tmp_path, meddle, folder
 ) -> None:
     dataset = tmp_path / "data" / "d.npz"
     dataset.parent.mkdir()
@@ -224,7 +220,7 @@ def test_what_was_grasped_before_a_stop_is_in_the_data_set(
         assert "recording.mcap: use it with `tactile-cell train`" in str(ended.exception)
 
 
-def test_teach_extends_a_data_set_with_other_poses(config: Path, tmp_path: Path) -> None:
+def test_teach_extends_a_data_set_with_other_poses(config, tmp_path) -> None:
     path = tmp_path / "d.npz"
     call("teach", "ball", "-n", 2, "-o", path, "-c", config, "--json", tmp_path / "t.json")
     data = read_json(tmp_path / "t.json")
@@ -242,7 +238,7 @@ def test_teach_extends_a_data_set_with_other_poses(config: Path, tmp_path: Path)
 
 
 def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
-    config: Path, dataset: Path, tmp_path: Path, fail: Any
+    config, dataset, tmp_path, fail
 ) -> None:
     out = ("--out", tmp_path / "out")
     said = fail("teach", "box", "-o", tmp_path / "gone" / "d.npz", "-c", config, *out)
@@ -255,7 +251,19 @@ def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
     assert not (tmp_path / "out").exists()
 
 
-def test_identify_on_the_cell(config: Path, model: Path, tmp_path: Path) -> None:
+def page_of(recording: str) -> str:
+    """Return the page that `report` writes of a job that taught nothing."""
+    page = Path(recording).with_name("report.html")
+    assert call("report", recording) == f"report: {page}\n"
+    text = page.read_text("utf-8")
+    assert "0 grasps taught" in text
+    for section in ("result", "sequences", "examples", "health", "cell"):
+        assert f'<section id="{section}">' in text
+    assert '<section id="trajectories">' not in text
+    return text
+
+
+def test_identify_on_the_cell(config, model, tmp_path) -> None:
     text = call(
         *("identify", "-m", model, "--object", "box", "-c", config),
         *("--json", tmp_path / "i.json"),
@@ -276,6 +284,10 @@ def test_identify_on_the_cell(config: Path, model: Path, tmp_path: Path) -> None
     assert data["kept"] is False
     assert "the part was kept" not in text
     assert "COMPLETE" not in [state["state"] for state in recording.states]
+    page, again = page_of(data["recording"]), tmp_path / "again.html"
+    assert "released at: box" not in page
+    call("report", data["recording"], "-o", again)
+    assert again.read_text("utf-8") == page
 
 
 @pytest.mark.parametrize(
@@ -290,13 +302,7 @@ def test_identify_on_the_cell(config: Path, model: Path, tmp_path: Path) -> None
 )
 @pytest.mark.usefixtures("run_at_once")
 def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
-    *,
-    config: Path,
-    model: Path,
-    tmp_path: Path,
-    command: str,
-    answer: str,
-    monkeypatch: pytest.MonkeyPatch,
+    *, config, model, tmp_path, command, answer, monkeypatch
 ) -> None:
     monkeypatch.setattr(DirectFile, "close", raising(OSError(28, "No space left on device")))
     found = tmp_path / "found.json"
@@ -310,9 +316,7 @@ def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
         assert "No space left" in read_json(found)["health"]["recording"]
 
 
-def test_identify_keeps_the_part_where_that_is_asked_for(
-    config: Path, model: Path, tmp_path: Path
-) -> None:
+def test_identify_keeps_the_part_where_that_is_asked_for(config, model, tmp_path) -> None:
     options = ("-m", model, "--object", "box", "-c", config, "--json", tmp_path / "i.json")
     text = call("identify", *options, "--keep", "when-named")
     data = read_json(tmp_path / "i.json")
@@ -324,7 +328,7 @@ def test_identify_keeps_the_part_where_that_is_asked_for(
 
 
 def test_the_command_that_lets_go_of_a_kept_part_is_printed(
-    config: Path, model: Path, meddle: Any, monkeypatch: pytest.MonkeyPatch
+    config, model, meddle, monkeypatch
 ) -> None:
     def pretend(_made: Any) -> None:
         # From here on the command takes its cell for one with real ports.
@@ -336,14 +340,15 @@ def test_the_command_that_lets_go_of_a_kept_part_is_printed(
     assert f"the part is kept; to release it: tactile-cell release --config {config}" in text
 
 
-def test_a_recording_is_identified_without_shapes(
-    taught: Any, config: Path, model: Path, tmp_path: Path
-) -> None:
+def test_a_recording_is_identified_without_shapes(taught, config, model, tmp_path) -> None:
     recording = taught.result.recording
     config.write_text(config.read_text().replace("shape: true", "shape: false"))
     text = call("identify", recording, "-m", model, "-c", config, "--json", tmp_path / "i.json")
     assert "mm" not in text
     answers = read_json(tmp_path / "i.json")["answers"]
+    names = {"grasp", "label", "probability", "unknown", "truth", "shape"}
+    assert [set(answer) for answer in answers] == len(answers) * [names]
+    assert [answer["grasp"] for answer in answers] == [*range(len(answers))]
     assert {answer["shape"] for answer in answers} == {None}
     assert [answer["truth"] for answer in answers[:10]] == ["ball"] * 5 + ["box"] * 5
     assert text.count("(was ball)") >= 5
@@ -352,9 +357,7 @@ def test_a_recording_is_identified_without_shapes(
     assert "grasps of ball: gain" in text
 
 
-def test_ramps_end_early_but_for_a_model_taught_without(
-    config: Path, dataset: Path, tmp_path: Path
-) -> None:
+def test_ramps_end_early_but_for_a_model_taught_without(config, dataset, tmp_path) -> None:
     early, whole = tmp_path / "early.npz", tmp_path / "whole.npz"
     call("train", dataset, "-o", early)
     call("train", dataset, "-o", whole, "--no-early")
@@ -375,9 +378,7 @@ def test_ramps_end_early_but_for_a_model_taught_without(
     assert f"; ended early at {ended['setpoint_n']:.1f} N\n" in said
 
 
-def test_release_names_the_cell_and_has_to_be_meant(
-    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fail: Any
-) -> None:
+def test_release_names_the_cell_and_has_to_be_meant(config, tmp_path, monkeypatch, fail) -> None:
     monkeypatch.chdir(tmp_path)
     for arguments in ((), ("--confirm",)):
         said = fail("release", *arguments, code=2)
@@ -395,7 +396,7 @@ def test_release_names_the_cell_and_has_to_be_meant(
 
 
 def test_clear_shows_the_servos_and_restarts_them_where_that_is_asked_for(
-    config: Path, fail: Any, tmp_path: Path
+    config, fail, tmp_path
 ) -> None:
     said = fail("clear", code=2)
     assert "`tactile-cell clear --config FILE`" in said
@@ -421,7 +422,7 @@ def test_clear_shows_the_servos_and_restarts_them_where_that_is_asked_for(
     assert "servo 2 does not answer: remove the cause" in said
 
 
-def test_clear_shows_the_axes_and_resets_them(tmp_path: Path, fail: Any) -> None:
+def test_clear_shows_the_axes_and_resets_them(tmp_path, fail) -> None:
     path = tmp_path / "axes.yaml"
     axes = changed_config(CellConfig(), AXES)
     path.write_text(config_text(axes))
@@ -432,7 +433,7 @@ def test_clear_shows_the_axes_and_resets_them(tmp_path: Path, fail: Any) -> None
 
 
 def test_after_a_fault_of_real_ports_the_command_that_lets_go_is_printed_whole(
-    config: Path, tmp_path: Path, fail: Any, meddle: Any, monkeypatch: pytest.MonkeyPatch
+    config, tmp_path, fail, meddle, monkeypatch
 ) -> None:
     real = tmp_path / "a cell.yaml"
     real.write_text(config.read_text())
@@ -448,9 +449,7 @@ def test_after_a_fault_of_real_ports_the_command_that_lets_go_is_printed_whole(
     assert said.endswith(f"to let go of a part: tactile-cell release --config '{real}' --confirm")
 
 
-def test_the_first_line_names_the_cell(
-    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_first_line_names_the_cell(config, tmp_path, monkeypatch, capfd) -> None:
     def first_line(*arguments: object) -> str:
         result = RUNNER.invoke(app, [str(a) for a in arguments])
         return result.stderr.splitlines()[0]
@@ -468,9 +467,7 @@ def test_the_first_line_names_the_cell(
     assert "tactile-cell.yaml: No such file" in str(result.exception)
 
 
-def test_a_terminal_obeys_no_text_of_a_file(
-    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_terminal_obeys_no_text_of_a_file(tmp_path, capsys, monkeypatch) -> None:
     config = tmp_path / "cell.yaml"
     config.write_text('"\\e[2Jkey": 1\n', encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
@@ -486,14 +483,14 @@ def test_a_terminal_obeys_no_text_of_a_file(
 
 
 @pytest.mark.parametrize("seed", ["9" * 5000, str(2**32), "-1"])
-def test_a_seed_out_of_range_is_refused(seed: str) -> None:
+def test_a_seed_out_of_range_is_refused(seed) -> None:
     result = RUNNER.invoke(app, ["teach", "ball", "--seed", seed])
     assert result.exit_code == 2
     assert "set_int_max_str_digits" not in result.output
 
 
 @pytest.mark.parametrize("kind", ["operator", "callback"])
-def test_release_and_doctor_need_nobody_who_moves(config: Path, kind: str) -> None:
+def test_release_and_doctor_need_nobody_who_moves(config, kind) -> None:
     text = config.read_text(encoding="utf-8")
     config.write_text(text.replace("kind: simulated", f"kind: {kind}"), encoding="utf-8")
     assert load_config(config).positioner.kind == kind
@@ -504,7 +501,7 @@ def test_release_and_doctor_need_nobody_who_moves(config: Path, kind: str) -> No
 # -- commands over records -------------------------------------------------------------------------
 
 
-def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
+def test_train_writes_a_model(dataset, tmp_path) -> None:
     path = tmp_path / "m.npz"
     text = call(
         *("train", dataset, dataset, "-o", path, "--recognizer", "level_check"),
@@ -525,15 +522,13 @@ def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
     }
 
 
-def test_train_takes_recordings_and_leaves_out_what_has_no_label(
-    taught: Any, tmp_path: Path
-) -> None:
+def test_train_takes_recordings_and_leaves_out_what_has_no_label(taught, tmp_path) -> None:
     text = call("train", taught.result.recording, "-o", tmp_path / "m.npz", "--no-aperture")
     assert "grasps without a label are left out" in text
     assert "with 10 grasps" in text
 
 
-def test_evaluate_writes_the_figures_of_each_recognizer(dataset: Path, tmp_path: Path) -> None:
+def test_evaluate_writes_the_figures_of_each_recognizer(dataset, tmp_path) -> None:
     text = call("evaluate", dataset, "--fuse", "1,2", "--json", tmp_path / "e.json")
     data = read_json(tmp_path / "e.json")
     assert set(data) >= {"n_train", "n_test", "labels", "seconds", "default", "recognizers"}
@@ -554,7 +549,7 @@ def test_evaluate_writes_the_figures_of_each_recognizer(dataset: Path, tmp_path:
     assert "tactile only" in text
 
 
-def test_evaluate_prints_which_object_is_taken_for_which(dataset: Path, tmp_path: Path) -> None:
+def test_evaluate_prints_which_object_is_taken_for_which(dataset, tmp_path) -> None:
     grasps = read_dataset(dataset)
     # One grasp of the ball bears the name of the box.
     ball = [grasp for grasp in grasps if grasp.label == "ball"]
@@ -579,7 +574,7 @@ def narrowed(grasp: Grasp) -> Grasp:
     return replace(grasp, pads=narrow, counts=grasp.counts[:, kept])
 
 
-def test_evaluate_leaves_out_what_narrow_pads_cannot_teach(dataset: Path, tmp_path: Path) -> None:
+def test_evaluate_leaves_out_what_narrow_pads_cannot_teach(dataset, tmp_path) -> None:
     narrow = tmp_path / "narrow.npz"
     write_dataset(narrow, [narrowed(grasp) for grasp in read_dataset(dataset)])
     result = RUNNER.invoke(
@@ -592,7 +587,7 @@ def test_evaluate_leaves_out_what_narrow_pads_cannot_teach(dataset: Path, tmp_pa
     assert data["recognizers"]["force_ramp"]["single_accuracy"] == 1.0
 
 
-def test_replay_sends_and_compares(config: Path, dataset: Path, tmp_path: Path) -> None:
+def test_replay_sends_and_compares(config, dataset, tmp_path) -> None:
     text = call(
         *("replay", dataset, "-c", config, "--limit", 1, "--json", tmp_path / "r.json"),
         *("--capture", tmp_path / "c.pcap"),
@@ -605,9 +600,7 @@ def test_replay_sends_and_compares(config: Path, dataset: Path, tmp_path: Path) 
     assert "bit for bit the same" in text
 
 
-def test_a_replay_that_differs_fails(
-    dataset: Path, monkeypatch: pytest.MonkeyPatch, fail: Any
-) -> None:
+def test_a_replay_that_differs_fails(dataset, monkeypatch, fail) -> None:
     from cell.jobs import replay as replaying
 
     play = replaying._Rig.play
@@ -626,7 +619,7 @@ def test_a_replay_that_differs_fails(
 # -- config, doctor, simulate ----------------------------------------------------------------------
 
 
-def test_config_init_check_and_schema(tmp_path: Path, fail: Any) -> None:
+def test_config_init_check_and_schema(tmp_path, fail) -> None:
     path = tmp_path / "new.yaml"
     call("config", "init", path)
     assert load_config(path) == CellConfig()
@@ -645,7 +638,7 @@ def test_config_init_check_and_schema(tmp_path: Path, fail: Any) -> None:
     assert "new.yaml:2" in said
 
 
-def test_examples_are_the_configs_of_the_repository(tmp_path: Path) -> None:
+def test_examples_are_the_configs_of_the_repository(tmp_path) -> None:
     files = sorted(EXAMPLES.glob("*.yaml"))
     assert len(files) >= 3
     for file in files:
@@ -656,7 +649,7 @@ def test_examples_are_the_configs_of_the_repository(tmp_path: Path) -> None:
     assert all(file.stem in result.stderr for file in files)
 
 
-def test_doctor_passes_and_fails(tmp_path: Path, config: Path, fail: Any) -> None:
+def test_doctor_passes_and_fails(tmp_path, config, fail) -> None:
     text = call("doctor", "-c", config, "--json", tmp_path / "d.json")
     findings = read_json(tmp_path / "d.json")["findings"]
     assert {"what", "verdict", "found", "advice"} == set(findings[0])
@@ -672,7 +665,7 @@ def test_doctor_passes_and_fails(tmp_path: Path, config: Path, fail: Any) -> Non
 
 
 def test_simulate_prints_one_line_and_adds_to_the_faults_of_the_config(
-    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config, tmp_path, monkeypatch
 ) -> None:
     served: list[tuple[CellConfig, Any]] = []
 
@@ -690,9 +683,7 @@ def test_simulate_prints_one_line_and_adds_to_the_faults_of_the_config(
     assert options == {"frames": None, "folder": tmp_path / "sim", "until_parent_ends": False}
 
 
-def test_simulate_plays_records_that_fit(
-    tmp_path: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch, fail: Any
-) -> None:
+def test_simulate_plays_records_that_fit(tmp_path, dataset, monkeypatch, fail) -> None:
     from cell.jobs import simulate as simulating
     from simulator.errors import EndpointError
 
@@ -785,9 +776,6 @@ def files(tmp_path: Path, taught: Any, config: Path) -> dict[str, Path]:
         (1, "train {nameless} -o {made}", "its 1 grasps have no label"),
         (1, "train {empty} -o {made}", "has no whole grasp"),
         (1, "replay {empty}", "has no whole grasp"),
-        (1, "evaluate {other}", "cannot be evaluated"),
-        (1, "evaluate {dataset} --split x --fuse 1", "not understood"),
-        (1, "identify {other} -m {model}", "teach on these pads"),
         (1, "identify -m {dataset}", "is a data set"),
         (1, "identify -m {model} -c {pinch}", "teach again on these pads"),
         (1, "run -m {model} -c {pinch}", "teach again on these pads"),
@@ -795,9 +783,7 @@ def files(tmp_path: Path, taught: Any, config: Path) -> dict[str, Path]:
         (1, "run -c {config} --out {config}", "cannot be made"),
     ],
 )
-def test_wrong_use_is_two_and_a_failing_job_one(
-    fail: Any, files: dict[str, Path], code: int, command: str, complaint: str
-) -> None:
+def test_wrong_use_is_two_and_a_failing_job_one(fail, files, code, command, complaint) -> None:
     assert complaint in fail(*command.format(**files).split(), code=code)
     assert not files["made"].exists()
 
@@ -816,7 +802,7 @@ def test_wrong_use_is_two_and_a_failing_job_one(
     ],
 )
 def test_a_missing_extra_is_named_with_the_command_that_adds_it(
-    fail: Any, files: dict[str, Path], extra: str, command: str, monkeypatch: pytest.MonkeyPatch
+    fail, files, extra, command, monkeypatch
 ) -> None:
     package, _, extra = extra.partition(": ")
     users = [f"cell.interfaces.{name}" for name in ("opc_ua", "w", "page")]
@@ -837,7 +823,7 @@ def when_pressed(made: Any, act: Callable[[], None]) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_stops_the_job_keeps_the_grip_and_the_recording(
-    config: Path, tmp_path: Path, fail: Any, meddle: Any, number: signal.Signals
+    config, tmp_path, fail, meddle, number
 ) -> None:
     built = meddle(lambda made: when_pressed(made, lambda: os.kill(os.getpid(), number)))
     said = fail("teach", "ball", "-n", 3, "-o", tmp_path / "d.npz", "-c", config)
@@ -856,9 +842,7 @@ def run_at_once(taught: Any, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("run_at_once")
-def test_the_result_is_printed_where_no_report_can_be_made(
-    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_result_is_printed_where_no_report_can_be_made(config, tmp_path, monkeypatch) -> None:
     for name in [name for name in sys.modules if name.split(".")[0] == "jinja2"]:
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, "jinja2", None)
@@ -874,7 +858,7 @@ def test_the_result_is_printed_where_no_report_can_be_made(
 
 @pytest.mark.usefixtures("run_at_once")
 def test_a_report_that_cannot_be_written_does_not_cost_the_result(
-    config: Path, fail: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    config, fail, monkeypatch, capsys
 ) -> None:
     from cell.errors import ReportError
 
@@ -937,9 +921,7 @@ HEAVY = {"numpy", "scipy", "matplotlib", "canopen", "can", "rich", "serial", "jo
         ([], {"COMP_WORDS": "tactile-cell config init --example p", "COMP_CWORD": "4"}),
     ],
 )
-def test_help_and_completion_load_nothing_heavy(
-    arguments: list[str], environment: dict[str, str]
-) -> None:
+def test_help_and_completion_load_nothing_heavy(arguments, environment) -> None:
     program = (
         "import sys, atexit\n"
         "atexit.register(lambda: print(*sorted(sys.modules), file=sys.stderr))\n"
@@ -965,14 +947,12 @@ def test_help_and_completion_load_nothing_heavy(
     assert len(loaded) < 400
 
 
-def test_an_interrupt_outside_a_sequence_is_one(monkeypatch: pytest.MonkeyPatch, fail: Any) -> None:
+def test_an_interrupt_outside_a_sequence_is_one(monkeypatch, fail) -> None:
     monkeypatch.setattr(cell.jobs.doctor, "examine", raising(KeyboardInterrupt()))
     assert fail("doctor") == f"{BUILT_IN} error: interrupted"
 
 
-def test_an_empty_gripper_tells_that_nothing_is_held(
-    config: Path, tmp_path: Path, fail: Any, meddle: Any
-) -> None:
+def test_an_empty_gripper_tells_that_nothing_is_held(config, tmp_path, fail, meddle) -> None:
     def take_away(made: Any) -> None:
         def look(_now_s: float) -> None:
             if made.controller.hand.phase is GripperPhase.APPROACHING:
@@ -985,9 +965,7 @@ def test_an_empty_gripper_tells_that_nothing_is_held(
     assert "is the object in place? nothing is held; recording so far" in said
 
 
-def test_fingers_that_do_not_close_in_time_are_told_as_that(
-    tmp_path: Path, fail: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fingers_that_do_not_close_in_time_are_told_as_that(tmp_path, fail, monkeypatch) -> None:
     # The config takes them for faster than they are.
     monkeypatch.setattr("cell.config.model._STARTING_S", -60.0)
     slow = "self_zero: never\ngripper: {approach_speed_mm_s: 4, contact_timeout_s: 1}\n"
@@ -1008,9 +986,7 @@ def test_output_that_nobody_takes_is_an_error_in_plain_words() -> None:
         assert both.returncode == 1
 
 
-def test_progress_and_complaints_end_no_job_when_the_terminal_is_gone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_progress_and_complaints_end_no_job_when_the_terminal_is_gone(monkeypatch) -> None:
     with open("/dev/full", "w", buffering=1) as full:
         monkeypatch.setattr(sys, "stderr", full)
         print_error("unheard")
@@ -1032,7 +1008,7 @@ FAULTED = {
 
 @pytest.mark.parametrize("fault", FAULTED)
 def test_a_fault_tells_its_number_what_became_of_the_grip_and_where_the_recording_is(
-    config: Path, tmp_path: Path, fail: Any, fault: str
+    config, tmp_path, fail, fault
 ) -> None:
     numbers, left = FAULTED[fault]
     found = tmp_path / "run.json"
@@ -1049,7 +1025,7 @@ def test_a_fault_tells_its_number_what_became_of_the_grip_and_where_the_recordin
 # -- sort --------------------------------------------------------------------------------------
 
 
-def test_sort_prints_how_many_parts_lie_where(config: Path, taught: Any, tmp_path: Path) -> None:
+def test_sort_prints_how_many_parts_lie_where(config, taught, tmp_path) -> None:
     report = tmp_path / "sort.json"
     printed = call(
         *("sort", "--config", config, "--model", taught.result.model),
@@ -1064,3 +1040,4 @@ def test_sort_prints_how_many_parts_lie_where(config: Path, taught: Any, tmp_pat
     events = [(event["kind"], event["text"]) for event in recording.events]
     assert [kind for kind, _ in events if kind in ("place", "release")] == ["place", "release"] * 4
     assert ("place", "box at box") in events
+    assert "released at: box" in page_of(written["recording"])

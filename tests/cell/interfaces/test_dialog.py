@@ -6,11 +6,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
+from rich.console import Console
 
 from cell.checks.findings import Finding, ProposedChange, Verdict
 from cell.commissioning.engine import Choice, NumberRange, Question, WizardAborted
 from cell.commissioning.ports import PortsStep
-from cell.interfaces.cli import terminal
+from cell.interfaces.cli import dialog, terminal
 from cell.interfaces.cli.dialog import TerminalDialog
 
 CHOICES = (Choice(key="a", text="the first"), Choice(key="b", text="the second [x]"))
@@ -51,6 +52,25 @@ def test_a_watched_value_does_not_hold_up_a_pipe(typed) -> None:
     typed("").confirm("q", "Move it.", watch=lambda: "1 deg")
 
 
+def test_a_terminal_shows_a_watched_value_above_the_prompt_and_live_ones_in_place(
+    typed, monkeypatch
+) -> None:
+    console = Console(file=io.StringIO(), force_terminal=True, width=20)
+    monkeypatch.setattr(dialog, "out", console)
+    monkeypatch.setattr(terminal, "out", console)
+    waits = iter([False, False, True])
+    monkeypatch.setattr(dialog, "_input_waits", lambda: next(waits))
+    angles = iter(["1 deg\x1b", "2 deg" * 9])
+    asked = typed("")
+    asked.live("scan", "57600 bit/s")
+    asked.live("scan", "1 Mbit/s")
+    asked.confirm("q", "Move it.", watch=lambda: next(angles))
+    shown = console.file.getvalue()
+    assert shown.startswith("\r\x1b[2Kscan 57600 bit/s\r\x1b[2Kscan 1 Mbit/s\nMove it.\n")
+    for angle in ("1 deg", ("2 deg" * 9)[:19]):
+        assert f"\x1b7\x1b[1A\r\x1b[2K{angle}\x1b8" in shown
+
+
 @pytest.mark.parametrize("lines", [["q"], []])
 def test_q_and_the_end_of_input_leave(typed, lines) -> None:
     with pytest.raises(WizardAborted, match="run `tactile-cell commission` again"):
@@ -70,11 +90,11 @@ def test_writes_are_shown_and_refused_unless_yes_is_typed(typed, capsys) -> None
 
 
 def test_findings_are_printed_with_their_lines(typed, capsys) -> None:
-    dialog = typed()
+    asked = typed()
     step = PortsStep()
-    dialog.start_step(step, 1, 3)
-    dialog.live("scan", "57600 bit/s")
-    dialog.found(step, Finding(status=Verdict.WARN, lines=["16 ms [slow]"]))
+    asked.start_step(step, 1, 3)
+    asked.live("scan", "57600 bit/s")
+    asked.found(step, Finding(status=Verdict.WARN, lines=["16 ms [slow]"]))
     shown = capsys.readouterr().out
     assert "1/3 Ports" in shown
     assert "warn Ports" in shown

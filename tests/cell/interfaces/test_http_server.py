@@ -52,7 +52,5 @@ def order_of(length: int, host: bytes) -> tuple[list[str], int]:
         (REQUEST_BYTES + 1, b"127.0.0.1", (["answered"], 413)),
     ],
 )
-def test_a_refusal_follows_the_body_unless_it_is_too_long(
-    length: int, host: bytes, wanted: tuple[list[str], int]
-) -> None:
+def test_a_refusal_follows_the_body_unless_it_is_too_long(length, host, wanted) -> None:
     assert order_of(length, host) == wanted

@@ -18,12 +18,7 @@ from cell.config.file import changed_config, load_config, parse_config
 from cell.config.model import CellConfig
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.service_manager import ServiceManager
-from cell.interfaces.cli.system_files import (
-    UNIT_FILE,
-    closed_to_others,
-    system_files,
-    usb_identity,
-)
+from cell.interfaces.cli.system_files import UNIT_FILE, closed_to_others, system_files, usb_identity
 from tests.cell.conftest import REAL, small_config
 from tests.hil.supervisor import read_unit
 
@@ -48,9 +43,7 @@ def files_in(folder: Path) -> set[str]:
 # -- the files ---------------------------------------------------------------------------------
 
 
-def test_what_the_page_types_prints_writes_removes_and_packs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_page_types_prints_writes_removes_and_packs(tmp_path, monkeypatch) -> None:
     page = PAGE.read_text("utf-8")
     commands = [
         shlex.split(line.partition("tactile-cell ")[2])
@@ -78,7 +71,7 @@ def test_what_the_page_types_prints_writes_removes_and_packs(
     assert (tmp_path / "bundle.zip").exists()
 
 
-def test_each_file_is_asked_for_and_the_end_of_the_input_is_a_no(tmp_path: Path) -> None:
+def test_each_file_is_asked_for_and_the_end_of_the_input_is_a_no(tmp_path) -> None:
     call("install", "--apply", "--root", tmp_path, answers="n\ny\n")
     assert files_in(tmp_path) == {"etc/sysusers.d/tactile-cell.conf"}
     call("install", "--remove", "--root", tmp_path, answers="n\n")
@@ -92,7 +85,7 @@ def unit_of(config: CellConfig, file: Path | None = None, *options: str) -> str:
     return text
 
 
-def test_systemd_verifies_the_unit(tmp_path: Path) -> None:
+def test_systemd_verifies_the_unit(tmp_path) -> None:
     if shutil.which("systemd-analyze") is None:
         pytest.skip("systemd-analyze is not there; apt-get install systemd brings it")
     path = tmp_path / "tactile-cell.service"
@@ -116,7 +109,7 @@ def test_no_setting_of_the_unit_lets_the_grip_go() -> None:
     assert unit["StartLimitIntervalSec"] == "0"
 
 
-def test_the_unit_serves_the_config_and_brings_the_can_up(tmp_path: Path) -> None:
+def test_the_unit_serves_the_config_and_brings_the_can_up(tmp_path) -> None:
     config = small_config(**REAL, recording__directory="/srv/recordings")
     text = unit_of(config, tmp_path / "cell.yaml", "--model", "/srv/100% parts;$HOME.npz")
     unit = read_unit(text)
@@ -129,7 +122,7 @@ def test_the_unit_serves_the_config_and_brings_the_can_up(tmp_path: Path) -> Non
     assert "ExecStartPre" not in unit_of(small_config())
 
 
-def test_what_the_service_user_cannot_read_is_named(tmp_path: Path) -> None:
+def test_what_the_service_user_cannot_read_is_named(tmp_path) -> None:
     config = tmp_path / "home" / "cell.yaml"
     config.parent.mkdir(0o755)
     config.write_text("")
@@ -167,7 +160,7 @@ def sys_folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_an_adapter_is_identified_by_serial_number_or_else_by_its_socket(sys_folder: Path) -> None:
+def test_an_adapter_is_identified_by_serial_number_or_else_by_its_socket(sys_folder) -> None:
     chip = {"ID_VENDOR_ID": "0403", "ID_MODEL_ID": "6010"}
     for port, number in (("/dev/ttyUSB0", "00"), ("/dev/ttyUSB1", "01")):
         found = usb_identity(port, sys_folder)
@@ -180,7 +173,7 @@ def test_an_adapter_is_identified_by_serial_number_or_else_by_its_socket(sys_fol
     assert usb_identity("/dev/nothing", sys_folder) is None
 
 
-def test_the_rules_name_each_serial_port_of_the_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rules_name_each_serial_port_of_the_cell(monkeypatch) -> None:
     monkeypatch.setattr(
         "cell.interfaces.cli.system_files.usb_identity",
         lambda port: {"ID_SERIAL_SHORT": "A1"} if port == "/dev/ttyUSB0" else None,
@@ -217,7 +210,7 @@ def received(link: socket.socket) -> list[str]:
             return found
 
 
-def test_the_watchdog_is_fed_only_while_the_cell_works(notify: Any) -> None:
+def test_the_watchdog_is_fed_only_while_the_cell_works(notify) -> None:
     name, link = notify
     manager = ServiceManager({"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "30000000"})
     manager.ready()
@@ -235,7 +228,7 @@ def test_the_watchdog_is_fed_only_while_the_cell_works(notify: Any) -> None:
 
 
 def test_a_watchdog_of_another_process_and_a_manager_that_is_gone_are_left_alone(
-    notify: Any, tmp_path: Path
+    notify, tmp_path
 ) -> None:
     name, link = notify
     other = {"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "1000", "WATCHDOG_PID": "1"}

@@ -126,7 +126,7 @@ def open_cell(serve: Any, folder: Path) -> Callable[..., Any]:
 # -- who may do what ---------------------------------------------------------------------------
 
 
-async def test_an_anonymous_session_reads_and_does_nothing_else(opened: Served) -> None:
+async def test_an_anonymous_session_reads_and_does_nothing_else(opened) -> None:
     async with linked(opened) as link:
         assert await link.read("State.Name") == "IDLE"
         methods = await link.cell.get_children(nodeclassmask=ua.NodeClass.Method)
@@ -151,7 +151,7 @@ async def test_an_anonymous_session_reads_and_does_nothing_else(opened: Served) 
     opened.service.lease.give_up(opened.service.lease.acquire("free"))
 
 
-async def test_no_name_and_no_password_opens_a_session(opened: Served) -> None:
+async def test_no_name_and_no_password_opens_a_session(opened) -> None:
     for name in ("admin", "Admin", "plc"):
         client = Client(url(opened), timeout=LIMIT_S)
         client.set_user(name)
@@ -161,7 +161,7 @@ async def test_no_name_and_no_password_opens_a_session(opened: Served) -> None:
 
 
 async def test_a_certificate_that_a_plain_channel_names_proves_nothing(
-    opened: Served, plc: Identity, monkeypatch: pytest.MonkeyPatch
+    opened, plc, monkeypatch
 ) -> None:
     honest = MessageChunk.message_to_chunks
     named: list[bytes] = []
@@ -181,7 +181,7 @@ async def test_a_certificate_that_a_plain_channel_names_proves_nothing(
     assert named
 
 
-async def test_a_session_without_a_channel_calls_nothing(opened: Served) -> None:
+async def test_a_session_without_a_channel_calls_nothing(opened) -> None:
     client = Client(url(opened), timeout=LIMIT_S)
     await client.connect_socket()
     await client.send_hello()
@@ -195,7 +195,7 @@ async def test_a_session_without_a_channel_calls_nothing(opened: Served) -> None
     client.disconnect_socket()
 
 
-async def test_a_session_of_another_client_cannot_be_taken(opened: Served, plc: Identity) -> None:
+async def test_a_session_of_another_client_cannot_be_taken(opened, plc) -> None:
     async with linked(opened, plc) as link:
         thief = Client(url(opened), timeout=LIMIT_S)
         await thief.connect_socket()
@@ -214,7 +214,7 @@ async def test_a_session_of_another_client_cannot_be_taken(opened: Served, plc: 
 
 
 async def test_only_encrypted_channels_of_trusted_certificates_command(
-    open_cell: Any, folder: Path, plc: Identity
+    open_cell, folder, plc
 ) -> None:
     served = open_cell()
     makers = identity("makers")
@@ -252,7 +252,7 @@ async def test_only_encrypted_channels_of_trusted_certificates_command(
         await tried(member)
 
 
-async def test_without_a_folder_the_interface_is_read_only(serve: Any, plc: Identity) -> None:
+async def test_without_a_folder_the_interface_is_read_only(serve, plc) -> None:
     served = serve("opcua")
 
     async with linked(served) as link:
@@ -266,7 +266,7 @@ async def test_without_a_folder_the_interface_is_read_only(serve: Any, plc: Iden
 # -- commands and values -----------------------------------------------------------------------
 
 
-async def test_a_trusted_client_commands_and_reads_all(open_cell: Any, plc: Identity) -> None:
+async def test_a_trusted_client_commands_and_reads_all(open_cell, plc) -> None:
     served = open_cell()
     async with linked(served, plc) as link:
         with pytest.raises(BadNoData):
@@ -288,7 +288,7 @@ async def test_a_trusted_client_commands_and_reads_all(open_cell: Any, plc: Iden
             await link.read("Taxels")
 
 
-async def test_taxels_follow_at_most_ten_times_a_second(open_cell: Any, plc: Identity) -> None:
+async def test_taxels_follow_at_most_ten_times_a_second(open_cell, plc) -> None:
     served = open_cell()
     frames: list[ua.DataValue] = []
 
@@ -314,9 +314,7 @@ async def test_taxels_follow_at_most_ten_times_a_second(open_cell: Any, plc: Ide
     assert all(b - a > 0.9 * PERIOD_S for a, b in pairwise(taken_s))
 
 
-async def test_faults_refusals_and_the_end_reach_who_subscribes(
-    serve: Any, folder: Path, plc: Identity
-) -> None:
+async def test_faults_refusals_and_the_end_reach_who_subscribes(serve, folder, plc) -> None:
     served = serve(serve__opcua_folder=str(folder))
     interface = OpcUaInterface(served.service)
     events: asyncio.Queue[Any] = asyncio.Queue()
@@ -349,9 +347,7 @@ async def test_faults_refusals_and_the_end_reach_who_subscribes(
     assert events.empty()
 
 
-async def test_values_are_bad_while_the_cell_cannot_be_asked(
-    opened: Served, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_values_are_bad_while_the_cell_cannot_be_asked(opened, monkeypatch) -> None:
 
     async def bad(link: Link) -> bool:
         data = await link.node("State.Name").read_data_value(raise_on_bad_status=False)
@@ -372,9 +368,7 @@ async def test_values_are_bad_while_the_cell_cannot_be_asked(
 # -- who may connect, and the folder -----------------------------------------------------------
 
 
-async def test_endless_requests_are_cut_off(
-    opened: Served, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_endless_requests_are_cut_off(opened, monkeypatch) -> None:
     async def never(_connection: Any) -> None:
         """Stand for the time after which a connection without session is closed anyhow."""
 
@@ -391,7 +385,7 @@ async def test_endless_requests_are_cut_off(
         assert await link.read("State.Name") == "IDLE"
 
 
-def test_the_folder_is_made_once_and_its_key_is_the_operators(serve: Any, tmp_path: Path) -> None:
+def test_the_folder_is_made_once_and_its_key_is_the_operators(serve, tmp_path) -> None:
     folder = tmp_path / "new" / "pki"
     served = serve("opcua", serve__opcua_folder=str(folder))
     made = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}

@@ -31,9 +31,7 @@ from cell.interfaces.page_address import page_address, view_note
         ),
     ],
 )
-def test_the_address_of_the_page_suits_a_browser(
-    changes: dict[str, Any], address: str, note: str
-) -> None:
+def test_the_address_of_the_page_suits_a_browser(changes, address, note) -> None:
     config = CellConfig(serve=changes).serve
     assert page_address({"http_port": 7, "token": "t"}, config) == address
     assert page_address({"modbus_port": 7}, config) is None
@@ -41,9 +39,7 @@ def test_the_address_of_the_page_suits_a_browser(
     assert bool(note) is bool(view_note(config))
 
 
-def test_the_address_for_others_is_that_of_this_machine_on_their_way(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_address_for_others_is_that_of_this_machine_on_their_way(monkeypatch) -> None:
     asked = []
 
     class Link(socket.socket):

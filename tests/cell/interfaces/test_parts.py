@@ -6,10 +6,8 @@ from contextlib import closing
 from typing import Any
 from xmlrpc.client import ServerProxy
 
-import pytest
-
+from cell.control.answer import Answer
 from cell.jobs.sort import Tally
-from cell.plugin import tasks
 from tests.cell.interfaces.hosts import BlockPlc, Client, Plc
 from tests.cell.served import LIMIT_S
 
@@ -42,16 +40,15 @@ def events(link: Any) -> list[dict[str, Any]]:
     return parts
 
 
-def test_each_part_of_a_sort_reaches_plc_robot_and_program_once(
-    serve: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tallies: list[Tally] = []
+def test_each_part_of_a_sort_reaches_plc_robot_and_program_once(serve, monkeypatch) -> None:
+    parts: list[Answer] = []
+    count = Tally.add
 
-    def tally(**given: Any) -> Tally:
-        tallies.append(Tally(**given))
-        return tallies[-1]
+    def add(tally: Tally, part: Answer) -> None:
+        parts.append(part)
+        count(tally, part)
 
-    monkeypatch.setattr(tasks, "Tally", tally)
+    monkeypatch.setattr(Tally, "add", add)
     served = serve("modbus", "xmlrpc", "http", cell={}, serve__objects=["box", "ball"])
     host = Client(served.interfaces)
     cell = ServerProxy(f"http://127.0.0.1:{served.interfaces['xmlrpc_port']}/RPC2")
@@ -68,7 +65,6 @@ def test_each_part_of_a_sort_reaches_plc_robot_and_program_once(
         finally:
             over.set()
         assert cell.label(1) == sent[-1]["label"]
-    (counted,) = tallies
     expected = [
         {
             "number": number,
@@ -78,9 +74,9 @@ def test_each_part_of_a_sort_reaches_plc_robot_and_program_once(
             "place": part.place,
             "place_id": PLACES.index(part.place) + 1,
         }
-        for number, part in enumerate(counted.parts, start=1)
+        for number, part in enumerate(parts, start=1)
     ]
-    assert len({part.label for part in counted.parts}) > 1
+    assert len({part.label for part in parts}) > 1
     sizes_mm = [part["size_mm"] for part in sent]
     assert all(5.0 < size_mm < 20.0 for size_mm in sizes_mm)
     assert [{name: part[name] for name in expected[0]} for part in sent] == expected

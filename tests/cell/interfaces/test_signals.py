@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 
@@ -44,7 +43,7 @@ def hangup_heard() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("hangup_heard")
-def test_the_death_of_the_parent_stops_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_death_of_the_parent_stops_once(monkeypatch) -> None:
     stopped = threading.Event()
     calls: list[int] = []
 
@@ -60,9 +59,7 @@ def test_the_death_of_the_parent_stops_once(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.usefixtures("hangup_ignored")
-def test_a_program_under_nohup_outlives_terminal_and_parent(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_program_under_nohup_outlives_terminal_and_parent(monkeypatch) -> None:
     calls: list[int] = []
     with stopping(lambda: calls.append(1)):
         monkeypatch.setattr(os, "getppid", lambda: 1)
@@ -75,7 +72,7 @@ def test_a_program_under_nohup_outlives_terminal_and_parent(
 
 
 @pytest.mark.parametrize("hanging", ["time.sleep(60)", "sum(range(1 << 40))"])
-def test_a_second_signal_leaves_little_time_to_close_files(hanging: str) -> None:
+def test_a_second_signal_leaves_little_time_to_close_files(hanging) -> None:
     program = (
         "import os, signal, time\n"
         "from cell.interfaces.cli.signals import stopping\n"
@@ -93,7 +90,7 @@ def test_a_second_signal_leaves_little_time_to_close_files(hanging: str) -> None
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_while_the_program_ends_leaves_its_exit_code(number: signal.Signals) -> None:
+def test_a_signal_while_the_program_ends_leaves_its_exit_code(number) -> None:
     program = (
         "import atexit, os, signal, sys\n"
         "from cell.interfaces.cli import main\n"
@@ -147,7 +144,7 @@ def test_a_third_signal_does_not_cut_off_what_the_second_leaves_time_for() -> No
     assert (ended.returncode, ended.stdout) == (0, b"closed\ntold\n")
 
 
-def test_a_stop_does_not_wait_for_whoever_moves_the_object(make_bench: Any) -> None:
+def test_a_stop_does_not_wait_for_whoever_moves_the_object(make_bench) -> None:
     answered = threading.Event()
     bench = make_bench(
         small_config(positioner__kind="operator"),
@@ -183,9 +180,7 @@ def test_what_supervision_raises_comes_at_once_and_what_the_call_raises_too() ->
     assert PatientCaller(time, 0.001).call(lambda: 7, lambda: None) == 7
 
 
-def test_an_answer_from_a_pipe_is_read_line_by_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_answer_from_a_pipe_is_read_line_by_line(monkeypatch, capsys) -> None:
     out_of, into = os.pipe()
     os.write(into, b"done\nq\n")
     os.close(into)

@@ -179,9 +179,7 @@ def asked(client: Page) -> Callable[[Any], None]:
     return answer
 
 
-def test_the_whole_way_left_once_and_taken_up_again(
-    client: Page, walk: list[Any], tmp_path: Path, asked: Callable[[Any], None]
-) -> None:
+def test_the_whole_way_left_once_and_taken_up_again(client, walk, tmp_path, asked) -> None:
     client.acquire()
     assert client.tell("run") == 200
     state = client.becomes("asking")
@@ -219,9 +217,7 @@ def test_the_whole_way_left_once_and_taken_up_again(
     assert b"A block of 10 mm" in client.ask("GET", "/api/record")[1]
 
 
-def test_anybody_stops_a_motion_without_token_and_lease(
-    client: Page, walk: list[Any], asked: Callable[[Any], None]
-) -> None:
+def test_anybody_stops_a_motion_without_token_and_lease(client, walk, asked) -> None:
     client.acquire()
     client.tell("run")
     for value in ("1", True, "done"):
@@ -234,7 +230,7 @@ def test_anybody_stops_a_motion_without_token_and_lease(
 
 
 def test_a_person_who_falls_silent_ends_a_motion_and_no_question(
-    client: Page, wizard: Wizard, walk: list[Any], asked: Callable[[Any], None]
+    client, wizard, walk, asked
 ) -> None:
     client.acquire()
     client.tell("run")
@@ -252,7 +248,7 @@ def test_a_person_who_falls_silent_ends_a_motion_and_no_question(
     assert walk[1].limp
 
 
-def test_only_what_is_offered_is_an_answer(client: Page, walk: list[Any]) -> None:
+def test_only_what_is_offered_is_an_answer(client, walk) -> None:
     client.acquire()
     client.tell("run")
     client.becomes("asking")
@@ -265,9 +261,7 @@ def test_only_what_is_offered_is_an_answer(client: Page, walk: list[Any]) -> Non
     assert client.answer("0") == 403
 
 
-def test_what_ends_the_wizard_is_named_and_the_step_is_taken_up_again(
-    client: Page, walk: list[Any]
-) -> None:
+def test_what_ends_the_wizard_is_named_and_the_step_is_taken_up_again(client, walk) -> None:
     walk[0].mistakes = 1
     client.acquire()
     client.tell("run")
@@ -278,9 +272,7 @@ def test_what_ends_the_wizard_is_named_and_the_step_is_taken_up_again(
     assert client.becomes("asking")["error"] is None
 
 
-def test_a_step_is_done_again_with_those_that_need_it(
-    client: Page, walk: list[Any], asked: Callable[[Any], None]
-) -> None:
+def test_a_step_is_done_again_with_those_that_need_it(client, walk, asked) -> None:
     walk[1].go.set()
     client.acquire()
     client.tell("run")
@@ -293,7 +285,7 @@ def test_a_step_is_done_again_with_those_that_need_it(
     assert client.tell("redo", key="wheels") == 500
 
 
-def test_the_end_of_the_program_ends_the_step(wizard: Wizard) -> None:
+def test_the_end_of_the_program_ends_the_step(wizard) -> None:
     lease = wizard.lease.acquire("page")
     wizard.run(lease)
     until(lambda: wizard.state()["phase"] == "asking")
@@ -304,7 +296,7 @@ def test_the_end_of_the_program_ends_the_step(wizard: Wizard) -> None:
 
 
 @pytest.mark.long
-def test_the_command_opens_the_page_until_it_is_ended(tmp_path: Path) -> None:
+def test_the_command_opens_the_page_until_it_is_ended(tmp_path) -> None:
     program = Path(sys.executable).with_name("tactile-cell")
     command = [str(program), "commission", str(tmp_path), "--page", "--http", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

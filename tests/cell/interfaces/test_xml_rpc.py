@@ -52,7 +52,7 @@ def post(served: Served, body: bytes, *hosts: str, **headers: str) -> tuple[int,
             return answer.status, answer.read()
 
 
-def test_a_verification_has_its_answer_and_a_lease_its_end(connect: Any) -> None:
+def test_a_verification_has_its_answer_and_a_lease_its_end(connect) -> None:
     _, cell = connect()
     lease = cell.acquire("robot")
     assert cell.alive(lease) == 0
@@ -61,7 +61,7 @@ def test_a_verification_has_its_answer_and_a_lease_its_end(connect: Any) -> None
     assert (cell.give_up(lease), cell.alive(lease)) == (0, -514)
 
 
-def test_no_method_raises_whatever_it_is_given(connect: Any) -> None:
+def test_no_method_raises_whatever_it_is_given(connect) -> None:
     served, cell = connect()
     types = (int, float, bool, str, dict)
     for name in METHODS:
@@ -79,9 +79,7 @@ def test_no_method_raises_whatever_it_is_given(connect: Any) -> None:
         cell.nothing()
 
 
-def test_the_last_refusal_of_each_address_says_why(
-    connect: Any, taught: Any, tmp_path: Path
-) -> None:
+def test_the_last_refusal_of_each_address_says_why(connect, taught, tmp_path) -> None:
     alone = Path(shutil.copy(taught.result.model, tmp_path))
     _, cell = connect(cell={"model": alone})
     assert cell.last_refusal() == ""
@@ -103,7 +101,7 @@ def test_the_last_refusal_of_each_address_says_why(
     assert (cell.state(), cell.job_text(job)) == (4, "")
 
 
-def test_methods_are_listed_with_help_and_types(connect: Any) -> None:
+def test_methods_are_listed_with_help_and_types(connect) -> None:
     _, cell = connect()
     assert set(METHODS) < set(cell.system.listMethods())
     assert cell.system.methodHelp("force").startswith("Grip force in N; -516")
@@ -113,7 +111,7 @@ def test_methods_are_listed_with_help_and_types(connect: Any) -> None:
     assert cell.system.methodSignature("system.listMethods") == "signatures not supported"
 
 
-def test_the_next_pose_is_one_of_ur(connect: Any) -> None:
+def test_the_next_pose_is_one_of_ur(connect) -> None:
     served, cell = connect()
     assert cell.next_pose() == dict.fromkeys(("x", "y", "z", "rx", "ry", "rz"), 0.0)
     pose = Pose(x_m=0.001, rotation_rad=0.4)
@@ -145,7 +143,7 @@ def places(robot: Robot) -> list[int]:
 @pytest.mark.parametrize(
     ("kind", "cell"), [("simulated", None), ("callback", {})], ids=["stub", "cell whose host moves"]
 )
-def test_the_robot_program_of_the_example_sorts_parts(robot: Any, kind: str, cell: Any) -> None:
+def test_the_robot_program_of_the_example_sorts_parts(robot, kind, cell) -> None:
     served, ur = robot(cell=cell, positioner__kind=kind)
     assert ur.sort_parts(2) == 2
     assert ur.messages == []
@@ -159,16 +157,14 @@ def test_the_robot_program_of_the_example_sorts_parts(robot: Any, kind: str, cel
 
 
 @pytest.mark.parametrize(("label", "place"), [(3, 0), (-513, 0), (2, 2)])
-def test_the_robot_program_of_the_example_has_a_place_for_every_label(
-    robot: Any, label: int, place: int
-) -> None:
+def test_the_robot_program_of_the_example_has_a_place_for_every_label(robot, label, place) -> None:
     served, ur = robot()
     ur.answers["label_id"] = label
     assert ur.sort_parts(1) == 1
     assert (places(ur), served.grip_n) == ([place], 0.0)
 
 
-def test_the_robot_program_of_the_example_lets_no_other_part_go_at_a_place(robot: Any) -> None:
+def test_the_robot_program_of_the_example_lets_no_other_part_go_at_a_place(robot) -> None:
     served, ur = robot()
     ur.answers["same"] = 0
     assert ur.sort_parts(1) == 1
@@ -180,7 +176,7 @@ def test_the_robot_program_of_the_example_lets_no_other_part_go_at_a_place(robot
     assert (places(ur), served.grip_n > 1.0) == ([1], True)
 
 
-def test_the_robot_program_of_the_example_keeps_a_part_that_slips(robot: Any) -> None:
+def test_the_robot_program_of_the_example_keeps_a_part_that_slips(robot) -> None:
     served, ur = robot()
     move = ur.names["movel"]
 
@@ -195,14 +191,14 @@ def test_the_robot_program_of_the_example_keeps_a_part_that_slips(robot: Any) ->
     assert ur.messages[-1][1].startswith("505: the cell is ABORTED; allowed: clear")
 
 
-def test_the_robot_program_of_the_example_waits_for_the_lease_it_left_behind(robot: Any) -> None:
+def test_the_robot_program_of_the_example_waits_for_the_lease_it_left_behind(robot) -> None:
     served, ur = robot()
     served.service.lease.acquire("ur")
     ur.slept = lambda time_s: setattr(served.clock, "now_s", served.clock.now_s + 20 * time_s)
     assert ur.sort_parts(1) == 1
 
 
-def test_the_robot_program_of_the_example_stops_where_another_commands(robot: Any) -> None:
+def test_the_robot_program_of_the_example_stops_where_another_commands(robot) -> None:
     served, ur = robot()
     served.service.lease.acquire("PLC")
     assert ur.sort_parts(1) == -1
@@ -220,13 +216,13 @@ def test_the_robot_program_of_the_example_says_that_the_cell_is_gone() -> None:
     assert ur.messages == [("the cell cannot be reached at ", gone)]
 
 
-def test_the_robot_program_of_the_example_ends_with_the_part_where_it_is_held(robot: Any) -> None:
+def test_the_robot_program_of_the_example_ends_with_the_part_where_it_is_held(robot) -> None:
     served, ur = robot()
     served.plugin.pause()
 
     def hold() -> None:
         until(lambda: served.service.job().number)
-        served.service.hold()
+        served.service.stop()
 
     operator = threading.Thread(target=hold)
     operator.start()
@@ -254,9 +250,7 @@ def test_the_robot_program_of_the_example_ends_with_the_part_where_it_is_held(ro
         (("127.0.0.1",), {"Content-Type": ""}),
     ],
 )
-def test_what_a_web_page_can_send_is_refused(
-    connect: Any, hosts: tuple[str, ...], headers: dict[str, str]
-) -> None:
+def test_what_a_web_page_can_send_is_refused(connect, hosts, headers) -> None:
     served, cell = connect()
     lease = cell.acquire("robot")
     cell.grip(lease, 3.0)
@@ -266,7 +260,7 @@ def test_what_a_web_page_can_send_is_refused(
     assert (served.service.job().number, served.grip_n > 1.0) == (1, True)
 
 
-def test_who_commands_names_the_secret_where_there_is_one(connect: Any, tmp_path: Path) -> None:
+def test_who_commands_names_the_secret_where_there_is_one(connect, tmp_path) -> None:
     (tmp_path / "secret").write_text("sixteen letters!\n")
     served, cell = connect(serve__secret_file=str(tmp_path / "secret"))
     for given in (("robot",), ("wrong", "robot"), ("", "robot"), (1, "robot"), ("\u00fc" * 16,)):
@@ -291,9 +285,7 @@ def test_who_commands_names_the_secret_where_there_is_one(connect: Any, tmp_path
         *((body, {}, 200) for body in (b"", b"<", b"<methodCall>", b"\0" * 50, b"{}")),
     ],
 )
-def test_what_is_no_call_or_could_grow_is_refused(
-    connect: Any, body: bytes, headers: dict[str, str], status: int
-) -> None:
+def test_what_is_no_call_or_could_grow_is_refused(connect, body, headers, status) -> None:
     served, cell = connect()
     answered, found = post(served, body, **headers)
     assert answered == status
@@ -306,7 +298,7 @@ def test_what_is_no_call_or_could_grow_is_refused(
     assert cell.state() == 4
 
 
-def test_torn_requests_change_nothing(connect: Any) -> None:
+def test_torn_requests_change_nothing(connect) -> None:
     served, cell = connect()
     lease = cell.acquire("robot")
     cell.grip(lease, 3.0)

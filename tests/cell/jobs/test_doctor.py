@@ -53,9 +53,7 @@ def test_the_simulated_cell_is_well() -> None:
     ("serial", "verdict", "found"),
     [(1, Verdict.PASS, "as at commissioning"), (7, Verdict.WARN, "serial 1, at commissioning")],
 )
-def test_a_cell_that_was_commissioned_is_compared_with_it(
-    tmp_path: Path, serial: int, verdict: Verdict, found: str
-) -> None:
+def test_a_cell_that_was_commissioned_is_compared_with_it(tmp_path, serial, verdict, found) -> None:
     kept = {"status": "pass", "lines": [], "settings": {}, "figures": {}, "began": "", "ended": ""}
     steps = {"unit": kept | {"values": {"serial_number": serial}}}
     store = {"version": 1, "steps": steps, "approved": []}
@@ -81,13 +79,7 @@ def test_a_cell_that_was_commissioned_is_compared_with_it(
     ],
 )
 def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
-    altered: Callable[..., list[CheckResult]],
-    *,
-    fault: str,
-    what: str,
-    verdict: Verdict,
-    found: str,
-    advice: str,
+    altered, *, fault, what, verdict, found, advice
 ) -> None:
     cells: list[Any] = []
 
@@ -118,11 +110,7 @@ def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
     ],
 )
 def test_torque_that_is_left_on_is_named_with_the_way_on(
-    altered: Callable[..., list[CheckResult]],
-    left: tuple[tuple[int, ...], tuple[int, ...]],
-    verdict: Verdict,
-    found: str,
-    advice: str,
+    altered, left, verdict, found, advice
 ) -> None:
     on, overloaded = left
 
@@ -148,7 +136,7 @@ def test_torque_that_is_left_on_is_named_with_the_way_on(
     ],
 )
 def test_pads_that_could_be_exchanged_unnoticed_are_a_warning(
-    boards: tuple[int, int], named: list[int] | None, verdict: Verdict, advice: str
+    boards, named, verdict, advice
 ) -> None:
     config = small_config(tactile__board_serial_numbers=named, **REAL)
     finding = _boards(boards, config)
@@ -177,7 +165,7 @@ def altered(meddle: Any) -> Callable[[Callable[[Any], None]], list[CheckResult]]
 
 
 def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    monkeypatch, tmp_path
 ) -> None:
     """With no answer of the servos too: then this is all that shows a held part."""
     simulated = simulation_of(CellConfig())
@@ -201,7 +189,7 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     simulated.close()
 
 
-def test_lost_frames_are_a_warning(altered: Callable[..., list[CheckResult]]) -> None:
+def test_lost_frames_are_a_warning(altered) -> None:
     def disturb(simulated: Any) -> None:
         once(
             simulated.clock,
@@ -224,9 +212,7 @@ def test_wrong_ports_are_named_with_what_to_do() -> None:
     assert "can-that-is-not-there" in findings["links"].found
 
 
-def test_a_port_without_rights_and_one_with(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_port_without_rights_and_one_with(tmp_path, monkeypatch) -> None:
     port = tmp_path / "ttyX"
     port.write_text("")
     config = small_config(**REAL | {"gripper__port": str(port)})
@@ -237,7 +223,7 @@ def test_a_port_without_rights_and_one_with(
     assert re.fullmatch(r"sudo usermod -a -G \S+ \S+, then log out and in", finding.advice)
 
 
-def test_a_missing_extra_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_extra_is_a_warning(monkeypatch) -> None:
     original = importlib.metadata.version
 
     def version(name: str) -> str:
@@ -254,7 +240,7 @@ def test_a_missing_extra_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
 AXES = changed_config(CellConfig(), CHANGES)
 
 
-def test_drives_and_servos_of_axes_are_asked_and_not_moved(meddle: Any) -> None:
+def test_drives_and_servos_of_axes_are_asked_and_not_moved(meddle) -> None:
     findings = by_name(list(examine(AXES)))
     assert findings["axis x (drive 11)"].found == "SWITCH ON DISABLED, position 0 increments"
     assert findings["axis roll (servo 1)"].verdict is Verdict.PASS

@@ -34,7 +34,7 @@ def drifted(taught: Any, tmp_path: Path) -> Path:
     return path
 
 
-def test_evaluate_drifts_and_gauges(taught: Any, tmp_path: Path) -> None:
+def test_evaluate_drifts_and_gauges(taught, tmp_path) -> None:
     text = call(
         *("evaluate", taught.result.dataset, "--recognizer", "force_ramp", "--fuse", "1"),
         *("--drift", "gain=0.8,aperture_mm=-3", "--gauge", "ball", "--json", tmp_path / "e.json"),
@@ -53,9 +53,7 @@ def test_evaluate_drifts_and_gauges(taught: Any, tmp_path: Path) -> None:
     assert figures["single_accuracy"] >= 0.5
 
 
-def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(
-    taught: Any, tmp_path: Path
-) -> None:
+def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp_path) -> None:
     balls = [grasp for grasp in taught.grasps if grasp.label == "ball"]
     model = TaughtModel.load(taught.config, taught.result.model)
     path, told = tmp_path / "gauged.npz", list[Any]()
@@ -86,7 +84,7 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(
 
 
 def test_a_gauge_that_the_data_set_does_not_hold_is_named_with_those_it_does(
-    taught: Any, tmp_path: Path
+    taught, tmp_path
 ) -> None:
     with pytest.raises(CellError, match=r"its 10 grasps have no 'ghost', but 'ball', 'box'"):
         call(
@@ -95,7 +93,7 @@ def test_a_gauge_that_the_data_set_does_not_hold_is_named_with_those_it_does(
         )
 
 
-def test_what_cannot_be_gauged_says_why(taught: Any, tmp_path: Path) -> None:
+def test_what_cannot_be_gauged_says_why(taught, tmp_path) -> None:
     options = {"split": "chronological:0.6", "names": ["force_ramp"], "progress": silent}
     with pytest.raises(CellError, match="was not taught"):
         evaluate_recognizers(taught.grasps, gauge="ghost", **options)
@@ -118,9 +116,7 @@ def test_what_cannot_be_gauged_says_why(taught: Any, tmp_path: Path) -> None:
         )
 
 
-def test_calibrate_writes_a_model_that_expects_the_drift(
-    taught: Any, drifted: Path, tmp_path: Path
-) -> None:
+def test_calibrate_writes_a_model_that_expects_the_drift(taught, drifted, tmp_path) -> None:
     new = tmp_path / "gauged.npz"
     text = call(
         *("calibrate", drifted, "--gauge", "ball", "-m", taught.result.model, "-o", new),
@@ -137,7 +133,7 @@ def test_calibrate_writes_a_model_that_expects_the_drift(
     assert sum(named) >= 7
 
 
-def test_calibrate_follows_grasps_that_nobody_named(taught: Any, tmp_path: Path) -> None:
+def test_calibrate_follows_grasps_that_nobody_named(taught, tmp_path) -> None:
     unnamed = tmp_path / "shift.npz"
     drift = Drift(gains=(0.7,), aperture_offset_m=-3e-3)
     grasps = [drift.apply(grasp) for grasp in taught.grasps]
@@ -157,7 +153,7 @@ def test_calibrate_follows_grasps_that_nobody_named(taught: Any, tmp_path: Path)
     assert sum(recognizer.posterior(grasp).best == grasp.label for grasp in grasps) >= 8
 
 
-def test_what_cannot_be_followed_says_why(taught: Any, drifted: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_followed_says_why(taught, drifted, tmp_path) -> None:
     few = tmp_path / "few.npz"
     write_dataset(few, read_dataset(drifted)[:4])
     with pytest.raises(CellError, match="4 grasps are too few for a drift"):
@@ -166,7 +162,7 @@ def test_what_cannot_be_followed_says_why(taught: Any, drifted: Path, tmp_path: 
         call("calibrate", "-m", taught.result.model, "-o", tmp_path / "m.npz")
 
 
-def test_calibrate_on_the_cell_finds_that_nothing_drifted(taught: Any, tmp_path: Path) -> None:
+def test_calibrate_on_the_cell_finds_that_nothing_drifted(taught, tmp_path) -> None:
     config = tmp_path / "cell.yaml"
     changes = {"recording.directory": str(tmp_path / "out")}
     config.write_text(config_text(changed_config(taught.config, changes)))

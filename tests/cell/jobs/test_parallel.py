@@ -1,5 +1,7 @@
 """Evaluation spread over processes and over a Dask cluster gives what one process gives."""
 
+import os
+import signal
 from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any
@@ -51,7 +53,7 @@ def assert_same(a: Evaluation, b: Evaluation) -> None:
             np.testing.assert_allclose(x, y)
 
 
-def test_two_processes_give_the_same_figures(parts: Any, alone: Evaluation) -> None:
+def test_two_processes_give_the_same_figures(parts, alone) -> None:
     with workers(2) as mapper:
         assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
 
@@ -69,9 +71,7 @@ def test_a_number_of_processes_below_none_is_refused() -> None:
 
 
 @pytest.mark.parametrize("address", ["nowhere", "tcp://127.0.0.1:9"])
-def test_a_scheduler_that_does_not_answer_is_named(
-    address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_that_does_not_answer_is_named(address, monkeypatch) -> None:
     monkeypatch.setattr(parallel, "CONNECT_TIMEOUT_S", 0.3)
     complaint = f"no Dask scheduler answers at {address}"
     with pytest.raises(CellError, match=complaint), workers(scheduler=address):
@@ -89,11 +89,34 @@ def cluster() -> Iterator[Any]:
 
 
 @pytest.mark.timeout(60)
-def test_a_cluster_of_two_workers_gives_the_same_figures(
-    cluster: Any, parts: Any, alone: Evaluation
-) -> None:
+def test_a_cluster_of_two_workers_gives_the_same_figures(cluster, parts, alone) -> None:
     with workers(scheduler=cluster.scheduler_address) as mapper:
         assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
+
+
+@pytest.mark.parametrize("kind", ["processes", "cluster"])
+def test_a_worker_that_dies_costs_its_piece_of_work_alone(kind, request, tmp_path) -> None:
+    token = tmp_path / "token"
+    token.touch()
+
+    def work(number: int) -> int:
+        if number == 2 and token.exists():
+            token.unlink()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number
+
+    cluster = request.getfixturevalue("cluster") if kind == "cluster" else None
+    with workers(2, scheduler=cluster and cluster.scheduler_address) as mapper:
+        assert list(mapper(work, range(6))) == [*range(6)]
+    assert not token.exists()
+
+
+def test_work_that_kills_each_process_is_an_error() -> None:
+    def dies(_item: int) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    with workers(2) as mapper, pytest.raises(CellError, match="ended at the same work"):
+        list(mapper(dies, [1, 2, 3]))
 
 
 @pytest.mark.timeout(60)

@@ -4,10 +4,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from cell.config.file import changed_config, load_config
 from cell.config.tactile import link_settings
 from cell.errors import CellError
+from cell.interfaces.cli.app import app
 from cell.jobs import simulate
 from simulator.settings import SimulatorSettings
 from tests.cell.conftest import small_config
@@ -25,9 +27,7 @@ FOUND = {
 """Ports of a simulated cell that is served."""
 
 
-def test_a_folder_serves_one_simulated_cell_at_a_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_serves_one_simulated_cell_at_a_time(tmp_path, monkeypatch) -> None:
     folder = tmp_path / "sim"
     served: list[Path] = []
 
@@ -51,9 +51,7 @@ def test_a_folder_serves_one_simulated_cell_at_a_time(
     assert (positioner.kind, positioner.socket) == ("simulated", "socket")
 
 
-def test_a_client_gets_the_axes_at_their_ports_and_more_patience(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_client_gets_the_axes_at_their_ports_and_more_patience(tmp_path, monkeypatch) -> None:
     config = changed_config(small_config(simulator__faults=["unit.stuck@9s"]), CHANGES)
     announced: list[dict[str, Any]] = []
 
@@ -83,3 +81,22 @@ def test_a_client_gets_the_boards_of_its_sensor_at_their_ports() -> None:
     config = simulate.client_config(preset, FOUND)
     assert config.tactile.serial_ports == ("board0", "board1")
     assert not config.simulated
+
+
+@pytest.mark.long
+def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(cell_process) -> None:
+    cell = cell_process(small_config(gripper__aperture_open_mm=30.0))
+    ask = ["simulate", "--out", str(Path(cell.positioner_socket).parent), "--ask"]
+    for request, replied in (
+        ("open finger 0", "finger 0 59.1 mm from the middle, finger 1 15.0 mm"),
+        ('{"remove": true}', '{"removed": true}'),
+        ("help", "disconnect servo N"),
+        ("open finger 7", "`help` lists all commands"),
+        ("press finger0.none", "there is no pad 'finger0.none'; there are finger0.inner"),
+        ("{hand", "is not valid JSON"),
+    ):
+        ended = CliRunner().invoke(app, [*ask, request])
+        assert replied in f"{ended.output} {ended.exception}"
+    shown = CliRunner().invoke(app, [*ask, "-"], input="dance\nclose\n")
+    assert "'dance' is not a command" in shown.stderr
+    assert shown.stdout.startswith("hands> hands> finger 0 0.0 mm from the middle")

@@ -26,7 +26,7 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
     return keep_model(taught.config, write)
 
 
-def test_a_kept_model_is_found_and_replaced(kept: Path, taught: Any, tmp_path: Path) -> None:
+def test_a_kept_model_is_found_and_replaced(kept, taught, tmp_path) -> None:
     assert cached_model(taught.config) == kept
     assert kept.is_relative_to(tmp_path / "tactile-cell")
     keep_model(taught.config, lambda folder: (folder / "other").touch())
@@ -35,7 +35,7 @@ def test_a_kept_model_is_found_and_replaced(kept: Path, taught: Any, tmp_path: P
 
 
 def test_a_model_of_another_config_version_or_code_is_not_found(
-    kept: Path, taught: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    kept, taught, monkeypatch, tmp_path
 ) -> None:
     same = small_config(seed=taught.config.seed, serve__http_port=0, recording__directory="there")
     assert cached_model(same) == kept
@@ -51,7 +51,7 @@ def test_a_model_of_another_config_version_or_code_is_not_found(
     assert cached_model(taught.config) is None
 
 
-def test_few_models_are_kept(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_models_are_kept(kept, monkeypatch) -> None:
     monkeypatch.setattr(taught_cache, "_code", list)
     for seed in range(9):
         made = keep_model(small_config(seed=seed), lambda folder: (folder / MODEL_FILE).touch())
@@ -64,7 +64,7 @@ def test_few_models_are_kept(kept: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     ("broken", "left"), [(MODEL_FILE, 1000), ("model.grasps.npz", 1000), ("model.grasps.npz", 0)]
 )
 def test_a_model_that_is_broken_or_cannot_be_extended_is_removed(
-    kept: Path, taught: Any, broken: str, left: int
+    kept, taught, broken, left
 ) -> None:
     path = kept.with_name(broken)
     data = path.read_bytes()[:left]
@@ -75,7 +75,7 @@ def test_a_model_that_is_broken_or_cannot_be_extended_is_removed(
     assert not kept.parent.exists()
 
 
-def test_a_model_that_is_not_written_whole_changes_nothing(kept: Path, taught: Any) -> None:
+def test_a_model_that_is_not_written_whole_changes_nothing(kept, taught) -> None:
     with pytest.raises(OSError, match="disk full"):
         keep_model(taught.config, raising(OSError("disk full")))
     assert cached_model(taught.config) == kept
@@ -83,7 +83,7 @@ def test_a_model_that_is_not_written_whole_changes_nothing(kept: Path, taught: A
 
 
 def test_without_a_usable_variable_the_cache_is_that_of_the_home(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any
+    tmp_path, monkeypatch, taught
 ) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     for value in ("", "relative"):
@@ -92,9 +92,7 @@ def test_without_a_usable_variable_the_cache_is_that_of_the_home(
         assert made.is_relative_to(tmp_path / ".cache" / "tactile-cell")
 
 
-def test_a_run_that_has_taught_all_objects_keeps_its_model(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any
-) -> None:
+def test_a_run_that_has_taught_all_objects_keeps_its_model(tmp_path, monkeypatch, taught) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     _keep_for_serve(replace(taught.result, labels=("ball",)), taught.config)
     _keep_for_serve(replace(taught.result, model=None), taught.config)

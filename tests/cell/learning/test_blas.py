@@ -12,7 +12,6 @@ from cell.learning.blas import one_blas_thread
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
 from recognition.recognizer import Posterior
-from tests.cell.conftest import MakeBench
 
 HOST_THREADS = 2
 
@@ -43,9 +42,7 @@ def test_an_error_gives_the_threads_back() -> None:
     assert threads() == {HOST_THREADS}
 
 
-def test_training_and_answering_have_one_thread(
-    make_bench: MakeBench, taught: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_training_and_answering_have_one_thread(make_bench, taught, monkeypatch) -> None:
     seen: list[set[int]] = []
 
     class Noting:
@@ -65,6 +62,6 @@ def test_training_and_answering_have_one_thread(
     model.train()
     bench = make_bench(taught.config)
     bench.controller.start()
-    identify(bench.controller, model, held="ball", seed=1)
+    identify(bench.controller, model, presented="ball", seed=1)
     assert seen == [{1}] * 3
     assert threads() == {HOST_THREADS}

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,7 +52,7 @@ def refused(*arguments: object) -> str:
     return str(result.exception)
 
 
-def test_a_virtual_grasp_looks_like_the_cells_own(taught: Any) -> None:
+def test_a_virtual_grasp_looks_like_the_cells_own(taught) -> None:
     config = taught.config
     own = [g for g in taught.grasps if g.label == "ball"]
     known = PadKnowledge(foam=FoamModel(), other_foams=1.0)
@@ -78,7 +77,7 @@ def test_a_virtual_grasp_looks_like_the_cells_own(taught: Any) -> None:
     assert np.mean(off_m) == pytest.approx(0.0, abs=0.3e-3)
 
 
-def test_the_set_point_begins_with_the_touch_and_ends_at_the_planned_force(taught: Any) -> None:
+def test_the_set_point_begins_with_the_touch_and_ends_at_the_planned_force(taught) -> None:
     low_n, high_n = taught.config.sequence.force_n
     for grasp in teach_drawing(taught.config, "box", drawn_shape(BOX), 5):
         force_n = grasp.force_n
@@ -98,7 +97,7 @@ def test_the_same_seed_gives_the_same_grasps() -> None:
     )
 
 
-def test_drawings_alone_name_what_the_cell_grasps(taught: Any, tmp_path: Path) -> None:
+def test_drawings_alone_name_what_the_cell_grasps(taught, tmp_path) -> None:
     drawings, model, own = (tmp_path / name for name in ("d.npz", "m.npz", "own.npz"))
     for label, text in (("ball", BALL), ("box", BOX), ("cylinder", CYLINDER)):
         printed = call("teach", label, "--shape", text, "-o", drawings, "-n", 15)
@@ -128,7 +127,7 @@ def test_drawings_alone_name_what_the_cell_grasps(taught: Any, tmp_path: Path) -
     assert "flat, " in printed
 
 
-def test_a_size_that_the_drawing_excludes_is_no_name(taught: Any, tmp_path: Path) -> None:
+def test_a_size_that_the_drawing_excludes_is_no_name(taught, tmp_path) -> None:
     config = changed_config(CellConfig(), {"sequence.ramp": SLOW_RAMP})
     path, read = tmp_path / "d.npz", shape_reader(config)
     soon_ms = taught.grasps[-1].start_ms
@@ -145,13 +144,13 @@ def test_a_size_that_the_drawing_excludes_is_no_name(taught: Any, tmp_path: Path
 
     def names(text: str, at_ms: int, read: Any = read) -> set[str]:
         grasps = drawn("", text, 4, at_ms, known=known)
-        return {answer.label for answer in identify_recorded(model, grasps, read_shape=read)}
+        return {answer.name for answer, *_ in identify_recorded(model, grasps, read_shape=read)}
 
     assert names(CYLINDER, soon_ms) == {"UNKNOWN"}
     assert names(pin, soon_ms) == {"pin"}
 
 
-def test_a_gauge_calibrates_and_is_printed(taught: Any, tmp_path: Path) -> None:
+def test_a_gauge_calibrates_and_is_printed(taught, tmp_path) -> None:
     gauge, drawings, facts = (tmp_path / name for name in ("g.npz", "d.npz", "f.json"))
     write_dataset(gauge, [g for g in taught.grasps if g.label == "ball"])
     printed = call(
@@ -202,9 +201,7 @@ def linear_config() -> CellConfig:
     [LINEAR, {"calibration": {"kind": "paper", "gain": 1.3}}],
     ids=["linear", "paper with a gain"],
 )
-def test_simulated_and_virtual_pads_read_as_the_config_says(
-    tactile: dict[str, Any],
-) -> None:
+def test_simulated_and_virtual_pads_read_as_the_config_says(tactile) -> None:
     config = CellConfig.model_validate({"tactile": tactile})
     layout = layout_from_config(config.tactile)
     force_n = np.linspace(0.0, 4.0, 9)
@@ -228,7 +225,7 @@ def test_virtual_grasps_follow_a_linear_sensor() -> None:
         assert 1e3 * answer.size_m == pytest.approx(9.5, abs=0.8)
 
 
-def test_a_gauge_keeps_the_law_of_the_config(tmp_path: Path) -> None:
+def test_a_gauge_keeps_the_law_of_the_config(tmp_path) -> None:
     config = linear_config()
     path, gauge, drawings = (tmp_path / name for name in ("c.yaml", "g.npz", "d.npz"))
     path.write_text(config_text(config), encoding="utf-8")
@@ -285,7 +282,7 @@ def test_an_object_aslant_reaches_further_towards_one_pad() -> None:
     assert np.array_equal(np.isfinite(tilted[1]), inside)
 
 
-def test_a_mesh_is_a_drawing(tmp_path: Path) -> None:
+def test_a_mesh_is_a_drawing(tmp_path) -> None:
     trimesh = pytest.importorskip("trimesh")
     mesh, drawings = tmp_path / "cube.stl", tmp_path / "d.npz"
     trimesh.creation.box((8.0, 8.0, 8.0)).export(mesh)
@@ -312,15 +309,13 @@ def test_a_mesh_is_a_drawing(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_wrong_drawings_are_refused(tmp_path: Path, options: tuple[str, ...], message: str) -> None:
+def test_wrong_drawings_are_refused(tmp_path, options, message) -> None:
     assert message in refused("teach", "part", "-o", tmp_path / "d.npz", *options)
     assert not (tmp_path / "d.npz").exists()
 
 
 @pytest.mark.parametrize("label", ["", " ball", "x" * 201, "a\nb", "\x1b[2J", "\udc80", "UNKNOWN"])
-def test_a_label_that_nothing_can_carry_is_refused_before_the_first_grasp(
-    tmp_path: Path, label: str
-) -> None:
+def test_a_label_that_nothing_can_carry_is_refused_before_the_first_grasp(tmp_path, label) -> None:
     path = tmp_path / "d.npz"
     assert "label" in refused("teach", "--shape", BALL, "-n", 1, "-o", path, "--", label)
     assert not path.exists()
@@ -328,7 +323,7 @@ def test_a_label_that_nothing_can_carry_is_refused_before_the_first_grasp(
         checked_goal({"task": "teach", "label": label})
 
 
-def test_grasps_that_stand_twice_are_noted(tmp_path: Path) -> None:
+def test_grasps_that_stand_twice_are_noted(tmp_path) -> None:
     path, nearest = tmp_path / "d.npz", ("--recognizer", "force_ramp")
     call("teach", "ball", "--shape", BALL, "-n", 6, "-o", path)
     said = call("train", path, path, "-o", tmp_path / "m.npz", *nearest)
@@ -345,7 +340,7 @@ def test_an_object_beside_the_pads_is_refused() -> None:
         teach_drawing(config.model_copy(update={"sequence": sequence}), "b", drawn_shape(BALL), 1)
 
 
-def test_what_a_gauge_must_be(taught: Any) -> None:
+def test_what_a_gauge_must_be(taught) -> None:
     config, ball = taught.config, drawn_shape(BALL)
     pads = taught.grasps[0].pads
     with pytest.raises(CellError, match="a gauge is one object, these grasps are of ball, box"):
@@ -364,7 +359,7 @@ def test_what_a_gauge_must_be(taught: Any) -> None:
         calibrate_on_gauge(taught.grasps[:1], ball, pads)
 
 
-def test_untouched_pads_have_no_shape(taught: Any) -> None:
+def test_untouched_pads_have_no_shape(taught) -> None:
     grasp = taught.grasps[0]
     still = replace(grasp, counts=np.repeat(grasp.counts[:1], grasp.n_frames, axis=0))
     read = reader_under(PadKnowledge(foam=FoamModel()))

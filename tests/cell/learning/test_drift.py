@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -89,7 +88,7 @@ def model_of(recognizer: Any, **changes: object) -> TaughtModel:
 def identified(model: TaughtModel, *records: Any) -> str:
     """Identify once; return the remark."""
     controller: Any = Grasping(records[0].grasp, records)
-    return identify(controller, model, held=None, seed=0).remark
+    return identify(controller, model, presented=None, seed=0).remark
 
 
 def test_it_learns_after_each_answer_and_speaks_once() -> None:
@@ -130,12 +129,12 @@ def test_recorded_grasps_are_followed_in_the_order_of_time() -> None:
         recognizer=Follower(), trainer_name="force_ramp", pads=grasps[0].pads
     )
     answers = identify_recorded(model, grasps, follow=True)
-    assert [answer.number for answer in answers] == [0, 1, 2, 3]
-    assert [answer.drift.n_followed for answer in answers if answer.drift] == [2, 3, 1, 0]
-    assert [answer.label for answer in answers] == ["ball", "ball", "UNKNOWN", "UNKNOWN"]
-    assert answers[0].as_json()["drift"]["gain"] == pytest.approx(0.72, abs=0.01)
+    drifts = [drift for *_, drift in answers if drift]
+    assert [drift.n_followed for drift in drifts] == [2, 3, 1, 0]
+    assert [answer.name for answer, *_ in answers] == ["ball", "ball", "UNKNOWN", "UNKNOWN"]
+    assert drifts[0].values["gain"] == pytest.approx(0.72, abs=0.01)
     alone = identify_recorded(model, grasps)
-    assert [answer.label for answer in alone] == 4 * ["UNKNOWN"]
+    assert [answer.name for answer, *_ in alone] == 4 * ["UNKNOWN"]
 
 
 class Grasping:
@@ -155,7 +154,6 @@ class Grasping:
         posterior = recognizer.posterior(self.given)
         return Identification(
             label="ball",
-            probability=0.9,
             decision=Decision(kind=DecisionKind.DECIDED, label="ball", probability=0.9),
             posteriors=(posterior,),
             fused=posterior,
@@ -167,9 +165,7 @@ class Grasping:
         self.remarks.append((kind, text))
 
 
-def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(monkeypatch) -> None:
     taught_with: list[list[Grasp]] = []
 
     def train(grasps: list[Grasp], name: str, **_options: object) -> Trained:
@@ -197,7 +193,7 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
     assert model.drift.n_followed == 3
 
 
-def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught: Any, tmp_path: Any) -> None:
+def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught, tmp_path) -> None:
     plugin = TactileCellPlugin(taught.config, model=taught.result.model)
     try:
         goal = IdentifyGoal(max_grasps=1, present="ball", whole_ramps=True)
@@ -219,7 +215,7 @@ def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught: Any, tmp_pat
     assert followed != before
 
 
-def test_the_recording_names_the_drift_of_each_answer(taught: Any) -> None:
+def test_the_recording_names_the_drift_of_each_answer(taught) -> None:
     results = read_recording(taught.result.recording).results
     assert results[0]["drift_n_grasps"] == 0 < results[1]["drift_n_grasps"]
     assert all(result["drift_gain"] == pytest.approx(1.0, abs=0.1) for result in results)
@@ -228,16 +224,14 @@ def test_the_recording_names_the_drift_of_each_answer(taught: Any) -> None:
     assert not taught.result.as_json()["remarks"]
 
 
-def test_a_cell_that_grasps_one_object_has_nothing_to_follow(taught: Any) -> None:
+def test_a_cell_that_grasps_one_object_has_nothing_to_follow(taught) -> None:
     with pytest.raises(ConfigError, match="--follow"):
         CliRunner().invoke(
-            app,
-            ["identify", "--follow", "-m", str(taught.result.model)],
-            catch_exceptions=False,
+            app, ["identify", "--follow", "-m", str(taught.result.model)], catch_exceptions=False
         )
 
 
-def test_a_model_that_cannot_follow_is_refused(taught: Any, tmp_path: Path) -> None:
+def test_a_model_that_cannot_follow_is_refused(taught, tmp_path) -> None:
     result = taught.result
     model = tmp_path / "level.npz"
     recognizer = train(taught.grasps, "level_check").recognizer
@@ -250,7 +244,7 @@ def test_a_model_that_cannot_follow_is_refused(taught: Any, tmp_path: Path) -> N
         )
 
 
-def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught: Any) -> None:
+def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
     model = load_model(taught.result.model)
     drift = Drift(gains=(0.8,), aperture_offset_m=-1e-3)
     balls = [drift.apply(grasp) for grasp in taught.grasps if grasp.label == "ball"]
@@ -266,11 +260,9 @@ def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught: Any) -> No
     assert gauged.drift.drift == before
 
 
-def test_a_model_that_was_taught_without_a_self_zero_is_named_once(
-    taught: Any, make_bench: Any
-) -> None:
+def test_a_model_that_was_taught_without_a_self_zero_is_named_once(taught, make_bench) -> None:
     bench = make_bench(small_config(self_zero="always")).ready()
     model = TaughtModel.load(bench.config, taught.result.model)
-    first, second = (identify(bench.controller, model, held="ball", seed=s) for s in (1, 2))
+    first, second = (identify(bench.controller, model, presented="ball", seed=s) for s in (1, 2))
     assert "was taught without a self-zero" in first.remark
     assert "without a self-zero" not in second.remark

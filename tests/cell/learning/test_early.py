@@ -24,7 +24,7 @@ from recognition.ramp.ramp import learn_rest
 from recognition.ramp.running_load import load_so_far
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.early_classifiers import EarlyClassifiers
-from tests.cell.conftest import REAL, UNSURE, MakeBench, Scripted, small_config
+from tests.cell.conftest import REAL, UNSURE, Scripted, small_config
 from tests.values import raising
 
 STEP = GraspStep(pose=Pose(), force_n=6.0)
@@ -44,7 +44,7 @@ def heads_of(taught: Any, *heads: Scripted) -> EarlyClassifiers:
 
 
 def test_a_ramp_ends_where_it_suffices_and_tells_what_was_known_then(
-    make_bench: MakeBench, taught: Any, tmp_path: Path
+    make_bench, taught, tmp_path
 ) -> None:
     bench = make_bench(folder=tmp_path).ready()
     unsure, sure, whole = Scripted(UNSURE), Scripted(LIKELY), Scripted((0.001, 0.01))
@@ -72,7 +72,7 @@ def test_a_ramp_ends_where_it_suffices_and_tells_what_was_known_then(
     assert len(recording.grasps[0].counts) == record.grasp.n_frames
 
 
-def test_nothing_but_a_sure_name_ends_a_ramp(bench: Any, taught: Any) -> None:
+def test_nothing_but_a_sure_name_ends_a_ramp(bench, taught) -> None:
     bench.ready()
 
     whole = Scripted((0.9, 0.97))
@@ -88,7 +88,7 @@ def test_nothing_but_a_sure_name_ends_a_ramp(bench: Any, taught: Any) -> None:
     assert [len(head.grasps) for head in early.recognizers] == [1, 1, 1, 1]
 
 
-def test_a_look_that_fails_is_a_complaint_and_the_ramp_goes_on(bench: Any, taught: Any) -> None:
+def test_a_look_that_fails_is_a_complaint_and_the_ramp_goes_on(bench, taught) -> None:
     bench.ready()
 
     broken = Scripted(LIKELY, look=raising(CellError("a broken model")))
@@ -100,7 +100,7 @@ def test_a_look_that_fails_is_a_complaint_and_the_ramp_goes_on(bench: Any, taugh
     assert bench.controller.fault is None
 
 
-def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench: Any, taught: Any) -> None:
+def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench, taught) -> None:
     bench.ready()
     head = Scripted(LIKELY, look=lambda: bench.simulated.inject("servo2.overload"))
     with pytest.raises(ServoFault):
@@ -111,9 +111,7 @@ def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench: Any, taught: 
     assert bench.grip_n > 0.5
 
 
-def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(
-    bench: Any, taught: Any
-) -> None:
+def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(bench, taught) -> None:
     bench.ready()
     found = bench.controller.identify(
         Scripted((0.5, 0.01)), [STEP], early=heads_of(taught, Scripted(LIKELY)), keep=Keep.ALWAYS
@@ -127,7 +125,7 @@ def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(
     assert bench.grip_n == pytest.approx(carry_n, rel=0.2)
 
 
-def test_a_stop_comes_before_the_end_of_the_ramp(bench: Any, taught: Any) -> None:
+def test_a_stop_comes_before_the_end_of_the_ramp(bench, taught) -> None:
     bench.ready()
     head = Scripted(LIKELY, look=bench.controller.cancel)
     with pytest.raises(CellStopped, match="the grip is kept"):
@@ -136,9 +134,7 @@ def test_a_stop_comes_before_the_end_of_the_ramp(bench: Any, taught: Any) -> Non
     assert bench.grip_n > 0.5
 
 
-def test_objects_are_named_in_less_time_and_none_wrongly(
-    make_bench: MakeBench, taught: Any
-) -> None:
+def test_objects_are_named_in_less_time_and_none_wrongly(make_bench, taught) -> None:
     bench = make_bench(taught.config).ready()
     model = TaughtModel.load(taught.config, taught.result.model)
     grasp_s: dict[bool, list[float]] = {True: [], False: []}
@@ -146,7 +142,7 @@ def test_objects_are_named_in_less_time_and_none_wrongly(
         ended = 0
         for number, label in enumerate(["ball", "box"]):
             found = identify(
-                bench.controller, model, held=label, seed=20 + number, whole_ramps=whole
+                bench.controller, model, presented=label, seed=20 + number, whole_ramps=whole
             )
             assert found.label in (label, UNKNOWN)
             times_s += [record.duration_s for record in found.records]
@@ -158,7 +154,7 @@ def test_objects_are_named_in_less_time_and_none_wrongly(
     assert all(one.cycles[-1].setpoint_n == one.step.force_n for one in more.records)
 
 
-def test_a_model_keeps_what_it_was_taught_with_ramps_cut_short(taught: Any) -> None:
+def test_a_model_keeps_what_it_was_taught_with_ramps_cut_short(taught) -> None:
     heads = load_early(load_model(taught.result.model))
     assert heads is not None
     assert len(heads.recognizers) == 2
@@ -168,9 +164,7 @@ def test_a_model_keeps_what_it_was_taught_with_ramps_cut_short(taught: Any) -> N
     assert np.mean(np.array(loads) >= heads.load_counts[0]) > 0.5
 
 
-def test_by_touch_alone_ramps_are_whole_and_nothing_is_said(
-    make_bench: MakeBench, taught: Any
-) -> None:
+def test_by_touch_alone_ramps_are_whole_and_nothing_is_said(make_bench, taught) -> None:
     for name, use_aperture in (("level_check", True), ("force_ramp", False)):
         trained = train(taught.grasps, name, use_aperture=use_aperture, early=True)
         assert trained.early is None
@@ -180,7 +174,7 @@ def test_by_touch_alone_ramps_are_whole_and_nothing_is_said(
         taught.config.model_copy(update={"recognition": touch}), training_set=taught.grasps
     )
     model.train()
-    found = identify(bench.controller, model, held="box", seed=0)
+    found = identify(bench.controller, model, presented="box", seed=0)
     assert all(record.early is None for record in found.records)
     assert found.remark == ""
 
@@ -194,9 +188,7 @@ def test_by_touch_alone_ramps_are_whole_and_nothing_is_said(
         ("1.feature_version", lambda _array: None),
     ],
 )
-def test_heads_that_do_not_fit_their_model_are_refused(
-    taught: Any, tmp_path: Path, name: str, change: Any
-) -> None:
+def test_heads_that_do_not_fit_their_model_are_refused(taught, tmp_path, name, change) -> None:
     model = load_model(taught.result.model)
     arrays = dict(model.sections[EARLY_SECTION])
     changed = change(arrays.pop(name))
@@ -207,12 +199,12 @@ def test_heads_that_do_not_fit_their_model_are_refused(
 
 
 def test_a_model_taught_without_ramps_cut_short_says_once_that_its_ramps_are_whole(
-    make_bench: MakeBench, taught: Any, tmp_path: Path
+    make_bench, taught, tmp_path
 ) -> None:
     bench = make_bench(taught.config).ready()
     path = resaved(load_model(taught.result.model), tmp_path / "m.npz", {})
     model = TaughtModel.load(taught.config, path)
-    found = [identify(bench.controller, model, held="box", seed=seed) for seed in range(2)]
+    found = [identify(bench.controller, model, presented="box", seed=seed) for seed in range(2)]
     assert all(record.early is None for one in found for record in one.records)
     assert [one.remark.partition(":")[0] for one in found] == [
         "the model has no early classifiers, so no ramp ends early",
@@ -222,11 +214,7 @@ def test_a_model_taught_without_ramps_cut_short_says_once_that_its_ramps_are_who
 
 def resaved(model: LoadedModel, path: Path, sections: Any) -> Path:
     save_model(
-        path,
-        model.recognizer,
-        trainer_name=model.trainer_name,
-        pads=model.pads,
-        sections=sections,
+        path, model.recognizer, trainer_name=model.trainer_name, pads=model.pads, sections=sections
     )
     return path
 
@@ -237,7 +225,7 @@ def test_ramps_are_whole_where_the_loop_would_wait_for_answers() -> None:
     assert small_config(**REAL, loop__own_process=True).decides_early
 
 
-def test_what_a_plugin_was_taught_decides_early_and_is_saved(tmp_path: Path) -> None:
+def test_what_a_plugin_was_taught_decides_early_and_is_saved(tmp_path) -> None:
     config = small_config(sequence__max_grasps=1)
     with TactileCellPlugin(config) as plugin:
         plugin.result(plugin.start({"task": "teach", "label": "box", "grasps": 6}), 60.0)

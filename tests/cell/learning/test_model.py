@@ -54,7 +54,7 @@ def good(taught: LevelCheckRecognizer, tmp_path_factory: pytest.TempPathFactory)
     return path
 
 
-def test_loaded_model_answers_like_the_taught_one(taught: LevelCheckRecognizer, good: Path) -> None:
+def test_loaded_model_answers_like_the_taught_one(taught, good) -> None:
     loaded = load_model(good, PADS)
     assert loaded.labels == ("ball", "box")
     assert loaded.trainer_name == "level_check"
@@ -66,9 +66,7 @@ def test_loaded_model_answers_like_the_taught_one(taught: LevelCheckRecognizer, 
         assert now.unknown == was.unknown
 
 
-def test_sections_come_back_and_are_built_or_refused(
-    taught: LevelCheckRecognizer, good: Path, tmp_path: Path
-) -> None:
+def test_sections_come_back_and_are_built_or_refused(taught, good, tmp_path) -> None:
     path = tmp_path / "more.npz"
     more = {"memory": {"a": np.arange(3), "b.c": np.ones(2)}, "other": {"a": np.zeros(1)}}
     save_model(path, taught, trainer_name="level_check", pads=PADS, sections=more)
@@ -83,7 +81,7 @@ def test_sections_come_back_and_are_built_or_refused(
             save_model(path, taught, trainer_name="level_check", pads=PADS, sections={name: {}})
 
 
-def test_file_is_plain_arrays_and_json(good: Path) -> None:
+def test_file_is_plain_arrays_and_json(good) -> None:
     with np.load(good, allow_pickle=False) as archive:
         header = json.loads(str(archive["model"]))
         assert all(archive[name].dtype.kind in "biufU" for name in archive.files)
@@ -105,7 +103,7 @@ def other_pads(**changes: Any) -> PadArray:
         other_pads(taxel_pad=PADS.taxel_pad[::-1]),
     ],
 )
-def test_model_of_other_pads_is_refused(pads: PadArray, good: Path) -> None:
+def test_model_of_other_pads_is_refused(pads, good) -> None:
     assert layout_hash(pads) != layout_hash(PADS)
     with pytest.raises(ModelError, match=r"was taught on 8x5 \+ 8x5 .*; teach again"):
         load_model(good, pads)
@@ -122,7 +120,7 @@ def rewrite(
     np.savez(path, model=np.array(json.dumps(header)), **arrays)
 
 
-def test_a_model_that_names_its_class_as_it_was_called_before_is_read(tmp_path: Path) -> None:
+def test_a_model_that_names_its_class_as_it_was_called_before_is_read(tmp_path) -> None:
     grasps = [press("ball", height=90, width_m=8e-3, seed=s) for s in range(4)]
     grasps += [press("box", height=200, width_m=11e-3, seed=s) for s in range(4, 8)]
     taught = make_trainer("force_ramp").fit(grasps)
@@ -144,9 +142,7 @@ def test_a_model_that_names_its_class_as_it_was_called_before_is_read(tmp_path: 
         (lambda _, a: a.pop("learnt.mean"), "checksum"),
     ],
 )
-def test_changed_model_is_refused(
-    change: Callable[..., Any], says: str, good: Path, tmp_path: Path
-) -> None:
+def test_changed_model_is_refused(change, says, good, tmp_path) -> None:
     rewrite(good, tmp_path / "m.npz", change)
     with pytest.raises(ModelError, match=says):
         load_model(tmp_path / "m.npz")
@@ -162,12 +158,7 @@ def test_changed_model_is_refused(
         {"labels": np.array(["ball", "\x1b[2J"])},
     ],
 )
-def test_model_of_another_version_is_refused(
-    change: dict[str, Any],
-    taught: LevelCheckRecognizer,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_model_of_another_version_is_refused(change, taught, tmp_path, monkeypatch) -> None:
     arrays = {n: a for n, a in (taught.to_arrays() | change).items() if a is not None}
     monkeypatch.setattr(LevelCheckRecognizer, "to_arrays", lambda _self: arrays)
     save_model(tmp_path / "m.npz", taught, trainer_name="level_check", pads=PADS)
@@ -175,9 +166,7 @@ def test_model_of_another_version_is_refused(
         load_model(tmp_path / "m.npz")
 
 
-def test_damaged_pads_are_refused(
-    taught: LevelCheckRecognizer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_damaged_pads_are_refused(taught, tmp_path, monkeypatch) -> None:
     save_model(tmp_path / "m.npz", taught, trainer_name="level_check", pads=PADS)
     monkeypatch.setattr("cell.learning.model._PADS", "elsewhere.")
     with pytest.raises(ModelError, match="pads cannot be read"):
@@ -196,18 +185,14 @@ def test_damaged_pads_are_refused(
         ({"model": np.array("[1]")}, "not an object"),
     ],
 )
-def test_what_is_no_model_is_refused_and_never_run(
-    arrays: dict[str, NDArray[Any]], says: str, tmp_path: Path
-) -> None:
+def test_what_is_no_model_is_refused_and_never_run(arrays, says, tmp_path) -> None:
     np.savez(tmp_path / "m.npz", **arrays)  # type: ignore[arg-type]
     with pytest.raises(ModelError, match=says):
         load_model(tmp_path / "m.npz")
     assert not Bomb.exploded
 
 
-def test_recogniser_of_unknown_kind_is_not_written(
-    taught: LevelCheckRecognizer, tmp_path: Path
-) -> None:
+def test_recogniser_of_unknown_kind_is_not_written(taught, tmp_path) -> None:
     class Guess:
         labels = ("ball",)
 

@@ -22,7 +22,7 @@ def model(taught: Any) -> TaughtModel:
     return TaughtModel.load(taught.config, taught.result.model)
 
 
-def test_objects_have_their_grasps_and_the_size_of_the_newest(model: TaughtModel) -> None:
+def test_objects_have_their_grasps_and_the_size_of_the_newest(model) -> None:
     assert model.objects()["ball"] == (5, None)  # who asks does not wait
     assert not model.shapes_read
     model.read_shapes()
@@ -37,9 +37,7 @@ def test_objects_have_their_grasps_and_the_size_of_the_newest(model: TaughtModel
     assert (model.objects()["ball"][1] is shape, model.revision) == (True, revision)  # read once
 
 
-def test_the_newest_grasp_is_taken_back_and_an_object_forgotten(
-    model: TaughtModel, tmp_path: Any
-) -> None:
+def test_the_newest_grasp_is_taken_back_and_an_object_forgotten(model, tmp_path) -> None:
     path = tmp_path / "parts.model.npz"
     file, gone = ModelFile(model, path), []
     revision = model.revision
@@ -55,7 +53,7 @@ def test_the_newest_grasp_is_taken_back_and_an_object_forgotten(
     assert not path.exists()  # the next start shall not find it
 
 
-def test_what_leaves_too_few_grasps_changes_nothing(model: TaughtModel) -> None:
+def test_what_leaves_too_few_grasps_changes_nothing(model) -> None:
     for _ in range(2):
         model.forget("box", last=True)
     with pytest.raises(CellError, match="'box' is unchanged"):

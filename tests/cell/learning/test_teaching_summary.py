@@ -30,7 +30,7 @@ def grasp(label: str, number: int, smallest_mm: float = np.nan) -> Grasp:
 def test_one_series_of_each_object_is_said_to_miss_what_another_day_brings() -> None:
     grasps = [grasp(label, i, 10.0 + i) for label in ("ball", "box") for i in range(3)]
     summary = summarise_teaching(grasps)
-    assert summary.as_json()["longest_series_s"] == 22.0
+    assert summary.longest_series_s == 22.0
     assert summary.opening_sd_mm == pytest.approx(0.8, abs=0.05)
     note = summary.notes[-1]
     assert "in one series" in note
@@ -49,7 +49,7 @@ def test_few_grasps_few_objects_and_drawings_are_said_to_need_more() -> None:
         "one in six of similar untaught",
     ):
         assert part in note
-    assert summarise_teaching([*ball, *pin]).as_json()["few_grasps"] == {"ball": 6}
+    assert summarise_teaching([*ball, *pin]).few_grasps == {"ball": 6}
     enough = [grasp(label, i) for label in ("a", "b", "c", "d") for i in range(10)]
     assert len(summarise_teaching(enough).notes) == 1
 

@@ -38,7 +38,7 @@ def test_what_was_taught_is_written(taught: Any) -> None:
     assert loaded.labels == ("ball", "box")
     recording = read_recording(taught.result.recording)
     assert recording.complete
-    n_identified = sum(len(trial.found.records) for trial in taught.result.trials)
+    n_identified = sum(len(trial.records) for trial in taught.result.trials)
     assert len(recording.grasps) == 10 + n_identified
     assert len(recording.results) == 2
     for was, now in zip(taught.grasps, recording.grasps, strict=False):

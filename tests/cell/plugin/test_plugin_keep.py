@@ -32,7 +32,7 @@ def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(
     found = plugin.result(job, LIMIT_S)
     assert (found.held, found.same, found.reasons) == (True, True, ())
     assert found.force_n == pytest.approx(4.0, abs=0.7)
-    assert found.opening_mm == pytest.approx(9.0, abs=0.5)
+    assert found.opening_m == pytest.approx(9.0e-3, abs=0.5e-3)
     assert plugin.feedback(job).progress["held_with_n"] == 4.0
     plugin.cancel(job)  # changes nothing for a kept part
     plugin._cell.controller.cancel()

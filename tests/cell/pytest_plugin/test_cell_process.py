@@ -4,7 +4,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -24,7 +23,7 @@ def gone(pid: int) -> bool:
 
 @pytest.mark.real_time
 @pytest.mark.usefixtures("free_machine")
-def test_a_process_serves_both_ports_and_takes_faults(cell_process: Any, inject_fault: Any) -> None:
+def test_a_process_serves_both_ports_and_takes_faults(cell_process, inject_fault) -> None:
     cell = cell_process(objects={"pin": "cylinder:diameter=6mm,length=20mm"}, seed=3)
     config = load_config(cell.config_path)
     assert config.gripper.port == cell.servo_port
@@ -53,9 +52,7 @@ def test_a_process_serves_both_ports_and_takes_faults(cell_process: Any, inject_
         bus.close()
 
 
-def test_processes_end_with_the_test_and_a_dead_one_shows_its_log(
-    pytester: pytest.Pytester,
-) -> None:
+def test_processes_end_with_the_test_and_a_dead_one_shows_its_log(pytester) -> None:
     pytester.makepyfile(
         """
         import os, pathlib, signal, time
@@ -110,7 +107,7 @@ def test_processes_end_with_the_test_and_a_dead_one_shows_its_log(
         assert not Path(folder).exists(), name
 
 
-def test_a_process_does_not_outlive_a_test_run_that_is_killed(pytester: pytest.Pytester) -> None:
+def test_a_process_does_not_outlive_a_test_run_that_is_killed(pytester) -> None:
     pytester.makepyfile(
         """
         import os, pathlib, signal
@@ -130,9 +127,7 @@ def test_a_process_does_not_outlive_a_test_run_that_is_killed(pytester: pytest.P
 
 @pytest.mark.real_time
 @pytest.mark.usefixtures("free_machine")
-def test_the_contract_holds_over_real_ports_and_never_touches_a_held_part(
-    cell_process: Any,
-) -> None:
+def test_the_contract_holds_over_real_ports_and_never_touches_a_held_part(cell_process) -> None:
     cell = cell_process()
     ports = (
         *("--servo-port", cell.servo_port, "--servo-ids", "1,2"),

@@ -1,6 +1,5 @@
 """The fixtures in virtual time, used as a downstream project uses them."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ positioner: {kind: operator}
 """
 
 
-def test_a_cell_grasps_an_object_of_the_test(simulated_cell: Any) -> None:
+def test_a_cell_grasps_an_object_of_the_test(simulated_cell) -> None:
     cell = simulated_cell(objects=PIN, changes=QUICK)
     assert cell.controller.state.value == "STOPPED"
     record = cell.start("pin").grasp(force_n=3.0)
@@ -30,7 +29,7 @@ def test_a_cell_grasps_an_object_of_the_test(simulated_cell: Any) -> None:
     assert cell.aperture_m > 0.015
 
 
-def test_the_seed_decides_what_is_measured(simulated_cell: Any) -> None:
+def test_the_seed_decides_what_is_measured(simulated_cell) -> None:
     def counts(seed: int) -> Any:
         return simulated_cell(objects=PIN, seed=seed, changes=QUICK).start("pin").grasp().grasp
 
@@ -40,7 +39,7 @@ def test_the_seed_decides_what_is_measured(simulated_cell: Any) -> None:
 
 
 def test_a_config_of_a_real_cell_is_simulated_with_its_own_ids_and_limits(
-    simulated_cell: Any, tmp_path: Path
+    simulated_cell, tmp_path
 ) -> None:
     path = tmp_path / "cell.yaml"
     path.write_text(REAL)
@@ -52,21 +51,21 @@ def test_a_config_of_a_real_cell_is_simulated_with_its_own_ids_and_limits(
     assert cell.start().cell.controller.hand.statistics.source.frames.complete > 0
 
 
-def test_a_mover_takes_the_place_of_the_positioner(simulated_cell: Any) -> None:
+def test_a_mover_takes_the_place_of_the_positioner(simulated_cell) -> None:
     moved: list[Pose] = []
     cell = simulated_cell(objects=PIN, mover=moved.append, changes=QUICK)
     cell.start("pin").grasp(pose=Pose(x_m=1e-3))
     assert moved == [Pose(x_m=1e-3)]
 
 
-def test_a_recording_is_made_on_request(simulated_cell: Any, tmp_path: Path) -> None:
+def test_a_recording_is_made_on_request(simulated_cell, tmp_path) -> None:
     cell = simulated_cell(objects=PIN, changes=QUICK, folder=tmp_path)
     cell.start("pin").grasp()
     cell.cell.close()
     assert len(read_recording(cell.cell.recording_path).grasps) == 1
 
 
-def test_objects_are_taught_and_told_apart(simulated_cell: Any) -> None:
+def test_objects_are_taught_and_told_apart(simulated_cell) -> None:
     short = QUICK | {"sequence.force_n": [2.0, 3.0], "sequence.max_grasps": 2}
     cell = simulated_cell(objects=PIN | {"ball": "sphere:diameter=9.5mm"}, changes=short).start()
     recognizer = cell.teach(["pin", "ball"], grasps=10)
@@ -83,14 +82,12 @@ def test_objects_are_taught_and_told_apart(simulated_cell: Any) -> None:
         ({"objects": {"thing": "blob"}}, "thing"),
     ],
 )
-def test_settings_that_cannot_be_are_refused(
-    simulated_cell: Any, arguments: dict[str, Any], message: str
-) -> None:
+def test_settings_that_cannot_be_are_refused(simulated_cell, arguments, message) -> None:
     with pytest.raises(ConfigError, match=message):
         simulated_cell(**arguments)
 
 
-def test_time_passes_only_while_somebody_waits(simulated_cell: Any) -> None:
+def test_time_passes_only_while_somebody_waits(simulated_cell) -> None:
     cell = simulated_cell(objects=PIN, changes=QUICK).start("pin")
     before_s, frames = (
         cell.clock.monotonic(),
@@ -104,7 +101,7 @@ def test_time_passes_only_while_somebody_waits(simulated_cell: Any) -> None:
 
 
 def test_both_links_have_the_same_devices_behind_them(
-    servo_bus: Any, servo_clock: Any, can_bus: Any, can_clock: Any, cell_bench: Any
+    servo_bus, servo_clock, can_bus, can_clock, cell_bench
 ) -> None:
     assert servo_clock is can_clock is cell_bench.simulated.clock
     assert servo_bus.ping(1).model_number == 1020
@@ -113,14 +110,14 @@ def test_both_links_have_the_same_devices_behind_them(
     assert can_clock.monotonic() == pytest.approx(boot_up.timestamp)
 
 
-def test_bytes_and_transactions_share_the_line(servo_bus: Any, servo_stream: Any) -> None:
+def test_bytes_and_transactions_share_the_line(servo_bus, servo_stream) -> None:
     servo_stream.write(b"\xff\xff\xfd\x00\x01\x03\x00\x01\x19\x4e")  # a ping, from the manual
     answer = servo_stream.read(64, 0.05)
     assert answer[:5] == b"\xff\xff\xfd\x00\x01"
     assert servo_bus.statistics.transactions == 0
 
 
-def test_a_fault_acts_until_it_is_cleared(servo_bus: Any, inject_fault: Any) -> None:
+def test_a_fault_acts_until_it_is_cleared(servo_bus, inject_fault) -> None:
     fault = inject_fault("servo1.off")
     with pytest.raises(BusTimeout):
         servo_bus.ping(1)
@@ -130,14 +127,14 @@ def test_a_fault_acts_until_it_is_cleared(servo_bus: Any, inject_fault: Any) -> 
 
 
 def test_a_fault_that_does_not_exist_is_refused_with_what_there_is(
-    simulated_cell: Any, inject_fault: Any
+    simulated_cell, inject_fault
 ) -> None:
     simulated_cell(changes=QUICK)
     with pytest.raises(SimulatorSettingsError, match=r"no fault 'can\.los'.*can\.loss"):
         inject_fault("can.los=0.1")
 
 
-def test_the_cell_is_named_where_a_test_has_several(simulated_cell: Any, inject_fault: Any) -> None:
+def test_the_cell_is_named_where_a_test_has_several(simulated_cell, inject_fault) -> None:
     with pytest.raises(pytest.fail.Exception, match="0 simulated cells so far; make one first"):
         inject_fault("can.loss=0.5")
     one, two = simulated_cell(), simulated_cell()

@@ -1,20 +1,18 @@
-"""The report of a recording: of a run, an identification and a sort, whole, old, cut or spoiled."""
+"""The report of a recording: whole, old, cut or spoiled."""
 
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cell.config.file import changed_config, config_text
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import Recording, read_recording
 from cell.errors import RecordingError
 from cell.report.page import render_report
 from cell.report.recorded import recorded_report
-from tests.cell.conftest import call, plain_pads
+from tests.cell.conftest import plain_pads
 from tests.fuzz.harness import Clock
 
 
@@ -28,7 +26,7 @@ def with_config(recording: Recording, text: str) -> Recording:
     return replace(recording, metadata=recording.metadata | {"config": text})
 
 
-def test_figures_tables_and_files_of_a_run(recording: Recording, taught: Any) -> None:
+def test_figures_tables_and_files_of_a_run(recording, taught) -> None:
     data = recorded_report(recording)
     assert "10 grasps taught, 2 identifications" in data.subtitle
     assert "XM430-W350 (id 1)" in dict(data.facts)["Servos"]
@@ -48,15 +46,14 @@ def test_figures_tables_and_files_of_a_run(recording: Recording, taught: Any) ->
         assert (shown.name, shown.labels) == (counted.name, counted.labels)
         assert shown.counts.tolist() == counted.counts.tolist()
     for one, trial in zip(data.sequences, taught.result.trials, strict=True):
-        assert (one.truth, one.label) == (trial.truth, trial.found.label)
-        assert one.n_grasps == len(one.posteriors) == len(trial.found.records)
-        assert str(one.shape) == str(trial.found.shape)
-        assert one.notes[0] == f"{trial.found.records[0].reached}; " + (
-            f"{trial.found.records[0].step.force_n:.1f} N"
-        )
+        assert (one.presented, one.label) == (trial.presented, trial.label)
+        assert one.n_grasps == len(one.posteriors) == len(trial.records)
+        assert str(one.shape) == str(trial.shape)
+        first = trial.records[0]
+        assert one.notes[0] == f"{first.reached}; {first.step.force_n:.1f} N"
 
 
-def test_the_papers_method_as_recogniser_of_the_cell_has_one_table(recording: Recording) -> None:
+def test_the_papers_method_as_recogniser_of_the_cell_has_one_table(recording) -> None:
     config = json.loads(recording.metadata["config"])
     config["recognition"]["recognizer"] = "level_check"
     data = recorded_report(with_config(recording, json.dumps(config)))
@@ -65,30 +62,7 @@ def test_the_papers_method_as_recogniser_of_the_cell_has_one_table(recording: Re
     ]
 
 
-@pytest.mark.parametrize("job", ["identify", "sort"])
-def test_the_command_writes_the_page_of_an_identification_and_of_a_sort(
-    job: str, taught: Any, tmp_path: Path
-) -> None:
-    config = tmp_path / "cell.yaml"
-    config.write_text(
-        config_text(changed_config(taught.config, {"recording.directory": str(tmp_path / "out")}))
-    )
-    options = ("--parts", 2) if job == "sort" else ("--object", "box")
-    call(job, "-c", config, "-m", taught.result.model, *options)
-    (path,) = (tmp_path / "out").glob(f"{job}-*/recording.mcap")
-    page = path.with_name("report.html")
-    assert call("report", path) == f"report: {page}\n"
-    text = page.read_text("utf-8")
-    assert ("released at: box" in text) == (job == "sort")
-    assert "0 grasps taught" in text
-    for section in ("result", "sequences", "examples", "health", "cell"):
-        assert f'<section id="{section}">' in text
-    assert '<section id="trajectories">' not in text
-    call("report", path, "-o", tmp_path / "again.html")
-    assert (tmp_path / "again.html").read_text("utf-8") == text
-
-
-def test_an_older_recording_shows_what_it_has(recording: Recording) -> None:
+def test_an_older_recording_shows_what_it_has(recording) -> None:
     def without(rows: Any, *names: str) -> Any:
         return tuple({k: v for k, v in row.items() if k not in names} for row in rows)
 
@@ -105,7 +79,7 @@ def test_an_older_recording_shows_what_it_has(recording: Recording) -> None:
     assert data.confusions == ()
     assert [group.title for group in data.health] == ["Force loop"]
     assert data.key_figures[0].value == "2 of 2"
-    assert [(one.name, one.truth, one.posteriors) for one in data.sequences] == [
+    assert [(one.name, one.presented, one.posteriors) for one in data.sequences] == [
         ("ball", "", ()),
         ("box", "", ()),
     ]
@@ -117,9 +91,7 @@ def test_an_older_recording_shows_what_it_has(recording: Recording) -> None:
     assert "config in the recording is not valid" in strange.notes[-1]
 
 
-def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(
-    recording: Recording, tmp_path: Path
-) -> None:
+def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(recording, tmp_path) -> None:
     cut = tmp_path / "cut.mcap"
     shutil.copyfile(recording.path, cut)
     with cut.open("r+b") as file:
@@ -142,6 +114,6 @@ def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(
         {"statistics": ({"t_s": 1.0, "cycles": None},)},
     ],
 )
-def test_values_that_no_cell_has_are_refused(recording: Recording, spoil: dict[str, Any]) -> None:
+def test_values_that_no_cell_has_are_refused(recording, spoil) -> None:
     with pytest.raises(RecordingError, match="a message has impossible values"):
         recorded_report(replace(recording, **spoil))

@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from html.parser import HTMLParser
-from pathlib import Path
 from typing import Any, get_args
 from xml.etree import ElementTree
 
@@ -44,7 +43,7 @@ LAYOUT = paper_layout()
 def identified(truth: str, answer: str, *posteriors: Posterior, **changes: Any) -> Answered:
     n = len(posteriors)
     known = {"fused": fuse(posteriors), "posteriors": posteriors, "n_grasps": n}
-    return Answered(truth=truth, label=answer, **known | changes)
+    return Answered(presented=truth, label=answer, **known | changes)
 
 
 def report(**parts: Any) -> ReportData:
@@ -60,7 +59,7 @@ def run(taught: Any) -> ReportData:
     return replace(
         data,
         examples=(late, *others),
-        sequences=(*data.sequences, replace(data.sequences[0], truth="cylinder")),
+        sequences=(*data.sequences, replace(data.sequences[0], presented="cylinder")),
         confusions=(*data.confusions, paper_table()),
     )
 
@@ -111,7 +110,7 @@ def page(run: ReportData, tmp_path_factory: pytest.TempPathFactory) -> str:
     return path.read_text("utf-8")
 
 
-def test_page_needs_nothing_but_itself(page: str) -> None:
+def test_page_needs_nothing_but_itself(page) -> None:
     assert len(page.encode()) < 3_000_000
     outline = Outline(page)
     assert not {"script", "link", "img", "iframe", "object"} & set(outline.tags)
@@ -142,7 +141,7 @@ def mapped(value: Any, change: Callable[[str], str]) -> Any:
     return replace(value, **texts)
 
 
-def test_page_shows_every_part(page: str, run: ReportData) -> None:
+def test_page_shows_every_part(page, run) -> None:
     text = " ".join("".join(Outline(page).text).split())
     for part in ("result", "sequences", "examples", "trajectories", "health", "cell", "notes"):
         assert f'<section id="{part}">' in page
@@ -166,7 +165,7 @@ def test_page_shows_every_part(page: str, run: ReportData) -> None:
 NASTY = "<script>alert('x')</script>&\"$\\frac{1}{2}$ #010110 id=\""
 
 
-def test_labels_and_paths_are_shown_not_interpreted(run: ReportData) -> None:
+def test_labels_and_paths_are_shown_not_interpreted(run) -> None:
     p = Posterior(labels=(NASTY, "b"), probability=np.array([0.7, 0.3]), unknown=0.1)
     assert run.trajectories is not None
     one = replace(run.trajectories, objects=run.trajectories.objects[:1], windows=())
@@ -179,7 +178,7 @@ def test_labels_and_paths_are_shown_not_interpreted(run: ReportData) -> None:
     assert sum(NASTY in text for text in outline.text) >= 14
 
 
-def test_same_data_give_the_same_page(page: str, run: ReportData) -> None:
+def test_same_data_give_the_same_page(page, run) -> None:
     assert render_report(run) == page
 
 
@@ -197,7 +196,7 @@ def test_darker_shade_means_more_pressure_and_a_touched_side_is_drawn_small() ->
     assert len(pictures["untouched"]) == 7
 
 
-def test_levels_are_picked_by_force(run: ReportData) -> None:
+def test_levels_are_picked_by_force(run) -> None:
     grasp = run.examples[0].grasp
     levels = pressure_levels(grasp)
     most_n = grasp.force_n.max()
@@ -206,7 +205,7 @@ def test_levels_are_picked_by_force(run: ReportData) -> None:
     np.testing.assert_allclose(highest, grasp.counts[-5:].mean(axis=0))
 
 
-def test_every_plot_colours_an_object_as_the_legend_does(run: ReportData) -> None:
+def test_every_plot_colours_an_object_as_the_legend_does(run) -> None:
     assert run.trajectories is not None
     turned = run.trajectories.objects[::-1]
     data = replace(run, trajectories=replace(run.trajectories, objects=turned))
@@ -249,7 +248,7 @@ def test_many_labels_make_a_dense_table_and_few_sequences() -> None:
     # Two of each object, the wrong ones first.
     assert (page.count("card sequence wrong"), page.count("card sequence right")) == (70, 2)
     assert "36 more are not drawn" in page
-    others = [replace(one, truth=f"another {one.truth}") for one in answers]
+    others = [replace(one, presented=f"another {one.presented}") for one in answers]
     assert len(drawn_sequences(replace(data, sequences=(*answers, *others)))) == 80
     assert f'<th scope="col">{UNKNOWN}</th>' not in page  # nobody was named so
 
@@ -297,9 +296,7 @@ def test_windows_are_named_from_the_lowest_level_upwards() -> None:
 
 
 @pytest.mark.parametrize("missing", ["jinja2", "matplotlib"])
-def test_missing_extra_is_said_with_the_remedy(
-    missing: str, run: ReportData, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_extra_is_said_with_the_remedy(missing, run, monkeypatch) -> None:
     for name in [name for name in sys.modules if name.split(".")[0] == missing]:
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, missing, None)
@@ -309,7 +306,7 @@ def test_missing_extra_is_said_with_the_remedy(
         render_report(run)
 
 
-def test_unwritable_place_is_a_clear_error(tmp_path: Path) -> None:
+def test_unwritable_place_is_a_clear_error(tmp_path) -> None:
     with pytest.raises(ReportError, match=r"cannot write report .* make it first"):
         write_report(tmp_path / "no" / "r.html", report())
 

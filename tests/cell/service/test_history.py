@@ -71,9 +71,9 @@ def test_a_week_of_shifts_survives_kills_and_is_summed_by_day_and_week(kept: Kep
             kept.begin()
             for number in range(40):
                 named = "box" if number % 10 == 0 else "ball"
-                kept.history.add(part(named, held="ball", seconds=4.0 + shift))
-            kept.history.add(part("UNKNOWN", held="pin", rejected=True))
-            kept.history.add(part(answer=None))
+                kept.history.add(part(named, presented="ball", seconds=4.0 + shift))
+            kept.history.add(part("UNKNOWN", presented="pin", rejected=True))
+            kept.history.add(part(""))
             kept.look()
             kept.fault(301 + shift, "a servo is hot")
             kept.look()
@@ -106,7 +106,7 @@ def test_a_shift_goes_on_after_a_restart_and_ends_with_its_hours(kept: Kept) -> 
         return (found["since_s"] - MONDAY_S, *(found[name] for name in names))
 
     def work(seconds: float) -> None:
-        for report in (part("pin", seconds=seconds), part("box", rejected=True), part(answer=None)):
+        for report in (part("pin", seconds=seconds), part("box", rejected=True), part("")):
             kept.history.add(report)
             kept.shift.add(report)
         kept.fault(301, "a servo is hot")

@@ -44,8 +44,8 @@ def test_a_button_holds_the_cell_until_each_client_has_let_go(serve: Any) -> Non
     service, lease = served.service, served.service.lease.acquire("first")
     served.plugin.pause()
     service.start(lease, IDENTIFY)
-    service.begin_hold(1, "panel 1", connected=True)
-    service.begin_hold(2, "panel 2", connected=True)
+    service.begin_stop(1, "panel 1", connected=True)
+    service.begin_stop(2, "panel 2", connected=True)
     assert "stopped by panel" in served.ended().error
     assert (served.state, served.grip_n > 1.0) == ("HELD", True)
     for left, name in ((1, "panel 1, panel 2"), (2, "panel 2")):
@@ -55,8 +55,8 @@ def test_a_button_holds_the_cell_until_each_client_has_let_go(serve: Any) -> Non
                 service.command(lease, command, key=RELEASE_KEY)
         with pytest.raises(HeldByClient):
             service.start(lease, IDENTIFY)
-        service.end_hold(left)
-        service.end_hold(left)
+        service.end_stop(left)
+        service.end_stop(left)
     assert (service.held_by, service.job().number, served.grip_n > 1.0) == ((), 1, True)
     service.command(lease, Command.RELEASE, key=RELEASE_KEY)
     assert served.ended(2).outcome == "SUCCEEDED"
@@ -68,18 +68,18 @@ def test_a_hold_outlives_its_client_until_a_person_acts(serve: Any, way: str) ->
     service, lease = served.service, served.service.lease.acquire("first")
     if way == "clear of a fault":
         served.plugin.fail(FrameTimeout("no frame"))
-    service.begin_hold(1, "panel", connected=True)
-    service.begin_hold(3, "other", connected=True)
-    service.leave_hold(1)
-    service.leave_hold(2)
+    service.begin_stop(1, "panel", connected=True)
+    service.begin_stop(3, "other", connected=True)
+    service.leave_stop(1)
+    service.leave_stop(2)
     assert service.held_by == ("panel (gone)", "other")
-    service.begin_hold(2, "panel 2", connected=True)
-    service.end_hold(2)  # another button is not this one
+    service.begin_stop(2, "panel 2", connected=True)
+    service.end_stop(2)  # another button is not this one
     assert service.held_by == ("panel (gone)", "other")
     if way == "the button again":
-        service.begin_hold(4, "panel", connected=True)
+        service.begin_stop(4, "panel", connected=True)
         assert service.held_by == ("other", "panel")
-        service.end_hold(4)
+        service.end_stop(4)
     else:
         served.ended(service.command(lease, Command.CLEAR))
         assert served.ended().outcome == "SUCCEEDED"
@@ -89,7 +89,7 @@ def test_a_hold_outlives_its_client_until_a_person_acts(serve: Any, way: str) ->
             service.command(lease, Command.CLEAR)  # it stands: no clear lets a pressed button go
     with pytest.raises(HeldByClient):
         service.command(lease, Command.RESET)
-    service.end_hold(3)
+    service.end_stop(3)
     if way != "clear of a fault":
         service.start(lease, IDENTIFY)
         assert served.ended().outcome == "SUCCEEDED"
@@ -98,10 +98,10 @@ def test_a_hold_outlives_its_client_until_a_person_acts(serve: Any, way: str) ->
 def test_a_client_without_a_connection_repeats_its_hold(serve: Any) -> None:
     served = serve()
     service, lease = served.service, served.service.lease.acquire("first")
-    service.hold_as("HTTP 192.0.2.1 panel", None)  # once: nothing stays
+    service.stop_as("HTTP 192.0.2.1 panel", None)  # once: nothing stays
     assert service.held_by == ()
     for _ in range(3):
-        service.hold_as("HTTP 192.0.2.1 panel", True)
+        service.stop_as("HTTP 192.0.2.1 panel", True)
         served.clock.now_s += LEASE_S
         service.lease.alive(lease)
         with pytest.raises(CellStateError, match="'clear' is not allowed"):
@@ -110,9 +110,9 @@ def test_a_client_without_a_connection_repeats_its_hold(serve: Any) -> None:
     assert service.held_by == ("HTTP 192.0.2.1 panel (gone)",)
     with pytest.raises(HeldByClient):
         service.start(lease, IDENTIFY)
-    service.hold_as("HTTP 192.0.2.1", False)
+    service.stop_as("HTTP 192.0.2.1", False)
     assert service.held_by == ("HTTP 192.0.2.1 panel (gone)",)
-    service.hold_as("HTTP 192.0.2.1 panel", False)
+    service.stop_as("HTTP 192.0.2.1 panel", False)
     assert service.held_by == ()
 
 
@@ -120,16 +120,16 @@ def test_many_holds_do_not_grow_and_still_stop_the_job(serve: Any) -> None:
     served = serve()
     service, lease = served.service, served.service.lease.acquire("first")
     for number in range(100):
-        service.begin_hold(number, f"{number}")
+        service.begin_stop(number, f"{number}")
     for number in range(100):
-        service.end_hold(number)
+        service.end_stop(number)
     for number in range(99):
-        service.begin_hold(number, f"{number}")
+        service.begin_stop(number, f"{number}")
     assert service.job().number == 0
-    service.begin_hold("last", "last")
-    service.begin_hold("last", "last")
+    service.begin_stop("last", "last")
+    service.begin_stop("last", "last")
     with pytest.raises(RequestRefused, match="100 clients"):
-        service.begin_hold("one more", "one more")
+        service.begin_stop("one more", "one more")
     assert len(service.held_by) == 100
     assert service.lease.has(lease)
 
@@ -266,7 +266,7 @@ def test_a_hold_while_a_pose_is_waited_for_leaves_nothing_behind(serve: Any) -> 
     for _ in range(2):
         service.start(lease, IDENTIFY)
         seq = until(lambda: service.snapshot().pose_seq)
-        service.hold()
+        service.stop()
         assert served.ended().outcome == "CANCELED"
         assert service.snapshot().pose_seq == 0
         with pytest.raises(RequestRefused):
@@ -341,6 +341,6 @@ def test_the_watch_notices_a_silent_client_by_itself_and_outlives_what_goes_wron
         until(lambda: not served.service.lease.number)
     until(lambda: notes)
     assert notes[0] == "watch over the lease: the pipe is broken"
-    served.service.hold()
+    served.service.stop()
     assert served.ended().outcome == "CANCELED"
     assert served.state == "HELD"

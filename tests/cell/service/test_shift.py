@@ -7,12 +7,11 @@ from typing import Any
 import pytest
 
 from cell.config.model import CellConfig
+from cell.control.answer import Answer
 from cell.errors import NoPartFound
 from cell.jobs import sort
 from cell.plugin import tasks
-from cell.plugin.answer import Answer
 from cell.plugin.goals import IdentifyGoal, SortGoal
-from cell.plugin.part_report import PartReport
 from cell.service.shift import KEPT_ANSWERS, Shift, began_s
 from tests.values import raising
 
@@ -27,10 +26,10 @@ class Wall:
         return self.now_s
 
 
-def part(label: str = "ball", **fields: Any) -> PartReport:
+def part(label: str = "ball", seconds: float = 4.0, **fields: Any) -> Answer:
     others = {"ball": 0.1, "box": 0.05, "UNKNOWN": 0.02, label: 0.83}
-    answer = Answer(label=label, probabilities=others, n_grasps=2)
-    return PartReport(**({"task": "sort", "answer": answer, "seconds": 4.0} | fields))
+    known = {"label": label, "probabilities": others, "n_grasps": 2, "seconds": seconds}
+    return Answer(task="sort", **known | fields)
 
 
 def test_a_fresh_shift_has_no_figures() -> None:
@@ -42,14 +41,14 @@ def test_a_fresh_shift_has_no_figures() -> None:
 def test_parts_rejects_misses_and_faults_are_counted_apart() -> None:
     clock = Wall()
     shift = Shift(n_faults=lambda: 2, wall_clock=clock)
-    for report in (
+    for answer in (
         part("ball", seconds=3.0, place="left"),
         part("box", seconds=5.0, place="right"),
         part("UNKNOWN", seconds=9.0, place="reject", rejected=True),
-        part(answer=None, seconds=7.0),
+        Answer(task="sort", seconds=7.0),
     ):
         clock.now_s += 60.0
-        shift.add(report)
+        shift.add(answer)
     found = shift.values()
     assert (found["parts"], found["rejected"], found["missed"], found["faults"]) == (3, 1, 1, 2)
     assert found["counts"] == {"ball": 1, "box": 1, "UNKNOWN": 1}
@@ -150,9 +149,9 @@ def test_turns_without_a_part_are_reported_as_such(monkeypatch: pytest.MonkeyPat
         return tasks.Places(CellConfig(), ("ball",))
 
     file = tasks.ModelFile(model, None)
-    cell = tasks.Tasks(nothing, file, places, lambda _task: seen.append)
+    cell = tasks.Tasks(nothing, file, places, lambda: seen.append)
     with pytest.raises(NoPartFound):
         cell.identify(IdentifyGoal(), lambda _now: None)
     answer = cell.sort(SortGoal(parts=2), lambda _now: None)
     assert (answer.n_missed, answer.n_parts) == (2, 0)
-    assert seen == [None, None, None]
+    assert seen == [Answer(), *2 * [Answer(task="sort")]]

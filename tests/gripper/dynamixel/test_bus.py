@@ -13,14 +13,7 @@ from gripper.dynamixel.control_table import (
     PRESENT_POSITION,
     RegisterBlock,
 )
-from gripper.errors import (
-    BusBusy,
-    BusCorrupt,
-    BusTimeout,
-    LimitExceeded,
-    PortLost,
-    ServoRejected,
-)
+from gripper.errors import BusBusy, BusCorrupt, BusTimeout, LimitExceeded, PortLost, ServoRejected
 from simulator.cell import SimulatedCell
 from simulator.servo.protocol2 import crc16
 

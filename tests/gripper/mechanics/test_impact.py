@@ -63,9 +63,7 @@ def test_the_default_speed_is_below_what_the_default_cap_allows() -> None:
         ({"servos": (ServoSettings(servo_id=1, model="XM430-W210"),) * 1}, None, None),
     ],
 )
-def test_mass_stiffness_lever_and_current_set_the_speed(
-    change: dict[str, object], linkage: ParallelLinkage | None, faster: bool | None
-) -> None:
+def test_mass_stiffness_lever_and_current_set_the_speed(change, linkage, faster) -> None:
     plain = impact_limit(SETTINGS, LINKAGE).pad_speed_m_s()
     if linkage is None:
         # One servo for both fingers: half its mass at each pad, and twice the lever.

@@ -8,10 +8,7 @@ import pytest
 
 from gripper.dynamixel.control_table import GOAL_CURRENT
 from gripper.dynamixel.drive import DriveCharacteristic, Drives
-from gripper.errors import (
-    ForceAboveCap,
-    LimitExceeded,
-)
+from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.impact import SLOWEST_M_S, impact_limit
 from gripper.mechanics.kinematics import ParallelLinkage
@@ -117,9 +114,7 @@ def standing(velocity_rad_s: float) -> ServoFeedback:
         ({}, 13.5 / 1.041 + 0.82 * FRICTION_N),
     ],
 )
-def test_no_more_current_is_written_than_the_force_that_is_asked_for_needs(
-    goal: dict[str, float], drive_n: float
-) -> None:
+def test_no_more_current_is_written_than_the_force_that_is_asked_for_needs(goal, drive_n) -> None:
     """Whatever the pads show: no sample of them is there."""
     state = standing(velocity_rad_s=0.0)
     written: list[dict[int, list[int]]] = []

@@ -3,12 +3,7 @@ import pytest
 
 from recognition.errors import ContactError
 from recognition.grasp import Grasp
-from recognition.quadric.contact import (
-    estimate_baseline,
-    main_patch,
-    noise_threshold,
-    robust_noise,
-)
+from recognition.quadric.contact import estimate_baseline, main_patch, noise_threshold, robust_noise
 from tests.recognition.conftest import make_pads
 
 

@@ -6,11 +6,7 @@ from recognition.errors import TrajectoryError
 from recognition.quadric import quadric
 from recognition.quadric.eigen import Reading
 from recognition.quadric.quadric import height_field_matrix
-from recognition.quadric.thresholds import (
-    check_level,
-    find_thresholds,
-    with_noise,
-)
+from recognition.quadric.thresholds import check_level, find_thresholds, with_noise
 from recognition.quadric.trajectory import PAPER_SWEEP, SweepSettings, sweep
 
 # the paper's objects as full quadrics in mm, k = -1

@@ -14,8 +14,6 @@ from sklearn.neural_network import MLPClassifier
 from recognition.recognizers import make_trainer
 from recognition.recognizers.comparators.classifiers import Forest, Network
 
-WITH_SKLEARN = ("radius_vector", "contour_network", "extra_trees")
-
 
 def test_opening_alone_moves_trees_that_may_use_it(train, fresh):
     other = {g.label: g for g in fresh}

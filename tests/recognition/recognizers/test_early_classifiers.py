@@ -10,11 +10,7 @@ from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.ramp.running_load import RunningLoad, load_so_far
 from recognition.recognizer import Posterior
 from recognition.recognizers import make_trainer
-from recognition.recognizers.early_classifiers import (
-    EarlyClassifiers,
-    EarlyDecider,
-    teach_early,
-)
+from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider, teach_early
 from recognition.statistics.fusion import MAX_UNKNOWN, StopRule, fuse
 
 

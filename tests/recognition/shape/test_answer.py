@@ -24,7 +24,6 @@ OWN = {
     "flat": [np.log(1.4), np.log(0.8)],
     "dumbbell": [np.log(1.4), 0.0],
 }
-N_PADS = 2
 
 
 class Body:

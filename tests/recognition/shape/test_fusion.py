@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,24 @@ ZERO_SD = 0.2
 """Standard deviation of the zero of the opening, shared by all grasps, in mm."""
 NOISE_MM = 0.1
 BAD_CHI2 = 40.0
+
+
+def fit_of(kind: str, normal: Any, truth: Any, mean: Any, sd: Any, *, chi2: float) -> ShapeFit:
+    """Fit a linear problem whose data alone say ``truth``."""
+    precision = normal + np.diag(sd**-2)
+    theta = np.linalg.solve(precision, normal @ truth + mean / sd**2)
+    away = theta - truth
+    return ShapeFit(
+        model=SHAPE_MODELS[kind],
+        theta=theta,
+        normal=normal,
+        gradient=normal @ away,
+        prior_mean=mean,
+        prior_sd=sd,
+        chi2=chi2 + float(away @ normal @ away),
+        misfit=(chi2 + float(away @ normal @ away)) / 30.0,
+        n_shared=1,
+    )
 
 
 def linear_fit(
@@ -39,20 +58,7 @@ def linear_fit(
     mean[0] = np.log(7.0)
     truth = np.zeros(n)
     truth[0] = np.log(half_mm) + 0.5 * (zero_mm + wrong) / half_mm
-    precision = normal + np.diag(sd**-2)
-    theta = np.linalg.solve(precision, normal @ truth + mean / sd**2)
-    away = theta - truth
-    return ShapeFit(
-        model=SHAPE_MODELS[kind],
-        theta=theta,
-        normal=normal,
-        gradient=normal @ away,
-        prior_mean=mean,
-        prior_sd=sd,
-        chi2=chi2 + float(away @ normal @ away),
-        misfit=(chi2 + float(away @ normal @ away)) / 30.0,
-        n_shared=1,
-    )
+    return fit_of(kind, normal, truth, mean, sd, chi2=chi2)
 
 
 def answer(

@@ -8,6 +8,7 @@ import pytest
 from recognition.shape.answer import UNCLEAR, joint_answer
 from recognition.shape.fit import ShapeFit, misfit_of, n_determined
 from recognition.shape.models import SHAPE_MODELS
+from tests.recognition.shape.test_fusion import fit_of
 
 
 def test_untouched_taxels_do_not_hide_that_no_shape_fits() -> None:
@@ -29,20 +30,7 @@ def linear_fit(kind: str, chi2: float) -> tuple[ShapeFit, np.ndarray]:
     n = SHAPE_MODELS[kind].n_own + 2
     half = np.random.default_rng(3).normal(size=(3 * n, n))
     normal, truth, mean, sd = 40.0 * half.T @ half, np.full(n, 0.8), np.zeros(n), np.full(n, 0.5)
-    theta = np.linalg.solve(normal + np.diag(sd**-2), normal @ truth + mean / sd**2)
-    away = theta - truth
-    fit = ShapeFit(
-        model=SHAPE_MODELS[kind],
-        theta=theta,
-        normal=normal,
-        gradient=normal @ away,
-        prior_mean=mean,
-        prior_sd=sd,
-        chi2=chi2 + float(away @ normal @ away),
-        misfit=chi2 / 30.0,
-        n_shared=1,
-    )
-    return fit, truth
+    return fit_of(kind, normal, truth, mean, sd, chi2=chi2), truth
 
 
 @pytest.mark.parametrize("scale", [1.0, 30.0, 1e6])

@@ -152,14 +152,7 @@ def test_a_sure_name_of_what_may_be_new_calls_for_another_grasp():
     assert decide([sure, sure], rule).label == "a"
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"error_rate": 0.0},
-        {"error_rate": 1.0},
-        {"max_grasps": 0},
-    ],
-)
+@pytest.mark.parametrize("wrong", [{"error_rate": 0.0}, {"error_rate": 1.0}, {"max_grasps": 0}])
 def test_stop_rule_refuses_what_cannot_be(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         StopRule(**wrong)

@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import flexitac
@@ -33,9 +32,7 @@ def simulated(name: str = "flexitac_12x32", **changes: Any) -> Iterator[Simulate
 
 
 @pytest.mark.parametrize("profile", sorted(PROFILES))
-def test_the_foreign_package_and_our_reader_agree_frame_by_frame(
-    profile: str, tmp_path: Path
-) -> None:
+def test_the_foreign_package_and_our_reader_agree_frame_by_frame(profile, tmp_path) -> None:
     with simulated(f"flexitac_{profile}") as cell:
         board, clock = cell.devices.boards[1], cell.clock
         cell.world.press(1, 0.004, 0.002, 3.0)  # type: ignore[union-attr]
@@ -110,7 +107,7 @@ def pads(world: Any, **law: Any) -> ResistivePads:
     return ResistivePads(world, LAYOUT, ControlUnitFaults(), law=quiet)
 
 
-def test_a_press_shows_in_its_row_and_column_as_well(world: Pressed) -> None:
+def test_a_press_shows_in_its_row_and_column_as_well(world) -> None:
     board = pads(world)
     world.force_n[5 * 12 + 3] = 3.0
     change = board.scan()[:384].reshape(32, 12).astype(int) - 20
@@ -120,7 +117,7 @@ def test_a_press_shows_in_its_row_and_column_as_well(world: Pressed) -> None:
     assert change[20, 9] == 0
 
 
-def test_a_falling_force_shows_more_than_a_rising_one(world: Pressed) -> None:
+def test_a_falling_force_shows_more_than_a_rising_one(world) -> None:
     board, shown = pads(world), []
     for force_n in (1.0, 3.0, 1.0, 0.0):
         world.force_n[100] = force_n
@@ -129,7 +126,7 @@ def test_a_falling_force_shows_more_than_a_rising_one(world: Pressed) -> None:
     assert shown[3] == 20
 
 
-def test_the_law_is_compressive_and_ends_at_full_scale(world: Pressed) -> None:
+def test_the_law_is_compressive_and_ends_at_full_scale(world) -> None:
     board, shown = pads(world), []
     for force_n in (1.0, 2.0, 4.0, 40.0):
         world.force_n[100] = force_n

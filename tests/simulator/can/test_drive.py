@@ -1,6 +1,5 @@
 """The simulated drive, as canopen's own CiA 402 node and single messages see it."""
 
-from collections.abc import Callable
 from typing import Any
 
 import canopen
@@ -54,7 +53,7 @@ def bench() -> StepNetwork:
     return network
 
 
-def test_canopens_own_node_leads_it_through_all_states(bench: StepNetwork) -> None:
+def test_canopens_own_node_leads_it_through_all_states(bench) -> None:
     assert bench.witness.state == "SWITCH ON DISABLED"
     for state in ("READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED"):
         bench.witness.state = state
@@ -70,7 +69,7 @@ def test_canopens_own_node_leads_it_through_all_states(bench: StepNetwork) -> No
     assert bench.drive.state is State.SWITCH_ON_DISABLED
 
 
-def test_canopens_own_node_changes_modes_and_finds_the_home(bench: StepNetwork) -> None:
+def test_canopens_own_node_changes_modes_and_finds_the_home(bench) -> None:
     for mode in ("PROFILED POSITION", "HOMING"):
         bench.witness.op_mode = mode
         assert bench.witness.op_mode == mode
@@ -87,7 +86,7 @@ def test_canopens_own_node_changes_modes_and_finds_the_home(bench: StepNetwork) 
     )
 
 
-def test_canopens_own_node_resets_a_fault(bench: StepNetwork) -> None:
+def test_canopens_own_node_resets_a_fault(bench) -> None:
     bench.witness.state = "OPERATION ENABLED"
     bench.drive.fail(0x3210)
     bench.let_pass(0.05)
@@ -110,7 +109,7 @@ def enabled(witness: BaseNode402) -> canopen.sdo.SdoClient:
     return sdo
 
 
-def test_a_set_point_is_taken_at_the_rising_edge_and_acknowledged(bench: StepNetwork) -> None:
+def test_a_set_point_is_taken_at_the_rising_edge_and_acknowledged(bench) -> None:
     sdo = enabled(bench.witness)
     sdo[od.TARGET_POSITION].raw = 4000
     bench.let_pass(0.1)
@@ -127,7 +126,7 @@ def test_a_set_point_is_taken_at_the_rising_edge_and_acknowledged(bench: StepNet
     assert sdo[od.POSITION].raw == pytest.approx(4000, abs=2)
 
 
-def test_a_target_beyond_the_software_limit_ends_at_the_limit(bench: StepNetwork) -> None:
+def test_a_target_beyond_the_software_limit_ends_at_the_limit(bench) -> None:
     sdo = enabled(bench.witness)
     sdo[od.SOFTWARE_LIMITS][2].raw = 1500
     sdo[od.TARGET_POSITION].raw = 4000
@@ -137,7 +136,7 @@ def test_a_target_beyond_the_software_limit_ends_at_the_limit(bench: StepNetwork
 
 
 @pytest.mark.parametrize("switch", [-1, 1])
-def test_a_limit_switch_stops_the_axis_and_lets_it_out(bench: StepNetwork, switch: int) -> None:
+def test_a_limit_switch_stops_the_axis_and_lets_it_out(bench, switch) -> None:
     sdo = enabled(bench.witness)
 
     def go(target: int) -> None:
@@ -167,15 +166,13 @@ def test_a_limit_switch_stops_the_axis_and_lets_it_out(bench: StepNetwork, switc
         (lambda sdo: sdo.upload(0x60FF, 0), 0x0602_0000),
     ],
 )
-def test_what_it_does_not_have_is_refused(
-    bench: StepNetwork, write: Callable[[Any], Any], code: int
-) -> None:
+def test_what_it_does_not_have_is_refused(bench, write, code) -> None:
     with pytest.raises(canopen.SdoAbortedError) as caught:
         write(bench.witness.sdo)
     assert caught.value.code == code
 
 
-def test_a_stopped_node_serves_nothing(bench: StepNetwork) -> None:
+def test_a_stopped_node_serves_nothing(bench) -> None:
     bench.witness.nmt.state = "STOPPED"
     bench.seen.clear()
     bench.drive.receive(0x600 + NODE, bytes.fromhex("4041600000000000"), bench.now_s)
@@ -183,9 +180,7 @@ def test_a_stopped_node_serves_nothing(bench: StepNetwork) -> None:
 
 
 @pytest.mark.parametrize("option", [0, od.STOP_WHEN_HOST_IS_LOST])
-def test_a_node_that_is_stopped_on_its_way_brakes_where_6007h_asks_for_it(
-    bench: StepNetwork, option: int
-) -> None:
+def test_a_node_that_is_stopped_on_its_way_brakes_where_6007h_asks_for_it(bench, option) -> None:
     sdo = enabled(bench.witness)
     sdo[od.ABORT_CONNECTION].raw = option
     bench.witness.nmt.send_command(2)
@@ -193,7 +188,7 @@ def test_a_node_that_is_stopped_on_its_way_brakes_where_6007h_asks_for_it(
     assert (bench.drive.state is State.QUICK_STOP_ACTIVE) is braked
 
 
-def test_a_restart_is_seen_and_forgets_all(bench: StepNetwork) -> None:
+def test_a_restart_is_seen_and_forgets_all(bench) -> None:
     sdo = enabled(bench.witness)
     sdo[od.HEARTBEAT_MS].raw = 100
     bench.seen.clear()

@@ -44,9 +44,7 @@ class Unit:
 
 
 @pytest.mark.parametrize(("layout", "calibration"), LAYOUTS, ids=["paper", "pinch"])
-def test_the_sum_is_the_force_though_the_counts_are_not_linear(
-    layout: TaxelLayout, calibration: Calibration
-) -> None:
+def test_the_sum_is_the_force_though_the_counts_are_not_linear(layout, calibration) -> None:
     unit = Unit(layout, calibration)
     columns = layout.pads[layout.gripping_pads[0]].columns
     n_first = layout.pads[layout.gripping_pads[0]].n_taxels

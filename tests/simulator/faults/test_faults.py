@@ -87,9 +87,7 @@ def test_a_text_is_name_value_start_and_end() -> None:
         ("x" * 300, "at most 200 letters"),
     ],
 )
-def test_what_is_no_fault_is_refused_and_changes_nothing(
-    cell: SimulatedCell, text: str, complaint: str
-) -> None:
+def test_what_is_no_fault_is_refused_and_changes_nothing(cell, text, complaint) -> None:
     with pytest.raises(SimulatorSettingsError, match=complaint):
         cell.inject(text)
     assert cell.injector.faults == ()
@@ -97,7 +95,7 @@ def test_what_is_no_fault_is_refused_and_changes_nothing(
 
 @given(st.text(max_size=60) | st.from_regex(r"(can|unit|servo1)\.[a-z]+=?[0-9.@a-z+s]*"))
 @settings(derandomize=True, max_examples=300, deadline=None)
-def test_any_text_is_a_fault_or_refused(text: str) -> None:
+def test_any_text_is_a_fault_or_refused(text) -> None:
     try:
         check_fault(text)
     except SimulatorSettingsError:
@@ -116,9 +114,7 @@ def test_every_entry_says_what_it_is() -> None:
 @pytest.mark.parametrize(
     "name", [*VOCABULARY, "axis2.following_error", "axis2.silence", "axis2.fault", "axis2.reboot"]
 )
-def test_every_fault_is_injected_and_leaves_no_trace_once_cleared(
-    request: pytest.FixtureRequest, name: str
-) -> None:
+def test_every_fault_is_injected_and_leaves_no_trace_once_cleared(request, name) -> None:
     on_can = name.startswith("uskin.")
     cell: SimulatedCell = request.getfixturevalue("uskin_cell" if on_can else "cell")
     cell.place("ball")
@@ -141,7 +137,7 @@ def test_every_fault_is_injected_and_leaves_no_trace_once_cleared(
     assert cell.injector.faults == ()
 
 
-def test_friction_torque_and_wear_of_a_servo_are_turned(cell: SimulatedCell) -> None:
+def test_friction_torque_and_wear_of_a_servo_are_turned(cell) -> None:
     first, second = cell.devices.mechanics.motors
     for text in ("servo1.friction=1.5", "servo2.kt=0.8", "servo2.wear=0.01"):
         cell.inject(text)
@@ -201,9 +197,7 @@ def _knobs(cell: SimulatedCell) -> Any:
     )
 
 
-def test_the_kinds_are_those_that_fit_the_cell(
-    cell: SimulatedCell, uskin_cell: SimulatedCell
-) -> None:
+def test_the_kinds_are_those_that_fit_the_cell(cell, uskin_cell) -> None:
     kinds = set(cell.injector.kinds())
     assert {"can.off", "servo1.off", "servo2.off", "axis1.misread", "axis2.fault"} <= kinds
     assert not kinds & {"servo3.off", "axis2.misread", "axis3.fault", "servoN.off"}
@@ -219,7 +213,7 @@ def test_the_kinds_are_those_that_fit_the_cell(
         assert not {name for name in other.injector.kinds() if name[:6] in ("object", "axis1.")}
 
 
-def test_a_fault_begins_and_ends_at_its_times(cell: SimulatedCell) -> None:
+def test_a_fault_begins_and_ends_at_its_times(cell) -> None:
     cell.clock.sleep(1.0)
     fault = cell.inject("can.loss=0.2@250ms..1s")
     assert fault.began_s is None
@@ -233,7 +227,7 @@ def test_a_fault_begins_and_ends_at_its_times(cell: SimulatedCell) -> None:
     assert fault.ended_s == pytest.approx(2.0, abs=2e-3)
 
 
-def test_a_fault_waits_for_the_contact_or_the_motion(cell: SimulatedCell) -> None:
+def test_a_fault_waits_for_the_contact_or_the_motion(cell) -> None:
     cell.place("ball")
     touched = cell.inject("unit.stuck@contact+20ms")
     moved = cell.inject("unit.heartbeat_off@moving")
@@ -252,7 +246,7 @@ def test_a_fault_waits_for_the_contact_or_the_motion(cell: SimulatedCell) -> Non
     assert touched.began_s < began_s + 0.02
 
 
-def test_two_faults_of_one_knob_are_refused_unless_their_times_differ(cell: SimulatedCell) -> None:
+def test_two_faults_of_one_knob_are_refused_unless_their_times_differ(cell) -> None:
     cell.inject("can.loss=0.1@1s..2s")
     with pytest.raises(SimulatorStateError, match=r"can.loss=0.1@1s..2s is injected and uses"):
         cell.inject("can.intermittent@1500ms")
@@ -269,7 +263,7 @@ def test_two_faults_of_one_knob_are_refused_unless_their_times_differ(cell: Simu
     assert cell.devices.faults.can.drop_rate == 0.3
 
 
-def test_a_fault_is_cleared_by_its_text_or_its_name(cell: SimulatedCell) -> None:
+def test_a_fault_is_cleared_by_its_text_or_its_name(cell) -> None:
     cell.inject("can.loss=0.5")
     cell.inject("unit.off@3s")
     assert cell.injector.clear("can.loss") == 1
@@ -285,7 +279,7 @@ def test_a_fault_is_cleared_by_its_text_or_its_name(cell: SimulatedCell) -> None
     assert cell.devices.faults.servo_wire.silent == set()
 
 
-def test_intermittent_loss_comes_in_bursts(cell: SimulatedCell) -> None:
+def test_intermittent_loss_comes_in_bursts(cell) -> None:
     cell.inject("can.intermittent=0.2")
     lost = []
     for _ in range(100):
@@ -295,7 +289,7 @@ def test_intermittent_loss_comes_in_bursts(cell: SimulatedCell) -> None:
     assert np.count_nonzero(np.diff(lost)) == 4
 
 
-def test_the_next_messages_and_answers_are_lost(cell: SimulatedCell) -> None:
+def test_the_next_messages_and_answers_are_lost(cell) -> None:
     cell.inject("can.lose_next=3")
     cell.inject("can.lose_next=2")
     cell.inject("servos.lose_next=4")
@@ -303,7 +297,7 @@ def test_the_next_messages_and_answers_are_lost(cell: SimulatedCell) -> None:
     assert cell.devices.faults.servo_wire.drop.next_packets == 4
 
 
-def test_a_part_slides_until_it_is_gone(cell: SimulatedCell) -> None:
+def test_a_part_slides_until_it_is_gone(cell) -> None:
     cell.place("ball")
     cell.inject("object.slips=500")
     cell.clock.sleep(0.01)
@@ -314,7 +308,7 @@ def test_a_part_slides_until_it_is_gone(cell: SimulatedCell) -> None:
     assert cell.devices.physical.placed is None
 
 
-def test_the_watchdog_and_registers_of_one_servo_are_changed(cell: SimulatedCell) -> None:
+def test_the_watchdog_and_registers_of_one_servo_are_changed(cell) -> None:
     first, second = cell.devices.servo_bus.servos
     cell.inject("servo1.watchdog_off")
     cell.inject("servo2.wrong=model_number:1060")
@@ -328,9 +322,7 @@ def test_the_watchdog_and_registers_of_one_servo_are_changed(cell: SimulatedCell
 
 
 @pytest.mark.parametrize("text", ["servo1.turned", "servo1.horn=100"])
-def test_a_servo_that_sits_otherwise_leaves_its_finger_where_it_is(
-    cell: SimulatedCell, text: str
-) -> None:
+def test_a_servo_that_sits_otherwise_leaves_its_finger_where_it_is(cell, text) -> None:
     mechanics = cell.devices.mechanics
     before_m = mechanics.finger_position_m
     before_rad = mechanics.motors[0].angle_rad
@@ -341,9 +333,7 @@ def test_a_servo_that_sits_otherwise_leaves_its_finger_where_it_is(
     assert mechanics.motors[0].angle_rad == pytest.approx(before_rad)
 
 
-def test_a_bus_of_another_bit_rate_is_heard_by_an_adapter_that_is_set_to_it(
-    cell: SimulatedCell,
-) -> None:
+def test_a_bus_of_another_bit_rate_is_heard_by_an_adapter_that_is_set_to_it(cell) -> None:
     fault = cell.inject("can.bit_rate=250000")
     cell.clock.sleep(0.1)
     cell.unit.emergency(0x5000)
@@ -360,7 +350,7 @@ def test_a_bus_of_another_bit_rate_is_heard_by_an_adapter_that_is_set_to_it(
     assert cell.unit.settings.bitrate == 1_000_000
 
 
-def test_pads_that_sit_otherwise_and_noisy_ones_show_in_the_scan(cell: SimulatedCell) -> None:
+def test_pads_that_sit_otherwise_and_noisy_ones_show_in_the_scan(cell) -> None:
     world, faults = cell.devices.physical, cell.devices.faults.unit
 
     def sent() -> np.ndarray:

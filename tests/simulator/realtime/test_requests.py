@@ -35,9 +35,7 @@ def requests(devices: CellDevices, injector: FaultInjector) -> CellRequests:
     return CellRequests(devices, injector)
 
 
-def test_objects_are_placed_and_the_reply_says_where_they_rest(
-    requests: CellRequests, devices: CellDevices
-) -> None:
+def test_objects_are_placed_and_the_reply_says_where_they_rest(requests, devices) -> None:
     reply = requests({"place": "box", "pose": {"x_m": 0.001, "roll_rad": 1.5}})
     assert reply["pose"] == {
         "x_m": 0.001,
@@ -56,9 +54,7 @@ def test_objects_are_placed_and_the_reply_says_where_they_rest(
     assert devices.physical.placed is None
 
 
-def test_objects_get_names_and_lie_beside_their_pose(
-    requests: CellRequests, devices: CellDevices
-) -> None:
+def test_objects_get_names_and_lie_beside_their_pose(requests, devices) -> None:
     assert "mug" in requests({"define": "mug", "shape": "sphere:diameter=8mm"})["objects"]
     for wrong in ({"x_m": 9.0}, {"w": 1}, 3):  # beside the pads, no pose
         with pytest.raises(SimulatorSettingsError):
@@ -79,7 +75,7 @@ def test_objects_get_names_and_lie_beside_their_pose(
     assert requests({"state": True})["placed"] is None
 
 
-def test_a_fingertip_presses_a_pad_and_lifts(requests: CellRequests, devices: CellDevices) -> None:
+def test_a_fingertip_presses_a_pad_and_lifts(requests, devices) -> None:
     assert requests({"press": "finger0.side_b", "at": ["tip"], "force_n": 1.5}) == {
         "pressed": "finger0.side_b"
     }
@@ -143,7 +139,7 @@ def test_recorded_grasps_are_played_by_number() -> None:
     ids=str,
 )
 def test_requests_that_make_no_sense_are_refused_and_change_nothing(
-    requests: CellRequests, devices: CellDevices, request_: dict[str, Any]
+    requests, devices, request_
 ) -> None:
     before = repr((devices.faults.can, devices.faults.unit, devices.faults.servo_wire))
     with pytest.raises(SimulatorError):
@@ -184,7 +180,7 @@ def served(tmp_path: Path) -> Iterator[Served]:
     made.server.close()
 
 
-def test_each_request_is_answered_on_its_own_line(served: Served) -> None:
+def test_each_request_is_answered_on_its_own_line(served) -> None:
     with served.connect() as client:
         client.sendall(b'{"a": 1}\n{"refuse": 1}\n\n{"b"')
         served.poll()
@@ -198,7 +194,7 @@ def test_each_request_is_answered_on_its_own_line(served: Served) -> None:
     assert not served.server.path.exists()
 
 
-def test_a_request_without_an_end_is_cut_off(served: Served) -> None:
+def test_a_request_without_an_end_is_cut_off(served) -> None:
     with served.connect() as client:
         client.setblocking(False)
         sent = 0
@@ -210,7 +206,7 @@ def test_a_request_without_an_end_is_cut_off(served: Served) -> None:
         assert client.recv(4096) == b""
 
 
-def test_a_client_that_is_gone_is_forgotten(served: Served) -> None:
+def test_a_client_that_is_gone_is_forgotten(served) -> None:
     client = served.connect()
     client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     client.sendall(b'{"a": 1}\n')
@@ -219,7 +215,7 @@ def test_a_client_that_is_gone_is_forgotten(served: Served) -> None:
     assert len(served.server.filenos()) == 1
 
 
-def test_only_so_many_clients_are_served(served: Served) -> None:
+def test_only_so_many_clients_are_served(served) -> None:
     clients = [served.connect() for _ in range(CLIENT_LIMIT + 1)]
     served.poll()
     assert len(served.server.filenos()) == CLIENT_LIMIT + 1
@@ -228,7 +224,7 @@ def test_only_so_many_clients_are_served(served: Served) -> None:
         client.close()
 
 
-def test_the_socket_belongs_to_its_owner_and_replaces_a_stale_one(tmp_path: Path) -> None:
+def test_the_socket_belongs_to_its_owner_and_replaces_a_stale_one(tmp_path) -> None:
     path = tmp_path / "s"
     stale = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     stale.bind(str(path))
@@ -238,9 +234,7 @@ def test_the_socket_belongs_to_its_owner_and_replaces_a_stale_one(tmp_path: Path
     served.server.close()
 
 
-def test_faults_are_injected_and_cleared_by_their_text(
-    requests: CellRequests, devices: CellDevices, injector: FaultInjector
-) -> None:
+def test_faults_are_injected_and_cleared_by_their_text(requests, devices, injector) -> None:
     assert requests({"inject": "can.loss=0.5@50ms"}) == {"inject": "can.loss=0.5@50ms"}
     assert requests({"state": True})["faults"] == {"can.loss=0.5@50ms": None}
     injector.advance(0.2)
@@ -251,7 +245,7 @@ def test_faults_are_injected_and_cleared_by_their_text(
     assert devices.faults.can.drop_rate == 0.0
 
 
-def test_a_person_moves_the_fingers_by_hand(requests: CellRequests, devices: CellDevices) -> None:
+def test_a_person_moves_the_fingers_by_hand(requests, devices) -> None:
     assert requests({"hand": {"1": 0.01, "2": 0.02}}) == {"moving": True}
     assert requests({"state": True})["moved_by_hand"] is True
     devices.advance_to(2.0)

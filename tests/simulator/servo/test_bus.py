@@ -19,12 +19,7 @@ def sync_read(address: int, size: int, *servo_ids: int) -> bytes:
 
 @pytest.mark.parametrize(
     ("instruction", "parameters", "led"),
-    [
-        (Instruction.READ, "8400 0400", 0),
-        (Instruction.WRITE, "4100 01", 1),
-        (Instruction.SYNC_WRITE, "4100 0100 01 01 02 01", 1),
-        (Instruction.BULK_WRITE, "01 4100 0100 01 02 4100 0100 01", 1),
-    ],
+    [(Instruction.READ, "8400 0400", 0), (Instruction.WRITE, "4100 01", 1)],
 )
 def test_broadcasts_reach_all_and_are_not_acknowledged(
     bench, instruction: int, parameters: str, led: int

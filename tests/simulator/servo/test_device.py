@@ -25,18 +25,13 @@ def test_factory_values(servo_bench, model):
 @pytest.mark.parametrize(
     ("address", "size", "value", "error"),
     [
-        (65, 1, 1, 0),
-        (65, 1, 2, RANGE),
         (0, 2, 1, ACCESS),
-        (132, 4, 1, ACCESS),
         (71, 1, 0, ACCESS),
         (14, 1, 0, ACCESS),
         (690, 1, 0, ACCESS),
         (65000, 2, 0, ACCESS),
-        (116, 2, 0, LENGTH),
         (117, 1, 0, LENGTH),
         (102, 2, 1193, 0),
-        (102, 2, 1194, LIMIT),
         (102, 2, -1193, 0),
         (102, 2, -1194, LIMIT),
         (100, 2, 886, LIMIT),
@@ -75,7 +70,6 @@ def test_what_a_write_is_answered(bench, address: int, size: int, value: int, er
         (Instruction.FACTORY_RESET, "", LENGTH),
         (Instruction.FACTORY_RESET, "05", RANGE),
         (0x20, "01 4354524C", UNKNOWN),
-        (0x77, "", UNKNOWN),
     ],
 )
 def test_instructions_that_are_refused(bench, instruction: int, parameters: str, error: int):

@@ -41,9 +41,7 @@ def figures(name: str) -> Drive:
         (2.0, -1.0, 1e3, 0.1 + 0.62),
     ],
 )
-def test_the_law_is_its_formula(
-    driving_nm: float, load_nm: float, speed_rad_s: float, friction_nm: float
-) -> None:
+def test_the_law_is_its_formula(driving_nm, load_nm, speed_rad_s, friction_nm) -> None:
     assert LAW.torque_nm(driving_nm, load_nm, speed_rad_s) == pytest.approx(friction_nm)
     more_nm = LAW.torque_nm(driving_nm, load_nm, speed_rad_s, base_factor=3.0)
     bare_nm = 0.1 + 0.05 * LAW.fading(speed_rad_s)
@@ -52,9 +50,7 @@ def test_the_law_is_its_formula(
 
 @pytest.mark.parametrize("friction", [LAW, *(figures(name).friction for name in IDENTIFIED)])
 @pytest.mark.parametrize("speed_rad_s", [0.0, 0.3, 3.0])
-def test_what_drives_forward_is_the_motor_less_its_friction(
-    friction: Friction, speed_rad_s: float
-) -> None:
+def test_what_drives_forward_is_the_motor_less_its_friction(friction, speed_rad_s) -> None:
     driving_nm = 1.5
     forward_nm = friction.forward_nm(driving_nm, speed_rad_s)
     lost_nm = friction.torque_nm(driving_nm, -forward_nm, speed_rad_s)
@@ -64,7 +60,7 @@ def test_what_drives_forward_is_the_motor_less_its_friction(
 
 
 @pytest.mark.parametrize("name", IDENTIFIED)
-def test_scaled_torques_have_scaled_friction(name: str) -> None:
+def test_scaled_torques_have_scaled_friction(name) -> None:
     friction = figures(name).friction
     torques_nm = [-0.8, -0.1, 0.0, 0.2, 1.3]
     for driving_nm, load_nm in [(a, b) for a in torques_nm for b in torques_nm]:
@@ -74,7 +70,7 @@ def test_scaled_torques_have_scaled_friction(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", IDENTIFIED)
-def test_friction_fades_with_speed(name: str) -> None:
+def test_friction_fades_with_speed(name) -> None:
     friction = figures(name).friction
     found_nm = [friction.torque_nm(0.6, -0.4, 0.05 * step) for step in range(100)]
     assert all(after <= before for before, after in pairwise(found_nm))
@@ -105,7 +101,7 @@ def test_a_servo_of_the_identified_model_has_its_figures() -> None:
 
 
 @pytest.mark.parametrize("name", ["ideal", "xm430_assumed"])
-def test_an_assumed_gearing_drives_forward_as_the_catalogue_says(name: str) -> None:
+def test_an_assumed_gearing_drives_forward_as_the_catalogue_says(name) -> None:
     drive = GEARINGS[name].drive_of(XM430_W350)
     for current_a in (0.3, 1.2):
         forward_nm = drive.friction.forward_nm(drive.kt_nm_a * current_a, 0.0)

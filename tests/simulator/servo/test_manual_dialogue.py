@@ -79,12 +79,7 @@ class Conversation(ServoBench):
     [case[1:] for case in DIALOGUES],
     ids=[case[0] for case in DIALOGUES],
 )
-def test_the_manuals_example(
-    values: dict[int, dict[str, int]],
-    request_: str,
-    answer: str,
-    changed: dict[tuple[int, str], int],
-) -> None:
+def test_the_manuals_example(values, request_, answer, changed) -> None:
     # Mode 5 takes currents and positions.
     talk = Conversation({i: {"operating_mode": 5} | values.get(i, {}) for i in (1, 2)})
     assert talk.exchange(wire(PREFIX + request_)) == wire(answer)
@@ -94,7 +89,7 @@ def test_the_manuals_example(
 @pytest.mark.parametrize(
     "request_", [case[2] for case in DIALOGUES], ids=[case[0] for case in DIALOGUES]
 )
-def test_another_encoder_makes_the_same_bytes(request_: str) -> None:
+def test_another_encoder_makes_the_same_bytes(request_) -> None:
     raw = wire(PREFIX + request_)
     made = dxl2.InstructionPacket(raw[4], raw[7], dxl2.Params(list(raw[8:-2])))
     assert made.raw == raw

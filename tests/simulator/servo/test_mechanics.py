@@ -16,13 +16,7 @@ MOUNTS = (ServoMount(direction=1), ServoMount(direction=-1))
 
 
 def fingers(
-    count=2,
-    *,
-    model=XM430_W350,
-    linkage=None,
-    aperture_m=0.04,
-    gearing=IDEAL_GEARING,
-    **options,
+    count=2, *, model=XM430_W350, linkage=None, aperture_m=0.04, gearing=IDEAL_GEARING, **options
 ):
     return FingerMechanics(
         [ServoMotor(model, gearing=gearing) for _ in range(count)],

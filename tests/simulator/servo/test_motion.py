@@ -72,11 +72,7 @@ def test_present_pwm_is_the_voltage_of_current_and_speed(servo_bench, goal: int)
 
 @pytest.mark.parametrize(
     ("mode", "goal_item", "goal", "shown_item"),
-    [
-        (0, (102, 2), -80, (126, 2)),
-        (1, (104, 4), -40, (128, 4)),
-        (16, (100, 2), -200, (124, 2)),
-    ],
+    [(0, (102, 2), -80, (126, 2)), (1, (104, 4), -40, (128, 4)), (16, (100, 2), -200, (124, 2))],
     ids=["current", "velocity", "pwm"],
 )
 def test_current_velocity_and_pwm_modes(servo_bench, mode, goal_item, goal, shown_item):

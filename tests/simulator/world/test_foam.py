@@ -72,9 +72,7 @@ def test_the_stiffness_is_the_slope_of_the_force() -> None:
     assert table.lookup(-1.0) == (0.0, 0.0)
 
 
-def test_an_object_is_placed_before_any_of_its_forces_is_worked_out(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_object_is_placed_before_any_of_its_forces_is_worked_out(monkeypatch) -> None:
     """In real time the buses wait while it is placed."""
     depths_m: list[float] = []
     law = Foam.pressure_pa
@@ -106,6 +104,6 @@ def test_a_surface_beside_the_pad_is_refused() -> None:
         {"limit_strain": 1.0},
     ],
 )
-def test_impossible_foams_are_refused(change: dict[str, float]) -> None:
+def test_impossible_foams_are_refused(change) -> None:
     with pytest.raises(SimulatorSettingsError, match=next(iter(change))):
         Foam(**change)

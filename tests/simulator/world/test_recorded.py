@@ -61,9 +61,7 @@ def test_time_passes_for_the_servos() -> None:
         (np.full((2, 156), -1), [0.0, 0.0], "0 to 4095"),
     ],
 )
-def test_grasps_that_do_not_fit_are_refused(
-    counts: np.ndarray, aperture_m: list[float], message: str
-) -> None:
+def test_grasps_that_do_not_fit_are_refused(counts, aperture_m, message) -> None:
     world = RecordedWorld(LAYOUT, HandMovedFingers())
     with pytest.raises(SimulatorSettingsError, match=message):
         world.load(counts, aperture_m)

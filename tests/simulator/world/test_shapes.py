@@ -1,5 +1,4 @@
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,16 +43,14 @@ def extent_m(shape: Shape, pose: ObjectPose) -> tuple[float, float, float]:
         ("dumbbell", (13.0, 10.0, 10.0)),
     ],
 )
-def test_the_papers_objects_have_the_papers_sizes(
-    name: str, size_mm: tuple[float, float, float]
-) -> None:
+def test_the_papers_objects_have_the_papers_sizes(name, size_mm) -> None:
     x_m, y_m, z_m = extent_m(PAPER_OBJECTS[name], ObjectPose())
     assert (1e3 * x_m, 1e3 * y_m) == pytest.approx(size_mm[:2], abs=0.5)
     assert 1e3 * z_m == pytest.approx(size_mm[2], abs=0.01)
 
 
 @pytest.mark.parametrize("name", PAPER_OBJECTS)
-def test_rotation_by_a_quarter_turn_swaps_the_extents(name: str) -> None:
+def test_rotation_by_a_quarter_turn_swaps_the_extents(name) -> None:
     shape = PAPER_OBJECTS[name]
     straight = extent_m(shape, ObjectPose())
     turned = extent_m(shape, ObjectPose(rotation_rad=0.5 * math.pi))
@@ -98,9 +95,7 @@ def test_an_ellipsoid_rolls_like_its_cross_section() -> None:
         (Ellipsoid(length_m=9e-3, width_m=5e-3, height_m=7e-3), 80.0, 90.0),
     ],
 )
-def test_an_object_comes_to_rest_on_its_nearest_side(
-    shape: Shape, asked_deg: float, reached_deg: float
-) -> None:
+def test_an_object_comes_to_rest_on_its_nearest_side(shape, asked_deg, reached_deg) -> None:
     pose = resting_pose(shape, ObjectPose(x_m=1e-3, roll_rad=math.radians(asked_deg)))
     assert math.degrees(pose.roll_rad) == pytest.approx(reached_deg)
     assert pose.x_m == 1e-3
@@ -118,7 +113,7 @@ def test_a_dumbbell_is_thin_in_the_middle_and_rounded_at_its_ends() -> None:
 )
 @settings(max_examples=25, derandomize=True, deadline=None)
 def test_no_pose_makes_an_object_thicker_than_its_longest_diagonal(
-    kind: str, rotation_rad: float, roll_rad: float
+    kind, rotation_rad, roll_rad
 ) -> None:
     pose = ObjectPose(rotation_rad=rotation_rad, roll_rad=roll_rad)
     low, high = posed_heights(PAPER_OBJECTS[kind], pose, *GRID)
@@ -145,7 +140,7 @@ def test_no_pose_makes_an_object_thicker_than_its_longest_diagonal(
         ),
     ],
 )
-def test_shapes_are_read_from_text(text: str, shape: Shape) -> None:
+def test_shapes_are_read_from_text(text, shape) -> None:
     # Off the grid's points, so that none lies on a rim.
     x_m, y_m = (a + 0.013e-3 for a in GRID)
     for found, wanted in zip(
@@ -171,7 +166,7 @@ def test_shapes_are_read_from_text(text: str, shape: Shape) -> None:
         ("mesh:file=/nowhere/part.stl", "cannot be read"),
     ],
 )
-def test_texts_that_are_no_shape_are_refused(text: str, message: str) -> None:
+def test_texts_that_are_no_shape_are_refused(text, message) -> None:
     with pytest.raises(SimulatorSettingsError, match=message):
         parse_shape(text)
 
@@ -187,7 +182,7 @@ def test_impossible_poses_and_sizes_are_refused() -> None:
         ellipsoid(length_m=1e-2, diameter_m=1e-2, width_m=1e-2)
 
 
-def test_a_mesh_of_a_box_is_that_box(tmp_path: Path) -> None:
+def test_a_mesh_of_a_box_is_that_box(tmp_path) -> None:
     trimesh = pytest.importorskip("trimesh")
     path = tmp_path / "box.stl"
     mesh = trimesh.creation.box(extents=(16.0, 10.0, 6.0))
@@ -204,7 +199,7 @@ def test_a_mesh_of_a_box_is_that_box(tmp_path: Path) -> None:
     assert shape.roll_step_rad == 0.0
 
 
-def test_a_mesh_of_a_ball_is_round(tmp_path: Path) -> None:
+def test_a_mesh_of_a_ball_is_round(tmp_path) -> None:
     trimesh = pytest.importorskip("trimesh")
     path = tmp_path / "ball.stl"
     path.write_bytes(trimesh.creation.icosphere(radius=5.0).export(file_type="stl"))
@@ -213,9 +208,7 @@ def test_a_mesh_of_a_ball_is_round(tmp_path: Path) -> None:
     assert high == pytest.approx(low)
 
 
-def test_a_mesh_is_the_same_whole_and_in_pieces(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mesh_is_the_same_whole_and_in_pieces(tmp_path, monkeypatch) -> None:
     trimesh = pytest.importorskip("trimesh")
     path = tmp_path / "ball.stl"
     path.write_bytes(trimesh.creation.icosphere(radius=5.0).export(file_type="stl"))
@@ -230,7 +223,7 @@ def test_a_mesh_is_the_same_whole_and_in_pieces(
     assert np.array_equal(mesh.heights(*GRID, 0.3), whole)
 
 
-def test_a_mesh_as_programs_export_it_is_read(tmp_path: Path) -> None:
+def test_a_mesh_as_programs_export_it_is_read(tmp_path) -> None:
     """Keywords in capitals, a byte order mark, and a triangle that has shrunk to a line."""
     trimesh = pytest.importorskip("trimesh")
     path = tmp_path / "box.stl"
@@ -249,9 +242,7 @@ def test_a_mesh_as_programs_export_it_is_read(tmp_path: Path) -> None:
     ("size_mm", "shown"),
     [((0.6, 0.4, 0.2), r"0\.6 x 0\.4 x 0\.2"), ((1e5, 5.0, 5.0), r"1e\+05 x 5 x 5")],
 )
-def test_a_mesh_in_another_unit_is_refused_with_its_size(
-    tmp_path: Path, size_mm: tuple[float, float, float], shown: str
-) -> None:
+def test_a_mesh_in_another_unit_is_refused_with_its_size(tmp_path, size_mm, shown) -> None:
     trimesh = pytest.importorskip("trimesh")
     path = tmp_path / "box.stl"
     path.write_bytes(trimesh.creation.box(extents=size_mm).export(file_type="stl"))
@@ -262,7 +253,7 @@ def test_a_mesh_in_another_unit_is_refused_with_its_size(
         load_mesh(path)
 
 
-def test_a_disc_of_a_few_nanometres_is_refused_however_it_lies_in_its_file(tmp_path: Path) -> None:
+def test_a_disc_of_a_few_nanometres_is_refused_however_it_lies_in_its_file(tmp_path) -> None:
     trimesh = pytest.importorskip("trimesh")
     disc = trimesh.creation.cylinder(radius=5.0, height=1e-2)
     disc.apply_transform(trimesh.transformations.rotation_matrix(0.7, (1.0, 1.0, 0.0)))
@@ -273,9 +264,7 @@ def test_a_disc_of_a_few_nanometres_is_refused_however_it_lies_in_its_file(tmp_p
 
 
 @pytest.mark.parametrize(("along_mm", "n_bodies"), [(30.0, 2), (9.0, 1), (0.0, 1)])
-def test_a_mesh_of_bodies_that_lie_apart_is_refused(
-    tmp_path: Path, along_mm: float, n_bodies: int
-) -> None:
+def test_a_mesh_of_bodies_that_lie_apart_is_refused(tmp_path, along_mm, n_bodies) -> None:
     """Bodies that overlap are one part, and so is a body with a cavity."""
     trimesh = pytest.importorskip("trimesh")
     first, second = (trimesh.creation.box(extents=(side,) * 3) for side in (10.0, 8.0))
@@ -291,7 +280,7 @@ def test_a_mesh_of_bodies_that_lie_apart_is_refused(
         load_mesh(path)
 
 
-def test_meshes_that_are_no_solid_are_refused(tmp_path: Path) -> None:
+def test_meshes_that_are_no_solid_are_refused(tmp_path) -> None:
     trimesh = pytest.importorskip("trimesh")
     mesh = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
     open_box = trimesh.Trimesh(mesh.vertices, mesh.faces[:-2])

@@ -7,7 +7,6 @@ from simulator.errors import SimulatorSettingsError
 from simulator.world.foam import Foam
 from simulator.world.taxels import (
     CELL_M,
-    NoiseKind,
     NoiseModel,
     PressureGrid,
     SensorLaw,
@@ -41,7 +40,7 @@ def test_a_linear_sensor_counts_in_proportion() -> None:
 
 
 @pytest.mark.parametrize("pad", [paper_layout().pads[0], pinch_layout().pads[1]])
-def test_no_force_is_lost_on_the_way_to_the_taxels(pad: object) -> None:
+def test_no_force_is_lost_on_the_way_to_the_taxels(pad) -> None:
     grid = PressureGrid(pad, Foam())  # type: ignore[arg-type]
     rng = np.random.default_rng(1)
     pressure_pa = rng.uniform(0.0, 1e5, (grid.x_m.size, grid.y_m.size))
@@ -87,9 +86,7 @@ def test_a_point_spreads_as_a_gaussian() -> None:
         ("none", 0.0, 0.0, 0.0),
     ],
 )
-def test_noise_has_the_range_of_its_reading(
-    kind: NoiseKind, low: float, high: float, mean: float
-) -> None:
+def test_noise_has_the_range_of_its_reading(kind, low, high, mean) -> None:
     noise = NoiseModel(kind=kind).sample(np.random.default_rng(3), 100_000, 255)
     assert low <= noise.min()
     assert noise.max() <= high

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import tty
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -46,7 +45,7 @@ def held_elsewhere(interface: str, channel: str) -> "subprocess.Popen[str]":
 
 
 @pytest.mark.parametrize("interface", ["slcan", "socketcan"])
-def test_a_second_program_is_refused_until_the_first_has_ended(interface: str, port: str) -> None:
+def test_a_second_program_is_refused_until_the_first_has_ended(interface, port) -> None:
     channel = port if interface == "slcan" else "can77"
     with held_elsewhere(interface, channel) as other:
         with pytest.raises(BusNotOpened, match="used by another program of this kind"):
@@ -56,9 +55,7 @@ def test_a_second_program_is_refused_until_the_first_has_ended(interface: str, p
         pass
 
 
-def test_a_link_to_the_port_is_the_same_port_and_closing_gives_it_back(
-    port: str, tmp_path: Path
-) -> None:
+def test_a_link_to_the_port_is_the_same_port_and_closing_gives_it_back(port, tmp_path) -> None:
     link = tmp_path / "adapter"
     link.symlink_to(port)
     bus = open_bus("slcan", port)
@@ -74,18 +71,12 @@ def test_a_bus_that_cannot_be_opened_leaves_no_lock() -> None:
             open_bus("socketcan", "can78")
 
 
-def test_a_lock_file_of_another_user_is_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lock_file_of_another_user_is_used(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     with bus_lock("socketcan", "can79"):
         (file,) = tmp_path.iterdir()
     file.chmod(0o444)
-    with (
-        bus_lock("socketcan", "can79"),
-        file.open() as other,
-        pytest.raises(BlockingIOError),
-    ):
+    with bus_lock("socketcan", "can79"), file.open() as other, pytest.raises(BlockingIOError):
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
@@ -94,7 +85,7 @@ def test_buses_within_a_program_are_shared() -> None:
         pass
 
 
-def test_a_bit_rate_that_an_adapter_lacks_leaves_its_port_free(port: str) -> None:
+def test_a_bit_rate_that_an_adapter_lacks_leaves_its_port_free(port) -> None:
     with pytest.raises(BusNotOpened, match="bitrate") as refused:
         open_bus("slcan", port, bitrate=800_000)
     handle = os.open(port, os.O_RDWR | os.O_NOCTTY)

@@ -14,7 +14,7 @@ import pytest
 
 from tactile.can.bus import BulkSlcanBus, close_bus, open_bus
 from tactile.can.receiver import PolledSource, ThreadedReceiver
-from tactile.errors import BusNotOpened, BusOff, LinkFault, ReceiveLoopDead
+from tactile.errors import BusNotOpened, BusOff, ReceiveLoopDead
 
 
 class QueueBus(can.BusABC):
@@ -58,7 +58,7 @@ def message(number: int) -> can.Message:
     return can.Message(arbitration_id=number, is_extended_id=False)
 
 
-def test_thread_stamps_and_queues_in_order(bus: QueueBus) -> None:
+def test_thread_stamps_and_queues_in_order(bus) -> None:
     bus.queue.put(message(99))
     receiver = ThreadedReceiver(bus, time)
     receiver.start()
@@ -93,9 +93,7 @@ def ended(receiver: ThreadedReceiver, end: Callable[[], object]) -> None:
         (RuntimeError("driver bug"), ReceiveLoopDead),
     ],
 )
-def test_an_error_in_the_thread_is_a_fault_every_time(
-    bus: QueueBus, error: Exception, fault: type[LinkFault]
-) -> None:
+def test_an_error_in_the_thread_is_a_fault_every_time(bus, error, fault) -> None:
     receiver = ThreadedReceiver(bus, time)
     ended(receiver, lambda: bus.queue.put(error))
     for _ in range(2):
@@ -109,7 +107,7 @@ def test_an_error_in_the_thread_is_a_fault_every_time(
     receiver.close()
 
 
-def test_a_queue_that_nobody_empties_is_a_fault(bus: QueueBus) -> None:
+def test_a_queue_that_nobody_empties_is_a_fault(bus) -> None:
     receiver = ThreadedReceiver(bus, time, limit=5)
     ended(receiver, lambda: [bus.queue.put(message(number)) for number in range(6)])
     with pytest.raises(ReceiveLoopDead, match="5 CAN messages wait"):
@@ -117,7 +115,7 @@ def test_a_queue_that_nobody_empties_is_a_fault(bus: QueueBus) -> None:
     receiver.close()
 
 
-def test_a_driver_that_hangs_is_a_fault(bus: QueueBus) -> None:
+def test_a_driver_that_hangs_is_a_fault(bus) -> None:
     class LateClock:
         offset_s = 0.0
 
@@ -145,7 +143,7 @@ def test_a_driver_that_hangs_is_a_fault(bus: QueueBus) -> None:
     receiver.close()
 
 
-def test_polled_source_bounds_what_it_takes_at_once(bus: QueueBus) -> None:
+def test_polled_source_bounds_what_it_takes_at_once(bus) -> None:
     source = PolledSource(bus, time, limit=3)
     for number in range(10):
         bus.queue.put(message(number))
@@ -214,7 +212,7 @@ def received(bus: can.BusABC) -> list[can.Message]:
     return messages
 
 
-def test_slcan_opens_with_bit_rate_and_without_waiting(adapter: Adapter) -> None:
+def test_slcan_opens_with_bit_rate_and_without_waiting(adapter) -> None:
     start_s = time.monotonic()
     bus = open_bus("slcan", adapter.path, bitrate=500_000)
     assert time.monotonic() - start_s < 1.0
@@ -232,18 +230,14 @@ def test_slcan_opens_with_bit_rate_and_without_waiting(adapter: Adapter) -> None
     assert adapter.read() == b"C\r"
 
 
-def test_an_unplugged_adapter_is_bus_off_and_can_be_closed(
-    adapter: Adapter, slcan: BulkSlcanBus
-) -> None:
+def test_an_unplugged_adapter_is_bus_off_and_can_be_closed(adapter, slcan) -> None:
     adapter.unplug()
     with pytest.raises(BusOff, match="plugged in"):
         PolledSource(slcan, time).drain()
     close_bus(slcan)
 
 
-def test_an_adapter_that_is_error_passive_gives_an_error_frame_once(
-    adapter: Adapter, slcan: BulkSlcanBus
-) -> None:
+def test_an_adapter_that_is_error_passive_gives_an_error_frame_once(adapter, slcan) -> None:
     adapter.write(b"F00\rF20\rt1811AA\rF20\rF04\r")
     messages = received(slcan)
     assert sorted(m.is_error_frame for m in messages) == [False, True, True]
@@ -251,7 +245,7 @@ def test_an_adapter_that_is_error_passive_gives_an_error_frame_once(
     assert changes == [(0x04, 0x30), (0x04, 0x40)]
 
 
-def test_an_adapter_that_does_not_know_its_flags_is_left_in_peace(adapter: Adapter) -> None:
+def test_an_adapter_that_does_not_know_its_flags_is_left_in_peace(adapter) -> None:
     bus = open_bus("slcan", adapter.path)
     for _ in range(14):
         bus.recv(0.051)
@@ -269,9 +263,7 @@ def test_an_adapter_that_does_not_know_its_flags_is_left_in_peace(adapter: Adapt
         ("no-such-interface", "x", "Check the names"),
     ],
 )
-def test_a_bus_that_cannot_be_opened_says_what_to_check(
-    interface: str, channel: str, says: str
-) -> None:
+def test_a_bus_that_cannot_be_opened_says_what_to_check(interface, channel, says) -> None:
     with pytest.raises(BusNotOpened, match=says):
         open_bus(interface, channel)
 
@@ -329,7 +321,7 @@ def server() -> Iterator[Server]:
     one.close()
 
 
-def test_a_socketcand_server_that_goes_away_is_noticed(server: Server) -> None:
+def test_a_socketcand_server_that_goes_away_is_noticed(server) -> None:
     bus = open_bus("socketcand", server.address)
     assert server.connected.wait(5.0)
     server.client.sendall(b"< frame 185 23.424242 0102 >")

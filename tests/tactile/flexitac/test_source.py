@@ -1,6 +1,6 @@
 """The frame source of two FlexiTac boards, on simulated boards in virtual time."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
 
@@ -18,7 +18,6 @@ from tactile.layout import PadMount, TaxelLayout
 from tactile.source import FrameStatus, TactileFrame
 
 LAYOUT = PAD_LAYOUTS["flexitac_12x32"]()
-MakeSource = Callable[..., FlexiTacSource]
 
 
 @pytest.fixture
@@ -46,9 +45,7 @@ def run(cell: SimulatedCell, source: FlexiTacSource, seconds: float) -> list[Tac
     return found
 
 
-def test_frames_come_at_the_rate_of_the_slower_board_with_fresh_times(
-    cell: SimulatedCell, source: FlexiTacSource
-) -> None:
+def test_frames_come_at_the_rate_of_the_slower_board_with_fresh_times(cell, source) -> None:
     assert source.start().name == "FlexiTac"
     found = run(cell, source, 2.0)
     assert 2 * 88 <= len(found) <= 2 * 112
@@ -59,7 +56,7 @@ def test_frames_come_at_the_rate_of_the_slower_board_with_fresh_times(
     assert (stats.frames.torn, stats.frames.duplicate, stats.recent_loss_rate) == (0, 0, 0.0)
 
 
-def test_a_press_shows_at_its_place_on_its_pad(cell: SimulatedCell, source: FlexiTacSource) -> None:
+def test_a_press_shows_at_its_place_on_its_pad(cell, source) -> None:
     source.start()
     rest = np.mean([one.counts for one in run(cell, source, 0.5)], axis=0)
     for pad in (0, 1):
@@ -74,7 +71,7 @@ def test_a_press_shows_at_its_place_on_its_pad(cell: SimulatedCell, source: Flex
         cell.world.lift()  # type: ignore[union-attr]
 
 
-def test_pads_that_sit_otherwise_are_put_right(cell: SimulatedCell) -> None:
+def test_pads_that_sit_otherwise_are_put_right(cell) -> None:
     mounts = [PadMount(pad=0, sent_as=1, rows_mirrored=True), PadMount(pad=1, sent_as=0)]
     source = make_source(cell, mounts=mounts)
     source.start()
@@ -100,7 +97,7 @@ def test_a_square_board_may_sit_either_way() -> None:
             assert place_m == pytest.approx((0.01, -0.004), abs=0.002)
 
 
-def test_a_layout_of_another_size_is_refused(cell: SimulatedCell) -> None:
+def test_a_layout_of_another_size_is_refused(cell) -> None:
     wrong: TaxelLayout = PAD_LAYOUTS["flexitac_16x32"]()
     with pytest.raises(
         LayoutError, match="needs two inner pads of 32 rows along the finger and 12"
@@ -120,7 +117,7 @@ def test_a_layout_of_another_size_is_refused(cell: SimulatedCell) -> None:
     ],
 )
 def test_a_fault_in_operation_is_raised_by_each_call_until_a_new_start(
-    cell: SimulatedCell, source: FlexiTacSource, fault: str, named: str
+    cell, source, fault, named
 ) -> None:
     source.start()
     run(cell, source, 0.5)
@@ -138,9 +135,7 @@ def test_a_fault_in_operation_is_raised_by_each_call_until_a_new_start(
     assert run(cell, source, 0.2)
 
 
-def test_single_damaged_frames_are_left_out_and_counted(
-    cell: SimulatedCell, source: FlexiTacSource
-) -> None:
+def test_single_damaged_frames_are_left_out_and_counted(cell, source) -> None:
     source.start()
     rest = np.mean([one.counts for one in run(cell, source, 0.5)], axis=0)
     cell.inject("board.lost_byte=0.005")
@@ -150,9 +145,7 @@ def test_single_damaged_frames_are_left_out_and_counted(
     assert max(np.abs(one.counts - rest).mean() for one in found) < 1.5
 
 
-def test_repeated_frames_are_not_handed_out_as_fresh_ones(
-    cell: SimulatedCell, source: FlexiTacSource
-) -> None:
+def test_repeated_frames_are_not_handed_out_as_fresh_ones(cell, source) -> None:
     source.start()
     run(cell, source, 0.5)
     cell.inject("board.repeated=0.2")
@@ -162,9 +155,7 @@ def test_repeated_frames_are_not_handed_out_as_fresh_ones(
     assert sum(a == b for a, b in pairwise(halves)) == 0
 
 
-def test_bytes_that_nobody_fetched_for_long_are_dropped(
-    cell: SimulatedCell, source: FlexiTacSource
-) -> None:
+def test_bytes_that_nobody_fetched_for_long_are_dropped(cell, source) -> None:
     source.start()
     run(cell, source, 0.2)
     cell.clock.sleep(1.0)
@@ -176,9 +167,7 @@ def test_bytes_that_nobody_fetched_for_long_are_dropped(
     assert source.statistics.frames.lost >= 90
 
 
-def test_a_static_load_is_ambiguous_at_the_start_and_harmless_later(
-    cell: SimulatedCell, source: FlexiTacSource
-) -> None:
+def test_a_static_load_is_ambiguous_at_the_start_and_harmless_later(cell, source) -> None:
     injected = cell.inject("board.marked=0")
     with pytest.raises(FrameTimeout, match=r"the board of finger 0 .* ambiguous: .* take the load"):
         source.start()
@@ -189,16 +178,14 @@ def test_a_static_load_is_ambiguous_at_the_start_and_harmless_later(
     assert source.statistics.frames.torn == 0
 
 
-def test_a_saturated_taxel_is_in_the_status(cell: SimulatedCell, source: FlexiTacSource) -> None:
+def test_a_saturated_taxel_is_in_the_status(cell, source) -> None:
     source.start()
     assert run(cell, source, 0.1)[-1].status == 0
     cell.inject("taxels.stuck_at=5:255")
     assert run(cell, source, 0.1)[-1].status == FrameStatus.SATURATED
 
 
-def test_a_board_that_is_not_there_or_not_started(
-    cell: SimulatedCell, source: FlexiTacSource
-) -> None:
+def test_a_board_that_is_not_there_or_not_started(cell, source) -> None:
     with pytest.raises(LinkStateError):
         source.poll()
     injected = cell.inject("board.unplugged=0")

@@ -36,7 +36,7 @@ def test_paper_format_fills_59_messages_without_padding() -> None:
         (6 * 16384 - 5, 1, 16384, 2),
     ],
 )
-def test_sizes(n_taxels: int, sample_bytes: int, messages: int, header: int) -> None:
+def test_sizes(n_taxels, sample_bytes, messages, header) -> None:
     frame_format = FrameFormat(n_taxels=n_taxels, sample_bytes=sample_bytes)
     assert (frame_format.n_messages, frame_format.header_bytes) == (messages, header)
     sent = BurstFormat(n_taxels, sample_bytes)
@@ -46,7 +46,7 @@ def test_sizes(n_taxels: int, sample_bytes: int, messages: int, header: int) -> 
 @pytest.mark.parametrize(
     ("n_taxels", "sample_bytes"), [(0, 1), (10, 3), (10, 0), (6 * 16384 - 4, 1)]
 )
-def test_impossible_formats_are_refused(n_taxels: int, sample_bytes: int) -> None:
+def test_impossible_formats_are_refused(n_taxels, sample_bytes) -> None:
     with pytest.raises(LayoutError):
         FrameFormat(n_taxels=n_taxels, sample_bytes=sample_bytes)
 
@@ -60,9 +60,7 @@ def test_impossible_formats_are_refused(n_taxels: int, sample_bytes: int) -> Non
     seed=st.integers(0, 2**32 - 1),
     shuffle=st.booleans(),
 )
-def test_round_trip(
-    *, n_taxels: int, sample_bytes: int, counter: int, status: int, seed: int, shuffle: bool
-) -> None:
+def test_round_trip(*, n_taxels, sample_bytes, counter, status, seed, shuffle) -> None:
     rng = np.random.default_rng(seed)
     frame_format = FrameFormat(n_taxels=n_taxels, sample_bytes=sample_bytes)
     counts = rng.integers(0, 1 << 8 * sample_bytes, n_taxels)

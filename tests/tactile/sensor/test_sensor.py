@@ -5,12 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tactile.errors import (
-    FrameTimeout,
-    NodeRebooted,
-    TareRefused,
-    ZeroDrifted,
-)
+from tactile.errors import FrameTimeout, NodeRebooted, TareRefused, ZeroDrifted
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import FoamCalibration, LinearCalibration
 from tactile.sensor.filters import Neighbourhood
@@ -166,7 +161,7 @@ def readings(sensor: TactileSensor, frames: Frames, n: int) -> list:
 
 
 @pytest.mark.parametrize("shape", FOOTPRINTS)
-def test_force_of_a_five_taxel_footprint_under_the_papers_noise(shape: str) -> None:
+def test_force_of_a_five_taxel_footprint_under_the_papers_noise(shape) -> None:
     """Bias below 3 % and 1.5 hundredths of a newton more for the zero, spread below 0.2 N."""
     for force_n in (2.0, 4.0, 8.0):
         means, spreads = [], []
@@ -298,7 +293,7 @@ def test_without_noise_the_first_force_that_is_wanted_is_no_change() -> None:
 
 @pytest.mark.parametrize(("stuck", "pressed"), [(255, 24), (255, 41), (0, 33)])
 def test_a_taxel_that_jumps_beside_calm_neighbours_is_masked_at_once(
-    sensor, frames, stuck: int, pressed: int
+    sensor, frames, stuck, pressed
 ) -> None:
     frames.press(3.0)
     before = readings(sensor, frames, 5)[-1]
@@ -438,9 +433,7 @@ def test_tare_finds_the_mean_of_the_noise() -> None:
         ),
     ],
 )
-def test_a_tare_under_load_or_on_broken_taxels_is_refused(
-    sensor, frames, prepare: Callable, says: str
-) -> None:
+def test_a_tare_under_load_or_on_broken_taxels_is_refused(sensor, frames, prepare, says) -> None:
     before = sensor.tare_result
     prepare(frames)
     with pytest.raises(TareRefused, match=says):
@@ -503,7 +496,7 @@ def test_without_noise_dead_taxels_cannot_be_told() -> None:
         (TareLimits, {"drift_share": -0.1, "bad_share": -0.1}),
     ],
 )
-def test_settings_out_of_range_are_refused(kind: type, wrong: dict[str, float]) -> None:
+def test_settings_out_of_range_are_refused(kind, wrong) -> None:
     for name, value in wrong.items():
         with pytest.raises(ValueError, match=f"{name} is"):
             kind(**{name: value})

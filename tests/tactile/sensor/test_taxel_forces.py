@@ -39,24 +39,20 @@ def pressed(untouched: np.ndarray, force_n: float) -> np.ndarray:
     return np.rint(counts).astype(np.uint16)
 
 
-def test_untouched_pads_show_no_force(forces: TaxelForces, untouched: np.ndarray) -> None:
+def test_untouched_pads_show_no_force(forces, untouched) -> None:
     shown_n = np.array([forces.of(frame) for frame in untouched])
     assert shown_n.dtype == np.float32
     assert np.count_nonzero(shown_n) < 1e-3 * shown_n.size
 
 
-def test_a_press_shows_its_force_beside_and_on_a_dead_taxel(
-    forces: TaxelForces, untouched: np.ndarray
-) -> None:
+def test_a_press_shows_its_force_beside_and_on_a_dead_taxel(forces, untouched) -> None:
     shown_n = forces.of(pressed(untouched, 0.5))
     assert shown_n.sum() == pytest.approx(15 * 0.5, rel=0.1)
     assert shown_n[DEAD] == pytest.approx(0.5, rel=0.1)
     assert shown_n[64:].max() == 0.0
 
 
-def test_a_frame_shows_nothing_of_the_one_before(
-    forces: TaxelForces, untouched: np.ndarray
-) -> None:
+def test_a_frame_shows_nothing_of_the_one_before(forces, untouched) -> None:
     alone_n = forces.of(untouched[1])
     forces.of(pressed(untouched, 0.5))
     np.testing.assert_array_equal(forces.of(untouched[1]), alone_n)

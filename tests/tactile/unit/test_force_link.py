@@ -37,7 +37,7 @@ def bench(make_forces: Callable[..., Bench]) -> Bench:
     return made
 
 
-def test_the_force_comes_by_table_and_zero_each_three_milliseconds(bench: Bench) -> None:
+def test_the_force_comes_by_table_and_zero_each_three_milliseconds(bench) -> None:
     assert bench.link.sends_forces
     bench.skin.counts[:] = 20
     bench.forces(0.1)
@@ -50,9 +50,7 @@ def test_the_force_comes_by_table_and_zero_each_three_milliseconds(bench: Bench)
     assert bench.link.statistics.forces.lost == 0
 
 
-def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(
-    make_forces: Callable[..., Bench],
-) -> None:
+def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(make_forces) -> None:
     def worst_wait_s(frame_function: int) -> float:
         bench = make_forces()
         bench.link.start()
@@ -75,7 +73,7 @@ def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(
     assert worst_wait_s(od.COB_TPDO1) > 0.002
 
 
-def test_a_unit_without_force_messages_runs_as_before(make_forces: Callable[..., Bench]) -> None:
+def test_a_unit_without_force_messages_runs_as_before(make_forces) -> None:
     bench = make_forces(unit=ControlUnitSettings(force_messages=False))
     bench.link.start()
     assert not bench.link.sends_forces
@@ -84,7 +82,7 @@ def test_a_unit_without_force_messages_runs_as_before(make_forces: Callable[...,
     assert {can_id for _, can_id, _ in bench.traffic} >= {0x185}
 
 
-def test_a_table_that_the_unit_does_not_keep_is_refused(make_forces: Callable[..., Bench]) -> None:
+def test_a_table_that_the_unit_does_not_keep_is_refused(make_forces) -> None:
     bench = make_forces()
     bench.unit.dictionary.pretend(od.FORCE_TABLE, 0, TABLE[:-2] + b"\0\0")
     with pytest.raises(IdentityMismatch, match="table of counts to force"):
@@ -92,9 +90,7 @@ def test_a_table_that_the_unit_does_not_keep_is_refused(make_forces: Callable[..
 
 
 @pytest.mark.parametrize(("knob", "silence_s"), [("forces_off", 0.2), ("dead", 0.2)])
-def test_a_longer_silence_is_allowed_where_that_is_set(
-    make_forces: Callable[..., Bench], knob: str, silence_s: float
-) -> None:
+def test_a_longer_silence_is_allowed_where_that_is_set(make_forces, knob, silence_s) -> None:
     bench = make_forces(silence_s=silence_s, heartbeat_s=1.0)
     bench.link.start()
     bench.link.set_zero(ZERO)
@@ -114,9 +110,7 @@ def stall(bench: Bench, monkeypatch: pytest.MonkeyPatch, stall_s: float = 0.057)
         bench.link.poll()
 
 
-def test_a_stall_of_the_host_is_no_silence_of_the_unit(
-    make_forces: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stall_of_the_host_is_no_silence_of_the_unit(make_forces, monkeypatch) -> None:
     bench = make_forces(heartbeat_s=0.02)
     bench.link.start()
     bench.link.set_zero(ZERO)
@@ -127,9 +121,7 @@ def test_a_stall_of_the_host_is_no_silence_of_the_unit(
 
 
 @pytest.mark.parametrize("stall_s", [0.057, 0.115, 0.16])
-def test_what_came_in_a_stall_of_the_host_is_not_late(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, stall_s: float
-) -> None:
+def test_what_came_in_a_stall_of_the_host_is_not_late(bench, monkeypatch, stall_s) -> None:
     source = bench.link._source
     drain = source.drain
     # The thread that receives stamps what it reads at the end of the stall.
@@ -143,7 +135,7 @@ def test_what_came_in_a_stall_of_the_host_is_not_late(
 
 @pytest.mark.parametrize(("knob", "limit_s"), [("forces_off", 0.04), ("heartbeat_off", 0.25)])
 def test_a_silent_unit_is_found_within_its_limit_and_the_stall(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, knob: str, limit_s: float
+    bench, monkeypatch, knob, limit_s
 ) -> None:
     bench.forces(0.1)
     start_s = bench.clock.monotonic()

@@ -35,15 +35,15 @@ def test_the_order_of_the_taxels_is_that_of_the_mounts() -> None:
 @pytest.mark.parametrize(
     ("mounts", "complaint"),
     [
-        ((PadMount(pad=0, sent_as=1),), "stand there once"),
-        ((PadMount(pad=7, sent_as=7),) * 2, "stand there once"),
+        ((PadMount(pad=0, sent_as=1),), "name each pad once"),
+        ((PadMount(pad=7, sent_as=7),) * 2, "name each pad once"),
         (
             (PadMount(pad=0, sent_as=2), PadMount(pad=2, sent_as=0)),
             "16 x 4 taxels, finger0.side_a, in whose place it is sent, 16 x 2",
         ),
     ],
 )
-def test_mounts_that_cannot_be_are_refused(mounts: tuple[PadMount, ...], complaint: str) -> None:
+def test_mounts_that_cannot_be_are_refused(mounts, complaint) -> None:
     with pytest.raises(LayoutError, match=complaint):
         taxel_order(paper_layout(), mounts)
 
@@ -76,9 +76,7 @@ def test_the_unit_cannot_sum_pads_that_are_turned_against_each_other() -> None:
 
 
 @pytest.mark.parametrize("mounts", [EXCHANGED, TURNED, TURNED[:1]])
-def test_a_sensor_measures_where_the_finger_is_on_pads_that_sit_otherwise(
-    mounts: tuple[PadMount, ...],
-) -> None:
+def test_a_sensor_measures_where_the_finger_is_on_pads_that_sit_otherwise(mounts) -> None:
     settings = SimulatorSettings(layout=PINCH, mounts=mounts, noise=NoiseModel(level=0.2))
     with SimulatedCell(settings) as cell:
         link = LinkSettings(mounts=mounts)

@@ -67,7 +67,7 @@ def add(
         f"{done.n_grasps} grasps of {done.n_files} files added to {target}; {done.n_there} files "
         f"and {done.n_before} grasps were there already"
     )
-    write_json(json_file, done.as_json())
+    write_json(json_file, done)
 
 
 @app.command()

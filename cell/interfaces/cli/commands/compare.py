@@ -56,4 +56,4 @@ def compare(
         f"{second} names {percent(found.difference, found.interval)} more of {found.n} grasps "
         "rightly"
     )
-    write_json(json_file, found.as_json())
+    write_json(json_file, found)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -21,9 +21,7 @@ from cell.interfaces.cli.options import (
 
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
-    from cell.control.identification import ReadShape
-    from cell.plugin.part_report import PartReport
-    from recognition.shape.answer import ShapeAnswer
+    from cell.control.identification import Identification, ReadShape
 
 
 def identify(
@@ -81,7 +79,7 @@ def identify(
         present=drawn_object(checked) if held is None else held,
         keep=keep.replace("-", "_"),  # type: ignore[arg-type]
     )
-    parts: list[PartReport] = []
+    parts: list[Identification] = []
     with running_cell(
         *(checked, "identify", out_folder),
         config_file=config,
@@ -90,10 +88,9 @@ def identify(
         gauge=gauge,
         gauge_shape=gauge_shape,
     ) as cell:
-        cell.plugin.watch_parts(parts.append)
+        cell.plugin.watch_parts(lambda _, found: parts.append(found) if found else None)
         cell.run(goal)
-    found, truth = parts[0].found, goal.present
-    assert found is not None
+    found, truth = parts[0], goal.present
     for number, (record, posterior, shape) in enumerate(
         zip_longest(found.records, found.posteriors, found.shapes), start=1
     ):
@@ -117,13 +114,13 @@ def identify(
         json_file,
         {
             "label": found.label,
-            "probability": found.probability,
+            "probability": found.decision.probability,
             "probabilities": found.probabilities,
             "unknown": found.fused.unknown,
             "n_grasps": len(found.posteriors),
             "kept": found.kept,
-            "shape": _plain(found.shape),
-            "shapes": [_plain(shape) for shape in found.shapes],
+            "shape": found.shape and found.shape.as_dict(),
+            "shapes": [shape and shape.as_dict() for shape in found.shapes],
             "ramps": [record.ramp_as_json() for record in found.records],
             "drift": None if found.drift is None else found.drift.values,
             "held": truth,
@@ -153,17 +150,25 @@ def _identify_recorded(
     found, recorded = load_model(model), read_grasps(dataset)
     found = replace(found, recognizer=loaded(found, config).recognizer)
     answers = identify_recorded(found, recorded, follow=follow, read_shape=read_shape)
-    for answer in answers:
+    shown = []
+    for number, (grasp, answer) in enumerate(zip(recorded, answers, strict=True)):
+        posterior, shape, drift = answer
+        probability = posterior.name_probability
         print_line(
-            f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}"
-            + ("" if read_shape is None else f"   {answer.shape or NO_SHAPE}")
-            + (f"   (was {answer.truth})" if answer.truth else "")
+            f"grasp {number:4d}: {posterior.name:<24} {percent(probability)}"
+            + ("" if read_shape is None else f"   {shape or NO_SHAPE}")
+            + (f"   (was {grasp.label})" if grasp.label else "")
         )
-    last = max(answers, key=lambda answer: recorded[answer.number].start_ms).drift
+        values = {
+            "grasp": number,
+            "label": posterior.name,
+            "probability": probability,
+            "unknown": posterior.unknown,
+            "truth": grasp.label or None,
+            "shape": shape and shape.as_dict(),
+        }
+        shown.append(values if drift is None else values | {"drift": drift.values})
+    _, (*_, last) = max(zip(recorded, answers, strict=True), key=lambda one: one[0].start_ms)
     if last is not None and last.likely:
         print_line(f"the sensors have drifted since teaching: {drift_text(last.drift)}")
-    write_json(json_file, {"answers": [answer.as_json() for answer in answers]})
-
-
-def _plain(shape: "ShapeAnswer | None") -> dict[str, Any] | None:
-    return None if shape is None else shape.as_dict()
+    write_json(json_file, {"answers": shown})

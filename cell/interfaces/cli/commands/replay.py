@@ -56,12 +56,12 @@ def replay(
         f"{result.frames_received} received, {same}"
     )
     print_line(
-        f"openings differ by at most {result.aperture_error_m * 1e3:.3f} mm: servos report pulses"
+        f"openings differ by at most {result.aperture_error_mm:.3f} mm: servos report pulses"
     )
     if result.accuracy is not None:
         print_line(f"named right by one grasp: {percent(result.accuracy, result.interval)}")
     else:
         print_note(f"no grasp was identified: {result.unnamed}")
-    write_json(json_file, result.as_json())
+    write_json(json_file, result)
     if not result.frames_equal:
         raise CellError(f"frames differ: {result.difference}")

@@ -168,7 +168,7 @@ def print_result(result: "MainResult") -> None:
     print_line(f"One grasp takes {result.grasp_s:.1f} s of the cell's time.")
     for remark in result.remarks:
         print_line(remark)
-    shapes = shapes_view([(one.truth, one.found.label, one.found.shape) for one in result.trials])
+    shapes = shapes_view([(one.presented, one.label, one.shape) for one in result.trials])
     for group in [] if shapes is None else shapes["groups"]:
         sizes = f"; {group['text']}" if group["text"] else ""
         print_line(f"{group['label']} feels like: {group['kinds']}{sizes}")

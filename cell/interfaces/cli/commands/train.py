@@ -126,7 +126,7 @@ def train(
             "n_grasps": len(grasps),
             "early": trained.early is not None,
             "labels": list(labels),
-            "teaching": summary.as_json(),
+            "teaching": summary,
         }
         | ({} if prior is None else {"spread": spread_values(prior, gains)}),
     )

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from importlib.util import find_spec
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -68,7 +67,7 @@ def text_of(inputs: list[int]) -> str:
     return struct.pack(">32H", *inputs[32:64]).rstrip(b"\0").decode("ascii")
 
 
-def test_signature_life_and_bits_have_their_registers(connect: Any) -> None:
+def test_signature_life_and_bits_have_their_registers(connect) -> None:
     _, plc = connect()
     inputs = plc.inputs()
     assert (inputs[0], inputs[2]) == (SIGNATURE, READY)
@@ -80,7 +79,7 @@ def test_signature_life_and_bits_have_their_registers(connect: Any) -> None:
     assert (inputs[2], inputs[25]) == (REMOTE | DONE | HOLDING, ANSWERED | ANSWER_KEPT)
 
 
-def test_live_values_have_their_registers(connect: Any) -> None:
+def test_live_values_have_their_registers(connect) -> None:
     served, plc = connect()
     names = ("force_n", "force_age_s", "opening_mm", "temperature_c", "frame_age_s")
     for *values, shown in (
@@ -94,7 +93,7 @@ def test_live_values_have_their_registers(connect: Any) -> None:
         assert [*inputs[13:15], *inputs[21:24]] == shown
 
 
-def test_a_zeroed_or_stale_key_lets_nothing_go(connect: Any) -> None:
+def test_a_zeroed_or_stale_key_lets_nothing_go(connect) -> None:
     served, plc = connect()
     plc.adopt()
     assert plc.command(GRIP, 0, 300) == 0
@@ -112,7 +111,7 @@ def test_a_zeroed_or_stale_key_lets_nothing_go(connect: Any) -> None:
     assert plc.inputs()[3] == 17
 
 
-def test_a_command_runs_with_its_number_and_once(connect: Any) -> None:
+def test_a_command_runs_with_its_number_and_once(connect) -> None:
     served, plc = connect()
     plc.adopt()
     assert plc.command(GRIP, 0, 300) == 0
@@ -127,9 +126,7 @@ def test_a_command_runs_with_its_number_and_once(connect: Any) -> None:
     assert plc.inputs()[8] == 2
 
 
-def test_who_commands_writes_the_secret_first_where_there_is_one(
-    connect: Any, tmp_path: Path
-) -> None:
+def test_who_commands_writes_the_secret_first_where_there_is_one(connect, tmp_path) -> None:
     (tmp_path / "secret").write_text("seventeen letters\n")
     served, plc = connect(serve__secret_file=str(tmp_path / "secret"))
     _, second = connect(served)
@@ -153,7 +150,7 @@ def test_who_commands_writes_the_secret_first_where_there_is_one(
     assert served.service.snapshot().commander
 
 
-def test_a_frozen_life_counter_is_silence(connect: Any) -> None:
+def test_a_frozen_life_counter_is_silence(connect) -> None:
     served, plc = connect()
     plc.adopt()
     served.plugin.pause()
@@ -171,7 +168,7 @@ def test_a_frozen_life_counter_is_silence(connect: Any) -> None:
     assert plc.write(COMMAND_SEQ, plc.seq + 1) == 3
 
 
-def test_the_hold_register_is_a_level_of_each_client(connect: Any) -> None:
+def test_the_hold_register_is_a_level_of_each_client(connect) -> None:
     served, plc = connect()
     _, panel = connect(served)
     plc.adopt()
@@ -202,7 +199,7 @@ def test_the_hold_register_is_a_level_of_each_client(connect: Any) -> None:
     assert served.ended(3).outcome == "SUCCEEDED"
 
 
-def test_a_fault_has_its_bit_and_a_text_that_fits(connect: Any) -> None:
+def test_a_fault_has_its_bit_and_a_text_that_fits(connect) -> None:
     served, plc = connect()
     served.plugin.fail(FrameTimeout("no frame for 0.20 s; " + 60 * "x"))
     inputs = plc.inputs()
@@ -210,9 +207,7 @@ def test_a_fault_has_its_bit_and_a_text_that_fits(connect: Any) -> None:
     assert text_of(inputs).startswith("Check the sensor's line; tactile.loss_max_share ")
 
 
-def test_the_last_refusal_has_number_and_text_on_each_connection(
-    connect: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_last_refusal_has_number_and_text_on_each_connection(connect, monkeypatch) -> None:
     served, plc = connect()
     _, second = connect(served)
     assert plc.refusal() == (0, "")
@@ -239,7 +234,7 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(
     assert plc.refusal()[0] == 505  # until the next one
 
 
-def test_each_start_has_a_number_of_its_own(connect: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_start_has_a_number_of_its_own(connect, monkeypatch) -> None:
     monkeypatch.setattr("cell.service.service.time.time", lambda: 0xFFFF * 7.0 + 65535)
     _, plc = connect()
     assert plc.inputs()[27] == 1
@@ -249,7 +244,7 @@ def test_each_start_has_a_number_of_its_own(connect: Any, monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize(("code", "objects"), [(1, {0, 1, 2}), (2, {0, 1, 2, 4, 5, 6})])
-def test_the_device_names_itself(connect: Any, code: int, objects: set[int]) -> None:
+def test_the_device_names_itself(connect, code, objects) -> None:
     _, plc = connect()
     found = plc.link.read_device_information(read_code=code, object_id=0)
     assert set(found.information) == objects
@@ -277,7 +272,7 @@ def test_a_long_identification_goes_on_in_the_next_answer() -> None:
         assert protocol.answer(b"\x2b" + wrong, client)[0] == 0xAB
 
 
-def test_unknown_commands_objects_and_addresses_are_refused(connect: Any) -> None:
+def test_unknown_commands_objects_and_addresses_are_refused(connect) -> None:
     served, plc = connect()
     plc.adopt()
     for number in (0, 5, 8, 10, 99, 0x1500, 0x1E00):
@@ -293,7 +288,7 @@ def test_unknown_commands_objects_and_addresses_are_refused(connect: Any) -> Non
     assert served.service.job().number == 0
 
 
-def test_function_23_writes_then_reads_or_does_neither(connect: Any) -> None:
+def test_function_23_writes_then_reads_or_does_neither(connect) -> None:
     served, plc = connect()
     plc.adopt()
     found = plc.link.readwrite_registers(
@@ -314,7 +309,7 @@ def test_function_23_writes_then_reads_or_does_neither(connect: Any) -> None:
     assert (plc.inputs()[5], served.grip_n > 1.0) == (1, True)
 
 
-def test_a_pose_has_its_registers(connect: Any) -> None:
+def test_a_pose_has_its_registers(connect) -> None:
     served, plc = connect()
     plc.adopt()
     served.ask_pose(Pose(x_m=0.00123, y_m=-0.0004, rotation_rad=0.5, roll_rad=-0.25))
@@ -334,7 +329,7 @@ def _full(link: socket.socket, data: bytes) -> bool:
     return False
 
 
-def test_a_client_that_never_reads_holds_nobody_up(connect: Any) -> None:
+def test_a_client_that_never_reads_holds_nobody_up(connect) -> None:
     served, plc = connect()
     plc.adopt()
     read = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, 64)
@@ -357,7 +352,7 @@ def block(connect: Any) -> Callable[..., tuple[Served, BlockPlc]]:
     return make
 
 
-def test_the_function_block_runs_every_command_of_the_map(block: Any) -> None:
+def test_the_function_block_runs_every_command_of_the_map(block) -> None:
     served, plc = block(cell={})
     assert plc.cycle()["Ready"] is False
     assert plc.ready()["Boot"] == served.service.boot
@@ -393,7 +388,7 @@ def test_the_function_block_runs_every_command_of_the_map(block: Any) -> None:
     assert plc["State"] == 4
 
 
-def test_the_function_block_stays_busy_through_the_poses_of_a_job(block: Any) -> None:
+def test_the_function_block_stays_busy_through_the_poses_of_a_job(block) -> None:
     served, plc = block(cell={}, positioner__kind="callback")
     plc.ready().begin(IDENTIFY, MaxGrasps=1)
     seq = until(lambda: plc.cycle()["PoseSeq"])
@@ -421,7 +416,7 @@ def test_the_function_block_stays_busy_through_the_poses_of_a_job(block: Any) ->
         assert plc.run(RELEASE) == (True, 0)
 
 
-def test_the_function_block_loses_no_edge_in_silence(block: Any) -> None:
+def test_the_function_block_loses_no_edge_in_silence(block) -> None:
     served, plc = block()
     plc.cycle(Execute=True, Command=GRIP, Force=300)  # not ready yet
     assert (plc["Error"], plc["ErrorId"]) == (True, 1)
@@ -442,7 +437,7 @@ def test_the_function_block_loses_no_edge_in_silence(block: Any) -> None:
     assert served.service.job().number == 2
 
 
-def test_the_function_block_begins_anew_after_a_lost_connection(block: Any) -> None:
+def test_the_function_block_begins_anew_after_a_lost_connection(block) -> None:
     served, plc = block()
     plc.ready()
     served.plugin.pause()
@@ -492,14 +487,14 @@ def test_an_independent_parser_reads_the_function_block() -> None:
     assert not {name.upper() for name in names} & KEYWORDS
 
 
-def test_a_recording_that_has_stopped_shows_in_the_function_block(block: Any) -> None:
+def test_a_recording_that_has_stopped_shows_in_the_function_block(block) -> None:
     served, plc = block()
     assert plc.cycle()["NotRecorded"] is False
     served.plugin.stop_recording("No space left on device")
     assert plc.cycle()["NotRecorded"] is True
 
 
-def test_swapped_bytes_show_in_the_function_block(connect: Any) -> None:
+def test_swapped_bytes_show_in_the_function_block(connect) -> None:
     _, plc = connect()
     block = FunctionBlock()
     swapped = [(value & 0xFF) << 8 | value >> 8 for value in plc.inputs()]
@@ -511,7 +506,7 @@ def test_swapped_bytes_show_in_the_function_block(connect: Any) -> None:
 
 
 @pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
-def test_mbpoll_reads_the_cell(connect: Any) -> None:
+def test_mbpoll_reads_the_cell(connect) -> None:
     served, _ = connect()
     port = str(served.interfaces["modbus_port"])
     asked = ["mbpoll", "-1", "-q", "-t", "3", "-r", "1", "-c", "4", "-p", port, "127.0.0.1"]

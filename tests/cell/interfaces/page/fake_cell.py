@@ -58,7 +58,7 @@ class FakeCell:
             "recording": {"level": "ok", "path": "out/serve/recording.mcap", "text": ""},
         }
         self.service: Any = Service(self.plugin, small_config(**PORTS))
-        self.service.hold = self._hold
+        self.service.stop = self._hold
         patch.setattr("cell.interfaces.web.state_values", self._shown)
         for label in BEFORE:
             self._name(label)

@@ -1,6 +1,6 @@
 """The commissioning wizard in a browser: the main way, left and taken up again."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from cell.commissioning.record import write_record
 from cell.config.serve import ServeConfig
 from cell.interfaces.wizard import Wizard, WizardServer
 from tests.cell.commissioning.test_engine import Asking
-from tests.cell.interfaces.page.test_page import OpenPage, becomes, fits
+from tests.cell.interfaces.page.test_page import becomes, fits
 from tests.cell.interfaces.test_wizard import Moving, Ports
 from tests.cell.served import until
 
@@ -51,9 +51,7 @@ def first_motion(page: Any) -> None:
     becomes(page, "#now_live", "opening.*12.3 mm")
 
 
-def test_a_cell_is_commissioned_left_and_taken_up_again(
-    open_page: OpenPage, address: str, walk: list[Any], tmp_path: Path
-) -> None:
+def test_a_cell_is_commissioned_left_and_taken_up_again(open_page, address, walk, tmp_path) -> None:
     page = open_page(address)
     becomes(page, "#run", "take command first")
     page.click("#command")
@@ -106,7 +104,7 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(
 
 
 def test_a_second_page_stops_a_motion_and_a_narrow_german_one_has_all(
-    open_page: OpenPage, address: str, walk: list[Any]
+    open_page, address, walk
 ) -> None:
     page = open_page(address, command=True)
     other = open_page(address, wide=False, locale="de-DE")
@@ -129,9 +127,7 @@ def test_a_second_page_stops_a_motion_and_a_narrow_german_one_has_all(
     until(lambda: walk[1].limp)
 
 
-def test_a_closed_page_ends_a_motion(
-    open_page: OpenPage, address: str, walk: list[Any], browser: Callable[..., Any]
-) -> None:
+def test_a_closed_page_ends_a_motion(open_page, address, walk, browser) -> None:
     page = open_page(address, command=True)
     first_motion(page)
     page.close()

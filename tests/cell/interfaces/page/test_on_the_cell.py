@@ -2,8 +2,6 @@
 
 import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
 import segno
@@ -11,7 +9,7 @@ import segno
 from cell.control.states import Command
 from gripper.errors import PartSlipped
 from tests.cell.interfaces.page.line import Line
-from tests.cell.interfaces.page.test_page import OpenPage, becomes, fits, press
+from tests.cell.interfaces.page.test_page import becomes, fits, press
 from tests.cell.interfaces.test_web import stl
 from tests.cell.served import Served, until
 
@@ -39,7 +37,7 @@ def address(served: Served, port: int = 0) -> str:
     return f"http://127.0.0.1:{port or found['http_port']}/#token={found['token']}"
 
 
-def test_a_part_is_named_kept_verified_and_let_go(serve: Any, open_page: OpenPage) -> None:
+def test_a_part_is_named_kept_verified_and_let_go(serve, open_page) -> None:
     served = serve("http")
     page = open_page(address(served), command=True)
     page.select_option("#keep", "when_named")
@@ -66,7 +64,7 @@ def test_a_part_is_named_kept_verified_and_let_go(serve: Any, open_page: OpenPag
     assert tasks == ["identify", "verify", Command.RELEASE, "identify"]
 
 
-def test_anybody_holds_from_a_second_page(serve: Any, open_page: OpenPage) -> None:
+def test_anybody_holds_from_a_second_page(serve, open_page) -> None:
     served = serve("http")
     first = open_page(address(served), command=True)
     second = open_page(address(served))
@@ -82,7 +80,7 @@ def test_anybody_holds_from_a_second_page(serve: Any, open_page: OpenPage) -> No
     assert len(served.plugin.asked) == 1
 
 
-def test_the_way_out_of_a_fault_step_by_step(serve: Any, open_page: OpenPage) -> None:
+def test_the_way_out_of_a_fault_step_by_step(serve, open_page) -> None:
     served = serve("http")
     page = open_page(address(served), command=True)
     served.plugin.pause()
@@ -112,7 +110,7 @@ def test_the_way_out_of_a_fault_step_by_step(serve: Any, open_page: OpenPage) ->
     assert page.is_visible("#do_identify")
 
 
-def test_a_lost_lease_is_told_and_taken_anew(serve: Any, open_page: OpenPage) -> None:
+def test_a_lost_lease_is_told_and_taken_anew(serve, open_page) -> None:
     served = serve("http", serve__lease_timeout_s=SHORT_LEASE_S)
     page = open_page(address(served), command=True)
     served.plugin.pause()
@@ -127,7 +125,7 @@ def test_a_lost_lease_is_told_and_taken_anew(serve: Any, open_page: OpenPage) ->
     becomes(page, "#do_release", "the part may fall")
 
 
-def test_command_is_taken_over_and_given_up(serve: Any, open_page: OpenPage) -> None:
+def test_command_is_taken_over_and_given_up(serve, open_page) -> None:
     served = serve("http")
     served.service.lease.acquire("PLC")
     page = open_page(address(served))
@@ -159,9 +157,7 @@ def test_command_is_taken_over_and_given_up(serve: Any, open_page: OpenPage) -> 
     becomes(twin, "#commander", "Nobody")
 
 
-def test_a_cut_line_is_red_at_once_and_returns_by_itself(
-    serve: Any, line: Any, open_page: OpenPage
-) -> None:
+def test_a_cut_line_is_red_at_once_and_returns_by_itself(serve, line, open_page) -> None:
     served = serve("http")
     wire = line(served.interfaces["http_port"])
     page = open_page(address(served, wire.port), command=True)
@@ -181,9 +177,7 @@ def test_a_cut_line_is_red_at_once_and_returns_by_itself(
     assert len(served.plugin.asked) == 1
 
 
-def test_a_command_whose_answer_is_lost_is_done_once(
-    serve: Any, line: Any, open_page: OpenPage
-) -> None:
+def test_a_command_whose_answer_is_lost_is_done_once(serve, line, open_page) -> None:
     served = serve("http")
     wire = line(served.interfaces["http_port"])
     page = open_page(address(served, wire.port), command=True)
@@ -197,7 +191,7 @@ def test_a_command_whose_answer_is_lost_is_done_once(
     assert len(served.plugin.asked) == 1
 
 
-def test_a_slow_line_is_not_shown_as_live(serve: Any, line: Any, open_page: OpenPage) -> None:
+def test_a_slow_line_is_not_shown_as_live(serve, line, open_page) -> None:
     served = serve("http")
     wire = line(served.interfaces["http_port"])
     page = open_page(address(served, wire.port))
@@ -213,7 +207,7 @@ def test_a_slow_line_is_not_shown_as_live(serve: Any, line: Any, open_page: Open
     becomes(page, "#state", "Ready")
 
 
-def test_over_tls(serve: Any, tls: dict[str, str], open_page: OpenPage) -> None:
+def test_over_tls(serve, tls, open_page) -> None:
     served = serve("http", **tls)
     url = address(served).replace("http:", "https:")
     page = open_page(url, command=True, ignore_https_errors=True)
@@ -221,7 +215,7 @@ def test_over_tls(serve: Any, tls: dict[str, str], open_page: OpenPage) -> None:
     becomes(page, "#held_name", "ball")
 
 
-def test_a_page_that_slept_shows_now(serve: Any, line: Any, open_page: OpenPage) -> None:
+def test_a_page_that_slept_shows_now(serve, line, open_page) -> None:
     served = serve("http")
     wire = line(served.interfaces["http_port"])
     page = open_page("about:blank")
@@ -240,9 +234,7 @@ def test_a_page_that_slept_shows_now(serve: Any, line: Any, open_page: OpenPage)
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
-def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(
-    serve: Any, open_page: OpenPage, wide: bool, tmp_path: Path
-) -> None:
+def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, wide, tmp_path) -> None:
     pytest.importorskip("trimesh", reason="the extra mesh is not installed")
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     served = serve("http", cell={})
@@ -315,7 +307,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
-def test_a_second_person_watches_by_the_link(serve: Any, open_page: OpenPage, wide: bool) -> None:
+def test_a_second_person_watches_by_the_link(serve, open_page, wide) -> None:
     served = serve("http")
     page = open_page(address(served), wide=wide)
     page.click("#share_open")
@@ -340,9 +332,7 @@ def test_a_second_person_watches_by_the_link(serve: Any, open_page: OpenPage, wi
     becomes(page, "#state", "On hold")
 
 
-def test_other_machines_get_a_qr_code(
-    serve: Any, open_page: OpenPage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_machines_get_a_qr_code(serve, open_page, monkeypatch) -> None:
     monkeypatch.setattr("cell.interfaces.web_server.view_note", lambda _config: "")
     served = serve("http")
     page = open_page(address(served))

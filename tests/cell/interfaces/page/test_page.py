@@ -2,7 +2,6 @@
 
 import base64
 import re
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -17,8 +16,6 @@ PIXEL = base64.b64decode(
 )
 """A picture of one pixel."""
 STATES = ("idle", "working", "named", "unknown", "faulted", "teaching", "sorting")
-
-OpenPage = Callable[..., Any]
 
 
 def becomes(page: Any, selector: str, wanted: str) -> None:
@@ -51,9 +48,7 @@ def press(page: Any, selector: str, seconds: float) -> None:
     page.mouse.up()
 
 
-def test_the_page_shows_today_yesterday_the_week_and_what_is_confused(
-    open_page: OpenPage, cell: FakeCell
-) -> None:
+def test_the_page_shows_today_yesterday_the_week_and_what_is_confused(open_page, cell) -> None:
     sums = {"parts": 400, "rejected": 3, "missed": 0, "faults": 1}
     pairs = [
         {"held": EVIL, "named": "nut", "n": 4, "confirmed": True},
@@ -69,7 +64,7 @@ def test_the_page_shows_today_yesterday_the_week_and_what_is_confused(
     assert fits(page)
 
 
-def test_the_page_shows_the_state_and_commands_once(open_page: OpenPage, cell: FakeCell) -> None:
+def test_the_page_shows_the_state_and_commands_once(open_page, cell) -> None:
     page = open_page()
     becomes(page, "#state", "Ready")
     becomes(page, "#held_name", "^nut$")
@@ -93,7 +88,7 @@ def test_the_page_shows_the_state_and_commands_once(open_page: OpenPage, cell: F
     until(lambda: cell.service.lease._heard_s > heard_s)
 
 
-def test_a_name_is_text_wherever_it_stands(open_page: OpenPage, cell: FakeCell) -> None:
+def test_a_name_is_text_wherever_it_stands(open_page, cell) -> None:
     cell.named(EVIL)
     state, nearest = cell.state, {"runner_up": {"label": EVIL, "probability": 0.1}}
     answers = [
@@ -125,9 +120,7 @@ def test_a_name_is_text_wherever_it_stands(open_page: OpenPage, cell: FakeCell) 
 @pytest.mark.long
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
-def test_all_states_fit_and_have_no_finding_of_axe(
-    open_page: OpenPage, cell: FakeCell, scheme: str, wide: bool
-) -> None:
+def test_all_states_fit_and_have_no_finding_of_axe(open_page, cell, scheme, wide) -> None:
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     page = open_page(wide=wide, color_scheme=scheme, command=True)
 
@@ -156,7 +149,7 @@ def test_all_states_fit_and_have_no_finding_of_axe(
 
 
 @pytest.mark.long
-def test_german_words_numbers_and_faults(open_page: OpenPage, cell: FakeCell) -> None:
+def test_german_words_numbers_and_faults(open_page, cell) -> None:
     page = open_page(locale="de-DE", command=True)
     becomes(page, "#state", "Bereit")
     show(page, cell, "named")
@@ -180,7 +173,7 @@ def test_german_words_numbers_and_faults(open_page: OpenPage, cell: FakeCell) ->
 
 
 @pytest.mark.long
-def test_an_unknown_part_is_an_answer(open_page: OpenPage, cell: FakeCell) -> None:
+def test_an_unknown_part_is_an_answer(open_page, cell) -> None:
     page = open_page()
     becomes(page, "#state", "Ready")
     show(page, cell, "unknown")
@@ -191,7 +184,7 @@ def test_an_unknown_part_is_an_answer(open_page: OpenPage, cell: FakeCell) -> No
 
 
 @pytest.mark.long
-def test_the_cell_is_gauged_with_a_taught_object(open_page: OpenPage, cell: FakeCell) -> None:
+def test_the_cell_is_gauged_with_a_taught_object(open_page, cell) -> None:
     page = open_page(command=True)
     page.click("#tab_teach")
     becomes(page, "#gauge_now", "pads 1\u00a0%, opening 0.0\u00a0mm")
@@ -211,7 +204,7 @@ def test_the_cell_is_gauged_with_a_taught_object(open_page: OpenPage, cell: Fake
     assert at == pytest.approx([152.6, 74.6])
 
 
-def test_it_is_taught_with_a_photograph(open_page: OpenPage, cell: FakeCell) -> None:
+def test_it_is_taught_with_a_photograph(open_page, cell) -> None:
     page = open_page(command=True)
     page.click("#tab_teach")
     page.fill("#teach_name", "washer")
@@ -246,7 +239,7 @@ def test_it_is_taught_with_a_photograph(open_page: OpenPage, cell: FakeCell) -> 
 
 
 @pytest.mark.long
-def test_a_sort_shows_places_and_the_part_on_its_way(open_page: OpenPage, cell: FakeCell) -> None:
+def test_a_sort_shows_places_and_the_part_on_its_way(open_page, cell) -> None:
     page = open_page(command=True)
     page.click("#do_sort")
     page.fill("#sort_parts", "40")
@@ -261,7 +254,7 @@ def test_a_sort_shows_places_and_the_part_on_its_way(open_page: OpenPage, cell: 
 
 
 @pytest.mark.long
-def test_what_is_not_allowed_is_grey_with_its_reason(open_page: OpenPage, cell: FakeCell) -> None:
+def test_what_is_not_allowed_is_grey_with_its_reason(open_page, cell) -> None:
     page = open_page(command=True)
     for name, selector, reason in (
         ("working", "#do_grip", "a job runs"),
@@ -270,7 +263,7 @@ def test_what_is_not_allowed_is_grey_with_its_reason(open_page: OpenPage, cell: 
     ):
         show(page, cell, name)
         becomes(page, selector, reason)
-    cell.service.begin_hold("gate", "HTTP 10.0.0.7 gate")
+    cell.service.begin_stop("gate", "HTTP 10.0.0.7 gate")
     allowed = cell.state["allowed"]
     cell.changes = {"allowed": {task: allowed[task] for task in ("verify", "grip")}}
     becomes(page, "#do_verify", "on hold by HTTP 10.0.0.7 gate")
@@ -282,9 +275,7 @@ def test_what_is_not_allowed_is_grey_with_its_reason(open_page: OpenPage, cell: 
 
 
 @pytest.mark.long
-def test_health_is_one_line_until_something_is_not_well(
-    open_page: OpenPage, cell: FakeCell
-) -> None:
+def test_health_is_one_line_until_something_is_not_well(open_page, cell) -> None:
     page = open_page()
     becomes(page, "#health", "All is well")
     assert page.locator("#health").bounding_box()["height"] < 45
@@ -297,9 +288,7 @@ def test_health_is_one_line_until_something_is_not_well(
     becomes(page, "#health", "No figures")
 
 
-def test_what_is_not_measured_is_a_dash_and_an_old_frame_is_not_shown(
-    open_page: OpenPage, cell: FakeCell
-) -> None:
+def test_what_is_not_measured_is_a_dash_and_an_old_frame_is_not_shown(open_page, cell) -> None:
     cell.working()
     page = open_page()
     becomes(page, "#state", "Working")
@@ -311,9 +300,7 @@ def test_what_is_not_measured_is_a_dash_and_an_old_frame_is_not_shown(
 
 
 @pytest.mark.long
-def test_what_a_busy_server_does_not_answer_is_asked_again(
-    open_page: OpenPage, cell: FakeCell
-) -> None:
+def test_what_a_busy_server_does_not_answer_is_asked_again(open_page, cell) -> None:
     cell.service.info = lambda: 1 // 0
     page = open_page()
     becomes(page, "#state", "Ready")
@@ -327,7 +314,7 @@ def test_what_a_busy_server_does_not_answer_is_asked_again(
 
 @pytest.mark.long
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
-def test_no_dialog_stands_in_front_of_hold(open_page: OpenPage, cell: FakeCell, wide: bool) -> None:
+def test_no_dialog_stands_in_front_of_hold(open_page, cell, wide) -> None:
     page = open_page(wide=wide, command=True)
     page.click("#tab_teach")
     page.click("[aria-label='Forget nut']")
@@ -344,7 +331,7 @@ def test_no_dialog_stands_in_front_of_hold(open_page: OpenPage, cell: FakeCell, 
 
 
 @pytest.mark.long
-def test_the_keyboard_alone_is_enough(open_page: OpenPage, cell: FakeCell) -> None:
+def test_the_keyboard_alone_is_enough(open_page, cell) -> None:
     page = open_page()
     becomes(page, "#state", "Ready")
     focused = "document.activeElement.id || document.activeElement.textContent"
@@ -379,7 +366,7 @@ def test_the_keyboard_alone_is_enough(open_page: OpenPage, cell: FakeCell) -> No
 
 
 @pytest.mark.long
-def test_a_wrong_token_is_asked_for_again(open_page: OpenPage, cell: FakeCell) -> None:
+def test_a_wrong_token_is_asked_for_again(open_page, cell) -> None:
     page = open_page(f"http://127.0.0.1:{cell.interface.port}/#token=wrong")
     becomes(page, "#login_wrong", "refused")
     page.fill("#login_token", cell.url.partition("token=")[2])
@@ -389,7 +376,7 @@ def test_a_wrong_token_is_asked_for_again(open_page: OpenPage, cell: FakeCell) -
 
 
 @pytest.mark.real_time
-def test_the_first_paint_is_quick(open_page: OpenPage, cell: FakeCell) -> None:
+def test_the_first_paint_is_quick(open_page, cell) -> None:
     """LatestValues at the second visit: at the first one the browser itself still starts."""
     page = open_page()
     becomes(page, "#state", "Ready")

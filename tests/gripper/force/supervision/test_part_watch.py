@@ -32,7 +32,7 @@ class Watched:
         self.grip: Grip = make_grip(force_n)
         self.watch = PartWatch(self.grip, contact_n_m=1e4)
         self.now_s, self.force_n, self.frame_n = 0.0, force_n, force_n
-        self.closing_m_s, self.pressing_n = 0.0, 6.0
+        self.closing_m_s, self.pressing_n, self.noise_n = 0.0, 6.0, 0.05
         self.aperture_m = STATE.aperture_m
 
     def period(self, n: int = 1) -> bool:
@@ -46,7 +46,7 @@ class Watched:
             t_s=self.now_s,
             force_n=(self.force_n, self.force_n),
             lag_s=0.0015,
-            noise_n=0.05,
+            noise_n=self.noise_n,
             frame_s=0.02 * (self.now_s // 0.02),
             frame_n=(self.frame_n, self.frame_n),
         )
@@ -142,6 +142,14 @@ def test_a_pause_ends_the_doubt(watched: Watched) -> None:
     watched.period(3)
     assert watched.watch.doubts
     watched.watch.resume()
+    assert not watched.watch.doubts
+
+
+def test_one_large_sample_at_the_start_is_no_force_that_is_gone() -> None:
+    watched = Watched(2.0)
+    watched.noise_n, watched.frame_n = 0.13, 0.45
+    for watched.force_n in (0.97, *[0.38] * 9, *[0.1] * 4):
+        assert not watched.period()
     assert not watched.watch.doubts
 
 

@@ -1,0 +1,117 @@
+"""The answer of an identification, and the other results of jobs, as all programs read them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from recognition.recognizer import UNKNOWN
+
+if TYPE_CHECKING:
+    from recognition.drift.grid import DriftGrid
+    from recognition.shape.answer import ShapeAnswer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """Answer of an identification, and what became of its part."""
+
+    label: str = ""
+    """A taught label, or ``UNKNOWN``; empty if no part was found."""
+    probabilities: Mapping[str, float] = field(default_factory=dict, hash=False)
+    """Probability of each taught label and, last, of ``UNKNOWN``; they sum to 1."""
+    n_grasps: int = 0
+    """Number of grasps."""
+    n_ended_early: int = 0
+    """Number of grasps whose ramp ended early because the answer was sure enough."""
+    kept: bool = False
+    """Whether the part is still in the grip; the host releases it."""
+    shape: "ShapeAnswer | None" = None
+    """Shape and size by all grasps together, also of an untaught object; None if the pads do not
+    show them, or if ``recognition.shape`` is off in the config."""
+    drift: "DriftGrid | None" = None
+    """The sensor drift that it assumes; None if drift is not followed."""
+    remark: str = ""
+    """Message for the operator: the sensors have drifted (once), or the part is too small or too
+    soft for the force of the ramp. Empty otherwise."""
+    task: str = "identify"
+    """``identify`` or ``sort``."""
+    job: int = 0
+    """Number of the job that found it; 0 in a sort."""
+    presented: str = ""
+    """Label of the brought object according to host, person or simulator; empty if not given."""
+    number: int = 0
+    """Number of the part from 1: in its sort, in a service since the program began."""
+    time_s: float = 0.0
+    """Unix time in s at which a service counted it."""
+    seconds: float = 0.0
+    """Time since the previous part, or since the start of the job, in s of the cell's clock."""
+    label_id: int = 0
+    """Id of its label in a service, from 1; 0 for UNKNOWN."""
+    place: str | None = None
+    """Place where a sort released it."""
+    place_id: int = 0
+    """Number of that place, from 1, in the order of `Places.names`; 0 outside of a sort."""
+    changed: tuple[str, ...] = ()
+    """Changes in the grip on the way to its place, for which it was rejected."""
+    rejected: bool = False
+    """Whether it has no name, or was released at the place of the rejects."""
+    curves: dict[str, Any] | None = field(default=None, hash=False, repr=False)
+    """For listeners the last grasp: ``t_s``, ``force_n``, ``setpoint_n``, ``opening_mm``, lists of
+    equal length. ``frame``: force in N of each taxel at the highest load."""
+
+    @property
+    def probability(self) -> float:
+        """Probability of the label."""
+        return self.probabilities[self.label]
+
+    @property
+    def unknown(self) -> float:
+        """Probability that the object was never taught."""
+        return self.probabilities[UNKNOWN]
+
+    @property
+    def runner_up(self) -> dict[str, Any] | None:
+        """The likeliest other ``label``, also ``UNKNOWN``, and its ``probability``, or None."""
+        others = [(p, label) for label, p in self.probabilities.items() if label != self.label]
+        return dict(zip(("probability", "label"), max(others), strict=True)) if others else None
+
+    @property
+    def kind(self) -> str:
+        """Kind of its shape; empty if it was not measured."""
+        return "" if self.shape is None else self.shape.kind
+
+    @property
+    def size_mm(self) -> float:
+        """Size in mm; 0 if it was not measured."""
+        return 0.0 if self.shape is None else 1e3 * self.shape.size_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verification:
+    """Comparison of the part in the grip with the kept part."""
+
+    held: bool
+    """Whether both pads are loaded."""
+    same: bool | None
+    """Whether opening and footprint on the pads are unchanged since it was kept; None if nothing is
+    held."""
+    force_n: float
+    """Grip force in N."""
+    opening_m: float
+    """Opening between the pads in m."""
+    reasons: tuple[str, ...] = ()
+    """Differences as text with value and limit; empty without any."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SortAnswer:
+    """Counts of a sort."""
+
+    n_parts: int
+    """Parts that were released at a place."""
+    n_missed: int
+    """Turns in which no part was found."""
+    n_rejected: int
+    """Parts at the place of the rejects: never taught, or changed since they were named."""
+    places: Mapping[str, int] = field(hash=False)
+    """Parts at each place."""
