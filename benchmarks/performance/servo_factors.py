@@ -5,17 +5,23 @@ Five objects are taught with six grasps each, and each is identified four times.
 first one alone. A fault ends a run. Times are those of the simulated cell without the first three
 grasps.
 
-    python -m benchmarks.performance.servo_factors [--gearing NAME]
+``--warm-up`` starts cold servos instead, whose temperature then changes ten times as fast as real
+ones. The cell grips, holds and releases one part for six minutes, as for an hour of warming up.
+Forces are the true ones on both pads, in each period of the holds.
+
+    python -m benchmarks.performance.servo_factors [--gearing NAME] [--warm-up]
 """
 
 import argparse
 from contextlib import closing
 from dataclasses import dataclass
+from statistics import fmean
 
 from benchmarks._measure import line, repeats
 from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
+from cell.control.plan import Pose
 from cell.control.records import GraspRecord
 from cell.errors import CellError
 from cell.jobs.collection import Collection
@@ -24,11 +30,18 @@ from cell.jobs.teach import teach
 from cell.learning.taught_model import TaughtModel
 from cell.simulation import simulation_of
 from gripper.errors import GripperError
+from simulator.servo.motor import AMBIENT_C, THERMAL_TIME_CONSTANT_S
 from tactile.errors import TactileError
 
 FRICTIONS, KTS = (0.5, 1.0, 1.5, 2.0, 3.0), (0.7, 1.0, 1.3)
 TAUGHT, IDENTIFIED, FIRST = 6, 4, 3
 """Grasps taught and identifications of each object, and grasps whose time does not count."""
+
+COLD_C, FASTER = 5.0, 10.0
+"""Temperature of cold servos in degrees Celsius, and factor on the speed of its changes."""
+GRIPPED_N, HELD_S, SETTLED_S = 5.0, 2.0, 0.3
+"""Force of each grip in N, and time in s for which the part is held then with the force of a carry,
+which counts after a part of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,6 +116,41 @@ def job(
     )
 
 
+def warm_up(*, gearing: str = "ideal", duration_s: float = 3600.0) -> None:
+    """Print the temperature and the force of grips of a cell whose servos start cold."""
+    keys = {"servos.gearing": gearing, "faults": [f"servos.cold={COLD_C:g}degC"]}
+    config = changed_config(CellConfig(), {f"simulator.{key}": keys[key] for key in keys})
+    held_n, last_s, worst_n = config.sequence.carry_force_n, 0.0, 0.0
+    with simulation_of(config) as simulated:
+        motors = simulated.devices.mechanics.motors
+
+        def heat(now_s: float) -> None:
+            nonlocal last_s
+            share = (FASTER - 1.0) * (now_s - last_s) / THERMAL_TIME_CONSTANT_S
+            last_s = now_s
+            for motor in motors:
+                motor.temperature_c += share * (AMBIENT_C - motor.temperature_c)
+
+        simulated.clock.on_advance.append(heat)
+        with closing(build_cell(config, simulated=simulated)) as cell:
+            controller = cell.controller
+            controller.start()
+            while last_s < duration_s / FASTER:
+                controller.present(config.simulator.objects[0].label)
+                begin_c = motors[0].temperature_c
+                controller.grip(GRIPPED_N, Pose())
+                begin_s, forces_n = last_s, []
+                while last_s < begin_s + HELD_S:
+                    controller.tick()
+                    if last_s > begin_s + SETTLED_S:
+                        forces_n.append(fmean(simulated.world.contact_force_n()))
+                controller.release()
+                worst_n = max(worst_n, *(abs(force_n - held_n) for force_n in forces_n))
+                where = f"{FASTER * begin_s / 60.0:4.1f} min, {begin_c:.1f} C"
+                line(where, f"{min(forces_n):.2f} to {max(forces_n):.2f} N of {held_n:g}")
+    line("warm-up", f"largest error of the force {worst_n:.2f} N")
+
+
 def main(effort: float = 1.0, *, gearing: str = "ideal") -> None:
     n_objects = repeats(5, effort, least=2)
     cases = [(f, kt, both) for both in (True, False) for f in FRICTIONS for kt in KTS]
@@ -128,4 +176,6 @@ def main(effort: float = 1.0, *, gearing: str = "ideal") -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="The main job with servos off the catalogue.")
     parser.add_argument("--gearing", default="ideal", help="name of the gearing of both servos")
-    main(gearing=parser.parse_args().gearing)
+    parser.add_argument("--warm-up", action="store_true", help="an hour of cold servos instead")
+    given = parser.parse_args()
+    (warm_up if given.warm_up else main)(gearing=given.gearing)

@@ -84,16 +84,16 @@ class GraspCollector:
     cycles: list[Cycle] = field(default_factory=list)
     """All periods so far, in order."""
     _frames: list[tuple[TactileFrame, Cycle, float]] = field(default_factory=list)
-    _since_frame_a: list[float] = field(default_factory=list)
+    _since_frame_n: list[float] = field(default_factory=list)
 
     def add(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         """Add one period of the force loop and the frames that arrived in it."""
         self.cycles.append(cycle)
-        self._since_frame_a.append(cycle.state.current_a)
+        self._since_frame_n.append(0.0 if cycle.force is None else cycle.force.grip_n)
         if frames:
-            mean_a = sum(self._since_frame_a) / len(self._since_frame_a)
-            self._frames += [(frame, cycle, mean_a) for frame in frames]
-            self._since_frame_a.clear()
+            mean_n = sum(self._since_frame_n) / len(self._since_frame_n)
+            self._frames += [(frame, cycle, mean_n) for frame in frames]
+            self._since_frame_n.clear()
 
     @property
     def n_frames(self) -> int:
@@ -108,9 +108,9 @@ class GraspCollector:
         return np.stack([frame.counts for frame, _, _ in self._frames])
 
     @property
-    def current_a(self) -> NDArray[np.float64]:
-        """Mean current of the motors in A from one frame to the next, (n_frames,)."""
-        return np.array([mean_a for _, _, mean_a in self._frames])
+    def pads_n(self) -> NDArray[np.float64]:
+        """Mean force by the law of the pads in N from one frame to the next, (n_frames,)."""
+        return np.array([mean_n for _, _, mean_n in self._frames])
 
     def grasp(self, label: str = "", command: GraspCommand | None = None) -> Grasp:
         """Return the collected grasp. Raises ValueError if no frame came."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from statistics import fmean
 
 from cell.config.model import CellConfig
 from cell.control.journal import Journal
@@ -18,12 +19,12 @@ from cell.control.states import Event
 from cell.control.watch import MotionWatch
 from cell.errors import ZeroRefused
 from cell.hand.interface import Hand
-from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
+from gripper.dynamixel.drive import DriveCharacteristic, DriveReport, pad_gain
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspOutcome
 from gripper.values.state import Cycle
-from recognition.drift.self_zero import ZeroMeasurement, measure_zero, shows_part
+from recognition.drift.self_zero import ZeroMeasurement, anchored, measure_zero, shows_part
 from tactile.sensor.tare import TareResult
 from tactile.source import TactileFrame
 
@@ -152,6 +153,8 @@ class Zeroing:
             raise ZeroRefused(between or refused)
         self.hand.measure_friction(self.watch.motion)
         self._note_each_drive()
+        gain = pad_gain(list(self.note_drives().drives.values()))
+        found = anchored(found, _catalogue_n_a(self.config), gain.log_gain, gain.log_sd)
         self.zeros.keep(found.zero)
         self.journal.note("self_zero", zero_text(found))
         if self.zeros.unkept:
@@ -188,7 +191,7 @@ class Zeroing:
         try:
             found = measure_zero(
                 collector.grasp(),
-                collector.current_a,
+                collector.pads_n,
                 layout.gripping_pads,
                 step_m=_opening_step_m(self.config),
             )
@@ -210,5 +213,14 @@ def _opening_step_m(config: CellConfig) -> float:
     linkage, servos = config.linkage, config.gripper_settings.servos
     return sum(
         linkage.opening_per_rad_m(closed_rad) * servo.servo_model.rad_per_pulse
+        for closed_rad, servo in zip(linkage.angles_rad(0.0), servos, strict=True)
+    )
+
+
+def _catalogue_n_a(config: CellConfig) -> float:
+    """Return the grip force in N of closed fingers for each A, by the catalogue's constants."""
+    linkage, servos = config.linkage, config.gripper_settings.servos
+    return fmean(
+        servo.servo_model.kt_nm_a / linkage.effective_radius_m(closed_rad)
         for closed_rad, servo in zip(linkage.angles_rad(0.0), servos, strict=True)
     )

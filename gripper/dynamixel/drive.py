@@ -8,7 +8,7 @@ breakaway_a``, and falls at ``falling_a_nm * load - breakaway_a``. In free motio
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import exp, log, sqrt
+from math import exp, inf, isclose, log, sqrt
 from statistics import fmean
 from typing import NamedTuple, Self
 
@@ -94,6 +94,12 @@ class DriveCharacteristic:
         return self.friction_sd < _FRICTION_SD
 
     @property
+    def pressed(self) -> bool:
+        """Whether the load was measured by pads; otherwise it follows from the motor constant."""
+        follows = isclose(self.rising_a_nm * self.kt_nm_a, 1.0, rel_tol=1e-9)
+        return self.kt_per_back_emf is not None or not follows
+
+    @property
     def once_measured(self) -> Self:
         """The same values, with at most the uncertainty of a measurement."""
         return replace(
@@ -137,18 +143,34 @@ class DriveCharacteristic:
         return max(self.breakaway_a, self.friction_a(speed_rad_s))
 
 
+class PadGain(NamedTuple):
+    """Newtons by the law of the pads over those by the motor constants of some servos."""
+
+    log_gain: float
+    log_sd: float
+    """Natural logarithm and its standard deviation; infinite if the pads have measured no load."""
+
+
+def pad_gain(drives: Sequence[DriveCharacteristic]) -> PadGain:
+    """Return the mean gain of the pads by some servos, whose motor constants err apart.
+
+    Motor constants are anchored to the back-EMF or to weights, and no pad changes them.
+    """
+    if not drives or not all(drive.pressed for drive in drives):
+        return PadGain(0.0, inf)
+    variances = (drive.load_sd**2 + drive.kt_sd**2 for drive in drives)
+    log_gain = -fmean(log(drive.rising_a_nm * drive.kt_nm_a) for drive in drives)
+    return PadGain(log_gain, sqrt(sum(variances)) / len(drives))
+
+
 def disagreement(drives: Sequence[DriveCharacteristic]) -> float:
     """Return the logarithm of the torque by pads over that by the motor constants; 0: they agree.
 
-    It is the mean of some servos, whose motor constants err apart. The catalogue alone is no
-    anchor, and without a servo there is none. A weak pad and a weak motor look alike.
+    The catalogue alone is no anchor: a weak pad and a weak motor look alike.
     """
-    if any(drive.kt_sd >= KT_SD for drive in drives) or not drives:
-        return 0.0
-    apart = -fmean(log(drive.rising_a_nm * drive.kt_nm_a) for drive in drives)
-    variances = (drive.load_sd**2 + drive.kt_sd**2 for drive in drives)
-    beyond = abs(apart) - SIGMAS * sqrt(sum(variances)) / len(drives)
-    return apart if beyond > 0.0 else 0.0
+    gain = pad_gain(drives)
+    agrees = abs(gain.log_gain) <= SIGMAS * gain.log_sd
+    return 0.0 if agrees or any(drive.kt_sd >= KT_SD for drive in drives) else gain.log_gain
 
 
 class Drives:

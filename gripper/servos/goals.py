@@ -161,8 +161,9 @@ class GoalGuard:
         fastest_rad_s = fastest_m_s / reach_m
         over_rad_s = -state.velocity_rad_s - fastest_rad_s
         if over_rad_s > model.slow_rad_s:
-            # Only the excess momentum is removed, or the finger would swing.
-            drive_n = force_n - impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
+            # Only the excess momentum is removed, or the finger would swing. Friction does a part.
+            drive_n = force_n + path.drive.least_breakaway_a * path.n_per_a
+            drive_n -= impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
             current_a = min(abs(drive_n) / path.n_per_a, most_a)
             angle_rad = goal.angle_rad if drive_n > 0.0 else state.angle_rad
             return replace(goal, angle_rad=angle_rad, current_a=current_a)

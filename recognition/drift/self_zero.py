@@ -11,7 +11,7 @@ taken as the middle of a step.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,10 +48,7 @@ _ALIKE = 5.0
 _MODEL_SD_M = 5e-5
 """Error of the opening in m by non-linear foam, and by its edges; simulated pads."""
 _MODEL_RATIO_SD, _MODEL_SCALE_SD, _MODEL_STIFFNESS_SD = 0.02, 0.03, 0.05
-"""The same of the logarithms, by misaligned pads, and by friction that grows with the load."""
-_TORQUE_SD = 0.05
-"""Standard deviation of the logarithm of the torque of a servo for its current, between days and
-copies of one model; assumed."""
+"""The same of the logarithms, by misaligned pads and by the law of the pads."""
 _FOAM_SD, _OTHER_FOAM_SD = 0.1, 0.8
 """The same of the stiffness of foam: of one foam between days and temperatures, assumed, and of two
 foams. The latter and `_OTHER_FOAM` are tuned on nine simulated cells whose foam has 1.2 to 2.4
@@ -91,19 +88,21 @@ class ZeroMeasurement:
 
 def measure_zero(
     grasp: Grasp,
-    current_a: NDArray[np.float64],
+    pads_n: NDArray[np.float64],
     gripping: tuple[int, int],
     *,
     step_m: float,
 ) -> ZeroMeasurement:
     """Return the self-zero from a ramp of the empty fingers on each other.
 
+    Its scale is by the law of the pads; `anchored` corrects it.
+
     Parameters
     ----------
     grasp
         From the open fingers to the end of the ramp.
-    current_a
-        (n_frames,) float64: current of the motors in A at each frame.
+    pads_n
+        (n_frames,) float64: force by the law of the pads in N at each frame.
     gripping
         Numbers of the two pads in the layout.
     step_m
@@ -126,7 +125,7 @@ def measure_zero(
     gradient, middle = _gradient(footprint, xy_m * 1e3)
     met = _meeting(middle, grasp.aperture_m[pressing] * 1e3, step_m * 1e3)
     both = np.stack([e.sum(axis=1) for e in evened]).mean(axis=0)
-    log_scale, log_scale_sd = _scale(both, current_a[pressing])
+    log_scale, log_scale_sd = _scale(both, pads_n[pressing])
     top = both >= _TOP_SHARE * both.max()
     shown = np.maximum(middle[top].mean() + xy_m @ gradient * 1e3, 0.0)
     spread = footprint[top].mean(axis=0)
@@ -157,10 +156,29 @@ def measure_zero(
     )
 
 
+def anchored(
+    found: ZeroMeasurement, n_a: float, log_gain: float, log_gain_sd: float
+) -> ZeroMeasurement:
+    """Return a measurement whose scale does not depend on the law of the pads.
+
+    Parameters
+    ----------
+    n_a
+        Force of the fingers in N for each A, by the catalogue's motor constant.
+    log_gain, log_gain_sd
+        Logarithm of the force by the law over that by the motor constants, and its standard
+        deviation.
+    """
+    zero = found.zero
+    log_scale = zero.log_scale + log_gain + float(np.log(n_a))
+    sd = min(float(np.hypot(zero.log_scale_sd, log_gain_sd)), _UNKNOWN_SD)
+    return replace(found, zero=replace(zero, log_scale=log_scale, log_scale_sd=sd))
+
+
 def drawn_zero(opening_m: float = 0.0, opening_sd_m: float = _DRAWN_SD_M) -> SelfZero:
     """Return the self-zero for grasps of a drawing, from an opening and its deviation in m.
 
-    Both pads have the same gain. Counts for current and travel, and so the gain, are unknown.
+    Both pads have the same gain. Counts for force and travel, and so the gain, are unknown.
     """
     return SelfZero(
         opening_m=opening_m,
@@ -264,9 +282,9 @@ def foam_caution(taught: SelfZero, today: SelfZero) -> float:
 
 def foam_change(taught: SelfZero, today: SelfZero) -> float | None:
     """Return the stiffness of the foam over that of teaching; None without a clear change."""
-    by_current, current_var, by_way, way_var = _shown(taught, today)
-    log_ratio = by_way - by_current
-    shown = log_ratio**2 > _SHOWN_SIGMAS**2 * (current_var + way_var)
+    by_force, force_var, by_way, way_var = _shown(taught, today)
+    log_ratio = by_way - by_force
+    shown = log_ratio**2 > _SHOWN_SIGMAS**2 * (force_var + way_var)
     return float(np.exp(log_ratio)) if shown else None
 
 
@@ -283,37 +301,37 @@ class _Common:
 
 
 def _shown(taught: SelfZero, today: SelfZero) -> tuple[float, float, float, float]:
-    """Return the changes since teaching of counts for current and of counts for travel.
+    """Return the changes since teaching of counts for force and of counts for travel.
 
     Each is a logarithm with its variance.
     """
-    current_var = taught.log_scale_sd**2 + today.log_scale_sd**2 + _TORQUE_SD**2
+    force_var = taught.log_scale_sd**2 + today.log_scale_sd**2
     way_var = taught.log_stiffness_sd**2 + today.log_stiffness_sd**2
     by_way = today.log_stiffness - taught.log_stiffness
-    return today.log_scale - taught.log_scale, current_var, by_way, way_var
+    return today.log_scale - taught.log_scale, force_var, by_way, way_var
 
 
 def _common(taught: SelfZero, today: SelfZero) -> _Common:
     """Return the correction of grasps: weighted between the same foam and another one.
 
     On foam of s times the modulus, a part with s times the force makes the same footprint with s
-    times the counts. So counts are compared by travel, not by force. Counts for current give the
-    gain, except for the torque. Counts for travel give the product of gain and stiffness.
+    times the counts. So counts are compared by travel, not by force. Counts for force give the
+    gain, except for the motor constants. Counts for travel give the product of gain and stiffness.
     """
-    by_current, current_var, by_way, way_var = _shown(taught, today)
+    by_force, force_var, by_way, way_var = _shown(taught, today)
     foam_var = np.array([_FOAM_SD, _OTHER_FOAM_SD]) ** 2
-    apart_var = way_var + current_var + foam_var
+    apart_var = way_var + force_var + foam_var
     other = _OTHER_FOAM if way_var < 1.0 else 1e-9  # the foam is unknown without travel
     log_weight = np.log([1.0 - other, other]) - 0.5 * (
-        np.log(apart_var) + (by_way - by_current) ** 2 / apart_var
+        np.log(apart_var) + (by_way - by_force) ** 2 / apart_var
     )
     weight = np.exp(log_weight - np.logaddexp(*log_weight))
     precision = (
         1.0 / (DriftPrior().log_gain_sd ** 2 + np.array([0.0, _OTHER_FOAM_SD**2]))
-        + 1.0 / (current_var + foam_var)
+        + 1.0 / (force_var + foam_var)
         + 1.0 / way_var
     )
-    means = (by_current / (current_var + foam_var) + by_way / way_var) / precision
+    means = (by_force / (force_var + foam_var) + by_way / way_var) / precision
     mean = float(weight @ means)
     variance = float(weight @ (1.0 / precision + (means - mean) ** 2))
     return _Common(log_gain=mean, log_gain_sd=variance**0.5, other_foam=float(weight[1]))
@@ -421,15 +439,12 @@ def _ratio(load: NDArray[np.float64]) -> tuple[float, float]:
     return ratio, float(off.std() / np.sqrt(load.shape[1]) / load.mean())
 
 
-def _scale(load: NDArray[np.float64], current_a: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the logarithm of counts for each A, and its deviation, by the slope of the ramp.
-
-    Unknown if friction hides the growth of the current, for example on a short lever.
-    """
-    off_load, off_current = load - load.mean(), current_a - current_a.mean()
-    a_count = float(off_load @ off_current / (off_load @ off_load))
-    if a_count <= 0.0:
+def _scale(load: NDArray[np.float64], pads_n: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the logarithm of counts for each N, and its deviation, by the slope of the ramp."""
+    off_load, off_n = load - load.mean(), pads_n - pads_n.mean()
+    n_count = float(off_load @ off_n / (off_load @ off_load))
+    if n_count <= 0.0:
         return 0.0, _UNKNOWN_SD
-    left = off_current - a_count * off_load
+    left = off_n - n_count * off_load
     sd = float(np.sqrt(left @ left / max(len(load) - 2, 1) / (off_load @ off_load)))
-    return -float(np.log(a_count)), sd / a_count
+    return -float(np.log(n_count)), sd / n_count

@@ -9,6 +9,7 @@ A motion also corrects a small error of a hold.
 
 from collections import deque
 from math import sqrt
+from statistics import fmean
 
 from gripper.force.control.period import Mode, Period
 from gripper.force.estimates.contact_observer import ContactObserver
@@ -126,9 +127,14 @@ class MotionMode(Mode):
         return grip.quiet_n
 
     def _friction_n(self, period: Period) -> float:
-        """Return the friction in N of this motion: on its way down the load loses some too."""
+        """Return the friction in N at the present speed; on a way down the load loses some too."""
         held_n = (1.0 - 1.0 / period.relief) * max(0.0, self.observer.force_n)
-        return period.friction_n + (held_n if self._falls else 0.0)
+        fingers = 2 / len(period.paths)
+        friction_n = fmean(
+            path.drive.moving_a(fingers * self.observer.speed_m_s / path.radius_m) * path.n_per_a
+            for path in period.paths
+        )
+        return friction_n + (held_n if self._falls else 0.0)
 
     def _planned_drive_n(self, period: Period) -> float:
         """Advance the plan by one period and return the driving force in N that follows it."""
@@ -178,7 +184,8 @@ class MotionMode(Mode):
         elif self._locked:
             self._locked = False
             observer.open_from(grip.drive_n, friction_n)
-        if arrived:
+        # Fingers that still open after the longest time must be locked too.
+        if arrived or (self.over and self._falls):
             push_n = sign * band_n if stands else 0.0
         push_n = sign * max(sign * push_n, -band_n)
         drive_max_n = period.drive_max_n - period.inertia_n

@@ -1,12 +1,13 @@
 """Identification of a drive, with synthetic data of the friction law M6 of arXiv 2410.08650."""
 
+import math
 from dataclasses import dataclass, replace
 from math import exp
 
 import numpy as np
 import pytest
 
-from gripper.dynamixel.drive import DriveCharacteristic, disagreement
+from gripper.dynamixel.drive import DriveCharacteristic, disagreement, pad_gain
 from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.mechanics.identification import (
     FreePoint,
@@ -189,6 +190,19 @@ def test_two_servos_that_disagree_alike_show_what_one_leaves_open() -> None:
     assert disagreement([weak_pads, replace(weak_pads, rising_a_nm=0.9 / CATALOGUE.kt_nm_a)]) == 0.0
     catalogue_alone = replace(weak_pads, kt_sd=CATALOGUE.kt_sd)
     assert disagreement([catalogue_alone, catalogue_alone]) == disagreement([]) == 0.0
+
+
+def test_the_gain_of_the_pads_follows_no_motor_and_is_unknown_without_a_pressed_load() -> None:
+    one = replace(CATALOGUE, kt_sd=0.1, load_sd=0.02)
+    weak_pads = replace(one, rising_a_nm=1.25 * one.rising_a_nm)
+    weak_motor = replace(weak_pads, kt_nm_a=0.8 * one.kt_nm_a)
+    assert pad_gain([weak_pads, weak_pads]).log_gain == pytest.approx(math.log(0.8))
+    assert pad_gain([weak_pads, weak_pads]).log_sd == pytest.approx(
+        0.102 / math.sqrt(2.0), rel=0.01
+    )
+    assert math.isinf(pad_gain([one, weak_pads]).log_sd), "the load of one follows from its motor"
+    assert math.isinf(pad_gain([weak_motor]).log_sd)
+    assert pad_gain([replace(weak_motor, kt_per_back_emf=1.0)]).log_gain == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize("gain", [1.0, 0.8])

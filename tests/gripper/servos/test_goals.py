@@ -7,8 +7,10 @@ from types import SimpleNamespace
 import pytest
 
 from gripper.dynamixel.control_table import GOAL_CURRENT
+from gripper.dynamixel.drive import DriveCharacteristic, Drives
 from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.force.ramp import ForceRamp
+from gripper.mechanics.impact import SLOWEST_M_S, impact_limit
 from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.servos.goals import GoalGuard, GoalWriter, ServoGoal
 from gripper.settings import GripperSettings, ServoSettings
@@ -139,3 +141,20 @@ def test_fingers_that_press_keep_a_speed_that_goes_by_no_pad() -> None:
     assert all(goal.angle_rad >= 0.1 for goal in braked)
     slow = standing(velocity_rad_s=-0.012 / 0.06)
     assert guard.bounded(asked, slow) == tuple(asked)
+
+
+@pytest.mark.parametrize(("friction_sd", "keeps"), [(0.05, True), (0.7, False)])
+def test_known_friction_brakes_a_finger_that_is_slightly_too_fast(
+    friction_sd: float, *, keeps: bool
+) -> None:
+    usual = DriveCharacteristic.catalogue(PAIR.servos[0].servo_model)
+    stiff = replace(usual, breakaway_a=0.4, friction_sd=friction_sd)
+    drives = Drives({servo.servo_id: stiff for servo in PAIR.servos})
+    settings = replace(PAIR, drives=drives)
+    guard, asked = GoalGuard(settings, LINKAGE), [ServoGoal(angle_rad=0.05, current_a=0.6)] * 2
+    most_m_s = max(impact_limit(settings, LINKAGE, (0.1, 0.1)).pad_speed_m_s(), 0.5 * SLOWEST_M_S)
+    braked = guard.bounded(asked, standing(velocity_rad_s=-(most_m_s / 0.0597 + 0.1)))
+    if keeps:
+        assert all(goal.angle_rad == 0.05 and 0.1 < goal.current_a < 0.4 for goal in braked)
+    else:
+        assert all(goal.angle_rad == 0.1 for goal in braked)

@@ -11,6 +11,7 @@ import pytest
 from recognition.drift.drift import Drift
 from recognition.drift.self_zero import (
     ZeroMeasurement,
+    anchored,
     drawn_zero,
     foam_caution,
     foam_change,
@@ -38,7 +39,7 @@ def pressed(
     dead: tuple[int, ...] = (),
     seed: int = 0,
 ) -> tuple[Grasp, np.ndarray]:
-    """Return frames of two pads that press on each other, and the current at each."""
+    """Return frames of two pads that press on each other, and the force by their law at each."""
     rng = np.random.default_rng(seed)
     way_mm = np.r_[np.linspace(10.0, 1.5, 20), np.linspace(0.0, -0.6, 50) + 0.05]
     reach_mm = XY_MM @ np.array(tilt)
@@ -62,8 +63,8 @@ def pressed(
 
 
 def measured(**changes: Any) -> ZeroMeasurement:
-    grasp, current_a = pressed(**changes)
-    return measure_zero(grasp, current_a, (0, 1), step_m=STEP_M)
+    grasp, pads_n = pressed(**changes)
+    return measure_zero(grasp, pads_n, (0, 1), step_m=STEP_M)
 
 
 @pytest.mark.parametrize(
@@ -104,12 +105,12 @@ def test_dead_taxels_are_named() -> None:
     ],
 )
 def test_what_shows_no_zero_is_refused(change: dict[str, Any], says: str) -> None:
-    grasp, current_a = pressed()
+    grasp, pads_n = pressed()
     values = {name: getattr(grasp, name) for name in ("pads", "counts", "t_s", "aperture_m")}
     with pytest.raises(ValueError, match=says):
         measure_zero(
             Grasp(**(values | {"force_n": grasp.force_n} | change)),
-            current_a,
+            pads_n,
             (0, 1),
             step_m=STEP_M,
         )
@@ -126,6 +127,20 @@ def test_what_has_changed_is_undone_and_the_rest_is_known_so_well() -> None:
     assert prior.offset_sd_mm < 0.3
     assert prior.log_gain_sd < 0.12
     assert since(taught, taught, (0, 1), 2) == Drift(gains=(1.0, 1.0))
+
+
+def test_a_gain_that_the_law_of_the_pads_hides_comes_from_the_motor_constants() -> None:
+    today = measured(gain=0.8)
+    assert today.zero.log_scale == pytest.approx(
+        measured().zero.log_scale + math.log(0.8), abs=0.01
+    )
+    by_law = replace(today, zero=measured().zero)
+    found = anchored(by_law, 30.0, math.log(0.8), 0.07).zero
+    assert found.log_scale == pytest.approx(by_law.zero.log_scale + math.log(0.8 * 30.0))
+    assert found.log_scale_sd == pytest.approx(math.hypot(by_law.zero.log_scale_sd, 0.07))
+    unknown = anchored(by_law, 30.0, 0.0, math.inf).zero
+    assert unknown.log_scale_sd == 100.0
+    assert foam_change(found, replace(unknown, log_stiffness=9.0 + found.log_stiffness)) is None
 
 
 def test_another_foam_is_told_from_another_gain_and_makes_cautious() -> None:
