@@ -148,8 +148,8 @@ def restore(
     Each servo is read back. Baud rate and ID come last; servos that shared an ID do so again.
     ``begin`` is called before the first write, which ends the commissioned state of the servos.
     Raises WizardAborted when the changes are refused; nothing is written then. Raises CellError if
-    there is no backup, one of its values is invalid, or a servo does not answer, is of another
-    model, has its torque on, or does not keep a value.
+    there is no backup or one of its values is invalid. Raises it if a servo does not answer, is of
+    another model, has its torque on, or does not keep a value.
     """
     files = (backup_file(bench.folder, number) for number in range(HIGHEST_ID + 1))
     backups = [backup for path in files if (backup := _read(path)) is not None]

@@ -1,7 +1,7 @@
 """Step `fingers`: directions, zero, ends and linkage by hand, then the first motion.
 
-A person moves the fingers without torque while the screen shows the angles; known blocks between the pads
-convert angles to lengths. Then a motor moves, at the least current that moves it.
+A person moves the fingers without torque while the screen shows the angles; known blocks between
+the pads convert angles to lengths. Then a motor moves, at the least current that moves it.
 """
 
 from collections.abc import Callable, Sequence
@@ -295,9 +295,8 @@ class _Hands:
         turn = min(model.pulses_per_turn for model in self._models)
         if any(not 0 <= zero < turn for zero in zeros):
             raise StepFailed(
-                f"the zero of the linkage is at {zeros} pulses, outside of the encoder's turn (0 to "
-                f"{turn - 1}): turn the horn so that the closed finger is near "
-                f"{turn // 2}"
+                f"the zero of the linkage is at {zeros} pulses, outside of the encoder's turn "
+                f"(0 to {turn - 1}): turn the horn so that the closed finger is near {turn // 2}"
             )
         self._servos = [
             servo.model_copy(update={"direction": sign, "zero_pulse": zero})
@@ -624,7 +623,9 @@ class _Hands:
                     f"{name}: opened by {degrees(way_rad):.1f} deg with {current_a:.3f} A"
                 )
         except GripperError as error:
-            raise StepFailed(f"the first motion ended, the servos have no torque: {error}") from error
+            raise StepFailed(
+                f"the first motion ended, the servos have no torque: {error}"
+            ) from error
         finally:
             group.go_limp()
         answer = self._dialog.choose(

@@ -229,8 +229,8 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
         ports = [port for port in bench.lines.serial_ports() if os.path.realpath(port) != servos]
         if len(ports) != len(tactile.serial_ports):
             raise StepFailed(
-                f"Serial ports without that of the servos: {', '.join(ports) or 'none'}; the sensor "
-                f"needs {len(tactile.serial_ports)}. Plug in the boards alone, or write "
+                f"Serial ports without that of the servos: {', '.join(ports) or 'none'}; the "
+                f"sensor needs {len(tactile.serial_ports)}. Plug in the boards alone, or write "
                 "tactile.sensor.ports into the config."
             )
         sensor["ports"] = [by_id(port) for port in ports]

@@ -260,6 +260,6 @@ class UskinSource(PolledBoards):
         return self._frame(samples, begun_s, end_s)
 
     def stop(self) -> None:
-        """Stop receiving; the boards go on and the bus stays open."""
+        """Stop receiving; the boards continue and the bus stays open."""
         self._running = False
         self._source.close()
