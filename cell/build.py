@@ -30,11 +30,12 @@ from cell.control.records import pad_array
 from cell.control.self_zero import kept_zeros
 from cell.data.recorder import Recorder
 from cell.data.retention import Retention
-from cell.errors import ConfigError, RecordingError
+from cell.errors import CellStateError, ConfigError, RecordingError
 from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
 from cell.hand.client import HandProcess
 from cell.hand.connections import MISSING, HandConnections
 from cell.hand.interface import Hand
+from cell.hand.local import LocalHand
 from cell.simulation import (
     InProcessPlacer,
     capture_traffic,
@@ -43,7 +44,6 @@ from cell.simulation import (
     simulation_of,
 )
 from gripper.clock import Clock
-from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.values.state import GripperPhase
 from motion.axes import Axes
@@ -93,17 +93,18 @@ class Cell:
 
     def idle(self) -> None:
         """Supervise the cell while no job runs; advance the paced clock to now."""
+        life = self.controller.life
         if self._recorder is not None:
-            self._recorder.look()
+            self._recorder.check()
         if self.simulated is None or self._pace is None:
-            self.controller.tick()
+            life.tick()
             return
-        clock, hand = self.simulated.clock, self.controller.hand
+        clock = self.simulated.clock
         end_s = clock.monotonic() + self._pace.lag_s()
         while (left_s := end_s - clock.monotonic()) > 0.0:
             # The time first: it passes even if the supervision raises.
-            clock.sleep(min(left_s, hand.period_s if self.controller.holding else _IDLE_STEP_S))
-            self.controller.tick()
+            clock.sleep(min(left_s, life.hand.period_s if life.holding else _IDLE_STEP_S))
+            life.tick()
 
     @property
     def records(self) -> bool:
@@ -138,9 +139,11 @@ class Cell:
             raise RecordingError(loss)
 
     @property
-    def bus(self) -> ServoBus:
-        """The servo bus, of a cell whose loop runs in this process, for tests."""
-        return self.controller.local_hand.bus
+    def local_hand(self) -> LocalHand:
+        """The hand of a cell whose loop runs in this process, for tests; else CellStateError."""
+        if not isinstance(self.controller.hand, LocalHand):
+            raise CellStateError("the force loop runs in a process of its own; see `hand`")
+        return self.controller.hand
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -154,7 +157,7 @@ class Cell:
 
     def health(self) -> dict[str, Any]:
         """Return the counters of both links, the loop and faults."""
-        statistics = self.controller.hand.statistics
+        statistics, life = self.controller.hand.statistics, self.controller.life
         links, sensor, forces = link_values(statistics), statistics.sensor, statistics.source.forces
         return {
             "tactile": links["tactile"]
@@ -169,7 +172,7 @@ class Cell:
             "servo_bus": links["servo_bus"],
             "loop": loop_values(statistics.loop, undelivered=statistics.undelivered),
             "recording": self.recording_loss,
-            "faults": self.controller.faults,
+            "faults": {str(number): n for number, n in tuple(life.faults.items())},
         }
 
     def close(self) -> None:
@@ -272,7 +275,7 @@ def build_cell(
                 folder.parent,
                 keep_s=None if kept.keep_days is None else 86_400.0 * kept.keep_days,
                 keep_bytes=None if kept.keep_gb is None else 1e9 * kept.keep_gb,
-                at_fault=lambda: controller.fault is not None,
+                at_fault=lambda: controller.life.fault is not None,
                 note=note,
                 wall_s=wall_s,
             )

@@ -13,7 +13,7 @@ from gripper.force.approach.free_motion import MoveTo
 from gripper.force.approach.mechanics_proof import FirstMotion, standing_rows
 from gripper.force.by_current import ForceByCurrent
 from gripper.force.estimates.free_motion import FreeMotion
-from gripper.force.loop import Action, LoopRunner, Moment
+from gripper.force.loop import LoopRunner
 from gripper.lifecycle import Lifecycle
 from gripper.mechanics.kinematics import Linkage, OneFinger
 from gripper.servos.goals import OPENING_MARGIN_RAD
@@ -25,12 +25,7 @@ from gripper.values.outcome import ReleaseReport
 from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
 from gripper.values.state import GripperPhase, Observer, ServoFeedback
 
-_FREE_RAD_S = (0.15, 0.25, 0.4, 0.65)
-"""Speeds in rad/s at which friction is measured: slow enough for its part at rest, and far enough
-apart for the rest of it. [chosen]"""
-_FREE_S = 0.5
-"""Longest time in s of each of these motions. [tuned]"""
-_CLEAR_M = 0.002
+CLEAR_M = 0.002
 """Way in m after which nothing touches fingers that open. [chosen]"""
 
 
@@ -62,7 +57,7 @@ class Fingers:
         self.on_torque: Callable[[], None] = lambda: None
         """Called when the torque of all servos comes on."""
         self._bus = bus
-        self._linkage = linkage
+        self.linkage = linkage
         self._clock = clock
         self._force_sensor = force_sensor
         self._ids = [servo.servo_id for servo in settings.servos]
@@ -96,7 +91,7 @@ class Fingers:
     def standing_rows(self) -> tuple[VerificationRow, ...]:
         """Read the positions of the fingers, and compare them with the settings."""
         positions_raw = [self._bus.read(servo_id, PRESENT_POSITION) for servo_id in self._ids]
-        return standing_rows(self.settings, self._linkage, positions_raw)
+        return standing_rows(self.settings, self.linkage, positions_raw)
 
     def make_ready(self, *, releasing: bool = False) -> bool:
         """Prepare the servos for a command; return whether all of them were without torque."""
@@ -104,7 +99,7 @@ class Fingers:
         if not self.servos.goals_in_force and not self.health.torque_on():
             limp = self.servos.read_patiently()
             positions_raw = [servo.position_raw for servo in limp.servos]
-            _check_standing(standing_rows(self.settings, self._linkage, positions_raw))
+            _check_standing(standing_rows(self.settings, self.linkage, positions_raw))
             self.on_torque()
         self.servos.make_ready(
             part_possible=self.life.part_possible, releasing=releasing, limp=limp
@@ -117,42 +112,17 @@ class Fingers:
         """Move empty fingers to an opening in m; ``first`` where their torque has just come on."""
         kind = FirstMotion if first else MoveTo
         state = self.servos.read_patiently()
-        move = kind(self.settings, self._linkage, state, aperture_m=aperture_m, only_open=only_open)
-        return self._run_free(move, state)
+        move = kind(self.settings, self.linkage, state, aperture_m=aperture_m, only_open=only_open)
+        return self.run_free(move, state)
 
-    def measure_friction(self) -> None:
-        """Close and open the empty fingers at several speeds, without a contact."""
-        wide_m = self.settings.aperture_open_m
-        near_m = max(self.settings.aperture_min_m, 0.0) + _CLEAR_M
-        for speed_rad_s in _FREE_RAD_S:
-            for closes in (True, False):
-                state = self.servos.read_patiently()
-                reach_m = sum(map(self._linkage.opening_per_rad_m, state.angles_rad))
-                speed_m_s = speed_rad_s * reach_m
-                move = MoveTo(
-                    self.settings,
-                    self._linkage,
-                    state,
-                    aperture_m=max(near_m, wide_m - _FREE_S * speed_m_s) if closes else wide_m,
-                    speed_m_s=speed_m_s,
-                )
-                self._run_free(move, state)
-        # The back-EMF is known now.
-        self.free.compare()
-
-    def _run_free(self, move: FirstMotion | MoveTo, state: ServoFeedback) -> ServoFeedback:
+    def run_free(self, move: FirstMotion | MoveTo, state: ServoFeedback) -> ServoFeedback:
         """Run a motion of empty fingers, and measure their friction."""
-        self.free.begin()
 
-        def step(moment: Moment) -> Action:
-            now = moment.state.aperture_m
+        def is_free(now: ServoFeedback) -> bool:
             # A part that is let go, and foam, push the fingers open at first.
-            self.free.push(moment, free=abs(now - state.aperture_m) >= _CLEAR_M)
-            return move.step(moment)
+            return abs(now.aperture_m - state.aperture_m) >= CLEAR_M
 
-        ended = self.runner.run(step, needs_force=False)
-        self.free.end(ended)
-        return ended
+        return self.free.run(self.runner, move.step, is_free, needs_force=False)
 
     def release(self, observer: Observer | None) -> ReleaseReport:
         """Let go, see `gripper.gripper.Gripper.release`; a servo that cannot be moved is left."""
@@ -184,7 +154,7 @@ class Fingers:
         index = self._ids.index(servo_id)
         self._one = one = Fingers(
             self._bus,
-            OneFinger(linkage=self._linkage, index=index),
+            OneFinger(linkage=self.linkage, index=index),
             replace(self.settings, servos=(self.settings.servos[index],)),
             self._clock,
             self._force_sensor,
@@ -226,7 +196,7 @@ class Fingers:
 
     def _wider_open(self) -> tuple[int, ...]:
         """Return the IDs of the servos whose fingers stand wider open than the gripper opens."""
-        widest_rad = self._linkage.angles_rad(self.settings.aperture_open_m)
+        widest_rad = self.linkage.angles_rad(self.settings.aperture_open_m)
         servos = self.servos.read_patiently().servos
         return tuple(
             servo.servo_id

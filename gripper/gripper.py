@@ -4,14 +4,14 @@ Only `Gripper.release` lets a part go. Faults, exceptions, `keep_grip` and `clos
 goals and torque.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Self
 
 from gripper.clock import Clock
+from gripper.drives import DriveMeasurement
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
 from gripper.dynamixel.serial_port import ByteStream, open_line
 from gripper.errors import (
     FeedbackImplausible,
@@ -78,22 +78,21 @@ class Gripper:
         if force_sensor is None:
             assume_friction(settings)
             settings = replace(settings, force_max_n=cap_by_current_n(settings, linkage))
-        self._bus = bus
+        self.bus = bus
+        """The servos' line."""
         self._linkage = linkage
         self._clock = clock
-        self._settings = settings
+        self.settings = settings
+        """Limits and tuning."""
         self._fingers = fingers = Fingers(bus, linkage, settings, clock, force_sensor)
         self._servos, self._health = fingers.servos, fingers.health
         self._runner, self._life = fingers.runner, fingers.life
         self._grasping = GraspRun(
-            fingers.runner,
-            fingers.servos,
-            linkage,
-            settings,
-            set_phase=fingers.life.set_phase,
-            free=fingers.free,
+            fingers.runner, linkage, settings, fingers.life.set_phase, fingers.free
         )
         fingers.on_torque = self._grasping.start_proving
+        self.drives = DriveMeasurement(fingers, self._grasping)
+        """Measures the drives of the servos."""
         self._watchdog_proven = False
         self._carried: Running | None = None
 
@@ -102,19 +101,14 @@ class Gripper:
         try:
             self.start()
         except BaseException:
-            self._bus.close()
+            self.bus.close()
             raise
         return self
 
     def __exit__(self, *_error: object) -> None:
         """End the work with the servos, see `close`, and close the port: a held part stays held."""
         self.close()
-        self._bus.close()
-
-    @property
-    def bus(self) -> ServoBus:
-        """The servos' line."""
-        return self._bus
+        self.bus.close()
 
     @property
     def phase(self) -> GripperPhase:
@@ -125,16 +119,6 @@ class Gripper:
     def fault(self) -> BaseException | None:
         """The latched fault, None without one."""
         return self._life.fault
-
-    @property
-    def period_s(self) -> float:
-        """Period of the loop in s."""
-        return self._settings.period_s
-
-    @property
-    def settings(self) -> GripperSettings:
-        """Limits and tuning."""
-        return self._settings
 
     @property
     def statistics(self) -> LoopStatistics:
@@ -168,7 +152,7 @@ class Gripper:
                 f"then clear the fault with a reboot"
             )
         report = self._fingers.verify()
-        self._fingers.check_link([servo.servo_id for servo in self._settings.servos])
+        self._fingers.check_link([servo.servo_id for servo in self.settings.servos])
         return report
 
     def conditions(self) -> tuple[ServoCondition, ...]:
@@ -244,21 +228,21 @@ class Gripper:
             While a part may be held: call `release`.
         """
         self._life.check_ready("open")
-        target_m = self._settings.aperture_open_m if aperture_m is None else aperture_m
-        if not self._settings.aperture_min_m <= target_m <= self._settings.aperture_open_m:
+        target_m = self.settings.aperture_open_m if aperture_m is None else aperture_m
+        if not self.settings.aperture_min_m <= target_m <= self.settings.aperture_open_m:
             raise LimitExceeded(
-                f"aperture_m is {target_m}, must be from {self._settings.aperture_min_m} to "
-                f"{self._settings.aperture_open_m}"
+                f"aperture_m is {target_m}, must be from {self.settings.aperture_min_m} to "
+                f"{self.settings.aperture_open_m}"
             )
         with self._life.command("open", observer):
             was_limp = self._fingers.make_ready()
             if was_limp and self._servos.feedback.off_by_turns:
-                standing = StandStill(self._settings, self._servos.read_patiently())
+                standing = StandStill(self.settings, self._servos.read_patiently())
                 self._runner.run(standing.step, needs_force=False)
             state = self._fingers.move_to(target_m, first=was_limp)
-            if self._settings.watchdog_self_test and not self._watchdog_proven:
+            if self.settings.watchdog_self_test and not self._watchdog_proven:
                 prove_watchdog(
-                    self._servos, self._health, self._linkage, self._settings, self._clock
+                    self._servos, self._health, self._linkage, self.settings, self._clock
                 )
                 self._watchdog_proven = True
                 state = self._fingers.move_to(target_m)
@@ -267,11 +251,11 @@ class Gripper:
     @property
     def largest_ramp_n(self) -> float:
         """Largest force in N of a ramp: by its limit, and by the current as measured."""
-        return largest_ramp_n(self._settings, self._linkage)
+        return largest_ramp_n(self.settings, self._linkage)
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Raise LimitExceeded when `grasp` would refuse a ramp; does not use the servos."""
-        check_ramp(ramp, self._settings, self._linkage)
+        check_ramp(ramp, self.settings, self._linkage)
 
     def grasp(self, ramp: ForceRamp, observer: Observer | None = None) -> GraspOutcome:
         """Close until both pads touch, follow the ramp to its end, return while holding.
@@ -307,44 +291,6 @@ class Gripper:
             As `grasp`.
         """
         return self._close(ramp, observer, self._grasping.press_pads_together)
-
-    def measure_load(self, observer: Observer | None = None) -> None:
-        """Measure the current of each servo under load, while the empty pads press on each other.
-
-        Friction locks one finger while the other one moves slowly, then vice versa. Call it after
-        `press_pads_together` with nothing between the pads; they still press afterwards. The
-        results are in the settings' ``drives``. Not for a gripper with one servo.
-
-        Raises
-        ------
-        As `hold`.
-        """
-        control = self._held_control("hold")
-        with self._life.command("hold", observer):
-            self._fingers.make_ready()
-            self._grasping.measure_load(control)
-
-    def measure_friction(self, observer: Observer | None = None) -> None:
-        """Measure the friction of each servo at several speeds; the empty fingers end open.
-
-        They close to a gap without a check of the pads: nothing may be between them.
-        """
-        self._life.check_ready("open")
-        with self._life.command("open", observer):
-            self._fingers.make_ready()
-            self._fingers.measure_friction()
-
-    def read_drives(self) -> DriveReport:
-        """Return the newest drive characteristic of each servo, and notes about unusual values."""
-        free, drives = self._fingers.free, self._settings.drives.newest
-        notes, free.notes = free.notes, []
-        return DriveReport(drives, tuple(notes))
-
-    def use_drives(self, drives: Mapping[int, DriveCharacteristic]) -> None:
-        """Use saved drive characteristics, by the servos' IDs."""
-        for servo_id, drive in drives.items():
-            self._settings.drives.put(servo_id, drive)
-        self._fingers.free.forget()
 
     def hold(self, duration_s: float, observer: Observer | None = None) -> ServoFeedback:
         """Control the force at its last set-point for a time in s.
@@ -391,7 +337,7 @@ class Gripper:
                 state = self._grasping.follow(control, ramp)
             self._life.phase = GripperPhase.HOLDING
             if duration_s > 0.0 or force_n == control.grip.setpoint_n:
-                state = self._grasping.hold(control, max(duration_s, self.period_s))
+                state = self._grasping.hold(control, max(duration_s, self.settings.period_s))
             self._servos.disarm_watchdog()
         self._carried = self._grasping.hold_on(control, state.t_s)
         return state
@@ -563,7 +509,7 @@ class Gripper:
     ) -> GraspOutcome:
         """Close with one of the runs of a grasp, and keep what is held after it."""
         self._life.check_ready("grasp")
-        if self._settings.watchdog_self_test and not self._watchdog_proven:
+        if self.settings.watchdog_self_test and not self._watchdog_proven:
             raise GripperStateError(
                 "grasp needs the self-test of the bus watchdog first (watchdog_self_test is on): "
                 "open the gripper, the test follows"
@@ -587,10 +533,7 @@ class Gripper:
 
     def _held_control(self, command: str) -> GripControl:
         self._life.check_ready(command)
-        control = self._grasping.control
-        if control is None:
-            raise GripperStateError(f"{command} needs a grasp before it")
-        return control
+        return self._grasping.held(command)
 
 
 def open_gripper(

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from cell.control.controller import CellController
 from cell.control.identification import Identification
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.settings import GripperSettings
@@ -25,6 +26,12 @@ _SERVO = ServoState(
     tick_ms=4711,
     alert=False,
 )
+
+
+def command_of(controller: CellController, command: str) -> Any:
+    """Return a command without arguments, of the controller or one of its parts."""
+    owners = (controller, controller.life, controller.kept)
+    return next(getattr(one, command) for one in owners if hasattr(one, command))
 
 
 def make_servo(**changes: Any) -> ServoState:

@@ -288,9 +288,9 @@ class Rig:
         self.gripper.start()
         self.gripper.open()
         self.gripper.press_pads_together(ForceRamp.linear(_PADS_N, _PADS_N_S))
-        self.gripper.measure_load()
+        self.gripper.drives.measure_load()
         self.gripper.release()
-        self.gripper.measure_friction()
+        self.gripper.drives.measure_friction()
         self.gripper.open(part.width_m + _FREE_M)
         self._part = part
         self._trace.clear()

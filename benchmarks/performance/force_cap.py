@@ -139,7 +139,7 @@ def trial(seed: int, changes: Mapping[str, Any] | None = None) -> CapTrial:
         simulated.clock.on_advance.append(look)
         try:
             cell.controller.start()
-            cell.controller.present(part)
+            cell.controller.moves.present(part)
             cell.controller.grasp(GraspStep(pose=Pose(), force_n=config.sequence.forces_n[1]))
         except (CellError, GripperError, TactileError) as caught:
             error = caught

@@ -105,15 +105,17 @@ def shift(config: CellConfig, recognizer: Recognizer, n: int, seed: int) -> tupl
         simulated.inject("unit.off")
         try:
             while True:
-                controller.tick()
+                controller.life.tick()
                 cell.simulated.clock.sleep(0.005)
         except LinkFault:
             simulated.injector.clear("unit.off")
-        controller.clear()
-        controller.reset()
+        controller.life.clear()
+        controller.life.reset()
         controller.start()
-        if controller.state is not CellState.IDLE:
-            raise SystemExit(f"the cell is {controller.state.value} after clear, reset and start")
+        if controller.life.state is not CellState.IDLE:
+            raise SystemExit(
+                f"the cell is {controller.life.state.value} after clear, reset and start"
+            )
         return done, _now_s(cell)
 
 
@@ -122,8 +124,8 @@ def _cancelled_in(cell: Cell, phase: GripperPhase, config: CellConfig, seed: int
     controller, advances = cell.controller, cell.simulated.clock.on_advance
 
     def cancel(_now_s: float) -> None:
-        if controller.gripper.phase is phase:
-            controller.cancel()
+        if controller.hand.phase is phase:
+            controller.life.cancel()
             advances.remove(cancel)
 
     advances.append(cancel)

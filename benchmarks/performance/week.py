@@ -83,7 +83,7 @@ def week(folder: Path, config: CellConfig, days: int, n_parts: int) -> Iterator[
             with closing(started(name, zero, model=model)) as service:
                 _work(service, n_parts, seed=100 * number + 50 * half)
                 ledger = service.shift.values()
-                service.history.look()
+                service.history.update()
         every = (date.fromtimestamp(_MONDAY_S) + timedelta(day) for day in range(days + 1))
         files = [path for path in folder.rglob("*") if path.is_file()]
         yield ShiftUse(

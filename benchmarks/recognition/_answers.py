@@ -52,9 +52,9 @@ def asked(
 def _when_sure(early: EarlyClassifiers, grasp: Grasp) -> Posterior | None:
     """Return the answer that ends the ramp of a recorded grasp; None where it is whole."""
     rule = StopRule(error_rate=SequenceConfig().error_rate)
-    looks = EarlyDecider(early, (), rule)
-    any(looks.add_frame(counts, lambda: grasp) for counts in grasp.counts)
-    return looks.answer
+    early_checks = EarlyDecider(early, (), rule)
+    any(early_checks.add_frame(counts, lambda: grasp) for counts in grasp.counts)
+    return early_checks.answer
 
 
 def followed(

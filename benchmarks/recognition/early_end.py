@@ -113,7 +113,7 @@ class TaughtCell:
         """Present an object and identify it."""
         assert self.cell.simulated is not None
         clock, sequence = self.cell.simulated.clock, self.config.sequence
-        self.cell.controller.present(label)
+        self.cell.controller.moves.present(label)
         begin_s = clock.monotonic()
         steps = plan(sequence, sequence.max_grasps, seed=seed)
         found = self.cell.controller.identify(whole, steps, early=early, read_shape=self.read_shape)

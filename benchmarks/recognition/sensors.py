@@ -69,7 +69,7 @@ def row(case: str, effort: float) -> str:
 
         controller.start()
         if config.self_zero == "on_demand":
-            controller.measure_zero()
+            controller.zeroing.measure()
         clock.on_advance.append(look)
         for seed, label in enumerate(labels):
             one = Collection(label=label, n_planned=repeats(_N_TEACH, effort, least=6))

@@ -18,7 +18,6 @@ from cell.config.sequence import ramp_from_config
 from cell.control.self_zero import SelfZeros, drive_text, kept_zeros, part_between
 from cell.hand.interface import Hand
 from gripper.clock import Clock
-from gripper.dynamixel.models import MODELS
 from gripper.errors import GripperError
 from gripper.force.by_current import cap_by_current_n
 from gripper.force.ramp import ForceRamp
@@ -298,9 +297,9 @@ class _Trial:
         self.notes.values["drives"] = {
             str(servo_id): asdict(drive) for servo_id, drive in drives.items()
         }
-        for servo in self.config.gripper.servos:
-            if servo.id in drives:
-                text = drive_text(servo.id, drives[servo.id], MODELS[servo.model])
+        for servo in self.config.gripper_settings.servos:
+            if servo.servo_id in drives:
+                text = drive_text(servo, drives[servo.servo_id])
                 self.notes.fact(f"{text[0].upper()}{text[1:]}.")
         for text in (*notes, *filter(None, (self.zeros.unkept, self.zeros.refused))):
             self.notes.warn(text)

@@ -1,57 +1,28 @@
 """One grasp of a sequence: move to its pose, grasp, record, then release or keep the part."""
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from typing import TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
-from cell.config.gripper import GripperConfig
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
-from cell.control.answer import Verification
 from cell.control.journal import Journal
-from cell.control.keeping import (
-    HELD_LOOK_S,
-    HeldPart,
-    Judge,
-    compared,
-    measure_held_part,
-    open_counts,
-    spliced,
-)
+from cell.control.keeping import Judge, open_counts, spliced
+from cell.control.kept_part import KeptPart
 from cell.control.lifecycle import CellLifecycle
+from cell.control.moves import Moves
 from cell.control.plan import GraspStep, Pose
-from cell.control.positioner import PatientCaller, Positioner
-from cell.control.records import GraspCollector, GraspRecord, pad_array
-from cell.control.self_zero import (
-    SelfZeros,
-    dead_taxels_text,
-    drive_text,
-    part_between,
-    unsound,
-    zero_text,
-)
+from cell.control.records import GraspRecord
+from cell.control.watch import MotionWatch
+from cell.control.zeroing import BORNE_SHARE, Zeroing
 from cell.data.grasp_limits import text_refused
-from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
-from cell.hand.interface import Hand, OnPeriod
-from gripper.clock import Clock
-from gripper.dynamixel.drive import DriveReport
-from gripper.dynamixel.models import MODELS
-from gripper.errors import PartBetweenFingers
+from cell.errors import NoPartFound, PlanRefused
+from cell.hand.interface import Hand
 from gripper.force.ramp import ForceRamp
-from gripper.mechanics.kinematics import Linkage
-from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle
-from recognition.drift.self_zero import ZeroMeasurement, measure_zero, shows_part
-from recognition.grasp import CELL_SOURCE, PadArray, SelfZero
 from recognition.recognizers.early_classifiers import EarlyDecider
 from tactile.source import TactileFrame
-
-_T = TypeVar("_T")
 
 NOTHING_HELD = {
     GraspResult.NO_CONTACT: "no contact",
@@ -68,14 +39,6 @@ LEAST_CONTACTS = 2.0
 """Least start of a further ramp, in contact forces. A part held with one contact force is sometimes
 reported as lost (simulated cell, twice the noise)."""
 
-_ZERO_FORCE_N, _ZERO_RATE_N_S = 10.0, 5.0
-"""Force in N with which the empty fingers press on each other, and its rate in N/s. Two pads of 55
-x 20 mm yield 0.36 mm together, and a ramp of two seconds shows this on each taxel."""
-_BORNE_SHARE = 0.9
-"""Share of the force of the whole current that grasps go to: the rest is for control."""
-_LOOK_FRAMES, _LOOKS_UP_TO_N = 3, 5.0
-"""Frames between two checks for a part between the fingers, up to that set-point in N."""
-
 
 @dataclass(kw_only=True)
 class Grasper:
@@ -83,27 +46,18 @@ class Grasper:
 
     config: CellConfig
     hand: Hand
-    positioner: Positioner
     life: CellLifecycle
-    """Has requested stops and the states to record."""
+    """Gets the result of each grasp."""
     journal: Journal
-    zeros: SelfZeros
-    """The newest self-zero, which each grasp includes."""
-    clock: Clock
-    take_zero: Callable[[int], object]
-    """Takes the zero of the taxels from a number of frames."""
+    watch: MotionWatch
+    moves: Moves
+    zeroing: Zeroing
+    """Opens the fingers before a grasp; each grasp includes its newest self-zero."""
+    kept: KeptPart
 
     def __post_init__(self) -> None:
-        self.homing: dict[int, int] = {}
-        """Homing offset of each servo, by its ID, as of the last start."""
-        self._source = CELL_SOURCE + self.config.name
         self._gripper, self._sequence = self.config.gripper, self.config.sequence
-        self._held: tuple[NDArray[np.float64], HeldPart] | None = None
-        self._last_start_ms = 0
-        self._opening_step_m = _opening_step_m(self.config.linkage, self._gripper)
         self._catalogue_n, self._noted_n = self.config.largest_ramp_n, inf
-        self._patient = PatientCaller(self.clock, self.hand.period_s)
-        self.pads: PadArray = pad_array(self.hand.layout)
 
     def check(self, step: GraspStep, label: str = "") -> None:
         """Refuse a step that cannot be carried out, before anything moves.
@@ -129,8 +83,8 @@ class Grasper:
         largest_n = self.hand.largest_ramp_n
         if not largest_n < step.force_n <= self._catalogue_n:
             return step
-        borne_n = max(_BORNE_SHARE * largest_n, self._gripper.contact_force_n)
-        if borne_n < _BORNE_SHARE * self._noted_n:
+        borne_n = max(BORNE_SHARE * largest_n, self._gripper.contact_force_n)
+        if borne_n < BORNE_SHARE * self._noted_n:
             self._noted_n = borne_n
             self.journal.note(
                 "note",
@@ -153,168 +107,34 @@ class Grasper:
         If ``judge.holds``, the part is held with the carry force until ``judge`` decides: release,
         squeeze once more, or keep. Returns the record of the grasp and whether the part was kept.
         """
-        record = self._close(step, self._move_to(step.pose), label, early_checks)
+        record = self._close(step, self.moves.move_to(step.pose), label, early_checks)
         kept = False
         if judge is not None and record.outcome.result not in NOTHING_HELD:
             judge.start_answer(record)
             kept = judge.holds and self._judged(record, judge)
         if not kept:
-            self.hand.release(self.watch)
-            self.note_drives()
+            self.hand.release(self.watch.motion)
+            self.zeroing.note_drives()
         return record, kept
 
     def grip(self, force_n: float, pose: Pose | None) -> GraspRecord:
         """Close, at a pose if one is given, and keep the part; open again if no part is found."""
         step = GraspStep(pose=pose or Pose(), force_n=force_n)
-        reached = step.pose if pose is None else self._move_to(pose)
+        reached = step.pose if pose is None else self.moves.move_to(pose)
         record = self._close(step, reached, "", None)
         if record.outcome.result in NOTHING_HELD:
-            self.hand.release(self.watch)
+            self.hand.release(self.watch.motion)
         else:
-            zero = open_counts(record.grasp)
-            self._held = (zero, self._look_at_held(zero))
+            self.kept.measure(open_counts(record.grasp))
         return record
-
-    def verify(self) -> Verification:
-        """Measure the held part once more and compare it with what was kept."""
-        if self._held is None:
-            raise CellStateError("no part is kept: identify with `keep` first")
-        zero, then = self._held
-        return compared(self._look_at_held(zero), then)
-
-    def measure_zero(self) -> ZeroMeasurement:
-        """Close the empty fingers on each other, measure the self-zero, open them again.
-
-        Raises gripper.errors.PartBetweenFingers if something is between them; the grip is kept.
-        Raises ZeroRefused if a finger or pad is out of bounds; the fingers are open.
-        """
-        outcome, found, refused = self._meet()
-        sound = found is not None and not (part_between(outcome, found) or unsound(found))
-        if sound:
-            self.hand.measure_load(self.watch)
-        if between := part_between(outcome, found):
-            raise PartBetweenFingers(
-                f"{between}. The grip is kept. Look at the fingers; clear the fault and release"
-            )
-        self.hand.release(self.watch)
-        if found is None or (refused := unsound(found)):
-            raise ZeroRefused(refused)
-        self._measure_friction()
-        return self._kept_zero(found)
-
-    def _measure_friction(self) -> None:
-        """Measure the servos' friction; only after the pads have met with nothing between them."""
-        self.hand.measure_friction(self.watch)
-        self._note_each_drive()
-
-    def note_drives(self) -> DriveReport:
-        """Note unusual drive characteristics; return all of them."""
-        report = self.hand.read_drives()
-        for text in report.notes:
-            self.journal.note("note", text)
-        return report
-
-    def keep_drives(self) -> DriveReport:
-        """Save the measured drive characteristics; return them."""
-        report = self.note_drives()
-        self.zeros.keep_drives(report.drives, self.homing)
-        return report
-
-    def _note_each_drive(self) -> None:
-        """Save and note the drive characteristic of each servo after a start or a self-zero."""
-        report = self.keep_drives()
-        for servo in self._gripper.servos:
-            drive = report.drives.get(servo.id)
-            if drive is not None:
-                text = drive_text(servo.id, drive, MODELS[servo.model])
-                self.journal.note("servo drive", text)
-
-    def zero_unasked(self) -> str:
-        """Measure as `measure_zero`, when nobody has checked that the fingers are empty.
-
-        A part between them is released, and the cell works without a self-zero. Returns why there
-        is no self-zero; empty if there is one.
-        """
-        outcome, found, refused = self._meet()
-        why = part_between(outcome, found) or refused
-        if found is not None:
-            why = why or unsound(found) or self.zeros.far_off(found.zero)
-        if not why:
-            self.hand.measure_load(self.watch)
-        self.hand.release(self.watch)
-        if found is not None and not why:
-            self._measure_friction()
-            self._kept_zero(found)
-            return ""
-        self._note_each_drive()
-        why = (
-            f"no self-zero today, answers allow for any drift: {why}. The fingers are open. Take "
-            f"everything out of the grip, then `tactile-cell zero`; with `self_zero: on_demand` "
-            f"no start closes the fingers"
-        )
-        self.journal.note("note", why)
-        return why
-
-    def _meet(self) -> tuple[GraspOutcome, ZeroMeasurement | None, str]:
-        """Press the empty fingers on each other; stop if the pads show a part.
-
-        Returns while they press: the outcome, the measurement or None, and why it is None.
-        """
-        self._held = None
-        self._open_and_zero()
-        collector, collect = self._collecting(None)
-        layout, n_seen = self.hand.layout, 0
-
-        def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-            nonlocal n_seen
-            collect(cycle, frames)
-            if frames and 0.0 < cycle.setpoint_n < _LOOKS_UP_TO_N:
-                n_seen += 1
-                if n_seen % _LOOK_FRAMES == 0 and shows_part(
-                    collector.grasp(), layout.gripping_pads
-                ):
-                    self.hand.end_ramp()
-
-        most_n = min(_ZERO_FORCE_N, _BORNE_SHARE * self.hand.largest_ramp_n)
-        outcome = self.hand.press_pads_together(
-            ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch
-        )
-        if part_between(outcome):
-            return outcome, None, ""
-        try:
-            found = measure_zero(
-                collector.grasp(),
-                collector.current_a,
-                layout.gripping_pads,
-                step_m=self._opening_step_m,
-            )
-        except ValueError as error:
-            return outcome, None, f"{error}; measure again"
-        return outcome, found, ""
-
-    def _open_and_zero(self) -> None:
-        """Open the fingers; take the zero of a drifting sensor before each approach."""
-        self.hand.open(self.watch)
-        if n_frames := self.config.tactile.sensor.fresh_zero_frames:
-            self.take_zero(n_frames)
-
-    def _kept_zero(self, found: ZeroMeasurement) -> ZeroMeasurement:
-        self.zeros.keep(found.zero)
-        self.journal.note("self_zero", zero_text(found))
-        if self.zeros.unkept:
-            self.journal.note("note", self.zeros.unkept)
-        if dead := dead_taxels_text(found, self.hand.layout):
-            self.journal.note("taxels", dead)
-        return found
 
     def _close(
         self, step: GraspStep, reached: Pose, label: str, early_checks: EarlyDecider | None
     ) -> GraspRecord:
         """Open, close and follow the ramp; record it, and return while the part is held."""
-        self._held = None
-        self._open_and_zero()
+        self.zeroing.open()
         step = self._borne(step)
-        collector, collect = self._collecting(self.zeros.newest)
+        collector, collect = self.watch.collecting(self.zeroing.zeros.newest)
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             collect(cycle, frames)
@@ -326,7 +146,7 @@ class Grasper:
         outcome = self.hand.grasp(self._ramp(step), watch)
         self.life.result = outcome.result
         if outcome.result in NOTHING_HELD and not collector.n_frames:
-            self.hand.release(self.watch)
+            self.hand.release(self.watch.motion)
             raise NoPartFound(
                 f"{NOTHING_HELD[outcome.result]} at {reached}, and the fingers had closed before a "
                 f"frame of the taxels came: open wider, or close more slowly"
@@ -353,25 +173,22 @@ class Grasper:
         first, zero = record, open_counts(record.grasp)
         while True:
             if judge.keeps:
-                held = (zero, self._look_at_held(zero))
+                self.kept.measure(zero)
             else:
-                self.hand.hold_at(self._carry_n, 0.0, self.watch)
+                self.kept.hold()
             verdict = judge.decide()
             self.life.check_cancelled()
             if verdict.further is None:
-                break
+                return verdict.keep
             record = self._squeeze(first, replace(verdict.further, pose=first.step.pose))
             judge.start_answer(record)
-        if verdict.keep:
-            self._held = held
-        return verdict.keep
 
     def _squeeze(self, first: GraspRecord, step: GraspStep) -> GraspRecord:
         """Back off and follow a further ramp in the same grip; return its record."""
-        from_n = min(BACK_OFF_SHARE * step.force_n, self._carry_n)
+        from_n = min(BACK_OFF_SHARE * step.force_n, self.kept.force_n)
         from_n = max(from_n, LEAST_CONTACTS * self._gripper.contact_force_n)
-        self.hand.hold_at(from_n, 0.0, self.watch)
-        collector, watch = self._collecting(self.zeros.newest)
+        self.hand.hold_at(from_n, 0.0, self.watch.motion)
+        collector, watch = self.watch.collecting(self.zeroing.zeros.newest)
         step = self._borne(step)
         outcome = self.hand.squeeze(self._ramp(step), watch)
         self.journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
@@ -385,61 +202,3 @@ class Grasper:
             cycles=tuple(collector.cycles),
             same_grip=True,
         )
-
-    @property
-    def _carry_n(self) -> float:
-        """Force in N of a carry."""
-        return min(self._sequence.carry_force_n, _BORNE_SHARE * self.hand.largest_ramp_n)
-
-    def _look_at_held(self, zero: NDArray[np.float64]) -> HeldPart:
-        """Hold the part with the carry force, and measure it for a comparison."""
-        self.hand.hold_at(self._carry_n, 0.0, self.watch)
-        collector, watch = self._collecting(None)
-        self.hand.hold_at(self._carry_n, HELD_LOOK_S, watch)
-        return measure_held_part(collector, zero)
-
-    def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
-        """Record one period of a motion without its frames; obey a stop."""
-        self._look(cycle, ())
-
-    def patiently(self, call: Callable[[], _T], supervise: Callable[[], None]) -> _T:
-        """Wait for the positioner and supervise both links meanwhile."""
-        if not self.positioner.blocks:
-            return call()
-        return self._patient.call(call, supervise)
-
-    def _collecting(self, zero: SelfZero | None) -> tuple[GraspCollector, OnPeriod]:
-        """Return a collector for a motion that begins now, and the callback that fills it."""
-        # The grasps of a run stay in order even if the machine's clock is set back.
-        self._last_start_ms = max(time.time_ns() // 1_000_000, self._last_start_ms + 1)
-        collector = GraspCollector(
-            self.pads, source=self._source, start_ms=self._last_start_ms, zero=zero
-        )
-
-        def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-            self._look(cycle, frames)
-            collector.add(cycle, frames)
-
-        return collector, watch
-
-    def _look(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-        self.life.check_cancelled()
-        self.journal.states(self.life.state, self.life.grasp_state)
-        self.journal.cycle(cycle, frames)
-
-    def _move_to(self, pose: Pose) -> Pose:
-        def supervise() -> None:
-            self.hand.tick()
-            self.life.check_cancelled()
-
-        reached = self.patiently(lambda: self.positioner.move_to(pose, supervise), supervise)
-        self.journal.pose(reached)
-        return reached
-
-
-def _opening_step_m(linkage: Linkage, gripper: GripperConfig) -> float:
-    """Return the step in m in which the servos read the opening of closed fingers."""
-    return sum(
-        linkage.opening_per_rad_m(closed_rad) * MODELS[servo.model].rad_per_pulse
-        for closed_rad, servo in zip(linkage.angles_rad(0.0), gripper.servos, strict=True)
-    )

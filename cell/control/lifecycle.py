@@ -2,20 +2,23 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from cell.control.journal import Journal
+from cell.control.live import FRESH_S
 from cell.control.states import (
     COMPLETIONS,
     TRANSITIONS,
     CellState,
+    CellStatus,
     Command,
     Event,
     GraspState,
     command_effect,
     grasp_state,
+    named_states,
     next_state,
     refusal,
 )
@@ -32,7 +35,7 @@ from gripper.errors import (
     fingers_left,
 )
 from gripper.values.outcome import GraspResult
-from gripper.values.state import GripperPhase
+from gripper.values.state import GripperPhase, shows_nothing
 
 _HOLDING = (
     GripperPhase.APPROACHING,
@@ -46,20 +49,27 @@ _HOLDING = (
 NO_GRIP = ("no part was gripped", "nothing is held")
 """Message when no grip is kept: unconfirmed, and confirmed by pads and current."""
 
+UNTIL_RELEASED = "until it is released on purpose"
+"""How long a part is kept after a stop, as text."""
+
 ON_REQUEST = "on request"
 """Reason of a stop that a person or host requested."""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class CellLifecycle:
-    """Walks through the states of `cell.control.states`; keeps the grip on every error."""
+    """Walks through the states of `cell.control.states`; keeps the grip on every error.
+
+    Any thread may call `cancel` and read; all else belongs to the thread that runs the sequences.
+    A fault keeps the grip and latches; then a person or host calls `clear` and `reset`.
+    """
 
     hand: Hand
     journal: Journal
     """Gets stops, faults and each change of state."""
-    shows_nothing: Callable[[], bool]
-    """Whether the newest pad forces and current show that nothing is held."""
     clock: Clock
+    contact_force_n: float
+    """Force in N on both pads from which on something is held."""
     state: CellState = CellState.STOPPED
     """The present state; only `go` changes it."""
     result: GraspResult | None = None
@@ -94,6 +104,28 @@ class CellLifecycle:
             fault=self.fault is not None,
             part_lost=self._part_lost,
         )
+
+    @property
+    def status(self) -> CellStatus:
+        """States of cell and grip with their numbers, and faults."""
+        return CellStatus(
+            **named_states(self.state, self.grasp_state),
+            holding=self.holding,
+            fault=self.fault,
+            fault_number=self.fault_number,
+            since_s=self.state_since_s,
+            fault_since_s=self.fault_since_s,
+            n_faults=self.faults.total(),
+        )
+
+    @property
+    def shows_nothing(self) -> bool:
+        """Whether the newest pad forces and current both show that nothing is held."""
+        latest, since_s = self.hand.latest, self.clock.monotonic() - FRESH_S
+        cycle, force = latest.cycle, latest.force
+        if cycle is None or force is None or min(cycle.t_s, force.t_s) < since_s:
+            return False
+        return shows_nothing(cycle.state, force, self.contact_force_n)
 
     def allows(self, event: Event) -> bool:
         """Whether the event is allowed in the present state."""
@@ -130,13 +162,61 @@ class CellLifecycle:
         self._kept = self._kept or (self.clock.monotonic(), since)
         self.go(Event.KEPT)
 
+    def tick(self) -> None:
+        """Serve and supervise both links while no sequence runs; call once a period.
+
+        The force of a kept part is controlled; its slip or loss is a fault.
+        """
+        if self.state in (CellState.IDLE, CellState.HELD, CellState.COMPLETE):
+            with self.latching_faults():
+                self.hand.tick()
+
+    def cancel(self, reason: str = ON_REQUEST) -> None:
+        """Stop the running sequence, or else the next one, and keep the grip.
+
+        Safe from any thread. It stays pending until a sequence obeys it, so that a cancel between
+        two parts of a job is not lost. Its message has the ``reason``.
+        """
+        self.stop_reason = reason
+        self.cancelled = True
+        self.hand.request_stop()
+
+    def forget_cancel(self) -> None:
+        """Withdraw a pending `cancel`: the sequence that it was meant for is over."""
+        self.cancelled = False
+
     def check_cancelled(self) -> None:
-        """Raise GraspStopped if a stop was requested."""
+        """Raise GraspStopped if a stop was requested, during a motion of the hand."""
         if self.cancelled:
             raise GraspStopped("stopped on request")
 
-    def clear(self, *, reboot: bool) -> None:
-        """Acknowledge the fault; see `CellController.clear`."""
+    def obey_cancel(self, when: str) -> None:
+        """Raise CellStopped if a stop was requested while the hand does not move."""
+        if self.cancelled:
+            self.cancelled = False
+            raise CellStopped(f"stopped {self.stop_reason} {when}")
+
+    def obey_cancel_between(self) -> None:
+        """Raise CellStopped if a stop was requested between two grasps."""
+        if self.state is CellState.IDLE:
+            self.obey_cancel("between two grasps; the fingers are open")
+
+    def clear(self, *, reboot: bool = False) -> None:
+        """Acknowledge the fault, or before the start the torque left by an earlier run.
+
+        The grip stays as it is. `reset` is the next step.
+
+        Parameters
+        ----------
+        reboot
+            True to restart servos that report a hardware error. This is needed after a servo has
+            switched its torque off. If the servo still holds a part, the part drops.
+
+        Raises
+        ------
+        gripper.errors.GripperError
+            If a servo does not answer or is still at fault; the fault stays latched.
+        """
         self.go(Event.CLEAR)
         try:
             self.hand.clear_fault(reboot=reboot)
@@ -152,6 +232,21 @@ class CellLifecycle:
         self.fault, self.fault_number, self.fault_since_s = None, 0, None
         self._part_lost = False
         self.complete()
+
+    def reset(self) -> None:
+        """Leave the cleared fault behind; the next start verifies everything anew."""
+        self.go(Event.RESET)
+        self.hand.stop_sensor()
+
+    @contextmanager
+    def executing(self, event: Event) -> Iterator[None]:
+        """Run a command of the hand; latch its faults and record the timing of the loop."""
+        self.go(event)
+        try:
+            with self.latching_faults():
+                yield
+        finally:
+            self.journal.loop(self.hand.statistics)
 
     @contextmanager
     def latching_faults(self) -> Iterator[None]:
@@ -207,10 +302,8 @@ class CellLifecycle:
         """Return the state after a stop as text: fingers between positions, a grip, or nothing."""
         moved = fingers_left(stop)
         if not self.holding:
-            return moved or NO_GRIP[self.shows_nothing()]
-        if moved:
-            return f"{moved} until it is released on purpose"
-        return "the grip is kept until it is released on purpose"
+            return moved or NO_GRIP[self.shows_nothing]
+        return f"{moved or 'the grip is kept'} {UNTIL_RELEASED}"
 
     def _hold(self) -> None:
         """Go to the state that follows a requested stop, and keep the grip."""

@@ -45,7 +45,7 @@ class LiveValues:
 _Value = TypeVar("_Value", Cycle, ForceSample, TactileFrame)
 
 
-def live_values(measured: LatestValues, now_s: float) -> LiveValues:
+def live_values(latest: LatestValues, now_s: float) -> LiveValues:
     """Return the values of a hand at a monotonic time in s."""
 
     def age_s(one: ForceSample | TactileFrame | None) -> float | None:
@@ -54,13 +54,13 @@ def live_values(measured: LatestValues, now_s: float) -> LiveValues:
     def fresh(one: _Value | None) -> _Value | None:
         return None if one is None or now_s - one.t_s > FRESH_S else one
 
-    cycle, force, frame = fresh(measured.cycle), fresh(measured.force), fresh(measured.frame)
+    cycle, force, frame = fresh(latest.cycle), fresh(latest.force), fresh(latest.frame)
     return LiveValues(
         force_n=None if force is None else force.grip_n,
-        force_age_s=age_s(measured.force),
+        force_age_s=age_s(latest.force),
         setpoint_n=None if cycle is None else cycle.setpoint_n,
         opening_mm=None if cycle is None else 1e3 * cycle.state.aperture_m,
         temperature_c=None if cycle is None else cycle.state.temperature_c,
         counts=None if frame is None else frame.counts,
-        frame_age_s=age_s(measured.frame),
+        frame_age_s=age_s(latest.frame),
     )

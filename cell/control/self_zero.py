@@ -14,7 +14,7 @@ from cell.config.tactile import TactileConfig
 from cell.data.formats import SELF_ZERO, read_json, write_json
 from cell.errors import CellError, PlanRefused
 from gripper.dynamixel.drive import DriveCharacteristic
-from gripper.dynamixel.models import ServoModel
+from gripper.settings import ServoSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.servo_checks import VerificationReport
 from recognition.drift.self_zero import ZeroMeasurement
@@ -336,13 +336,14 @@ def homing_offsets(report: VerificationReport) -> dict[int, int]:
     return {row.servo_id: int(row.found) for row in report.rows if row.item == "homing_offset"}
 
 
-def drive_text(servo_id: int, drive: DriveCharacteristic, model: ServoModel) -> str:
+def drive_text(servo: ServoSettings, drive: DriveCharacteristic) -> str:
     """Return a drive characteristic beside that of the catalogue, as text for people."""
-    usual = DriveCharacteristic.catalogue(model)
+    model, usual = servo.servo_model, DriveCharacteristic.catalogue(servo.servo_model)
     torque = f"{1.0 / drive.rising_a_nm:.2f} Nm/A (±{100 * drive.load_sd:.0f} %)"
     return (
-        f"servo {servo_id}: friction {drive.breakaway_a:.3f} A (±{100 * drive.friction_sd:.0f} %, "
-        f"catalogue {usual.breakaway_a:.3f}), {torque}, falling {1.0 / drive.falling_a_nm:.2f} "
+        f"servo {servo.servo_id}: friction {drive.breakaway_a:.3f} A "
+        f"(±{100 * drive.friction_sd:.0f} %, catalogue {usual.breakaway_a:.3f}), "
+        f"{torque}, falling {1.0 / drive.falling_a_nm:.2f} "
         f"(catalogue {model.kt_nm_a:.2f}), motor constant {drive.kt_nm_a:.2f} "
         f"(±{100 * drive.kt_sd:.0f} %)"
     )

@@ -124,7 +124,7 @@ class Event(StrEnum):
 
 
 class Command(StrEnum):
-    """Commands of a person or host, named as the methods of `CellController`."""
+    """Commands of a person or host, named as the methods of `CellController` and its parts."""
 
     START = "start"
     GRASP = "grasp"

@@ -187,7 +187,7 @@ class Recorder:
         values = grasp_values(grasp, first_frame=self._n_frames - grasp.n_frames)
         self._put(schema.GRASP, float(stamps_s[0]), values)
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Check the file while nothing is recorded; call it now and then."""
         if self._file.fault is None:
             self._file.check()

@@ -8,7 +8,7 @@ from mcap.writer import CompressionType, Writer
 
 from cell.data import recording_schema as schema
 from cell.data.recorder_sink import BackgroundFile, DirectFile
-from cell.data.recording_values import CHUNK_BYTES, begin
+from cell.data.recording_values import CHUNK_BYTES, start_recording
 from cell.errors import RecordingError
 
 
@@ -52,7 +52,7 @@ class RecordingFile:
             enable_data_crcs=True,
         )
         self._channels: dict[str, int] = {}
-        self._guarded(lambda: self._channels.update(begin(writer, entries)))
+        self._guarded(lambda: self._channels.update(start_recording(writer, entries)))
         if self.fault is None:
             self._marks.append((self._sink.tell(), 0))
 

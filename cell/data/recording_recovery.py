@@ -12,7 +12,7 @@ from cell.data import recording_schema as schema
 from cell.data.files import write_atomically
 from cell.data.recording_messages import RecordedMessages
 from cell.data.recording_reader import Recording, read_recording
-from cell.data.recording_values import CHUNK_BYTES, begin, to_ns
+from cell.data.recording_values import CHUNK_BYTES, start_recording, to_ns
 from cell.errors import RecordingError
 
 RECOVERED = "recovered"
@@ -81,7 +81,9 @@ def write_messages(
     writer = Writer(
         file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
     )
-    channels = begin(writer, {key: value for key, value in entries.items() if key != "crc32"})
+    channels = start_recording(
+        writer, {key: value for key, value in entries.items() if key != "crc32"}
+    )
     for sequence, (topic, content, data) in enumerate(RecordedMessages(path)):
         if stays(topic, content):
             stamp_ns = to_ns(content["t_s"])

@@ -135,7 +135,7 @@ def metadata_values(pads: "PadArray", wall_ns: int, monotonic_ns: int) -> dict[s
     }
 
 
-def begin(writer: "Writer", entries: Mapping[str, str]) -> dict[str, int]:
+def start_recording(writer: "Writer", entries: Mapping[str, str]) -> dict[str, int]:
     """Write the start of a recording; return the channel of each topic."""
     writer.start(profile="", library="tactile-cell")
     writer.add_metadata(METADATA, {**entries, "crc32": metadata_crc32(entries)})

@@ -220,11 +220,11 @@ class Retention:
             self._thread.join(_CLOSE_TIMEOUT_S)
 
     def _run(self) -> None:
-        self.look()
+        self.enforce()
         while not self._over.wait(_LOOK_S):
-            self.look()
+            self.enforce()
 
-    def look(self) -> None:
+    def enforce(self) -> None:
         """Delete recordings that are too old or too large; note, thin out or stop at low space."""
         self._keep_of_fault()
         refused = ""

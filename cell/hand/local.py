@@ -38,13 +38,13 @@ class LocalHand:
         self.gripper = gripper
         self.sensor = sensor
         self.bus = gripper.bus
-        self.layout, self.period_s = sensor.layout, gripper.period_s
+        self.layout, self.period_s = sensor.layout, gripper.settings.period_s
         self.notes = notes
         self.latest = LatestValues()
         self._force = force
         self._lines = lines
         self.start = gripper.start
-        self.read_drives, self.use_drives = gripper.read_drives, gripper.use_drives
+        self.read_drives, self.use_drives = gripper.drives.read, gripper.drives.use
         self.conditions = gripper.conditions
         self.inspect = gripper.inspect
         self.check_ramp = gripper.check_ramp
@@ -100,11 +100,11 @@ class LocalHand:
     def measure_load(self, watch: OnPeriod) -> None:
         """Measure the servos' currents for their load; see `Hand`."""
         self._force.take()
-        self.gripper.measure_load(self._observer(watch))
+        self.gripper.drives.measure_load(self._observer(watch))
 
     def measure_friction(self, watch: OnPeriod) -> None:
         """Measure the servos' friction; see `Hand`."""
-        self.gripper.measure_friction(self._observer(watch))
+        self.gripper.drives.measure_friction(self._observer(watch))
 
     def hold_at(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
         """Hold the part with another force; see `Hand`."""

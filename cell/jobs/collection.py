@@ -11,6 +11,9 @@ from cell.errors import NoPartFound
 from cell.learning.blas import one_blas_thread
 from recognition.grasp import Grasp
 
+MISSES_IN_A_ROW = 3
+"""Grasps in a row without a part after which a known object counts as absent."""
+
 
 @dataclass(slots=True, kw_only=True)
 class Collection:
@@ -64,19 +67,22 @@ class Collection:
         cell.errors.CellStopped, gripper.errors.GripperError or tactile.errors.TactileError as
         `CellController.grasp`.
         """
-        misses: list[NoPartFound] = []
-
-        def missed(error: NoPartFound) -> None:
-            misses.append(error)
-            self.n_missed += 1
-            on_grasp(self)
-
         steps = plan(sequence, self.n_planned, seed=seed)
-        for record in controller.collect(self.label, steps, present=self.present, on_missed=missed):
-            self.records.append(record)
+        controller.check_plan(steps, self.label)
+        controller.moves.present(self.present or self.label)
+        missed, in_a_row = None, 0
+        for step in steps:
+            try:
+                self.records.append(controller.grasp(step, label=self.label))
+                in_a_row = 0
+            except NoPartFound as error:
+                missed, in_a_row = error, in_a_row + 1
+                if in_a_row == MISSES_IN_A_ROW:
+                    raise
+                self.n_missed += 1
             on_grasp(self)
-        if misses and not self.records:
-            raise misses[-1]
+        if missed is not None and not self.records:
+            raise missed
 
 
 def grasps_of(

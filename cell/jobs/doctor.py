@@ -26,7 +26,7 @@ from gripper.dynamixel.control_table import (
     MODEL_NUMBER,
 )
 from gripper.dynamixel.drive import DriveCharacteristic, disagreement
-from gripper.dynamixel.models import MODELS, model_name
+from gripper.dynamixel.models import model_name
 from gripper.dynamixel.serial_port import latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
 from gripper.force.approach.mechanics_proof import POSITION_ITEM
@@ -120,14 +120,15 @@ def _drives(config: CellConfig, named: str) -> CheckResult:
     texts: list[str] = []
     drives: list[DriveCharacteristic] = []
     advice = ""
-    for servo in config.gripper.servos:
-        if servo.id not in kept.drives:
-            texts.append(f"servo {servo.id}: not measured, catalogue values within 30 % are used")
+    for servo in config.gripper_settings.servos:
+        servo_id = servo.servo_id
+        if servo_id not in kept.drives:
+            texts.append(f"servo {servo_id}: not measured, catalogue values within 30 % are used")
             continue
-        drive = DriveCharacteristic(**kept.drives[servo.id]["drive"])
+        drive = DriveCharacteristic(**kept.drives[servo_id]["drive"])
         at = datetime.fromtimestamp(drive.measured_s)
         where = "" if drive.temperature_c is None else f" at {drive.temperature_c:.0f} C"
-        texts.append(f"{drive_text(servo.id, drive, MODELS[servo.model])}, {at:%Y-%m-%d}{where}")
+        texts.append(f"{drive_text(servo, drive)}, {at:%Y-%m-%d}{where}")
         drives.append(drive)
     if any(map(disagreement, [drives, *([drive] for drive in drives)])):
         advice = (

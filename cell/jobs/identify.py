@@ -91,7 +91,7 @@ def identify(
     recognizer, sequence = model.recognizer, model.config.sequence
     if force_n is not None:
         sequence = sequence.with_force(force_n)
-    controller.present(presented)
+    controller.moves.present(presented)
     found = controller.identify(
         recognizer,
         plan(sequence, max_grasps or sequence.max_grasps, seed=seed),
@@ -102,7 +102,7 @@ def identify(
     )
     remark = model.remark_on(found.records)
     if remark:
-        controller.remark("drift", remark)
+        controller.journal.note("drift", remark)
     return replace(found, remark=remark)
 
 

@@ -10,12 +10,13 @@ import numpy as np
 from cell.config.model import CellConfig
 from cell.config.sort import PlacePoseConfig
 from cell.control.answer import Answer
-from cell.control.controller import MISSES_IN_A_ROW, CellController
+from cell.control.controller import CellController
 from cell.control.identification import Identification
 from cell.control.keeping import Keep
 from cell.control.plan import Pose
 from cell.control.positioner import Destination
 from cell.errors import ConfigError, NoPartFound
+from cell.jobs.collection import MISSES_IN_A_ROW
 from cell.jobs.identify import identify
 from cell.learning.taught_model import TaughtModel
 from recognition.recognizer import UNKNOWN
@@ -169,7 +170,7 @@ def sort_parts(
     PositionerError
         If a place was refused or cannot be reached.
     cell.errors.CellStopped, and errors of the devices
-        As `CellController.identify` and `CellController.carry_to`.
+        As `CellController.identify` and `cell.control.moves.Moves.carry_to`.
     """
     misses = 0
     for turn in range(n_parts):
@@ -193,11 +194,11 @@ def sort_parts(
             continue
         misses = 0
         destination = tally.places.of(found.label)
-        controller.carry_to(destination)
-        check = controller.verify()
+        controller.moves.carry_to(destination)
+        check = controller.kept.verify()
         if not check.same and destination.place != tally.places.reject.place:
             destination = tally.places.reject
-            controller.carry_to(destination)
+            controller.moves.carry_to(destination)
         controller.put_down()
         part = replace(
             found.answer,

@@ -29,8 +29,8 @@ def health_values(config: CellConfig, cell: Cell, drift: DriftGrid | None) -> di
             "p99_ms": 1e3 * statistics.loop.lateness.p99_s,
         },
         "drift": _drift(drift),
-        "zero": _level(watch=bool(controller.zero_note), bad=False)
-        | {"text": controller.zero_note},
+        "zero": _level(watch=bool(controller.zeroing.note), bad=False)
+        | {"text": controller.zeroing.note},
         "recording": _recording(cell, vital=config.recording.when_lost == "hold"),
     }
 
@@ -42,14 +42,14 @@ def _level(*, watch: bool, bad: bool) -> dict[str, Any]:
 def _servos(config: CellConfig, cell: Cell) -> dict[str, Any]:
     """Heat: some degrees below the limit the current limit starts to fall."""
     gripper = config.gripper
-    cycle = cell.controller.latest.cycle
+    cycle, drives = cell.controller.latest.cycle, cell.controller.zeroing.drives
     servos = () if cycle is None else cycle.state.servos
     warmest_c = max((servo.temperature_c for servo in servos), default=0.0)
     derated_c = gripper.temperature_max_c - gripper.servo_care.derate_c
     return _level(watch=warmest_c > derated_c, bad=warmest_c > gripper.temperature_max_c) | {
         "temperature_c": [servo.temperature_c for servo in servos],
         "load": [abs(servo.current_a) / gripper.current_max_a for servo in servos],
-        "drives": [_drive(cell.controller.drives.get(servo.id)) for servo in gripper.servos],
+        "drives": [_drive(drives.get(servo.id)) for servo in gripper.servos],
     }
 
 
@@ -65,7 +65,7 @@ def _can(config: CellConfig, cell: Cell) -> dict[str, Any]:
     """Lost frames among the newest: one gives ``watch``, the share of the limit is a fault."""
     source = cell.controller.hand.statistics.source
     frame = cell.controller.latest.frame
-    age_s = None if frame is None else max(0.0, cell.controller.now_s - frame.t_s)
+    age_s = None if frame is None else max(0.0, cell.controller.clock.monotonic() - frame.t_s)
     lost = source.recent_loss_rate
     return _level(watch=lost > 0.0, bad=lost > config.tactile.loss_max_share) | {
         "frames": source.frames.complete,

@@ -42,7 +42,7 @@ class TaxelNewtons:
 
     def of(self, counts: NDArray[np.uint16]) -> NDArray[np.float32] | None:
         """Return the force in N on each taxel, (n_taxels,) float32; None before the first zero."""
-        zero, made = self._controller.zero, self._made
+        zero, made = self._controller.zeroing.taxels, self._made
         if zero is None:
             return None
         if made is None or made[0] is not zero:
@@ -54,12 +54,14 @@ def part_reporter(
     controller: CellController, newtons: TaxelNewtons, listeners: Sequence[OnPart]
 ) -> PartReporter:
     """Return the function with which a starting task reports its parts to all listeners."""
-    since_s = controller.now_s
+    since_s = controller.clock.monotonic()
 
     def seen(answer: Answer, found: Identification | None = None) -> Answer:
         nonlocal since_s
-        before_s, since_s = since_s, controller.now_s
-        answer = replace(answer, presented=controller.brought or "", seconds=since_s - before_s)
+        before_s, since_s = since_s, controller.clock.monotonic()
+        answer = replace(
+            answer, presented=controller.journal.brought or "", seconds=since_s - before_s
+        )
         curves = None if found is None else _curves(found.records[-1], newtons)
         for on_part in listeners:
             on_part(replace(answer, curves=curves), found)

@@ -245,7 +245,7 @@ class TactileCellPlugin:
         self._closed = False
         if checked.host_timeout_s is not None:
             # A weak reference: the thread of the lease must not keep a dropped cell alive.
-            worker, cell = weakref.ref(self._worker), weakref.ref(controller)
+            worker, cell = weakref.ref(self._worker), weakref.ref(controller.life)
 
             def lost(reason: str) -> None:
                 working, watched = worker(), cell()
@@ -298,7 +298,7 @@ class TactileCellPlugin:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the operator: state of the force loop, and why there is no self-zero."""
-        return tuple(filter(None, (*self._cell.notes, self._cell.controller.zero_note)))
+        return tuple(filter(None, (*self._cell.notes, self._cell.controller.zeroing.note)))
 
     @property
     def loop_text(self) -> str:
@@ -312,14 +312,14 @@ class TactileCellPlugin:
         """Return the grip after an error as text, as far as it is known."""
         from cell.control.lifecycle import NO_GRIP  # noqa: PLC0415
 
-        controller = self._cell.controller
+        life = self._cell.controller.life
         if left := fingers_left(error):
             return left
         if isinstance(error, HandLost):
-            return "a part may still be gripped" if controller.holding else NO_GRIP[False]
+            return "a part may still be gripped" if life.holding else NO_GRIP[False]
         if isinstance(error, PartInGrip | VerificationFailed | LinkTooSlow):
             return "nothing was moved"
-        return "the grip is kept" if controller.holding else NO_GRIP[controller.shows_nothing]
+        return "the grip is kept" if life.holding else NO_GRIP[life.shows_nothing]
 
     def check_recording(self) -> None:
         """Raise RecordingError if a part of the recording is lost."""
@@ -357,14 +357,14 @@ class TactileCellPlugin:
     def state(self) -> str:
         """Return the state of the cell, a PackML name."""
         with self._calling():
-            return self._cell.controller.state.value
+            return self._cell.controller.life.state.value
 
     def status(self) -> HostStatus:
         """Return the states of cell and grip, the live values, and the last answer."""
         with self._calling():
             controller = self._cell.controller
             return HostStatus(
-                **asdict(controller.status),
+                **asdict(controller.life.status),
                 live=controller.live,
                 recording_fault=self._cell.recording_fault or "",
                 last_answer=next(iter(self._last_answer), None),
@@ -373,7 +373,7 @@ class TactileCellPlugin:
     def fault(self) -> str | None:
         """Return the latched fault as text; None without a fault."""
         with self._calling():
-            return self._cell.controller.fault
+            return self._cell.controller.life.fault
 
     def alive(self) -> None:
         """Count as a call of the host, and do nothing else; see ``host_timeout_s``."""
@@ -455,7 +455,7 @@ class TactileCellPlugin:
         if isinstance(checked, GaugeGoal):
             self._model.check_gauge(checked.label)
         if isinstance(checked, ZeroGoal):
-            self._cell.controller.check_zero()
+            self._cell.controller.zeros.check()
         task = getattr(self._tasks, checked.task)
 
         def work(report: Report) -> Any:
@@ -477,10 +477,10 @@ class TactileCellPlugin:
         """
         self._worker.check_free()
         if task in _COMMANDS:
-            self._cell.controller.check(_COMMANDS[task])
+            self._cell.controller.life.check(_COMMANDS[task])
             self._check_taught(task)
         else:
-            self._cell.controller.check(self._needed(Command(task)))
+            self._cell.controller.life.check(self._needed(Command(task)))
 
     def _check_taught(self, task: str) -> None:
         """Raise CellStateError or ConfigError if the taught objects do not allow a task."""
@@ -493,7 +493,7 @@ class TactileCellPlugin:
 
     def _needed(self, command: Command) -> Command:
         """Return the controller's command for a host's command in the present state."""
-        state = self._cell.controller.state
+        state = self._cell.controller.life.state
         if command is Command.RESET and state is CellState.STOPPED:
             return Command.START
         if command is Command.RELEASE and state in (CellState.RESETTING, CellState.STOPPED):
@@ -561,7 +561,7 @@ class TactileCellPlugin:
         """Stop a job; a held part stays held. Does nothing after the end of the job."""
         with self._starting:
             if not self.feedback(job).outcome.terminal:
-                self._cell.controller.cancel(reason)
+                self._cell.controller.life.cancel(reason)
 
     def interrupt(self) -> None:
         """Stop the running job and each later job, before the program ends.
@@ -569,7 +569,7 @@ class TactileCellPlugin:
         A held part stays held. A signal handler may call it.
         """
         self._interrupted = True
-        self._cell.controller.cancel()
+        self._cell.controller.life.cancel()
 
     # -- commands ------------------------------------------------------------------------------
 
@@ -594,19 +594,19 @@ class TactileCellPlugin:
             If the state of the cell does not allow it, or another job runs.
         """
         controller = self._cell.controller
-        if needless and not command_effect(controller.state, command).accepted:
+        if needless and not command_effect(controller.life.state, command).accepted:
             return self._accept(lambda _report: None, None, command.value)
-        stopped = controller.state is CellState.STOPPED
+        stopped = controller.life.state is CellState.STOPPED
 
         def reset() -> None:
             if not stopped:
-                controller.reset()
+                controller.life.reset()
             controller.start()
 
         works: dict[Command, Callable[[], Any]] = {
             Command.RELEASE: controller.release,
             Command.RELEASE_HELD: controller.release_held,
-            Command.CLEAR: lambda: controller.clear(reboot=reboot),
+            Command.CLEAR: lambda: controller.life.clear(reboot=reboot),
             Command.RESET: reset,
             Command.START: reset,
             Command.SHUTDOWN: controller.shutdown,
@@ -654,11 +654,11 @@ class TactileCellPlugin:
             The real clock.
         """
 
-        def begin() -> None:
+        def follow() -> None:
             self._worker.idle_period_s = self._cell.follow(clock, speed)
 
         if not self._cell.realtime:
-            self._worker.between_jobs(begin)
+            self._worker.between_jobs(follow)
 
     def simulate(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Send a request to the simulated cell and return its reply, also while a job runs.
@@ -688,16 +688,16 @@ class TactileCellPlugin:
 
         def work(_report: Report) -> None:
             simulation.end_faults()
-            if controller.state is CellState.ABORTED:
-                controller.clear(reboot=True)
-            if controller.state in (CellState.RESETTING, CellState.STOPPED):
+            if controller.life.state is CellState.ABORTED:
+                controller.life.clear(reboot=True)
+            if controller.life.state in (CellState.RESETTING, CellState.STOPPED):
                 controller.release_held()
             else:
                 controller.release()
             simulation.empty()
-            if controller.state is CellState.RESETTING:
-                controller.reset()
-            if controller.state is CellState.STOPPED:
+            if controller.life.state is CellState.RESETTING:
+                controller.life.reset()
+            if controller.life.state is CellState.STOPPED:
                 controller.start()
 
         return self._accept(work, None, "simulation_reset")
@@ -808,7 +808,7 @@ class TactileCellPlugin:
         """Refuse further jobs first, then stop the accepted ones: a later job would run."""
         with self._starting:
             self._worker.refuse()
-            self._cell.controller.cancel()
+            self._cell.controller.life.cancel()
 
     def _finish(self, job: Job, timeout_s: float | None) -> Any:
         """Wait for a command and return its result, or raise its error."""
@@ -826,10 +826,10 @@ class TactileCellPlugin:
         def accepted(job: Job) -> None:
             nonlocal number
             if command is not None:
-                controller.check(command)
-            controller.forget_cancel()
+                controller.life.check(command)
+            controller.life.forget_cancel()
             if self._interrupted:
-                controller.cancel()
+                controller.life.cancel()
             number = job.number
             if task in _NAMING:
                 last_answer.clear()
@@ -848,8 +848,8 @@ class TactileCellPlugin:
                 raise
             finally:
                 _write_remarks(controller, remarks)
-                controller.remark("job", f"{task} {end}")
-                if not controller.status.holding:  # nothing to supervise meanwhile
+                controller.journal.note("job", f"{task} {end}")
+                if not controller.life.holding:  # nothing to supervise meanwhile
                     with suppress(CellError):  # `close` tries last, and raises it
                         file.write()
 
@@ -891,4 +891,4 @@ def cell_values(config: CellConfig, layout: "TaxelLayout") -> dict[str, Any]:
 def _write_remarks(controller: "CellController", remarks: deque[tuple[str, str]]) -> None:
     """Write remarks of other threads; only the thread of the cell writes the recording."""
     while remarks:
-        controller.remark(*remarks.popleft())
+        controller.journal.note(*remarks.popleft())

@@ -167,11 +167,11 @@ class Tasks:
     def zero(self, _goal: ZeroGoal, report: Report) -> SelfZero:
         """Close the empty fingers on each other and return the self-zero.
 
-        Raises as `CellController.measure_zero`.
+        Raises as `cell.control.zeroing.Zeroing.measure`.
         """
         report({"task": "zero"})
-        before = self.controller.self_zero
-        found = self.controller.measure_zero()
+        before = self.controller.zeros.newest
+        found = self.controller.zeroing.measure()
         moved_mm = None if before is None else 1e3 * (found.zero.opening_m - before.opening_m)
         values = asdict(found.zero) | {"moved_mm": moved_mm}
         report({"task": "zero", "zero": values, "text": zero_text(found)})
@@ -228,9 +228,10 @@ class Tasks:
         Raises as `CellController.grip`.
         """
         controller = self.controller
-        gripped = {"task": "grip", "force_n": goal.force_n, "held_with_n": controller.carry_force_n}
+        carry_n = controller.kept.wanted_force_n
+        gripped = {"task": "grip", "force_n": goal.force_n, "held_with_n": carry_n}
         report(gripped)
-        controller.present(goal.present)
+        controller.moves.present(goal.present)
         record = controller.grip(goal.force_n, None if goal.present is None else Pose())
         found = self.verify(None, report)
         report(gripped | {"short": record.outcome.short})
@@ -239,10 +240,10 @@ class Tasks:
     def verify(self, _goal: VerifyGoal | None, report: Report) -> Verification:
         """Measure whether the part in the grip is still the kept one.
 
-        Raises as `CellController.verify`.
+        Raises as `cell.control.kept_part.KeptPart.verify`.
         """
         report({"task": "verify"})
-        return self.controller.verify()
+        return self.controller.kept.verify()
 
     def sort(self, goal: SortGoal, report: Report) -> SortAnswer:
         """Name parts and release each at its place; return the counts.

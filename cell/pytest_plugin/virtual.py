@@ -70,7 +70,7 @@ class VirtualCell:
         """
         self.controller.start()
         if present is not None:
-            self.controller.present(present)
+            self.controller.moves.present(present)
         return self
 
     def sleep(self, seconds: float) -> None:
@@ -87,8 +87,8 @@ class VirtualCell:
         """
         end_s = self.clock.monotonic() + seconds
         while self.clock.monotonic() < end_s:
-            self.controller.tick()
-            self.clock.sleep(self.controller.gripper.period_s)
+            self.controller.life.tick()
+            self.clock.sleep(self.controller.hand.period_s)
 
     def grasp(self, force_n: float = 3.0, pose: Pose | None = None) -> GraspRecord:
         """Run one grasp up to a force in N; see `CellController.grasp` for what it raises."""
@@ -121,7 +121,7 @@ class VirtualCell:
 
         With ``early`` (`cell.learning.training.train`) ramps end when the answer is sure enough.
         """
-        self.controller.present(present)
+        self.controller.moves.present(present)
         sequence = self.config.sequence
         return self.controller.identify(
             recognizer,

@@ -89,7 +89,7 @@ class History:
         self._refused = ""
         self._summed_s = float("-inf")
         self._values: dict[str, Any] = {}
-        self._over, self._looking = threading.Event(), threading.Lock()
+        self._over, self._updating = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
         self._add(kind="start")
 
@@ -124,7 +124,7 @@ class History:
         Each has ``parts``, ``rejected``, ``missed``, ``faults``, ``starts``, the mean ``cycle_s``,
         and ``confused``: pairs ``held`` and ``named`` with their number ``n``, the most frequent
         first. In a pair that is not ``confirmed`` the held object was not given: ``held`` is then
-        the second label. The sums are empty until the first `look`.
+        the second label. The sums are empty until the first `update`.
         """
         return self._values
 
@@ -132,12 +132,12 @@ class History:
         """Return the rows of a day as `read_day`; empty if the history is in memory."""
         return [] if self._path is None else read_day(self._path, day)
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Write the rows since the last call, and compute the sums; raises nothing."""
-        with self._looking:
-            self._look()
+        with self._updating:
+            self._update()
 
-    def _look(self) -> None:
+    def _update(self) -> None:
         if self._shift is not None:
             self._shift.values()  # a new shift begins in time, even without a client
         now = self._status()
@@ -160,10 +160,10 @@ class History:
                 self._move_away()
 
     def _run(self) -> None:
-        self.look()
+        self.update()
         while not self._over.wait(_LOOK_S):
-            self.look()
-        self.look()
+            self.update()
+        self.update()
         self._close_link()
 
     def _add(self, **row: Any) -> None:

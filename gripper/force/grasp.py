@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 
-from gripper.errors import GripContradicted, PartLost
+from gripper.errors import GripContradicted, GripperStateError, PartLost
 from gripper.force.approach.approach import Approach, ApproachEvent, Reached
 from gripper.force.approach.contact import ContactRest
 from gripper.force.approach.mechanics_proof import (
@@ -15,16 +15,12 @@ from gripper.force.approach.mechanics_proof import (
 )
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
-from gripper.force.estimates.history import History
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.slip import LevelSlip
-from gripper.mechanics.identification import LoadPoint, fit_load
 from gripper.mechanics.kinematics import Linkage, driving_n, mean_friction_n, transmissions
-from gripper.servos.goals import running_lead_rad
-from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import STANDING_M_S, GripperPhase, ServoFeedback
@@ -44,28 +40,12 @@ _EQUAL_S = 1e-9
 """Difference of times in s that is ignored: sums of periods are rounded. [chosen]"""
 
 
-_LOW_CONTACTS, _HIGH_SHARE, _LEAST_SPAN_N = 2.5, 0.9, 2.0
-"""Least force of the measurement of a drive in contact forces, its largest one as a share of the
-force that was held, and the least difference in N of both. [chosen]"""
-_LOAD_N_S = {True: 8.0, False: 7.0}
-"""Rate in N/s of the drive of that measurement while the force rises (True) and falls: by a drive
-that falls a gearing that holds its load gives way two or three times as fast. [chosen]"""
-_LOCKED_N_S, _LOCKED_SHARE = 30.0, 0.1
-"""The same while friction locks the finger: until the force has changed by this share of its range.
-[chosen]"""
-_LIMITED_S = 0.25
-"""Time in s without a change of the current after which a limit of the drive has ended it: four
-steps of the goal. [chosen]"""
-_CURRENT_SHARE = 0.9
-"""Largest share of the current limit in this measurement. [chosen]"""
-
-
 class GraspRun:
     """Runner of the phases of a grasp; keeps the control of the held part.
 
     Parameters
     ----------
-    runner, servos, linkage, settings
+    runner, linkage, settings
         Of the gripper.
     set_phase
         Gets each new phase of a grasp.
@@ -76,16 +56,13 @@ class GraspRun:
     def __init__(
         self,
         runner: LoopRunner,
-        servos: ServoGroup,
         linkage: Linkage,
         settings: GripperSettings,
-        *,
         set_phase: Callable[[GripperPhase], None],
         free: FreeMotion,
     ) -> None:
         self._runner = runner
         self._set_phase = set_phase
-        self._servos = servos
         self._free = free
         self._linkage = linkage
         self._settings = settings
@@ -98,6 +75,12 @@ class GraspRun:
     def control(self) -> GripControl | None:
         """Control of the grip force; None while nothing is held."""
         return None if self._ramp_step is None else self._ramp_step.control
+
+    def held(self, command: str) -> GripControl:
+        """Return the control of the held part. Raises GripperStateError without a part."""
+        if self.control is None:
+            raise GripperStateError(f"{command} needs a grasp before it")
+        return self.control
 
     def forget(self) -> None:
         """Discard the control of a part: nothing is held."""
@@ -195,34 +178,6 @@ class GraspRun:
         """Follow a change of the held force to its end and until the force has settled."""
         return self._runner.run(GripStep(self._settings, control, ramp).step)
 
-    def measure_load(self, control: GripControl) -> None:
-        """Move one finger after the other under a force that rises and falls; fit each drive.
-
-        The pads of empty fingers press on each other. If the current, or the held force, leaves too
-        small a range, the drives do not change.
-        """
-        grip, settings = control.grip, control.grip.settings
-        low_n = _LOW_CONTACTS * settings.contact_force_n
-        paths = transmissions(settings, self._linkage, self._servos.read_patiently().angles_rad)
-        bearable_n = min(
-            path.force_band_n(_CURRENT_SHARE * settings.current_max_a)[0] for path in paths
-        )
-        high_n = min(_HIGH_SHARE * grip.setpoint_n, bearable_n)
-        if high_n - low_n < _LEAST_SPAN_N or len(paths) < 2:
-            return
-        try:
-            for finger, servo in enumerate(settings.servos):
-                trial = LoadTrial(control, self._linkage, finger, (low_n, high_n))
-                for rises in (False, True):
-                    trial.begin(rises=rises)
-                    self._runner.run(trial.step)
-                before = settings.drives.of(servo.servo_id, servo.drive)
-                found = fit_load(trial.rising, trial.falling, before)
-                settings.drives.put(servo.servo_id, found)
-        finally:
-            grip.moving = None
-        self._free.compare()
-
     def _approach(self, settings: GripperSettings) -> Reached:
         """Close until the contact, or the end of the travel, and update the estimates."""
         # Fingers that shall meet find no part.
@@ -230,19 +185,16 @@ class GraspRun:
         approach = Approach(
             settings,
             self._linkage,
-            self._servos.read_patiently(),
+            self._runner.servos.read_patiently(),
             widest_m=self._begins_m if known else None,
         )
         stiffness = StiffnessEstimate(self._settings)
-        self._free.begin()
 
         def step(moment: Moment) -> Action:
             stiffness.push(moment)
-            self._free.push(moment, free=approach.runs_freely(moment.state))
             return approach.step(moment)
 
-        state = self._runner.run(step)
-        self._free.end(state)
+        state = self._free.run(self._runner, step, approach.runs_freely)
         return Reached(
             settings=settings,
             event=approach.event,
@@ -269,86 +221,6 @@ class GraspRun:
         if not self._closed_is_proven and closes_farther(self._settings, state):
             self._closed()
             self._closed_is_proven = True
-
-
-class LoadTrial:
-    """Step that measures the load of one finger, and its current, while its goal moves steadily.
-
-    Nothing is controlled by the force: what is unknown is how it follows the current. The position
-    controller keeps a gearing from slipping that sticks at rest more than in motion.
-
-    Parameters
-    ----------
-    control
-        Of the pads that press on each other.
-    linkage
-        Of the gripper.
-    finger
-        Index of the finger that moves, and of its servo.
-    range_n
-        Least and largest force in N.
-    """
-
-    def __init__(
-        self, control: GripControl, linkage: Linkage, finger: int, range_n: tuple[float, float]
-    ) -> None:
-        self.rising: list[LoadPoint] = []
-        self.falling: list[LoadPoint] = []
-        self._control = control
-        self._linkage = linkage
-        self._finger = finger
-        self._low_n, self._high_n = range_n
-        control.grip.moving = finger
-        control.resume()
-
-    def begin(self, *, rises: bool) -> None:
-        """Begin a change of the force."""
-        self._rises, self._sign = rises, 1.0 if rises else -1.0
-        self._points = self.rising if rises else self.falling
-        self._currents = History()
-        self._sample_s = self._stalled_s = 0.0
-        self._most_a = -inf
-        self._from_n: float | None = None
-        self._goal_rad: float | None = None
-
-    def step(self, moment: Moment) -> Action:
-        """Return the action of one period."""
-        control = self._control
-        self._push(moment)
-        current_a = -self._sign * moment.state.servos[self._finger].current_a
-        self._stalled_s = 0.0 if current_a > self._most_a else self._stalled_s + moment.dt_s
-        self._most_a = max(self._most_a, current_a)
-        if self._from_n is None and control.watch.pads.recent:
-            self._from_n = control.force_n
-        moved_n = 0.0 if self._from_n is None else self._sign * (control.force_n - self._from_n)
-        locked = moved_n < _LOCKED_SHARE * (self._high_n - self._low_n)
-        rate_n_s = _LOCKED_N_S if locked else _LOAD_N_S[self._rises]
-        control.grip.trial_rad = self._next_rad(moment, rate_n_s)
-        end_n = self._high_n if self._rises else self._low_n
-        done = self._sign * (control.force_n - end_n) >= 0.0 or self._stalled_s > _LIMITED_S
-        goals = control.goals(moment, self._high_n)
-        return Action(goals=goals, setpoint_n=self._high_n, done=done)
-
-    def _next_rad(self, moment: Moment, rate_n_s: float) -> float:
-        """Return the goal of the finger, which changes its drive at a rate while it stands."""
-        settings = self._control.grip.settings
-        model = settings.servos[self._finger].servo_model
-        servo = moment.state.servos[self._finger]
-        if self._goal_rad is None:
-            self._goal_rad = servo.angle_rad + running_lead_rad(model, servo.current_a, 0.0)
-        path = transmissions(settings, self._linkage, moment.state.angles_rad)[self._finger]
-        change_a = self._sign * rate_n_s * moment.dt_s / path.n_per_a
-        self._goal_rad -= running_lead_rad(model, change_a, 0.0)
-        return self._goal_rad
-
-    def _push(self, moment: Moment) -> None:
-        servo, sample = moment.state.servos[self._finger], moment.sample
-        self._currents.add(moment.now_s, -servo.current_a)
-        if sample is None or not sample.valid or sample.t_s <= self._sample_s:
-            return
-        self._sample_s = sample.t_s
-        load_nm = sample.grip_n * self._linkage.effective_radius_m(servo.angle_rad)
-        self._points.append(LoadPoint(load_nm, self._currents.at(sample.measured_s)))
 
 
 class RampTime:

@@ -109,7 +109,7 @@ class LoopRunner:
         settings: GripperSettings,
         clock: Clock,
     ) -> None:
-        self._servos = servos
+        self.servos = servos
         self._health = health
         self._sensor = sensor
         self._settings = settings
@@ -148,7 +148,7 @@ class LoopRunner:
         """
         asked_s = self._clock.monotonic()
         try:
-            state = self._servos.read()
+            state = self.servos.read()
         except (BusTimeout, BusCorrupt) as error:
             self._timer.missed_reads += 1
             self._bus_loss.missed(error, asked_s, self._clock.monotonic())
@@ -221,7 +221,7 @@ class LoopRunner:
         running.looked_s = begin_s
         running.fresh_s += late_s
         self._bus_loss.wait_longer(late_s)
-        with self._servos.in_loop():
+        with self.servos.in_loop():
             state = self.read()
             if state is None:
                 self._bus_loss.stop_fingers(self.phase)
@@ -229,7 +229,7 @@ class LoopRunner:
         sample = self._sensor.latest_force()
         if sample is not None and sample.valid:
             running.fresh_s = max(running.fresh_s, sample.t_s)
-            self._servos.guard.note_force(sample)
+            self.servos.guard.note_force(sample)
         if running.needs_force:
             now_s = self._clock.monotonic() if state is None else state.t_s
             self._check_force(now_s, running.fresh_s, sample)
@@ -241,10 +241,10 @@ class LoopRunner:
             action = running.step(Moment(now_s=state.t_s, dt_s=dt_s, state=state, sample=sample))
         except LimitExceeded:
             # More force than can be is above the cap first of all, where it is beyond that too.
-            self._servos.guard.check_force(noise_excluded=True)
+            self.servos.guard.check_force(noise_excluded=True)
             raise
         if action.goals is not None:
-            self._servos.write_goals(action.goals, state)
+            self.servos.write_goals(action.goals, state)
         if self._settings.derates(state.temperature_c):
             self._timer.derated += 1
         self._check_health(state)
@@ -255,7 +255,7 @@ class LoopRunner:
             state=state,
             force=sample,
             setpoint_n=action.setpoint_n,
-            goal_current_a=self._servos.goal_current_a,
+            goal_current_a=self.servos.goal_current_a,
             level=action.level,
         )
 
@@ -270,13 +270,13 @@ class LoopRunner:
                 f"{self._settings.force_stale_s} s: the goals are frozen; check the tactile "
                 f"sensor, then clear the fault"
             )
-        self._servos.guard.check_force()
+        self.servos.guard.check_force()
 
     def _check_health(self, state: ServoFeedback) -> None:
         self._cycles += 1
         if self._cycles % _HEALTH_EVERY == 0 or any(servo.alert for servo in state.servos):
             try:
-                with self._servos.in_loop():
+                with self.servos.in_loop():
                     self._health.poll(state)
             except (BusTimeout, BusCorrupt):
                 # The feedback soon shows whether the bus is lost.

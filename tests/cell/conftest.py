@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from cell.build import Cell, build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
+from cell.control.lifecycle import CellLifecycle
 from cell.data.dataset import read_dataset
 from cell.interfaces.cli.app import app
 from cell.plugin.main_job import MainResult, teach_and_identify
@@ -81,6 +82,10 @@ def once(
 @dataclass(frozen=True, kw_only=True)
 class Bench(VirtualCell):
     """A cell in virtual time that can be acted on in its phases."""
+
+    @property
+    def life(self) -> CellLifecycle:
+        return self.controller.life
 
     def ready(self, label: str = "ball") -> "Bench":
         self.start(label)

@@ -2,8 +2,6 @@
 
 import socket
 import subprocess
-import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, nullcontext
@@ -22,20 +20,10 @@ from cell.service.service import JobView, Service
 from tests.cell.conftest import small_config
 from tests.cell.stub_plugin import GRIP_N, StubPlugin
 from tests.fuzz.harness import Clock
+from tests.waiting import LIMIT_S, until
 
-LIMIT_S = 60.0
-"""Patience of the tests: a condition that is not met by then fails."""
 LEASE_S = 60.0
 """Time-out of leases: only the clock of the test lets it pass."""
-
-
-def until(true: Callable[[], Any]) -> Any:
-    """Wait for a condition and return it."""
-    end_s = time.monotonic() + LIMIT_S
-    while not (found := true()):
-        assert time.monotonic() < end_s
-        threading.Event().wait(0.005)
-    return found
 
 
 def ended(link: socket.socket) -> bool:

@@ -23,7 +23,7 @@ SLOW_RACK = {"gripper__linkage": RACK, "gripper__approach_speed_mm_s": 5.0}
 
 
 def positioner(bench: Any) -> Any:
-    return bench.controller._positioner
+    return bench.controller.moves.positioner
 
 
 @pytest.mark.parametrize(
@@ -134,17 +134,17 @@ def test_a_paced_cell_keeps_a_part_and_its_fault_and_is_ready_again(make_bench) 
     controller.grip(3.0, Pose())
     assert real.now_s - real_s == pytest.approx(clock.monotonic() - began_s, abs=0.02)
     paced(cell, real, 0.5)
-    assert controller.state is CellState.COMPLETE
+    assert controller.life.state is CellState.COMPLETE
     assert bench.grip_n > 2.5
     bench.inject("can.off")
     with suppress(TactileError):
         paced(cell, real, 1.0)
-    assert controller.state is CellState.ABORTED
+    assert controller.life.state is CellState.ABORTED
     began_s = clock.monotonic()
     paced(cell, real, 1.0)
     assert clock.monotonic() - began_s == pytest.approx(1.0, abs=0.03)
     assert bench.grip_n > 2.5
-    controller.clear()
+    controller.life.clear()
     paced(cell, real, 1.0)
     controller.release_held()
     assert bench.grip_n == 0.0

@@ -87,7 +87,7 @@ def test_the_page_on_recordings_can_be_typed(here) -> None:
     assert str(recording) in listed
     assert (marked, unmarked) == (f"{recording}: marked\n", f"{recording}: not marked\n")
     history = History(Path("out/history-press-4.sqlite3"), lambda: STATE)
-    history.look()
+    history.update()
     history._close_link()
     found: dict[str, Any] = {}
     (example,) = blocks("keep-recordings.md", "python")
@@ -113,7 +113,7 @@ def test_the_page_on_hardware_can_be_typed(page, tmp_path, monkeypatch) -> None:
     cell = build_cell(load_config(written))
     try:
         cell.controller.start()
-        cell.controller.present("box")
+        cell.controller.moves.present("box")
         record = cell.controller.grasp(GraspStep(pose=Pose(), force_n=4.0))
     finally:
         cell.close()

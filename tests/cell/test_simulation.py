@@ -1,7 +1,5 @@
 """The simulated cell as the config describes it."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -73,31 +71,23 @@ def test_the_built_in_objects_are_those_of_the_paper() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "complaint"),
+    ("key", "value", "complaint"),
     [
-        ({"simulator__objects": [{"label": "x", "shape": "blob"}]}, "simulator.objects: x: unkn"),
+        ("simulator.objects", [{"label": "x", "shape": "blob"}], "simulator.objects: x: unkn"),
+        ("simulator.objects", [{"label": "x", "shape": "mesh:file=none.stl"}], "objects: x: "),
+        ("gripper.aperture_open_mm", 300.0, "gripper.aperture_open_mm is beyond gripper.linkage"),
+        ("gripper.linkage", {"kind": "parallel_linkage", "offset_mm": -100.0}, "linkage"),
+        ("simulator.faults", ["servo3.off"], "simulator: fault servo3.off: this cell has 2 servos"),
         (
-            {"simulator__objects": [{"label": "x", "shape": "mesh:file=none.stl"}]},
-            "simulator.objects: x: ",
-        ),
-        (
-            {"gripper__aperture_open_mm": 300.0},
-            "gripper.aperture_open_mm is beyond gripper.linkage",
-        ),
-        ({"gripper__linkage": {"kind": "parallel_linkage", "offset_mm": -100.0}}, "linkage"),
-        (
-            {"simulator__faults": ["servo3.off"]},
-            "simulator: fault servo3.off: this cell has 2 servos",
-        ),
-        (
-            {"tactile__calibration": {"kind": "linear", "force_per_count_n": 0.05}},
+            "tactile.calibration",
+            {"kind": "linear", "force_per_count_n": 0.05},
             "is 1.2 N on a pad at rest under tactile.calibration, gripper.contact_force_n is 0.6 N",
         ),
     ],
 )
-def test_a_cell_that_cannot_be_is_a_config_error(change: dict[str, Any], complaint: str) -> None:
+def test_a_cell_that_cannot_be_is_a_config_error(key, value, complaint) -> None:
     with pytest.raises(ConfigError) as caught:
-        simulator_settings(small_config(**change))
+        simulator_settings(small_config(**{key: value}))
     assert complaint in str(caught.value)
 
 

@@ -55,7 +55,7 @@ def test_a_seeded_grasp_makes_the_same_traffic() -> None:
     line.receive, line.transmit = received, transmitted  # type: ignore[method-assign]
     simulated.can_bus.capture.append(can.add)
     cell.controller.start()
-    cell.controller.present("box")
+    cell.controller.moves.present("box")
     cell.controller.grasp(GraspStep(pose=Pose(rotation_rad=0.3), force_n=5.0))
     simulated.can_bus.flush()
     cell.close()

@@ -136,8 +136,8 @@ class CampaignCell(Bench):
     @property
     def grip(self) -> str:
         """State of the cell and what is held, in words."""
-        held = "the grip is kept" if self.controller.holding else "nothing is held"
-        return f"{self.controller.state.value}, {held} ({self.grip_n:.1f} N)"
+        held = "the grip is kept" if self.controller.life.holding else "nothing is held"
+        return f"{self.controller.life.state.value}, {held} ({self.grip_n:.1f} N)"
 
     def start(self, present: str | None = "ball") -> VirtualCell:
         return super().start(present)
@@ -159,7 +159,7 @@ class CampaignCell(Bench):
         while self.now_s < end_s:
             due_s = max(due_s + self.controller.hand.period_s, self.now_s)
             self.simulated.clock.sleep(due_s - self.now_s)
-            self.controller.tick()
+            self.controller.life.tick()
 
 
 @contextmanager
@@ -196,14 +196,14 @@ def carry_job(cell: CampaignCell) -> None:
     cell.start()
     cell.controller.grip(3.0, Pose())
     cell.idle(CARRY_S)
-    cell.controller.verify()
+    cell.controller.kept.verify()
 
 
 def carry_with_fault(row: FaultRow) -> Observed:
     """Bring a fault about while a part is carried; its text has the time since the grip."""
     with campaign_cell(row.changes) as cell:
         seen = later(cell, observe(cell, row.injected, carry_job))
-        fault = cell.controller.fault
+        fault = cell.controller.life.fault
         if fault is not None and not fault.endswith(" s after the grip"):
             return replace(seen, reaction="NO TIME", outcome=fault)
         return recovered(cell, row, seen)
@@ -256,7 +256,8 @@ def observe(
         if len(text) > OUTCOME_CHARACTERS:
             text = f"{text[: OUTCOME_CHARACTERS - 3]}..."
         left = fingers_left(error)
-        grip = f"{cell.controller.state.value}, {left} ({cell.grip_n:.1f} N)" if left else cell.grip
+        state = cell.controller.life.state.value
+        grip = f"{state}, {left} ({cell.grip_n:.1f} N)" if left else cell.grip
         return Observed(_reaction(cell), max(0.0, known_s - began_s), f"{text}; {grip}")
     if monitor.noted_s is not None:
         after_s = max(0.0, monitor.noted_s - began_s)
@@ -290,20 +291,21 @@ def recovered(
     An encoder that leapt needs a person who pushes the finger: nobody does so here. At last the
     next job is done.
     """
-    number = cell.controller.status.fault_number
+    number = cell.controller.life.status.fault_number
     numbers = row.number if isinstance(row.number, tuple) else (row.number,)
     if 0 not in numbers and number not in numbers:
         return replace(seen, reaction=f"FAULT {number}")
     if not number or ".jump=" in row.injected:
         return seen
     for _ in range(_CHAIN):
-        if number := cell.controller.status.fault_number:
+        if number := cell.controller.life.status.fault_number:
             with cell.monitor.release_asked(), suppress(*PRODUCT_ERRORS):
                 take_steps(cell, number)
-    if cell.controller.state is CellState.IDLE:
+    if cell.controller.life.state is CellState.IDLE:
         next_job()
         return seen
-    return replace(seen, reaction=f"STAYS {cell.controller.state}: {cell.controller.fault}")
+    life = cell.controller.life
+    return replace(seen, reaction=f"STAYS {life.state}: {life.fault}")
 
 
 def take_steps(cell: VirtualCell, number: int) -> None:
@@ -314,11 +316,11 @@ def take_steps(cell: VirtualCell, number: int) -> None:
             case "mend" | "free_pads":
                 cell.simulated.injector.clear_all()
             case "clear" | "clear_reboot":
-                controller.clear(reboot=step == "clear_reboot")
-            case "release" if controller.state is CellState.RESETTING:
+                controller.life.clear(reboot=step == "clear_reboot")
+            case "release" if controller.life.state is CellState.RESETTING:
                 controller.release_held()
             case "release":
                 controller.release()
             case "reset":
-                controller.reset()
+                controller.life.reset()
                 controller.start()

@@ -116,7 +116,7 @@ class Driver:
         return self.command(f"grip {force_n} N", lambda: self.controller.grip(force_n, Pose()))
 
     def verify(self) -> bool:
-        return self.command("verify", self.controller.verify)
+        return self.command("verify", self.controller.kept.verify)
 
     def identify(self, force_n: float, keep: Keep = Keep.NEVER) -> bool:
         step = GraspStep(pose=Pose(), force_n=force_n)
@@ -136,7 +136,7 @@ class Driver:
 
     def cancel(self) -> None:
         """Ask for a stop while nothing runs: it is for the next command."""
-        self.command("cancel", self.controller.cancel)
+        self.command("cancel", self.controller.life.cancel)
 
     def cancel_soon(self, after_s: float) -> None:
         """Let another thread ask for a stop in so many s."""
@@ -147,7 +147,7 @@ class Driver:
         def look(now_s: float) -> None:
             if now_s >= due_s:
                 self.simulated.clock.on_advance.remove(look)
-                controller.cancel()
+                controller.life.cancel()
 
         self.simulated.clock.on_advance.append(look)
         self._end()
@@ -162,10 +162,10 @@ class Driver:
     def clear(self, *, reboot: bool) -> bool:
         """Acknowledge the fault. A servo that is rebooted lets go: it was asked for."""
         name = f"clear reboot={reboot}"
-        return self.command(name, lambda: self.controller.clear(reboot=reboot), reboot=reboot)
+        return self.command(name, lambda: self.controller.life.clear(reboot=reboot), reboot=reboot)
 
     def reset(self) -> bool:
-        return self.command("reset", self.controller.reset)
+        return self.command("reset", self.controller.life.reset)
 
     def shutdown(self) -> bool:
         return self.command("shutdown", self.controller.shutdown)
@@ -177,7 +177,7 @@ class Driver:
             end_s = clock.monotonic() + seconds
             while clock.monotonic() < end_s:
                 clock.sleep(self.controller.hand.period_s)
-                self.controller.tick()
+                self.controller.life.tick()
 
         self.command(f"wait {seconds} s", idle)
 
@@ -214,7 +214,7 @@ class Driver:
         folder = self._host_folder()
         cell = build_cell(self._config, folder=folder, simulated=self.simulated)
         self.monitor.attach(cell)
-        cell.controller.present("ball")
+        cell.controller.moves.present("ball")
         return cell
 
     def _close_host(self) -> None:
@@ -263,29 +263,29 @@ class Driver:
         except SimulatorError as error:
             self.log[-1] += f" -> {error}"
         else:
-            self.controller.present(label)
+            self.controller.moves.present(label)
         self._end()
 
     def recover(self) -> bool:
         """Do what a person does after a fault, until the cell is started again."""
         self.heal()
-        if self.controller.fault is not None:
+        if self.controller.life.fault is not None:
             self.clear(reboot=True)
         self.wait(0.5)
-        if self.controller.state.value == "RESETTING":
+        if self.controller.life.state.value == "RESETTING":
             self.release_held()
-        if self.controller.state.value == "RESETTING":
+        if self.controller.life.state.value == "RESETTING":
             self.reset()
-        if self.controller.state.value in {"COMPLETE", "HELD", "IDLE"}:
+        if self.controller.life.state.value in {"COMPLETE", "HELD", "IDLE"}:
             self.release()
         if self.simulated.devices.physical.placed is None:
             self.place("ball")
         self._untrusted = False
-        return self.start() if self.controller.state.value == "STOPPED" else True
+        return self.start() if self.controller.life.state.value == "STOPPED" else True
 
     def make_ready(self, how: str) -> None:
         """Do what may be needed before a grasp: nothing, a start, or all that a person does."""
-        if self.controller.state.value != "IDLE":
+        if self.controller.life.state.value != "IDLE":
             if how == "start":
                 self.start()
             elif how.startswith("recover"):
@@ -314,7 +314,7 @@ class Driver:
         self.check()
 
     def _state(self) -> str:
-        return self.controller.state.value if self._hosts else ""
+        return self.controller.life.state.value if self._hosts else ""
 
     def _trust(self) -> None:
         self.monitor.limp_allowed = self._untrusted

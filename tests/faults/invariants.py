@@ -143,7 +143,7 @@ class InvariantMonitor:
     def watch_from(self) -> None:
         """Take times from now on, and look for counters that move and states passed through."""
         self.latched_s = self.noted_s = None
-        self.states = set() if self._cell is None else {self._cell.controller.state}
+        self.states = set() if self._cell is None else {self._cell.controller.life.state}
         self._counters = [] if self._cell is None else link_counters(self._cell)
 
     @contextmanager
@@ -163,9 +163,9 @@ class InvariantMonitor:
             yield
         finally:
             self._deadline_s = float("inf")
-        cell = self._cell
-        if cell is not None and cell.controller.state.acting:
-            self._break(f"a command is over and the cell is still {cell.controller.state.value}")
+        state = None if self._cell is None else self._cell.controller.life.state
+        if state is not None and state.acting:
+            self._break(f"a command is over and the cell is still {state.value}")
 
     def check(self) -> None:
         if self.broken:
@@ -243,12 +243,12 @@ class InvariantMonitor:
         """
         if self._asked or self._cell is None or force_n < self._contact_force_n:
             return
-        if not self._cell.controller.local_hand.gripper._life.part_possible:
+        if not self._cell.local_hand.gripper._life.part_possible:
             self._break(f"the fingers open by themselves on a part pressed with {force_n:.2f} N")
 
     def _look_at_goals(self, controller: CellController) -> None:
         """Judge that nothing pushes harder while a fault is latched."""
-        if controller.state is not CellState.ABORTED:
+        if controller.life.state is not CellState.ABORTED:
             self._frozen_raw = None
             return
         goals_raw = [
@@ -263,7 +263,7 @@ class InvariantMonitor:
     def _torque_changed(
         self, torque: tuple[bool, ...], blame: tuple[object, ...], controller: CellController | None
     ) -> None:
-        state = None if controller is None else controller.state
+        state = None if controller is None else controller.life.state
         for number, (before, after) in enumerate(zip(self._torque, torque, strict=True)):
             faulted = state is None or state in _FAULTED
             if after and not before and faulted and not self._torque_asked:
@@ -286,7 +286,7 @@ class InvariantMonitor:
             return
         if controller is None or self._part_gone():
             return
-        self._break(f"the part was let go while {controller.state}, {self._phase()}")
+        self._break(f"the part was let go while {controller.life.state}, {self._phase()}")
 
     def _part_gone(self) -> bool:
         return self._simulated.devices.physical.placed is None or self._has_fault("object.slips")
@@ -310,7 +310,7 @@ class InvariantMonitor:
 
     def _hears_nothing(self) -> bool:
         """Return whether a servo hears nothing, so that its watchdog alone stops it."""
-        fault = None if self._cell is None else self._cell.controller.fault
+        fault = None if self._cell is None else self._cell.controller.life.fault
         return fault is not None and any(word in fault for word in _SILENT)
 
     def _look_at_rest(self, controller: CellController, *, disturbed: bool) -> None:
@@ -335,13 +335,13 @@ class InvariantMonitor:
         if opening_m > self._stood_m + allowed_m:
             self._break(
                 f"the fingers went on from {1e3 * self._stood_m:.2f} to {1e3 * opening_m:.2f} mm "
-                f"after their stop, {controller.state}, {phase}"
+                f"after their stop, {controller.life.state}, {phase}"
             )
             self._stood_m = opening_m
 
     def _note_times(self, now_s: float, controller: CellController) -> None:
-        self.states.add(controller.state)
-        if self.latched_s is None and controller.fault is not None:
+        self.states.add(controller.life.state)
+        if self.latched_s is None and controller.life.fault is not None:
             self.latched_s = now_s
         if self.noted_s is not None or not self._counters or self._cell is None:
             return
@@ -353,9 +353,9 @@ def link_counters(cell: Cell) -> list[tuple[int, ...]]:
     """Return the counters of both links; `Cell.health` gives the same, too slowly for each step."""
     link, sensor = (
         cell.controller.hand.statistics.source,
-        cell.controller.local_hand.sensor.statistics,
+        cell.local_hand.sensor.statistics,
     )
-    owners = (link.frames, link, link.forces, sensor, cell.bus.statistics)
+    owners = (link.frames, link, link.forces, sensor, cell.local_hand.bus.statistics)
     return [read(owner) for read, owner in zip(_COUNTERS, owners, strict=True)]
 
 

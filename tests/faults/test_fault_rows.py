@@ -61,15 +61,16 @@ def test_what_differs_from_what_is_required_is_named() -> None:
 def test_the_steps_after_a_stop_and_after_a_part_that_was_left_lead_back_to_idle() -> None:
     with campaign_cell() as cell, cell.monitor.release_asked():
         cell.start()
-        cell.clock.on_advance.append(lambda _now_s: cell.grip_n > 1.0 and cell.controller.cancel())
+        life = cell.controller.life
+        cell.clock.on_advance.append(lambda _now_s: cell.grip_n > 1.0 and life.cancel())
         with pytest.raises(CellStopped):
             cell.grasp(6.0)
         cell.clock.on_advance.pop()
         take_steps(cell, 512)
-        assert cell.controller.state is CellState.IDLE
+        assert cell.controller.life.state is CellState.IDLE
         cell.controller.grip(3.0, Pose())
         cell.controller.shutdown()
         with pytest.raises(PartInGrip):
             cell.controller.start()
         take_steps(cell, 506)
-        assert cell.controller.state is CellState.IDLE
+        assert cell.controller.life.state is CellState.IDLE

@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 
-from cell.control.controller import CellController
 from cell.control.keeping import Keep
+from cell.control.kept_part import KeptPart
+from cell.control.lifecycle import CellLifecycle
 from cell.interfaces.host_calls import Calls
 from cell.interfaces.modbus.registers import ModbusInterface
 from cell.plugin.lease import Lease
@@ -86,7 +87,7 @@ WRITTEN = {
         *("torque_enable", 1, "servo1.overload@contact+50ms"),
         "torque of servo . on while CLEARING, without a reset",
     ),
-    (CellController, "tick"): (
+    (CellLifecycle, "tick"): (
         *("goal_current", 200, CAN_OFF),
         r"goal currents from .* to \[200, .* while ABORTED",
     ),
@@ -104,9 +105,9 @@ def test_a_grip_that_a_fault_opens_and_torque_that_comes_by_itself_are_found(
     def spoilt(it: Any, **options: Any) -> None:
         plain(it, **options)
         if isinstance(it, Gripper) or it.fault is not None:
-            gripper = getattr(it, "gripper", it)
-            for servo in gripper._settings.servos:
-                gripper._bus.write(servo.servo_id, REGISTERS[register], value)
+            gripper = it if isinstance(it, Gripper) else it.hand.gripper
+            for servo in gripper.settings.servos:
+                gripper.bus.write(servo.servo_id, REGISTERS[register], value)
 
     monkeypatch.setattr(owner, method, spoilt)
     with pytest.raises(InvariantBroken, match=complaint):
@@ -131,7 +132,7 @@ def test_fingers_that_a_cancel_does_not_stop_are_found(monkeypatch: pytest.Monke
             wide = cell.simulated.devices.mechanics.aperture_m > 0.008
             return cell.controller.hand.phase is GripperPhase.RELEASING and wide
 
-        once(cell.simulated.clock, fast, cell.controller.cancel)
+        once(cell.simulated.clock, fast, cell.controller.life.cancel)
         try:
             cell.grasp(0.0, 3.0, 0.0)
             cell.wait(0.2)
@@ -261,9 +262,9 @@ def no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def hold_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        Service, "stop", lambda service, _why="": service._plugin._cell.controller.cancel()
+        Service, "stop", lambda service, _why="": service._plugin._cell.controller.life.cancel()
     )
-    monkeypatch.setattr(CellController, "forget_cancel", lambda _controller: None)
+    monkeypatch.setattr(CellLifecycle, "forget_cancel", lambda _life: None)
 
 
 def holds_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -299,10 +300,10 @@ def test_a_interface_that_shows_another_fault_is_found(monkeypatch: pytest.Monke
 def test_a_command_without_an_end_behind_a_interface_is_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def hang(controller: CellController) -> None:
+    def hang(kept: KeptPart) -> None:
         while True:
-            controller._clock.sleep(0.1)
+            kept.life.clock.sleep(0.1)
 
-    monkeypatch.setattr(CellController, "verify", hang)
+    monkeypatch.setattr(KeptPart, "verify", hang)
     with pytest.raises(InvariantBroken, match="did not end within its time"):
         drive_through("xmlrpc")

@@ -113,7 +113,7 @@ class WireDriver(Driver):
     def release(self) -> bool:
         for key in (0, RELEASE_KEY >> 8 | (RELEASE_KEY & 0xFF) << 8):
             self.ask(Request(task="release", key=key), None)
-        waiting = self.controller.state in (CellState.STOPPED, CellState.RESETTING)
+        waiting = self.controller.life.state in (CellState.STOPPED, CellState.RESETTING)
         command = Command.RELEASE_HELD if waiting else Command.RELEASE
         return self.ask(Request(task="release", key=RELEASE_KEY), command)
 
@@ -124,7 +124,7 @@ class WireDriver(Driver):
         return self.ask(Request(task="clear", reboot=reboot), Command.CLEAR)
 
     def reset(self) -> bool:
-        stopped = self.controller.state is CellState.STOPPED
+        stopped = self.controller.life.state is CellState.STOPPED
         return self.ask(Request(task="reset"), Command.START if stopped else Command.RESET)
 
     def shutdown(self) -> bool:
@@ -207,7 +207,7 @@ class WireDriver(Driver):
             yield
 
     def _sent(self, request: Request, command: Command | None, before: tuple[Any, ...]) -> bool:
-        state, number = self.controller.state, self._service.job().number + 1
+        state, number = self.controller.life.state, self._service.job().number + 1
         found = self._wire.send(request, number)
         self._expect(self._wire.repeat() == found, "a repeated request has another answer")
         allowed = command is not None and command_effect(state, command).accepted
@@ -231,7 +231,7 @@ class WireDriver(Driver):
 
     def _judge_end(self, job: JobView, before: CellState, command: Command) -> None:
         """Judge where the cell is after a job, by the table of states and the fault catalogue."""
-        state, fault = self.controller.state, self._service.status().fault_number
+        state, fault = self.controller.life.state, self._service.status().fault_number
         path = command_effect(before, command).path
         if command is Command.RESET:  # over a link a reset starts the cell too
             path += command_effect(CellState.STOPPED, Command.START).path

@@ -157,8 +157,8 @@ def test_holding_does_not_hunt_and_gives_back_current(cell) -> None:
 def ticks(cell, seconds: float, creep_m_s: float = 0.0) -> None:
     end_s = cell.clock.monotonic() + seconds
     while cell.clock.monotonic() < end_s:
-        cell.clock.sleep(cell.gripper.period_s)
-        cell.part.width_m -= creep_m_s * cell.gripper.period_s
+        cell.clock.sleep(cell.gripper.settings.period_s)
+        cell.part.width_m -= creep_m_s * cell.gripper.settings.period_s
         cell.gripper.tick()
 
 

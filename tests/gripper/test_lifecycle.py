@@ -128,7 +128,7 @@ def in_the_way(cell, how: str):
                 cell.clock.sleep(0.3)
             elif how == "deaf":
                 cell.gripper.request_stop()
-                cell.gripper._bus.sync_write = lambda *_a, **_k: None
+                cell.gripper.bus.sync_write = lambda *_a, **_k: None
             elif how == "silent":
                 cell.device.faults.silent.add(1)
             else:

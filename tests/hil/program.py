@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-from tests.cell.served import LIMIT_S, until
+from tests.waiting import LIMIT_S, until
 
 PROGRAM = (sys.executable, "-c", "from cell.interfaces.cli import main; main()")
 CONFIG = """

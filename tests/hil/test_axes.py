@@ -8,9 +8,9 @@ import pytest
 from cell.config.file import changed_config, load_config, parse_config
 from cell.plugin.plugin import IdentifyGoal, JobFailed, TactileCellPlugin, TeachGoal
 from cell.pytest_plugin.process import CellProcess
-from tests.cell.served import LIMIT_S, until
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.hil.program import first
+from tests.waiting import LIMIT_S, until
 
 pytestmark = pytest.mark.real_time
 

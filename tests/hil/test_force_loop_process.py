@@ -23,8 +23,8 @@ from gripper.errors import LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
-from tests.cell.served import until
 from tests.hil.program import first
+from tests.waiting import until
 
 pytestmark = pytest.mark.real_time
 
@@ -95,9 +95,9 @@ def test_a_job_a_stop_and_the_release(make_cell, simulator) -> None:
     controller, hand = cell.controller, hand_of(cell)
     pid = hand.pid
     with pytest.raises(CellStateError, match="process of its own"):
-        _ = controller.local_hand
+        _ = cell.local_hand
     controller.start()
-    controller.present("box")
+    controller.moves.present("box")
     record = controller.grasp(GraspStep(pose=Pose(), force_n=3.0), label="box")
     assert record.outcome.result is GraspResult.FORCE_REACHED
     assert record.grasp.n_frames > 20
@@ -108,18 +108,18 @@ def test_a_job_a_stop_and_the_release(make_cell, simulator) -> None:
 
     def cancel() -> None:
         told_s.append(time.monotonic())
-        controller.cancel()
+        controller.life.cancel()
 
     thread = in_a_grasp(cell, simulator, cancel)
     with pytest.raises(CellStopped, match="grip is kept"):
         controller.grasp(STEP)
     thread.join()
     assert time.monotonic() - told_s[0] < 0.2
-    assert controller.state is CellState.HELD
-    assert controller.holding
+    assert controller.life.state is CellState.HELD
+    assert controller.life.holding
     # The program sleeps: the loop ticks by itself, beyond the servos' watchdog of 0.5 s.
     threading.Event().wait(0.8)
-    controller.tick()
+    controller.life.tick()
     assert simulator.grip_n() > 0.8
     controller.release()
     assert simulator.grip_n() == 0.0
@@ -157,14 +157,14 @@ def test_a_carried_part_outlasts_its_loop(make_cell, simulator) -> None:
     cell = make_cell()
     controller = cell.controller
     controller.start()
-    controller.present("box")
+    controller.moves.present("box")
     controller.grip(5.0, Pose())
-    assert controller.state is CellState.COMPLETE
+    assert controller.life.state is CellState.COMPLETE
     # What is shown of it changes without a command, and is young.
     shown: set[float | None] = set()
 
     def measured() -> bool:
-        controller.tick()
+        controller.life.tick()
         shown.add(controller.live.force_n)
         return len(shown) > 20
 
@@ -176,31 +176,31 @@ def test_a_carried_part_outlasts_its_loop(make_cell, simulator) -> None:
     threading.Event().wait(1.0)
     assert simulator.grip_n() == pytest.approx(4.0, abs=1.0)
     with pytest.raises(HandLost, match="ended by SIGKILL"):
-        controller.tick()
-    assert controller.state is CellState.ABORTED
-    assert str(controller.fault).endswith(" s after the grip")
+        controller.life.tick()
+    assert controller.life.state is CellState.ABORTED
+    assert str(controller.life.fault).endswith(" s after the grip")
 
 
 def test_a_killed_loop_is_a_fault_that_says_so(make_cell, simulator) -> None:
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)
     controller.start()
-    controller.present("box")
+    controller.moves.present("box")
     pid = hand.pid
     thread = in_a_grasp(cell, simulator, lambda: os.kill(pid, signal.SIGKILL))
     with pytest.raises(HandLost, match=rf"pid {pid}\) was ended by SIGKILL; a part may still be"):
         controller.grasp(STEP)
     thread.join()
     assert gone(pid)
-    assert controller.state is CellState.ABORTED
-    assert controller.holding
-    assert "watchdog acts after 500 ms" in str(controller.fault)
+    assert controller.life.state is CellState.ABORTED
+    assert controller.life.holding
+    assert "watchdog acts after 500 ms" in str(controller.life.fault)
     with pytest.raises(CellStateError, match="fault"):
         controller.release()
 
-    controller.clear()
+    controller.life.clear()
     assert hand.pid != pid
-    controller.reset()
+    controller.life.reset()
     controller.release_held()
     assert simulator.grip_n() == 0.0
 
@@ -209,14 +209,14 @@ def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(make_cell, simulat
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)
     controller.start()
-    controller.present("box")
+    controller.moves.present("box")
     controller.grip(5.0, Pose())
     os.kill(hand.pid, signal.SIGTERM)
     with pytest.raises(HandLost, match=r"asked to end \(SIGTERM\); a held part stays held"):
-        until(controller.tick)
+        until(controller.life.tick)
     assert simulator.grip_n() > 0.8
-    controller.clear()
-    controller.reset()
+    controller.life.clear()
+    controller.life.reset()
     controller.release_held()
 
     hand._silence_s = 0.5

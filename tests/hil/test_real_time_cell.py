@@ -17,8 +17,8 @@ from cell.data.recording_reader import read_recording
 from cell.plugin.plugin import GripGoal, JobFailed, TactileCellPlugin, TeachGoal
 from cell.pytest_plugin.process import CellProcess
 from gripper.errors import PortLost, ServoFault
-from tests.cell.served import until
 from tests.hil.program import CONFIG, LIMIT_S, end, first, hurry, run, running
+from tests.waiting import until
 
 pytestmark = pytest.mark.real_time
 

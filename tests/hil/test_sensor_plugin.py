@@ -53,22 +53,22 @@ def test_code_that_goes_wrong_is_a_fault_that_keeps_the_grip(
         controller = cell.controller
         assert isinstance(controller.hand, HandProcess)
         controller.start()
-        controller.present("box")
+        controller.moves.present("box")
         pid = controller.hand.pid
         thread = in_a_grasp(cell, simulator, trigger.touch)
         with pytest.raises(PluginFault, match=named):
             controller.grasp(GraspStep(pose=Pose(), force_n=6.0))
         thread.join()
-        assert controller.state is CellState.ABORTED
-        assert controller.holding
+        assert controller.life.state is CellState.ABORTED
+        assert controller.life.holding
         assert simulator.grip_n() > 1.0
         # The process of the loop still obeys: the part is let go by command.
         assert controller.hand.pid == pid
         trigger.unlink()
-        controller.clear()
+        controller.life.clear()
         assert simulator.grip_n() > 1.0
         controller.release_held()
         assert simulator.grip_n() == 0.0
         with contextlib.suppress(HandLost):
-            controller.reset()
+            controller.life.reset()
     plugins._entries.cache_clear()

@@ -20,8 +20,8 @@ from cell.config.file import parse_config
 from cell.pytest_plugin.process import CellProcess
 from cell.service.service import RELEASE_KEY
 from tests.cell.conftest import Taught, small_config, taught  # noqa: F401  a fixture
-from tests.cell.served import until
 from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, done, first
+from tests.waiting import until
 
 pytestmark = pytest.mark.real_time
 

@@ -50,10 +50,10 @@ class SortingStation:
         found = self.controller.identify(self.recognizer, steps, keep=Keep.ALWAYS)
         sure = found.probability >= self.least_probability
         place = self.bins.get(found.label, MANUAL) if sure else MANUAL
-        self.controller.carry_to(Destination(label=found.label, place=place))
-        if not self.controller.verify().same:
+        self.controller.moves.carry_to(Destination(label=found.label, place=place))
+        if not self.controller.kept.verify().same:
             # It has turned or slipped in the grip: a person looks at it.
             place = MANUAL
-            self.controller.carry_to(Destination(label=found.label, place=place))
+            self.controller.moves.carry_to(Destination(label=found.label, place=place))
         self.controller.put_down()
         return place

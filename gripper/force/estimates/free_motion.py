@@ -1,13 +1,14 @@
 """Free motion of the fingers, which gives the friction of each servo."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from math import exp, hypot, sqrt
 from statistics import fmean, median, pstdev
 
 from gripper.dynamixel.drive import DriveCharacteristic, disagreement
 from gripper.errors import ServoFault
-from gripper.force.loop import Moment
+from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.mechanics.identification import (
     FreePoint,
     anchored,
@@ -73,32 +74,47 @@ class FreeMotion:
             if drive.measured:
                 self._settings.drives.put(servo.servo_id, drive.distrusted)
 
-    def begin(self) -> None:
-        """Begin a motion."""
-        for run in self._runs.values():
-            run.begin()
+    def run(
+        self,
+        runner: LoopRunner,
+        step: Callable[[Moment], Action],
+        is_free: Callable[[ServoFeedback], bool],
+        *,
+        needs_force: bool = True,
+    ) -> ServoFeedback:
+        """Run a motion of empty fingers and use its result; return the last feedback.
 
-    def push(self, moment: Moment, *, free: bool) -> None:
+        ``is_free``: whether nothing touches the fingers. Raises as `LoopRunner.run`, and ServoFault
+        where a servo needs more current than a sound one.
+        """
+        self._start()
+
+        def watched(moment: Moment) -> Action:
+            self._push(moment, free=is_free(moment.state))
+            return step(moment)
+
+        state = runner.run(watched, needs_force=needs_force)
+        for servo, settings in zip(state.servos, self._settings.servos, strict=True):
+            self._take(settings, servo, self._runs[servo.servo_id])
+        self._start()
+        return state
+
+    def _start(self) -> None:
+        for run in self._runs.values():
+            run.start()
+
+    def _push(self, moment: Moment, *, free: bool) -> None:
         """Add one period, with all fingers moving ``free``, or with a possible contact."""
         for servo, settings in zip(moment.state.servos, self._settings.servos, strict=True):
             run = self._runs[servo.servo_id]
             if not (free and run.goes_on(servo, settings.servo_model.slow_rad_s)):
                 self._take(settings, servo, run)
-                run.begin()
+                run.start()
             run.add(moment.now_s, servo, settings)
             drive = self._drive(settings)
             if not drive.measured and run.lasts():
                 # The rest of the first motion uses the result of its beginning.
                 self._take(settings, servo, run)
-
-    def end(self, state: ServoFeedback) -> None:
-        """End a motion with its last feedback, and use its result.
-
-        Raises ServoFault where a servo needs more current than a sound one.
-        """
-        for servo, settings in zip(state.servos, self._settings.servos, strict=True):
-            self._take(settings, servo, self._runs[servo.servo_id])
-        self.begin()
 
     def compare(self) -> None:
         """Note contradictions of pads and motor constant: neither follows the other."""
@@ -182,10 +198,10 @@ class _Run:
     """Steady motion of one servo."""
 
     def __init__(self) -> None:
-        self.begin()
+        self.start()
 
-    def begin(self) -> None:
-        """Begin another motion."""
+    def start(self) -> None:
+        """Start another motion."""
         self._since_s: float | None = None
         self._periods: deque[tuple[float, float, float, float]] = deque()
 

@@ -45,6 +45,8 @@ def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(stand) -> N
 
 TURNED = [PadMount(pad=p, sent_as=p, rows_mirrored=True, columns_mirrored=True) for p in (0, 1)]
 EXCHANGED = [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
+ROWS = [PadMount(pad=1, sent_as=1, rows_mirrored=True)]
+COLUMNS = [PadMount(pad=0, sent_as=0, columns_mirrored=True)]
 
 
 @pytest.mark.parametrize(
@@ -52,16 +54,8 @@ EXCHANGED = [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
     [
         ("unit.pads_swapped", EXCHANGED, "The pads of the two fingers are exchanged"),
         ("taxels.turned=0", TURNED[:1], "finger0.inner is turned by 180 degrees"),
-        (
-            "taxels.rows_mirrored=1",
-            [PadMount(pad=1, sent_as=1, rows_mirrored=True)],
-            "The rows of finger1.inner run the other way",
-        ),
-        (
-            "taxels.columns_mirrored=0",
-            [PadMount(pad=0, sent_as=0, columns_mirrored=True)],
-            "The columns of finger0.inner run the other way",
-        ),
+        ("taxels.rows_mirrored=1", ROWS, "The rows of finger1.inner run the other way"),
+        ("taxels.columns_mirrored=0", COLUMNS, "The columns of finger0.inner run the other way"),
     ],
 )
 def test_pads_that_sit_otherwise_are_found_named_and_set(stand, fault, mounts, named) -> None:

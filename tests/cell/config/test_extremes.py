@@ -113,7 +113,7 @@ def grasp(*at: End) -> None:
         simulated.clock.on_advance.append(look)
         try:
             cell.controller.start()
-            cell.controller.present("ball")
+            cell.controller.moves.present("ball")
             cell.controller.grasp(GraspStep(pose=Pose(), force_n=config.sequence.forces_n[0]))
         finally:
             simulated.clock.on_advance.remove(look)

@@ -39,45 +39,35 @@ def test_a_cell_on_real_ports_has_its_axes_there_too() -> None:
     assert config.positioner.ports == ("socketcan", "/dev/ttyUSB1")
 
 
+X, TURNED, ONLY = X_AXIS, ROTATION_AXIS, "list positioner.axes if positioner.kind is axes, and only"
+ON_CAN1 = {"interface": "socketcan", "channel": "can1"}
+ASKED = {"sequence.kind": "list", "sequence.poses": [{"y_mm": 1.0}]}
+
+
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        (positioner(), "list positioner.axes if positioner.kind is axes, and only then"),
-        (
-            {"positioner": {"kind": "operator", "axes": [X_AXIS]}},
-            "list positioner.axes if positioner.kind is axes, and only then",
-        ),
-        (positioner(X_AXIS, X_AXIS | {"node_id": 3}), "move x, x: list one axis for each part"),
-        (
-            positioner(X_AXIS, ROTATION_AXIS | {"node_id": 11}),
-            r"node-IDs \[11, 11\]: give each drive its own",
-        ),
-        (positioner(X_AXIS | {"low": 6.0}), "axis x has the limits 6 to 6; low must be below high"),
-        (positioner(X_AXIS | {"increments": 0.0}), "axis x has 0 increments per mm"),
-        (positioner(X_AXIS | {"increments": 9e8}), "limits that fit into 32 bits"),
+        (positioner(), ONLY),
+        ({"positioner": {"kind": "operator", "axes": [X]}}, ONLY),
+        (positioner(X, X | {"node_id": 3}), "move x, x: list one axis for each part"),
+        (positioner(X, TURNED | {"node_id": 11}), r"node-IDs \[11, 11\]: give each drive its own"),
+        (positioner(X | {"low": 6.0}), "axis x has the limits 6 to 6; low must be below high"),
+        (positioner(X | {"increments": 0.0}), "axis x has 0 increments per mm"),
+        (positioner(X | {"increments": 9e8}), "limits that fit into 32 bits"),
         (positioner(WRIST | {"high": 351.0}), "more than one turn of its servo"),
-        (positioner(X_AXIS), r"sequence.rotation_deg asks for 0 to 90; no axis moves it: write"),
+        (positioner(X), r"sequence.rotation_deg asks for 0 to 90; no axis moves it: write"),
         (
-            positioner(X_AXIS | {"high": 1.0}, ROTATION_AXIS, WRIST),
+            positioner(X | {"high": 1.0}, TURNED, WRIST),
             "sequence.x_mm asks for -2 to 2; its axis goes from -6 to 1",
         ),
+        (ASKED, "sequence.y_mm asks for 1 to 1; no axis moves it"),
         (
-            {"sequence.kind": "list", "sequence.poses": [{"y_mm": 1.0}]},
-            "sequence.y_mm asks for 1 to 1; no axis moves it",
-        ),
-        (
-            positioner(X_AXIS, ROTATION_AXIS, WRIST, can={"interface": "slcan"}),
+            positioner(X, TURNED, WRIST, can={"interface": "slcan"}),
             "an axis of the positioner is on 'slcan', gripper.port is 'simulated'",
         ),
         (REAL, "an axis of the positioner is on 'simulated', gripper.port is '/dev/ttyUSB0'"),
         (
-            REAL
-            | positioner(
-                X_AXIS,
-                ROTATION_AXIS,
-                WRIST | {"port": "/dev/ttyUSB0"},
-                can={"interface": "socketcan", "channel": "can1"},
-            ),
+            REAL | positioner(X, TURNED, WRIST | {"port": "/dev/ttyUSB0"}, can=ON_CAN1),
             "'/dev/ttyUSB0', the port of the fingers",
         ),
         (REAL | positioner(TURN, TURN | {"moves": "x", "high": 90.0}), "give each servo its own"),

@@ -60,7 +60,7 @@ def test_an_object_that_is_taken_off_the_axes_does_not_come_back(bench: Any) -> 
         assert (cell.world.placed is None) is (y_m > 0.0)
         cell.place("nothing")
         assert cell.devices.stage._carried is None
-        bench.controller._positioner.move_to(POSE)
+        bench.controller.moves.positioner.move_to(POSE)
         assert cell.world.placed is None
 
 
@@ -76,7 +76,7 @@ def test_a_missed_move_shows_in_the_grasp_though_no_encoder_shows_it(bench: Any)
     before_m = centre_m(Pose())
     bench.simulated.inject("axis1.slip=0.003")
     after_m = centre_m(Pose())
-    assert bench.controller.state is CellState.IDLE
+    assert bench.controller.life.state is CellState.IDLE
     assert after_m - before_m == pytest.approx(3e-3, abs=1e-3)
 
 
@@ -111,13 +111,13 @@ def test_a_pose_that_no_axis_reaches_is_refused_and_nothing_moves(
     with pytest.raises(PositionerError, match=words):
         bench.grasp(3.0, pose)
     assert true_pose(bench) == before
-    assert bench.controller.state is CellState.IDLE
+    assert bench.controller.life.state is CellState.IDLE
     bench.grasp(3.0, Pose())
 
 
 def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
     bench.ready()
-    positioner = bench.controller._positioner
+    positioner = bench.controller.moves.positioner
     assert isinstance(positioner, AxesPositioner)
     there = Destination(label="ball", place="bin", pose=POSE)
     for phase in GripperPhase:
@@ -138,20 +138,20 @@ def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
     there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3, roll_rad=1.0))
     bench.ready()
     with pytest.raises(CellStateError):
-        bench.controller.carry_to(there)
+        bench.controller.moves.carry_to(there)
     bench.controller.grip(3.0, Pose(x_m=1e-3))
     held = bench.grip_n
     assert held > 1.0
-    bench.controller.carry_to(there)
+    bench.controller.moves.carry_to(there)
     assert true_pose(bench).x_m == pytest.approx(5e-3, abs=NEAR_M)
     assert bench.grip_n == pytest.approx(held, abs=0.3)
     with pytest.raises(PositionerError, match="the place bin of ball has no pose"):
-        bench.controller.carry_to(Destination(label="ball", place="bin"))
+        bench.controller.moves.carry_to(Destination(label="ball", place="bin"))
     with pytest.raises(PositionerError, match=r"its limits are -6.00 mm"):
-        bench.controller.carry_to(Destination(label="ball", place="far", pose=Pose(x_m=0.1)))
+        bench.controller.moves.carry_to(Destination(label="ball", place="far", pose=Pose(x_m=0.1)))
     assert bench.grip_n == pytest.approx(held, abs=0.3)
     bench.controller.release()
-    bench.controller.present("box")
+    bench.controller.moves.present("box")
     assert near(bench.grasp(3.0, POSE).reached, POSE)
     assert near(true_pose(bench), POSE)
     label, placed = bench.simulated.world.placed
@@ -176,15 +176,15 @@ def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(
     bench.ready()
     bench.controller.grip(3.0, Pose())
     if number == 599:
-        axes = bench.controller._positioner.axes
+        axes = bench.controller.moves.positioner.axes
         monkeypatch.setattr(axes, "_move", lambda *_args: {}["defect"])
     else:
         bench.simulated.inject(fault)
     there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3))
     with pytest.raises((PositionerFault, KeyError), match=r"drive 12|defect"):
-        bench.controller.carry_to(there)
-    assert bench.controller.state is CellState.ABORTED
-    assert bench.controller.status.fault_number == number
+        bench.controller.moves.carry_to(there)
+    assert bench.controller.life.state is CellState.ABORTED
+    assert bench.controller.life.status.fault_number == number
     bench.sleep(1.0)
     assert bench.grip_n > 1.0
     assert not any(axis.moving for axis in bench.simulated.devices.axes.values())
@@ -193,12 +193,12 @@ def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(
 def test_a_cancel_stops_the_axes_on_their_way(bench: Any) -> None:
     bench.ready().grasp(3.0, Pose(x_m=-5e-3))
     axes = bench.simulated.devices.axes
-    once(bench.clock, lambda: axes["x"].moving, bench.controller.cancel)
+    once(bench.clock, lambda: axes["x"].moving, bench.controller.life.cancel)
     with pytest.raises(CellStopped):
         bench.grasp(3.0, Pose(x_m=5e-3))
     assert not any(axis.moving for axis in axes.values())
     assert axes["x"].position < 0.0
-    assert bench.controller.state is CellState.HELD
+    assert bench.controller.life.state is CellState.HELD
     bench.controller.release()
     assert bench.grasp(3.0, Pose(x_m=5e-3)).reached.x_m == pytest.approx(5e-3, abs=NEAR_M)
 
@@ -223,7 +223,7 @@ def test_the_fingers_are_supervised_while_the_axes_move(bench: Any) -> None:
     once(bench.clock, lambda: axes["x"].moving, lambda: bench.inject("servo2.off"))
     with pytest.raises(Exception, match="servo"):
         bench.controller.grasp(GraspStep(pose=Pose(x_m=5e-3), force_n=3.0))
-    assert bench.controller.state is CellState.ABORTED
+    assert bench.controller.life.state is CellState.ABORTED
     stood_m = axes["x"].position
     assert stood_m < 4e-3
     bench.simulated.clock.sleep(0.3)

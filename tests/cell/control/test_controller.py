@@ -10,6 +10,7 @@ import pytest
 
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose, plan
+from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, NoPartFound, PlanRefused, PositionerError
@@ -38,15 +39,15 @@ def test_a_grasp_reaches_its_force_and_lets_go(bench: Any) -> None:
     assert held_n[0] > 2.0
     assert record.reached.x_m == 1e-3
     assert record.step.force_n == 4.0
-    assert bench.controller.state is CellState.IDLE
+    assert bench.life.state is CellState.IDLE
     assert bench.grip_n == 0.0
-    assert bench.controller.gripper.read_feedback().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
+    assert bench.aperture_m == pytest.approx(OPEN_M, abs=5e-4)
 
 
 def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) -> None:
     record = bench.ready().grasp(4.0)
     grasp, cycles = record.grasp, record.cycles
-    assert grasp.pads.same_as(bench.controller.pads)
+    assert grasp.pads.same_as(pad_array(bench.controller.hand.layout))
     assert grasp.label == ""
     assert grasp.source == "cell simulated cell"
     np.testing.assert_allclose(np.diff(grasp.t_s), 0.02, atol=2e-3)
@@ -68,10 +69,11 @@ def test_a_machine_clock_set_back_leaves_the_grasps_in_order(
     bench: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.controller.start()
-    steps = plan(bench.config.sequence, 1, seed=4)
-    (before,) = bench.controller.collect("box", steps)
+    bench.controller.moves.present("box")
+    (step,) = plan(bench.config.sequence, 1, seed=4)
+    before = bench.controller.grasp(step)
     monkeypatch.setattr("time.time_ns", lambda: 1_000_000_000)
-    (after,) = bench.controller.collect("box", steps)
+    after = bench.controller.grasp(step)
     assert after.grasp.start_ms == before.grasp.start_ms + 1
 
 
@@ -80,10 +82,10 @@ def test_an_empty_gripper_is_no_part_and_no_fault(make_bench: MakeBench, tmp_pat
     bench.once_in(APPROACHING, bench.simulated.remove)
     with pytest.raises(NoPartFound, match=r"no contact at pose x \+0\.0 mm.*is the object in"):
         bench.grasp()
-    assert bench.controller.state is CellState.IDLE
-    assert bench.controller.grasp_state is GraspState.NO_PART_FOUND
-    assert bench.controller.fault is None
-    assert bench.controller.gripper.read_feedback().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
+    assert bench.life.state is CellState.IDLE
+    assert bench.life.grasp_state is GraspState.NO_PART_FOUND
+    assert bench.life.fault is None
+    assert bench.aperture_m == pytest.approx(OPEN_M, abs=5e-4)
     assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
     bench.cell.close()
     recording = read_recording(tmp_path / "recording.mcap")
@@ -111,8 +113,8 @@ def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(
     assert (record.outcome.result is GraspResult.FORCE_REACHED) is reached
     assert bool(record.ended) is not reached
     bench.idle(2.0)
-    assert bench.controller.verify().same
-    assert bench.controller.state is CellState.COMPLETE
+    assert bench.controller.kept.verify().same
+    assert bench.life.state is CellState.COMPLETE
     bench.controller.release()
     # The cell goes on, and takes closed fingers for empty as before.
     bench.once_in(APPROACHING, bench.simulated.remove)
@@ -171,14 +173,14 @@ def test_a_force_that_is_not_allowed_is_refused_before_anything_moves(
     began_s = bench.simulated.clock.monotonic()
     for ask in (
         lambda: bench.controller.grasp(bad),
-        lambda: bench.controller.collect("ball", [good, bad]),
+        lambda: bench.controller.check_plan([good, bad]),
         lambda: bench.controller.identify(Scripted(UNSURE), [good, bad]),
     ):
         with pytest.raises(LimitExceeded, match=complaint):
             ask()
     assert bench.simulated.clock.monotonic() == began_s
-    assert bench.controller.state is CellState.IDLE
-    assert bench.controller.fault is None
+    assert bench.life.state is CellState.IDLE
+    assert bench.life.fault is None
     assert bench.grasp().outcome.result is GraspResult.FORCE_REACHED
 
 
@@ -190,18 +192,18 @@ def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
         (lambda: bench.controller.grasp(nothing), "None is not a step"),
         (lambda: bench.controller.grasp(GraspStep(pose=nothing, force_n=3.0)), "is not a step"),
         (lambda: bench.controller.grasp(step, label=nothing), "None is not a label"),
-        (lambda: bench.controller.collect("ball", []), "the plan is empty"),
-        (lambda: bench.controller.collect(nothing, [step]), "None is not a label"),
+        (lambda: bench.controller.check_plan([]), "the plan is empty"),
+        (lambda: bench.controller.check_plan([step], nothing), "None is not a label"),
         (
-            lambda: bench.controller.collect("UNKNOWN", [step]),
+            lambda: bench.controller.check_plan([step], "UNKNOWN"),
             "is UNKNOWN, the answer for untaught objects",
         ),
         (lambda: bench.controller.identify(Scripted(SURE), []), "the plan is empty"),
     ):
         with pytest.raises(PlanRefused, match=complaint):
             ask()
-    assert bench.controller.state is CellState.IDLE
-    assert bench.controller.fault is None
+    assert bench.life.state is CellState.IDLE
+    assert bench.life.fault is None
 
 
 # -- stopping --------------------------------------------------------------------------------
@@ -215,54 +217,52 @@ def test_cancelling_keeps_the_grip_until_it_is_released(
     bench: Any, phase: GripperPhase, after_s: float, least_n: float
 ) -> None:
     bench.ready()
-    bench.once_in(phase, bench.controller.cancel, after_s)
+    bench.once_in(phase, bench.life.cancel, after_s)
     left = "the grip is kept" if phase is RAMPING else r"stopped while closing, .* may be touched"
     with pytest.raises(CellStopped, match=f"{left} until it is released on purpose"):
         bench.grasp(6.0)
-    assert bench.controller.state is CellState.HELD
-    assert bench.controller.holding
+    assert bench.life.state is CellState.HELD
+    assert bench.life.holding
     assert bench.grip_n >= least_n
     bench.idle(1.0)
     assert least_n <= bench.grip_n < 6.0
     bench.controller.release()
-    assert bench.controller.state is CellState.IDLE
+    assert bench.life.state is CellState.IDLE
     assert bench.grip_n == 0.0
     assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
 
 
 def test_cancelling_between_two_grasps_leaves_the_fingers_open(bench: Any) -> None:
     bench.ready()
-    steps = [GraspStep(pose=Pose(), force_n=3.0)] * 3
-    records = bench.controller.collect("ball", steps)
-    next(records)
-    bench.controller.cancel()
+    bench.grasp()
+    bench.life.cancel()
     with pytest.raises(CellStopped, match="between two grasps; the fingers are open"):
-        next(records)
-    assert bench.controller.state is CellState.IDLE
+        bench.grasp()
+    assert bench.life.state is CellState.IDLE
     assert bench.grip_n == 0.0
-    assert len(list(bench.controller.collect("ball", steps[:1]))) == 1
+    bench.grasp()
 
 
 def test_a_cancel_between_two_parts_of_a_job_is_not_lost(bench: Any) -> None:
     bench.ready()
     bench.grasp()
-    bench.controller.cancel()
+    bench.life.cancel()
     with pytest.raises(CellStopped):
         bench.controller.identify(Scripted(SURE), [GraspStep(pose=Pose(), force_n=3.0)])
-    bench.controller.cancel()
-    bench.controller.forget_cancel()
+    bench.life.cancel()
+    bench.life.forget_cancel()
     bench.grasp()
 
 
 @pytest.mark.parametrize("again", ["release", "release_held"])
 def test_a_release_can_be_stopped_too(bench: Any, again: str) -> None:
     bench.ready()
-    bench.once_in(RAMPING, bench.controller.cancel, 0.2)
+    bench.once_in(RAMPING, bench.life.cancel, 0.2)
     with pytest.raises(CellStopped):
         bench.grasp(6.0)
     if again == "release_held":
         bench.controller.shutdown()
-    bench.once_in(RELEASING, bench.controller.cancel, 0.03)
+    bench.once_in(RELEASING, bench.life.cancel, 0.03)
     with pytest.raises(CellStopped) as stopped:
         getattr(bench.controller, again)()
     stood_mm = bench.simulated.devices.mechanics.aperture_m * 1e3
@@ -274,24 +274,24 @@ def test_a_release_can_be_stopped_too(bench: Any, again: str) -> None:
     assert float(told[1]) == pytest.approx(stood_mm, abs=0.5)
     bench.sleep(0.5)
     assert bench.simulated.devices.mechanics.aperture_m * 1e3 == pytest.approx(stood_mm, abs=0.8)
-    assert bench.controller.holding
-    assert bench.controller.state.value == ("HELD" if again == "release" else "STOPPED")
+    assert bench.life.holding
+    assert bench.life.state.value == ("HELD" if again == "release" else "STOPPED")
     getattr(bench.controller, again)()
-    assert not bench.controller.holding
+    assert not bench.life.holding
     assert bench.grip_n == 0.0
 
 
 @pytest.mark.parametrize("when", ["before", "while opening", "while zeroing"])
 def test_a_cancelled_start_leaves_the_cell_stopped(bench: Any, when: str) -> None:
     if when == "before":
-        bench.controller.cancel()
+        bench.life.cancel()
     elif when == "while opening":
-        bench.once_in(OPENING, bench.controller.cancel)
+        bench.once_in(OPENING, bench.life.cancel)
     else:
-        bench.once_in(GripperPhase.IDLE, bench.controller.cancel, 0.2)
+        bench.once_in(GripperPhase.IDLE, bench.life.cancel, 0.2)
     with pytest.raises(CellStopped, match="no part was gripped"):
         bench.controller.start()
-    assert bench.controller.state is CellState.STOPPED
+    assert bench.life.state is CellState.STOPPED
     bench.ready()
     assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
 
@@ -303,13 +303,13 @@ def test_a_stop_that_finds_the_servos_gone_is_a_fault(bench: Any) -> None:
     bench.ready()
 
     def stop_and_unplug() -> None:
-        bench.controller.cancel()
+        bench.life.cancel()
         bench.simulated.inject("servos.unplugged")
 
     bench.once_in(RAMPING, stop_and_unplug, 0.2)
     with pytest.raises(GripperError):
         bench.grasp(6.0)
-    assert bench.controller.state is CellState.ABORTED
+    assert bench.life.state is CellState.ABORTED
     assert bench.grip_n > 0.5
 
 
@@ -320,9 +320,9 @@ def test_shutting_down_twice_is_harmless_and_an_idle_cell_lets_its_servos_rest(b
     bench.ready().grasp()
     bench.controller.shutdown()
     bench.controller.shutdown()
-    assert bench.controller.state is CellState.STOPPED
-    assert bench.controller.gripper.phase is GripperPhase.OFF
-    bench.controller.tick()
+    assert bench.life.state is CellState.STOPPED
+    assert bench.cell.local_hand.gripper.phase is GripperPhase.OFF
+    bench.life.tick()
     bench.ready().grasp()
 
 
@@ -333,8 +333,8 @@ def test_an_object_that_does_not_exist_is_refused_before_anything_closes(bench: 
     bench.ready("unicorn")
     with pytest.raises(PositionerError, match="unicorn cannot be placed"):
         bench.grasp()
-    assert not bench.controller.holding
-    assert bench.controller.gripper.read_feedback().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
+    assert not bench.life.holding
+    assert bench.aperture_m == pytest.approx(OPEN_M, abs=5e-4)
 
 
 def test_the_cell_is_supervised_while_a_person_moves_the_object(make_bench: MakeBench) -> None:
@@ -352,10 +352,10 @@ def test_the_cell_is_supervised_while_a_person_moves_the_object(make_bench: Make
     bench.simulated.clock.on_advance.append(
         lambda now_s: moving.set() if now_s > before_s + 3.0 else None
     )
-    bench.controller.present("ball")
+    bench.controller.moves.present("ball")
     assert "'ball'" in asked[0]
-    assert bench.controller.state is CellState.IDLE
-    assert len(bench.controller.local_hand._force._new) < 5
+    assert bench.life.state is CellState.IDLE
+    assert len(bench.cell.local_hand._force._new) < 5
 
     bench.simulated.place("ball")
     assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
@@ -371,5 +371,5 @@ def test_a_frame_that_shows_the_part_stands_against_messages_that_show_none(
     bench.simulated.inject("unit.force_gain=0@contact+0.25s")
     with pytest.raises(GripContradicted, match="a frame scanned since then shows"):
         bench.controller.grasp(GraspStep(pose=Pose(), force_n=5.0))
-    assert bench.controller.state is CellState.ABORTED
+    assert bench.life.state is CellState.ABORTED
     assert min(bench.simulated.world.contact_force_n()) > 1.0

@@ -1,4 +1,4 @@
-"""One grasp without a cell: fingers that close before a frame comes, and no part to verify."""
+"""One grasp without a cell: fingers that close before a frame comes, and servos that bear less."""
 
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -6,12 +6,10 @@ from typing import Any
 
 import pytest
 
+from cell.control.controller import CellController
 from cell.control.grasping import Grasper
-from cell.control.journal import Journal
-from cell.control.lifecycle import CellLifecycle
 from cell.control.plan import GraspStep, Pose
-from cell.control.self_zero import SelfZeros
-from cell.errors import CellStateError, NoPartFound
+from cell.errors import NoPartFound
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
@@ -35,17 +33,8 @@ def grasper() -> Grasper:
         release=released.append,
         released=released,
     )
-    journal, clock = Journal(None), Clock()
-    return Grasper(
-        config=small_config(),
-        hand=hand,
-        positioner=SimpleNamespace(blocks=False, move_to=lambda pose, *_: pose),  # type: ignore[arg-type]
-        life=CellLifecycle(hand=hand, journal=journal, shows_nothing=lambda: True, clock=clock),
-        journal=journal,
-        zeros=SelfZeros(),
-        clock=clock,
-        take_zero=lambda _n_frames: None,
-    )
+    positioner: Any = SimpleNamespace(blocks=False, move_to=lambda pose, *_: pose)
+    return CellController(small_config(), hand, positioner, clock=Clock())._grasper
 
 
 def test_fingers_that_close_before_a_frame_comes_open_again(grasper: Grasper) -> None:
@@ -53,11 +42,6 @@ def test_fingers_that_close_before_a_frame_comes_open_again(grasper: Grasper) ->
         grasper.grasp(GraspStep(pose=Pose(), force_n=3.0), "")
     assert len(grasper.hand.released) == 1  # type: ignore[attr-defined]
     assert grasper.life.result is GraspResult.NO_CONTACT
-
-
-def test_without_a_kept_part_there_is_nothing_to_verify(grasper: Grasper) -> None:
-    with pytest.raises(CellStateError, match="no part is kept"):
-        grasper.verify()
 
 
 def test_servos_that_carry_less_than_asked_for_end_the_ramp_there_with_one_note(

@@ -12,6 +12,7 @@ from cell.control.keeping import HeldPart, Keep, compared
 from cell.control.live import LiveValues
 from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination, HostPlaces, OperatorPositioner
+from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, ConfigError, PositionerError
@@ -79,7 +80,7 @@ def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None
     bench.simulated.inject("unit.off")
     with pytest.raises(TactileError):
         bench.idle(1.0)
-    assert bench.controller.state is CellState.ABORTED
+    assert bench.life.state is CellState.ABORTED
     assert bench.controller.live == LiveValues()
 
 
@@ -89,7 +90,7 @@ def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, k
     assert found.label == UNKNOWN
     assert found.kept is kept
     assert (bench.grip_n > 0.0) is kept
-    assert bench.controller.state is (CellState.COMPLETE if kept else CellState.IDLE)
+    assert bench.life.state is (CellState.COMPLETE if kept else CellState.IDLE)
 
 
 @pytest.mark.parametrize("keep", Keep)
@@ -131,27 +132,27 @@ def test_neither_a_stop_nor_a_fault_waits_for_the_answer_and_the_part_is_kept(
 ) -> None:
     monkeypatch.setattr(LocalHand, "own_process", True)
     over = threading.Event()
-    act = bench.controller.cancel if stopped else lambda: bench.simulated.inject("can.unplugged")
+    act = bench.life.cancel if stopped else lambda: bench.simulated.inject("can.unplugged")
     bench.once_in(GripperPhase.BACKING_OFF, act)
     with pytest.raises(CellStopped if stopped else TactileError):
         identify(bench, Scripted(SURE, look=lambda: over.wait(20.0)), Keep.ALWAYS)
     assert not over.is_set()
     over.set()
-    assert bench.controller.state is (CellState.HELD if stopped else CellState.ABORTED)
+    assert bench.life.state is (CellState.HELD if stopped else CellState.ABORTED)
     assert bench.grip_n > 1.0
 
 
 def test_a_stop_while_it_is_named_holds_the_part(bench: Any) -> None:
     with pytest.raises(CellStopped, match="the grip is kept"):
-        identify(bench, Scripted(SURE, look=bench.controller.cancel), Keep.ALWAYS)
-    assert bench.controller.state is CellState.HELD
+        identify(bench, Scripted(SURE, look=bench.life.cancel), Keep.ALWAYS)
+    assert bench.life.state is CellState.HELD
     assert bench.grip_n > 1.0
 
 
 def test_an_error_while_it_is_named_is_a_fault_with_the_part_kept(bench: Any) -> None:
     with pytest.raises(IndexError):
         identify(bench, Scripted(), Keep.ALWAYS)
-    assert bench.controller.state is CellState.ABORTED
+    assert bench.life.state is CellState.ABORTED
     assert bench.grip_n > 1.0
 
 
@@ -179,7 +180,7 @@ def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(
         """The taught recogniser, from which three ramps are wanted."""
 
         def __init__(self) -> None:
-            self._taught = load_model(model, bench.controller.pads).recognizer
+            self._taught = load_model(model, pad_array(bench.controller.hand.layout)).recognizer
             self.labels = self._taught.labels
 
         def posterior(self, grasp: Any) -> Posterior:
@@ -198,7 +199,7 @@ def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(
     assert [answer.best for answer in answers] == ["box"] * 3
     assert min(least_n[:-1]) > 0.5
     assert found.posteriors[1].dependence > found.posteriors[0].dependence
-    assert bench.controller.state is CellState.IDLE
+    assert bench.life.state is CellState.IDLE
     assert bench.grip_n == 0.0
 
 
@@ -222,22 +223,22 @@ def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(
     bench.simulated.inject(fault)
     with pytest.raises((PartLost, PartSlipped)):
         bench.idle(1.0)
-    assert bench.controller.state is CellState.ABORTED
-    assert bench.controller.grasp_state is GraspState.PART_LOST
-    text = bench.controller.fault
+    assert bench.life.state is CellState.ABORTED
+    assert bench.life.grasp_state is GraspState.PART_LOST
+    text = bench.life.fault
     assert text is not None
     after_s = float(text.rpartition("; ")[2].removesuffix(" s after the answer"))
     assert 3.0 <= after_s <= 3.1 + limit_s
     bench.simulated.injector.clear_all()
-    bench.controller.clear()
+    bench.life.clear()
     bench.controller.release_held()
-    bench.controller.reset()
+    bench.life.reset()
     bench.controller.start()
-    bench.controller.present("ball")
+    bench.controller.moves.present("ball")
     bench.simulated.inject("can.unplugged@contact+0.1s")
     with pytest.raises(Exception, match="CAN"):
         bench.grasp()
-    assert "after the answer" not in (bench.controller.fault or "")
+    assert "after the answer" not in (bench.life.fault or "")
 
 
 # -- the same part? --------------------------------------------------------------------------
@@ -248,12 +249,12 @@ def test_a_look_at_a_kept_part_finds_it_unchanged(make_bench: MakeBench, tmp_pat
     bench.ready()
     bench.controller.grip(6.0, Pose())
     bench.idle(5.0)
-    check = bench.controller.verify()
+    check = bench.controller.kept.verify()
     assert check.held
     assert check.same
     assert check.reasons == ()
     assert check.force_n == pytest.approx(CARRY_N, abs=TOLERANCE_N)
-    assert bench.controller.state is CellState.COMPLETE
+    assert bench.life.state is CellState.COMPLETE
     bench.cell.close()
     events = read_recording(tmp_path / "recording.mcap").events
     assert ("verify", "the same part") in {(e["kind"], e["text"]) for e in events}
@@ -279,11 +280,11 @@ def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
     bench.controller.grip(4.0, Pose())
     # Between two looks of the slip detector: what is seen is where the part is now.
     bench.simulated.devices.physical.slide(2.5e-3)
-    check = bench.controller.verify()
+    check = bench.controller.kept.verify()
     assert check.held
     assert check.same is False
     assert any("similarity to the kept footprint" in reason for reason in check.reasons)
-    assert bench.controller.state is CellState.COMPLETE
+    assert bench.life.state is CellState.COMPLETE
     assert bench.grip_n > 1.0
 
 
@@ -292,7 +293,7 @@ def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
     for step in range(1, 41):
         bench.simulated.devices.physical.swell(step * 2e-5)
         bench.idle(0.05)
-    check = bench.controller.verify()
+    check = bench.controller.kept.verify()
     assert check.same is False
     assert any("mm is allowed" in reason for reason in check.reasons)
 
@@ -311,19 +312,19 @@ def test_a_place_that_is_refused_leaves_the_part_in_the_grip(
     bench.ready()
     bench.controller.grip(3.0, Pose())
     with pytest.raises(PositionerError, match="the part is kept"):
-        bench.controller.carry_to(TO_BIN)
-    assert bench.controller.state is CellState.COMPLETE
-    assert bench.controller.fault is None
+        bench.controller.moves.carry_to(TO_BIN)
+    assert bench.life.state is CellState.COMPLETE
+    assert bench.life.fault is None
     assert bench.grip_n > 1.0
 
 
 def test_a_stop_on_the_way_ends_the_way_and_keeps_the_part(make_bench: MakeBench) -> None:
-    bench = make_bench(places=lambda _destination: bench.controller.cancel())
+    bench = make_bench(places=lambda _destination: bench.life.cancel())
     bench.ready()
     bench.controller.grip(3.0, Pose())
     with pytest.raises(CellStopped, match="on the way to bin 1; the part is kept"):
-        bench.controller.carry_to(TO_BIN)
-    assert bench.controller.state is CellState.COMPLETE
+        bench.controller.moves.carry_to(TO_BIN)
+    assert bench.life.state is CellState.COMPLETE
     assert bench.grip_n > 1.0
 
 
@@ -336,10 +337,10 @@ def test_a_part_that_is_lost_on_the_way_ends_it_at_once(bench: Any) -> None:
 
     bench.controller.grip(3.0, Pose())
     moves = HostPlaces(OperatorPositioner(lambda _text: ""), places)
-    bench.controller._positioner = bench.controller._grasper.positioner = moves
+    bench.controller.moves.positioner = moves
     try:
         with pytest.raises(PartLost):
-            bench.controller.carry_to(TO_BIN)
+            bench.controller.moves.carry_to(TO_BIN)
     finally:
         arrived.set()
-    assert bench.controller.grasp_state is GraspState.PART_LOST
+    assert bench.life.grasp_state is GraspState.PART_LOST

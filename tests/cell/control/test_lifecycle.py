@@ -17,10 +17,10 @@ from tests.values import raising
 
 def life_of(state: CellState, phase: GripperPhase, **hand: Any) -> CellLifecycle:
     return CellLifecycle(
-        hand=SimpleNamespace(phase=phase, **hand),  # type: ignore[arg-type]
-        journal=Journal(None),
-        shows_nothing=lambda: False,
-        clock=Clock(),
+        SimpleNamespace(phase=phase, **hand),  # type: ignore[arg-type]
+        Journal(None),
+        Clock(),
+        0.2,
         state=state,
     )
 

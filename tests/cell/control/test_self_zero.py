@@ -51,15 +51,15 @@ def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
     ).ready()
     for bench in (plain, there):
         bench.simulated.remove()
-    here, found = plain.controller.measure_zero().zero, there.controller.measure_zero().zero
+    here, found = plain.controller.zeroing.measure().zero, there.controller.zeroing.measure().zero
     assert here.opening_m * 1e3 == pytest.approx(0.0, abs=0.15)
     assert found.opening_m * 1e3 == pytest.approx(21 * PULSE_MM, abs=0.15)
     assert math.exp(found.log_gain_ratio) == pytest.approx(1.1 / 0.9, rel=0.06)
     # Both gains are 0.995 in the mean: counts for each A are as before.
     assert found.log_scale - here.log_scale == pytest.approx(math.log(0.995), abs=0.12)
-    assert there.controller.state is CellState.IDLE
-    assert not there.controller.holding
-    there.controller.present("ball")
+    assert there.controller.life.state is CellState.IDLE
+    assert not there.controller.life.holding
+    there.controller.moves.present("ball")
     step = GraspStep(pose=Pose(), force_n=6.0)
     assert there.controller.grasp(step).grasp.zero == found
 
@@ -104,8 +104,8 @@ def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
 )
 def test_it_is_measured_on_other_hands(make_bench, hand: dict[str, Any]) -> None:
     bench = make_bench(small_config(self_zero="daily", **hand)).start()
-    assert bench.controller.state is CellState.IDLE
-    assert bench.controller.self_zero.opening_m * 1e3 == pytest.approx(0.0, abs=0.3)
+    assert bench.life.state is CellState.IDLE
+    assert bench.controller.zeros.newest.opening_m * 1e3 == pytest.approx(0.0, abs=0.3)
 
 
 @pytest.mark.parametrize(
@@ -120,17 +120,17 @@ def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, part: 
     bench = make_bench().ready()
     bench.simulated.place(part)
     with pytest.raises(PartBetweenFingers, match="something is between them"):
-        bench.controller.measure_zero()
-    assert bench.controller.state is CellState.ABORTED
-    assert bench.controller.holding
-    assert bench.controller.self_zero is None
-    assert 0.3 < bench.grip_n < bench.controller.carry_force_n + 0.5
-    bench.controller.clear()
+        bench.controller.zeroing.measure()
+    assert bench.life.state is CellState.ABORTED
+    assert bench.life.holding
+    assert bench.controller.zeros.newest is None
+    assert 0.3 < bench.grip_n < bench.controller.kept.wanted_force_n + 0.5
+    bench.life.clear()
     bench.controller.release_held()
     bench.simulated.remove()
-    bench.controller.reset()
+    bench.life.reset()
     bench.controller.start()
-    assert abs(bench.controller.measure_zero().zero.opening_m) < 2e-4
+    assert abs(bench.controller.zeroing.measure().zero.opening_m) < 2e-4
 
 
 @pytest.mark.parametrize(
@@ -147,21 +147,21 @@ def test_a_daily_start_opens_again_on_a_part_and_goes_on(
     bench.clock.on_advance.append(lambda _now_s: pressed_n.append(bench.grip_n))
     bench.controller.start()
     # Less than any grasp presses it, not with the 10 N of a self-zero.
-    assert 0.3 < max(pressed_n) < bench.controller.carry_force_n
+    assert 0.3 < max(pressed_n) < bench.controller.kept.wanted_force_n
     assert bench.grip_n == 0.0
-    assert bench.controller.state is CellState.IDLE
-    assert not bench.controller.holding
-    note = bench.controller.zero_note
+    assert bench.life.state is CellState.IDLE
+    assert not bench.life.holding
+    note = bench.controller.zeroing.note
     assert "something is between them" in note
     assert "`tactile-cell zero`; with `self_zero: on_demand`" in note
-    assert bench.controller.self_zero is None
+    assert bench.controller.zeros.newest is None
     assert health_values(config, bench.cell, None)["zero"] == {"level": "watch", "text": note}
     assert json.loads(zero_file(tmp_path, config.name).read_text())["zero"] is None
     bench.simulated.place("ball")
     assert bench.controller.grip(3.0).grasp.zero is None
     bench.controller.release()
     bench.simulated.remove()
-    bench.controller.measure_zero()
+    bench.controller.zeroing.measure()
     assert json.loads(zero_file(tmp_path, config.name).read_text())["zero"]
 
 
@@ -169,12 +169,12 @@ def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(make_be
     flat = make_bench(small_config(self_zero="daily"))
     flat.simulated.place("box:length=80mm,width=40mm,height=3mm")
     flat.controller.start()
-    assert "a flat part may be between them" in flat.controller.zero_note
-    assert flat.controller.self_zero is None
+    assert "a flat part may be between them" in flat.controller.zeroing.note
+    assert flat.controller.zeros.newest is None
     bent = make_bench(small_config(self_zero="daily", simulator__pads={"tilt_deg": [6.0, 0.0]}))
     bent.controller.start()
-    assert "a finger is bent" in bent.controller.zero_note
-    assert (bent.controller.state, bent.controller.self_zero) == (CellState.IDLE, None)
+    assert "a finger is bent" in bent.controller.zeroing.note
+    assert (bent.life.state, bent.controller.zeros.newest) == (CellState.IDLE, None)
 
 
 @pytest.mark.parametrize("when", ["daily", "always"])
@@ -187,11 +187,11 @@ def test_a_zero_that_cannot_be_written_counts_in_its_program(
     zero_file(tmp_path, config.name).mkdir()
     bench = make_bench(config, folder=tmp_path / "job")
     bench.controller.start()
-    assert (bench.controller.state, bench.controller.holding) == (CellState.IDLE, False)
-    assert bench.controller.self_zero is not None
+    assert (bench.life.state, bench.life.holding) == (CellState.IDLE, False)
+    assert bench.controller.zeros.newest is not None
     assert (
         "could not be saved for other programs: cannot write self-zero"
-        in bench.controller.zero_note
+        in bench.controller.zeroing.note
     )
 
 
@@ -201,9 +201,9 @@ def test_a_part_that_is_lost_during_a_daily_start_is_a_note(make_bench) -> None:
     taken_s = bench.once_in(GripperPhase.RAMPING, bench.simulated.remove)
     bench.controller.start()
     assert taken_s
-    assert "something is between them" in bench.controller.zero_note
-    assert (bench.controller.state, bench.controller.self_zero) == (CellState.IDLE, None)
-    assert not bench.controller.holding
+    assert "something is between them" in bench.controller.zeroing.note
+    assert (bench.life.state, bench.controller.zeros.newest) == (CellState.IDLE, None)
+    assert not bench.life.holding
 
 
 def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench) -> None:
@@ -214,21 +214,21 @@ def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench) -> None
     with pytest.raises(PartInGrip, match="nothing was moved"):
         bench.controller.start()
     assert bench.grip_n == pytest.approx(held_n, abs=0.3)
-    assert bench.controller.holding
+    assert bench.life.holding
 
 
 def test_a_start_after_a_fault_on_the_same_day_does_not_zero_again(make_bench) -> None:
     bench = make_bench(small_config(self_zero="daily")).ready()
-    taken = bench.controller.self_zero
+    taken = bench.controller.zeros.newest
     bench.inject("unit.off")
     with pytest.raises(FrameTimeout):
         bench.idle(2.0)
     bench.simulated.injector.clear("unit.off")
-    bench.controller.clear()
-    bench.controller.reset()
+    bench.life.clear()
+    bench.life.reset()
     bench.controller.start()
     assert taken is not None
-    assert bench.controller.self_zero is taken
+    assert bench.controller.zeros.newest is taken
 
 
 def test_a_start_does_not_zero_on_a_part(make_bench) -> None:
@@ -236,8 +236,8 @@ def test_a_start_does_not_zero_on_a_part(make_bench) -> None:
     bench.simulated.place("ball")
     with pytest.raises(PartBetweenFingers, match="something is between them"):
         bench.controller.start()
-    assert bench.controller.state is CellState.ABORTED
-    assert bench.controller.holding
+    assert bench.life.state is CellState.ABORTED
+    assert bench.life.holding
     assert bench.grip_n > 0.3
 
 
@@ -254,7 +254,7 @@ def test_what_is_out_of_bounds_is_named(make_bench, changes, says) -> None:
     bench = make_bench(small_config(**changes)).ready()
     bench.simulated.remove()
     with pytest.raises(says, match=r"zero_pulse|a tooth of a horn|a finger is bent"):
-        bench.controller.measure_zero()
+        bench.controller.zeroing.measure()
 
 
 @pytest.mark.parametrize(("when", "times"), [("always", 2), ("daily", 2), ("on_demand", 0)])
@@ -267,9 +267,9 @@ def test_it_is_measured_at_a_start_where_it_is_due(
     for job in ("first", "second"):
         (tmp_path / job).mkdir()
         bench = make_bench(config, folder=tmp_path / job)
-        before = bench.controller.self_zero
+        before = bench.controller.zeros.newest
         bench.controller.start()
-        seen.append((before, bench.controller.self_zero))
+        seen.append((before, bench.controller.zeros.newest))
     measured = sum(after is not None and after is not before for before, after in seen)
     assert measured == times
     assert kept.exists() == (times > 0)
@@ -295,7 +295,7 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     assert isinstance(goal, ZeroGoal)
     found = tasks.Tasks(bench.controller, None).zero(goal, reports.append)
     assert reports[-1]["zero"] == asdict(found) | {"moved_mm": None}
-    assert bench.controller.self_zero == found
+    assert bench.controller.zeros.newest == found
 
 
 def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(
@@ -321,14 +321,14 @@ def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(
 def test_fingers_that_cannot_meet_are_gauged(make_bench) -> None:
     bench = make_bench(small_config(gripper__pads_meet=False)).ready()
     with pytest.raises(PlanRefused, match="calibrate --gauge"):
-        bench.controller.measure_zero()
+        bench.controller.zeroing.measure()
     with pytest.raises(Exception, match=r"gripper\.pads_meet is false"):
         small_config(gripper__pads_meet=False, self_zero="daily")
     unset = changed_config(CellConfig(), {"gripper.pads_meet": False})
     assert (CellConfig().self_zero, unset.self_zero) == ("daily", "never")
     assert parse_config(config_text(unset), source="x") == unset
     with pytest.raises(PlanRefused, match="self_zero is never"):
-        make_bench(small_config(self_zero="never")).ready().controller.measure_zero()
+        make_bench(small_config(self_zero="never")).ready().controller.zeroing.measure()
 
 
 DAY_S = 86_400.0
@@ -424,18 +424,18 @@ def test_a_zero_of_another_control_unit_counts_as_none(make_bench, tmp_path: Pat
         bench.simulated.remove()
         return bench
 
-    begun("first").controller.measure_zero()
+    begun("first").controller.zeroing.measure()
     same = begun("same")
-    assert (same.controller.self_zero is None, same.controller.zero_note) == (False, "")
+    assert (same.controller.zeros.newest is None, same.controller.zeroing.note) == (False, "")
     kept = json.loads(zero_file(tmp_path, config.name).read_text())
     del kept["format"], kept["sha256"]
     kept["hand"]["unit.boards"] = [1, 9]
     write_json(zero_file(tmp_path, config.name), SELF_ZERO, kept, error=CellError)
     other = begun("other")
-    assert other.controller.self_zero is None
-    assert "with other unit.boards." in other.controller.zero_note
-    other.controller.measure_zero()
-    assert not other.controller.zero_note
+    assert other.controller.zeros.newest is None
+    assert "with other unit.boards." in other.controller.zeroing.note
+    other.controller.zeroing.measure()
+    assert not other.controller.zeroing.note
 
 
 def test_daily_zeros_do_not_drift_away_from_the_config(make_bench, tmp_path: Path) -> None:
@@ -448,9 +448,9 @@ def test_daily_zeros_do_not_drift_away_from_the_config(make_bench, tmp_path: Pat
         if sheet_mm:
             bench.simulated.place(f"box:length=80mm,width=40mm,height={sheet_mm}mm")
         bench.controller.start()
-        if not (note := bench.controller.zero_note):
+        if not (note := bench.controller.zeroing.note):
             taken.append(sheet_mm)
-            assert 1e3 * bench.controller.self_zero.opening_m == pytest.approx(sheet_mm, abs=0.3)
+            assert 1e3 * bench.controller.zeros.newest.opening_m == pytest.approx(sheet_mm, abs=0.3)
         else:
             assert "the zero of the config is at +0.00 mm" in note
     assert taken == [1.8, 0.0]
@@ -486,7 +486,7 @@ def test_pads_on_each_other_contradict_no_message_at_twice_the_noise(make_bench,
     noisy = {"simulator__noise_level": 2.0, "tactile__tare_frames": 100}
     bench = make_bench(small_config(self_zero="always", seed=seed, **noisy))
     bench.controller.start()
-    assert bench.controller.self_zero is not None
+    assert bench.controller.zeros.newest is not None
 
 
 DRIVE = replace(

@@ -27,6 +27,7 @@ from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from tactile.errors import BusOff
 from tests.cell.conftest import MakeBench, once
+from tests.values import command_of
 
 IDLE = (CellState.STARTING, CellState.IDLE)
 HELD = (*IDLE, CellState.EXECUTE, CellState.HOLDING, CellState.HELD)
@@ -64,7 +65,7 @@ class Walk:
             self._wait_in(state)
             act()
             return
-        done_s = once(self.bench.clock, lambda: self.controller.state is state, act)
+        done_s = once(self.bench.clock, lambda: self.controller.life.state is state, act)
         self._pass_through(state)
         assert done_s, f"{state} was not seen"
 
@@ -74,13 +75,13 @@ class Walk:
         if state is CellState.COMPLETE:
             self.controller.grip(3.0, Pose())
         elif state is CellState.HELD:
-            self._grasp_until(self.controller.cancel)
+            self._grasp_until(self.controller.life.cancel)
         elif state in (CellState.ABORTED, CellState.RESETTING):
             self._grasp_until(self._unplug)
             if state is CellState.RESETTING:
                 self.bench.simulated.injector.clear("can.unplugged")
-                self.controller.clear()
-        assert self.controller.state is state
+                self.controller.life.clear()
+        assert self.controller.life.state is state
 
     def _pass_through(self, state: CellState) -> None:
         if state is CellState.STARTING:
@@ -91,13 +92,13 @@ class Walk:
             self.controller.shutdown()
         elif state is CellState.CLEARING:
             self._wait_in(CellState.ABORTED)
-            self.controller.clear()
+            self.controller.life.clear()
         elif state is CellState.ABORTING:
             self._wait_in(CellState.ABORTED)
         else:
             self.bench.ready()
             if state is CellState.HOLDING:
-                self._grasp_until(self.controller.cancel)
+                self._grasp_until(self.controller.life.cancel)
             else:
                 with suppress(CellStopped):
                     self.bench.grasp(6.0)
@@ -116,17 +117,17 @@ class Walk:
         elif command is Command.GRIP:
             self.controller.grip(3.0, Pose())
         else:
-            getattr(self.controller, command.value)()
+            command_of(self.controller, command)()
 
     def seen(self) -> tuple[Any, ...]:
         """All that a refused command must leave alone; no packet may have been sent either."""
         return (
-            self.controller.state,
-            self.controller.grasp_state,
-            self.controller.fault,
-            self.controller.gripper.phase,
-            self.controller._life.cancelled,
-            repr(self.bench.cell.bus.statistics),
+            self.controller.life.state,
+            self.controller.life.grasp_state,
+            self.controller.life.fault,
+            self.controller.hand.phase,
+            self.controller.life.cancelled,
+            repr(self.bench.cell.local_hand.bus.statistics),
             self.bench.simulated.clock.monotonic(),
         )
 
@@ -235,8 +236,8 @@ def test_an_accepted_command_goes_the_way_of_the_table(
         ends = next_state(state, COMPLETIONS[state])
         path = (ends,)
     way = [*WAY_TO[state], *path]
-    assert walk.controller.state is (way[-1] if way else CellState.STOPPED)
-    way += command_effect(walk.controller.state, Command.SHUTDOWN).path
+    assert walk.controller.life.state is (way[-1] if way else CellState.STOPPED)
+    way += command_effect(walk.controller.life.state, Command.SHUTDOWN).path
     walk.bench.cell.close()
 
     recorded = [entry["state"] for entry in read_recording(tmp_path / "recording.mcap").states]
@@ -252,7 +253,7 @@ def test_the_state_of_the_grip_follows_a_grasp(bench: Any) -> None:
     seen: list[GraspState] = []
 
     def look(_now_s: float) -> None:
-        now = bench.controller.grasp_state
+        now = bench.controller.life.grasp_state
         if not seen or seen[-1] is not now:
             seen.append(now)
 
@@ -260,7 +261,7 @@ def test_the_state_of_the_grip_follows_a_grasp(bench: Any) -> None:
     bench.grasp()
     moving = [state for state in seen if state is not GraspState.IDLE]
     assert moving == [GraspState.POSITIONING, GraspState.GRIPPING, GraspState.RELEASING]
-    assert bench.controller.grasp_state is GraspState.IDLE
+    assert bench.controller.life.grasp_state is GraspState.IDLE
 
 
 def test_what_a_failed_grasp_leaves_is_shown_while_the_fingers_rest() -> None:

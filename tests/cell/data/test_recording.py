@@ -375,7 +375,7 @@ def test_a_recording_goes_on_in_a_new_file_when_its_disk_has_room_again(
     (tmp_path / "r-2.mcap").touch()  # somebody else's
     while recorder.fault is None:
         record_grasp(recorder, clock, "before")
-        recorder.look()
+        recorder.check()
     n_frames = recorder._n_frames
     rng = np.random.default_rng(0)
     recorder.frame(make_frame(clock.now_s + 0.02, rng))
@@ -383,14 +383,14 @@ def test_a_recording_goes_on_in_a_new_file_when_its_disk_has_room_again(
     room[0] = recorder_sink.ROOM_BYTES - 1
     for _ in range(3):
         clock.now_s += recorder._retry_s
-        recorder.look()
+        recorder.check()
     assert recorder.fault is not None
     assert (len(notes), [file.name for file in tmp_path.glob("r-3*")]) == (1, [])
     room[0] = 2 * recorder_sink.ROOM_BYTES
     if background:
         recorder._waiter.join(10.0)
     clock.now_s += recorder._retry_s
-    recorder.look()
+    recorder.check()
     assert recorder.fault is None
     assert recorder.path == tmp_path / "r-3.mcap"
     first = record_grasp(recorder, clock, "after")
@@ -421,7 +421,7 @@ def test_a_disk_that_fails_again_and_again_is_not_littered(tmp_path, monkeypatch
         record_grasp(recorder, clock, "a")
     for _ in range(1000):
         clock.now_s += 4.0
-        recorder.look()
+        recorder.check()
         if recorder.fault is None:  # the description could be written, no more
             record_grasp(recorder, clock, "b", n_frames=200)
         else:

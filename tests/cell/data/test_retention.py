@@ -69,7 +69,7 @@ class Keeper:
         for _ in range(round(days * DAY_S / step_s)):
             self.wall_s += step_s
             self.clock.now_s += step_s
-            self.retention.look()
+            self.retention.enforce()
 
 
 @pytest.fixture
@@ -137,11 +137,11 @@ def test_two_programs_in_one_folder_count_each_day_once(keep) -> None:
     keeper = keep(keep_s=30 * DAY_S)
     path = keeper.job(1)
     first = keeper.retention
-    first.look()
+    first.enforce()
     keeper.restart()
     for _ in range(20):
         keeper.live(1.0)
-        first.look()
+        first.enforce()
     assert 19 < recordings(keeper.folder)[0].kept.age_s / DAY_S < 21.5
     assert path.exists()
 
@@ -150,12 +150,12 @@ def test_the_recording_of_an_open_fault_stays(keep) -> None:
     keeper = keep(keep_s=2 * DAY_S)
     at_fault = keeper.recorder.path
     keeper.fault = True
-    keeper.retention.look()
+    keeper.retention.enforce()
     # Days later the person has not come yet, and the recording has gone on in other files.
     for _ in range(5):
         keeper.live(1.1)
-        keeper.recorder.look()
-        keeper.recorder.look()
+        keeper.recorder.check()
+        keeper.recorder.check()
     assert keeper.recorder.path != at_fault
     assert at_fault.exists()
     assert not (at_fault.parent / "recording-2.mcap").exists() or keeper.fault
@@ -217,16 +217,16 @@ def test_an_hour_of_space_is_noted_then_recordings_are_thinned_then_it_stops_and
     assert keeper.notes[1:] == [f"{old} is thinned out: frames of named parts are removed"]
     assert [one.path for one in recordings(keeper.folder) if one.kept.thinned] == [old]
     disk[0] = retention.STOP_BYTES - 1
-    keeper.retention.look()
+    keeper.retention.enforce()
     record_grasp(keeper.recorder, keeper.clock, "last")
     assert "stopped after 0 frames: 7 MB are free" in str(keeper.recorder.fault)
     assert read_recording(keeper.recorder.path).complete
     keeper.live(0.02, step_s=60.0)
-    keeper.recorder.look()
+    keeper.recorder.check()
     assert keeper.recorder.fault is not None
     disk[0] = 100 << 30
     keeper.live(0.02, step_s=60.0)
-    keeper.recorder.look()
+    keeper.recorder.check()
     assert keeper.recorder.fault is None
     assert keeper.recorder.path.name == "recording-2.mcap"
     assert keeper.retention.short == ""
@@ -302,28 +302,28 @@ def test_a_tmpfs_that_fills_and_empties(tmp_path) -> None:
         pytest.skip("mount is not allowed here")
     try:
         keeper, filling = Keeper(place / "out"), place / "filling"
-        keeper.retention.look()
+        keeper.retention.enforce()
         assert "min of recording" in keeper.notes[0]
         record_grasp(keeper.recorder, keeper.clock, "before")
         filling.write_bytes(bytes(36 << 20))
-        keeper.retention.look()
-        keeper.recorder.look()
+        keeper.retention.enforce()
+        keeper.recorder.check()
         assert "stopped after 20 frames" in str(keeper.recorder.fault)
         with filling.open("ab") as file, pytest.raises(OSError, match="No space"):
             file.write(bytes(36 << 20))
         status: Any = SimpleNamespace(n_faults=0, fault=None, fault_number=0)
         history = History(place / "history.sqlite3", lambda: status, note=keeper.notes.append)
-        history.look()
+        history.update()
         assert "the history is not kept" in keeper.notes[-1]
         keeper.live(0.1)
-        keeper.recorder.look()
+        keeper.recorder.check()
         assert keeper.recorder.fault is not None
         filling.unlink()
-        history.look()
+        history.update()
         assert history.values()["today"]["starts"] == 1
         history._close_link()
         keeper.clock.now_s += 1.0
-        keeper.recorder.look()
+        keeper.recorder.check()
         record_grasp(keeper.recorder, keeper.clock, "after")
         paths = sorted(place.glob("out/serve-*/*.mcap"), key=lambda path: path.stat().st_ino)
         with pytest.raises(RecordingError, match="a gap of 0 frames"):

@@ -83,6 +83,6 @@ def test_a_cell_grasps_records_and_faults_on_a_source_without_can(tmp_path: Path
             simulated.clock.sleep(0.1)
             with pytest.raises(LinkFault, match="unplugged"):
                 cell.idle()
-            assert "unplugged" in (cell.controller.fault or "")
+            assert "unplugged" in (cell.controller.life.fault or "")
     (kept,) = read_grasps(tmp_path / "recording.mcap")
     np.testing.assert_array_equal(kept.counts, grasp.counts)

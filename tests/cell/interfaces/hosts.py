@@ -15,7 +15,7 @@ from websockets.sync.client import connect as open_socket
 from cell.control.keeping import Keep
 from cell.interfaces.modbus.registers import COMMAND, COMMAND_SEQ, HOLD, LIFE, REBOOT
 from tests.cell.interfaces.modbus.structured_text import FunctionBlock
-from tests.cell.served import LIMIT_S, until
+from tests.waiting import LIMIT_S, until
 
 # -- clients -----------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ import pytest
 
 from cell.interfaces.access import BUSY_MAX, ConnectionPlaces, is_for_this_machine, may_connect
 from tests.cell.conftest import small_config
-from tests.cell.served import until
+from tests.waiting import until
 
 HOLD = struct.pack(">HHHBBHH", 1, 0, 6, 1, 6, 7, 1)
 CALL = b"<methodCall><methodName>hold</methodName></methodCall>"

@@ -202,7 +202,7 @@ def test_what_was_grasped_before_a_stop_is_in_the_data_set(
             if phases[-1:] != [phase]:
                 phases.append(phase)
                 if phase is GripperPhase.RAMPING and phases.count(phase) == 3:
-                    cell.controller.cancel()
+                    cell.controller.life.cancel()
                     if folder == "goes":
                         dataset.parent.rmdir()
 

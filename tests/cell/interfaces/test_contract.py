@@ -13,7 +13,8 @@ from cell.control.states import Command
 from cell.service.service import RELEASE_KEY
 from gripper.errors import ServoFault
 from tests.cell.interfaces.hosts import HOSTS, NOT_IN_COMMAND, Host, OpcUaHost, Request
-from tests.cell.served import LIMIT_S, Served, until
+from tests.cell.served import Served
+from tests.waiting import LIMIT_S, until
 
 IDENTIFY = Request(task="identify", max_grasps=2, force_n=6.0, keep=Keep.ALWAYS)
 GRIP = Request(task="grip", force_n=3.0)

@@ -77,7 +77,7 @@ def test_a_scrape_counts_parts_faults_and_links(connect) -> None:
 
 def check_drives(served: Served, found: dict[str, float]) -> None:
     """Check that what the self-zero has measured of each servo is in the scrape."""
-    for number, drive in enumerate(served.plugin._cell.controller.drives.values()):
+    for number, drive in enumerate(served.plugin._cell.controller.zeroing.drives.values()):
         name = "tactile_cell_servo_{}".format
         assert drive.measured_s == found[f"{name('measured_seconds')}{{{number}}}"] > 1e9
         assert drive.breakaway_a == found[f"{name('friction_amperes')}{{{number}}}"]

@@ -43,8 +43,9 @@ from cell.interfaces.opc_ua.interface import (
 from cell.interfaces.opening import open_interfaces
 from tactile.errors import FrameTimeout
 from tests.cell.interfaces.certificates import Identity, identity, trusting
-from tests.cell.served import LIMIT_S, Served, serving
+from tests.cell.served import Served, serving
 from tests.values import raising
+from tests.waiting import LIMIT_S
 
 pytestmark = pytest.mark.anyio
 ENCRYPTED = ua.MessageSecurityMode.SignAndEncrypt

@@ -8,32 +8,22 @@ import pytest
 from cell.config.model import CellConfig
 from cell.interfaces.page_address import page_address, view_note
 
+TLS = {"tls_certificate": "c", "tls_key": "k"}
+
 
 @pytest.mark.parametrize(
-    ("changes", "address", "note"),
+    ("listen", "allow", "more", "address", "note"),
     [
-        ({}, "http://127.0.0.1:7/#token=t", "set serve.listen"),
-        (
-            {"listen": "::1", "tls_certificate": "c", "tls_key": "k"},
-            "https://[::1]:7/#token=t",
-            "set serve.listen",
-        ),
-        ({"listen": "10.0.0.3", "allow": ("10.0.0.0/8",)}, "http://10.0.0.3:7/#token=t", ""),
-        (
-            {"listen": "0.0.0.0", "allow": ("10.0.0.0/8",), "hosts": ("cell3.lan",)},
-            "http://cell3.lan:7/#token=t",
-            "",
-        ),
-        (
-            {"listen": "0.0.0.0", "allow": ("127.0.0.1",)},
-            f"http://{socket.gethostname()}:7/#token=t",
-            "set serve.hosts",
-        ),
+        ("127.0.0.1", (), {}, "http://127.0.0.1:7", "set serve.listen"),
+        ("::1", (), TLS, "https://[::1]:7", "set serve.listen"),
+        ("10.0.0.3", ("10.0.0.0/8",), {}, "http://10.0.0.3:7", ""),
+        ("0.0.0.0", ("10.0.0.0/8",), {"hosts": ("cell3.lan",)}, "http://cell3.lan:7", ""),
+        ("0.0.0.0", ("127.0.0.1",), {}, f"http://{socket.gethostname()}:7", "set serve.hosts"),
     ],
 )
-def test_the_address_of_the_page_suits_a_browser(changes, address, note) -> None:
-    config = CellConfig(serve=changes).serve
-    assert page_address({"http_port": 7, "token": "t"}, config) == address
+def test_the_address_of_the_page_suits_a_browser(*, listen, allow, more, address, note) -> None:
+    config = CellConfig(serve={"listen": listen, "allow": allow} | more).serve
+    assert page_address({"http_port": 7, "token": "t"}, config) == f"{address}/#token=t"
     assert page_address({"modbus_port": 7}, config) is None
     assert note in view_note(config)
     assert bool(note) is bool(view_note(config))

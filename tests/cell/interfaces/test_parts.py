@@ -9,7 +9,7 @@ from xmlrpc.client import ServerProxy
 from cell.control.answer import Answer
 from cell.jobs.sort import Tally
 from tests.cell.interfaces.hosts import BlockPlc, Client, Plc
-from tests.cell.served import LIMIT_S
+from tests.waiting import LIMIT_S
 
 N_PARTS = 4
 IDS = {"box": 1, "ball": 2}

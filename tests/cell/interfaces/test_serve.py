@@ -21,7 +21,7 @@ from cell.interfaces.cli.commands import serve as serving
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.learning.model import load_model
 from tests.cell.interfaces.hosts import Client
-from tests.cell.served import LIMIT_S, until
+from tests.waiting import LIMIT_S, until
 
 PROGRAM = "from cell.interfaces.cli import main; main()"
 SMALL = "tactile:\n  tare_frames: 25\nserve:\n  lease_timeout_s: 20\n"

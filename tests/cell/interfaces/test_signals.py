@@ -154,18 +154,18 @@ def test_a_stop_does_not_wait_for_whoever_moves_the_object(make_bench) -> None:
     clock = bench.simulated.clock
     end_s = clock.monotonic() + 1.0
     clock.on_advance.append(
-        lambda now_s: bench.controller.cancel() if end_s <= now_s < end_s + 0.01 else None
+        lambda now_s: bench.controller.life.cancel() if end_s <= now_s < end_s + 0.01 else None
     )
     with pytest.raises(CellStopped, match="the fingers are open"):
-        bench.controller.present("ball")
-    assert bench.controller.state is CellState.IDLE
+        bench.controller.moves.present("ball")
+    assert bench.controller.life.state is CellState.IDLE
     with pytest.raises(PositionerError, match="was abandoned and still runs"):
-        bench.controller.present("ball")
+        bench.controller.moves.present("ball")
     answered.set()
     for thread in threading.enumerate():
         if thread.name == "positioner":
             thread.join(LIMIT_S)
-    bench.controller.present("ball")
+    bench.controller.moves.present("ball")
 
 
 def test_what_supervision_raises_comes_at_once_and_what_the_call_raises_too() -> None:

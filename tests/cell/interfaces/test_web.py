@@ -32,8 +32,9 @@ from cell.service.service import RELEASE_KEY, Service
 from tactile.errors import HeartbeatLost
 from tests.cell.conftest import REAL
 from tests.cell.interfaces.hosts import Client
-from tests.cell.served import Served, ended, until
+from tests.cell.served import Served, ended
 from tests.values import raising
+from tests.waiting import until
 
 PAGE = Path("docs/how-to/use-it-over-http.md")
 
@@ -238,7 +239,7 @@ def check_newtons(served: Served, host: Client) -> None:
         )
     force_n = np.frombuffer(frame, "<f4")
     assert force_n.shape == (408,)
-    sensor = served.service._plugin._cell.controller.sensor
+    sensor = served.service._plugin._cell.local_hand.sensor
     for pad in sensor.layout.gripping_pads:
         # One frame has a noise of 0.25 N.
         assert force_n[sensor.layout.taxels_of(pad)].sum() == pytest.approx(4.0, abs=1.0)

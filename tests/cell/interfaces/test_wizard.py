@@ -24,7 +24,7 @@ from cell.interfaces.wizard import Wizard, WizardServer
 from tactile.layout import paper_layout
 from tests.cell.commissioning.test_engine import REAL, Asking
 from tests.cell.interfaces.hosts import Client
-from tests.cell.served import until
+from tests.waiting import until
 
 WRITES = tuple(
     ProposedChange(

@@ -20,7 +20,8 @@ from cell.interfaces.http_server import REQUEST_BYTES
 from cell.service.service import RELEASE_KEY
 from gripper.errors import PartSlipped
 from tests.cell.interfaces.ur_script import Robot
-from tests.cell.served import Served, until
+from tests.cell.served import Served
+from tests.waiting import until
 
 
 @pytest.fixture

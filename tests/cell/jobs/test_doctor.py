@@ -171,7 +171,7 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     simulated = simulation_of(CellConfig())
     with contextlib.closing(build_cell(CellConfig(), simulated=simulated)) as held:
         held.controller.start()
-        held.controller.present("ball")
+        held.controller.moves.present("ball")
         held.controller.grip(6.0, Pose())
     monkeypatch.setattr(cell.jobs.doctor, "build_cell", partial(build_cell, simulated=simulated))
     file = tmp_path / "my cell.yaml"

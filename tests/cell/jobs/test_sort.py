@@ -68,7 +68,7 @@ def test_each_part_is_held_until_it_is_at_its_place(sorter: Sorter) -> None:
         ("bin 2", "box"),
     ]
     assert min(force_n for _, _, force_n in sorter.seen) > 3.0
-    assert sorter.controller.state is CellState.IDLE
+    assert sorter.controller.life.state is CellState.IDLE
     assert sorter.bench.grip_n == 0.0
     tally = sorter.tally
     assert tally.counts == {"bin 1": 1, "bin 2": 2, "reject": 1}
@@ -112,23 +112,23 @@ def test_a_place_that_is_refused_ends_the_sort_with_the_part_kept(sorter: Sorter
     sorter.on_place = lambda destination: destination.place != "bin 2"
     with pytest.raises(PositionerError, match="the place bin 2 of box"):
         sorter.sort("ball", "box", "ball")
-    assert sorter.controller.state is CellState.COMPLETE
+    assert sorter.controller.life.state is CellState.COMPLETE
     assert sorter.bench.grip_n > 3.0
     assert [part.place for part in sorter.parts] == ["bin 1"]
 
 
 def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
-    verify = sorter.controller.verify
+    verify = sorter.controller.kept.verify
 
     def then_cancel() -> Any:
         check = verify()
-        sorter.controller.cancel()
+        sorter.controller.life.cancel()
         return check
 
-    sorter.controller.verify = then_cancel
+    sorter.controller.kept.verify = then_cancel
     with pytest.raises(CellStopped, match="before it was let go"):
         sorter.sort("ball", "box")
-    assert sorter.controller.state is CellState.COMPLETE
+    assert sorter.controller.life.state is CellState.COMPLETE
     assert sorter.bench.grip_n > 3.0
 
 
@@ -136,7 +136,7 @@ def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
     make_bench: MakeBench, taught: Any
 ) -> None:
     sorter = Sorter(make_bench, taught, **{"sequence.x_mm": [0.0, 0.0]})
-    positioner = sorter.controller._positioner
+    positioner = sorter.controller.moves.positioner
     gone = {1, 3, 4, 5}
     turns: list[int] = []
 
@@ -158,7 +158,7 @@ def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
                 sorter.bench.simulated.remove()
             return reached
 
-    sorter.controller._positioner = sorter.controller._grasper.positioner = Feed()
+    sorter.controller.moves.positioner = Feed()
     with pytest.raises(NoPartFound):
         sorter.sort(*["ball"] * 8)
     assert len(turns) == 6

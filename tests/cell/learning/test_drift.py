@@ -143,12 +143,16 @@ class Grasping:
     def __init__(self, grasp: Grasp, records: Sequence[Any] = ()) -> None:
         self.given, self.remarks = grasp, list[tuple[str, str]]()
         self.records = tuple(records) or (record(grasp),)
+        self.moves, self.journal = self, self
 
     def present(self, label: object) -> None:
         pass
 
-    def collect(self, label: str, steps: Sequence[object], **_options: object) -> list[Any]:
-        return [record(replace(self.given, label=label)) for _ in steps]
+    def check_plan(self, plan: object, label: str) -> None:
+        pass
+
+    def grasp(self, _step: object, *, label: str) -> Any:
+        return record(replace(self.given, label=label))
 
     def identify(self, recognizer: Follower, *_: object, **__: object) -> Any:
         posterior = recognizer.posterior(self.given)
@@ -161,7 +165,7 @@ class Grasping:
             drift=getattr(recognizer, "grid", None),
         )
 
-    def remark(self, kind: str, text: str) -> None:
+    def note(self, kind: str, text: str) -> None:
         self.remarks.append((kind, text))
 
 

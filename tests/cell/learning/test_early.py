@@ -61,7 +61,7 @@ def test_a_ramp_ends_where_it_suffices_and_tells_what_was_known_then(
     assert record.grasp.contact_frame is not None
     assert record.cycles[-1].setpoint_n < 5.0
     assert record.outcome.final_force_n == pytest.approx(record.cycles[-1].setpoint_n, abs=0.5)
-    assert bench.controller.state is CellState.IDLE
+    assert bench.controller.life.state is CellState.IDLE
     assert bench.grip_n == 0.0
     bench.cell.close()
     recording = read_recording(tmp_path / "recording.mcap")
@@ -97,7 +97,7 @@ def test_a_look_that_fails_is_a_complaint_and_the_ramp_goes_on(bench, taught) ->
     assert (found.label, found.records[0].early) == ("ball", None)
     assert found.complaints == ("early checks of the ramp of grasp 1: a broken model",)
     assert [len(head.grasps) for head in early.recognizers] == [1, 1]
-    assert bench.controller.fault is None
+    assert bench.controller.life.fault is None
 
 
 def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench, taught) -> None:
@@ -106,8 +106,8 @@ def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench, taught) -> No
     with pytest.raises(ServoFault):
         bench.controller.identify(Scripted((0.5, 0.01)), [STEP], early=heads_of(taught, head))
     assert len(head.grasps) == 1
-    assert bench.controller.state is CellState.ABORTED
-    assert bench.controller.holding
+    assert bench.controller.life.state is CellState.ABORTED
+    assert bench.controller.life.holding
     assert bench.grip_n > 0.5
 
 
@@ -120,17 +120,17 @@ def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(bench
     carry_n = bench.config.sequence.carry_force_n
     assert record.outcome.final_force_n < 0.8 * carry_n
     assert found.kept
-    check = bench.controller.verify()
+    check = bench.controller.kept.verify()
     assert (check.same, check.force_n) == (True, pytest.approx(carry_n, rel=0.1))
     assert bench.grip_n == pytest.approx(carry_n, rel=0.2)
 
 
 def test_a_stop_comes_before_the_end_of_the_ramp(bench, taught) -> None:
     bench.ready()
-    head = Scripted(LIKELY, look=bench.controller.cancel)
+    head = Scripted(LIKELY, look=bench.controller.life.cancel)
     with pytest.raises(CellStopped, match="the grip is kept"):
         bench.controller.identify(Scripted((0.5, 0.01)), [STEP], early=heads_of(taught, head))
-    assert bench.controller.state is CellState.HELD
+    assert bench.controller.life.state is CellState.HELD
     assert bench.grip_n > 0.5
 
 

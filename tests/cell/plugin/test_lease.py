@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from cell.control.controller import CellController
+from cell.control.lifecycle import CellLifecycle
 from cell.control.states import CellState
 from cell.data.recorder_sink import ROOM_BYTES
 from cell.data.recording_reader import read_recording
@@ -47,7 +47,7 @@ def test_nothing_is_stopped_where_no_job_runs(monkeypatch: pytest.MonkeyPatch) -
     with TactileCellPlugin(small_config(host_timeout_s=0.2)) as plugin:
         stopped: list[str] = []
         with monkeypatch.context() as watched:
-            watched.setattr(CellController, "cancel", lambda _cell, why="": stopped.append(why))
+            watched.setattr(CellLifecycle, "cancel", lambda _cell, why="": stopped.append(why))
             plugin.alive()
             until(lambda: not plugin._lease.number)
         assert stopped == []
@@ -63,10 +63,10 @@ def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read() -> None:
         status = plugin.feedback(job)
         assert status.outcome is JobOutcome.CANCELED
         assert "stopped because 'the host' was silent for 0." in status.error
-        assert controller.state in (CellState.HELD, CellState.IDLE)
+        assert controller.life.state in (CellState.HELD, CellState.IDLE)
         with pytest.raises(JobFailed, match="'the host' was silent"):
             plugin.result(job, 1.0)
-        if controller.state is CellState.HELD:
+        if controller.life.state is CellState.HELD:
             plugin.release(LIMIT_S)
         assert plugin.status().state_number == CellState.IDLE.number
 
@@ -86,11 +86,13 @@ def test_a_lost_recording_holds_the_grasp_where_the_config_says_so_until_it_goes
     room = fill_disk_after(monkeypatch, 0)
     with pytest.raises(RecordingError, match="No space left"):
         bench.grasp(6.0)
-    assert bench.controller.state is CellState.ABORTED
+    assert bench.controller.life.state is CellState.ABORTED
     assert "No space left" in bench.cell.health()["recording"]
     room[0] = 2 * ROOM_BYTES
-    for act in ("clear", "release_held", "reset", "start"):
-        getattr(bench.controller, act)()
+    bench.life.clear()
+    bench.controller.release_held()
+    bench.life.reset()
+    bench.controller.start()
     bench.grasp(6.0)
     assert bench.cell.recording_fault is None
     assert "has a gap" in bench.cell.health()["recording"]

@@ -209,7 +209,7 @@ def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
     assert grip_n(plugin) == 0.0
     # A cancel that comes too late stops nothing of the next job.
     plugin.cancel(job)
-    plugin._cell.controller.cancel()
+    plugin._cell.controller.life.cancel()
     assert done(plugin, IdentifyGoal()).label == "ball"
 
 
@@ -316,7 +316,7 @@ def test_the_host_moves_and_may_veto(make_plugin: Any, taught: Any) -> None:
         done(plugin, IdentifyGoal())
     assert plugin.state() == "IDLE"
     assert plugin.fault() is None
-    assert not plugin._cell.controller.holding
+    assert not plugin._cell.controller.life.holding
     answers.append(None)
     assert done(plugin, IdentifyGoal(max_grasps=1)).n_grasps == 1
 
@@ -429,7 +429,7 @@ def test_a_teaching_that_was_stopped_adds_its_grasps(
 
 def absent_in(plugin: Any, *numbers: int) -> None:
     """Take the object away before the grasps with these numbers, from 1, close the fingers."""
-    world, place = plugin._cell.simulated, plugin._cell.controller._positioner.move_to
+    world, place = plugin._cell.simulated, plugin._cell.controller.moves.positioner.move_to
     done: list[Pose] = []
 
     def move_to(pose: Pose, *_supervise: Any) -> Pose:
@@ -439,7 +439,7 @@ def absent_in(plugin: Any, *numbers: int) -> None:
             world.remove()
         return reached
 
-    plugin._cell.controller._positioner.move_to = move_to
+    plugin._cell.controller.moves.positioner.move_to = move_to
 
 
 def test_an_absent_object_ends_teaching_and_the_grasps_before_it_are_kept(make_plugin: Any) -> None:
@@ -524,8 +524,8 @@ def test_config_files_and_the_context_manager(plugin_class: Any, tmp_path: Path)
 def test_an_idle_cell_in_real_time_is_supervised(make_plugin: Any, meddle: Any) -> None:
     def live(made: Any) -> None:
         made.realtime = True
-        tick = made.controller.tick
-        made.controller.tick = lambda: (made.simulated.clock.sleep(0.005), tick())
+        tick = made.controller.life.tick
+        made.controller.life.tick = lambda: (made.simulated.clock.sleep(0.005), tick())
 
     meddle(live)
     plugin = make_plugin()

@@ -35,8 +35,8 @@ def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(
     assert found.opening_m == pytest.approx(9.0e-3, abs=0.5e-3)
     assert plugin.feedback(job).progress["held_with_n"] == 4.0
     plugin.cancel(job)  # changes nothing for a kept part
-    plugin._cell.controller.cancel()
-    plugin._cell.controller.tick()
+    plugin._cell.controller.life.cancel()
+    plugin._cell.controller.life.tick()
     assert standing(plugin) == HELD
     plugin.close()
     assert grip_n(plugin) > 3.0

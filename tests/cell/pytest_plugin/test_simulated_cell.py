@@ -22,7 +22,7 @@ positioner: {kind: operator}
 
 def test_a_cell_grasps_an_object_of_the_test(simulated_cell) -> None:
     cell = simulated_cell(objects=PIN, changes=QUICK)
-    assert cell.controller.state.value == "STOPPED"
+    assert cell.controller.life.state.value == "STOPPED"
     record = cell.start("pin").grasp(force_n=3.0)
     assert record.outcome.final_force_n == pytest.approx(3.0, abs=0.5)
     assert cell.grip_n == 0.0

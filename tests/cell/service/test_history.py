@@ -52,7 +52,7 @@ class Kept:
 
     def look(self) -> dict[str, Any]:
         self.now_s += 61.0
-        self.history.look()
+        self.history.update()
         return self.history.values()
 
 

@@ -59,11 +59,11 @@ def adapter_comes_back(row: FaultRow) -> Observed:
     """Pull the adapter out for a moment; back again, the cell must not go on but by a person."""
     with campaign_cell(row.changes) as cell:
         observed = observe(cell, row.injected)
-        state = cell.controller.state
+        state = cell.controller.life.state
         cell.simulated.clock.sleep(1.0)
-        cell.controller.tick()
-        if cell.controller.state is not state:
-            return replace(observed, reaction=f"went from {state} to {cell.controller.state}")
+        cell.controller.life.tick()
+        if cell.controller.life.state is not state:
+            return replace(observed, reaction=f"went from {state} to {cell.controller.life.state}")
         return recovered(cell, row, observed, cell.grasp)
 
 

@@ -26,6 +26,7 @@ from tests.faults.campaign import (
     grasp_job,
     observe,
 )
+from tests.values import command_of
 
 HOST_TIMEOUT_S = 0.3
 """`host_timeout_s` of the row of a silent host."""
@@ -123,8 +124,8 @@ def error_between_grasps(
             end = f"{found.complaints[0]}; the answer is {found.label}"
         except ValueError as error:
             end = f"the job fails with {type(error).__name__}: {error}; no label"
-        state = cell.controller.state
-        unharmed = state is CellState.IDLE and cell.controller.fault is None
+        state = cell.controller.life.state
+        unharmed = state is CellState.IDLE and cell.controller.life.fault is None
         cell.grasp()
         return Observed(
             "NOTE" if unharmed else "HOLD", 0.0, f"{end}; {state.value}, the next grasp works"
@@ -268,11 +269,11 @@ def aborted(cell: CampaignCell) -> None:
 def _refusal(cell: CampaignCell, command: str) -> Observed:
     def seen() -> tuple[Any, ...]:
         hand = cell.controller.hand
-        return (cell.controller.state, hand.phase, repr(hand.statistics.servo_bus), cell.now_s)
+        return (cell.controller.life.state, hand.phase, repr(hand.statistics.servo_bus), cell.now_s)
 
     before = seen()
     try:
-        getattr(cell.controller, command)()
+        command_of(cell.controller, command)()
     except CellStateError as error:
         same = seen() == before
         return Observed("REJECT" if same else "CHANGED", 0.0, f"{error}; nothing was sent")
@@ -281,7 +282,7 @@ def _refusal(cell: CampaignCell, command: str) -> Observed:
 
 def start_cancelled(row: FaultRow) -> Observed:
     with campaign_cell(row.changes) as cell:
-        began = cell.once_in(GripperPhase.OPENING, cell.controller.cancel)
+        began = cell.once_in(GripperPhase.OPENING, cell.controller.life.cancel)
         return _stopped(cell, began, cell.controller.start)
 
 
@@ -289,8 +290,8 @@ def grasp_cancelled_twice(row: FaultRow) -> Observed:
     with campaign_cell(row.changes) as cell:
 
         def cancel() -> None:
-            cell.controller.cancel()
-            cell.controller.cancel()
+            cell.controller.life.cancel()
+            cell.controller.life.cancel()
 
         began = cell.once_in(GripperPhase.RAMPING, cancel, after_s=0.1)
         return _stopped(cell, began, lambda: grasp_job(cell))
@@ -301,7 +302,7 @@ def _stopped(cell: CampaignCell, began: list[float], job: Callable[[], object]) 
         job()
     except CellStopped as stop:
         after_s = cell.now_s - began[0]
-        state = cell.controller.state
+        state = cell.controller.life.state
         cell.idle(0.5)
         settled = state in (CellState.HELD, CellState.STOPPED)
         return Observed(

@@ -88,7 +88,7 @@ def interpreter_lock_hogged(_row: FaultRow) -> Observed:
     cell = build_cell(_client_config())
     try:
         cell.controller.start()
-        cell.controller.present("box")
+        cell.controller.moves.present("box")
         over = threading.Event()
 
         def hog() -> None:
@@ -136,13 +136,13 @@ def signal_in_the_ramp(row: FaultRow) -> Observed:
                 simulated = cell.plugin._cell.simulated
                 assert simulated is not None
                 heard = threading.Event()
-                interrupt = cell.plugin._cell.controller.cancel
+                interrupt = cell.plugin._cell.controller.life.cancel
 
                 def cancel(*reason: str) -> None:
                     interrupt(*reason)
                     heard.set()
 
-                cell.plugin._cell.controller.cancel = cancel  # type: ignore[method-assign]
+                cell.plugin._cell.controller.life.cancel = cancel  # type: ignore[method-assign]
 
                 def send() -> None:
                     os.kill(os.getpid(), signal.Signals[row.variant])
@@ -257,7 +257,7 @@ def all_killed(_row: FaultRow) -> Observed:
             refusal = "the restart moved"
         except CellStateError as error:
             refusal = str(error)
-        state = cell.controller.state.value
+        state = cell.controller.life.state.value
         cell.close()
         after = _simulator().ask(state=True)
         still = abs(after["aperture_m"] - before["aperture_m"]) < 2e-4

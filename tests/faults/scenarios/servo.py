@@ -59,7 +59,7 @@ def part_leaves(row: FaultRow) -> Observed:
         return Observed(
             row.reaction,
             known_s[0] - injected.began_s,
-            f"{refusals[0]}; {cell.controller.state.value}, the fingers are open",
+            f"{refusals[0]}; {cell.controller.life.state.value}, the fingers are open",
         )
 
 

@@ -78,7 +78,7 @@ def test_a_ramp_never_catches_up_with_a_jump(make_cell: Any, stall_s: float) -> 
     cell = make_cell(watchdog_s=0.4)
     cycles = grasp_with_stall(cell, stall_s)
     setpoints_n = [c.setpoint_n for c in cycles if c.setpoint_n > 0.0]
-    assert max(np.diff(setpoints_n)) <= RATE_N_S * 2.0 * cell.gripper.period_s + 1e-9
+    assert max(np.diff(setpoints_n)) <= RATE_N_S * 2.0 * cell.gripper.settings.period_s + 1e-9
     assert setpoints_n[-1] == 8.0
     assert cell.peak_n <= 8.8
     statistics = cell.gripper.statistics

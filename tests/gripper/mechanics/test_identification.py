@@ -24,7 +24,7 @@ MODEL = MODELS["XM430-W350"]
 CATALOGUE = DriveCharacteristic.catalogue(MODEL)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Gearing:
     """Friction law M6 without its quadratic part, at the output."""
 
@@ -55,31 +55,11 @@ class Gearing:
         return loaded_nm / (self.kt_nm_a * (1.0 - sign * driven))
 
 
+# The figures in the order of the fields.
 GEARINGS = {
-    "XL330": Gearing(
-        kt_nm_a=0.366,
-        base_nm=(0.0048, 0.0047),
-        drive=(0.267, 0.0),
-        load=(0.0, 0.081),
-        stribeck=(2.89, 8.7),
-        viscous_nm_s=0.0054,
-    ),
-    "MX-64": Gearing(
-        kt_nm_a=1.602,
-        base_nm=(0.0, 0.123),
-        drive=(0.311, 0.188),
-        load=(0.0, 0.014),
-        stribeck=(2.58, 0.84),
-        viscous_nm_s=0.025,
-    ),
-    "MX-106": Gearing(
-        kt_nm_a=2.210,
-        base_nm=(0.0, 0.122),
-        drive=(0.198, 0.199),
-        load=(0.022, 0.087),
-        stribeck=(1.75, 1.14),
-        viscous_nm_s=0.051,
-    ),
+    "XL330": Gearing(0.366, (0.0048, 0.0047), (0.267, 0.0), (0.0, 0.081), (2.89, 8.7), 0.0054),
+    "MX-64": Gearing(1.602, (0.0, 0.123), (0.311, 0.188), (0.0, 0.014), (2.58, 0.84), 0.025),
+    "MX-106": Gearing(2.210, (0.0, 0.122), (0.198, 0.199), (0.022, 0.087), (1.75, 1.14), 0.051),
 }
 
 

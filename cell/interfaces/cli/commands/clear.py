@@ -44,7 +44,7 @@ def clear(
             before = cell.controller.hand.conditions()
             for condition in before:
                 print_line(f"{checked.name}: {condition}")
-            cell.controller.clear(reboot=reboot)
+            cell.controller.life.clear(reboot=reboot)
             after = cell.controller.hand.conditions()
             if cell.axes is not None:
                 cell.axes.clear_faults(reboot=reboot)

@@ -21,7 +21,7 @@ def test_my_parts_are_carried_into_their_bins(simulated_cell, recognizer):
     cell = simulated_cell(seed=7, places=bring).start()
     station = SortingStation(cell.controller, recognizer, cell.config.sequence, BINS)
     for part in BINS:
-        cell.controller.present(part)
+        cell.controller.moves.present(part)
         station.sort(seed=5)
     assert robot.places == list(BINS.values())
     assert min(held_n) > 3.0
@@ -31,10 +31,10 @@ def test_my_parts_are_carried_into_their_bins(simulated_cell, recognizer):
 def test_a_part_that_is_lost_on_the_way_stops_my_station(simulated_cell, recognizer):
     cell = simulated_cell(seed=7, places=lambda _destination: cell.simulated.remove()).start()
     station = SortingStation(cell.controller, recognizer, cell.config.sequence, BINS)
-    cell.controller.present("dowel")
+    cell.controller.moves.present("dowel")
     with pytest.raises((PartLost, PartSlipped)):
         station.sort(seed=5)
-    assert cell.controller.status.grasp == "PART LOST"
+    assert cell.controller.life.status.grasp == "PART LOST"
 
 
 def test_my_robot_is_asked_for_each_pose(simulated_cell):

@@ -39,8 +39,9 @@ from cell.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
 from tests.cell.interfaces.hosts import BlockPlc, Plc
 from tests.cell.interfaces.modbus.structured_text import BLOCK, KEYWORDS, FunctionBlock
-from tests.cell.served import Served, until
+from tests.cell.served import Served
 from tests.values import raising
+from tests.waiting import until
 
 TEACH, IDENTIFY, GRIP, VERIFY, SORT = 20, 21, 22, 23, 24
 RELEASE, REACHED, REFUSE = 30, 40, 41

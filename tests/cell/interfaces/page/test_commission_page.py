@@ -14,7 +14,7 @@ from cell.interfaces.wizard import Wizard, WizardServer
 from tests.cell.commissioning.test_engine import Asking
 from tests.cell.interfaces.page.test_page import becomes, fits
 from tests.cell.interfaces.test_wizard import Moving, Ports
-from tests.cell.served import until
+from tests.waiting import until
 
 pytestmark = pytest.mark.long
 

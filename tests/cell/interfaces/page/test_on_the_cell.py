@@ -11,7 +11,8 @@ from gripper.errors import PartSlipped
 from tests.cell.interfaces.page.line import Line
 from tests.cell.interfaces.page.test_page import becomes, fits, press
 from tests.cell.interfaces.test_web import stl
-from tests.cell.served import Served, until
+from tests.cell.served import Served
+from tests.waiting import until
 
 pytestmark = pytest.mark.long
 

@@ -8,7 +8,7 @@ import pytest
 
 from cell.control.live import LiveValues
 from tests.cell.interfaces.page.fake_cell import TEACHING, FakeCell
-from tests.cell.served import until
+from tests.waiting import until
 
 EVIL = '<img src=x onerror="window.evil=1">'
 PIXEL = base64.b64decode(
