@@ -148,7 +148,7 @@ class Cia402Drive:
             kind = self._read(od.DEVICE_TYPE)
             modes = self._read(od.SUPPORTED_MODES)
         except AxisSilent as error:
-            raise AxisMissing(f"{error}; check its node-ID and the bit rate") from error
+            raise AxisMissing(f"{error}; also check its node-ID and the bit rate") from error
         if kind & 0xFFFF != od.PROFILE_402:
             raise AxisMissing(
                 f"{self.name} has device type {kind:08X}h, which is no CiA 402 drive: correct the "
