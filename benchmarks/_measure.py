@@ -30,7 +30,7 @@ def timed(work: Callable[[], _Result]) -> tuple[_Result, Timed]:
 def in_turns(cases: Mapping[str, Callable[[], _Result]], rounds: int) -> dict[str, list[_Result]]:
     """Run all cases once a round, each round beginning with another one; results by case.
 
-    What the machine does meanwhile then meets all of them alike.
+    So the other load of the machine affects all cases alike.
     """
     names = list(cases)
     found: dict[str, list[_Result]] = {name: [] for name in names}
@@ -56,7 +56,7 @@ def quantile(values: Sequence[float], share: float) -> float:
 
 
 def repeats(full: int, effort: float, *, least: int = 1) -> int:
-    """Return how often to do what is done ``full`` times at effort 1."""
+    """Return the number of repeats at the present effort: ``full`` at effort 1."""
     return max(least, round(full * effort))
 
 
@@ -66,7 +66,7 @@ def some(things: Mapping[str, _Result], effort: float, *, least: int = 2) -> dic
 
 
 def same(found: bool, what: str) -> None:
-    """End the benchmark where two alternatives do not give the same."""
+    """End the benchmark if two alternatives have different results."""
     if not found:
         raise SystemExit(f"the figures mean nothing: {what}")
 

@@ -148,7 +148,7 @@ class Cia402Drive:
             kind = self._read(od.DEVICE_TYPE)
             modes = self._read(od.SUPPORTED_MODES)
         except AxisSilent as error:
-            raise AxisMissing(f"{error}; is its node-ID and the bit rate right?") from error
+            raise AxisMissing(f"{error}; also check its node-ID and the bit rate") from error
         if kind & 0xFFFF != od.PROFILE_402:
             raise AxisMissing(
                 f"{self.name} has device type {kind:08X}h, which is no CiA 402 drive: correct the "
@@ -437,8 +437,8 @@ class Cia402Drive:
             raise AxisFault(self._fault_text(self._read(od.ERROR_CODE)))
         if state is not State.OPERATION_ENABLED:
             raise AxisFault(
-                f"{self.name} left OPERATION ENABLED for {state.words}: an enable input, safe "
-                "torque off or another master; then clear the fault and start again"
+                f"{self.name} left OPERATION ENABLED for {state.words}: check its enable input, "
+                "safe torque off and other masters, then clear the fault and start again"
             )
 
     def _fault_text(self, code: int) -> str:

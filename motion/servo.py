@@ -138,7 +138,7 @@ class ServoAxis:
         self._turn = round((middle - (at - self._settings.zero)) / turn) * turn
         if not low - reserve <= self._axis(at) <= high + reserve:
             raise AxisFault(
-                f"{self.name} stands at {self._axis(at)} pulses, its limits are {low} to {high}: "
+                f"{self.name} is at {self._axis(at)} pulses, its limits are {low} to {high}: "
                 "turn it back by hand with its torque off, or correct zero_pulse"
             )
         self._write(GOAL_POSITION, at)

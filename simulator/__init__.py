@@ -1,4 +1,4 @@
-"""A simulated cell that speaks the real protocols of the buses.
+"""A simulated cell that uses the real protocols of the buses.
 
 Servos are Protocol 2.0 devices, the tactile control unit is a CANopen device. Both share one world
 in which rigid objects are pressed into foam pads. The package imports descriptions of the hardware

@@ -229,8 +229,9 @@ def taxel_order(layout: TaxelLayout, mounts: Sequence[PadMount]) -> NDArray[np.i
         pad, other = layout.pads[mount.pad], layout.pads[mount.sent_as]
         if (pad.rows, pad.columns) != (other.rows, other.columns):
             raise LayoutError(
-                f"pad {pad.name} has {pad.rows} x {pad.columns} taxels, {other.name}, in whose "
-                f"place it is sent, {other.rows} x {other.columns}"
+                f"pad {pad.name} has {pad.rows} x {pad.columns} taxels, but is sent as "
+                f"{other.name} with {other.rows} x {other.columns}: correct sent_as in "
+                "tactile.mounting"
             )
         taxels = layout.taxels_of(mount.sent_as)
         place = np.arange(taxels.start, taxels.stop).reshape(pad.rows, pad.columns)

@@ -199,7 +199,7 @@ class SourceStatistics:
 class FrameSource(Protocol):
     """A source of tactile frames: one sensor with all its pads. One thread uses it.
 
-    A source raises `tactile.errors.LinkFault` for what is wrong with the device or its line. Every
+    A source raises `tactile.errors.LinkFault` for a fault of the device or its line. Every
     later call raises the same fault again, until `stop` and `start`.
     """
 

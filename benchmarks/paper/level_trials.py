@@ -1,8 +1,8 @@
-"""The paper's level check in trials: levels of many grasps, taught by few, naming the rest.
+"""The paper's level check in trials: a few grasps teach levels, the others are named.
 
-The rule is Algorithm 1's: thresholds lie in the middle between neighbouring bands of the taught
-levels, and a value belongs to the object between whose thresholds it falls, so every grasp that
-carries a surface is named. Bands that overlap have their threshold in the middle of the overlap.
+The rule is that of Algorithm 1. Each threshold is in the middle between neighbouring bands of the
+taught levels; if bands overlap, in the middle of the overlap. A value between two thresholds
+belongs to the object there. So every grasp with a surface gets a name.
 """
 
 from collections.abc import Sequence
@@ -126,8 +126,8 @@ def noise_patch_levels(task: tuple[Touch, float, int, int]) -> NDArray[np.float6
     """Return min |λ| (n, forces) of averaged frames on the patch of all taxels above the noise.
 
     The level check counts a taxel as loaded from a part of the largest height on. Here the noise
-    alone is its threshold, and falls as more frames are averaged, so that taxels at the edge come
-    and go. The task is that of `repeated_levels`.
+    alone is its threshold. It falls as more frames are averaged, so taxels at the edge appear and
+    disappear. The task is that of `repeated_levels`.
     """
     touch, noise_share, n, seed = task
     rng = np.random.default_rng([seed, round(1e4 * noise_share), LABELS.index(touch.label)])
@@ -144,7 +144,7 @@ def noise_patch_levels(task: tuple[Touch, float, int, int]) -> NDArray[np.float6
 
 
 def name_by_threshold(levels: LevelBands, values: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return for each value the object between whose thresholds it falls; -1 for NaN."""
+    """Return for each value the object by its thresholds; -1 for NaN."""
     ascending = np.maximum.accumulate(levels.threshold)
     named = levels.order[np.searchsorted(ascending, values)]
     return np.where(np.isfinite(values), named, -1)

@@ -1,13 +1,13 @@
 """Force ramps on a simulated gripper: the force loop, a plain PI and plain current feed-forward.
 
-Parts of three stiffnesses between foam pads, ramps of 1 to 40 N/s, in virtual time. The laws
-take turns on the same plant with the same approach and noise, with force messages and with frames;
-the torque figures are right in one run and wrong in the two others. Each figure is the worst of the
-runs, of the true force. The seeds are none of those that the loop was tuned with. The force loop
-also meets a plant with further truths (friction that grows with load, backlash, ripple, creep), and
-more noise with figures that are more wrong. At last it meets the gearings of real servos, which it
-measures before as a self-zero does. ``--gearing`` does that alone, with one of them;
-``--factors`` adds factors on friction and torque, ``--frames`` takes the force messages away.
+Parts of three stiffnesses between foam pads, ramps of 1 to 40 N/s, in virtual time. All laws
+run on the same plant with the same approach and noise, with force messages and with frames. The
+torque figures are right in one run and wrong in the two others. Each figure is the worst of the
+runs, of the true force. The loop was tuned with other seeds. The force loop also runs on a plant
+with further truths (friction that grows with load, backlash, ripple, creep), and with more noise
+and larger errors of the figures. The last runs have the gearings of real servos, which the gripper
+measures before, as in a self-zero. ``--gearing`` runs one of them alone; ``--factors`` adds factors
+on friction and torque, ``--frames`` removes the force messages.
 
 ``python -m benchmarks.performance.force_ramps --page`` writes the figures into
 docs/explanations/force-loop.md; the tests run some of them again and compare.
@@ -137,7 +137,7 @@ FRICTIONS, KTS = (0.5, 1.0, 1.5, 2.0, 3.0), (0.7, 1.0, 1.3)
 
 
 def run(setup: Setup, case: Case, n_truths: int = len(TRUTHS)) -> RampQuality:
-    """Return the worst of one ramp, over how the gripper may differ."""
+    """Return the worst figures of one ramp over the grippers with different errors."""
     truths, noise_n = (HARD_TRUTHS, HARD_NOISE_N) if setup.hard else (TRUTHS, NOISE_N)
     with setup.tuning() as tuning:
         rigs = [

@@ -4,9 +4,9 @@ With the folder of recorded grasps in TACTILE_CELL_DATA, 36 real objects are tau
 60 % of each object's grasps and the others named; without it, simulated grasps of the paper's five
 objects. Then many labels with five grasps each.
 
-At last: where the time of the simulated cell goes from the command to a part that is named, and
-let go or kept. Computing takes none of the cell's virtual time; its CPU time is added where it
-lasts longer than the motion beside which a real-time cell computes.
+The last figures are the times of the simulated cell from the command to a named part that is
+released or kept. Computing takes no virtual time. Its CPU time is added if it is longer than the
+motion during which a real-time cell computes.
 """
 
 import statistics
@@ -34,7 +34,7 @@ from recognition.recognizers import DEFAULT_TRAINER, make_trainer
 
 
 def one_series(train: Sequence[Grasp], test: Sequence[Grasp], rounds: int) -> None:
-    """Teach with some grasps, name the others again and again, and print what that takes."""
+    """Teach with some grasps, name the others repeatedly, and print the times."""
     recognizer, taught = timed(partial(make_trainer(DEFAULT_TRAINER).fit, train))
     recognizer.posterior(test[0])
     took = [timed(partial(recognizer.posterior, grasp))[1] for grasp in list(test) * rounds]
@@ -106,7 +106,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
 
 
 def many(n_labels: int) -> None:
-    """Print how long so many labels take to teach, each with five grasps dealt from made ones."""
+    """Print the time to teach many labels, each with five of the simulated grasps."""
     made = simulated(len(PAPER), max(1, n_labels // 10))
     dealt = [
         replace(made[7 * i % len(made)], label=f"label {i // 5:03d}", start_ms=i)

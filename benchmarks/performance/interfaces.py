@@ -1,11 +1,10 @@
-"""What a question and a command take over each interface, against the plain call of the service.
+"""Times of a query and a command over each interface, beside those of the plain call.
 
-The question is the state of the cell. The command is a reset, which goes all the way to the cell
-and is refused there, because it is ready: nothing moves, so that nothing but the way is measured.
-Over Modbus it is one block and the reading of its result. The cell is the simulated one in virtual
-time. Then how late the periods of the force loop begin on pseudo-terminals while parts are gripped
-and let go: with nobody connected, and with four clients that ask 200 times a second each, processes
-of their own.
+The query is the state of the cell. The command is a reset, which reaches the cell and is refused
+there, because the cell is ready. Nothing moves, so only the transmission is measured. Over Modbus
+it is one block and the reading of its result. The cell is the simulated one in virtual time.
+The last figures are the lateness of the force loop on pseudo-terminals while parts are gripped and
+released: without clients, and with four client processes that query 200 times a second each.
 """
 
 import contextlib
@@ -108,7 +107,7 @@ def plain_reset(service: Service, lease: int) -> int:
 
 
 def compare(rounds: int, count: int) -> None:
-    """Print question and command over both interfaces and by the plain call."""
+    """Print the times of query and command over both interfaces and by the plain call."""
     service = open_service(changed_config(CellConfig(), _INTERFACES))
     with contextlib.closing(service), open_interfaces(service) as interfaces:
         ready = service.status().state_number

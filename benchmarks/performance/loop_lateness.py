@@ -1,10 +1,10 @@
 """How late the periods of the force loop begin over pseudo-terminals, on a free and a busy machine.
 
-Our process, as the product sets it up, against the simulated cell in a process of its own, which
-gets real-time priority where the system grants it (real servos wait for no processor): on the
-machine as it is, and with as many busy processes as there are processors.
+The loop has its own process, as in operation. The simulated cell has another one, with real-time
+priority if the system grants it, because real servos need no processor of this machine. It is
+measured on the machine as it is, and with as many busy processes as processors.
 
-Late is a period that begins more than half a period late.
+A period counts as late if it begins more than half a period late.
 """
 
 import contextlib

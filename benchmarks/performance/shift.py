@@ -1,11 +1,11 @@
-"""A shift of eight hours, condensed: parts are sorted while clients watch, and nothing grows.
+"""A shift of eight hours without pauses: parts are sorted while clients watch; memory stays flat.
 
     python -m benchmarks.performance.shift [--hours H]        (make soak)
 
-One service on the simulated cell sorts as many parts as come in the shift, one each 30 s, but
-without the pauses in between. Meanwhile clients of another process are on its live stream: with
-newtons, with counts, with the state alone, one that takes a message a second, and one that comes
-and goes. After each block of parts the process of the service is looked at, as in the soak of
+One service on the simulated cell sorts the parts of a shift, one part for each 30 s of it, but
+without the pauses in between. Meanwhile clients of another process read its live stream: newtons,
+counts, or the state alone. One client takes a message a second, and one connects again and again.
+After each block of parts memory, files and threads of the service are measured, as in the soak of
 grasps.
 """
 
@@ -87,7 +87,7 @@ def run_job(service: Service, lease: int, goal: Mapping[str, Any]) -> None:
 
 
 def sort_shift(service: Service, n_parts: int) -> Iterator[ResourceUse]:
-    """Teach the objects, sort so many parts, and yield a sample after each block of them."""
+    """Teach the objects, sort the parts, and yield a sample after each block of them."""
     lease = service.lease.acquire("shift")
     labels = [entry.label for entry in service.config.simulator.objects]
     for seed, label in enumerate(labels):
@@ -103,7 +103,7 @@ def sort_shift(service: Service, n_parts: int) -> Iterator[ResourceUse]:
 def condensed(
     hours: float, config: CellConfig
 ) -> tuple[list[ResourceUse], list[int], dict[str, Any]]:
-    """Return the samples of a shift, the messages that each client got, and its ledger."""
+    """Return the samples of a shift, the messages of each client, and the ledger of the shift."""
     ports = {"modbus": None, "xmlrpc": None, "http": 0}
     wanted: dict[str, Any] = {f"serve.{name}_port": port for name, port in ports.items()}
     service = open_service(changed_config(config, wanted | {"serve.lease_timeout_s": 60.0}))

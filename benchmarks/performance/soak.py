@@ -2,11 +2,11 @@
 
     python -m benchmarks.performance.soak [--grasps N] [--report OUT.json]        (make soak)
 
-Two kinds of work take turns in one process, because they leak in different ways: a cell that is
-built once and grasps all the time, and shifts, each with a cell of its own that records, teaches,
-identifies, is cancelled in mid-grasp, latches a fault, is cleared and reset, and is closed. After
-each block the process is looked at. The first fifth of the blocks is left out: the interpreter,
-the allocator and the recogniser fill their caches then.
+Two kinds of work alternate in one process, because they can leak in different ways. One cell is
+built once and grasps all the time. In each shift a new cell records, teaches, identifies, is
+cancelled in mid-grasp, latches a fault, is cleared, reset and closed. After each block memory,
+files and threads are measured. The first fifth of the blocks is left out: interpreter, allocator
+and recogniser fill their caches then.
 """
 
 import argparse
@@ -47,7 +47,7 @@ _PAGE_KIB = os.sysconf("SC_PAGE_SIZE") // 1024
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResourceUse:
-    """The process after so many grasps, or connections."""
+    """Resources of the process after a number of grasps or connections."""
 
     done: int
     """How many."""
@@ -63,7 +63,7 @@ class ResourceUse:
 
 
 def look(done: int, virtual_s: float) -> ResourceUse:
-    """Collect garbage and look at this process."""
+    """Collect garbage and measure this process."""
     gc.collect()
     resident = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return ResourceUse(

@@ -6,7 +6,7 @@ grid; the contact is solved by conjugate gradients over the cells that carry loa
 Keer 1999), the influence evaluated by fast Fourier transforms. A sensor below the surface feels
 the normal stress there.
 
-Nothing of this is taken from `simulator.world.foam` or `recognition.shape.foam`, which are beds of
+It shares no code with `simulator.world.foam` or `recognition.shape.foam`, which are beds of
 separate columns.
 """
 

@@ -53,8 +53,8 @@ def posed_grasp(
 ) -> Grasp:
     """Return one grasp: 0.3 s of rest, a ramp of 5 N/s, 0.3 s of hold, 50 frames a second.
 
-    The pads stand where the foam pushes back with the force of the moment, which differs from the
-    commanded one by a factor of the grasp; the opening has an error of the grasp too.
+    The opening is that at which the foam has the present force. A random factor of the grasp
+    changes the commanded force; a random error of the grasp changes the opening.
     """
     sensing = sensing or Sensing()
     rng = np.random.default_rng(seed)

@@ -1,8 +1,8 @@
 """Shape and size fused over the grasps of many cells, each with its own foam and wrong opening.
 
 Grasps are virtual ones (`cell.learning.virtual_grasps`). Modulus, gain and spread of a cell's foam
-and the zero of its opening are drawn once for all of its grasps, from what the cell is told to
-trust.
+and the zero of its opening are drawn once for all of its grasps, with the standard deviations
+that the fit assumes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ _EXACT = {
 
 @dataclass(frozen=True, slots=True)
 class CellSequence:
-    """What each grasp of one object on one cell told, and what is true."""
+    """Answers of the grasps of one object on one cell, and the true shape."""
 
     kind: str
     sizes_mm: tuple[float, ...]
@@ -83,7 +83,7 @@ def sequences(
 
 
 def fused(objects: Mapping[str, tuple[str, float, str]], n_cells: int) -> None:
-    """Print how often kind and interval are right after some grasps."""
+    """Print the shares of right kinds and intervals after some grasps."""
     plain = sequences([(kind, (mm,), text) for kind, mm, text in objects.values()], n_cells)
     bars = sequences([BAR], 4 * n_cells)
     line(

@@ -1,11 +1,11 @@
-"""What another day costs: each grasp by itself, followed through a shift, and after gauges.
+"""Right names on another day: each grasp by itself, followed through a shift, and after gauges.
 
-Of each object the first 60 per cent of the grasps in time teach, the others are tested on the next
-day under a gain of 0.7 and with the opening 4 mm off. With the folder of recorded grasps in
-TACTILE_CELL_DATA, `pinch_november.npz` is a real other day of three objects. Shifts come in mixed
-orders, and nobody names their grasps. A gauge takes the first three grasps of an object. New are
-objects that were left out of teaching, a third of all. Rows of ramps that end early take of each
-grasp as much as a cell would, and follow the whole ones.
+Of each object the first 60 per cent of the grasps in time teach. The others are tested as on the
+next day, with gain 0.7 and the opening 4 mm off. With the folder of recorded grasps in
+TACTILE_CELL_DATA, `pinch_november.npz` is a real other day of three objects. The grasps of a shift
+come in random order and without their names. A gauge takes the first three grasps of an object. New
+objects are those left out of teaching, a third of all. In rows of ramps that end early, each grasp
+ends where a cell would end it; the drift follows only whole ramps.
 """
 
 from collections.abc import Sequence

@@ -1,10 +1,9 @@
-"""Ramps of the simulated cell that end as soon as they suffice, beside whole ones.
+"""Ramps of the simulated cell that end early, compared with whole ones.
 
 Both identify the paper's objects, and objects never taught, in the same poses and with the same
-forces. Time is that of the cell: of a grasp
-from the first move of the closing fingers to the end of its ramp, of an identification from the
-first pose to the last release. `benchmarks.recognition.sequences` has more sequences, replayed from
-single grasps.
+forces. Times are those of the cell. A grasp lasts from the first move of the closing fingers to the
+end of its ramp, an identification from the first pose to the last release.
+`benchmarks.recognition.sequences` has more sequences, replayed from single grasps.
 """
 
 from collections.abc import Iterator, Sequence
@@ -47,7 +46,7 @@ _FEW_OBJECTS = 2
 
 @dataclass
 class IdentifiedParts:
-    """What a row of identifications took and told."""
+    """Times and answers of a row of identifications."""
 
     found: list[Identification] = field(default_factory=list)
     truths: list[str] = field(default_factory=list)
@@ -77,7 +76,7 @@ class IdentifiedParts:
         ]
 
     def shape_text(self) -> str:
-        """Return in words how well shapes and sizes were told."""
+        """Return the shares of right shapes and sizes in words."""
         told = [
             (*SHAPES[truth], one.shape)
             for one, truth in zip(self.found, self.truths, strict=True)
@@ -87,7 +86,7 @@ class IdentifiedParts:
 
 
 class TaughtCell:
-    """A simulated cell and what it was taught."""
+    """A simulated cell and its taught recognisers."""
 
     def __init__(self, cell: Cell, config: CellConfig, labels: Sequence[str], n_taught: int):
         self.cell = cell

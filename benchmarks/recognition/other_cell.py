@@ -1,18 +1,17 @@
 """Taught on one simulated cell, used on another of the same layout, and with ramps of other rates.
 
-The other cell has another foam, another sensitivity of the pads, servos that are mounted 1.8 mm
-off at the opening, pads that are misaligned, and a gain and a foam of its own for each finger.
-Grasps go through servos, buses and force loop. Both cells measure their own zero once, with empty
-fingers; "untold" leaves that out. The gauge takes the first three grasps of one object on the other
-cell, once for each object. Objects never taught are grasped there, too.
+The other cell has another foam and less sensitive, misaligned pads. Its opening is 1.8 mm off, and
+each finger has its own gain and foam. Grasps use servos, buses and force loop. Both cells measure
+their own zero once, with empty fingers; "untold" leaves that out. The gauge takes the first three
+grasps of one object on the other cell, once for each object. Objects never taught are grasped
+there, too.
 
 Further cells are drawn at random: foam, gains and tilt of the pads, mounts of the servos. Each
 measures its own zero once.
 
-Rows of ramps that end early take of each grasp as much as a cell would, and follow whole ones.
-
-The cell that taught names grasps of slower and faster ramps as well, and one that was taught with
-slow ramps names fast ones.
+In rows of ramps that end early, each grasp ends where a cell would end it; the drift follows only
+whole ramps. The cell that taught also names grasps of slower and faster ramps. Another one is
+taught with slow ramps and names fast ones.
 """
 
 import math

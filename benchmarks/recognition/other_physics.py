@@ -2,8 +2,8 @@
 
 Grasps come from elastic pads (`benchmarks.recognition._elastic_contact`), which spread load
 sideways: a thin layer, a thick one, a half-space, and a layer that creeps under a sensor that
-bends. What names them was taught from drawings alone, which know nothing of such pads; one column
-of figures has a gauge of ten grasps. Shape and size are told of objects never taught.
+bends. The recogniser was taught from drawings alone, with the foam of the simulator. One column of
+figures has a gauge of ten grasps. Shape and size are those of objects never taught.
 """
 
 from collections.abc import Mapping
@@ -89,7 +89,7 @@ def config_of(layout: LayoutName, noise: float) -> CellConfig:
 def knowledge(
     config: CellConfig, material: Material, layout: LayoutName, sensor: Sensed, effort: float
 ) -> dict[str, PadKnowledge]:
-    """Return what is usual of the pads, and what a gauge of ten grasps shows of them."""
+    """Return the usual foam of the pads, and the foam measured by a gauge of ten grasps."""
     gauge = sensed(trials(GAUGE, repeats(10, effort, least=3), material, layout, 7), sensor)
     foam = usual_foam(config)
     return {
@@ -116,7 +116,7 @@ def taught(config: CellConfig, known: PadKnowledge, effort: float) -> dict[bool,
 
 
 def names(materials: Mapping[str, Material], effort: float) -> None:
-    """Print how well drawings name objects, on the first layout."""
+    """Print the names of objects taught from drawings, on the first layout."""
     layout, noise, what = _LAYOUTS[0]
     line("names", what)
     config, n_test = config_of(layout, noise), repeats(8, effort)
@@ -141,7 +141,7 @@ def names(materials: Mapping[str, Material], effort: float) -> None:
 def sizes(
     materials: Mapping[str, Material], layout: LayoutName, noise: float, effort: float
 ) -> None:
-    """Print how well shape and size of objects never taught are told."""
+    """Print the errors of shape and size of objects never taught."""
     config, sensor = config_of(layout, noise), Sensed(noise=noise)
     objects = {label: text for label, (_, _, text) in some(SIZED, effort).items()}
     total: dict[str, list[Told]] = {}

@@ -81,7 +81,7 @@ class Archive:
                 ARCHIVE.check(found, target, ArchiveError)
             elif not create:
                 raise ArchiveError(
-                    f"{target} is no archive; `tactile-cell archive RECORDINGS --to {target}` "
+                    f"{target} is not an archive; `tactile-cell archive RECORDINGS --to {target}` "
                     "makes one"
                 )
             else:

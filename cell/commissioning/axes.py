@@ -30,7 +30,7 @@ class AxesStep(Step):
     title = "Axes"
     purpose = (
         "Looks for a wrist servo on a further serial port and for CiA 402 drives on the CAN buses, "
-        "and names them. Nothing is written and nothing moves; a cell without axes passes by."
+        "and names them. A cell without axes skips this step. Nothing is written, nothing moves."
     )
     needs = ("ports", "unit")
 

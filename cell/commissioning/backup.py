@@ -148,8 +148,8 @@ def restore(
     Each servo is read back. Baud rate and ID come last; servos that shared an ID do so again.
     ``begin`` is called before the first write, which ends the commissioned state of the servos.
     Raises WizardAborted when the changes are refused; nothing is written then. Raises CellError if
-    there is no backup, one of its values is invalid, or a servo does not answer, is of another
-    model, has its torque on, or does not keep a value.
+    there is no backup or one of its values is invalid. Raises it if a servo does not answer, is of
+    another model, has its torque on, or does not keep a value.
     """
     files = (backup_file(bench.folder, number) for number in range(HIGHEST_ID + 1))
     backups = [backup for path in files if (backup := _read(path)) is not None]
@@ -258,13 +258,14 @@ def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
     now = read_control_table(bus, servo_id)
     if now[MODEL_NUMBER.name] != backup.found[MODEL_NUMBER.name]:
         raise CellError(
-            f"servo {servo_id} is of model number {now[MODEL_NUMBER.name]}, its backup of "
-            f"{backup.found[MODEL_NUMBER.name]}: this is another servo, nothing was written"
+            f"servo {servo_id} has model number {now[MODEL_NUMBER.name]}, its backup has "
+            f"{backup.found[MODEL_NUMBER.name]}: this is another servo, so nothing was written; "
+            "choose the backup of this servo"
         )
     if now[TORQUE_ENABLE.name]:
         raise CellError(
-            f"servo {servo_id} has its torque on and may hold a part, nothing was written: release "
-            "it first"
+            f"servo {servo_id} has its torque on and may hold a part, so nothing was written: "
+            "release the part first"
         )
     items = [r.name for r in REGISTERS.values() if r.eeprom and r.name not in _LAST]
     both = [name for name in (*items, *_LAST) if name in now and name in backup.found]

@@ -70,8 +70,8 @@ class BaselineStep(Step):
     key = "baseline"
     title = "Gauge object"
     purpose = (
-        "Grasps a stiff object that you keep for it, and notes opening, forces, current and "
-        "patches: from then on `tactile-cell doctor --gauge` says whether the cell is as it was."
+        "Grasps a stiff object that you keep for it, and stores opening, forces, current and "
+        "patches. `tactile-cell doctor --gauge` later shows what has changed."
     )
     needs = ("first_force",)
     needs_pads = True

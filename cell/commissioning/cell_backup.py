@@ -358,7 +358,9 @@ def restore_registers(path: Path, config: CellConfig, bench: Bench, dialog: Dial
                 backup_file(Path(folder), servo.servo_id), SERVO_BACKUP, servo, error=CellError
             )
         if not backup.manifest.servos:
-            raise CellError(f"{path} has no registers of servos")
+            raise CellError(
+                f"{path} has no registers of servos; choose a backup without --no-devices"
+            )
         there = Bench(Path(folder), bench.lines, base=config)
         return list(restore_servos(there, dialog, config.gripper.port))
 

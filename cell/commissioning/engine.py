@@ -248,7 +248,7 @@ class Engine:
     def redo(self, key: str) -> tuple[str, ...]:
         """Forget a step and all that need it; return their keys.
 
-        Raises CellError if there is no such step.
+        Raises CellError if the step does not exist.
         """
         if key not in [step.key for step in self.steps]:
             names = ", ".join(step.key for step in self.steps)

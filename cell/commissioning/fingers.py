@@ -1,7 +1,7 @@
 """Step `fingers`: directions, zero, ends and linkage by hand, then the first motion.
 
-A person moves the limp fingers while the screen shows the angles; known blocks between the pads
-convert angles to lengths. Then a motor moves, at the least current that moves it.
+A person moves the fingers without torque while the screen shows the angles; known blocks between
+the pads convert angles to lengths. Then a motor moves, at the least current that moves it.
 """
 
 from collections.abc import Callable, Sequence
@@ -242,9 +242,9 @@ class FingersStep(Step):
     key = "fingers"
     title = "Fingers"
     purpose = (
-        "You move the limp fingers by hand, then close them on blocks of known size: that gives "
-        "directions, zero, ends and linkage. At the end each finger opens by itself, by about "
-        "3 mm at the least current that moves it, and goes limp again."
+        "You move the fingers by hand, without torque, then close them on blocks of known size. "
+        "This gives directions, zero, ends and linkage. At the end each finger opens by itself, by "
+        "about 3 mm at the least current that moves it, and has no torque again."
     )
     needs = ("servos",)
     undo = "nothing is written; run `tactile-cell commission --redo fingers`"
@@ -295,9 +295,8 @@ class _Hands:
         turn = min(model.pulses_per_turn for model in self._models)
         if any(not 0 <= zero < turn for zero in zeros):
             raise StepFailed(
-                f"the zero of the linkage lies at {zeros} pulses, beyond the encoder's turn (0 to "
-                f"{turn - 1}): turn the horn so that the closed finger stands near "
-                f"{turn // 2}"
+                f"the zero of the linkage is at {zeros} pulses, outside of the encoder's turn "
+                f"(0 to {turn - 1}): turn the horn so that the closed finger is near {turn // 2}"
             )
         self._servos = [
             servo.model_copy(update={"direction": sign, "zero_pulse": zero})
@@ -597,9 +596,9 @@ class _Hands:
                 ProposedChange(
                     where=f"finger {number} (servo {servo.id})",
                     what="first motion",
-                    before="at rest, limp",
+                    before="at rest, no torque",
                     after=f"opens by {degrees(_FIRST_WAY_RAD):.1f} deg at most, with "
-                    f"{cap_a:.2f} A at most, then limp",
+                    f"{cap_a:.2f} A at most, then no torque",
                     undo="by hand",
                 )
                 for number, servo in enumerate(self._servos)
@@ -624,7 +623,9 @@ class _Hands:
                     f"{name}: opened by {degrees(way_rad):.1f} deg with {current_a:.3f} A"
                 )
         except GripperError as error:
-            raise StepFailed(f"the first motion ended, the servos are limp: {error}") from error
+            raise StepFailed(
+                f"the first motion ended, the servos have no torque: {error}"
+            ) from error
         finally:
             group.go_limp()
         answer = self._dialog.choose(
@@ -657,7 +658,7 @@ class _Hands:
             state = group.read_patiently()
             way_rad = state.angles_rad[index] - start[index]
             if clock.monotonic() >= shown_s:
-                # The person may stop the motion here: the servos then go limp.
+                # The person may stop the motion here: the torque then goes off.
                 self._dialog.live(
                     f"finger {index}", f"{degrees(way_rad):.1f} deg open, {current_a:.2f} A"
                 )

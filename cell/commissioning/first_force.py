@@ -169,7 +169,7 @@ def meets(config: CellConfig) -> bool:
 
 def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[ProposedChange]:
     gripper = config.gripper
-    limp = "the torque goes off at the end of the step; leaving stops the fingers where they are"
+    limp = "the torque goes off at the end of the step; if you leave, the fingers stop"
     opened = f"{gripper.aperture_open_mm:g} mm open"
     settings = config.gripper_settings
     proof = []

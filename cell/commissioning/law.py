@@ -272,8 +272,8 @@ def judge_law(
         bent = off = False
     if bent or not _rising(loads):
         raise StepFailed(
-            "The loads do not lie on one law: was the stamp beside the pad, or moved it? Load the "
-            "middle of the pad again; where it stays so, the pads need another calibration "
+            "The loads do not fit one law: was the stamp beside the pad, or did it move? Load the "
+            "middle of the pad again. If they still do not fit, the pads need another calibration "
             "(tactile.calibration.kind)."
         )
     if differ:

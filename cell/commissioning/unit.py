@@ -131,8 +131,8 @@ def restore_unit_values(bench: Bench, kept: Mapping[str, Any], dialog: Dialog) -
         for key in ("node_id", "layout_hash"):
             if (found := getattr(now, key)) != (wanted := getattr(then, key)):
                 raise CellError(
-                    f"the control unit has {key} {found}, that of the backup {wanted}: this is "
-                    "another unit, nothing was written"
+                    f"the control unit has {key} {found}, the backup has {wanted}: this is another "
+                    "unit, so nothing was written; choose the backup of this unit"
                 )
         before, after = dict(now.registers), dict(then.registers)
         changed = [name for name in before if after.get(name, before[name]) != before[name]]
@@ -229,8 +229,8 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
         ports = [port for port in bench.lines.serial_ports() if os.path.realpath(port) != servos]
         if len(ports) != len(tactile.serial_ports):
             raise StepFailed(
-                f"The serial ports beside the servos' are {', '.join(ports) or 'none'}; the sensor "
-                f"needs {len(tactile.serial_ports)}. Plug in the boards alone, or write "
+                f"Serial ports without that of the servos: {', '.join(ports) or 'none'}; the "
+                f"sensor needs {len(tactile.serial_ports)}. Plug in the boards alone, or write "
                 "tactile.sensor.ports into the config."
             )
         sensor["ports"] = [by_id(port) for port in ports]
@@ -445,10 +445,10 @@ def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
         return own, given
     shapes = ", ".join(f"{rows} x {columns}" for rows, columns in unit.pad_shapes)
     raise StepFailed(
-        f"Its taxels are of no known layout (hash {unit.layout_hash}): {unit.n_taxels} taxels on "
-        f"{len(unit.pad_shapes)} pads of {shapes}, full scale {unit.adc_max}. Known are "
-        f"{', '.join(PAD_LAYOUTS)}: write the pads of another one with faces and pitches into "
-        "tactile.layout of a config, or plug in the unit of this gripper."
+        f"Its layout is unknown (hash {unit.layout_hash}): {unit.n_taxels} taxels on "
+        f"{len(unit.pad_shapes)} pads of {shapes}, full scale {unit.adc_max}. Known layouts are "
+        f"{', '.join(PAD_LAYOUTS)}. Write its pads with faces and pitches into tactile.layout of a "
+        "config, or plug in the unit of this gripper."
     )
 
 

@@ -13,8 +13,8 @@ from cell.config.model import CellConfig
 from cell.config.section import sections_in
 
 UNITS = {
-    "mm_s": "mm/s", "n_s": "N/s", "nm_a": "Nm/A", "mm": "mm", "ms": "ms", "deg": "degrees",
-    "hz": "Hz", "n": "N", "s": "s", "a": "A", "c": "°C", "share": "share",
+    "mm_s": "mm/s", "n_s": "N/s", "n_mm": "N/mm", "nm_a": "Nm/A", "mm": "mm", "ms": "ms",
+    "deg": "degrees", "hz": "Hz", "n": "N", "s": "s", "a": "A", "c": "°C", "share": "share",
 }  # fmt: skip
 """Unit by the end of a key, the longest first."""
 

@@ -53,7 +53,7 @@ _FORCE_FIELDS = {
 
 
 class UnitDictionary:
-    """Object dictionary of one unit: constants, live values, and the checks of what is written.
+    """Object dictionary of one unit: constants, live values, and the checks of written values.
 
     Parameters
     ----------

@@ -137,7 +137,7 @@ class ServoMount:
 
 
 class FingerMechanics:
-    """Two fingers that one servo drives together, or two servos one each.
+    """Two fingers: one servo drives both, or each finger has its own servo.
 
     Parameters
     ----------

@@ -168,7 +168,7 @@ class Press:
             if not covered.any():
                 raise SimulatorSettingsError(
                     f"at x = {1e3 * pose.x_m:.1f} mm, y = {1e3 * pose.y_m:.1f} mm the object lies "
-                    f"beside the pad {grid.pad.name}"
+                    f"beside the pad {grid.pad.name}; choose a smaller offset"
                 )
             window = (_span(covered, axis=0), _span(covered, axis=1))
             table = ForceTable(foams[side], reach_m[window], grid.cell_area_m2)

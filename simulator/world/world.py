@@ -223,7 +223,8 @@ class PhysicalWorld:
         pressure = np.sqrt(np.maximum(share, 0.0))
         if not pressure.any():
             raise SimulatorSettingsError(
-                f"x = {1e3 * x_m:.1f} mm, y = {1e3 * y_m:.1f} mm is beside the pad {grid.pad.name}"
+                f"x = {1e3 * x_m:.1f} mm, y = {1e3 * y_m:.1f} mm is beside the pad "
+                f"{grid.pad.name}; choose a place on the pad"
             )
         pressure *= force_n / (pressure.sum() * grid.cell_area_m2)
         everything = (slice(None), slice(None))

@@ -149,7 +149,7 @@ def open_socketcand(address: str) -> can.BusABC:
         # The driver tries for 10 s to reach a server that refuses. It waits without limit for one
         # that accepts but is stopped.
         if knock.recv(len(_GREETING)) != _GREETING:
-            raise can.CanInitializationError("the server does not speak socketcand")
+            raise can.CanInitializationError("the server does not use the protocol socketcand")
     # The driver warns for each message that is split between two packets.
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
     return WatchedSocketcandBus(  # type: ignore[no-untyped-call]

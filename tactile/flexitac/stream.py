@@ -115,8 +115,8 @@ class FrameStream:
         if offsets and n_frames < _AMBIGUOUS_FRAMES:
             return
         self.trouble = (
-            f"its stream is ambiguous: AA 55 stands at {len(offsets)} places of each frame, as "
-            "under a static load: take the load off the pad"
+            f"its stream is ambiguous: AA 55 is at {len(offsets)} places of each frame, for "
+            "example under a static load: take the load off the pad"
             if offsets
             else self._no_header()
         )

@@ -48,8 +48,8 @@ class FrameFormat:
             raise LayoutError(f"{self.n_taxels} taxels, must be at least 1")
         if self.n_messages > _LONG_INDEX_LIMIT:
             raise LayoutError(
-                f"{self.n_taxels} taxels need {self.n_messages} messages a frame, "
-                f"the index ends at {_LONG_INDEX_LIMIT}"
+                f"{self.n_taxels} taxels need {self.n_messages} messages a frame, allowed are "
+                f"{_LONG_INDEX_LIMIT}; use fewer taxels"
             )
 
     @classmethod

@@ -127,8 +127,8 @@ class FrameFlow:
         if self._late_syncs >= _LATE_SYNCS:
             raise FrameTimeout(
                 f"the frames of {self._name} come {late} periods later than before, allowed are "
-                f"{self._late_periods - 1}: the adapter or the host holds messages back, or SYNCs "
-                "do not reach the unit; check both, then start the link again"
+                f"{self._late_periods - 1}: the adapter or the host delays messages, or SYNCs do "
+                "not reach the unit; check both, then start the link again"
             )
 
     def _note_lag(self) -> None:

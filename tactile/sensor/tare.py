@@ -184,9 +184,9 @@ def _refuse_touch(hood: Neighbourhood, offset: Values, limits: TareLimits) -> No
         highest = int(np.argmax(bump))
         if bump[highest] > limit:
             raise TareRefused(
-                f"{_place(hood, taxels.start + highest)} stands {bump[highest]:.1f} counts out of "
-                f"its pad, allowed are {limit:.1f}: something touches the pad; clear it and try "
-                "again"
+                f"{_place(hood, taxels.start + highest)} reads {bump[highest]:.1f} counts more "
+                f"than the rest of its pad, allowed are {limit:.1f}: something touches the pad; "
+                "clear it and try again"
             )
 
 

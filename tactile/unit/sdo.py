@@ -72,7 +72,7 @@ class ObjectAccess:
             except SdoAbortedError as error:
                 raise NodeMissing(
                     f"{what} was refused ({error}): the unit's firmware does not fit this "
-                    "software's EDS"
+                    "software's EDS; update the older one"
                 ) from error
             except (can.CanError, OSError) as error:
                 raise interface_failed(error) from error

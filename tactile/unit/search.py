@@ -1,6 +1,6 @@
-"""Search for a control unit: who is heard on a bus, who answers, and what a unit says of itself.
+"""Search for a control unit: nodes that send, nodes that answer, and identity of a unit.
 
-For commissioning, before anything of the unit is known. Only `write_unit` writes to it.
+For commissioning, while the unit is still unknown. Only `write_unit` writes to it.
 """
 
 import time
@@ -34,7 +34,7 @@ _GAP_S = 0.001
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusTraffic:
-    """What was heard on a bus."""
+    """Messages received on a bus."""
 
     messages: int
     """Whole messages of any kind: the bit rate is right where there is one."""
@@ -92,7 +92,7 @@ def listen(bus: can.BusABC, duration_s: float) -> BusTraffic:
 def scan_nodes(bus: can.BusABC) -> BusTraffic:
     """Ask each of the 127 node-IDs for its device type (object 1000h); nothing is written.
 
-    At a wrong bit rate nobody acknowledges: an adapter that refuses to send is heard as nobody.
+    At a wrong bit rate no node acknowledges. An adapter that then refuses to send means: no nodes.
     """
     with _Listener(bus) as listener, suppress(can.CanError, OSError, BusOff):
         for node in _NODES:
@@ -109,7 +109,7 @@ def scan_nodes(bus: can.BusABC) -> BusTraffic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundUnit:
-    """What a control unit says of itself."""
+    """Identity and registers that a control unit reports."""
 
     node_id: int
     """CANopen node-ID."""
@@ -146,7 +146,7 @@ _WRITTEN_FORCES = (
 
 
 def read_unit(bus: can.BusABC, node_id: int) -> FoundUnit:
-    """Read what a control unit says of itself; nothing is written.
+    """Read identity and registers of a control unit; nothing is written.
 
     Raises NodeMissing if the node does not answer, or lacks the objects of a control unit. Raises
     BusOff if the CAN interface fails.
@@ -204,7 +204,7 @@ def write_unit(bus: can.BusABC, node_id: int, registers: Mapping[str, int]) -> N
 
 
 def read_vendor(bus: can.BusABC, node_id: int) -> tuple[int, int]:
-    """Return vendor-ID and product code of a node, which tell a control unit from a drive.
+    """Return vendor-ID and product code of a node, which distinguish a control unit from a drive.
 
     Raises NodeMissing if the node does not answer.
     """

@@ -191,8 +191,8 @@ class NodeSupervisor:
                 )
         elif self._in_operation and self.state != OPERATIONAL:
             raise NodeStateChanged(
-                f"{self._name} is {_state_name(self.state)}, expected operational: another NMT "
-                "master, or an error in the unit (object 0x1029); start the link again"
+                f"{self._name} is {_state_name(self.state)}, expected operational: check for "
+                "another NMT master and an error of the unit (1029h), then start the link again"
             )
         elif self._in_operation:
             self._count_beat(t_s)

@@ -259,6 +259,6 @@ class UskinSource(PolledBoards):
         return self._frame(z, begun_s, end_s, xyz[:, :2])
 
     def stop(self) -> None:
-        """Stop receiving; the boards go on and the bus stays open."""
+        """Stop receiving; the boards continue and the bus stays open."""
         self._running = False
         self._source.close()

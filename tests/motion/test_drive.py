@@ -235,7 +235,7 @@ def test_a_home_that_is_not_found_is_given_up(make_drive) -> None:
 
 def test_who_is_no_drive_or_not_there_is_refused(bench) -> None:
     bench.simulated.dead = True
-    with pytest.raises(AxisMissing, match=r"does not answer .*is its node-ID and the bit rate"):
+    with pytest.raises(AxisMissing, match=r"does not answer .*also check its node-ID"):
         bench.move(0.0)
     found = next(iter(bench.axes.inspect().values()))
     assert isinstance(found, AxisMissing)

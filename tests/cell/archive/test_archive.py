@@ -192,7 +192,7 @@ def test_an_object_store_is_an_archive_too(fleet, archived) -> None:
 
 
 def test_other_places_are_refused(tmp_path) -> None:
-    with pytest.raises(ArchiveError, match=r"is no archive; `tactile-cell archive"):
+    with pytest.raises(ArchiveError, match=r"is not an archive; `tactile-cell archive"):
         Archive(str(tmp_path))
     (tmp_path / "_archive.json").write_text(json.dumps({"format": "tactile-cell-archive/2"}))
     with pytest.raises(ArchiveError, match="update tactile-cell"):

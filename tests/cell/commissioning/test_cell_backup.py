@@ -226,8 +226,8 @@ def test_objects_of_the_control_unit_come_back(cell, lines) -> None:
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"node_id": 9}, "has node_id 5, that of the backup 9: this is another unit"),
-        ({"layout_hash": "0"}, "this is another unit, nothing was written"),
+        ({"node_id": 9}, "has node_id 5, the backup has 9: this is another unit"),
+        ({"layout_hash": "0"}, "this is another unit, so nothing was written"),
         ({"registers": [["heartbeat (1017h) in ms", 70_000]]}, "an object of 2 bytes"),
         ({"registers": [["heartbeat (1017h) in ms", "x"]]}, "is damaged"),
         ({}, "holds no objects of a control unit"),

@@ -87,8 +87,8 @@ def test_without_a_scale_the_forces_are_unchecked(stand: MakeStand) -> None:
 @pytest.mark.parametrize(
     ("loads", "named"),
     [
-        ([[(1.0, 1.0), (3.0, 0.4), (6.0, 6.0)]] * 2, "do not lie on one law"),
-        ([[(1.0, 2.0), (3.0, 3.0), (6.0, 3.6)]] * 2, "do not lie on one law"),
+        ([[(1.0, 1.0), (3.0, 0.4), (6.0, 6.0)]] * 2, "do not fit one law"),
+        ([[(1.0, 2.0), (3.0, 3.0), (6.0, 3.6)]] * 2, "do not fit one law"),
         ([[(1.0, 0.0), (3.0, 0.0)]] * 2, "No law can be found: the pads show no force"),
     ],
 )

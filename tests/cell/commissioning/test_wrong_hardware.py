@@ -29,7 +29,7 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (UNIT, "unit.off", FAIL, "No CAN traffic and no reply on can0"),
         (UNIT, "unit.wrong=revision:0x00020001", FAIL, "not that of this software: major revision"),
         (UNIT, "unit.wrong=vendor:99", FAIL, "node 5 is another device: vendor 0x63"),
-        (UNIT, "unit.other_layout", FAIL, "no known layout (hash 0000000000000000): 156 taxels"),
+        (UNIT, "unit.other_layout", FAIL, "layout is unknown (hash 0000000000000000): 156 taxels"),
         (UNIT, "can.unplugged", FAIL, "adapter is unplugged"),
         (UNIT, "unit.heartbeat_off", FAIL, "did not become operational"),
         (UNIT, "can.bit_rate=125000", FAIL, "too long for a grip"),

@@ -339,7 +339,7 @@ def test_a_socketcand_server_that_goes_away_is_noticed(server) -> None:
 
 def test_a_socketcand_server_that_refuses_or_speaks_otherwise_is_named_at_once() -> None:
     server = Server(b"HTTP/1")
-    with pytest.raises(BusNotOpened, match=r"does not speak socketcand.*server runs"):
+    with pytest.raises(BusNotOpened, match=r"does not use the protocol socketcand.*server runs"):
         open_bus("socketcand", server.address)
     server.close()
     start_s = time.monotonic()

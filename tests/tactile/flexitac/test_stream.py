@@ -57,7 +57,7 @@ def test_a_header_inside_that_stays_is_ambiguous_until_it_goes() -> None:
     stream = FrameStream(PROFILE)
     for number, frame in enumerate(frames(30)):
         assert stream.feed(frame[:50] + HEADER + frame[52:], number * PERIOD_S) == []
-    assert "ambiguous: AA 55 stands at 2 places" in stream.trouble
+    assert "ambiguous: AA 55 is at 2 places" in stream.trouble
     got = [
         one
         for number, frame in enumerate(frames(30, seed=1), start=30)

@@ -420,7 +420,10 @@ def test_tare_finds_the_mean_of_the_noise() -> None:
 @pytest.mark.parametrize(
     ("prepare", "says"),
     [
-        (lambda frames: frames.press(0.4), r"stands .* out of its pad.*something touches"),
+        (
+            lambda frames: frames.press(0.4),
+            r"reads .* more than the rest of its pad.*something touches",
+        ),
         (lambda frames: frames.press(4.0, "flat"), r"reads .* counts, allowed are 30\.6"),
         (lambda frames: frames.base.__setitem__(slice(0, 64), 60.0), "finger0.inner, row"),
         (

@@ -65,7 +65,7 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(open_page, address, walk
     becomes(page, "#now_error", "stopped by 127.0.0.1")
     assert walk[1].limp
     page.reload()
-    becomes(page, "#run", "Go on")
+    becomes(page, "#run", "Continue")
     page.click("#run[aria-disabled=false]")
     becomes(page, "#state", "Waits for approval")
     page.click("#refuse")
@@ -111,8 +111,8 @@ def test_a_second_page_stops_a_motion_and_a_narrow_german_one_has_all(
     walk[0].wrong = 1
     page.click("#run[aria-disabled=false]")
     # A sentence with figures is German there; one that has no translation says that it is English.
-    becomes(other, "#question_text", "^Anschlüsse ist fehlgeschlagen. Beheben Sie es")
-    becomes(other, "#question_choices", "Gefundenes bleibt erhalten")
+    becomes(other, "#question_text", "^Anschlüsse ist fehlgeschlagen. Beheben Sie die Ursache")
+    becomes(other, "#question_choices", "die Befunde bleiben erhalten")
     becomes(other, "#now_said li", "No adapter is plugged in")
     languages = [other.get_attribute(i, "lang") for i in ("#question_text", "#now_said span")]
     assert languages == ["de", "en"]

@@ -94,11 +94,11 @@ def test_the_way_out_of_a_fault_step_by_step(serve, open_page) -> None:
         "steps => steps.map(step => step.dataset.step)"
     ) == ["look", "clear", "support_part", "release", "reset"]
     assert not page.is_visible("#do_identify")
-    becomes(page, "[data-step=release] button", "after the fault is cleared")
+    becomes(page, "[data-step=release] button", "clear the fault first")
     becomes(page, ".next p", "Acknowledge the fault")
     page.click("[data-step=clear] button")
     becomes(page, "#state", "Reset needed")
-    becomes(page, ".next p", "Let the part go")
+    becomes(page, ".next p", "Release the part")
     assert served.grip_n > 0.0
     press(page, "[data-step=release] button", 0.3)
     assert served.grip_n > 0.0

@@ -160,7 +160,7 @@ def test_german_words_numbers_and_faults(open_page, cell) -> None:
         taught["shape"] = "oval"
     cell.plugin.taught_revision += 1
     becomes(page, "#held_size", "ein Oval von 9,5 mm")
-    becomes(page, "#held_size", "Die Pads spüren eine Kugel von 9,5 mm: Name und Form")
+    becomes(page, "#held_size", "Die Pads messen eine Kugel von 9,5 mm: Name und Form")
     assert page.locator("#held_shape ellipse.part").count() == 1
     show(page, cell, "faulted")
     becomes(page, "#fault_title", "Das gehaltene Teil rutscht")
