@@ -299,7 +299,7 @@ TAXELS = _near((
              number=401),
     FaultRow(13, "without noise, at first", "the same just after the touch: the part seems soft",
              "unit.stuck@contact+0.05s", "HOLD", 0.3 + SYNC_S, changes={"simulator.noise": "none"},
-             number=401),
+             number=(401, 407)),
     FaultRow(14, "few at the start", "four taxels at full scale",
              "taxels.stuck=0.01", "NOTE", None),
     FaultRow(14, "many at the start", "120 taxels at full scale",

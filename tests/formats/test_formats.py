@@ -176,7 +176,7 @@ def test_a_history_of_the_present_format_is_read_and_goes_on(current) -> None:
     now_s = datetime(2026, 11, 23, 23).timestamp()
     status: Any = SimpleNamespace(n_faults=0, fault=None, fault_number=0)
     kept = History(path, lambda: status, wall_s=lambda: now_s)
-    kept.look()
+    kept.update()
     kept.close()
     assert (kept.values()["today"]["parts"], kept.values()["today"]["starts"]) == (2, 2)
 

@@ -44,7 +44,7 @@ def test_a_scrape_counts_parts_faults_and_links(connect) -> None:
     lease = client.post("/api/lease", name="host")["lease"]
     client.post("/api/jobs", lease=lease, goal={"task": "zero"})
     assert served.ended().error == ""
-    goal = {"task": "sort", "parts": 2, "feed": ["ball", "box"], "max_grasps": 1}
+    goal = {"task": "sort", "parts": 2, "feed": ["ball", "box"], "max_grasps": 3}
     client.post("/api/jobs", lease=lease, goal=goal)
     assert served.ended().error == ""
     status, text = scraped(client, served.interfaces["view_token"])
