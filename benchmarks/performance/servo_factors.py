@@ -136,12 +136,12 @@ def warm_up(*, gearing: str = "ideal", duration_s: float = 3600.0) -> None:
             controller = cell.controller
             controller.start()
             while last_s < duration_s / FASTER:
-                controller.present(config.simulator.objects[0].label)
+                controller.moves.present(config.simulator.objects[0].label)
                 begin_c = motors[0].temperature_c
                 controller.grip(GRIPPED_N, Pose())
                 begin_s, forces_n = last_s, []
                 while last_s < begin_s + HELD_S:
-                    controller.tick()
+                    controller.life.tick()
                     if last_s > begin_s + SETTLED_S:
                         forces_n.append(fmean(simulated.world.contact_force_n()))
                 controller.release()
