@@ -9,7 +9,7 @@ from gripper.force.grasp import GraspRun
 from gripper.force.load_trial import LoadTrial
 from gripper.mechanics.identification import fit_load
 from gripper.mechanics.kinematics import transmissions
-from gripper.values.state import Observer
+from gripper.values.state import Observer, TimeSpan
 
 _FREE_RAD_S = (0.15, 0.25, 0.4, 0.65)
 """Speeds in rad/s at which friction is measured: slow enough for its part at rest, and far enough
@@ -49,13 +49,17 @@ class DriveMeasurement:
             self._settings.drives.put(servo_id, drive)
         self._fingers.free.forget()
 
-    def measure_load(self, observer: Observer | None = None) -> None:
+    def measure_load(self, observer: Observer | None = None) -> tuple[TimeSpan, ...]:
         """Measure the current of each servo under load, while the empty pads press on each other.
 
         Friction locks one finger while the other one moves slowly, then vice versa: the force rises
         and falls. Call it after `Gripper.press_pads_together` with nothing between the pads; they
         still press afterwards. If the current, or the held force, leaves too small a range, the
         drives do not change. Not for a gripper with one servo.
+
+        Returns
+        -------
+        When each finger moved alone; empty if the drives did not change.
 
         Raises
         ------
@@ -67,25 +71,29 @@ class DriveMeasurement:
         with fingers.life.command("hold", observer):
             fingers.make_ready()
             low_n = _LOW_CONTACTS * settings.contact_force_n
-            angles_rad = fingers.servos.read_patiently().angles_rad
-            paths = transmissions(settings, fingers.linkage, angles_rad)
+            state = fingers.servos.read_patiently()
+            paths = transmissions(settings, fingers.linkage, state.angles_rad)
             most_a = _CURRENT_SHARE * settings.current_max_a
             bearable_n = min(path.force_band_n(most_a)[0] for path in paths)
             high_n = min(_HIGH_SHARE * control.grip.setpoint_n, bearable_n)
             if high_n - low_n < _LEAST_SPAN_N or len(paths) < 2:
-                return
+                return ()
+            spans = []
             try:
                 for finger, servo in enumerate(settings.servos):
                     trial = LoadTrial(control, fingers.linkage, finger, (low_n, high_n))
+                    since_s = state.t_s
                     for rises in (False, True):
                         trial.start(rises=rises)
-                        fingers.runner.run(trial.step)
+                        state = fingers.runner.run(trial.step)
+                    spans.append(TimeSpan(since_s, state.t_s))
                     before = settings.drives.of(servo.servo_id, servo.drive)
                     found = fit_load(trial.rising, trial.falling, before)
                     settings.drives.put(servo.servo_id, found)
             finally:
                 control.grip.moving = None
             fingers.free.compare()
+            return tuple(spans)
 
     def measure_friction(self, observer: Observer | None = None) -> None:
         """Measure the friction of each servo at several speeds; the empty fingers end open.

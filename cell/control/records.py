@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cell.control.plan import GraspStep, Pose
 from gripper.values.outcome import GraspOutcome
-from gripper.values.state import Cycle
+from gripper.values.state import Cycle, TimeSpan
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from recognition.recognizer import Posterior
 from tactile.layout import TaxelLayout
@@ -111,6 +111,14 @@ class GraspCollector:
     def pads_n(self) -> NDArray[np.float64]:
         """Mean force by the law of the pads in N from one frame to the next, (n_frames,)."""
         return np.array([mean_n for _, _, mean_n in self._frames])
+
+    def during(self, spans: Sequence[TimeSpan]) -> NDArray[np.int64]:
+        """Return (n_frames,) int64: number of the span in which a frame came; -1 outside of all."""
+        number = np.full(self.n_frames, -1)
+        come_s = np.array([cycle.t_s for _, cycle, _ in self._frames])
+        for i, span in enumerate(spans):
+            number[(come_s > span.since_s) & (come_s <= span.until_s)] = i
+        return number
 
     def grasp(self, label: str = "", command: GraspCommand | None = None) -> Grasp:
         """Return the collected grasp. Raises ValueError if no frame came."""

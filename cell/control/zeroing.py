@@ -7,6 +7,7 @@ from statistics import fmean
 from cell.config.model import CellConfig
 from cell.control.journal import Journal
 from cell.control.lifecycle import CellLifecycle
+from cell.control.records import GraspCollector
 from cell.control.self_zero import (
     SelfZeros,
     dead_taxels_text,
@@ -18,12 +19,12 @@ from cell.control.self_zero import (
 from cell.control.states import Event
 from cell.control.watch import MotionWatch
 from cell.errors import ZeroRefused
-from cell.hand.interface import Hand
+from cell.hand.interface import Hand, OnPeriod
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport, pad_gain
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspOutcome
-from gripper.values.state import Cycle
+from gripper.values.state import Cycle, TimeSpan
 from recognition.drift.self_zero import ZeroMeasurement, anchored, measure_zero, shows_part
 from tactile.sensor.tare import TareResult
 from tactile.source import TactileFrame
@@ -138,7 +139,9 @@ class Zeroing:
         ``asked``: somebody has checked that the fingers are empty. A part between them is then
         kept; else it is released, and a zero far off may be a flat part.
         """
-        outcome, found, refused = self._meet()
+        self.open()
+        collector, collect = self.watch.collecting()
+        outcome, found, refused = self._meet(collector, collect)
         between = part_between(outcome, found)
         if between and asked:
             raise PartBetweenFingers(
@@ -146,11 +149,14 @@ class Zeroing:
             )
         if found is not None:
             refused = unsound(found) or ("" if asked else self.zeros.far_off(found.zero))
+        alone: Sequence[TimeSpan] = ()
         if not (between or refused):
-            self.hand.measure_load(self.watch.motion)
+            alone = self.hand.measure_load(collect)
         self.hand.release(self.watch.motion)
         if found is None or between or refused:
             raise ZeroRefused(between or refused)
+        if alone:
+            found = self._found(collector, alone)
         self.hand.measure_friction(self.watch.motion)
         self._note_each_drive()
         gain = pad_gain(list(self.note_drives().drives.values()))
@@ -163,13 +169,13 @@ class Zeroing:
             self.journal.note("taxels", dead)
         return found
 
-    def _meet(self) -> tuple[GraspOutcome, ZeroMeasurement | None, str]:
+    def _meet(
+        self, collector: GraspCollector, collect: OnPeriod
+    ) -> tuple[GraspOutcome, ZeroMeasurement | None, str]:
         """Press the empty fingers on each other; stop if the pads show a part.
 
         Returns while they press: the outcome, the measurement or None, and why it is None.
         """
-        self.open()
-        collector, collect = self.watch.collecting()
         layout, n_seen = self.hand.layout, 0
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
@@ -189,15 +195,19 @@ class Zeroing:
         if part_between(outcome):
             return outcome, None, ""
         try:
-            found = measure_zero(
-                collector.grasp(),
-                collector.pads_n,
-                layout.gripping_pads,
-                step_m=_opening_step_m(self.config),
-            )
+            return outcome, self._found(collector), ""
         except ValueError as error:
             return outcome, None, f"{error}; measure again"
-        return outcome, found, ""
+
+    def _found(self, collector: GraspCollector, alone: Sequence[TimeSpan] = ()) -> ZeroMeasurement:
+        """Return the measurement by the frames so far; ``alone``: when one finger moved alone."""
+        return measure_zero(
+            collector.grasp(),
+            collector.pads_n,
+            self.hand.layout.gripping_pads,
+            step_m=_opening_step_m(self.config),
+            alone=collector.during(alone),
+        )
 
     def _note_each_drive(self) -> None:
         """Save and note the drive characteristic of each servo after a start or a self-zero."""

@@ -15,7 +15,7 @@ from gripper.force.timing import LoopStatistics
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspOutcome, ReleaseReport
 from gripper.values.servo_checks import ServoCondition, VerificationReport
-from gripper.values.state import Cycle, GripperPhase
+from gripper.values.state import Cycle, GripperPhase, TimeSpan
 from tactile.layout import TaxelLayout
 from tactile.sensor.sensor import SensorStatistics, TactileReading
 from tactile.sensor.tare import TareResult
@@ -140,8 +140,12 @@ class Hand(Protocol):
         """Close the empty fingers onto each other, follow the ramp; return while they press."""
         ...
 
-    def measure_load(self, watch: OnPeriod) -> None:
-        """Measure the servos' currents under load while the empty pads press on each other."""
+    def measure_load(self, watch: OnPeriod) -> tuple[TimeSpan, ...]:
+        """Measure the servos' currents under load while the empty pads press on each other.
+
+        Returns when each finger moved alone.
+        """
+        ...
 
     def measure_friction(self, watch: OnPeriod) -> None:
         """Measure the servos' friction at several speeds; nothing may be between the fingers."""

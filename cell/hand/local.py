@@ -8,7 +8,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspOutcome, ReleaseReport
-from gripper.values.state import Cycle, GripperPhase
+from gripper.values.state import Cycle, GripperPhase, TimeSpan
 from tactile.errors import ZeroDrifted
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.sensor import TactileReading, TactileSensor
@@ -97,10 +97,10 @@ class LocalHand:
         self._force.take()
         return self.gripper.press_pads_together(ramp, observer=self._observer(watch))
 
-    def measure_load(self, watch: OnPeriod) -> None:
+    def measure_load(self, watch: OnPeriod) -> tuple[TimeSpan, ...]:
         """Measure the servos' currents for their load; see `Hand`."""
         self._force.take()
-        self.gripper.drives.measure_load(self._observer(watch))
+        return self.gripper.drives.measure_load(self._observer(watch))
 
     def measure_friction(self, watch: OnPeriod) -> None:
         """Measure the servos' friction; see `Hand`."""

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from gripper.values.force_sensor import ForceSample
 
@@ -112,6 +113,13 @@ def shows_nothing(
     stands = abs(state.aperture_velocity_m_s) < _EMPTY_STANDING_M_S
     pressed_n = state.force_from_current_n if stands else 0.0
     return max(*force.force_n, pressed_n) < contact_force_n
+
+
+class TimeSpan(NamedTuple):
+    """A span of monotonic time, both ends in s."""
+
+    since_s: float
+    until_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

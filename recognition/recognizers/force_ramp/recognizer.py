@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from recognition.drift.grid import DriftGrid, DriftPrior
-from recognition.drift.self_zero import at_zero, common_zero, foam_caution, prior_since
+from recognition.drift.self_zero import at_zero, common_zero, foam_odds, prior_since
 from recognition.features.aperture import sizes_mm
 from recognition.features.footprint import PadGrid, pad_grid
 from recognition.features.groups import FEATURE_VERSION, check_version
@@ -117,7 +117,7 @@ class ForceRampRecognizer:
         odds_of_taught = 1.0 / float(np.clip((share * evidence.new).sum(), 1e-12, 1.0)) - 1.0
         caution = self.caution
         if self.zero is not None and grasp.zero is not None:
-            caution *= foam_caution(self.zero, grasp.zero)
+            caution *= foam_odds(self.zero, grasp.zero)
         drawn_m = self.drawn_m[int(probability.argmax())]
         drawn_m = drawn_m[np.isfinite(drawn_m)]
         offset = share.sum(axis=0)
