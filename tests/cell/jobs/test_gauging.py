@@ -22,6 +22,7 @@ from cell.plugin.goals import GaugeGoal
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import NO_DRIFT, Drift
 from recognition.recognizers import make_trainer
+from tests.cell.archive.fleet import SIZES_MM, ramp
 from tests.cell.conftest import call
 
 DRIFT = Drift(gains=(0.8,), aperture_offset_m=-1e-3)
@@ -34,23 +35,25 @@ def drifted(taught: Any, tmp_path: Path) -> Path:
     return path
 
 
-def test_evaluate_drifts_and_gauges(taught, tmp_path) -> None:
+def test_evaluate_drifts_and_gauges(tmp_path) -> None:
+    rng = np.random.default_rng(5)
+    grasps = [ramp(label, rng, start_ms=20_000 * n) for n in range(20) for label in SIZES_MM]
+    write_dataset(tmp_path / "grasps.npz", grasps)
     text = call(
-        *("evaluate", taught.result.dataset, "--recognizer", "force_ramp", "--fuse", "1"),
+        *("evaluate", tmp_path / "grasps.npz", "--recognizer", "force_ramp", "--fuse", "1"),
         *("--drift", "gain=0.8,aperture_mm=-3", "--gauge", "ball", "--json", tmp_path / "e.json"),
     )
     data = json.loads((tmp_path / "e.json").read_text(encoding="utf-8"))
     assert "gain 0.80, opening -3.0 mm" in text
-    assert "gauged with 2 grasps of ball" in text
+    assert "gauged with 3 grasps of ball" in text
     wanted = {"gain": pytest.approx(0.8), "gains": [0.8], "aperture_mm": pytest.approx(-3.0)}
     assert data["drift"] == wanted
     assert data["gauge"]["label"] == "ball"
-    # Three taught balls show little of how balls are placed.
-    assert data["gauge"]["aperture_mm"] == pytest.approx(-3.0, abs=1.5)
+    assert data["gauge"]["gain"] == pytest.approx(0.8, abs=0.05)
+    assert data["gauge"]["aperture_mm"] == pytest.approx(-3.0, abs=0.2)
     figures = data["recognizers"]["force_ramp"]
-    # Box and ball differ by 0.5 mm, the gauged opening may be off by as much.
-    assert np.sum(figures["confusion"]) == 2
-    assert figures["single_accuracy"] >= 0.5
+    assert np.sum(figures["confusion"]) == 21
+    assert figures["single_accuracy"] == 1.0
 
 
 def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp_path) -> None:
