@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import logsumexp
 
-from recognition.drift.drift import Drift, shifted_levels
+from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftPrior
 from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray, SelfZero
 from recognition.ramp.levels import Levels, stack_levels
@@ -269,7 +269,7 @@ def at_zero(
         if zero is not None:
             drift = since(taught, zero, gripping, grasps[0].pads.n_pads)
             log_gains = np.log(drift.gains_of(gripping))
-            part = shifted_levels(part, log_gains, drift.aperture_offset_m * 1e3)
+            part = part.without_drift(log_gains, drift.aperture_offset_m * 1e3)
         parts.append(part)
         places.append(rows)
     return stack_levels(parts).take(np.argsort(np.concatenate(places)))
