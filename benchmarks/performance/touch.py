@@ -21,7 +21,6 @@ from benchmarks.performance._force_plant import Part, Rig, Sensor, Truth
 from benchmarks.performance.force_ramps import PARTS
 from gripper.errors import ForceAboveCap, GripperError, PartLost, PartSlipped
 from gripper.force.ramp import ForceRamp
-from gripper.settings import ForceLoopSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
@@ -127,9 +126,7 @@ class TouchRig(Rig):
         """Time in s at which the true force first passed the cap."""
         self.changed: Callable[[float], Part] = lambda _: part
         self.slide_m_s = 0.0
-        super().__init__(
-            part, truth, noise_n, ForceLoopSettings(), rate_hz=rate_hz, **(usual | settings)
-        )
+        super().__init__(part, truth, noise_n, rate_hz=rate_hz, **(usual | settings))
 
     @property
     def now_s(self) -> float:
