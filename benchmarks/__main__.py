@@ -9,7 +9,6 @@ import sys
 
 BENCHMARKS = {
     "performance": (
-        "archive",
         "interfaces",
         "force_cap",
         "force_messages",
