@@ -145,8 +145,7 @@ def _depths_m(
             np.where(found_n < force_n, middle, low),
             np.where(found_n < force_n, high, middle),
         )
-    depths: NDArray[np.float64] = np.where(force_n > 0.0, 0.5 * (low + high), 0.0)
-    return depths
+    return np.where(force_n > 0.0, 0.5 * (low + high), 0.0)
 
 
 def noise_model(share: float) -> NoiseModel:

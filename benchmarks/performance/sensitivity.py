@@ -237,8 +237,7 @@ def _run(constant: Constant | None, factor: float, effort: float) -> dict[str, f
     )
     if done.returncode:
         return (done.stderr.strip().splitlines() or ["no message"])[-1]
-    found: dict[str, float] = json.loads(done.stdout)
-    return found
+    return json.loads(done.stdout)
 
 
 def moved(base: Mapping[str, float], found: Mapping[str, float] | str) -> list[str]:

@@ -403,8 +403,7 @@ def _gradient(
         lean = xy_mm @ gradient
         middle = np.linspace(-np.abs(lean).max(), np.abs(lean).max() + wanted.max(), _MIDDLES)
         mean = np.maximum(middle[:, None] + lean, 0.0).mean(axis=1)
-        found: NDArray[np.float64] = np.interp(wanted, mean, middle)
-        return found
+        return np.interp(wanted, mean, middle)
 
     def misfit(gradient: NDArray[np.float64]) -> NDArray[np.float64]:
         middle = plane(gradient, top.mean(keepdims=True))

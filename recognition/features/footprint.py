@@ -115,8 +115,7 @@ class Footprint:
 def pressed(maps: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return `maps` (..., n_taxels) with possible noise set to 0; noise has shape (...)."""
     limit = np.maximum(_NOISE_SIGMAS * noise, _FLOOR)[..., None]
-    kept: NDArray[np.float64] = np.where(maps > limit, maps, 0.0)
-    return kept
+    return np.where(maps > limit, maps, 0.0)
 
 
 def describe_footprint(

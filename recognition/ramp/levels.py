@@ -171,5 +171,4 @@ def _known(aperture_m: NDArray[np.float64]) -> NDArray[np.float64]:
     if good.all() or not good.any():
         return aperture_m
     frames = np.arange(len(aperture_m))
-    filled: NDArray[np.float64] = np.interp(frames, frames[good], aperture_m[good])
-    return filled
+    return np.interp(frames, frames[good], aperture_m[good])

@@ -257,8 +257,7 @@ def _own_rest(
     own = change - common
     explained = noise**2 / end
     share = max(0.0, 1.0 - explained / max(float((own[~stuck] ** 2).mean()), 1e-12))
-    rest: NDArray[np.float64] = taught + common + share * own
-    return rest
+    return taught + common + share * own
 
 
 def _highest(counts: NDArray[np.uint16]) -> float:

@@ -268,8 +268,7 @@ class PhysicalWorld:
 
     def felt_force_n(self) -> NDArray[np.float64]:
         """Return the measured force in N of each taxel, (n_taxels,), with the gains of the pads."""
-        felt: NDArray[np.float64] = self.force_gain * self._felt * self.taxel_force_n()
-        return felt
+        return self.force_gain * self._felt * self.taxel_force_n()
 
     def scan(self) -> NDArray[np.uint16]:
         """Convert all taxels: the sensor's law, new noise, rounding; counts (n_taxels,)."""
