@@ -7,11 +7,12 @@ import numpy as np
 
 from benchmarks import _measure
 from benchmarks.paper.figures import condition_index
-from benchmarks.paper.grasps import COMMON_N, PAPER_NOISE, law_mohm
+from benchmarks.paper.grasps import COMMON_N, PAPER_NOISE
 from benchmarks.paper.level_trials import LABELS, READINGS, Outcome
 from benchmarks.paper.study import PaperStudy
 from cell.report.paper_table import FIGURE_2, TABLE_1, TABLE_1_LABELS
 from recognition.evaluation.metrics import wilson_interval
+from simulator.world.taxels import resistance_mohm
 
 ClaimVerdict = Literal["holds", "in part", "does not hold"]
 _SAME = 1.01  # a value that changes by less than this factor counts as unchanged
@@ -65,7 +66,7 @@ def claims(study: PaperStudy) -> tuple[Claim, ...]:
 
 def _sensor(study: PaperStudy) -> tuple[Claim, ...]:
     force_n, quoted = np.array(FIGURE_2).T
-    ratio = 1e3 * law_mohm(force_n) / quoted
+    ratio = 1e3 * resistance_mohm(force_n) / quoted
     sizes = np.abs(study.eigenvalues)
     small, large = sizes[:, -1], sizes[:, 0]
     in_order = bool(
@@ -75,7 +76,7 @@ def _sensor(study: PaperStudy) -> tuple[Claim, ...]:
         Claim(
             where="Fig. 2, eq. (11)",
             claim="650 / 250 / 100 / 50 kOhm at 2 / 4 / 6 / 8 N",
-            found=" / ".join(f"{1e3 * r:.0f}" for r in law_mohm(force_n))
+            found=" / ".join(f"{1e3 * r:.0f}" for r in resistance_mohm(force_n))
             + f" kOhm by equation (11): {100 * (ratio.min() - 1):+.0f} to "
             f"{100 * (ratio.max() - 1):+.0f} %",
             verdict="holds" if ratio.max() < _NEAR and ratio.min() > 1 / _NEAR else "in part",

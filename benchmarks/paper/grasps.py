@@ -20,7 +20,6 @@ from simulator.world.taxels import (
     NoiseModel,
     PressureGrid,
     ideal_counts,
-    resistance_mohm,
 )
 from tactile.layout import paper_layout
 
@@ -224,8 +223,3 @@ def indent(force_n: NDArray[np.float64]) -> Indentation:
         taxel_n=taxel_n,
         resistance_mohm=RESISTANCE_AT_REST_MOHM * (1.0 - counts / _PADS.adc_max),
     )
-
-
-def law_mohm(force_n: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return equation (11), first term: the resistance in MOhm under ``force_n`` N."""
-    return resistance_mohm(force_n)

@@ -230,7 +230,7 @@ class Rig:
         ]
         self._device = ServoBusDevice(servos, 1_000_000)
         self._sensor = self._new_sensor(noise_n, truth.seed, rate_hz)
-        self._now_s = 0.0
+        self.now_s = 0.0
         self._trace: list[tuple[float, float]] = []
         self.force_n = 0.0
         clock.on_advance.append(self._advance)
@@ -264,7 +264,7 @@ class Rig:
         return MessageSensor(noise_n, seed, rate_hz=rate_hz)
 
     def _advance(self, now_s: float) -> None:
-        dt_s, self._now_s = now_s - self._now_s, now_s
+        dt_s, self.now_s = now_s - self.now_s, now_s
         if dt_s <= 0.0:
             return
         force_n, slope_n_m = self._part.press(self._mechanics.aperture_m, self._relaxed_n)
