@@ -8,7 +8,7 @@ import importlib
 import sys
 
 BENCHMARKS = {
-    "performance": "interfaces force_cap force_messages force_ramps identify loop_lateness "
+    "performance": "archive interfaces force_cap force_messages force_ramps identify loop_lateness "
     "sensitivity servo_factors touch",
     "recognition": "caution drawing drift early_end many_objects other_cell other_physics sensors "
     "sequences shape_size",
