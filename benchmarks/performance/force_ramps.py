@@ -17,12 +17,11 @@ import argparse
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from benchmarks._measure import in_turns, line, repeats
+from benchmarks._measure import line, repeats
 from benchmarks.performance._force_plant import (
     CREEP,
     Part,
@@ -192,9 +191,8 @@ def main(effort: float = 1.0, *, page: bool = False) -> None:
     line("compared", f"{len(cases)} ramps x {n_truths} truths x {len(SETUPS)} laws and plants")
     found: dict[str, dict[Case, RampQuality]] = {name: {} for name in SETUPS}
     for case in cases:
-        turns = {name: partial(run, setup, case, n_truths) for name, setup in SETUPS.items()}
-        for name, (quality,) in in_turns(turns, 1).items():
-            found[name][case] = quality
+        for name, setup in SETUPS.items():
+            found[name][case] = run(setup, case, n_truths)
     lines = tables(found)
     print("\n".join(lines), flush=True)
     if page:
