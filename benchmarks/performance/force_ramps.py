@@ -197,16 +197,26 @@ def main(effort: float = 1.0, *, page: bool = False) -> None:
     print("\n".join(lines), flush=True)
     if page:
         write_page(lines)
+    geared(effort)
+
+
+def geared(
+    effort: float,
+    names: Sequence[str] = tuple(GEARINGS),
+    rate_hz: float | None = GEARED_HZ,
+) -> None:
+    """Print the ramps with each gearing, of servos that the gripper has measured."""
+    cases = CASES[:: max(1, round(1.0 / effort / 10.0))] if effort < 1.0 else CASES
+    sensor = "frames" if rate_hz is None else f"{rate_hz:g} messages a second"
     line(
         "gearings",
-        f"of {len(cases)} ramps, {GEARED_HZ:g} messages a second: overshoot, settling, hold met, "
-        "mean error, lost",
+        f"of {len(cases)} ramps, {sensor}: overshoot, settling, hold met, mean error, lost",
     )
-    for name in GEARINGS:
-        setup = Setup(gearing=name, measured=True, rate_hz=GEARED_HZ)
-        geared = {case: run(setup, case, n_truths) for case in cases}
-        counts = ", ".join(f"{n:2d}" for n in _counts(geared))
-        line(name, f"{counts}, {_mean_n(geared):.2f} N, {_lost(geared):2d}")
+    for name in names:
+        setup = Setup(gearing=name, measured=True, rate_hz=rate_hz)
+        found = {case: run(setup, case, repeats(len(TRUTHS), effort)) for case in cases}
+        counts = ", ".join(f"{n:2d}" for n in _counts(found))
+        line(name, f"{counts}, {_mean_n(found):.2f} N, {_lost(found):2d}")
 
 
 def _missed(case: Case, quality: RampQuality) -> str:
@@ -263,6 +273,12 @@ def write_page(lines: Sequence[str]) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Force ramps on a simulated gripper.")
     parser.add_argument("--page", action="store_true", help=f"write the figures into {PAGE.name}")
+    parser.add_argument("--gearing", choices=tuple(GEARINGS), help="this gearing alone")
+    parser.add_argument("--frames", action="store_true", help="gearings without force messages")
     parser.add_argument("--effort", type=float, default=1.0, help="0.1: one truth alone")
     given = parser.parse_args()
-    main(given.effort, page=given.page)
+    if given.frames or given.gearing:
+        names = (given.gearing,) if given.gearing else tuple(GEARINGS)
+        geared(given.effort, names, None if given.frames else GEARED_HZ)
+    else:
+        main(given.effort, page=given.page)
