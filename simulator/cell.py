@@ -155,18 +155,15 @@ class SimulatedCell:
             if isinstance(axis, SimulatedWrist)
         }
 
-    def _close_ends(self) -> None:
+    def close(self) -> None:
+        """Close all buses; the cell cannot be used afterwards."""
+        self._closed = True
         for stream in (*self.axes_streams.values(), *self.board_streams):
             stream.close()
         self._servo_port.close()
         self.can_bus.shutdown()
         if self.axes_can_bus is not None:
             self.axes_can_bus.shutdown()
-
-    def close(self) -> None:
-        """Close all buses; the cell cannot be used afterwards."""
-        self._closed = True
-        self._close_ends()
         for callback in (self.devices.advance_to, self.injector.advance):
             if callback in self.clock.on_advance:
                 self.clock.on_advance.remove(callback)

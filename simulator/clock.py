@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable
-from typing import Protocol
+
+from gripper.clock import Clock
 
 STEP_S = 1e-3
 """Longest piece in s by which a virtual clock moves at once."""
@@ -71,16 +72,6 @@ class VirtualClock:
             self._advancing = False
 
 
-class RealClock(Protocol):
-    """A clock that moves by itself, as the standard module ``time``."""
-
-    def monotonic(self) -> float:
-        """Return the time in s."""
-
-    def sleep(self, seconds: float, /) -> None:
-        """Wait."""
-
-
 class Pace:
     """The pace of a virtual clock: it keeps the clock from running ahead of real time.
 
@@ -90,11 +81,13 @@ class Pace:
     ----------
     clock
         The virtual clock; it waits when it leads by 10 ms.
+    real
+        A clock that moves by itself, as the standard module ``time``.
     speed
         Virtual seconds per real second.
     """
 
-    def __init__(self, clock: VirtualClock, real: RealClock, *, speed: float = 1.0) -> None:
+    def __init__(self, clock: VirtualClock, real: Clock, *, speed: float = 1.0) -> None:
         if not (math.isfinite(speed) and speed > 0.0):
             raise ValueError(f"a pace has a positive speed, got speed={speed}")
         self._clock = clock

@@ -7,11 +7,12 @@ import numpy as np
 
 from benchmarks import _measure
 from benchmarks.paper.figures import condition_index
-from benchmarks.paper.grasps import COMMON_N, PAPER_NOISE, law_mohm
+from benchmarks.paper.grasps import COMMON_N, PAPER_NOISE
 from benchmarks.paper.level_trials import LABELS, READINGS, Outcome
 from benchmarks.paper.study import PaperStudy
 from cell.report.paper_table import FIGURE_2, TABLE_1, TABLE_1_LABELS
 from recognition.evaluation.metrics import wilson_interval
+from simulator.world.taxels import resistance_mohm
 
 ClaimVerdict = Literal["holds", "in part", "does not hold"]
 _SAME = 1.01  # a value that changes by less than this factor counts as unchanged
@@ -29,6 +30,10 @@ class Claim:
     found: str
     """What it says and what we measured."""
     verdict: ClaimVerdict
+
+
+def _verdict(holds: bool, *, in_part: bool = False) -> ClaimVerdict:
+    return "holds" if holds else "in part" if in_part else "does not hold"
 
 
 def share(outcome: Outcome) -> str:
@@ -65,7 +70,7 @@ def claims(study: PaperStudy) -> tuple[Claim, ...]:
 
 def _sensor(study: PaperStudy) -> tuple[Claim, ...]:
     force_n, quoted = np.array(FIGURE_2).T
-    ratio = 1e3 * law_mohm(force_n) / quoted
+    ratio = 1e3 * resistance_mohm(force_n) / quoted
     sizes = np.abs(study.eigenvalues)
     small, large = sizes[:, -1], sizes[:, 0]
     in_order = bool(
@@ -75,7 +80,7 @@ def _sensor(study: PaperStudy) -> tuple[Claim, ...]:
         Claim(
             where="Fig. 2, eq. (11)",
             claim="650 / 250 / 100 / 50 kOhm at 2 / 4 / 6 / 8 N",
-            found=" / ".join(f"{1e3 * r:.0f}" for r in law_mohm(force_n))
+            found=" / ".join(f"{1e3 * r:.0f}" for r in resistance_mohm(force_n))
             + f" kOhm by equation (11): {100 * (ratio.min() - 1):+.0f} to "
             f"{100 * (ratio.max() - 1):+.0f} %",
             verdict="holds" if ratio.max() < _NEAR and ratio.min() > 1 / _NEAR else "in part",
@@ -125,7 +130,7 @@ def _invariance(study: PaperStudy) -> tuple[Claim, ...]:
             claim="the objects' trajectories are separate levels",
             found=f"over the printed grid {whole} of 10 pairs of bands overlap (algebraic minimum: "
             f"{touching}); without the loop over scale {part}",
-            verdict="holds" if whole == 0 else "in part" if part <= 2 else "does not hold",
+            verdict=_verdict(whole == 0, in_part=part <= 2),
         )
     )
     return tuple(found)
@@ -156,7 +161,7 @@ def _noise(study: PaperStudy) -> tuple[Claim, ...]:
             found=f"at {COMMON_N:g} N with filter {share(silent.adjusted[filtered])} without "
             f"noise, {share(paper.adjusted[filtered])} at 8 %; from one frame "
             f"{share(silent.adjusted[plain])} and {share(paper.adjusted[plain])}",
-            verdict="holds" if lost < _NO_EFFECT else "in part" if lost < 0.1 else "does not hold",
+            verdict=_verdict(lost < _NO_EFFECT, in_part=lost < 0.1),
         ),
         Claim(
             where="section 4.1",
@@ -173,18 +178,17 @@ def _noise(study: PaperStudy) -> tuple[Claim, ...]:
             f"{share(averaged)} averaged, {share(by_noise)} where the patch is all that is above "
             f"the lower noise; any pose at {top}: {share(loudest.adjusted[plain])} from one frame, "
             f"{share(loudest.adjusted[filtered])} averaged",
-            verdict="holds"
-            if min(gained, gained_by_noise) > _NO_EFFECT
-            else "in part"
-            if max(gained, gained_by_noise) > _NO_EFFECT
-            else "does not hold",
+            verdict=_verdict(
+                min(gained, gained_by_noise) > _NO_EFFECT,
+                in_part=max(gained, gained_by_noise) > _NO_EFFECT,
+            ),
         ),
         Claim(
             where="section 4.2",
             claim="thresholds have to be adjusted to the noise",
             found=f"from one frame at 8 %: {share(paper.adjusted[plain])} adjusted, "
             f"{share(paper.fixed[plain])} with those taught without noise",
-            verdict="holds" if kept > _NO_EFFECT else "does not hold",
+            verdict=_verdict(kept > _NO_EFFECT),
         ),
     )
 
@@ -210,11 +214,9 @@ def _table(study: PaperStudy) -> tuple[Claim, ...]:
             found=f"any pose: {share(common)} at {COMMON_N:g} N, {share(own)} at full force; "
             f"the same touch at the same full force, only the noise is new: {share(same)} from one "
             f"frame, {share(still)} filtered",
-            verdict="holds"
-            if inside
-            else "in part"
-            if max(same.n_right / same.n, still.n_right / still.n) >= low
-            else "does not hold",
+            verdict=_verdict(
+                inside, in_part=max(same.n_right / same.n, still.n_right / still.n) >= low
+            ),
         ),
         Claim(
             where="Table 1",
@@ -222,22 +224,20 @@ def _table(study: PaperStudy) -> tuple[Claim, ...]:
             found="here "
             + " and ".join(f"{a} with {b} ({100 * p:.0f} %)" for a, b, p in pairs)
             + ": those whose fitted peaks are alike",
-            verdict="holds" if as_paper else "does not hold",
+            verdict=_verdict(as_paper),
         ),
         Claim(
             where="section 4.2",
             claim="the box is safe, its level has no close neighbour",
             found=f"the box is named right in {100 * box_right / box.sum():.1f} % "
             f"({100 * box_low:.1f} to {100 * box_high:.1f})",
-            verdict="holds" if box_low > 0.9 else "does not hold",
+            verdict=_verdict(box_low > 0.9),
         ),
         Claim(
             where="sections 1 and 5",
             claim="the object is named whatever the force, without any other reference",
             found=f"{share(own)} where levels are taken at each grasp's own force, "
             f"{share(common)} at a common one: the force has to be known",
-            verdict="holds"
-            if own.n_right / own.n > common.n_right / common.n - _NO_EFFECT
-            else "does not hold",
+            verdict=_verdict(own.n_right / own.n > common.n_right / common.n - _NO_EFFECT),
         ),
     )

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.paper.grasps import COMMON_N, PAPER_NOISE, Indentation, law_mohm
+from benchmarks.paper.grasps import COMMON_N, PAPER_NOISE, Indentation
 from benchmarks.paper.level_trials import CONDITIONS, LABELS, READINGS, Condition, Outcome
 from benchmarks.paper.study import PaperStudy
 from cell.report.paper_table import FIGURE_2
 from cell.report.plots import INK, MUTED, colour, drawing, new_figure, to_svg
 from recognition.evaluation.metrics import wilson_interval
 from recognition.quadric.thresholds import find_thresholds
+from simulator.world.taxels import resistance_mohm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +33,7 @@ def resistance_figure(indentation: Indentation) -> str:
         figure = new_figure(6.4, 3.8)
         axes = figure.subplots()
         force_n = np.linspace(0.0, 9.0, 181)
-        axes.plot(force_n, 1e3 * law_mohm(force_n), color=INK, lw=1.4, label="equation (11)")
+        axes.plot(force_n, 1e3 * resistance_mohm(force_n), color=INK, lw=1.4, label="equation (11)")
         kilo_ohm = 1e3 * indentation.resistance_mohm
         axes.plot(
             indentation.taxel_n,

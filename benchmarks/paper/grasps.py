@@ -20,7 +20,6 @@ from simulator.world.taxels import (
     NoiseModel,
     PressureGrid,
     ideal_counts,
-    resistance_mohm,
 )
 from tactile.layout import paper_layout
 
@@ -145,8 +144,7 @@ def _depths_m(
             np.where(found_n < force_n, middle, low),
             np.where(found_n < force_n, high, middle),
         )
-    depths: NDArray[np.float64] = np.where(force_n > 0.0, 0.5 * (low + high), 0.0)
-    return depths
+    return np.where(force_n > 0.0, 0.5 * (low + high), 0.0)
 
 
 def noise_model(share: float) -> NoiseModel:
@@ -225,8 +223,3 @@ def indent(force_n: NDArray[np.float64]) -> Indentation:
         taxel_n=taxel_n,
         resistance_mohm=RESISTANCE_AT_REST_MOHM * (1.0 - counts / _PADS.adc_max),
     )
-
-
-def law_mohm(force_n: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return equation (11), first term: the resistance in MOhm under ``force_n`` N."""
-    return resistance_mohm(force_n)

@@ -15,7 +15,7 @@ from gripper.force.estimates.grip import Grip
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
 from gripper.mechanics.kinematics import ParallelLinkage
-from gripper.settings import HARD_FORCE_CAP_N, ForceLoopSettings, GripperSettings, ServoSettings
+from gripper.settings import HARD_FORCE_CAP_N, GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
@@ -180,12 +180,12 @@ class Rig:
 
     Parameters
     ----------
-    part, truth, noise_n, tuning
-        Part, errors of the gripper's figures, noise of the sensor in N, tuning of the force loop.
+    part, truth, noise_n
+        Part, errors of the gripper's figures, noise of the sensor in N.
     rate_hz
         Force messages a second; None: whole frames at 50 Hz alone.
-    gearing, friction_factor, kt_factor
-        Gearing of the servos, and factors on friction and torque beside the truth.
+    gearing
+        Of the servos.
     creep
         Share of its force that the foam loses at a constant depth.
     supervised
@@ -200,12 +200,9 @@ class Rig:
         part: Part,
         truth: Truth,
         noise_n: float,
-        tuning: ForceLoopSettings,
         *,
         rate_hz: float | None = None,
         gearing: Gearing = IDEAL_GEARING,
-        friction_factor: float = 1.0,
-        kt_factor: float = 1.0,
         creep: float = 0.0,
         supervised: bool = True,
         **settings: Any,
@@ -216,8 +213,8 @@ class Rig:
         clock = VirtualClock()
         motors = [ServoMotor(XM430_W350, gearing=gearing) for _ in (0, 1)]
         for motor in motors:
-            motor.kt_factor = kt_factor * (1.0 + truth.kt_error)
-            motor.friction_factor = friction_factor * (1.0 + truth.friction_error)
+            motor.kt_factor = 1.0 + truth.kt_error
+            motor.friction_factor = 1.0 + truth.friction_error
         directions, open_m = (1, -1), part.width_m + _FREE_M
         self._mechanics = FingerMechanics(
             motors,
@@ -233,7 +230,7 @@ class Rig:
         ]
         self._device = ServoBusDevice(servos, 1_000_000)
         self._sensor = self._new_sensor(noise_n, truth.seed, rate_hz)
-        self._now_s = 0.0
+        self.now_s = 0.0
         self._trace: list[tuple[float, float]] = []
         self.force_n = 0.0
         clock.on_advance.append(self._advance)
@@ -246,7 +243,6 @@ class Rig:
             "slip_travel_m": 0.05,
             **({} if supervised else {"runaway_travel_m": _UNSUPERVISED_M}),
             "force_max_n": HARD_FORCE_CAP_N,
-            "force_loop": tuning,
         }
         self.gripper = Gripper(
             ServoBus(MemoryServoStream(self._device, clock), baudrate=1_000_000, clock=clock),
@@ -268,7 +264,7 @@ class Rig:
         return MessageSensor(noise_n, seed, rate_hz=rate_hz)
 
     def _advance(self, now_s: float) -> None:
-        dt_s, self._now_s = now_s - self._now_s, now_s
+        dt_s, self.now_s = now_s - self.now_s, now_s
         if dt_s <= 0.0:
             return
         force_n, slope_n_m = self._part.press(self._mechanics.aperture_m, self._relaxed_n)

@@ -14,15 +14,14 @@ docs/explanations/force-loop.md; the tests run some of them again and compare.
 """
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from benchmarks._measure import in_turns, line, repeats
+from benchmarks._measure import line, repeats
 from benchmarks.performance._force_plant import (
     CREEP,
     Part,
@@ -33,7 +32,6 @@ from benchmarks.performance._force_plant import (
     Truth,
 )
 from gripper.force.control import grip_control
-from gripper.settings import ForceLoopSettings
 from simulator.servo.gearing import GEARINGS
 
 PARTS = {
@@ -75,8 +73,6 @@ class Setup:
     """Force messages a second; None: frames at 50 Hz."""
     gearing: str = "ideal"
     """Name of the servos' gearing."""
-    friction_factor: float = 1.0
-    kt_factor: float = 1.0
     measured: bool = False
     """Whether the gripper has measured its servos, as a self-zero does."""
     creep: float = 0.0
@@ -84,14 +80,11 @@ class Setup:
     hard: bool = False
     """True with `HARD_TRUTHS` and `HARD_NOISE_N`."""
 
-    @contextmanager
-    def tuning(self) -> Iterator[ForceLoopSettings]:
-        """Let the gripper use the law."""
+    def in_use(self) -> AbstractContextManager[Any]:
+        """Return a context in which the gripper uses the law."""
         if self.law is None:
-            yield ForceLoopSettings()
-            return
-        with mock.patch.object(grip_control, "GripModes", self.law):
-            yield ForceLoopSettings()
+            return nullcontext()
+        return mock.patch.object(grip_control, "GripModes", self.law)
 
 
 _FURTHER: dict[str, Any] = {"gearing": "xm430_assumed", "creep": CREEP}
@@ -132,31 +125,30 @@ FAST = tuple(case for case in CASES if case.rate_n_s >= 10.0)
 """Ramps that are planned motions."""
 GEARED_HZ = 200.0
 """Force messages a second with the gearings of real servos: as a cell has them."""
-FRICTIONS, KTS = (0.5, 1.0, 1.5, 2.0, 3.0), (0.7, 1.0, 1.3)
-"""Factors on friction and torque of both servos."""
+
+
+def rig(setup: Setup, case: Case, truth: Truth) -> Rig:
+    """Return a gripper with the sensor and plant of a setup, open before the part of a case."""
+    return Rig(
+        PARTS[case.part],
+        truth,
+        HARD_NOISE_N if setup.hard else NOISE_N,
+        rate_hz=setup.rate_hz,
+        gearing=GEARINGS[setup.gearing],
+        creep=setup.creep,
+        supervised=setup.law is None,
+    )
 
 
 def run(setup: Setup, case: Case, n_truths: int = len(TRUTHS)) -> RampQuality:
     """Return the worst figures of one ramp over the grippers with different errors."""
-    truths, noise_n = (HARD_TRUTHS, HARD_NOISE_N) if setup.hard else (TRUTHS, NOISE_N)
-    with setup.tuning() as tuning:
-        rigs = [
-            Rig(
-                PARTS[case.part],
-                truth,
-                noise_n,
-                tuning,
-                rate_hz=setup.rate_hz,
-                gearing=GEARINGS[setup.gearing],
-                friction_factor=setup.friction_factor,
-                kt_factor=setup.kt_factor,
-                creep=setup.creep,
-                supervised=setup.law is None,
-            )
-            for truth in truths[:n_truths]
-        ]
+    truths = HARD_TRUTHS if setup.hard else TRUTHS
+    with setup.in_use():
         return worst(
-            [rig.grasp(case.final_n, case.rate_n_s, measured=setup.measured) for rig in rigs]
+            [
+                rig(setup, case, truth).grasp(case.final_n, case.rate_n_s, measured=setup.measured)
+                for truth in truths[:n_truths]
+            ]
         )
 
 
@@ -199,45 +191,32 @@ def main(effort: float = 1.0, *, page: bool = False) -> None:
     line("compared", f"{len(cases)} ramps x {n_truths} truths x {len(SETUPS)} laws and plants")
     found: dict[str, dict[Case, RampQuality]] = {name: {} for name in SETUPS}
     for case in cases:
-        turns = {name: partial(run, setup, case, n_truths) for name, setup in SETUPS.items()}
-        for name, (quality,) in in_turns(turns, 1).items():
-            found[name][case] = quality
+        for name, setup in SETUPS.items():
+            found[name][case] = run(setup, case, n_truths)
     lines = tables(found)
     print("\n".join(lines), flush=True)
     if page:
         write_page(lines)
-    geared(effort, [(1.0, 1.0)])
+    geared(effort)
 
 
 def geared(
     effort: float,
-    factors: Sequence[tuple[float, float]],
     names: Sequence[str] = tuple(GEARINGS),
     rate_hz: float | None = GEARED_HZ,
 ) -> None:
-    """Print the ramps with each gearing, measured, and factors on friction and torque."""
+    """Print the ramps with each gearing, of servos that the gripper has measured."""
     cases = CASES[:: max(1, round(1.0 / effort / 10.0))] if effort < 1.0 else CASES
-    n_truths = repeats(len(TRUTHS), effort)
     sensor = "frames" if rate_hz is None else f"{rate_hz:g} messages a second"
     line(
         "gearings",
         f"of {len(cases)} ramps, {sensor}: overshoot, settling, hold met, mean error, lost",
     )
     for name in names:
-        for friction, kt in factors:
-            setup = Setup(
-                gearing=name,
-                friction_factor=friction,
-                kt_factor=kt,
-                measured=True,
-                rate_hz=rate_hz,
-            )
-            found = {case: run(setup, case, n_truths) for case in cases}
-            counts = ", ".join(f"{n:2d}" for n in _counts(found))
-            line(
-                f"{name} {friction:g}, kt {kt:g}",
-                f"{counts}, {_mean_n(found):.2f} N, {_lost(found):2d}",
-            )
+        setup = Setup(gearing=name, measured=True, rate_hz=rate_hz)
+        found = {case: run(setup, case, repeats(len(TRUTHS), effort)) for case in cases}
+        counts = ", ".join(f"{n:2d}" for n in _counts(found))
+        line(name, f"{counts}, {_mean_n(found):.2f} N, {_lost(found):2d}")
 
 
 def _missed(case: Case, quality: RampQuality) -> str:
@@ -295,16 +274,11 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Force ramps on a simulated gripper.")
     parser.add_argument("--page", action="store_true", help=f"write the figures into {PAGE.name}")
     parser.add_argument("--gearing", choices=tuple(GEARINGS), help="this gearing alone")
-    parser.add_argument("--factors", action="store_true", help="gearings with factors alone")
     parser.add_argument("--frames", action="store_true", help="gearings without force messages")
     parser.add_argument("--effort", type=float, default=1.0, help="0.1: one truth alone")
     given = parser.parse_args()
-    if given.factors or given.frames or given.gearing:
-        geared(
-            given.effort,
-            [(f, k) for f in FRICTIONS for k in KTS] if given.factors else [(1.0, 1.0)],
-            (given.gearing,) if given.gearing else tuple(GEARINGS),
-            None if given.frames else GEARED_HZ,
-        )
+    if given.frames or given.gearing:
+        names = (given.gearing,) if given.gearing else tuple(GEARINGS)
+        geared(given.effort, names, None if given.frames else GEARED_HZ)
     else:
         main(given.effort, page=given.page)

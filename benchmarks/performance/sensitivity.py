@@ -191,25 +191,15 @@ class _Finder(PathFinder):
 
 def figures(effort: float) -> dict[str, float]:
     """Return the figures of the force loop by name; `math.inf` where nothing is noticed."""
-    from benchmarks.performance import _force_plant, force_ramps, touch  # after the finder is set
-    from simulator.servo.gearing import GEARINGS
+    from benchmarks.performance import force_ramps, touch  # after the finder is set
 
     def ramps(name: str, step: int) -> None:
         cases = force_ramps.FAST[:: max(step, round(0.1 / effort))]
+        setup, truth = force_ramps.SETUPS[name], force_ramps.TRUTHS[1]
         found = []
         for case in cases:
-            setup = force_ramps.SETUPS[name]
-            with setup.tuning() as tuning:
-                rig = _force_plant.Rig(
-                    force_ramps.PARTS[case.part],
-                    force_ramps.TRUTHS[1],
-                    force_ramps.NOISE_N,
-                    tuning,
-                    rate_hz=setup.rate_hz,
-                    gearing=GEARINGS[setup.gearing],
-                    creep=setup.creep,
-                )
-                found.append((rig.grasp(case.final_n, case.rate_n_s), case.final_n))
+            rig = force_ramps.rig(setup, case, truth)
+            found.append((rig.grasp(case.final_n, case.rate_n_s), case.final_n))
         short = name.removeprefix("force loop, ")
         marks = [force_ramps.met(quality, final_n) for quality, final_n in found]
         for index, aim in enumerate(("overshoot", "settling", "hold")):
@@ -247,8 +237,7 @@ def _run(constant: Constant | None, factor: float, effort: float) -> dict[str, f
     )
     if done.returncode:
         return (done.stderr.strip().splitlines() or ["no message"])[-1]
-    found: dict[str, float] = json.loads(done.stdout)
-    return found
+    return json.loads(done.stdout)
 
 
 def moved(base: Mapping[str, float], found: Mapping[str, float] | str) -> list[str]:

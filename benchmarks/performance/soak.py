@@ -11,7 +11,6 @@ and recogniser fill their caches then.
 
 import argparse
 import gc
-import json
 import os
 import sys
 import tempfile
@@ -19,7 +18,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -197,35 +196,19 @@ def show_growth(samples: Sequence[ResourceUse], limits: Mapping[str, float] = LI
     return grown(samples, limits)
 
 
-def _print_row(sample: ResourceUse) -> None:
-    print(
-        f"{sample.done:>8} {sample.virtual_s / 3600:>9.2f} {sample.rss_kib / 1024:>9.1f} "
-        f"{sample.objects:>9} {sample.descriptors:>6} {sample.threads:>8}",
-        flush=True,
-    )
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.performance.soak", description=__doc__
     )
     parser.add_argument("--grasps", type=int, default=10_000)
-    parser.add_argument("--report", type=Path, help="JSON lines, one for each block")
     wanted = parser.parse_args(arguments)
     samples: list[ResourceUse] = []
     start_s = next_row_s = time.monotonic()
-    report = None if wanted.report is None else wanted.report.open("w", encoding="utf-8")
-    print(f"{'grasps':>8} {'hours':>9} {'RSS MiB':>9} {'objects':>9} {'files':>6} {'threads':>8}")
     for sample in soak(wanted.grasps):
         samples.append(sample)
-        if report is not None:
-            print(json.dumps(asdict(sample)), file=report, flush=True)
         if time.monotonic() >= next_row_s:
-            _print_row(sample)
+            line("  so far", str(sample))
             next_row_s = time.monotonic() + 30.0
-    if report is not None:
-        report.close()
-    _print_row(samples[-1])
     last, wall_s = samples[-1], time.monotonic() - start_s
     line("soak", f"{last.done} grasps, {last.virtual_s / 3600:.1f} h of the cell")
     line("  took", f"{wall_s / 60:.1f} min, {1e3 * wall_s / last.done:.0f} ms a grasp")

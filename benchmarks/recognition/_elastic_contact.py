@@ -88,10 +88,7 @@ def _patch_displacement(x: Array, y: Array, a: float, b: float) -> Array:
         r = np.hypot(u, v)
         return u * np.log(v + r) + v * np.log(u + r)
 
-    total: Array = (
-        corner(x + a, y + b) - corner(x - a, y + b) - corner(x + a, y - b) + corner(x - a, y - b)
-    )
-    return total
+    return corner(x + a, y + b) - corner(x - a, y + b) - corner(x + a, y - b) + corner(x - a, y - b)
 
 
 class ElasticGrid:

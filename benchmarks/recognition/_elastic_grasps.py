@@ -241,5 +241,4 @@ def _areas(centres_m: Array, n: int, pitch_m: float) -> Array:
     low_m = pitch_m * (np.arange(n) - 0.5 * n)[:, None]
     begin_m, end_m = centres_m - 0.5 * _CELL_M, centres_m + 0.5 * _CELL_M
     inside_m = np.minimum(end_m, low_m + pitch_m) - np.maximum(begin_m, low_m)
-    share: Array = np.clip(inside_m / _CELL_M, 0.0, 1.0)
-    return share
+    return np.clip(inside_m / _CELL_M, 0.0, 1.0)

@@ -24,15 +24,8 @@ GRASPS = (1, 2, 3, 5)
 BAR = ("flat", (10.0, 15.9), "box:length=20mm,width=15.9mm,height=10mm")
 """An object that shows two thicknesses: kind, thicknesses in mm, shape."""
 _OPENING_SD_M = 0.2e-3
-_EXACT = {
-    "modulus_sd": 0.0,
-    "gain_sd": 0.0,
-    "spread_sd": 0.0,
-    "densification_sd": 0.0,
-    "thickness_sd": 0.0,
-    "other_foams": 1.0,
-    "aperture_sd_m": 0.0,
-}
+_NO_SPREAD = ("modulus_sd", "gain_sd", "spread_sd", "densification_sd", "thickness_sd")
+_EXACT = dict.fromkeys((*_NO_SPREAD, "aperture_sd_m"), 0.0) | {"other_foams": 1.0}
 
 
 @dataclass(frozen=True, slots=True)

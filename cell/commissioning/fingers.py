@@ -653,7 +653,7 @@ class _Hands:
         current_a, way_rad, shown_s = 0.0, 0.0, clock.monotonic()
         while current_a < settings.current_max_a:
             current_a = min(current_a + _RAMP_A_S * period_s, settings.current_max_a)
-            group.write_goals(_goals(start, index, current_a, hold_a), state)
+            group.goals.write(_goals(start, index, current_a, hold_a), state)
             clock.sleep(period_s)
             state = group.read_patiently()
             way_rad = state.angles_rad[index] - start[index]

@@ -218,7 +218,7 @@ class ServoBus:
         found: list[ServoIdentity] = []
         damaged = False
         with self.exclusive():
-            self._send(BROADCAST_ID, Instruction.PING, b"")
+            self._handler.send(self._port, BROADCAST_ID, Instruction.PING, b"")
             self._port.setPacketTimeout((STATUS_OVERHEAD + PING_SIZE) * (HIGHEST_ID + 1))
             self._port.packet_timeout += _SLOT_MS * HIGHEST_ID
             while (status := self._handler.receive(self._port)) is not None:
@@ -310,7 +310,7 @@ class ServoBus:
             params += bytes((servo_id,)) + block.encode(raws)
         # No servo answers: a late answer does no harm.
         with self.exclusive(Precaution.NONE):
-            self._send(BROADCAST_ID, Instruction.SYNC_WRITE, params)
+            self._handler.send(self._port, BROADCAST_ID, Instruction.SYNC_WRITE, params)
 
     def reboot(self, servo_id: int) -> None:
         """Restart a servo: torque off, RAM at its defaults; it lets a held part go.
@@ -482,7 +482,7 @@ class ServoBus:
 
         The servos answer one after the other: after a missing answer no other follows.
         """
-        self._send(BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
+        self._handler.send(self._port, BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
         found: dict[int, StatusPacket] = {}
         try:
             for servo_id in ids:
@@ -492,13 +492,8 @@ class ServoBus:
         return found, NoAnswerError(damaged=False)
 
     def _exchange(self, request: Request, *, patient: bool = False) -> StatusPacket:
-        self._send(request.servo_id, request.instruction, request.params)
+        self._handler.send(self._port, request.servo_id, request.instruction, request.params)
         return self._receive(request.servo_id, request.size, patient=patient)
-
-    def _send(self, servo_id: int, instruction: Instruction, params: bytes) -> None:
-        """Drop what has arrived and send one request."""
-        self._port.is_using = False
-        self._handler.send(self._port, servo_id, instruction, params)
 
     def _receive(self, servo_id: int, size: int, *, patient: bool = False) -> StatusPacket:
         """Return the next correct answer; drop damaged, late and foreign ones."""

@@ -11,7 +11,6 @@ from typing import NamedTuple
 from dynamixel_sdk import COMM_PORT_BUSY, COMM_SUCCESS, Protocol2PacketHandler
 
 from gripper.dynamixel.serial_port import SdkPort
-from gripper.errors import BusBusy
 
 HEADER = b"\xff\xff\xfd"
 """First bytes of every packet; inside a packet they are stuffed."""
@@ -120,18 +119,13 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
         """Number and first bytes of the data that the last `receive` dropped."""
         self._following = bytearray()
 
-    def send(self, port: SdkPort, servo_id: int, instruction: int, params: bytes) -> None:
-        """Send one instruction packet; BusBusy while the port waits for another answer."""
-        if self._transmit(port, servo_id, bytes((instruction,)) + params) != COMM_SUCCESS:
-            raise BusBusy("the SDK's port is still in use by another transaction")
-
     def receive(self, port: SdkPort) -> StatusPacket | None:
         """Return the next status packet with a correct CRC; None at the port's time-out.
 
         If bytes arrive without a pause, the wait ends one longest packet after the time-out. Bytes
         that arrived while the program was stopped are still read once.
         """
-        looked_late = False
+        looked_late = port.is_using = False
         self.dropped_bytes, self.dropped_head = 0, b""
         # More bytes than one packet may have been read: they contain the next one.
         buffer, self._following = self._following, bytearray()
@@ -158,13 +152,15 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
 
     def txPacket(self, port: SdkPort, txpacket: Sequence[int]) -> int:  # noqa: N802
         """Send a packet after its header, length and CRC are filled in."""
-        return self._transmit(port, txpacket[_ID_AT], bytes(txpacket[_BODY_AT:-_CRC_SIZE]))
+        params = bytes(txpacket[_BODY_AT + 1 : -_CRC_SIZE])
+        return self.send(port, txpacket[_ID_AT], txpacket[_BODY_AT], params)
 
-    def _transmit(self, port: SdkPort, servo_id: int, body: bytes) -> int:
+    def send(self, port: SdkPort, servo_id: int, instruction: int, params: bytes) -> int:
+        """Send one instruction packet; return the SDK's result, busy while an answer is awaited."""
         if port.is_using:
             return int(COMM_PORT_BUSY)
         port.is_using = True
-        body = stuff(body)
+        body = stuff(bytes((instruction,)) + params)
         length = (len(body) + _CRC_SIZE).to_bytes(2, "little")
         packet = _START + bytes((servo_id,)) + length + body
         packet += self.updateCRC(0, packet, len(packet)).to_bytes(_CRC_SIZE, "little")

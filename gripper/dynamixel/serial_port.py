@@ -11,10 +11,10 @@ import select
 import tempfile
 import termios
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import serial
 from dynamixel_sdk import PortHandler
@@ -31,7 +31,6 @@ _WRITE_TIMEOUT_S = 0.1
 _TIMER_GRAIN_MS = 1e-3
 """Margin in ms by which a time-out ends early, for the rounding of floats."""
 _PORT_ERRORS = (serial.SerialException, OSError, termios.error)
-_Result = TypeVar("_Result")
 """Errors of pyserial and the operating system for a missing, used or lost port."""
 
 
@@ -146,20 +145,15 @@ class SerialStream:
         pyserial's own method waits after each write, without an end, until it could write again.
         """
         try:
-            left = data[self._write_some(data) :]
-            while left:
+            while True:
+                with suppress(BlockingIOError):
+                    data = data[os.write(self._serial.fileno(), data) :]
+                if not data:
+                    return
                 if not select.select([], [self._serial.fileno()], [], _WRITE_TIMEOUT_S)[1]:
                     raise self._lost("it takes no data")
-                left = left[self._write_some(left) :]
         except _PORT_ERRORS as error:
             raise self._lost(error) from error
-
-    def _write_some(self, data: bytes) -> int:
-        """Send what the port takes at once, and return how many bytes that were."""
-        try:
-            return os.write(self._serial.fileno(), data)
-        except BlockingIOError:
-            return 0
 
     def read(self, size: int, timeout_s: float, /) -> bytes:
         """Return 1 to ``size`` bytes as soon as any is there, b"" after ``timeout_s`` s."""
@@ -267,23 +261,27 @@ class SdkPort(PortHandler):  # type: ignore[misc]
 
     def clearPort(self) -> None:  # noqa: N802
         """Forget what has arrived."""
-        self._noting_loss(self._stream.drop_input)
+        with self._noting_loss():
+            self._stream.drop_input()
 
     def writePort(self, packet: bytes) -> int:  # noqa: N802
         """Send a packet and return its length."""
         data = bytes(packet)
-        self._noting_loss(self._stream.write, data)
+        with self._noting_loss():
+            self._stream.write(data)
         self._unanswered_bytes = len(data)
         return len(data)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         """Return up to ``length`` bytes, waiting no longer than the packet's time-out."""
         left_ms = self.packet_timeout - self.getTimeSinceStart()
-        return self._noting_loss(self._stream.read, length, max(0.0, left_ms) / 1000.0)
+        with self._noting_loss():
+            return self._stream.read(length, max(0.0, left_ms) / 1000.0)
 
-    def _noting_loss(self, action: Callable[..., _Result], *arguments: object) -> _Result:
+    @contextmanager
+    def _noting_loss(self) -> Iterator[None]:
         try:
-            return action(*arguments)
+            yield
         except PortLost:
             self.lost = True
             raise

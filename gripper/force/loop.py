@@ -244,7 +244,7 @@ class LoopRunner:
             self.servos.guard.check_force(noise_excluded=True)
             raise
         if action.goals is not None:
-            self.servos.write_goals(action.goals, state)
+            self.servos.goals.write(action.goals, state)
         if self._settings.derates(state.temperature_c):
             self._timer.derated += 1
         self._check_health(state)

@@ -258,28 +258,24 @@ class RampEnd:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._running = False
-        self._requested = False
+        self.requested = False
+        """True when the ramp of the running grasp must end."""
 
     @contextmanager
     def counting(self) -> Iterator[None]:
         """Accept requests from the beginning of a grasp to its end."""
         with self._lock:
-            self._running, self._requested = True, False
+            self._running, self.requested = True, False
         try:
             yield
         finally:
             with self._lock:
-                self._running = self._requested = False
+                self._running = self.requested = False
 
     def request(self) -> None:
         """Request the end of the running grasp's ramp; does nothing without a grasp."""
         with self._lock:
-            self._requested = self._running
-
-    @property
-    def requested(self) -> bool:
-        """True when the ramp of the running grasp must end."""
-        return self._requested
+            self.requested = self._running
 
 
 def _hold(force_n: float, duration_s: float, level: int | None) -> RampSegment:

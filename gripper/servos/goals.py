@@ -215,16 +215,21 @@ class GoalGuard:
             goal.current_a <= before_a + _EQUAL
             for goal, before_a in zip(goals, self._previous_a, strict=True)
         )
-        for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True)):
-            self._check_goal(index, goal, servo.angle_rad)
+        for index, (goal, now) in enumerate(zip(goals, state.servos, strict=True)):
+            self._check_goal(index, goal, now.angle_rad)
         opening = all(
             goal.angle_rad >= servo.angle_rad - _EQUAL
             for goal, servo in zip(goals, state.servos, strict=True)
         )
         if not lowering and not opening:
             paths = transmissions(settings, self._linkage, state.angles_rad)
-            for servo_settings, path, goal in zip(settings.servos, paths, goals, strict=True):
-                self._check_current_force(servo_settings.servo_id, path, goal)
+            for servo, path, goal in zip(settings.servos, paths, goals, strict=True):
+                least_n = path.force_band_n(goal.current_a)[0]
+                if least_n > settings.force_max_n:
+                    raise LimitExceeded(
+                        f"goal current {goal.current_a:.3f} A of servo {servo.servo_id} makes at "
+                        f"least {least_n:.1f} N, force_max_n is {settings.force_max_n} N"
+                    )
             if state.temperature_c > settings.temperature_max_c:
                 raise LimitExceeded(
                     f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
@@ -270,15 +275,6 @@ class GoalGuard:
             raise LimitExceeded(
                 f"goal angle {goal.angle_rad:.4f} rad of servo {servo.servo_id} is not from "
                 f"{low_rad:.4f} to {high_rad:.4f} rad (closed to aperture_open_m)"
-            )
-
-    def _check_current_force(self, servo_id: int, path: Transmission, goal: ServoGoal) -> None:
-        settings = self._settings
-        least_n = path.force_band_n(goal.current_a)[0]
-        if least_n > settings.force_max_n:
-            raise LimitExceeded(
-                f"goal current {goal.current_a:.3f} A of servo {servo_id} makes at least "
-                f"{least_n:.1f} N, force_max_n is {settings.force_max_n} N"
             )
 
 

@@ -70,7 +70,8 @@ class ServoGroup:
         self._ids = [servo.servo_id for servo in settings.servos]
         self.guard = GoalGuard(settings, linkage)
         """Limits of the goals; the force is passed to it."""
-        self._goals = GoalWriter(bus, settings, clock, self.guard)
+        self.goals = GoalWriter(bus, settings, clock, self.guard)
+        """Writer of the goals, with the last ones."""
         self.feedback = Feedback(bus, linkage, settings, clock, health)
         """Reader of the feedback, with the last one."""
 
@@ -78,7 +79,7 @@ class ServoGroup:
 
     def read(self) -> ServoFeedback:
         """Read the feedback of all servos in one transaction; errors as in `Feedback.read`."""
-        return self.feedback.read(under_torque=bool(self._goals.last))
+        return self.feedback.read(under_torque=bool(self.goals.last))
 
     def read_patiently(self) -> ServoFeedback:
         """Read as `read` does, again where an answer was lost or old; for use between commands."""
@@ -98,24 +99,20 @@ class ServoGroup:
 
     def forget(self) -> None:
         """Discard the last goals and feedback: the servos were restarted or switched off."""
-        self._goals.forget()
+        self.goals.forget()
         self.feedback.forget()
 
     # Goals
 
-    def write_goals(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> None:
-        """Write the goals of all servos at once, within all limits; see `GoalWriter`."""
-        self._goals.write(goals, state)
-
     @property
     def goals_in_force(self) -> bool:
         """True while goals that were written here are in force."""
-        return bool(self._goals.last)
+        return bool(self.goals.last)
 
     @property
     def goal_current_a(self) -> float:
         """Mean of the goal currents in A; 0 while no goal is in force."""
-        goals = self._goals.last
+        goals = self.goals.last
         return sum(goal.current_a for goal in goals) / max(1, len(goals))
 
     @property
@@ -131,16 +128,16 @@ class ServoGroup:
 
     def freeze(self) -> None:
         """Keep the last goals, without the crest of the square wave on the drive."""
-        state, last, earlier = self.feedback.last, self._goals.last, self._goals.earlier
+        state, last, earlier = self.feedback.last, self.goals.last, self.goals.earlier
         if state is not None and len(earlier) == len(last) > 0:
-            self._goals.write(stop_goals.frozen(last, earlier, state), state)
+            self.goals.write(stop_goals.frozen(last, earlier, state), state)
 
     def hold_position(self) -> None:
         """Set the goals to the last read positions."""
-        state, last, earlier = self.feedback.last, self._goals.last, self._goals.earlier
+        state, last, earlier = self.feedback.last, self.goals.last, self.goals.earlier
         if state is not None and last:
             earlier = earlier if len(earlier) == len(last) else last
-            self._goals.write(stop_goals.holding_position(last, earlier, state), state)
+            self.goals.write(stop_goals.holding_position(last, earlier, state), state)
 
     def stop_motion(self) -> list[int]:
         """End a motion at the present positions; return the IDs of servos not confirmed to obey.
@@ -167,16 +164,16 @@ class ServoGroup:
 
     def lower_currents(self) -> None:
         """Write the last goals with ``over_force_share`` of their currents, in one step."""
-        if self.feedback.last is not None and self._goals.last:
-            goals = stop_goals.lowered(self._goals.last, self._settings.over_force_share)
-            self._goals.write(goals, self.feedback.last)
+        if self.feedback.last is not None and self.goals.last:
+            goals = stop_goals.lowered(self.goals.last, self._settings.over_force_share)
+            self.goals.write(goals, self.feedback.last)
 
     def open_a_step(self) -> None:
         """Open by ``over_force_open_m`` from the last read positions, once."""
         state = self.feedback.last
-        if state is not None and self._goals.last:
+        if state is not None and self.goals.last:
             goals = stop_goals.opened_a_step(state, self._settings, self._linkage)
-            self._goals.write(goals, state)
+            self.goals.write(goals, state)
 
     # Torque and bus watchdog
 
@@ -250,11 +247,11 @@ class ServoGroup:
         self.disarm_watchdog()
         for servo_id in self._ids:
             self._bus.write(servo_id, TORQUE_ENABLE, 0)
-        self._goals.forget()
+        self.goals.forget()
 
     def go_limp(self) -> None:
         """Switch off the torque of every servo that answers: position or force are unknown."""
-        self._goals.forget()
+        self.goals.forget()
         for servo_id in self._ids:
             with suppress(GripperError):
                 self._bus.write(servo_id, TORQUE_ENABLE, 0)
@@ -353,7 +350,7 @@ class ServoGroup:
             state = self.read_patiently()
             for servo, settings in zip(state.servos, self._settings.servos, strict=True):
                 self._check_goal_is_near(servo, settings.servo_model)
-            self._goals.write(
+            self.goals.write(
                 [ServoGoal(angle_rad=angle, current_a=current_a) for angle in state.angles_rad],
                 state,
             )
@@ -390,7 +387,7 @@ class ServoGroup:
 
         There is no wait for a servo that did not answer last.
         """
-        if self.feedback.last is None or not self._goals.last:
+        if self.feedback.last is None or not self.goals.last:
             return True
         if self._bus.misses(servo_id):
             return False

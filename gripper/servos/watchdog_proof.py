@@ -102,7 +102,7 @@ def prove_watchdog(
         max(current_a, min(path.drive.most_breakaway_a, closing_current_max_a(settings, path)))
         for current_a, path in zip(motion_currents_a(settings, paths, _FORCE_N), paths, strict=True)
     ]
-    servos.write_goals(
+    servos.goals.write(
         [
             ServoGoal(angle_rad=angle_rad, current_a=current_a, profile_rad_s=speed_rad_s)
             for angle_rad, current_a in zip(goals_rad, currents_a, strict=True)

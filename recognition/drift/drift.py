@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.grasp import Grasp
-from recognition.ramp.levels import Levels
 
 _GAIN_RANGE = (0.2, 5.0)
 """Gains that are accepted: beyond them pads are to be replaced, not corrected."""
@@ -78,30 +77,6 @@ class Drift:
         return replace(
             grasp, counts=counts.astype(np.uint16), aperture_m=grasp.aperture_m + offset_m
         )
-
-
-def shifted_levels(
-    levels: Levels, log_gain: float | NDArray[np.float64], offset_mm: float
-) -> Levels:
-    """Return levels of grasps with a drift undone.
-
-    Parameters
-    ----------
-    log_gain : () or (P,)
-        Logarithm of the gain, common to the gripping pads or of each.
-    offset_mm
-        Increase of the reading of the opening in mm.
-    """
-    factors = np.exp(-np.broadcast_to(log_gain, len(levels.maps)))
-    return replace(
-        levels,
-        maps=tuple(m * f for m, f in zip(levels.maps, factors, strict=True)),
-        noise=levels.noise * factors,
-        timed_load=levels.timed_load * factors[:, None],
-        aperture_mm=levels.aperture_mm - offset_mm,
-        touch_aperture_mm=levels.touch_aperture_mm - offset_mm,
-        timed_aperture_mm=levels.timed_aperture_mm - offset_mm,
-    )
 
 
 NO_DRIFT = Drift()

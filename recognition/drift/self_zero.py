@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import logsumexp
 
-from recognition.drift.drift import Drift, shifted_levels
+from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftPrior
 from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray, SelfZero
 from recognition.ramp.levels import Levels, stack_levels
@@ -269,7 +269,7 @@ def at_zero(
         if zero is not None:
             drift = since(taught, zero, gripping, grasps[0].pads.n_pads)
             log_gains = np.log(drift.gains_of(gripping))
-            part = shifted_levels(part, log_gains, drift.aperture_offset_m * 1e3)
+            part = part.without_drift(log_gains, drift.aperture_offset_m * 1e3)
         parts.append(part)
         places.append(rows)
     return stack_levels(parts).take(np.argsort(np.concatenate(places)))
@@ -403,8 +403,7 @@ def _gradient(
         lean = xy_mm @ gradient
         middle = np.linspace(-np.abs(lean).max(), np.abs(lean).max() + wanted.max(), _MIDDLES)
         mean = np.maximum(middle[:, None] + lean, 0.0).mean(axis=1)
-        found: NDArray[np.float64] = np.interp(wanted, mean, middle)
-        return found
+        return np.interp(wanted, mean, middle)
 
     def misfit(gradient: NDArray[np.float64]) -> NDArray[np.float64]:
         middle = plane(gradient, top.mean(keepdims=True))

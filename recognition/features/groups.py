@@ -17,12 +17,13 @@ from recognition.features.footprint import (
     Footprint,
     PadGrid,
     describe_footprint,
+    growth_features,
+    harmonic_features,
     pad_difference_features,
     patch_features,
     pose_features,
+    profile_features,
 )
-from recognition.features.growth import growth_features
-from recognition.features.patch import harmonic_features, profile_features
 from recognition.ramp.levels import Levels
 
 FEATURE_VERSION = 11

@@ -1,7 +1,7 @@
 """Levels of load: ramps of any length reduced to quantities at fixed shares of the load."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,27 @@ class Levels:
         if rows.dtype == np.bool_ and rows.all():
             return self
         return _of_fields([self], lambda arrays: arrays[0][rows])
+
+    def without_drift(self, log_gain: float | NDArray[np.float64], offset_mm: float) -> "Levels":
+        """Return the levels with a drift undone.
+
+        Parameters
+        ----------
+        log_gain : () or (P,)
+            Logarithm of the gain, common to the gripping pads or of each.
+        offset_mm
+            Increase of the reading of the opening in mm.
+        """
+        factors = np.exp(-np.broadcast_to(log_gain, len(self.maps)))
+        return replace(
+            self,
+            maps=tuple(m * f for m, f in zip(self.maps, factors, strict=True)),
+            noise=self.noise * factors,
+            timed_load=self.timed_load * factors[:, None],
+            aperture_mm=self.aperture_mm - offset_mm,
+            touch_aperture_mm=self.touch_aperture_mm - offset_mm,
+            timed_aperture_mm=self.timed_aperture_mm - offset_mm,
+        )
 
 
 def load_levels(grasps: Sequence[Grasp], rest: Rest) -> Levels:
@@ -150,5 +171,4 @@ def _known(aperture_m: NDArray[np.float64]) -> NDArray[np.float64]:
     if good.all() or not good.any():
         return aperture_m
     frames = np.arange(len(aperture_m))
-    filled: NDArray[np.float64] = np.interp(frames, frames[good], aperture_m[good])
-    return filled
+    return np.interp(frames, frames[good], aperture_m[good])

@@ -9,14 +9,17 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from recognition.grasp import Grasp, PadArray
-from recognition.ramp.samples import (
-    QUIET_FRAMES,
-    starts_loaded,
-    stuck_taxels,
-    with_stuck_replaced,
-    without_spikes,
-)
 
+QUIET_FRAMES = 3
+"""Frames at the start of a grasp in which the pads count as untouched, if their load is small."""
+_STARTS_TOUCHED = 0.25
+"""Share of a pad's largest load above which its first frames count as loaded."""
+_SPIKE_SHARE = 0.2
+"""Share of full scale by which a spike exceeds both neighbouring frames; a ramp rises by less."""
+_STUCK_SHARE = 0.02
+"""Least difference of a stuck taxel from its rest, as a share of full scale."""
+_STUCK_SIGMAS = 6.0
+"""The same in standard deviations of the noise, more than noise alone reaches."""
 # Chosen on recorded grasps, within the part that teaches (docs/explanations/recogniser.md).
 _TOUCH_FRACTION = 0.06
 """Least share of its largest load of a touched pad."""
@@ -180,10 +183,10 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
     touch: list[int] = []
     for pad, noise in zip(rest.gripping, rest.noise_counts, strict=True):
         taxels = grasp.pads.taxels_of(pad)
-        counts = without_spikes(grasp.counts[:, taxels].astype(np.float64), rest.pads.adc_max)
-        stuck = stuck_taxels(counts, rest.counts[taxels], float(noise), rest.pads.adc_max)
+        counts = _without_spikes(grasp.counts[:, taxels].astype(np.float64), rest.pads.adc_max)
+        stuck = _stuck_taxels(counts, rest.counts[taxels], float(noise), rest.pads.adc_max)
         own = _own_rest(counts, rest.counts[taxels], float(noise), stuck)
-        rise = with_stuck_replaced(counts - own, stuck, rest.pads.pad_shape[pad])
+        rise = _with_stuck_replaced(counts - own, stuck, rest.pads.pad_shape[pad])
         load = rise.sum(axis=1)
         smooth = uniform_filter1d(load, smoothing, mode="nearest")
         sigma = noise * np.sqrt(len(taxels) / smoothing)
@@ -241,7 +244,7 @@ def _own_rest(
     noise: float,
     stuck: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    if starts_loaded(counts, taught, stuck):
+    if _starts_loaded(counts, taught, stuck):
         return taught
     # All frames as low as the first ones are untouched; more frames reduce the noise.
     totals = counts[:, ~stuck].sum(axis=1)
@@ -254,8 +257,7 @@ def _own_rest(
     own = change - common
     explained = noise**2 / end
     share = max(0.0, 1.0 - explained / max(float((own[~stuck] ** 2).mean()), 1e-12))
-    rest: NDArray[np.float64] = taught + common + share * own
-    return rest
+    return taught + common + share * own
 
 
 def _highest(counts: NDArray[np.uint16]) -> float:
@@ -268,3 +270,96 @@ def _spread(grasp: Grasp, taxels: NDArray[np.int64]) -> float:
     """Return the standard deviation of one sample while nothing is touched, in counts."""
     early = grasp.counts[: 2 * QUIET_FRAMES, taxels].astype(np.float64)
     return float(np.sqrt(early.var(axis=0, ddof=min(1, len(early) - 1)).mean()))
+
+
+def _without_spikes(counts: NDArray[np.float64], adc_max: int) -> NDArray[np.float64]:
+    """Replace spikes with the mean of the frames before and after.
+
+    Parameters
+    ----------
+    counts : (n_frames, n_taxels)
+        Readings of one pad.
+    """
+    before, here, after = counts[:-2], counts[1:-1], counts[2:]
+    limit = _SPIKE_SHARE * adc_max
+    above = here - np.maximum(before, after) > limit
+    below = np.minimum(before, after) - here > limit
+    if not (above.any() or below.any()):
+        return counts
+    cleaned = counts.copy()
+    cleaned[1:-1] = np.where(above | below, 0.5 * (before + after), here)
+    return cleaned
+
+
+def _stuck_taxels(
+    counts: NDArray[np.float64], taught: NDArray[np.float64], noise: float, adc_max: int
+) -> NDArray[np.bool_]:
+    """Return which taxels never change and differ from rest by more than a common drift.
+
+    Parameters
+    ----------
+    counts : (n_frames, n_taxels)
+        Readings of one pad.
+    taught : (n_taxels,)
+        Untouched reading of each taxel in counts, from teaching.
+    noise
+        Standard deviation of one sample in counts.
+    """
+    change = counts[0] - taught
+    change = np.abs(change - np.median(change))
+    still = np.ptp(counts, axis=0) == 0.0
+    limit = max(_STUCK_SIGMAS * noise, _STUCK_SHARE * adc_max)
+    stuck: NDArray[np.bool_] = still & (change > limit)
+    if stuck.any():
+        # A constant load does not change either. It shows as no load on the other taxels.
+        _, largest = _first_and_largest(counts, taught, stuck)
+        if largest < limit or _starts_loaded(counts, taught, stuck):
+            stuck[:] = False
+    return stuck
+
+
+def _starts_loaded(
+    counts: NDArray[np.float64], taught: NDArray[np.float64], stuck: NDArray[np.bool_]
+) -> bool:
+    """Return whether a pad is loaded in its first frames, or has too few frames."""
+    first, largest = _first_and_largest(counts, taught, stuck)
+    return len(counts) < 2 * QUIET_FRAMES or first > _STARTS_TOUCHED * largest
+
+
+def _first_and_largest(
+    counts: NDArray[np.float64], taught: NDArray[np.float64], stuck: NDArray[np.bool_]
+) -> tuple[float, float]:
+    """Return the load of the first frames and the largest one, in counts of all taxels."""
+    start = counts[:QUIET_FRAMES].mean(axis=0) - taught
+    # A drift changes all taxels, an object presses some: a common change is not a load.
+    totals = (counts - taught - float(np.median(start)))[:, ~stuck].sum(axis=1)
+    return float(totals[:QUIET_FRAMES].mean()), float(totals.max())
+
+
+def _with_stuck_replaced(
+    rise: NDArray[np.float64], stuck: NDArray[np.bool_], shape: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the rise with each stuck taxel replaced by the mean of its sound neighbours.
+
+    Parameters
+    ----------
+    rise : (n_frames, n_taxels)
+        Counts above rest of one pad.
+    stuck : (n_taxels,)
+        Which taxels are stuck.
+    shape : (2,)
+        Rows and columns of the pad.
+    """
+    if not stuck.any():
+        return rise
+    rows, columns = (int(n) for n in shape)
+    replaced = rise.copy()
+    for taxel in np.flatnonzero(stuck):
+        row, column = divmod(int(taxel), columns)
+        beside = [
+            r * columns + c
+            for r, c in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1))
+            if 0 <= r < rows and 0 <= c < columns and not stuck[r * columns + c]
+        ]
+        replaced[:, taxel] = rise[:, beside].mean(axis=1) if beside else 0.0
+    return replaced

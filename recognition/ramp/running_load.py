@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from recognition.grasp import Grasp
-from recognition.ramp.ramp import Rest
-from recognition.ramp.samples import QUIET_FRAMES
+from recognition.ramp.ramp import QUIET_FRAMES, Rest
 
 _SMOOTHING_FRAMES = 5
 """Span of the running mean in frames, so that single noisy frames do not reach a level."""

@@ -264,8 +264,7 @@ class _Fit:
         )
         pressure = self.foam.relative_pressure(closed_m, float(np.exp(log_stiffening)))
         forces = bed.along[:, rows] @ (pressure @ bed.across[:, columns].T)
-        forces_n: Array = modulus_pa * bed.cell_area_m2 * forces.reshape(len(depth_mm), -1)
-        return forces_n
+        return modulus_pa * bed.cell_area_m2 * forces.reshape(len(depth_mm), -1)
 
     def _depths(self, i: int, bed: PadBed, own: Array) -> Array:
         forces = self._forces_n(
@@ -292,8 +291,7 @@ class _Fit:
             parts.append(
                 np.array([(total_n - data.force_n) / (_FORCE_SD * data.force_n + _FORCE_FLOOR_N)])
             )
-        residuals: Array = np.concatenate(parts) / float(np.sqrt(self.scale))
-        return residuals
+        return np.concatenate(parts) / float(np.sqrt(self.scale))
 
     def _linearise(self, theta: Array) -> Linearisation:
         """Return the linearisation of all grasps; each has its own parameters, too."""

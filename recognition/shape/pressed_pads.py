@@ -187,8 +187,7 @@ def _whitener(share: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray
     covariance = (_TAXEL_SHARE**2) * by_taxel[:, :, None] * by_taxel[:, None, :]
     variance = alone + (_LEVEL_SHARE * by_taxel) ** 2
     covariance += variance[:, :, None] * np.eye(len(share))
-    whitener: NDArray[np.float64] = np.linalg.inv(np.linalg.cholesky(covariance))
-    return whitener
+    return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
 def _remaining_rest(ramp: Ramp, adc_max: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -183,8 +183,7 @@ class ShapeProblem:
     def _scaled(self, on_taxels: Fine, theta: Array) -> Array:
         """Return forces in N from pressures on the taxels over the modulus."""
         scale_n = self.data.bed.cell_area_m2 * self.foam.modulus_pa * np.exp(theta[:, self.rest])
-        forces_n: Array = on_taxels * scale_n[:, None, None]
-        return forces_n
+        return on_taxels * scale_n[:, None, None]
 
     def _spread(self, log_factor: Array) -> tuple[Fine, Fine]:
         """Return the transfer of pressure to taxels, interpolated between computed spreads."""

@@ -90,11 +90,6 @@ class SerialBoard:
         self._sent: list[tuple[float, bytes]] = []
 
     @property
-    def faults(self) -> "SerialBoard":
-        """Faults of the line; see `unplugged`."""
-        return self
-
-    @property
     def unplugged(self) -> bool:
         """Whether its cable is unplugged."""
         return self.line in self.site.faults.unplugged

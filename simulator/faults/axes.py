@@ -8,6 +8,7 @@ from simulator.faults.entry import (
     FaultKind,
     Number,
     Target,
+    knob_fault,
     moment_fault,
     turned,
 )
@@ -36,10 +37,6 @@ def _silence(target: Target) -> Effect:
     if isinstance(axis, SimulatedDrive):
         return Effect(undo=turned(axis, "dead", True))
     return Effect(undo=turned(axis.bus.faults, "silent", {axis.mount.servo_id}))
-
-
-def _limit_switch(target: Target) -> Effect:
-    return Effect(undo=turned(_drive(target), "forced_switch", int(target.number)))
 
 
 def _fault(target: Target) -> None:
@@ -76,19 +73,18 @@ AXIS = (
     FaultEntry("axisN.silence", FaultKind.OFF,
                "its drive or servo receives and sends nothing; its motion goes on", _silence,
                "axis_silent"),
-    FaultEntry("axisN.limit_switch", FaultKind.STUCK,
+    knob_fault("axisN.limit_switch", FaultKind.STUCK,
                "the negative (-1) or positive (1) limit switch of its drive is active",
-               _limit_switch, "axis_switch", Number("end", -1, 1, default=1, whole=True),
+               "forced_switch", Number("end", -1, 1, default=1, whole=True), owner=_drive,
                check=_drive),
     moment_fault("axisN.fault", FaultKind.WRONG,
                  "its drive goes to fault with this error code (603Fh); a servo is overloaded",
                  _fault, Number("code", 1, 0xFFFF, default=0x2310, whole=True)),
     moment_fault("axisN.reboot", FaultKind.REBOOT,
                  "its drive or servo restarts: torque off, set-up and position lost", _reboot),
-    FaultEntry("axisN.misread", FaultKind.WRONG,
-               "the reading of its drive's encoder suddenly grows by this value",
-               lambda target: Effect(undo=turned(_drive(target), "misread", target.number)),
-               "axis_position", Number("m or rad", -100.0, 100.0, default=5.0), check=_drive),
+    knob_fault("axisN.misread", FaultKind.WRONG,
+               "the reading of its drive's encoder suddenly grows by this value", "misread",
+               Number("m or rad", -100.0, 100.0, default=5.0), owner=_drive, check=_drive),
     moment_fault("axisN.nmt", FaultKind.OFF,
                  "another CANopen master commands its drive: 2 stop, 128 pre-operational",
                  lambda target: _drive(target).command(int(target.number)),
@@ -96,11 +92,9 @@ AXIS = (
     FaultEntry("axisN.second_node", FaultKind.WRONG,
                "another drive with the same node-ID joins the bus", _second_node, "axis_second",
                check=_drive),
-    FaultEntry("axisN.wrong_length", FaultKind.WRONG,
-               "its drive answers each read with this number of bytes",
-               lambda target: Effect(
-                   undo=turned(_drive(target), "answer_bytes", int(target.number))),
-               "axis_answers", Number("bytes", 1, 4, default=1, whole=True), check=_drive),
+    knob_fault("axisN.wrong_length", FaultKind.WRONG,
+               "its drive answers each read with this number of bytes", "answer_bytes",
+               Number("bytes", 1, 4, default=1, whole=True), owner=_drive, check=_drive),
     moment_fault("axisN.slip", FaultKind.WRONG,
                  "a coupling slips by this value, which no encoder shows", _slip,
                  Number("m or rad", -1.0, 1.0, default=0.001)),

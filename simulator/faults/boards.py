@@ -1,7 +1,5 @@
 """Named faults of sensor boards on serial lines."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from simulator.boards.uskin import UskinSettings
@@ -13,8 +11,7 @@ from simulator.faults.entry import (
     FaultKind,
     Number,
     Target,
-    turned,
-    turning,
+    knob_fault,
 )
 
 _FINGER = Number("finger", 0, 1, default=0, whole=True)
@@ -51,25 +48,12 @@ def _swapped(target: Target) -> Effect:
 def _of_finger(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
     on_can = name.startswith("uskin.")
 
-    def apply(target: Target) -> Effect:
+    def fingers(target: Target) -> object:
         faults = target.devices.faults.uskin if on_can else target.devices.faults.boards
-        return Effect(undo=turned(faults, knob, getattr(faults, knob) | {int(target.number)}))
+        return getattr(faults, knob) | {int(target.number)}
 
     check = _check_uskin if on_can else _check
-    return FaultEntry(name, kind, meaning, apply, knob, _FINGER, check=check)
-
-
-def _number(
-    name: str,
-    kind: FaultKind,
-    meaning: str,
-    knob: str,
-    *,
-    value: Number = SHARE,
-    read: Callable[[float], float] = float,
-) -> FaultEntry:
-    apply = turning("boards", knob, lambda target: read(target.number))
-    return FaultEntry(f"board.{name}", kind, meaning, apply, knob, value, check=_check)
+    return knob_fault(name, kind, meaning, knob, _FINGER, position=fingers, check=check)
 
 
 # fmt: off
@@ -81,14 +65,17 @@ BOARD = (
                "frozen"),
     _of_finger("board.marked", FaultKind.WRONG,
                "the samples of this finger's board always contain a header at one place", "marked"),
-    _number("repeated", FaultKind.WRONG, "frames of both boards repeat the one before", "repeated"),
-    _number("lost_byte", FaultKind.INTERMITTENT, "frames of both boards lack one byte",
-            "lost_byte"),
-    _number("torn", FaultKind.INTERMITTENT, "frames of both boards end in the middle", "torn"),
-    _number("late", FaultKind.DELAYED, "frames of both boards come late", "late_s",
-            value=Number("s", 0.0, 1.0, default=0.05)),
-    _number("rows", FaultKind.WRONG, "both boards send this number of rows: another profile",
-            "rows", value=Number("rows", 1, 64, default=16, whole=True), read=int),
+    knob_fault("board.repeated", FaultKind.WRONG, "frames of both boards repeat the one before",
+               "repeated", SHARE, check=_check),
+    knob_fault("board.lost_byte", FaultKind.INTERMITTENT, "frames of both boards lack one byte",
+               "lost_byte", SHARE, check=_check),
+    knob_fault("board.torn", FaultKind.INTERMITTENT, "frames of both boards end in the middle",
+               "torn", SHARE, check=_check),
+    knob_fault("board.late", FaultKind.DELAYED, "frames of both boards come late", "late_s",
+               Number("s", 0.0, 1.0, default=0.05), check=_check),
+    knob_fault("board.rows", FaultKind.WRONG,
+               "both boards send this number of rows: another profile", "rows",
+               Number("rows", 1, 64, default=16, whole=True), check=_check),
     FaultEntry("board.rows_swapped", FaultKind.WRONG,
                "two neighbouring rows of this finger's pad are exchanged", _swapped, "board_rows",
                _FINGER, check=_check),
@@ -98,8 +85,7 @@ BOARD = (
                "low_supply"),
     _of_finger("uskin.doubled", FaultKind.WRONG,
                "another board has the address of this finger's board", "doubled"),
-    FaultEntry("uskin.drift", FaultKind.WRONG, "z of all taxels drifts",
-               turning("uskin", "drift_counts_s", lambda target: target.number), "drift_counts_s",
+    knob_fault("uskin.drift", FaultKind.WRONG, "z of all taxels drifts", "drift_counts_s",
                Number("counts/s", -1e5, 1e5, default=1000.0), check=_check_uskin),
 )
 # fmt: on

@@ -174,6 +174,9 @@ Apply = Callable[[Target], Effect]
 
 SHARE = Number("share", 0.0, 1.0, default=0.05)
 """Share of the traffic, or of the taxels, with the fault."""
+_PARTS = {"can": "can", "unit": "unit", "taxels": "unit", "servos": "servo_wire"}
+_PARTS |= {"board": "boards", "uskin": "uskin"}
+"""Field of `simulator.devices.CellFaults` that has the knobs of each component."""
 
 
 def turned(owner: object, name: str, value: object) -> Undo:
@@ -185,13 +188,6 @@ def turned(owner: object, name: str, value: object) -> Undo:
 
 def nothing() -> None:
     """Do nothing: the undo of a momentary fault."""
-
-
-def turning(part: str, knob: str, position: Callable[[Target], object]) -> Apply:
-    """Return an effect that sets a knob of one part of the cell while a fault is active."""
-    return lambda target: Effect(
-        undo=turned(getattr(target.devices.faults, part), knob, position(target))
-    )
 
 
 def lasting(begin: Callable[[Target], object], end: Callable[[Target], object]) -> Apply:
@@ -231,21 +227,31 @@ def knob_fault(
     name: str,
     kind: FaultKind,
     meaning: str,
-    part: str,
     knob: str,
-    *,
     value: Number | None = None,
+    *,
+    owner: Callable[[Target], object] | None = None,
+    position: Callable[[Target], object] | None = None,
+    check: Callable[[Target], object] | None = None,
 ) -> FaultEntry:
-    """Return a fault that sets one knob of a part of the cell: to its number, else to on.
+    """Return a fault that sets one knob: to a position, to its number, else to on.
 
     Parameters
     ----------
-    part
-        ``can``, ``unit`` or ``servo_wire``: a field of `simulator.devices.CellFaults`.
+    owner
+        Returns the object with the knob; None for the `CellFaults` of the fault's component.
+    position
+        Returns the position of the knob where it is not the number.
     """
+    part = _PARTS.get(name.partition(".")[0], "")
 
-    def position(target: Target) -> object:
-        return True if value is None else target.number
+    def apply(target: Target) -> Effect:
+        on: object = True
+        if position is not None:
+            on = position(target)
+        elif value is not None:
+            on = int(target.number) if value.whole else target.number
+        of = getattr(target.devices.faults, part) if owner is None else owner(target)
+        return Effect(undo=turned(of, knob, on))
 
-    apply = turning(part, knob, position)
-    return FaultEntry(name, kind, meaning, apply, knob, value)
+    return FaultEntry(name, kind, meaning, apply, knob, value, check=check)

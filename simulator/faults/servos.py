@@ -4,7 +4,6 @@ from gripper.dynamixel.control_table import REGISTERS
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.entry import (
     SHARE,
-    Apply,
     Effect,
     FaultEntry,
     FaultKind,
@@ -15,7 +14,6 @@ from simulator.faults.entry import (
     lasting,
     moment_fault,
     turned,
-    turning,
     unplugging,
 )
 from simulator.servo.control_table import EEPROM_END
@@ -36,16 +34,11 @@ _BURST_BYTES = 40
 
 
 def _chatter(name: str, meaning: str, data: bytes, every_s: float) -> FaultEntry:
-    return FaultEntry(
-        name=name,
-        kind=FaultKind.GARBAGE,
-        meaning=meaning,
-        value=Number("s", 1e-4, 10.0, default=every_s),
-        apply=turning(
-            "servo_wire", "chatter", lambda target: Chatter(data=data, every_s=target.number)
-        ),
-        knob="chatter",
-    )
+    def chatter(target: Target) -> Chatter:
+        return Chatter(data=data, every_s=target.number)
+
+    value = Number("s", 1e-4, 10.0, default=every_s)
+    return knob_fault(name, FaultKind.GARBAGE, meaning, "chatter", value, position=chatter)
 
 
 def _late(target: Target, servo_ids: frozenset[int] | None) -> Effect:
@@ -81,10 +74,6 @@ def _core(target: Target) -> ServoCore:
 
 def _motor(target: Target) -> ServoMotor:
     return target.devices.mechanics.motors[target.servo]
-
-
-def _turned_motor(knob: str) -> Apply:
-    return lambda target: Effect(undo=turned(_motor(target), knob, target.number))
 
 
 def _cool(target: Target) -> None:
@@ -162,14 +151,7 @@ def _share(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
     def trigger(target: Target) -> Trigger:
         return Trigger(probability=target.number)
 
-    return FaultEntry(
-        name=name,
-        kind=kind,
-        meaning=meaning,
-        value=SHARE,
-        apply=turning("servo_wire", knob, trigger),
-        knob=knob,
-    )
+    return knob_fault(name, kind, meaning, knob, SHARE, position=trigger)
 
 
 # fmt: off
@@ -187,15 +169,13 @@ SERVOS = (
     _share("servos.wrong_id", FaultKind.WRONG, "answers name another servo", "wrong_id"),
     FaultEntry("servos.delayed", FaultKind.DELAYED, "all answers come late",
                lambda target: _late(target, None), "delay", _LATE),
-    FaultEntry("servos.fragmented", FaultKind.SLOW,
-               "answers come in pieces of this size, 2 ms apart",
-               turning("servo_wire", "fragment_bytes", lambda target: int(target.number)),
-               "fragment_bytes", Number("bytes", 1, 1000, default=8, whole=True)),
+    knob_fault("servos.fragmented", FaultKind.SLOW,
+               "answers come in pieces of this size, 2 ms apart", "fragment_bytes",
+               Number("bytes", 1, 1000, default=8, whole=True)),
     knob_fault("servos.repeated", FaultKind.WRONG, "each answer comes again after this time",
-               "servo_wire", "repeat_s", value=Number("s", 1e-4, 1.0, default=0.0095)),
+               "repeat_s", Number("s", 1e-4, 1.0, default=0.0095)),
     knob_fault("servos.lagging", FaultKind.WRONG,
-               "each answer belongs to the previous request of its kind", "servo_wire",
-               "lag"),
+               "each answer belongs to the previous request of its kind", "lag"),
     _chatter("servos.chatter", "another device sends a byte with this period, also into answers",
              b"\xa5", 0.001),
     _chatter("servos.bursts", "another device sends 40 bytes with this period",
@@ -203,8 +183,7 @@ SERVOS = (
     _chatter("servos.sentences", "another device sends NMEA 0183 sentences with this period",
              _SENTENCE, 0.03),
     FaultEntry("servos.off", FaultKind.OFF, "all servos are silent", _all_silent, "silent"),
-    knob_fault("servos.echo", FaultKind.WRONG, "the host receives its own bytes", "servo_wire",
-               "echo"),
+    knob_fault("servos.echo", FaultKind.WRONG, "the host receives its own bytes", "echo"),
     moment_fault("servos.cold", FaultKind.WRONG,
                  "all have this temperature: friction is up by 2.5 % for each K below 25 degC, "
                  "until they have warmed up", _cool, Number("degC", -20.0, 25.0, default=5.0)),
@@ -227,27 +206,21 @@ SERVO = (
     moment_fault("servoN.overload", FaultKind.OFF,
                  "its overload protection latches and switches the torque off",
                  lambda target: _motor(target).overload()),
-    FaultEntry("servoN.overheat", FaultKind.WRONG,
-               "its internal temperature has this value, and falls slowly",
-               _turned_motor("temperature_c"), "temperature",
-               Number("degC", -20.0, 150.0, default=90.0)),
-    FaultEntry("servoN.friction", FaultKind.WRONG,
-               "factor on its friction without load",
-               _turned_motor("friction_factor"), "friction",
-               Number("times", 0.2, 5.0, default=1.5)),
-    FaultEntry("servoN.kt", FaultKind.WRONG,
-               "factor on torque and back-EMF of its motor",
-               _turned_motor("kt_factor"), "kt", Number("times", 0.5, 2.0, default=0.8)),
-    FaultEntry("servoN.wear", FaultKind.WRONG,
+    knob_fault("servoN.overheat", FaultKind.WRONG,
+               "its internal temperature has this value, and falls slowly", "temperature_c",
+               Number("degC", -20.0, 150.0, default=90.0), owner=_motor),
+    knob_fault("servoN.friction", FaultKind.WRONG, "factor on its friction without load",
+               "friction_factor", Number("times", 0.2, 5.0, default=1.5), owner=_motor),
+    knob_fault("servoN.kt", FaultKind.WRONG, "factor on torque and back-EMF of its motor",
+               "kt_factor", Number("times", 0.5, 2.0, default=0.8), owner=_motor),
+    knob_fault("servoN.wear", FaultKind.WRONG,
                "each turn of the output adds this share to its friction; the wear stays",
-               _turned_motor("wear_per_turn"), "wear", Number("share", 0.0, 1.0, default=0.01)),
-    FaultEntry("servoN.supply", FaultKind.WRONG, "its supply has this voltage",
-               _turned_motor("voltage_v"), "supply", Number("V", 0.0, 30.0, default=6.0)),
-    FaultEntry("servoN.error", FaultKind.WRONG,
-               "these bits of Hardware Error Status (16 shock, 8 encoder)",
-               lambda target: Effect(
-                   undo=turned(_core(target), "injected_error", int(target.number))),
-               "error", Number("bits", 1, 63, default=16, whole=True)),
+               "wear_per_turn", Number("share", 0.0, 1.0, default=0.01), owner=_motor),
+    knob_fault("servoN.supply", FaultKind.WRONG, "its supply has this voltage", "voltage_v",
+               Number("V", 0.0, 30.0, default=6.0), owner=_motor),
+    knob_fault("servoN.error", FaultKind.WRONG,
+               "these bits of Hardware Error Status (16 shock, 8 encoder)", "injected_error",
+               Number("bits", 1, 63, default=16, whole=True), owner=_core),
     FaultEntry("servoN.stuck", FaultKind.STUCK, "its encoder always reports the same angle",
                _stuck, "stuck"),
     moment_fault("servoN.jump", FaultKind.WRONG,
@@ -266,11 +239,9 @@ SERVO = (
                "its horn is this number of pulses farther open than gripper.servos[].zero_pulse",
                lasting(lambda target: _remount(target, 1), lambda target: _remount(target, -1)),
                "horn", Number("pulses", -1000, 1000, default=100, whole=True)),
-    FaultEntry("servoN.watchdog_off", FaultKind.WRONG,
-               "its bus watchdog trips, but the motor goes on (330 size)",
-               lambda target: Effect(
-                   undo=turned(_core(target), "watchdog_stop", WatchdogStop.KEEPS_TURNING)),
-               "watchdog"),
+    knob_fault("servoN.watchdog_off", FaultKind.WRONG,
+               "its bus watchdog trips, but the motor goes on (330 size)", "watchdog_stop",
+               owner=_core, position=lambda _: WatchdogStop.KEEPS_TURNING),
     FaultEntry("servoN.wrong", FaultKind.WRONG,
                "an EEPROM register differs from the config", _wrong, "eeprom",
                Setting(unit="register:number", default="current_limit:100"), check=_check_register),

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from simulator.can.link import CanLink
 from simulator.can.slcan import SlcanAdapter
@@ -30,6 +30,7 @@ FORGIVEN_S = 0.25
 POWERED_BEFORE_S = 0.1
 """Power-on time in s before clients can connect: the devices have booted by then."""
 
+_Pty = TypeVar("_Pty", ServoPty, SlcanPty, BoardPty)
 Announce = Callable[[dict[str, Any]], None]
 
 
@@ -46,32 +47,38 @@ class RealTimeCell:
         self.devices = CellDevices(settings, start_s=now_s - POWERED_BEFORE_S)
         self.devices.world.skip_to(now_s)
         self._world_s = now_s
-        self._adapter = SlcanAdapter(
-            CanLink(
-                self.devices.can_devices,
-                bitrate=settings.can_bitrate,
-                faults=self.devices.faults.can,
-                seed=settings.seed,
-            ),
+        link = CanLink(
+            self.devices.can_devices,
             bitrate=settings.can_bitrate,
+            faults=self.devices.faults.can,
+            seed=settings.seed,
         )
-        with ExitStack() as undo:
-            self._servo_pty = ServoPty(self.devices.servo_bus, folder / "servos")
-            undo.callback(self._servo_pty.close)
-            self._can_pty = SlcanPty(self._adapter, folder / "can")
-            undo.callback(self._can_pty.close)
-            self._axes_can_pty = self._open_axes_can(folder / "axes-can")
-            if self._axes_can_pty is not None:
-                undo.callback(self._axes_can_pty.close)
-            self._axes_ptys: dict[str, ServoPty] = {}
-            for moves, axis in self.devices.axes.items():
-                if isinstance(axis, SimulatedWrist):
-                    self._axes_ptys[moves] = ServoPty(axis.bus, folder / f"axis-{moves}")
-                    undo.callback(self._axes_ptys[moves].close)
-            self._board_ptys: list[BoardPty] = []
-            for finger, board in enumerate(self.devices.boards):
-                self._board_ptys.append(BoardPty(board, folder / f"board{finger}"))
-                undo.callback(self._board_ptys[-1].close)
+        self._ptys: list[ServoPty | SlcanPty] = []
+        with ExitStack() as opened:
+
+            def keep(pty: _Pty) -> _Pty:
+                opened.callback(pty.close)
+                self._ptys.append(pty)
+                return pty
+
+            self._servo_pty = keep(ServoPty(self.devices.servo_bus, folder / "servos"))
+            adapter = SlcanAdapter(link, bitrate=settings.can_bitrate)
+            self._can_pty = keep(SlcanPty(adapter, folder / "can"))
+            self._axes_can_pty: SlcanPty | None = None
+            if self.devices.axes_can_devices is not None:
+                bitrate = settings.axes_can_bitrate
+                axes_link = CanLink(self.devices.axes_can_devices, bitrate=bitrate)
+                adapter = SlcanAdapter(axes_link, bitrate=bitrate)
+                self._axes_can_pty = keep(SlcanPty(adapter, folder / "axes-can"))
+            self._axes_ptys = {
+                moves: keep(ServoPty(axis.bus, folder / f"axis-{moves}"))
+                for moves, axis in self.devices.axes.items()
+                if isinstance(axis, SimulatedWrist)
+            }
+            self._board_ptys = [
+                keep(BoardPty(board, folder / f"board{finger}"))
+                for finger, board in enumerate(self.devices.boards)
+            ]
             self.injector = FaultInjector(
                 self.devices,
                 now_s - POWERED_BEFORE_S,
@@ -80,30 +87,11 @@ class RealTimeCell:
             )
             requests = CellRequests(self.devices, self.injector)
             self._server = PositionerServer(folder / "positioner.sock", requests)
-            undo.callback(self._server.close)
+            opened.callback(self._server.close)
             self.step(now_s, [])
             for text in settings.faults:
                 self.injector.inject(text)
-            undo.pop_all()
-
-    def _open_axes_can(self, link_path: Path) -> SlcanPty | None:
-        """Return the terminal of the drives' bus; None in a cell without drives."""
-        drives = self.devices.axes_can_devices
-        if drives is None:
-            return None
-        bitrate = self.devices.settings.axes_can_bitrate
-        return SlcanPty(SlcanAdapter(CanLink(drives, bitrate=bitrate), bitrate=bitrate), link_path)
-
-    @property
-    def _ptys(self) -> list[ServoPty | SlcanPty]:
-        drives = [] if self._axes_can_pty is None else [self._axes_can_pty]
-        return [
-            self._servo_pty,
-            self._can_pty,
-            *drives,
-            *self._axes_ptys.values(),
-            *self._board_ptys,
-        ]
+            self._close = opened.pop_all().close
 
     def announcement(self) -> dict[str, Any]:
         """Return addresses and settings for clients; plain values for JSON."""
@@ -150,9 +138,7 @@ class RealTimeCell:
 
     def close(self) -> None:
         """Remove terminals, links and socket; a second call has no effect."""
-        self._server.close()
-        for pty in reversed(self._ptys):
-            pty.close()
+        self._close()
 
     def __enter__(self) -> Self:
         return self

@@ -67,8 +67,13 @@ class Terminal:
             raise SimulatorStateError(f"{self._what} is unplugged and has no descriptor")
         return self.master_fd
 
-    def open(self) -> None:
-        """Create the terminal and its link; EndpointError if the system refuses."""
+    def plug_in(self) -> None:
+        """Create a terminal, after `unplug` with a new name, and its link, where there is none.
+
+        Raises EndpointError if the system refuses.
+        """
+        if self.plugged_in:
+            return
         try:
             # The client's side is kept open here too: else the terminal fails between clients.
             self.master_fd, self.slave_fd = os.openpty()
@@ -79,11 +84,6 @@ class Terminal:
         except OSError as error:
             self.close()
             raise EndpointError(f"no terminal for {self._what}: {error}") from error
-
-    def plug_in(self) -> None:
-        """Create a terminal, after `unplug` with a new name, and its link."""
-        if not self.plugged_in:
-            self.open()
 
     def unplug(self) -> Callable[[], None]:
         """Remove the terminal; a client with an open terminal gets input/output errors.

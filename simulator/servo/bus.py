@@ -61,6 +61,11 @@ class ServoBusDevice:
         self._order = itertools.count()
         self._chatter_s: float | None = None
 
+    @property
+    def unplugged(self) -> bool:
+        """Whether the cable is out."""
+        return self.faults.unplugged
+
     def advance_to(self, now_s: float) -> None:
         """Run watchdogs and protections; call it once for each step of the mechanics."""
         for servo in self.servos:
@@ -296,14 +301,6 @@ def _bulk_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
     return writes
 
 
-class SerialFaults(Protocol):
-    """Faults of a serial line, for its end in memory."""
-
-    @property
-    def unplugged(self) -> bool:
-        """Whether the cable is out."""
-
-
 class SerialDevice(Protocol):
     """A device on a serial line."""
 
@@ -311,8 +308,8 @@ class SerialDevice(Protocol):
     """Line rate in baud that the host has set."""
 
     @property
-    def faults(self) -> SerialFaults:
-        """Faults of the line."""
+    def unplugged(self) -> bool:
+        """Whether the cable is out."""
 
     def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
         """Take bytes that the host sent."""
@@ -383,7 +380,7 @@ class MemoryServoStream:
     def _check(self) -> None:
         if self.closed:
             raise PortUnplugged("the servo stream is closed; open a new one")
-        self._lost |= self._device.faults.unplugged
+        self._lost |= self._device.unplugged
         if self._lost:
             raise PortUnplugged(
                 "the simulated cable is unplugged (fault servos.unplugged or board.unplugged); "

@@ -29,11 +29,6 @@ class Trigger:
     """Only packets of these servos; None = all."""
     _seen: int = field(default=0, init=False, repr=False)
 
-    @property
-    def active(self) -> bool:
-        """Whether any of the conditions is on."""
-        return self.probability > 0.0 or self.every > 0 or self.next_packets > 0
-
     def fires(self, servo_id: int, generator: random.Random) -> bool:
         """Return whether this packet gets the fault; SimulatorSettingsError for a bad setting."""
         if not 0.0 <= self.probability <= 1.0 or self.every < 0 or self.next_packets < 0:
@@ -43,7 +38,7 @@ class Trigger:
         if self.next_packets:
             self.next_packets -= 1
             return True
-        self._seen += 1
+        self._seen += self.every > 0
         if self.every and self._seen % self.every == 0:
             return True
         return self.probability > 0.0 and generator.random() < self.probability
@@ -122,16 +117,14 @@ class WireFaults:
 
     def request(self, data: bytes) -> bytes:
         """Return the bytes at the servos for one write of the host."""
-        if self.lose_request.active and self.lose_request.fires(-1, self._random()):
+        if self.lose_request.fires(-1, self._random()):
             return b""
-        if self.corrupt_request.active and self.corrupt_request.fires(-1, self._random()):
+        if self.corrupt_request.fires(-1, self._random()):
             return self._flip(data)
         return data
 
     def answer(self, servo_id: int, packet: bytes) -> list[Piece]:
         """Return the pieces of one answer at the host; without faults the unchanged packet."""
-        if not self._any_answer_fault():
-            return [Piece(0.0, packet)]
         generator = self._random()
         if self.lag:
             key = servo_id, len(packet)
@@ -153,15 +146,6 @@ class WireFaults:
         if self.repeat_s > 0.0:
             pieces += self._fragments(delay_s + self.repeat_s, packet)
         return pieces
-
-    def _any_answer_fault(self) -> bool:
-        triggers = (self.drop, self.delay, self.duplicate, self.bit_flip, self.truncate)
-        return (
-            self.lag
-            or self.fragment_bytes > 0
-            or self.repeat_s > 0.0
-            or any(one.active for one in (*triggers, self.garbage, self.wrong_id))
-        )
 
     def _fragments(self, delay_s: float, packet: bytes) -> list[Piece]:
         size = self.fragment_bytes

@@ -68,8 +68,7 @@ class Foam:
         tangent = 1.0 + self.densification * limit_closing**2 * (
             1.0 + 2.0 / (1.0 - self.limit_strain)
         )
-        pressure: NDArray[np.float64] = self.modulus_pa * (stress + tangent * (strain - bent))
-        return pressure
+        return self.modulus_pa * (stress + tangent * (strain - bent))
 
 
 class FoamPair:
@@ -87,10 +86,7 @@ class FoamPair:
 
     def pressure_pa(self, indentation_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the pressure in Pa of columns with a total indentation in m."""
-        pressure: NDArray[np.float64] = np.interp(
-            indentation_m, self._indentation_m, self._pressure_pa
-        )
-        return pressure
+        return np.interp(indentation_m, self._indentation_m, self._pressure_pa)
 
 
 class ForceTable:

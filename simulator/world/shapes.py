@@ -100,8 +100,8 @@ def _inside(reach_m: NDArray[np.float64], inside: NDArray[np.bool_]) -> NDArray[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ellipsoid:
-    """An ellipsoid; ``length_m`` lies along its long axis."""
+class _Sides:
+    """Sides of a shape; the length lies along its long axis, the height along the closing axis."""
 
     length_m: float
     width_m: float
@@ -109,6 +109,11 @@ class Ellipsoid:
 
     def __post_init__(self) -> None:
         require_positive(length_m=self.length_m, width_m=self.width_m, height_m=self.height_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ellipsoid(_Sides):
+    """An ellipsoid."""
 
     @property
     def roll_step_rad(self) -> float:
@@ -165,15 +170,8 @@ class Revolution:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Box:
-    """A box; ``length_m`` lies along its long axis, ``height_m`` along the closing axis."""
-
-    length_m: float
-    width_m: float
-    height_m: float
-
-    def __post_init__(self) -> None:
-        require_positive(length_m=self.length_m, width_m=self.width_m, height_m=self.height_m)
+class Box(_Sides):
+    """A box."""
 
     @property
     def roll_step_rad(self) -> float:

@@ -82,10 +82,7 @@ def resistance_mohm(force_n: NDArray[np.float64]) -> NDArray[np.float64]:
 
     The second term is below 1e-10 MOhm at all forces.
     """
-    resistance: NDArray[np.float64] = RESISTANCE_AT_REST_MOHM * np.exp(
-        -RESISTANCE_DECAY_PER_N * force_n
-    )
-    return resistance
+    return RESISTANCE_AT_REST_MOHM * np.exp(-RESISTANCE_DECAY_PER_N * force_n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -103,17 +103,13 @@ class PhysicalWorld:
         self._grip_slices = tuple(layout.taxels_of(pad) for pad in layout.gripping_pads)
         self._time_s = start_s
         self._press: Press | None = None
-        self._placed: tuple[str, ObjectPose] | None = None
+        self.placed: tuple[str, ObjectPose] | None = None
+        """Name and resting pose of the object; None without an object."""
         self._force_n = (0.0, 0.0)
         self._stiffness_n_m = (0.0, 0.0)
         self._fingertip_n: NDArray[np.float64] | None = None
         self.force_gain = 1.0
         """Factor on the measured force of each taxel; other than 1 for pads with another law."""
-
-    @property
-    def placed(self) -> tuple[str, ObjectPose] | None:
-        """Name and resting pose of the object; None without an object."""
-        return self._placed
 
     def place(self, label: str, pose: ObjectPose | None = None) -> ObjectPose:
         """Put an object between the open pads; it replaces the present object.
@@ -152,14 +148,14 @@ class PhysicalWorld:
                 f"{1e3 * (need_m[1] + pose.z_m):.2f} mm: open the gripper first"
             )
         self._press = press
-        self._placed = (label, pose)
+        self.placed = (label, pose)
         self._force_n = self._stiffness_n_m = (0.0, 0.0)
         return pose
 
     def remove(self) -> None:
         """Remove the object, also from closed fingers; no effect without an object."""
         self._press = None
-        self._placed = None
+        self.placed = None
         self._force_n = self._stiffness_n_m = (0.0, 0.0)
 
     def slide(self, along_m: float) -> None:
@@ -167,9 +163,9 @@ class PhysicalWorld:
 
         Beyond the pads it is removed; no effect without an object.
         """
-        if self._placed is None or self._press is None:
+        if self.placed is None or self._press is None:
             return
-        label, pose = self._placed
+        label, pose = self.placed
         self._put(label, replace(pose, x_m=pose.x_m + along_m))
 
     def carry(self, label: str, pose: ObjectPose) -> bool:
@@ -193,7 +189,7 @@ class PhysicalWorld:
             self.remove()
             return False
         press.swell_m = self._press.swell_m if self._press is not None else 0.0
-        self._press, self._placed = press, (label, pose)
+        self._press, self.placed = press, (label, pose)
         return True
 
     def swell(self, thickness_m: float) -> None:
@@ -268,8 +264,7 @@ class PhysicalWorld:
 
     def felt_force_n(self) -> NDArray[np.float64]:
         """Return the measured force in N of each taxel, (n_taxels,), with the gains of the pads."""
-        felt: NDArray[np.float64] = self.force_gain * self._felt * self.taxel_force_n()
-        return felt
+        return self.force_gain * self._felt * self.taxel_force_n()
 
     def scan(self) -> NDArray[np.uint16]:
         """Convert all taxels: the sensor's law, new noise, rounding; counts (n_taxels,)."""

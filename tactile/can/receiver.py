@@ -170,3 +170,8 @@ class ThreadedReceiver:
 
 MessageSource = PolledSource | ThreadedReceiver
 """Source of received messages in their order, each with its monotonic time."""
+
+
+def message_source(bus: can.BusABC, clock: Clock, *, threaded: bool) -> MessageSource:
+    """Return what receives the messages of a bus: a thread, or the caller who polls."""
+    return (ThreadedReceiver if threaded else PolledSource)(bus, clock)

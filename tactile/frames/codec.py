@@ -78,11 +78,6 @@ class FrameFormat:
         """Messages of one frame."""
         return -(-(self.samples_bytes + TRAILER.size) // self.data_bytes)
 
-    @property
-    def payload_bytes(self) -> int:
-        """Bytes of data of all messages of a frame."""
-        return self.n_messages * self.data_bytes
-
 
 def crc16_ccitt(data: bytes) -> int:
     """Return the CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF."""

@@ -50,8 +50,7 @@ class Neighbourhood:
         extended = np.empty(len(values) + 1, dtype=values.dtype)
         extended[:-1] = values
         extended[-1] = outside
-        neighbours: NDArray[Any] = extended[self.index]
-        return neighbours
+        return extended[self.index]
 
 
 def spatial_mean(hood: Neighbourhood, values: Values) -> Values:

@@ -17,7 +17,6 @@ from tactile.errors import (
     ZeroDrifted,
     require_at_least,
 )
-from tactile.layout import TaxelLayout
 from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import (
     ActiveTaxels,
@@ -156,10 +155,14 @@ class TactileSensor:
         self.source = source
         """Source of frames and force messages."""
         self._close_line = close_line
-        self._running = False
-        self._identity: SourceIdentity | None = None
-        self._layout = layout
-        self._calibration = calibration
+        self.running = False
+        """Whether it was started, and not closed since."""
+        self.identity: SourceIdentity | None = None
+        """Device of the last start, None before the first one."""
+        self.layout = layout
+        """The taxels."""
+        self.calibration = calibration
+        """Counts to forces."""
         self._clock = clock
         self._settings = settings or SensorSettings()
         self._per_count_n = calibration.force_n(np.ones(layout.n_taxels))
@@ -174,10 +177,12 @@ class TactileSensor:
 
     def _reset(self) -> None:
         self._mean.reset()
-        self._tare: TareResult | None = None
+        self.tare_result: TareResult | None = None
+        """The zero in use, None before the first tare after a start."""
         self._tare_status = 0
         self._touch: ActiveTaxels | None = None
-        self._latest: TactileReading | None = None
+        self.latest: TactileReading | None = None
+        """The newest reading of `poll`, None before; its ``t_s`` gives its age."""
         self._last_s: float | None = None
         self._failed: FrameTimeout | ForceContradicted | None = None
         self._new_forces: deque[ForceMessage] = deque(maxlen=_KEPT_FORCES)
@@ -185,26 +190,6 @@ class TactileSensor:
         self._taxel_noise_n = (inf, inf)
         self._saturated_frames = self._void_frames = 0
         self._quality.restart(None)
-
-    @property
-    def layout(self) -> TaxelLayout:
-        """The taxels."""
-        return self._layout
-
-    @property
-    def identity(self) -> SourceIdentity | None:
-        """Device of the last start, None before the first one."""
-        return self._identity
-
-    @property
-    def calibration(self) -> Calibration:
-        """Counts to forces."""
-        return self._calibration
-
-    @property
-    def latest(self) -> TactileReading | None:
-        """The newest reading of `poll`, None before; its ``t_s`` gives its age."""
-        return self._latest
 
     @property
     def statistics(self) -> SensorStatistics:
@@ -215,27 +200,17 @@ class TactileSensor:
             void_frames=self._void_frames,
         )
 
-    @property
-    def tare_result(self) -> TareResult | None:
-        """The zero in use, None before the first tare after a start."""
-        return self._tare
-
-    @property
-    def running(self) -> bool:
-        """Whether it was started, and not closed since."""
-        return self._running
-
     def start(self) -> SourceIdentity:
         """Start the source; the zero of an earlier start is discarded."""
-        self._running = False
+        self.running = False
         self._reset()
-        self._identity = self.source.start()
-        self._running = True
-        return self._identity
+        self.identity = self.source.start()
+        self.running = True
+        return self.identity
 
     def stop(self) -> None:
         """Stop the source; the line stays open for another start."""
-        self._running = False
+        self.running = False
         self.source.stop()
 
     def __enter__(self) -> Self:
@@ -267,7 +242,7 @@ class TactileSensor:
             self._force_check.add(message)
         readings = tuple(self._reading(frame) for frame in arrived.frames)
         if readings:
-            self._latest = readings[-1]
+            self.latest = readings[-1]
         return readings
 
     def take_forces(self) -> tuple[ForceMessage, ...]:
@@ -287,11 +262,11 @@ class TactileSensor:
     @property
     def scan_noise_n(self) -> float:
         """Standard deviation in N of the grip force of one force message, or of one frame."""
-        if self._latest is None:
+        if self.latest is None:
             return inf
         variance_n2 = 0.0
         for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
-            n = max(_LEAST_TOUCHED, int(np.count_nonzero(self._latest.active[taxels])))
+            n = max(_LEAST_TOUCHED, int(np.count_nonzero(self.latest.active[taxels])))
             variance_n2 += _EDGE * n * taxel_n * taxel_n
         return 0.5 * sqrt(variance_n2)
 
@@ -335,7 +310,7 @@ class TactileSensor:
             self._hood, counts, self._settings.tare_limits, frames[n_frames - 1].t_s
         )
         self._mean.reset()
-        self._tare = result
+        self.tare_result = result
         self._tare_status = frames[n_frames - 1].status
         self._touch = self._new_touch(result)
         self._last_s = None
@@ -385,18 +360,18 @@ class TactileSensor:
         ZeroDrifted
             If a whole pad has drifted: forces and shapes measured with this zero are wrong.
         """
-        if self._tare is not None and self._force_bad is not None and not self.has_forces:
-            self._write_zero(self._tare)
-        if self._latest is not None and self._mean.full:
-            latest = self._latest
+        if self.tare_result is not None and self._force_bad is not None and not self.has_forces:
+            self._write_zero(self.tare_result)
+        if self.latest is not None and self._mean.full:
+            latest = self.latest
             drift = self._quality.drift_anywhere(latest.tared_counts, latest.bad | latest.saturated)
             if drift:
                 raise ZeroDrifted(drift)
 
     def _new_touch(self, tare: TareResult) -> ActiveTaxels:
         """Return a finder of touched taxels with the typical noise of each pad."""
-        least = self._settings.noise_floor_share * self._layout.adc_max
-        noise = typical_noise(self._layout, tare.noise_counts, least)
+        least = self._settings.noise_floor_share * self.layout.adc_max
+        noise = typical_noise(self.layout, tare.noise_counts, least)
         noise /= np.sqrt(self._settings.mean_frames)
         return ActiveTaxels(self._hood, self._settings.touch, noise)
 
@@ -410,8 +385,8 @@ class TactileSensor:
 
     def _reading(self, frame: TactileFrame) -> TactileReading:
         self._watch_changes(frame)
-        saturated = frame.counts >= self._layout.adc_max
-        tare = self._tare
+        saturated = frame.counts >= self.layout.adc_max
+        tare = self.tare_result
         counts = frame.counts.astype(np.float64)
         bad = self._quality.bad
         if tare is not None:
@@ -419,9 +394,9 @@ class TactileSensor:
         counts = fill_bad(self._hood, counts, bad)
         tared = self._mean.step(counts)
         active = np.zeros_like(bad) if self._touch is None else self._touch.step(tared)
-        force_n = np.where(active, self._calibration.force_n(tared), 0.0)
+        force_n = np.where(active, self.calibration.force_n(tared), 0.0)
         pad_force_n = np.add.reduceat(force_n, self._pad_starts)
-        all_n = self._calibration.force_n(counts)
+        all_n = self.calibration.force_n(counts)
         scan_n = np.where(active, all_n, 0.0)
         first_n, second_n = (float(scan_n[taxels].sum()) for taxels in self._grips)
         reason = self._objection(frame, saturated & ~bad, bad, tared)
@@ -430,8 +405,8 @@ class TactileSensor:
         for array in (tared, active, force_n, pad_force_n, saturated, bad):
             array.setflags(write=False)
         self._saturated_frames += bool((saturated & ~bad).any())
-        self._void_frames += bool(reason) and self._mean.full and self._tare is not None
-        first, second = self._layout.gripping_pads
+        self._void_frames += bool(reason) and self._mean.full and self.tare_result is not None
+        first, second = self.layout.gripping_pads
         return TactileReading(
             frame=frame,
             tared_counts=tared,
@@ -454,7 +429,7 @@ class TactileSensor:
         scan_n: Values,
         all_n: Values,
     ) -> None:
-        pad = self._layout.pads[self._layout.gripping_pads[0]]
+        pad = self.layout.pads[self.layout.gripping_pads[0]]
         centre_m = self._centres.of(scan_n)
         centre, centre_noise = None, (0.0, 0.0)
         noise_n = self._shown_noise_n(counts, active)
@@ -479,7 +454,7 @@ class TactileSensor:
     def _shown_noise_n(self, counts: Values, active: NDArray[np.bool_]) -> Values:
         """Return the noise in N of each taxel of a gripping pad in one frame; 0 if not touched."""
         # A count is more force on a loaded taxel than on an empty one.
-        slope = self._calibration.force_n(counts + 1.0) - self._calibration.force_n(counts)
+        slope = self.calibration.force_n(counts + 1.0) - self.calibration.force_n(counts)
         noise_n = np.zeros(len(counts))
         for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
             noise_n[taxels] = taxel_n * (slope * active / self._per_count_n)[taxels]
@@ -495,7 +470,7 @@ class TactileSensor:
         last_s, self._last_s = self._last_s, frame.t_s
         if last_s is not None and frame.t_s - last_s > self._settings.gap_s:
             self._mean.reset()
-        latest = self._latest
+        latest = self.latest
         try:
             self._quality.step(frame, touched=latest is not None and bool(latest.active.any()))
         except FrameTimeout as fault:
@@ -509,7 +484,7 @@ class TactileSensor:
         bad: NDArray[np.bool_],
         tared: Values,
     ) -> str:
-        if self._tare is None:
+        if self.tare_result is None:
             return "not tared since the start"
         if frame.status & FrameStatus.CONVERTER_FAULT:
             return "the unit's converter failed its self-test"

@@ -36,8 +36,7 @@ class TaxelHealth:
     @property
     def bad(self) -> Mask:
         """Taxels that do not measure, (n_taxels,) bool."""
-        bad: Mask = self.dead | self.stuck | self.saturated
-        return bad
+        return self.dead | self.stuck | self.saturated
 
     def summary(self) -> str:
         """Return the numbers of bad taxels in words."""

@@ -12,7 +12,7 @@ import can
 import numpy as np
 
 from tactile.can.bus import MissingBus
-from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver
+from tactile.can.receiver import message_source
 from tactile.clock import Clock
 from tactile.errors import BusOff, LinkFault, LinkStateError, NodeMissing, ReceiveLoopDead
 from tactile.frames.force_message import encode_zero
@@ -91,14 +91,11 @@ class TactileLink:
         # The unit's sums are valid only for the gripping pads in their mounting.
         sums = self.settings.force_period_s and self._mounting.unit_can_sum
         self._force_table = force_table if sums else None
-        self._source = self._new_source()
+        self._source = message_source(self._bus, self._clock, threaded=self.settings.threaded)
         self._session = self._new_session()
         self._running = False
-        self._fault: LinkFault | None = None
-
-    def _new_source(self) -> MessageSource:
-        kind = ThreadedReceiver if self.settings.threaded else PolledSource
-        return kind(self._bus, self._clock)
+        self.fault: LinkFault | None = None
+        """The latched fault, None without one."""
 
     def _new_session(self) -> LinkSession:
         return LinkSession(
@@ -115,16 +112,6 @@ class TactileLink:
         """Counts since the last start."""
         return self._session.statistics
 
-    @property
-    def fault(self) -> LinkFault | None:
-        """The latched fault, None without one."""
-        return self._fault
-
-    @property
-    def last_frame_s(self) -> float | None:
-        """Monotonic time in s of the reception of the last complete frame, None before."""
-        return self._session.last_frame_s
-
     def start(self) -> NodeIdentity:
         """Reset the unit's communication, check it, set it up and start its frames.
 
@@ -134,12 +121,12 @@ class TactileLink:
         """
         if self._running:
             raise LinkStateError("the link runs already: stop it before starting again")
-        lost = isinstance(self._fault, BusOff | ReceiveLoopDead)
+        lost = isinstance(self.fault, BusOff | ReceiveLoopDead)
         if self._reopen is not None and (lost or isinstance(self._bus, MissingBus)):
             self._bus = self._reopen()
-            self._source = self._new_source()
+            self._source = message_source(self._bus, self._clock, threaded=self.settings.threaded)
         self._running = True
-        self._fault = None
+        self.fault = None
         self._session = self._new_session()
         return self._guarded(self._commission)
 
@@ -220,18 +207,18 @@ class TactileLink:
                 self._session.command("PRE-OPERATIONAL")
             except LinkFault as fault:
                 # The command does not reach the unit; its frames end without SYNCs.
-                self._fault = self._fault or fault
+                self.fault = self.fault or fault
         self._source.close()
 
     def _guarded(self, action: Callable[[], _Result]) -> _Result:
         """Return the result of an action that needs a link without a fault; a fault latches."""
-        if self._fault is not None:
-            raise self._fault
+        if self.fault is not None:
+            raise self.fault
         if not self._running:
             raise LinkStateError("the link is not running: start it first")
         try:
             return action()
         except LinkFault as fault:
-            self._fault = fault
+            self.fault = fault
             self._session.leave_operation()
             raise

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile.frames.force_message import reordered_zero
 from tactile.layout import PadMount, TaxelLayout, taxel_order
@@ -42,22 +41,16 @@ class Mounting:
         # Place of each taxel of the layout's gripping pads among those that the unit sums.
         self._zero_order = place[order] if self.unit_can_sum else np.arange(len(own))
 
-    def counts(self, counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return samples (n_taxels,) of the unit in the order of the layout."""
-        if self._order is None:
-            return counts
-        ordered: NDArray[np.uint16] = counts[self._order]
-        ordered.setflags(write=False)
-        return ordered
-
     def arrivals(self, arrived: Arrivals) -> Arrivals:
         """Return frames and force messages of the unit in the order of the layout."""
         if self._order is None:
             return arrived
-        return Arrivals(
-            tuple(replace(one, counts=self.counts(one.counts)) for one in arrived.frames),
-            tuple(map(self._force, arrived.forces)),
-        )
+        frames = []
+        for frame in arrived.frames:
+            counts = frame.counts[self._order]
+            counts.setflags(write=False)
+            frames.append(replace(frame, counts=counts))
+        return Arrivals(tuple(frames), tuple(map(self._force, arrived.forces)))
 
     def _force(self, message: ForceMessage) -> ForceMessage:
         """Return a force message of the unit with the forces of the layout's fingers."""

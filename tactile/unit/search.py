@@ -11,7 +11,7 @@ from typing import Self
 
 import can
 
-from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver
+from tactile.can.receiver import message_source
 from tactile.clock import Clock
 from tactile.errors import BusOff, IdentityMismatch, NodeMissing, TactileError
 from tactile.layout import TaxelLayout, paper_layout
@@ -49,7 +49,7 @@ class _Listener:
 
     def __init__(self, bus: can.BusABC) -> None:
         self.clock: Clock = getattr(bus, "clock", time)
-        self._source = _source(bus, self.clock)
+        self._source = message_source(bus, self.clock, threaded=self.clock is time)
         self._messages = self._errors = 0
         self._nodes: set[int] = set()
 
@@ -229,15 +229,11 @@ def read_device(bus: can.BusABC, node_id: int) -> tuple[int, str]:
             return profile, ""
 
 
-def _source(bus: can.BusABC, clock: Clock) -> MessageSource:
-    return ThreadedReceiver(bus, clock) if clock is time else PolledSource(bus, clock)
-
-
 @contextmanager
 def _objects_of(bus: can.BusABC, node_id: int) -> Iterator[ObjectAccess]:
     """Read the objects of a node, whatever it is; its frames are not looked at."""
     clock: Clock = getattr(bus, "clock", time)
-    source = _source(bus, clock)
+    source = message_source(bus, clock, threaded=clock is time)
     session = LinkSession(
         bus,
         source,

@@ -113,7 +113,6 @@ class LinkSession:
         self._force_s = self._looked_s = 0.0
         self._stalled_s, self._stall_s = -inf, 0.0
         self._frame_id = od.COB_TPDO1 + node_id
-        self.last_frame_s: float | None = None
         self._frames: list[TactileFrame] = []
         self._nodes_heard: set[int] = set()
         self._next_sync_s: float | None = None
@@ -203,7 +202,8 @@ class LinkSession:
                 n_frame_messages += 1
                 frame = push(message.data, message.dlc, t_s)
                 if frame is not None:
-                    self._on_frame(frame)
+                    self._frames.append(frame)
+                    self._flow.on_frame(frame.counter)
             else:
                 self._dispatch(message, t_s)
         self._flow.messages(n_frame_messages)
@@ -281,11 +281,6 @@ class LinkSession:
             self._late_syncs += 1
             due_s = now_s
         self._next_sync_s = max(due_s + period_s, now_s + _LEAST_GAP * period_s)
-
-    def _on_frame(self, frame: TactileFrame) -> None:
-        self._frames.append(frame)
-        self.last_frame_s = frame.t_s
-        self._flow.on_frame(frame.counter)
 
     def _on_force(self, data: bytes, t_s: float) -> None:
         assert self._forces is not None

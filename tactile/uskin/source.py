@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tactile.board_source import PolledBoards
 from tactile.can.bus import MissingBus
-from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver, interface_failed
+from tactile.can.receiver import interface_failed, message_source
 from tactile.clock import Clock
 from tactile.errors import (
     BusOff,
@@ -139,11 +139,7 @@ class UskinSource(PolledBoards):
         self._owner = {i: board for board in self._boards for i in board.ids.taxels}
         self._falling = falling
         self._foreign = self._malformed = self._errors = 0
-        self._source = self._new_source()
-
-    def _new_source(self) -> MessageSource:
-        kind = ThreadedReceiver if self._threaded else PolledSource
-        return kind(self._bus, self.clock)
+        self._source = message_source(self._bus, self.clock, threaded=self._threaded)
 
     @property
     def statistics(self) -> SourceStatistics:
@@ -164,7 +160,7 @@ class UskinSource(PolledBoards):
         lost = isinstance(self._fault, BusOff | ReceiveLoopDead)
         if self._reopen is not None and (lost or isinstance(self._bus, MissingBus)):
             self._bus = self._reopen()
-            self._source = self._new_source()
+            self._source = message_source(self._bus, self.clock, threaded=self._threaded)
         self._fault, self._frames, self._running = None, FrameStatistics(), True
         self._foreign = self._malformed = self._errors = 0
         try:

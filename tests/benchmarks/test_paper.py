@@ -14,7 +14,6 @@ from benchmarks.paper.grasps import (
     PAPER_NOISE,
     REST_FRAMES,
     indent,
-    law_mohm,
     noise_model,
     press,
     random_grasp,
@@ -33,6 +32,7 @@ from cell.errors import CellError
 from cell.report.paper_table import FIGURE_2
 from recognition.quadric.thresholds import find_thresholds
 from simulator.world.shapes import ObjectPose
+from simulator.world.taxels import resistance_mohm
 
 EFFORT = 0.01
 
@@ -77,9 +77,10 @@ def test_a_record_rests_ramps_and_holds_within_its_noise():
 def test_an_indenter_shares_its_force_with_the_neighbours():
     found = indent(np.array([0.0, 2.0, 8.0]))
     assert found.taxel_n[1:] / found.force_n[1:] == pytest.approx([0.5, 0.5], abs=0.1)
-    assert found.resistance_mohm == pytest.approx(law_mohm(found.taxel_n), abs=0.5 * 1.579 / 255)
+    law_mohm = resistance_mohm(found.taxel_n)
+    assert found.resistance_mohm == pytest.approx(law_mohm, abs=0.5 * 1.579 / 255)
     force_n, quoted = np.array(FIGURE_2).T
-    assert 1e3 * law_mohm(force_n) == pytest.approx(quoted, rel=0.14)
+    assert 1e3 * resistance_mohm(force_n) == pytest.approx(quoted, rel=0.14)
 
 
 def test_levels_follow_the_force_and_are_missing_without_contact():

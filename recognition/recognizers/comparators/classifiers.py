@@ -221,5 +221,4 @@ class Forest(_Arrays):
 
     def scores(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, C) logarithms of the probabilities, each raised by half a tree."""
-        lifted: NDArray[np.float64] = np.log(self.probability(rows) + 0.5 / len(self.roots))
-        return lifted
+        return np.log(self.probability(rows) + 0.5 / len(self.roots))

@@ -19,8 +19,7 @@ def centroid_mm(patch: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64
     if total <= 0.0:
         middle: NDArray[np.float64] = grid.xy_mm.mean(axis=0)
         return middle
-    centre: NDArray[np.float64] = (patch @ grid.xy_mm) / total
-    return centre
+    return (patch @ grid.xy_mm) / total
 
 
 def sample_mm(
@@ -140,5 +139,4 @@ def angles_and_lengths(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
     turn = np.arctan2(cross, (edge * following).sum(axis=1)) / np.pi
     start = int(np.argmax(length))
     pairs = np.stack([np.roll(length, -start) / length.sum(), np.roll(turn, -start)], axis=1)
-    described: NDArray[np.float64] = pairs.ravel()
-    return described
+    return pairs.ravel()

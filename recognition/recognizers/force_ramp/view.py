@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from recognition.drift.drift import shifted_levels
 from recognition.features.aperture import aperture_features, sizes_mm
 from recognition.features.footprint import PadGrid
 from recognition.features.groups import FeatureView, touch_features
@@ -66,12 +65,12 @@ def describe(
         n_drifts = len(values) // len(levels)
         return values.reshape(n_drifts, len(levels), values.shape[1]).swapaxes(0, 1)
 
-    pressed = stack_levels([shifted_levels(levels, gain, 0.0) for gain in log_gains])
+    pressed = stack_levels([levels.without_drift(gain, 0.0) for gain in log_gains])
     touch = by_drift(touch_features(pressed, grids, FeatureView.FORCE_RAMP, opening=opening))
     if not opening:
         none = np.zeros((len(levels), 1, 0))
         return Features(touch=touch, opening=none, sizes_mm=none, slack_mm=np.zeros(1))
-    moved = stack_levels([shifted_levels(levels, 0.0, offset) for offset in offsets_mm])
+    moved = stack_levels([levels.without_drift(0.0, offset) for offset in offsets_mm])
     return Features(
         touch=touch,
         opening=by_drift(aperture_features(moved)),

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from recognition.drift.drift import shifted_levels
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.features.aperture import aperture_features, sizes_mm
 from recognition.features.footprint import PadGrid
@@ -188,7 +187,7 @@ def _doubt(teaching: _Teaching, held: HeldOut, temperature: float) -> float:
             apart = SETTINGS.log_gain_unit * rng.standard_normal(len(grids))
             leftover_mm = np.ptp(grid.offsets_mm[:2]) * rng.uniform(-0.5, 0.5)
             features = describe(
-                shifted_levels(levels.take(np.array([row])), apart, leftover_mm),
+                levels.take(np.array([row])).without_drift(apart, leftover_mm),
                 grids,
                 opening=True,
                 log_gains=grid.log_gains,

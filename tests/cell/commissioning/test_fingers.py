@@ -23,7 +23,7 @@ from cell.interfaces.cli.dialog import SKETCHES
 from cell.interfaces.page import FOLDER
 from gripper.dynamixel.models import XM430_W350
 from gripper.mechanics.kinematics import ParallelLinkage, RackPinion
-from gripper.servos.group import ServoGroup
+from gripper.servos.goals import GoalWriter
 from simulator.servo.mechanics import RackLinkage, ServoMount
 from simulator.settings import SimulatedServoSettings
 from tests.cell.commissioning.conftest import MakeStand, Stand
@@ -323,15 +323,15 @@ def test_leaving_at_each_question_leaves_no_torque(limp) -> None:
 
 def test_an_interruption_of_the_first_motion_leaves_the_fingers_limp(limp, monkeypatch) -> None:
     one = limp()
-    write, seen = ServoGroup.write_goals, []
+    write, seen = GoalWriter.write, []
 
-    def interrupted(group: ServoGroup, goals: Any, state: Any, **options: Any) -> None:
+    def interrupted(writer: GoalWriter, goals: Any, state: Any) -> None:
         seen.append(one.torques)
         if len(seen) > 20:
             raise KeyboardInterrupt
-        write(group, goals, state, **options)
+        write(writer, goals, state)
 
-    monkeypatch.setattr(ServoGroup, "write_goals", interrupted)
+    monkeypatch.setattr(GoalWriter, "write", interrupted)
     with pytest.raises(KeyboardInterrupt):
         one.run(STEP)
     assert seen[-1] == [1, 1]

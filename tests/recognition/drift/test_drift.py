@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from recognition.drift.drift import Drift, drift_text, drift_values, parse_drift, shifted_levels
+from recognition.drift.drift import Drift, drift_text, drift_values, parse_drift
 from recognition.drift.self_zero import drawn_zero
 from recognition.evaluation.splits import a_day_later
 from recognition.features.aperture import aperture_features
@@ -78,7 +78,7 @@ def test_levels_with_a_drift_undone_are_those_of_the_taught_sensor(train, fresh)
     rest, drift = learn_rest(train), Drift(gains=(0.7, 0.9), aperture_offset_m=-4e-3)
     plain = load_levels(fresh[:3], rest)
     drifted = load_levels([drift.apply(g) for g in fresh[:3]], rest)
-    undone = shifted_levels(drifted, np.log([0.7, 0.9]), -4.0)
+    undone = drifted.without_drift(np.log([0.7, 0.9]), -4.0)
     for a, b in zip(undone.maps, plain.maps, strict=True):
         assert a == pytest.approx(b, abs=2e-3)
     assert undone.timed_load == pytest.approx(plain.timed_load, abs=0.05)

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from recognition.features.aperture import aperture_features
-from recognition.features.footprint import describe_footprint, pad_grid, pressed
-from recognition.features.patch import harmonic_features, profile_features
+from recognition.features.footprint import (
+    describe_footprint,
+    harmonic_features,
+    pad_grid,
+    pressed,
+    profile_features,
+)
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from recognition.features.aperture import aperture_features
-from recognition.features.footprint import describe_footprint, pad_grid
-from recognition.features.growth import growth_features
+from recognition.features.footprint import describe_footprint, growth_features, pad_grid
 from recognition.ramp.levels import LOAD_FRACTIONS, load_levels, stack_levels
 from recognition.ramp.ramp import Rest, find_ramp, held_part, learn_rest
 

@@ -19,7 +19,7 @@ def test_crc_check_value() -> None:
 
 def test_paper_format_fills_59_messages_without_padding() -> None:
     assert (PAPER.n_messages, PAPER.header_bytes, PAPER.data_bytes) == (59, 1, 7)
-    assert PAPER.payload_bytes == 408 + 5
+    assert PAPER.n_messages * PAPER.data_bytes == 408 + 5
     assert FrameFormat.of(paper_layout()) == PAPER
 
 

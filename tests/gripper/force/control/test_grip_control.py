@@ -14,7 +14,7 @@ from gripper.errors import (
 )
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.ramp import ForceRamp
-from gripper.settings import ForceLoopSettings, GripperSettings, ServoSettings
+from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
@@ -151,7 +151,6 @@ def test_a_force_on_foam_that_creeps_stays_within_its_aim_for_a_long_hold() -> N
         part,
         truth,
         0.2,
-        ForceLoopSettings(),
         rate_hz=500.0,
         gearing=XM430_W350_GEARING,
         creep=CREEP,
