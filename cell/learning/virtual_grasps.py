@@ -141,7 +141,6 @@ class Noise(Protocol):
 
     def __call__(self, rng: np.random.Generator, n_frames: int) -> NDArray[np.float64]:
         """Return counts (n_frames, n_taxels) to add."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -134,7 +134,6 @@ class InjectFault(Protocol):
 
     def __call__(self, text: str, *, into: FaultTarget | None = None) -> FaultHandle:
         """Inject a fault; ``into`` is the cell if the test has several."""
-        ...
 
 
 @pytest.fixture
