@@ -194,7 +194,7 @@ class WebInterface(WebServer):
 
         With a fault the answer is 200 with the number of the fault: a restart does not help.
         """
-        status, working = self._service.status(), self._service.working
+        status, working = self._service.status(), self._service.plugin.working
         shown = {
             "working": working,
             "state": status.state,
