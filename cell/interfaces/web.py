@@ -25,7 +25,7 @@ from cell.fault_catalogue import CATALOGUE
 from cell.installation import extra
 from cell.interfaces.http_server import REQUEST_BYTES, Scope
 from cell.interfaces.live_socket import LiveMessage
-from cell.interfaces.web_server import Paths, RequestBody, WebServer
+from cell.interfaces.web_server import LeasedBody, Paths, RequestBody, WebServer
 from cell.plugin.goals import goal_schema
 from cell.service.photos import LONGEST_PHOTO
 from cell.service.service import Service
@@ -52,20 +52,19 @@ JOB_EXAMPLES: dict[str, Any] = {
 """Examples of `POST /api/jobs` in the description."""
 
 
-class LeaseBody(RequestBody):
+class JobBody(LeasedBody):
     """The lease, and the expected number of the job (0: not checked)."""
 
-    lease: int
     job: int = 0
 
 
-class StartBody(LeaseBody):
+class StartBody(JobBody):
     """A goal: ``task`` and its fields, as in `TactileCellPlugin.start`."""
 
     goal: Annotated[dict[str, Any], WithJsonSchema(goal_schema())]
 
 
-class CommandBody(LeaseBody):
+class CommandBody(JobBody):
     """A command; ``release`` needs its key, 20304; ``reboot`` restarts servos with a fault."""
 
     command: Literal[
@@ -94,30 +93,22 @@ class PoseFields(RequestBody):
     """Turn about the object's own long axis in rad, before the rotation."""
 
 
-class PoseBody(RequestBody):
+class PoseBody(LeasedBody):
     """Whether the pose with that number was reached, or the pose (m, rad) reached instead."""
 
-    lease: int
     seq: int
     ok: bool
     pose: PoseFields | None = None
 
 
-class PartBody(RequestBody):
+class PartBody(LeasedBody):
     """Part between the fingers of the simulated cell, for all jobs from now on."""
 
-    lease: int
     part: str | None = Field(default=None, min_length=1, max_length=LONGEST_LABEL)
     """Name of an object, a shape, for example ``cylinder:diameter=8mm,length=20mm``, or
     ``nothing``; null: each job brings the next object."""
     pose: PoseFields = PoseFields()
     """Offset of the part from the pose of the job."""
-
-
-class ResetBody(RequestBody):
-    """The lease."""
-
-    lease: int
 
 
 def taught_values(one: dict[str, Any]) -> dict[str, Any]:
@@ -348,7 +339,7 @@ class WebInterface(WebServer):
         stl = await request.body()
         return {"objects": await asyncio.to_thread(self._service.define_object, lease, label, stl)}
 
-    def reset_simulation(self, body: ResetBody) -> dict[str, int]:
+    def reset_simulation(self, body: LeasedBody) -> dict[str, int]:
         """Start to reset the simulated cell: faults end, the part is released and removed."""
         return {"job": self._service.reset_simulation(body.lease)}
 
