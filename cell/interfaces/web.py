@@ -160,10 +160,10 @@ class WebInterface(WebServer):
         )
         if service.simulated:
             paths += (
-                ("/simulation/faults", "GET", self.simulated_faults),
+                ("/simulation/faults", "GET", service.simulated_faults),
                 ("/simulation/faults", "POST", self.begin_fault),
                 ("/simulation/faults", "DELETE", self.end_fault),
-                ("/simulation/part", "GET", self.simulated_part),
+                ("/simulation/part", "GET", service.simulated_part),
                 ("/simulation/part", "POST", self.choose_part),
                 ("/simulation/objects/{label:path}", "PUT", self.define_object),
                 ("/simulation/reset", "POST", self.reset_simulation),
@@ -305,13 +305,6 @@ class WebInterface(WebServer):
         self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
         return {"seq": body.seq}
 
-    def simulated_faults(self) -> dict[str, Any]:
-        """List the possible faults of this simulated cell, and the active faults.
-
-        A fault is a text ``NAME[=VALUE][@START[..END]]``; a waiting fault has not begun.
-        """
-        return self._service.simulated_faults()
-
     def begin_fault(self, body: FaultBody) -> dict[str, Any]:
         """Begin a fault of the simulated cell; it needs no lease. Returns the same as GET."""
         self._service.simulate_fault(body.fault)
@@ -321,10 +314,6 @@ class WebInterface(WebServer):
         """End the faults with this text or name, also those of `serve --fault`."""
         self._service.simulate_fault(fault, end=True)
         return self._service.simulated_faults()
-
-    def simulated_part(self) -> dict[str, Any]:
-        """Return the chosen part and its pose, the part between the fingers, and all objects."""
-        return self._service.simulated_part()
 
     def choose_part(self, body: PartBody) -> dict[str, Any]:
         """Put a part between the open fingers, for all jobs from now on. Returns the same as GET.

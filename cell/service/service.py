@@ -487,7 +487,10 @@ class Service:
         return self.config.simulated
 
     def simulated_faults(self) -> dict[str, Any]:
-        """Return the ``kinds`` of faults of the simulated cell, and the ``running`` faults."""
+        """List the possible faults of this simulated cell, and the active faults.
+
+        A fault is a text ``NAME[=VALUE][@START[..END]]``; a waiting fault has not begun.
+        """
         injected = self.plugin.simulate({"state": True})["faults"]
         running = [
             {"fault": text, "begun": began_s is not None} for text, began_s in injected.items()
@@ -503,7 +506,7 @@ class Service:
         self.plugin.remark("simulation", f"{text} {'ended' if end else 'injected'}")
 
     def simulated_part(self) -> dict[str, Any]:
-        """Return the chosen ``part``, its ``pose``, the part between the fingers, all objects."""
+        """Return the chosen part and its pose, the part between the fingers, and all objects."""
         found = self.plugin.simulate({"state": True})
         pose = {name: found["offset"][name] for name in asdict(Pose())}
         return {
