@@ -125,6 +125,7 @@ def _name_or_pads(value: object) -> str:
 
 
 BoardSerial = Annotated[int, Field(ge=0, le=4294967295)]
+PadGain = Annotated[float, Field(ge=0.2, le=5.0)]
 
 
 def _control_unit() -> SensorConfig:
@@ -161,9 +162,7 @@ class TactileConfig(Section):
         Field(discriminator="kind"),
     ] = PaperCalibrationConfig()
     """Law from counts to force."""
-    pad_gains: tuple[
-        Annotated[float, Field(ge=0.2, le=5.0)], Annotated[float, Field(ge=0.2, le=5.0)]
-    ] = (1.0, 1.0)
+    pad_gains: tuple[PadGain, PadGain] = (1.0, 1.0)
     """Factors on the force of that law for the pads of finger 0 and 1, 0.2 to 5."""
     sync_period_ms: float = setting_of(
         LinkSettings, "sync_period_s", MILLI, at_least=8.0, at_most=LONGEST_SYNC_MS
