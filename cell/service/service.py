@@ -25,7 +25,7 @@ from cell.control.answer import Answer, Verification
 from cell.control.identification import Identification
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import CellError, HeldByClient, RequestRefused
+from cell.errors import CellError, HeldByClient, RequestRefused, raised_as
 from cell.fault_catalogue import error_text
 from cell.plugin.goals import (
     TASKS,
@@ -541,10 +541,8 @@ class Service:
         if the name is taken or invalid.
         """
         self.lease.alive(lease)
-        try:
+        with raised_as(RequestRefused, ValueError):
             shape = shape_of_stl(stl, checked_label(label))
-        except ValueError as error:
-            raise RequestRefused(str(error)) from error
         names: list[str] = self.plugin.simulate({"define": label, "shape": shape})["objects"]
         return names
 
