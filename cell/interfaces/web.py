@@ -158,7 +158,7 @@ class WebInterface(WebServer):
             ("/commands", "POST", self.command),
             ("/pose", "POST", self.pose),
         )
-        if service.simulated:
+        if service.config.simulated:
             paths += (
                 ("/simulation/faults", "GET", service.simulated_faults),
                 ("/simulation/faults", "POST", self.begin_fault),

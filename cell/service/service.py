@@ -481,11 +481,6 @@ class Service:
 
     # -- the simulated cell --------------------------------------------------------------------
 
-    @property
-    def simulated(self) -> bool:
-        """Whether this program simulates the cell and can inject faults."""
-        return self.config.simulated
-
     def simulated_faults(self) -> dict[str, Any]:
         """List the possible faults of this simulated cell, and the active faults.
 
