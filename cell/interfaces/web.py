@@ -114,8 +114,7 @@ class PartBody(LeasedBody):
 def taught_values(one: dict[str, Any]) -> dict[str, Any]:
     """Return a taught object with the address of its photo, null without a photo."""
     address = f"/api/taught/{quote(one['label'], safe='')}/photo"
-    found: dict[str, Any] = plain_data(one | {"photo": address if one["photo"] else None})
-    return found
+    return dict(plain_data(one | {"photo": address if one["photo"] else None}))
 
 
 def state_moment(service: Service) -> LiveMessage:
@@ -222,10 +221,7 @@ class WebInterface(WebServer):
         With a ``day``, for example 2027-01-15, its ``rows``: each start, part, miss and fault.
         """
         kept = self._service.history
-        found: dict[str, Any] = plain_data(
-            kept.values() if day is None else {"rows": kept.day(day)}
-        )
-        return found
+        return dict(plain_data(kept.values() if day is None else {"rows": kept.day(day)}))
 
     def faults(self) -> list[dict[str, Any]]:
         """List the fault catalogue: number, text, cause, remedy, state of the grip, steps."""
@@ -243,8 +239,7 @@ class WebInterface(WebServer):
 
     def jobs(self) -> list[dict[str, Any]]:
         """List the newest jobs, oldest first."""
-        found: list[dict[str, Any]] = plain_data(self._service.jobs())
-        return found
+        return list(plain_data(self._service.jobs()))
 
     def job(self, number: int) -> dict[str, Any]:
         """One job: outcome, progress, answer."""

@@ -538,8 +538,7 @@ class Service:
         self.lease.alive(lease)
         with raised_as(RequestRefused, ValueError):
             shape = shape_of_stl(stl, checked_label(label))
-        names: list[str] = self.plugin.simulate({"define": label, "shape": shape})["objects"]
-        return names
+        return list(self.plugin.simulate({"define": label, "shape": shape})["objects"])
 
     def reset_simulation(self, lease: int) -> int:
         """Start to make the simulated cell ready and empty; return the number of the job.
