@@ -695,7 +695,7 @@ class TactileCellPlugin:
 
     def remark(self, kind: str, text: str) -> None:
         """Write an event into the recording, with the next job or its end."""
-        if self._cell.records:
+        if self._cell.recording_path is not None:
             self._remarks.append((kind, text))
 
     def train(self, timeout_s: float | None = None) -> None:
