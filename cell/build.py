@@ -107,11 +107,6 @@ class Cell:
             life.tick()
 
     @property
-    def records(self) -> bool:
-        """Whether a recording is made."""
-        return self._recorder is not None
-
-    @property
     def recording_path(self) -> Path | None:
         """The recording, if one is made."""
         return None if self._recorder is None else self._recorder.path

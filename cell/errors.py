@@ -1,5 +1,17 @@
 """Errors of the cell, in one tree; each message names cause, value, limit and next step."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def raised_as(kind: type[Exception], *caught: type[Exception], where: str = "") -> Iterator[None]:
+    """Raise errors of some kinds as one of another kind, with their text after ``where``."""
+    try:
+        yield
+    except caught as error:
+        raise kind(f"{where}: {error}" if where else str(error)) from error
+
 
 def reason_text(cause: Exception) -> str:
     """Return the reason of an error of Python or numpy in a file, as text."""

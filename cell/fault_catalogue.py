@@ -32,34 +32,22 @@ the request or the config; ``clear``, ``clear_reboot`` (clear with ``reboot``), 
 ``reset``: commands; ``repeat``: the job; ``restart``: the program; ``wait``: until another client
 ends its hold."""
 
-LET_GO: tuple[RecoveryStep, ...] = ("look", "clear", "support_part", "release", "reset")
-MEND: tuple[RecoveryStep, ...] = ("look", "mend", "clear", "support_part", "release", "reset")
-LET_GO_FIRST: tuple[RecoveryStep, ...] = (
-    "look",
-    "clear",
-    "support_part",
-    "release",
-    "mend",
-    "reset",
-)
-REBOOT: tuple[RecoveryStep, ...] = (
-    "support_part",
-    "look",
-    "mend",
-    "clear_reboot",
-    "release",
-    "reset",
-)
-START: tuple[RecoveryStep, ...] = ("mend", "clear", "reset")
-CONFIG: tuple[RecoveryStep, ...] = ("look", "correct", "restart")
-EMPTY: tuple[RecoveryStep, ...] = ("look", "clear", "release", "reset")
-STOPPED: tuple[RecoveryStep, ...] = ("support_part", "release")
-OPEN: tuple[RecoveryStep, ...] = ("mend", "restart")
-FREE: tuple[RecoveryStep, ...] = ("free_pads", "clear", "reset")
-ZERO: tuple[RecoveryStep, ...] = ("look", "clear", "support_part", "release", "free_pads", "reset")
-REQUEST: tuple[RecoveryStep, ...] = ("correct", "repeat")
-AGAIN: tuple[RecoveryStep, ...] = ("look", "repeat")
-ON_HOLD: tuple[RecoveryStep, ...] = ("wait", "clear", "repeat")
+Steps = tuple[RecoveryStep, ...]
+
+LET_GO: Steps = ("look", "clear", "support_part", "release", "reset")
+MEND: Steps = ("look", "mend", "clear", "support_part", "release", "reset")
+LET_GO_FIRST: Steps = ("look", "clear", "support_part", "release", "mend", "reset")
+REBOOT: Steps = ("support_part", "look", "mend", "clear_reboot", "release", "reset")
+START: Steps = ("mend", "clear", "reset")
+CONFIG: Steps = ("look", "correct", "restart")
+EMPTY: Steps = ("look", "clear", "release", "reset")
+STOPPED: Steps = ("support_part", "release")
+OPEN: Steps = ("mend", "restart")
+FREE: Steps = ("free_pads", "clear", "reset")
+ZERO: Steps = ("look", "clear", "support_part", "release", "free_pads", "reset")
+REQUEST: Steps = ("correct", "repeat")
+AGAIN: Steps = ("look", "repeat")
+ON_HOLD: Steps = ("wait", "clear", "repeat")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +63,7 @@ class Fault:
     """Usual cause, and the remedy."""
     grip: str
     """State of the grip."""
-    steps: tuple[RecoveryStep, ...]
+    steps: Steps
     """Steps of the operator until the cell is ready again, in order."""
 
 

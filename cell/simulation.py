@@ -24,7 +24,7 @@ from cell.config.tactile import (
 )
 from cell.control.axes import si_per_unit
 from cell.control.plan import Pose
-from cell.errors import CellStateError, ConfigError, PositionerError, RequestRefused
+from cell.errors import CellStateError, ConfigError, PositionerError, RequestRefused, raised_as
 from cell.installation import extra
 from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
@@ -81,7 +81,7 @@ def simulator_settings(
     gripper must.
     """
     settings = config.simulator
-    try:
+    with raised_as(ConfigError, SimulatorError, where="simulator"):
         linkage = _linkage(config)
         opening_m = config.gripper.aperture_open_mm * 1e-3
         reach_m = 2.0 * linkage.half_opening_max_m - _LINKAGE_MARGIN_M
@@ -144,8 +144,6 @@ def simulator_settings(
             axes_can_bitrate=config.positioner.can.bitrate,
             faults=settings.faults,
         )
-    except SimulatorError as error:
-        raise ConfigError(f"simulator: {error}") from error
 
 
 def _mounts(config: PositionerConfig) -> dict[str, DriveMount | WristMount]:
@@ -220,18 +218,14 @@ def simulation_of(config: CellConfig) -> SimulatedCell:
     Raises ConfigError if the config does not describe a cell, or one of its faults does not fit it.
     """
     settings = simulator_settings(config)
-    try:
+    with raised_as(ConfigError, SimulatorError, where="simulator"):
         return SimulatedCell(settings)
-    except SimulatorError as error:
-        raise ConfigError(f"simulator: {error}") from error
 
 
 def open_servo_port(cell: SimulatedCell) -> ByteStream:
     """Reopen the servo line of a simulated cell. Raises PortLost while its adapter is unplugged."""
-    try:
+    with raised_as(PortLost, SimulatorError):
         return cell.open_servo_port()
-    except SimulatorError as error:
-        raise PortLost(str(error)) from error
 
 
 def open_can_bus(cell: SimulatedCell, bitrate: int | None = None) -> CanBus:
@@ -239,10 +233,8 @@ def open_can_bus(cell: SimulatedCell, bitrate: int | None = None) -> CanBus:
 
     Raises BusNotOpened while its adapter is unplugged.
     """
-    try:
+    with raised_as(BusNotOpened, SimulatorError):
         return cell.open_can_bus(bitrate)
-    except SimulatorError as error:
-        raise BusNotOpened(str(error)) from error
 
 
 def fault_table() -> list[tuple[str, str, str, str]]:
@@ -276,19 +268,14 @@ def drawn_shape(text: str) -> Shape:
 
 def shape_of_stl(data: bytes, name: str) -> MeshShape:
     """Return the shape in an STL file in mm. Raises ConfigError if it has no shape."""
-    try:
-        with extra("mesh", needed_by=name):
-            return read_mesh(data, name)
-    except SimulatorError as error:
-        raise ConfigError(str(error)) from error
+    with raised_as(ConfigError, SimulatorError), extra("mesh", needed_by=name):
+        return read_mesh(data, name)
 
 
 def _shape(text: str, where: str) -> Shape:
-    try:
-        with extra("mesh", needed_by=f"{where}: a mesh file"):
-            return parse_shape(text)
-    except SimulatorError as error:
-        raise ConfigError(f"{where}: {error}") from error
+    mesh = extra("mesh", needed_by=f"{where}: a mesh file")
+    with raised_as(ConfigError, SimulatorError, where=where), mesh:
+        return parse_shape(text)
 
 
 def converter_noise(
@@ -400,10 +387,9 @@ class InProcessPlacer:
 
     def place(self, label: str, pose: Pose) -> Pose:
         """Place an object and return where it came to rest. Raises PositionerError."""
-        try:
+        where = f"{label} cannot be placed at {pose}"
+        with raised_as(PositionerError, SimulatorError, where=where):
             reached = self._cell.place(label, ObjectPose(**asdict(pose)))
-        except SimulatorError as error:
-            raise PositionerError(f"{label} cannot be placed at {pose}: {error}") from error
         return Pose(**{name: getattr(reached, name) for name in asdict(pose)})
 
 
@@ -416,10 +402,8 @@ def capture_traffic(cell: SimulatedCell | None, path: Path, undo: ExitStack) -> 
         raise ConfigError(
             "only a simulated bus is captured; on a real one use candump or the adapter's tools"
         )
-    try:
+    with raised_as(ConfigError, OSError, where=f"{path}: cannot be written"):
         pcap = PcapWriter(path)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error}") from error
     undo.callback(pcap.close)
     undo.callback(cell.can_bus.flush)
     cell.can_bus.capture.append(pcap)

@@ -283,8 +283,7 @@ def nothing_selected(target: str) -> ArchiveError:
 
 
 def _keys(batch: pa.RecordBatch) -> list[str]:
-    found: list[str] = batch.column("key").to_pylist()
-    return found
+    return list(batch.column("key").to_pylist())
 
 
 def _close(*things: Any) -> None:

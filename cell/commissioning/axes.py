@@ -1,7 +1,6 @@
 """Step `axes`: finds and names a wrist servo on its own port, and CiA 402 drives."""
 
 from collections.abc import Iterator
-from os.path import realpath
 from typing import Any
 
 from cell.checks.findings import Finding
@@ -37,7 +36,7 @@ class AxesStep(Step):
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Look for both kinds of axes."""
         axes: list[dict[str, Any]] = []
-        for port in _further_ports(bench):
+        for port in bench.ports_beside(bench.gripper().port, bench.tactile().channel):
             if _leads_to_a_servo(port, dialog):
                 try:
                     axes += _servo_axis(bench, dialog, port, notes)
@@ -63,12 +62,6 @@ class AxesStep(Step):
             )
         else:
             notes.fact("no axes: a person brings the parts, or a host program does")
-
-
-def _further_ports(bench: Bench) -> list[str]:
-    """Return the serial ports that neither the fingers nor the control unit use."""
-    used = {realpath(bench.gripper().port), realpath(bench.tactile().channel)}
-    return [port for port in bench.lines.serial_ports() if realpath(port) not in used]
 
 
 def _leads_to_a_servo(port: str, dialog: Dialog) -> bool:

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
+from os.path import realpath
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -123,6 +124,11 @@ class Bench:
             k.partition(".")[2]: v for k, v in self.settings.items() if k.startswith(f"{name}.")
         }
         return changed_config(base, found | dict(changes))
+
+    def ports_beside(self, *used: str) -> list[str]:
+        """Return the serial ports without those in use."""
+        taken = {realpath(port) for port in used}
+        return [port for port in self.lines.serial_ports() if realpath(port) not in taken]
 
     def board_openers(self, tactile: TactileConfig) -> list[Callable[[], ByteStream]]:
         """Return functions that open the lines of the sensor's boards; empty for CAN."""

@@ -20,7 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO, Any, BinaryIO
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from cell.checks.findings import STORE_NAME, ProposedChange
 from cell.commissioning.backup import (
@@ -111,9 +111,6 @@ class Manifest(BaseModel):
     """Identity, layout and objects of the control unit; empty if not read."""
     missing: list[str] = []
     """Device data that could not be read, and why."""
-
-
-_MANIFEST = TypeAdapter(Manifest)
 
 
 def back_up(
@@ -275,7 +272,7 @@ def _checked(path: Path, archive: zipfile.ZipFile, n_bytes: int) -> Manifest:
     text = archive.read(MANIFEST)
     try:
         values = parse_json(text, CELL_BACKUP, path, error=CellError)
-        manifest = _MANIFEST.validate_python(values)
+        manifest = Manifest.model_validate(values)
     except ValidationError as error:
         raise CellError(
             f"{path} is damaged ({problem_text(error)}); {CELL_BACKUP.remedy}"

@@ -79,19 +79,15 @@ class Dialog(Protocol):
 
     def start_step(self, step: "Step", number: int, count: int) -> None:
         """Show the step that begins: its title and purpose, as ``number`` of ``count``."""
-        ...
 
     def found(self, step: "Step", finding: Finding) -> None:
         """Show the findings of a step."""
-        ...
 
     def say(self, text: str) -> None:
         """Show a text."""
-        ...
 
     def live(self, name: str, value_text: str) -> None:
         """Show a value instead of its previous one, while a person moves something."""
-        ...
 
     def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
         """Return the key of the chosen choice, the number, or the text typed.
@@ -99,11 +95,9 @@ class Dialog(Protocol):
         Before the answer ``watch`` is called about ten times a second in the caller's thread, and
         its text shown as by `live`; its errors end the question.
         """
-        ...
 
     def approve(self, writes: Sequence[ProposedChange]) -> None:
         """Show changes and motions before they are done; raises `WizardAborted` on refusal."""
-        ...
 
     def choose(
         self,

@@ -1,7 +1,6 @@
 """The control unit: its CAN interface and bit rate, its node-ID, its identity and its taxels."""
 
 import json
-import os
 import subprocess
 import time
 from collections.abc import Iterator, Mapping
@@ -225,8 +224,7 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
             raise StepFailed("The boards need a CAN interface: plug its adapter in.")
         notes.settings["tactile.interface"], notes.settings["tactile.channel"] = place
     elif tactile.simulated:
-        servos = os.path.realpath(bench.gripper().port)
-        ports = [port for port in bench.lines.serial_ports() if os.path.realpath(port) != servos]
+        ports = bench.ports_beside(bench.gripper().port)
         if len(ports) != len(tactile.serial_ports):
             raise StepFailed(
                 f"Serial ports without that of the servos: {', '.join(ports) or 'none'}; the "
@@ -263,11 +261,9 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
     channel = str(bench.given.get("tactile.channel", config.channel))
     if interface != SIMULATED and channel != _NO_CHANNEL:
         return interface, channel
-    servos = os.path.realpath(str(bench.given.get("gripper.port", bench.gripper().port)))
+    servos = str(bench.given.get("gripper.port", bench.gripper().port))
     places = [("socketcan", name) for name in network_interfaces()]
-    places += [
-        ("slcan", port) for port in bench.lines.serial_ports() if os.path.realpath(port) != servos
-    ]
+    places += [("slcan", port) for port in bench.ports_beside(servos)]
     if not places:
         answer = dialog.choose(
             "unit.none",

@@ -23,7 +23,7 @@ from cell.config.model import CellConfig
 from cell.config.section import Installed, OneOf, sections_in
 from cell.data.files import read_plain
 from cell.data.formats import CONFIG, GONE_KEYS, present_config
-from cell.errors import ConfigError
+from cell.errors import ConfigError, raised_as
 
 _Section = TypeVar("_Section", bound=BaseModel)
 
@@ -189,10 +189,8 @@ def load_config(path: Path | None) -> CellConfig:
 def config_file_text(path: Path) -> str:
     """Return the unchecked text of a config file. Raises ConfigError as `load_config`."""
     data = read_plain(path, error=ConfigError, what="config", limit_bytes=MAX_BYTES)
-    try:
+    with raised_as(ConfigError, UnicodeDecodeError, where=f"{path}: cannot be read"):
         text = data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from error
     if text and not text.endswith("\n"):
         line, column = text.count("\n") + 1, len(text) - text.rfind("\n")
         raise ConfigError(

@@ -14,7 +14,7 @@ from cell.config.section import (
     declared_values,
     setting_of,
 )
-from cell.errors import ConfigError
+from cell.errors import ConfigError, raised_as
 from cell.plugins import SERVO_MODELS
 from gripper.dynamixel.models import (
     MODELS,
@@ -128,12 +128,10 @@ def use_servo_models(names: Iterable[str]) -> None:
 
 
 def _with_current_control(model: str) -> str:
-    try:
+    with raised_as(ValueError, ConfigError, LimitExceeded):
         if model in WITHOUT_CURRENT_CONTROL:
             require_current_control(model)
         use_servo_models([model])
-    except (ConfigError, LimitExceeded) as error:
-        raise ValueError(str(error)) from error
     return model
 
 

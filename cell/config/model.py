@@ -25,7 +25,7 @@ from cell.config.tactile import (
     make_calibration,
 )
 from cell.data.formats import CONFIG
-from cell.errors import ConfigError
+from cell.errors import ConfigError, raised_as
 from cell.plugins import RECOGNISERS
 from gripper.dynamixel.latency import largest_rate_hz
 from gripper.errors import LimitExceeded
@@ -162,10 +162,8 @@ class CellConfig(Section):
                 f"gripper.contact_force_n = {self.gripper.contact_force_n:g} N and, with "
                 f"gripper.force_max_n = {self.gripper.force_max_n:g} N, at most {allowed_n:.2f} N"
             )
-        try:
+        with raised_as(ValueError, ConfigError):
             layout = layout_from_config(self.tactile)
-        except ConfigError as error:
-            raise ValueError(str(error)) from error
         check_sensor(self.tactile, layout)
         self._check_full_scale(layout, most_n)
         simulated = (self.gripper.port == SIMULATED, self.tactile.simulated)
@@ -218,12 +216,10 @@ class CellConfig(Section):
                 raise ValueError(
                     f"gripper.{name} is beyond gripper.linkage, its lengths and offset_mm: {error}"
                 ) from error
-        try:
+        with raised_as(ValueError, LimitExceeded, where="gripper"):
             check_ramp(
                 ramp_from_config(self.sequence.ramp, most_n), self.gripper_settings, self.linkage
             )
-        except LimitExceeded as error:
-            raise ValueError(f"gripper: {error}") from error
         gripper, tactile = self.gripper, self.tactile
         most_hz = largest_rate_hz(gripper.baud_rate, len(gripper.servos))
         if gripper.loop_rate_hz > most_hz:

@@ -18,7 +18,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
-from cell.errors import ConfigError
+from cell.errors import ConfigError, raised_as
 from cell.plugins import Plugins
 
 SIMULATED = "simulated"
@@ -149,10 +149,8 @@ class Installed:
         return {"type": "string", "enum": list(self.names)}
 
     def _checked(self, name: str) -> str:
-        try:
+        with raised_as(ValueError, ConfigError):
             self.plugins.entry(name)
-        except ConfigError as error:
-            raise ValueError(str(error)) from error
         return name
 
 
@@ -188,10 +186,8 @@ class SectionOf:
         kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
         if not isinstance(kind, str):
             raise ValueError(f"a section with kind, one of {', '.join(self.plugins)}")
-        try:
+        with raised_as(ValueError, ConfigError):
             section: type[BaseModel] = self.plugins[kind]
-        except ConfigError as error:
-            raise ValueError(str(error)) from error
         try:
             if info.mode == "json":
                 return section.model_validate_json(json.dumps(value))

@@ -38,18 +38,16 @@ class SimulatedObjectConfig(Section):
 
 
 Share = Annotated[float, Field(ge=0.1, le=10.0)]
+Shift = Annotated[float, Field(ge=-5.0, le=5.0)]
+Tilt = Annotated[float, Field(ge=-10.0, le=10.0)]
 
 
 class SimulatedPadsConfig(Section):
     """Position of the two gripping pads of the simulated cell, and their differences."""
 
-    shift_mm: tuple[
-        Annotated[float, Field(ge=-5.0, le=5.0)], Annotated[float, Field(ge=-5.0, le=5.0)]
-    ] = (0.0, 0.0)
+    shift_mm: tuple[Shift, Shift] = (0.0, 0.0)
     """Offset of finger 1's pad from finger 0's, along and across the fingers, in mm, -5 to 5."""
-    tilt_deg: tuple[
-        Annotated[float, Field(ge=-10.0, le=10.0)], Annotated[float, Field(ge=-10.0, le=10.0)]
-    ] = (0.0, 0.0)
+    tilt_deg: tuple[Tilt, Tilt] = (0.0, 0.0)
     """Angle between the pads along and across the fingers, positive where the gap closes, in
     degrees, -10 to 10."""
     gains: tuple[Share, Share] = (1.0, 1.0)

@@ -16,7 +16,7 @@ from cell.config.section import (
     setting_of,
 )
 from cell.config.sensor import SensorConfig
-from cell.errors import ConfigError
+from cell.errors import ConfigError, raised_as
 from cell.plugins import PAD_LAYOUTS, SENSORS
 from recognition.grasp import PadArray
 from tactile.errors import CalibrationError, LayoutError
@@ -98,10 +98,8 @@ class TableCalibrationConfig(Section):
                 f"there are {len(self.counts)} counts and {len(self.force_n)} values of force_n; "
                 "write as many of each"
             )
-        try:
+        with raised_as(ValueError, CalibrationError):
             TableCalibration(self.counts, self.force_n, 1)
-        except CalibrationError as error:
-            raise ValueError(str(error)) from error
         return self
 
 
@@ -125,6 +123,7 @@ def _name_or_pads(value: object) -> str:
 
 
 BoardSerial = Annotated[int, Field(ge=0, le=4294967295)]
+PadGain = Annotated[float, Field(ge=0.2, le=5.0)]
 
 
 def _control_unit() -> SensorConfig:
@@ -161,9 +160,7 @@ class TactileConfig(Section):
         Field(discriminator="kind"),
     ] = PaperCalibrationConfig()
     """Law from counts to force."""
-    pad_gains: tuple[
-        Annotated[float, Field(ge=0.2, le=5.0)], Annotated[float, Field(ge=0.2, le=5.0)]
-    ] = (1.0, 1.0)
+    pad_gains: tuple[PadGain, PadGain] = (1.0, 1.0)
     """Factors on the force of that law for the pads of finger 0 and 1, 0.2 to 5."""
     sync_period_ms: float = setting_of(
         LinkSettings, "sync_period_s", MILLI, at_least=8.0, at_most=LONGEST_SYNC_MS
@@ -254,10 +251,8 @@ class TactileConfig(Section):
                 f"startup_timeout_s or lower heartbeat_ms"
             )
         if self.mounting:
-            try:
+            with raised_as(ValueError, ConfigError, LayoutError, where="mounting"):
                 taxel_order(layout_from_config(self), pad_mounts(self))
-            except (ConfigError, LayoutError) as error:
-                raise ValueError(f"mounting: {error}") from error
         return self
 
 
@@ -284,7 +279,7 @@ def layout_from_config(config: TactileConfig) -> TaxelLayout:
         layout: TaxelLayout = PAD_LAYOUTS[config.layout]()
         return layout
     spelled = config.layout
-    try:
+    with raised_as(ConfigError, LayoutError, where="tactile.layout"):
         return TaxelLayout(
             name=spelled.name,
             pads=tuple(
@@ -302,8 +297,6 @@ def layout_from_config(config: TactileConfig) -> TaxelLayout:
             sample_bits=8 if spelled.adc_max <= 255 else 16,
             adc_max=spelled.adc_max,
         )
-    except LayoutError as error:
-        raise ConfigError(f"tactile.layout: {error}") from error
 
 
 def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
@@ -321,10 +314,8 @@ def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
 
 def check_sensor(tactile: TactileConfig, layout: TaxelLayout) -> None:
     """Raise ValueError if the sensor cannot read a layout, or its lines are too slow for it."""
-    try:
+    with raised_as(ValueError, LayoutError, where="tactile"):
         tactile.sensor.check(tactile, layout)
-    except LayoutError as error:
-        raise ValueError(f"tactile: {error}") from error
 
 
 def layout_from_pads(pads: PadArray) -> TaxelLayout:

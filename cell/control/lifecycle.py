@@ -18,7 +18,6 @@ from cell.control.states import (
     GraspState,
     command_effect,
     grasp_state,
-    named_states,
     next_state,
     refusal,
 )
@@ -108,8 +107,13 @@ class CellLifecycle:
     @property
     def status(self) -> CellStatus:
         """States of cell and grip with their numbers, and faults."""
+        state, grasp = self.state, self.grasp_state
         return CellStatus(
-            **named_states(self.state, self.grasp_state),
+            state=state.value,
+            state_number=state.number,
+            needs_reset=state.needs_reset,
+            grasp=grasp.value,
+            grasp_number=grasp.number,
             holding=self.holding,
             fault=self.fault,
             fault_number=self.fault_number,

@@ -50,28 +50,24 @@ class Positioner(Protocol):
     @property
     def blocks(self) -> bool:
         """Whether a call may take long; the cell must then be supervised meanwhile."""
-        ...
 
     def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Bring the object with this label; None: the object to be identified.
 
         Raises PositionerError if there is no such object.
         """
-        ...
 
     def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Go to the pose and return the reached pose; the fingers are open meanwhile.
 
         Raises PositionerError if it cannot be reached.
         """
-        ...
 
     def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
         """Bring the part in the grip to a place; return at arrival.
 
         Raises PositionerError if it cannot be reached.
         """
-        ...
 
 
 def in_thread(call: Callable[[], _T], name: str) -> Future[_T]:
@@ -118,7 +114,6 @@ class ObjectPlacer(Protocol):
 
     def place(self, label: str, pose: Pose) -> Pose:
         """Place an object and return where it came to rest (a box settles on a face)."""
-        ...
 
 
 class SimulatedPositioner:

@@ -6,7 +6,6 @@ page ``docs/reference/states.md`` and the tests are made from it.
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TypedDict
 
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
@@ -270,27 +269,6 @@ def _path(state: CellState, event: Event, *, kept: bool = False) -> tuple[CellSt
         keeps = kept and path[-1] is CellState.EXECUTE
         path.append(next_state(path[-1], Event.KEPT if keeps else COMPLETIONS[path[-1]]))
     return tuple(path)
-
-
-class NamedStates(TypedDict):
-    """The fields of `CellStatus` that follow from the states of cell and grip."""
-
-    state: str
-    state_number: int
-    needs_reset: bool
-    grasp: str
-    grasp_number: int
-
-
-def named_states(state: CellState, grasp: GraspState) -> NamedStates:
-    """Return the names and numbers of both states, as a `CellStatus` has them."""
-    return NamedStates(
-        state=state.value,
-        state_number=state.number,
-        needs_reset=state.needs_reset,
-        grasp=grasp.value,
-        grasp_number=grasp.number,
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

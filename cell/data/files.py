@@ -42,17 +42,15 @@ DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
     EOFError,
-    NotImplementedError,
     RuntimeError,
     ValueError,
     SyntaxError,
     MemoryError,
-    OverflowError,
+    ArithmeticError,
     TypeError,
-    IndexError,
-    KeyError,
+    LookupError,
 )
-"""Errors of Python and its libraries for damaged bytes of an archive."""
+"""Errors of Python and its libraries for damaged bytes, or arrays that do not fit."""
 
 
 def open_plain(path: Path, *, error: type[CellError], what: str) -> BinaryIO:
@@ -247,7 +245,7 @@ def _read_member(
     try:
         header = ast.literal_eval(data[start:body].decode("latin-1").strip())
         descr, shape, fortran = header["descr"], header["shape"], header["fortran_order"]
-    except (*DAMAGE, RecursionError) as cause:
+    except DAMAGE as cause:
         raise error(f"{path}, array {name}: header cannot be read ({cause})") from cause
     if not isinstance(descr, str) or not _PLAIN_DTYPE.match(descr):
         raise error(

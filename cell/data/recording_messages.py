@@ -26,7 +26,7 @@ from mcap.stream_reader import StreamReader
 from pydantic_core import from_json
 
 from cell.data import recording_schema as schema
-from cell.data.files import open_plain
+from cell.data.files import DAMAGE, open_plain
 from cell.data.formats import RECORDING
 from cell.errors import RecordingError, reason_text
 from recognition.grasp import PadArray
@@ -75,18 +75,7 @@ _KINDS: Mapping[str, tuple[type, ...]] = {
     "object": (dict,),
 }
 """Python types of the types of a JSON schema."""
-_DAMAGE = (
-    McapError,
-    zstandard.ZstdError,
-    struct.error,
-    ValueError,
-    KeyError,
-    TypeError,
-    IndexError,
-    ArithmeticError,
-    MemoryError,
-    EOFError,
-)
+_DAMAGE = (*DAMAGE, McapError, zstandard.ZstdError, struct.error)
 
 
 class RecordedMessage(NamedTuple):

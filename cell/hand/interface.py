@@ -128,7 +128,6 @@ class Hand(Protocol):
     @property
     def largest_ramp_n(self) -> float:
         """Largest force in N of a ramp, by what is known of the servos; no device is asked."""
-        ...
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Raise LimitExceeded for a ramp that `grasp` would refuse; uses no device."""
@@ -138,21 +137,18 @@ class Hand(Protocol):
 
     def press_pads_together(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close the empty fingers onto each other, follow the ramp; return while they press."""
-        ...
 
     def measure_load(self, watch: OnPeriod) -> tuple[TimeSpan, ...]:
         """Measure the servos' currents under load while the empty pads press on each other.
 
         Returns when each finger moved alone.
         """
-        ...
 
     def measure_friction(self, watch: OnPeriod) -> None:
         """Measure the servos' friction at several speeds; nothing may be between the fingers."""
 
     def read_drives(self) -> DriveReport:
         """Return the characteristics of the servos' drives, and notes about unusual values."""
-        ...
 
     def use_drives(self, drives: Mapping[int, DriveCharacteristic]) -> None:
         """Use saved drive characteristics, by the servos' IDs."""

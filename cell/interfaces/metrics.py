@@ -72,7 +72,7 @@ class _Cell(Collector):
     def collect(self) -> Iterator[Metric]:
         yield from _state(self._service)
         yield from _parts(self._service)
-        yield from _links(self._service.counters())
+        yield from _links(self._service.plugin.counters())
         yield from _health(self._service.health())
         if (free := _free_bytes(self._service)) is not None:
             yield _gauge("disk_free_bytes", "Space left where recordings are written", free)
@@ -107,7 +107,7 @@ def _state(service: Service) -> Iterator[Metric]:
         GaugeMetricFamily, "info", "Version and name of the cell", list(info),
         iter([(tuple(info.values()), 1.0)]),
     )  # fmt: skip
-    yield _gauge("working", "1 while the thread of the cell works", service.working)
+    yield _gauge("working", "1 while the thread of the cell works", service.plugin.working)
     yield _gauge("state", "State of the cell, a PackTags number", status.state_number)
     yield _gauge("holding", "1 while a part may be in the grip", status.holding)
     yield _gauge("fault", "Number of the latched fault; 0 for none", status.fault_number)
@@ -175,7 +175,7 @@ def _health(health: Mapping[str, Any]) -> Iterator[Metric]:
 
 def _free_bytes(service: Service) -> float | None:
     """Return the free bytes in the folder of the recording; None if the folder is gone."""
-    place = service.recording_path or Path(service.config.recording.directory)
+    place = service.plugin.recording_path or Path(service.config.recording.directory)
     try:
         there = next(one for one in (place, *place.absolute().parents) if one.exists())
         return shutil.disk_usage(there).free

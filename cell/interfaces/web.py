@@ -25,7 +25,7 @@ from cell.fault_catalogue import CATALOGUE
 from cell.installation import extra
 from cell.interfaces.http_server import REQUEST_BYTES, Scope
 from cell.interfaces.live_socket import LiveMessage
-from cell.interfaces.web_server import Paths, RequestBody, WebServer
+from cell.interfaces.web_server import LeasedBody, Paths, RequestBody, WebServer
 from cell.plugin.goals import goal_schema
 from cell.service.photos import LONGEST_PHOTO
 from cell.service.service import Service
@@ -52,20 +52,19 @@ JOB_EXAMPLES: dict[str, Any] = {
 """Examples of `POST /api/jobs` in the description."""
 
 
-class LeaseBody(RequestBody):
+class JobBody(LeasedBody):
     """The lease, and the expected number of the job (0: not checked)."""
 
-    lease: int
     job: int = 0
 
 
-class StartBody(LeaseBody):
+class StartBody(JobBody):
     """A goal: ``task`` and its fields, as in `TactileCellPlugin.start`."""
 
     goal: Annotated[dict[str, Any], WithJsonSchema(goal_schema())]
 
 
-class CommandBody(LeaseBody):
+class CommandBody(JobBody):
     """A command; ``release`` needs its key, 20304; ``reboot`` restarts servos with a fault."""
 
     command: Literal[
@@ -94,19 +93,17 @@ class PoseFields(RequestBody):
     """Turn about the object's own long axis in rad, before the rotation."""
 
 
-class PoseBody(RequestBody):
+class PoseBody(LeasedBody):
     """Whether the pose with that number was reached, or the pose (m, rad) reached instead."""
 
-    lease: int
     seq: int
     ok: bool
     pose: PoseFields | None = None
 
 
-class PartBody(RequestBody):
+class PartBody(LeasedBody):
     """Part between the fingers of the simulated cell, for all jobs from now on."""
 
-    lease: int
     part: str | None = Field(default=None, min_length=1, max_length=LONGEST_LABEL)
     """Name of an object, a shape, for example ``cylinder:diameter=8mm,length=20mm``, or
     ``nothing``; null: each job brings the next object."""
@@ -114,17 +111,10 @@ class PartBody(RequestBody):
     """Offset of the part from the pose of the job."""
 
 
-class ResetBody(RequestBody):
-    """The lease."""
-
-    lease: int
-
-
 def taught_values(one: dict[str, Any]) -> dict[str, Any]:
     """Return a taught object with the address of its photo, null without a photo."""
     address = f"/api/taught/{quote(one['label'], safe='')}/photo"
-    found: dict[str, Any] = plain_data(one | {"photo": address if one["photo"] else None})
-    return found
+    return dict(plain_data(one | {"photo": address if one["photo"] else None}))
 
 
 def state_moment(service: Service) -> LiveMessage:
@@ -167,12 +157,12 @@ class WebInterface(WebServer):
             ("/commands", "POST", self.command),
             ("/pose", "POST", self.pose),
         )
-        if service.simulated:
+        if service.config.simulated:
             paths += (
-                ("/simulation/faults", "GET", self.simulated_faults),
+                ("/simulation/faults", "GET", service.simulated_faults),
                 ("/simulation/faults", "POST", self.begin_fault),
                 ("/simulation/faults", "DELETE", self.end_fault),
-                ("/simulation/part", "GET", self.simulated_part),
+                ("/simulation/part", "GET", service.simulated_part),
                 ("/simulation/part", "POST", self.choose_part),
                 ("/simulation/objects/{label:path}", "PUT", self.define_object),
                 ("/simulation/reset", "POST", self.reset_simulation),
@@ -194,7 +184,7 @@ class WebInterface(WebServer):
 
         With a fault the answer is 200 with the number of the fault: a restart does not help.
         """
-        status, working = self._service.status(), self._service.working
+        status, working = self._service.status(), self._service.plugin.working
         shown = {
             "working": working,
             "state": status.state,
@@ -231,10 +221,7 @@ class WebInterface(WebServer):
         With a ``day``, for example 2027-01-15, its ``rows``: each start, part, miss and fault.
         """
         kept = self._service.history
-        found: dict[str, Any] = plain_data(
-            kept.values() if day is None else {"rows": kept.day(day)}
-        )
-        return found
+        return dict(plain_data(kept.values() if day is None else {"rows": kept.day(day)}))
 
     def faults(self) -> list[dict[str, Any]]:
         """List the fault catalogue: number, text, cause, remedy, state of the grip, steps."""
@@ -252,8 +239,7 @@ class WebInterface(WebServer):
 
     def jobs(self) -> list[dict[str, Any]]:
         """List the newest jobs, oldest first."""
-        found: list[dict[str, Any]] = plain_data(self._service.jobs())
-        return found
+        return list(plain_data(self._service.jobs()))
 
     def job(self, number: int) -> dict[str, Any]:
         """One job: outcome, progress, answer."""
@@ -314,13 +300,6 @@ class WebInterface(WebServer):
         self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
         return {"seq": body.seq}
 
-    def simulated_faults(self) -> dict[str, Any]:
-        """List the possible faults of this simulated cell, and the active faults.
-
-        A fault is a text ``NAME[=VALUE][@START[..END]]``; a waiting fault has not begun.
-        """
-        return self._service.simulated_faults()
-
     def begin_fault(self, body: FaultBody) -> dict[str, Any]:
         """Begin a fault of the simulated cell; it needs no lease. Returns the same as GET."""
         self._service.simulate_fault(body.fault)
@@ -330,10 +309,6 @@ class WebInterface(WebServer):
         """End the faults with this text or name, also those of `serve --fault`."""
         self._service.simulate_fault(fault, end=True)
         return self._service.simulated_faults()
-
-    def simulated_part(self) -> dict[str, Any]:
-        """Return the chosen part and its pose, the part between the fingers, and all objects."""
-        return self._service.simulated_part()
 
     def choose_part(self, body: PartBody) -> dict[str, Any]:
         """Put a part between the open fingers, for all jobs from now on. Returns the same as GET.
@@ -348,7 +323,7 @@ class WebInterface(WebServer):
         stl = await request.body()
         return {"objects": await asyncio.to_thread(self._service.define_object, lease, label, stl)}
 
-    def reset_simulation(self, body: ResetBody) -> dict[str, int]:
+    def reset_simulation(self, body: LeasedBody) -> dict[str, int]:
         """Start to reset the simulated cell: faults end, the part is released and removed."""
         return {"job": self._service.reset_simulation(body.lease)}
 

@@ -60,6 +60,12 @@ class RequestBody(BaseModel):
     model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
 
 
+class LeasedBody(RequestBody):
+    """A command under the lease."""
+
+    lease: int
+
+
 class AcquireBody(RequestBody):
     """Name of the new client in command; ``take``, on this machine only, takes the lease."""
 

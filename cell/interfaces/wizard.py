@@ -25,7 +25,7 @@ from cell.config.serve import ServeConfig
 from cell.errors import RequestRefused
 from cell.fault_catalogue import Refusal
 from cell.interfaces.live_socket import LiveMessage
-from cell.interfaces.web_server import Paths, RequestBody, WebServer
+from cell.interfaces.web_server import LeasedBody, Paths, WebServer
 from cell.plugin.lease import Lease
 
 _WATCH_S = 0.1
@@ -299,12 +299,6 @@ def _checked(question: Question, value: str | float | bool) -> str | float:
     if isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high:
         return float(value)
     raise RequestRefused(f"{value!r} is not a number from {low:g} to {high:g} {unit}")
-
-
-class LeasedBody(RequestBody):
-    """A command under the lease."""
-
-    lease: int
 
 
 class AnswerBody(LeasedBody):

@@ -36,11 +36,6 @@ class Collection:
         return [record.grasp for record in self.records]
 
     @property
-    def n_done(self) -> int:
-        """Number of finished grasps, including missed ones."""
-        return len(self.records) + self.n_missed
-
-    @property
     def short(self) -> str:
         """Number of ramps that ended below their force, and why the last one did; or empty."""
         texts = [record.outcome.short for record in self.records if record.outcome.short]

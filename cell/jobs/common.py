@@ -5,7 +5,6 @@ from datetime import datetime
 from pathlib import Path
 
 from cell.errors import CellError
-from cell.jobs.collection import Collection
 
 Progress = Callable[[str, int, int], None]
 """Called by a job after each step with a task, its finished steps, and all steps; the command line
@@ -14,11 +13,6 @@ draws a bar from it."""
 
 def silent(task: str, done: int, total: int) -> None:
     """Show no progress."""
-
-
-def progress_of(progress: Progress) -> Callable[[Collection], None]:
-    """Return the function that shows the progress of a collection."""
-    return lambda now: progress(f"teach {now.label}", now.n_done, now.n_planned)
 
 
 def job_folder(directory: Path, job: str) -> Path:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cell.errors import CellError
+from cell.errors import CellError, raised_as
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import LoadedModel
 from recognition.evaluation.evaluation import Mapper, answers, one_by_one
@@ -47,13 +47,11 @@ def compare(
             f"no grasp is of an object that {first.path} and {second.path} were both taught: "
             f"{', '.join(sorted(known)) or 'there is none'}"
         )
-    try:
+    with raised_as(CellError, ValueError, where="the models cannot answer these grasps"):
         names = [
             [posterior.name for posterior in answers(model.recognizer, asked, mapper)]
             for model in (first, second)
         ]
-    except ValueError as error:
-        raise CellError(f"the models cannot answer these grasps: {error}") from error
     truth = [grasp.label for grasp in asked]
     right = [[a == b for a, b in zip(named, truth, strict=True)] for named in names]
     wrong = [

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
-from cell.errors import CellError, MissingExtraError
+from cell.errors import CellError, MissingExtraError, raised_as
 from cell.installation import extra
 from cell.jobs.calibrate import GAUGE_GRASPS
 from cell.jobs.common import Progress
@@ -176,15 +176,13 @@ def _parts(
     if train is not None:
         parts: list[TrainTest] = [(tuple(train), tuple(grasps))]
     else:
-        try:
+        with raised_as(CellError, ValueError):
             if split == SERIES:
                 parts = series_parts(grasps)
             elif split in GROUPS:
                 parts = left_out_parts(grasps, [GROUPS[split](grasp) for grasp in grasps])
             else:
                 parts = [parse_split(split, seed=seed)(grasps)]
-        except ValueError as error:
-            raise CellError(str(error)) from error
     for train_part, test_part in parts:
         if not train_part or not test_part:
             raise CellError(

@@ -12,7 +12,7 @@ import numpy as np
 from cell.config.gripper import GripperConfig, RackPinionConfig, ServoConfig
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_pads, link_settings
-from cell.errors import CellError
+from cell.errors import CellError, raised_as
 from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
 from cell.learning.training import train
@@ -96,10 +96,8 @@ def replay_grasps(
     train_part: tuple[Grasp, ...] = ()
     taught, test_part, unnamed = None, tuple(grasps), "a grasp has no label"
     if all(grasp.label for grasp in grasps):
-        try:
+        with raised_as(CellError, ValueError):
             divide = parse_split(split)
-        except ValueError as error:
-            raise CellError(str(error)) from error
         try:
             train_part, test_part = divide(grasps)
             taught, unnamed = train(train_part, recognizer).recognizer, ""

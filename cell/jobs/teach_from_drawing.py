@@ -11,7 +11,7 @@ from cell.config.sequence import ramp_from_config
 from cell.config.tactile import layout_from_config
 from cell.control.plan import plan
 from cell.control.records import pad_array
-from cell.errors import CellError
+from cell.errors import CellError, raised_as
 from cell.jobs.common import Progress, silent
 from cell.learning.blas import one_blas_thread
 from cell.learning.pad_knowledge import PadKnowledge, usual_foam
@@ -74,7 +74,7 @@ def teach_drawing(
     grasps: list[Grasp] = []
     steps = plan(config.sequence, n_grasps, seed=seed)
     for number, step in enumerate(steps):
-        try:
+        with raised_as(CellError, ValueError, where=f"{label} cannot be grasped"):
             if not grasps:
                 virtual.check(drawing, steps)
             grasp = virtual.grasp(
@@ -86,8 +86,6 @@ def teach_drawing(
                 shape=kind,
                 start_ms=start_ms + 1000 * number,
             )
-        except ValueError as error:
-            raise CellError(f"{label} cannot be grasped: {error}") from error
         grasps.append(grasp)
         progress(f"draw {label}", len(grasps), n_grasps)
     return grasps

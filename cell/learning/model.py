@@ -17,7 +17,7 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.data.files import read_npz, savez, write_atomically
+from cell.data.files import DAMAGE, read_npz, savez, write_atomically
 from cell.data.formats import MODEL
 from cell.data.grasp_limits import text_refused
 from cell.errors import ConfigError, ModelError, reason_text
@@ -70,17 +70,7 @@ Arrays = Mapping[str, NDArray[Any]]
 """Plain arrays by name."""
 
 _T = TypeVar("_T")
-_UNSUITABLE = (
-    ValueError,
-    KeyError,
-    TypeError,
-    IndexError,
-    AttributeError,
-    ArithmeticError,
-    MemoryError,
-    RecursionError,
-    RuntimeWarning,
-)
+_UNSUITABLE = (*DAMAGE, AttributeError, RuntimeWarning)
 """Errors of arrays with other shapes, types or values than a recogniser expects."""
 _LARGEST = np.float64(1e12)
 """Largest number of a model, far beyond any training result: its square is finite, too."""

@@ -13,7 +13,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.records import pad_array
 from cell.data.dataset import read_grasps
-from cell.errors import CellError, ConfigError
+from cell.errors import CellError, ConfigError, raised_as
 from cell.learning.blas import one_blas_thread
 from cell.simulation import drawn_shape, sensor_law
 from recognition.drift.self_zero import common_zero, drawn_zero
@@ -149,10 +149,8 @@ def calibrate_on_gauge(
             f"the gauge was grasped on {grasps[0].pads.n_taxels} taxels, this cell has "
             f"{pads.n_taxels}: grasp it on this cell"
         )
-    try:
+    with raised_as(CellError, ContactError, where="the gauge cannot be used"):
         fit = fit_foam(grasps, drawing, foam)
-    except ContactError as error:
-        raise CellError(f"the gauge cannot be used: {error}") from error
     modulus_sd, gain_sd, spread_sd, aperture_sd_mm, stiffening_sd = (float(sd) for sd in fit.sd)
     aperture_sd_m = math.hypot(max(0.2e-3, 1e-3 * aperture_sd_mm, fit.opening_sd_m), _DEPTH_SD_M)
     return PadKnowledge(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 from cell.config.model import CellConfig
-from cell.errors import CellError, CellStateError, ModelError, TooFewGrasps
+from cell.errors import CellError, CellStateError, ModelError, TooFewGrasps, raised_as
 from cell.installation import extra
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import Arrays, LoadedModel, made_up_grasp, rehearse
@@ -76,10 +76,8 @@ def gauged(
 
     Raises CellError if the object was not taught, or no grasp touched both pads.
     """
-    try:
+    with raised_as(CellError, ValueError, where="cannot gauge"):
         return recognizer.gauge(label, grasps)
-    except ValueError as error:
-        raise CellError(f"cannot gauge: {error}") from error
 
 
 @one_blas_thread()

@@ -7,9 +7,9 @@ tared, like those of the cell.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,12 +136,8 @@ def shared_force(
     return shared_n
 
 
-class Noise(Protocol):
-    """Noise of the taxels, in counts to add."""
-
-    def __call__(self, rng: np.random.Generator, n_frames: int) -> NDArray[np.float64]:
-        """Return counts (n_frames, n_taxels) to add."""
-        ...
+Noise = Callable[[np.random.Generator, int], NDArray[np.float64]]
+"""Noise of the taxels: returns counts (n_frames, n_taxels) to add, for that number of frames."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from cell.config.file import load_config
 from cell.config.model import CellConfig
-from cell.control.answer import Answer, SortAnswer, Verification
+from cell.control.answer import Answer
 from cell.control.plan import Pose
 from cell.control.states import CellState, Command, command_effect
 from cell.errors import (
@@ -31,18 +31,7 @@ from cell.errors import (
     RequestRefused,
 )
 from cell.fault_catalogue import error_text
-from cell.plugin.goals import (
-    TASKS,
-    GaugeGoal,
-    Goal,
-    GripGoal,
-    IdentifyGoal,
-    SortGoal,
-    TeachGoal,
-    VerifyGoal,
-    ZeroGoal,
-    checked_goal,
-)
+from cell.plugin.goals import TASKS, GaugeGoal, Goal, TeachGoal, ZeroGoal, checked_goal
 from cell.plugin.host_status import HostStatus
 from cell.plugin.lease import Lease
 from cell.plugin.worker import CellWorker, Job, JobFailed, JobOutcome, JobStatus, Report
@@ -62,24 +51,6 @@ if TYPE_CHECKING:
     from recognition.drift.grid import DriftGrid
     from recognition.grasp import Grasp
     from tactile.layout import TaxelLayout
-
-__all__ = [
-    "Answer",
-    "GaugeGoal",
-    "GripGoal",
-    "HostStatus",
-    "IdentifyGoal",
-    "JobFailed",
-    "JobOutcome",
-    "SortAnswer",
-    "SortGoal",
-    "TactileCellPlugin",
-    "TeachGoal",
-    "Verification",
-    "VerifyGoal",
-    "ZeroGoal",
-]
-
 
 _COMMANDS = dict.fromkeys(TASKS, Command.GRASP) | {"grip": Command.GRIP, "verify": Command.VERIFY}
 """First command of the controller in each task."""
@@ -724,7 +695,7 @@ class TactileCellPlugin:
 
     def remark(self, kind: str, text: str) -> None:
         """Write an event into the recording, with the next job or its end."""
-        if self._cell.records:
+        if self._cell.recording_path is not None:
             self._remarks.append((kind, text))
 
     def train(self, timeout_s: float | None = None) -> None:

@@ -11,11 +11,9 @@ class FaultHandle(Protocol):
     @property
     def began_s(self) -> float | None:
         """Time of the cell in s at which the fault began; None before."""
-        ...
 
     def clear(self) -> None:
         """End the fault; a second call has no effect."""
-        ...
 
 
 class FaultTarget(Protocol):
@@ -23,7 +21,6 @@ class FaultTarget(Protocol):
 
     def inject(self, text: str) -> FaultHandle:
         """Inject a fault; an unknown fault is refused with a list of all faults."""
-        ...
 
 
 class FaultRegistry:

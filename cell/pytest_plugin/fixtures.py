@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -23,13 +24,13 @@ if TYPE_CHECKING:
     from tactile.can.bus import CanBus
 
 
+@dataclass(frozen=True, slots=True)
 class MakeSimulatedCell:
     """Makes simulated cells in virtual time; ``closing`` closes them."""
 
-    def __init__(self, config: "CellConfig", faults: FaultRegistry, closing: ExitStack) -> None:
-        self._config = config
-        self._faults = faults
-        self._closing = closing
+    config: "CellConfig"
+    faults: FaultRegistry
+    closing: ExitStack
 
     def __call__(
         self,
@@ -71,35 +72,29 @@ class MakeSimulatedCell:
         from cell.pytest_plugin.virtual import VirtualCell
 
         checked = simulated_config(
-            given_config(config, self._config),
+            given_config(config, self.config),
             objects=objects,
             seed=seed,
             changes=changes,
             callback=mover is not None,
         )
         cell = build_cell(checked, mover=mover, places=places, folder=folder)
-        self._closing.callback(cell.close)
+        self.closing.callback(cell.close)
         if cell.simulated is None:
             raise AssertionError("a config with simulated ports gave a cell with real ones")
         made = VirtualCell(config=checked, cell=cell, simulated=cell.simulated)
-        self._faults.add(made)
+        self.faults.add(made)
         return made
 
 
+@dataclass(frozen=True, slots=True)
 class MakeCellProcess:
     """Starts simulated cells in separate processes; ``closing`` ends them."""
 
-    def __init__(
-        self,
-        config: "CellConfig",
-        faults: FaultRegistry,
-        closing: ExitStack,
-        report: Callable[[str, str, str], None],
-    ) -> None:
-        self._config = config
-        self._faults = faults
-        self._closing = closing
-        self._report = report
+    config: "CellConfig"
+    faults: FaultRegistry
+    closing: ExitStack
+    report: Callable[[str, str, str], None]
 
     def __call__(
         self,
@@ -119,13 +114,13 @@ class MakeCellProcess:
         from cell.pytest_plugin.configs import given_config, simulated_config
         from cell.pytest_plugin.process import CellProcess
 
-        found = given_config(config, self._config)
+        found = given_config(config, self.config)
         cell = CellProcess(simulated_config(found, objects=objects, seed=seed, changes=changes))
-        self._closing.callback(cell.end)
-        self._closing.callback(
-            lambda: self._report("teardown", f"tactile-cell simulate {cell.pid}", cell.log)
+        self.closing.callback(cell.end)
+        self.closing.callback(
+            lambda: self.report("teardown", f"tactile-cell simulate {cell.pid}", cell.log)
         )
-        self._faults.add(cell)
+        self.faults.add(cell)
         return cell
 
 
@@ -134,7 +129,6 @@ class InjectFault(Protocol):
 
     def __call__(self, text: str, *, into: FaultTarget | None = None) -> FaultHandle:
         """Inject a fault; ``into`` is the cell if the test has several."""
-        ...
 
 
 @pytest.fixture

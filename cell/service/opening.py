@@ -38,30 +38,23 @@ def open_service(
     ------
     As `TactileCellPlugin`.
     """
-    plugin, poses = open_plugin(config, note=note, wall_s=wall_s, **cell)
+    poses = PoseHandshake()
+    plugin = TactileCellPlugin(
+        config.model_copy(update={"host_timeout_s": None}),
+        mover=poses.move if config.positioner.kind == "callback" else None,
+        note=note,
+        wall_s=wall_s,
+        **cell,
+    )
+    kept = kept_folder(config, cell.get("folder"))
     beside = cell.get("save") or cell.get("model")
-    photos_beside = None if beside is None else Path(beside)
     return Service(
         plugin,
         config,
         poses=poses,
-        history_file=history_of(config, cell.get("folder")),
-        photos_beside=photos_beside,
+        history_file=None if kept is None else history_file(kept, config.name),
+        photos_beside=None if beside is None else Path(beside),
         note=note,
         clock=clock,
         wall_s=wall_s,
     )
-
-
-def history_of(config: CellConfig, folder: Path | None) -> Path | None:
-    """Return the file of a cell's history; None if the history is not saved."""
-    kept = kept_folder(config, folder)
-    return None if kept is None else history_file(kept, config.name)
-
-
-def open_plugin(config: CellConfig, **cell: Any) -> tuple[TactileCellPlugin, PoseHandshake]:
-    """Open a cell for a service; return it with its pose handshake. See `open_service`."""
-    config = config.model_copy(update={"host_timeout_s": None})
-    poses = PoseHandshake()
-    mover = poses.move if config.positioner.kind == "callback" else None
-    return TactileCellPlugin(config, mover=mover, **cell), poses

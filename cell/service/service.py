@@ -25,7 +25,7 @@ from cell.control.answer import Answer, Verification
 from cell.control.identification import Identification
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import CellError, HeldByClient, RequestRefused
+from cell.errors import CellError, HeldByClient, RequestRefused, raised_as
 from cell.fault_catalogue import error_text
 from cell.plugin.goals import (
     TASKS,
@@ -207,7 +207,8 @@ class Service:
         plugin.watch_parts(self._count)
         self.photos = Photos(photos_beside)
         """Photos of taught objects."""
-        self._plugin = plugin
+        self.plugin = plugin
+        """The cell, for what it alone knows; its jobs are started by the service."""
         self._poses = PoseHandshake() if poses is None else poses
         self._clock = clock
         self._lock = threading.RLock()
@@ -233,7 +234,7 @@ class Service:
     def labels(self) -> tuple[str, ...]:
         """Names by label id, from 1: ``serve.objects``, then other taught labels."""
         listed = self.config.serve.objects
-        return (*listed, *(label for label in self._plugin.labels if label not in listed))
+        return (*listed, *(label for label in self.plugin.labels if label not in listed))
 
     def label_id(self, label: str) -> int:
         """Return the id of a label; 0 for UNKNOWN and for a label without an id."""
@@ -264,7 +265,7 @@ class Service:
 
     def status(self) -> HostStatus:
         """Return the states of cell and grip, the live values, and the last answer."""
-        return self._plugin.status()
+        return self.plugin.status()
 
     def job(self, number: int | None = None) -> JobView:
         """Return a job, the newest by default. Raises RequestRefused for an unknown number."""
@@ -278,7 +279,7 @@ class Service:
                     return last
                 raise RequestRefused(f"there is no job {wanted}; the newest is {self._newest}")
             job, task, _, since_s = self._jobs[wanted]
-            return self._view(wanted, task, self._plugin.feedback(job), since_s)
+            return self._view(wanted, task, self.plugin.feedback(job), since_s)
 
     def part(self, number: int) -> Answer:
         """Return the answer of a part by its number. Raises RequestRefused if it is not kept."""
@@ -305,43 +306,29 @@ class Service:
                 try:
                     self._check_stopped(task)
                     if task != Command.CLEAR or not self._gone:
-                        self._plugin.check(task)
+                        self.plugin.check(task)
                     found[task] = None
                 except CellError as error:
                     found[task] = error
         return found
-
-    @property
-    def recording_path(self) -> Path | None:
-        """The recording, if one is made."""
-        return self._plugin.recording_path
-
-    @property
-    def working(self) -> bool:
-        """As `TactileCellPlugin.working`."""
-        return self._plugin.working
-
-    def counters(self) -> dict[str, Any]:
-        """As `TactileCellPlugin.counters`."""
-        return self._plugin.counters()
 
     def health(self) -> dict[str, Any]:
         """Return the values of `TactileCellPlugin.health`, at most `_HEALTH_S` old."""
         now_s = time.monotonic()
         seen_s, found = self._health
         if now_s - seen_s >= _HEALTH_S:
-            found = self._plugin.health()
+            found = self.plugin.health()
             self._health = (now_s, found)
         return found
 
     def frame_n(self) -> NDArray[np.float32] | None:
         """Return the newest force in N on each taxel, (n_taxels,); None without a measurement."""
         counts = self.status().live.counts
-        return None if counts is None else self._plugin.newtons(counts)
+        return None if counts is None else self.plugin.newtons(counts)
 
     def info(self) -> dict[str, Any]:
         """Return the constant values as plain data; lengths in mm, forces in N."""
-        return self._plugin.info() | {
+        return self.plugin.info() | {
             "mode": "cell",
             "version": self.version,
             "labels": list(self.labels),
@@ -351,7 +338,7 @@ class Service:
     # -- commands ------------------------------------------------------------------------------
 
     def _lose(self, reason: str) -> None:
-        self._plugin.remark("lease", f"nobody is in command, {reason}")
+        self.plugin.remark("lease", f"nobody is in command, {reason}")
         self.stop(reason)
 
     def start(self, lease: int, goal: Mapping[str, Any], *, number: int = 0) -> int:
@@ -374,7 +361,7 @@ class Service:
         if self.config.simulated or self.config.positioner.kind == "simulated":
             checked = self._with_part(checked)
         given = checked.model_dump(exclude_defaults=True)
-        return self._begin(lease, checked.task, given, number, lambda: self._plugin.start(checked))
+        return self._begin(lease, checked.task, given, number, lambda: self.plugin.start(checked))
 
     def _with_part(self, goal: Goal) -> Goal:
         """Return a goal with the chosen part, or the next one, for the simulated cell."""
@@ -409,9 +396,9 @@ class Service:
             if command is Command.RELEASE and key != RELEASE_KEY:
                 raise RequestRefused(f"release: {key:#x} is not the key; with it the part may fall")
             if command is not Command.CLEAR:
-                return self._plugin.start_command(command, reboot=reboot)
+                return self.plugin.start_command(command, reboot=reboot)
             gone = self._gone
-            job = self._plugin.start_command(command, reboot=reboot, needless=bool(gone))
+            job = self.plugin.start_command(command, reboot=reboot, needless=bool(gone))
             for client in gone:
                 self.end_stop(client)
             return job
@@ -446,14 +433,14 @@ class Service:
 
         Raises as `start`.
         """
-        return self._begin(lease, "forget_drift", {}, number, self._plugin.start_forget_drift)
+        return self._begin(lease, "forget_drift", {}, number, self.plugin.start_forget_drift)
 
     # -- taught objects ------------------------------------------------------------------------
 
     @property
     def taught_revision(self) -> int:
         """A number that changes with the taught objects and their photos."""
-        return self._plugin.taught_revision + self.photos.revision
+        return self.plugin.taught_revision + self.photos.revision
 
     def taught(self) -> list[dict[str, Any]]:
         """Return `TactileCellPlugin.taught` with id and whether there is a photo."""
@@ -463,7 +450,7 @@ class Service:
                 "label_id": self.label_id(one["label"]),
                 "photo": self.photos.has(one["label"]),
             }
-            for one in self._plugin.taught()
+            for one in self.plugin.taught()
         ]
 
     def forget(self, lease: int, label: str, *, last: bool = False) -> int:
@@ -476,7 +463,7 @@ class Service:
             "forget",
             {"label": label, "last": last},
             0,
-            lambda: self._plugin.forget(
+            lambda: self.plugin.forget(
                 label, last=last, forgotten=lambda: self.photos.remove(label)
             ),
         )
@@ -488,36 +475,34 @@ class Service:
         `Photos.put`.
         """
         self.lease.alive(lease)
-        if label not in self._plugin.labels:
+        if label not in self.plugin.labels:
             raise RequestRefused(f"{label!r:.80} is not taught")
         self.photos.put(label, photo)
 
     # -- the simulated cell --------------------------------------------------------------------
 
-    @property
-    def simulated(self) -> bool:
-        """Whether this program simulates the cell and can inject faults."""
-        return self.config.simulated
-
     def simulated_faults(self) -> dict[str, Any]:
-        """Return the ``kinds`` of faults of the simulated cell, and the ``running`` faults."""
-        injected = self._plugin.simulate({"state": True})["faults"]
+        """List the possible faults of this simulated cell, and the active faults.
+
+        A fault is a text ``NAME[=VALUE][@START[..END]]``; a waiting fault has not begun.
+        """
+        injected = self.plugin.simulate({"state": True})["faults"]
         running = [
             {"fault": text, "begun": began_s is not None} for text, began_s in injected.items()
         ]
-        return self._plugin.simulate({"kinds": True}) | {"running": running}
+        return self.plugin.simulate({"kinds": True}) | {"running": running}
 
     def simulate_fault(self, text: str, *, end: bool = False) -> None:
         """Begin a fault of the simulated cell, or end those with this text or name.
 
         Raises RequestRefused and CellStateError as `TactileCellPlugin.simulate`.
         """
-        self._plugin.simulate({"clear" if end else "inject": text})
-        self._plugin.remark("simulation", f"{text} {'ended' if end else 'injected'}")
+        self.plugin.simulate({"clear" if end else "inject": text})
+        self.plugin.remark("simulation", f"{text} {'ended' if end else 'injected'}")
 
     def simulated_part(self) -> dict[str, Any]:
-        """Return the chosen ``part``, its ``pose``, the part between the fingers, all objects."""
-        found = self._plugin.simulate({"state": True})
+        """Return the chosen part and its pose, the part between the fingers, and all objects."""
+        found = self.plugin.simulate({"state": True})
         pose = {name: found["offset"][name] for name in asdict(Pose())}
         return {
             "part": self._part,
@@ -539,10 +524,10 @@ class Service:
             Offset from the pose that a job asks for.
         """
         self.lease.alive(lease)
-        placed = self._plugin.simulate({"state": True})["placed"] if part is None else part
-        self._plugin.simulate({"place": placed or "nothing", "offset": asdict(pose)})
+        placed = self.plugin.simulate({"state": True})["placed"] if part is None else part
+        self.plugin.simulate({"place": placed or "nothing", "offset": asdict(pose)})
         self._part = part
-        self._plugin.remark("simulation", f"part {part or 'in turn'} at {pose}")
+        self.plugin.remark("simulation", f"part {part or 'in turn'} at {pose}")
 
     def define_object(self, lease: int, label: str, stl: bytes) -> list[str]:
         """Add an object from an STL file to the simulated cell; return the names of all objects.
@@ -551,19 +536,16 @@ class Service:
         if the name is taken or invalid.
         """
         self.lease.alive(lease)
-        try:
+        with raised_as(RequestRefused, ValueError):
             shape = shape_of_stl(stl, checked_label(label))
-        except ValueError as error:
-            raise RequestRefused(str(error)) from error
-        names: list[str] = self._plugin.simulate({"define": label, "shape": shape})["objects"]
-        return names
+        return list(self.plugin.simulate({"define": label, "shape": shape})["objects"])
 
     def reset_simulation(self, lease: int) -> int:
         """Start to make the simulated cell ready and empty; return the number of the job.
 
         Raises as `start`, and as `TactileCellPlugin.begin_simulation_reset`.
         """
-        number = self._begin(lease, "simulation_reset", {}, 0, self._plugin.begin_simulation_reset)
+        number = self._begin(lease, "simulation_reset", {}, 0, self.plugin.begin_simulation_reset)
         self._part = None
         return number
 
@@ -571,10 +553,10 @@ class Service:
         """Stop the running job and keep the grip; any client may call this."""
         with self._lock:
             entry = self._jobs.get(self._newest)
-            if entry is not None and not self._plugin.feedback(entry[0]).outcome.terminal:
-                self._plugin.remark("hold", reason)
+            if entry is not None and not self.plugin.feedback(entry[0]).outcome.terminal:
+                self.plugin.remark("hold", reason)
                 # First the cell, then the pose: the job ends as held, not as refused by the host.
-                self._plugin.cancel(entry[0], reason)
+                self.plugin.cancel(entry[0], reason)
                 self._poses.stop()
 
     @property
@@ -608,7 +590,7 @@ class Service:
                     del self._stops[left]
             if room := client in self._stops or len(self._stops) < _STOPS_MAX:
                 if client not in self._stops:
-                    self._plugin.remark("hold", f"begun by {name}")
+                    self.plugin.remark("hold", f"begun by {name}")
                 heard_s = inf if connected else self._clock.monotonic()
                 self._stops[client] = _Stop(name, heard_s)
             self.stop(f"by {name}")
@@ -620,7 +602,7 @@ class Service:
         with self._lock:
             stop = self._stops.pop(client, None)
             if stop is not None:
-                self._plugin.remark("hold", f"ended for {stop.name}")
+                self.plugin.remark("hold", f"ended for {stop.name}")
 
     def leave_stop(self, client: Hashable) -> None:
         """Mark a client as gone; its stop stays."""
@@ -663,13 +645,13 @@ class Service:
                 raise RequestRefused(f"job {number} is not the next job; the next is {self._next}")
             name = self.lease.name
             values = "".join(f", {field} {value}" for field, value in given.items())
-            self._plugin.remark("command", f"job {self._next}: {task}{values}, by {name!r}")
+            self.plugin.remark("command", f"job {self._next}: {task}{values}, by {name!r}")
             try:
                 self._check_stopped(task)
                 with self._poses.beginning():
                     job = begin()
             except Exception as error:
-                self._plugin.remark("command", f"job {self._next} refused: {error_text(error)}")
+                self.plugin.remark("command", f"job {self._next} refused: {error_text(error)}")
                 raise
             self._jobs[job.number] = (job, task, lease, time.time())
             self._jobs.pop(job.number - KEPT_JOBS, None)
@@ -707,7 +689,7 @@ class Service:
         self._poses.stop()
         self.lease.close()
         self.history.close()
-        self._plugin.close(timeout_s)
+        self.plugin.close(timeout_s)
 
     def _count(self, answer: Answer, found: Identification | None) -> None:
         """Count a part with the present id of its label."""

@@ -48,7 +48,7 @@ def state_values(service: Service) -> dict[str, Any]:
 def _fault(service: Service, status: HostStatus) -> dict[str, Any] | None:
     if status.fault is None or not status.fault_number:
         return None
-    path = service.recording_path
+    path = service.plugin.recording_path
     return asdict(BY_NUMBER[status.fault_number]) | {
         "detail": status.fault,
         "since_s": status.fault_since_s,

@@ -48,7 +48,7 @@ class Served:
 
     @property
     def plugin(self) -> Any:
-        return self.service._plugin
+        return self.service.plugin
 
     @property
     def grip_n(self) -> float:

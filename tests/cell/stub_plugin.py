@@ -14,14 +14,7 @@ from numpy.typing import NDArray
 
 from cell.control.answer import Answer, Verification
 from cell.control.live import LiveValues
-from cell.control.states import (
-    CellState,
-    Command,
-    GraspState,
-    command_effect,
-    named_states,
-    refusal,
-)
+from cell.control.states import CellState, Command, GraspState, command_effect, refusal
 from cell.errors import CellStateError, CellStopped
 from cell.fault_catalogue import error_text, fault_number
 from cell.plugin.goals import TASKS, Goal, GripGoal, IdentifyGoal, TeachGoal, VerifyGoal
@@ -244,6 +237,7 @@ class StubPlugin:
     def _show(self, state: CellState, *, holding: bool) -> None:
         """Set the states in one assignment: interfaces read them in threads of their own."""
         self._cell = state
+        grasp = GraspState.HOLDING if holding else GraspState.IDLE
         live = LiveValues(
             force_n=GRIP_N if holding else 0.0,
             force_age_s=0.005,
@@ -256,7 +250,11 @@ class StubPlugin:
         if state in (CellState.ABORTED, CellState.STOPPED):
             live = LiveValues()
         self._status = HostStatus(
-            **named_states(state, GraspState.HOLDING if holding else GraspState.IDLE),
+            state=state.value,
+            state_number=state.number,
+            needs_reset=state.needs_reset,
+            grasp=grasp.value,
+            grasp_number=grasp.number,
             holding=holding,
             fault=None if self._error is None else error_text(self._error),
             fault_number=fault_number(self._error),

@@ -219,7 +219,7 @@ class WireDriver(Driver):
         self._expect(allowed, f"{request.task} is accepted in {state}")
         self._expect(found == number, f"the job has number {found}, not {number}")
         service = self._service
-        service._plugin._worker.wait(service._jobs[found][0], PATIENCE_S)
+        service.plugin._worker.wait(service._jobs[found][0], PATIENCE_S)
         job, after = service.job(found), self._seen()
         self.log[-1] += f" -> {job.outcome} {job.error[:100]}"
         if allowed and command is not None:
@@ -306,13 +306,13 @@ class WireDriver(Driver):
 
         with patch("cell.build.build_cell", built):
             self._service = self._new_service()
-        plugin: Any = self._service._plugin
+        plugin: Any = self._service.plugin
         plugin._model = plugin._file.model = WitnessModel(plugin._config, self.witness)
         interfaces = open_interfaces(self._service)
         self._wire = HOSTS[self.interface](interfaces.__enter__())
         self._ending = [self._wire.close, lambda: interfaces.__exit__(None, None, None)]
         assert self._wire.acquire() == 0
-        return self._service._plugin._cell
+        return self._service.plugin._cell
 
     def _new_service(self) -> Service:
         """Start the service; one that a fault keeps from it is started again without faults."""

@@ -14,7 +14,9 @@ import pytest
 
 from cell.config.file import load_config, parse_config
 from cell.data.recording_reader import read_recording
-from cell.plugin.plugin import GripGoal, JobFailed, TactileCellPlugin, TeachGoal
+from cell.plugin.goals import GripGoal, TeachGoal
+from cell.plugin.plugin import TactileCellPlugin
+from cell.plugin.worker import JobFailed
 from cell.pytest_plugin.process import CellProcess
 from gripper.errors import PortLost, ServoFault
 from tests.hil.program import CONFIG, LIMIT_S, end, first, hurry, run, running

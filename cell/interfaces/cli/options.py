@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from cell.errors import ConfigError
+from cell.errors import ConfigError, raised_as
 from cell.plugins import RECOGNISERS
 
 
@@ -125,10 +125,8 @@ SplitOption = Annotated[
 def known_recognizers(names: list[str] | None) -> list[str] | None:
     """Return the names of recognisers. Raises typer.BadParameter for an unknown name."""
     for name in names or ():
-        try:
+        with raised_as(typer.BadParameter, ConfigError):
             RECOGNISERS.entry(name)
-        except ConfigError as error:
-            raise typer.BadParameter(str(error)) from error
     return names
 
 

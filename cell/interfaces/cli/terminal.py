@@ -22,7 +22,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cell.data.files import json_bytes, write_text
-from cell.errors import CellError, ConfigError
+from cell.errors import CellError, ConfigError, raised_as
 
 
 class _LossyStream:
@@ -182,11 +182,9 @@ def write_json(path: Path | None, data: Any) -> None:
     """
     if path is None:
         return
-    try:
+    with raised_as(CellError, OSError, where=f"{path}: cannot be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(json_bytes(data) + b"\n")
-    except OSError as error:
-        raise CellError(f"{path}: cannot be written: {error}") from error
 
 
 def print_or_write(text: str, path: Path | None, what: str) -> None:

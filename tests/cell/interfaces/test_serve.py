@@ -10,7 +10,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from xmlrpc.client import ServerProxy
 
@@ -168,7 +167,7 @@ def test_without_its_extra_there_is_no_page_but_a_note(monkeypatch, capsys) -> N
 def test_the_first_start_teaches_under_a_lease_and_keeps_the_model(serve, cache, taught) -> None:
     served = serve()
     service, write = served.service, copied(taught.result.model)
-    model: Any = SimpleNamespace(save=lambda path: write(path.parent))
+    served.plugin.save = lambda path: write(path.parent)
     commanders, plain_start = [], service.start
 
     def start(lease: int, goal: Any) -> int:
@@ -176,7 +175,7 @@ def test_the_first_start_teaches_under_a_lease_and_keeps_the_model(serve, cache,
         return plain_start(lease, goal)
 
     service.start = start
-    serving._teach_first(service, model, service.config, threading.Event())
+    serving._teach_first(service, service.config, threading.Event())
     assert [(goal.label, goal.grasps) for goal in served.plugin.asked] == [
         ("ball", serving._FIRST_GRASPS),
         ("box", serving._FIRST_GRASPS),
@@ -189,7 +188,7 @@ def test_the_first_start_teaches_under_a_lease_and_keeps_the_model(serve, cache,
 def test_what_is_taught_with_faults_injected_is_not_kept(serve, cache) -> None:
     served = serve()
     served.plugin.save = lambda _path: pytest.fail("nothing is to be kept")
-    arguments = (served.service, served.plugin, served.service.config, threading.Event())
+    arguments = (served.service, served.service.config, threading.Event())
     serving._teach_first(*arguments, keep=False)
     assert len(served.plugin.asked) == 2
 
@@ -209,8 +208,8 @@ def test_a_first_start_whose_lease_is_taken_keeps_nothing(
         service.lease.alive(lease)
 
     service.lease.alive = alive
-    model = SimpleNamespace(save=lambda _path: pytest.fail("nothing is to be kept"))
-    serving._teach_first(service, model, service.config, threading.Event())
+    served.plugin.save = lambda _path: pytest.fail("nothing is to be kept")
+    serving._teach_first(service, service.config, threading.Event())
     assert "not all objects were taught" in capsys.readouterr().err
     assert cached_model(service.config) is None
     assert service.snapshot().commander == "operator"
@@ -220,6 +219,6 @@ def test_a_first_start_that_is_to_end_ends_at_once(serve, cache) -> None:
     served, over = serve(), threading.Event()
     served.plugin.pause()
     over.set()
-    serving._teach_first(served.service, served.plugin, served.service.config, over)
+    serving._teach_first(served.service, served.service.config, over)
     assert len(served.plugin.asked) == 1
     assert cached_model(served.service.config) is None

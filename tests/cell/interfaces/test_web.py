@@ -239,7 +239,7 @@ def check_newtons(served: Served, host: Client) -> None:
         )
     force_n = np.frombuffer(frame, "<f4")
     assert force_n.shape == (408,)
-    sensor = served.service._plugin._cell.local_hand.sensor
+    sensor = served.service.plugin._cell.local_hand.sensor
     for pad in sensor.layout.gripping_pads:
         # One frame has a noise of 0.25 N.
         assert force_n[sensor.layout.taxels_of(pad)].sum() == pytest.approx(4.0, abs=1.0)

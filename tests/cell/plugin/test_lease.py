@@ -11,10 +11,11 @@ from cell.control.states import CellState
 from cell.data.recorder_sink import ROOM_BYTES
 from cell.data.recording_reader import read_recording
 from cell.errors import RecordingError
+from cell.plugin.goals import TeachGoal
 from cell.plugin.health import health_values
 from cell.plugin.lease import Lease
-from cell.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
-from cell.plugin.worker import JobOutcome
+from cell.plugin.plugin import TactileCellPlugin
+from cell.plugin.worker import JobFailed, JobOutcome
 from tests.cell.conftest import small_config
 from tests.cell.data.test_recording import fill_disk_after
 from tests.cell.served import LIMIT_S, until

@@ -12,7 +12,7 @@ from cell.data.files import json_bytes
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, NoPartFound
 from cell.jobs.collection import grasps_of
-from cell.jobs.common import job_folder, progress_of
+from cell.jobs.common import job_folder
 from cell.jobs.teach import name_recorded, read_labelled_grasps
 from cell.learning.model import load_model
 from cell.learning.training import train
@@ -124,12 +124,17 @@ def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_o
     bench = make_bench(taught.config)
     bench.controller.start()
     bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
-    told: list[tuple[str, int, int]] = []
-    show = progress_of(lambda *step: told.append(step))
+    told: list[tuple[int, int]] = []
     cell = bench.controller, taught.config.sequence
-    (found,) = grasps_of(*cell, ["box"], 2, seed=1, on_grasp=show)
+    (found,) = grasps_of(
+        *cell,
+        ["box"],
+        2,
+        seed=1,
+        on_grasp=lambda now: told.append((len(now.records), now.n_missed)),
+    )
     assert found.label == "box"
-    assert told == [("teach box", 1, 2), ("teach box", 2, 2)]
+    assert told == [(0, 1), (1, 1)]
     bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
     with pytest.raises(NoPartFound):
         grasps_of(*cell, ["box"], 1, seed=1)

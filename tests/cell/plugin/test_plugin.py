@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from cell.control.answer import Answer
 from cell.control.plan import Pose
 from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import (
@@ -23,16 +24,8 @@ from cell.errors import (
     NoPartFound,
 )
 from cell.learning.taught_model import TaughtModel
-from cell.plugin.goals import checked_goal
-from cell.plugin.plugin import (
-    Answer,
-    GripGoal,
-    IdentifyGoal,
-    JobFailed,
-    TeachGoal,
-    VerifyGoal,
-)
-from cell.plugin.worker import Job, JobOutcome
+from cell.plugin.goals import GripGoal, IdentifyGoal, TeachGoal, VerifyGoal, checked_goal
+from cell.plugin.worker import Job, JobFailed, JobOutcome
 from gripper.errors import ServoFault, VerificationFailed
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN

@@ -14,7 +14,9 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.records import GraspCollector, GraspRecord
 from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped
-from cell.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
+from cell.plugin.goals import TeachGoal
+from cell.plugin.plugin import TactileCellPlugin
+from cell.plugin.worker import JobFailed
 from gripper.values.state import GripperPhase
 from recognition.recognizer import Posterior
 from tests.faults.campaign import (

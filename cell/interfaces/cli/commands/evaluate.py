@@ -135,15 +135,13 @@ def _figure(value: float, digits: int) -> str:
 
 
 def _drift(text: str | None) -> "Drift":
-    from cell.errors import ConfigError
+    from cell.errors import ConfigError, raised_as
     from recognition.drift.drift import NO_DRIFT, parse_drift
 
     if text is None:
         return NO_DRIFT
-    try:
+    with raised_as(ConfigError, ValueError, where="--drift"):
         return parse_drift(text)
-    except ValueError as error:
-        raise ConfigError(f"--drift: {error}") from error
 
 
 def _print_evaluation(result: "EvaluationResult") -> None:

@@ -14,7 +14,6 @@ from cell.interfaces.cli.options import ConfigOption, FaultOption, ModelOption
 
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
-    from cell.plugin.plugin import TactileCellPlugin
     from cell.service.service import Service
 
 SIGNAL_LOOK_S = 0.25
@@ -98,8 +97,7 @@ def serve(
     from cell.interfaces.cli.terminal import print_note
     from cell.jobs.common import job_folder
     from cell.jobs.taught_cache import cached_model
-    from cell.service.opening import history_of, open_plugin
-    from cell.service.service import Service
+    from cell.service.opening import open_service
 
     own = cell_config(config)
     if config is None and http_port is None:
@@ -122,7 +120,7 @@ def serve(
         untaught = config is None and model is None and training_set is None
         if untaught:
             model = cached_model(own)
-        plugin, poses = open_plugin(
+        service = open_service(
             checked,
             model=model,
             training_set=training_set,
@@ -130,24 +128,16 @@ def serve(
             folder=folder,
             note=print_note,
         )
-        if zero_note := plugin.health()["zero"]["text"]:
+        if zero_note := service.health()["zero"]["text"]:
             print_note(zero_note)
-        service = Service(
-            plugin,
-            checked,
-            poses=poses,
-            history_file=history_of(checked, folder),
-            photos_beside=save or model,
-            note=print_note,
-        )
         with _announced_interfaces(service):
             if untaught and model is None:
-                _teach_first(service, plugin, own, over, keep=not faults)
-            plugin.follow_real_time(speed)
+                _teach_first(service, own, over, keep=not faults)
+            service.plugin.follow_real_time(speed)
             manager = ServiceManager()
             manager.ready()
             while not over.wait(SIGNAL_LOOK_S):
-                manager.report(_status_line(service), working=service.working)
+                manager.report(_status_line(service), working=service.plugin.working)
             manager.stopping()
 
 
@@ -202,12 +192,7 @@ def free_page_port(listen: str) -> int | None:
 
 
 def _teach_first(
-    service: "Service",
-    plugin: "TactileCellPlugin",
-    config: "CellConfig",
-    over: threading.Event,
-    *,
-    keep: bool = True,
+    service: "Service", config: "CellConfig", over: threading.Event, *, keep: bool = True
 ) -> None:
     """Teach the objects of the built-in cell, visible on the page; keep the model with ``keep``."""
     from cell.errors import CellError
@@ -238,6 +223,6 @@ def _teach_first(
     if not keep:
         return
     try:
-        keep_model(config, lambda folder: plugin.save(folder / MODEL_FILE))
+        keep_model(config, lambda folder: service.plugin.save(folder / MODEL_FILE))
     except (CellError, OSError) as error:
         print_note(f"the model cannot be kept, so the next start teaches again: {error}")

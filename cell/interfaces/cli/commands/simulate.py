@@ -70,7 +70,7 @@ def _be_hands(folder: Path, text: str) -> None:
     from contextlib import closing
 
     from cell.control.positioner import SocketPlacer
-    from cell.errors import CellError, ConfigError
+    from cell.errors import CellError, ConfigError, raised_as
     from cell.interfaces.cli.terminal import ask, print_error, print_line
     from simulator.errors import SimulatorError
     from simulator.realtime.hands import Hands
@@ -78,10 +78,8 @@ def _be_hands(folder: Path, text: str) -> None:
     with closing(SocketPlacer(str(folder / "positioner.sock"))) as cell:
         hands = Hands(cell.ask, time.sleep)
         if text.startswith("{"):
-            try:
+            with raised_as(ConfigError, ValueError, where=f"--ask {text!r:.80} is not valid JSON"):
                 request = json.loads(text)
-            except ValueError as error:
-                raise ConfigError(f"--ask {text!r:.80} is not valid JSON: {error}") from error
             typer.echo(json.dumps(cell.ask(request)))
             return
         try:

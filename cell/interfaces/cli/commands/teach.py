@@ -76,14 +76,12 @@ def teach(
 ) -> None:
     """Grasp a known object, or a drawing of it, for a data set."""
     from cell.config.simulator import checked_label
-    from cell.errors import ConfigError
+    from cell.errors import ConfigError, raised_as
     from cell.interfaces.cli.session import cell_config
     from cell.plugin.goals import TeachGoal
 
-    try:
+    with raised_as(ConfigError, ValueError):
         checked_label(label)
-    except ValueError as error:
-        raise ConfigError(str(error)) from error
     if recorded is not None:
         _name_recorded(recorded, label, dataset, json_file)
         return
