@@ -8,11 +8,31 @@ import importlib
 import sys
 
 BENCHMARKS = {
-    "performance": "archive interfaces force_cap force_messages force_ramps identify loop_lateness "
-    "sensitivity servo_factors touch",
-    "recognition": "caution drawing drift early_end many_objects other_cell other_physics sensors "
-    "sequences shape_size",
-    "paper": "reproduction",
+    "performance": (
+        "archive",
+        "interfaces",
+        "force_cap",
+        "force_messages",
+        "force_ramps",
+        "identify",
+        "loop_lateness",
+        "sensitivity",
+        "servo_factors",
+        "touch",
+    ),
+    "recognition": (
+        "caution",
+        "drawing",
+        "drift",
+        "early_end",
+        "many_objects",
+        "other_cell",
+        "other_physics",
+        "sensors",
+        "sequences",
+        "shape_size",
+    ),
+    "paper": ("reproduction",),
 }
 """Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""
 ALONE = ("sensitivity",)
@@ -24,7 +44,7 @@ def modules() -> dict[str, str]:
     return {
         name: f"benchmarks.{chapter}.{name}"
         for chapter, names in BENCHMARKS.items()
-        for name in names.split()
+        for name in names
     }
 
 

@@ -184,8 +184,8 @@ class Rig:
         Part, errors of the gripper's figures, noise of the sensor in N.
     rate_hz
         Force messages a second; None: whole frames at 50 Hz alone.
-    gearing
-        Of the servos.
+    gearing, factors
+        Gearing of the servos, and factors on friction and torque beside the truth.
     creep
         Share of its force that the foam loses at a constant depth.
     supervised
@@ -203,6 +203,7 @@ class Rig:
         *,
         rate_hz: float | None = None,
         gearing: Gearing = IDEAL_GEARING,
+        factors: tuple[float, float] = (1.0, 1.0),
         creep: float = 0.0,
         supervised: bool = True,
         **settings: Any,
@@ -213,8 +214,8 @@ class Rig:
         clock = VirtualClock()
         motors = [ServoMotor(XM430_W350, gearing=gearing) for _ in (0, 1)]
         for motor in motors:
-            motor.kt_factor = 1.0 + truth.kt_error
-            motor.friction_factor = 1.0 + truth.friction_error
+            motor.friction_factor = factors[0] * (1.0 + truth.friction_error)
+            motor.kt_factor = factors[1] * (1.0 + truth.kt_error)
         directions, open_m = (1, -1), part.width_m + _FREE_M
         self._mechanics = FingerMechanics(
             motors,

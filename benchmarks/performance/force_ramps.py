@@ -6,8 +6,8 @@ torque figures are right in one run and wrong in the two others. Each figure is 
 runs, of the true force. The loop was tuned with other seeds. The force loop also runs on a plant
 with further truths (friction that grows with load, backlash, ripple, creep), and with more noise
 and larger errors of the figures. The last runs have the gearings of real servos, which the gripper
-measures before, as in a self-zero. ``--gearing`` runs one of them alone; ``--factors`` adds factors
-on friction and torque, ``--frames`` removes the force messages.
+measures before, as in a self-zero. ``--gearing`` runs one of them alone, ``--friction`` and
+``--kt`` multiply its friction and torque, and ``--frames`` removes the force messages.
 
 ``python -m benchmarks.performance.force_ramps --page`` writes the figures into
 docs/explanations/force-loop.md; the tests run some of them again and compare.
@@ -73,6 +73,8 @@ class Setup:
     """Force messages a second; None: frames at 50 Hz."""
     gearing: str = "ideal"
     """Name of the servos' gearing."""
+    factors: tuple[float, float] = (1.0, 1.0)
+    """As for `Rig`."""
     measured: bool = False
     """Whether the gripper has measured its servos, as a self-zero does."""
     creep: float = 0.0
@@ -135,6 +137,7 @@ def rig(setup: Setup, case: Case, truth: Truth) -> Rig:
         HARD_NOISE_N if setup.hard else NOISE_N,
         rate_hz=setup.rate_hz,
         gearing=GEARINGS[setup.gearing],
+        factors=setup.factors,
         creep=setup.creep,
         supervised=setup.law is None,
     )
@@ -204,6 +207,7 @@ def geared(
     effort: float,
     names: Sequence[str] = tuple(GEARINGS),
     rate_hz: float | None = GEARED_HZ,
+    factors: tuple[float, float] = (1.0, 1.0),
 ) -> None:
     """Print the ramps with each gearing, of servos that the gripper has measured."""
     cases = CASES[:: max(1, round(1.0 / effort / 10.0))] if effort < 1.0 else CASES
@@ -213,7 +217,7 @@ def geared(
         f"of {len(cases)} ramps, {sensor}: overshoot, settling, hold met, mean error, lost",
     )
     for name in names:
-        setup = Setup(gearing=name, measured=True, rate_hz=rate_hz)
+        setup = Setup(gearing=name, measured=True, rate_hz=rate_hz, factors=factors)
         found = {case: run(setup, case, repeats(len(TRUTHS), effort)) for case in cases}
         counts = ", ".join(f"{n:2d}" for n in _counts(found))
         line(name, f"{counts}, {_mean_n(found):.2f} N, {_lost(found):2d}")
@@ -274,11 +278,14 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Force ramps on a simulated gripper.")
     parser.add_argument("--page", action="store_true", help=f"write the figures into {PAGE.name}")
     parser.add_argument("--gearing", choices=tuple(GEARINGS), help="this gearing alone")
+    parser.add_argument("--friction", type=float, default=1.0, help="factor with --gearing")
+    parser.add_argument("--kt", type=float, default=1.0, help="factor on torque with --gearing")
     parser.add_argument("--frames", action="store_true", help="gearings without force messages")
     parser.add_argument("--effort", type=float, default=1.0, help="0.1: one truth alone")
     given = parser.parse_args()
     if given.frames or given.gearing:
         names = (given.gearing,) if given.gearing else tuple(GEARINGS)
-        geared(given.effort, names, None if given.frames else GEARED_HZ)
+        rate_hz = None if given.frames else GEARED_HZ
+        geared(given.effort, names, rate_hz, (given.friction, given.kt))
     else:
         main(given.effort, page=given.page)

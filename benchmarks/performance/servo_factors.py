@@ -9,7 +9,7 @@ grasps.
 ones. The cell grips, holds and releases one part for six minutes, as for an hour of warming up.
 Forces are the true ones on both pads, in each period of the holds.
 
-    python -m benchmarks.performance.servo_factors [--warm-up]
+    python -m benchmarks.performance.servo_factors [--gearing NAME] [--warm-up]
 """
 
 import argparse
@@ -30,6 +30,7 @@ from cell.jobs.teach import teach
 from cell.learning.taught_model import TaughtModel
 from cell.simulation import simulation_of
 from gripper.errors import GripperError
+from simulator.servo.gearing import GEARINGS
 from simulator.servo.motor import AMBIENT_C, THERMAL_TIME_CONSTANT_S
 from tactile.errors import TactileError
 
@@ -71,11 +72,12 @@ def job(
     friction: tuple[float, float],
     kt: tuple[float, float],
     *,
+    gearing: str = "ideal",
     n_objects: int = 5,
 ) -> JobRun:
     """Teach and identify on a new cell whose two servos have these factors."""
-    factors = {"simulator.servos.friction": list(friction), "simulator.servos.kt": list(kt)}
-    config = changed_config(CellConfig(), factors)
+    keys = {"friction": list(friction), "kt": list(kt), "gearing": gearing}
+    config = changed_config(CellConfig(), {f"simulator.servos.{key}": keys[key] for key in keys})
     labels = [entry.label for entry in config.simulator.objects][:n_objects]
     records: list[GraspRecord] = []
     true_n, right, error = 0.0, 0, None
@@ -113,9 +115,10 @@ def job(
     )
 
 
-def warm_up(duration_s: float = 3600.0) -> None:
+def warm_up(*, gearing: str = "ideal", duration_s: float = 3600.0) -> None:
     """Print the temperature and the force of grips of a cell whose servos start cold."""
-    config = changed_config(CellConfig(), {"simulator.faults": [f"servos.cold={COLD_C:g}degC"]})
+    keys = {"servos.gearing": gearing, "faults": [f"servos.cold={COLD_C:g}degC"]}
+    config = changed_config(CellConfig(), {f"simulator.{key}": keys[key] for key in keys})
     held_n, last_s, worst_n = config.sequence.carry_force_n, 0.0, 0.0
     with simulation_of(config) as simulated:
         motors = simulated.devices.mechanics.motors
@@ -147,15 +150,17 @@ def warm_up(duration_s: float = 3600.0) -> None:
     line("warm-up", f"largest error of the force {worst_n:.2f} N")
 
 
-def main(effort: float = 1.0) -> None:
+def main(effort: float = 1.0, *, gearing: str = "ideal") -> None:
     n_objects = repeats(5, effort, least=2)
     cases = [(f, kt, both) for both in (True, False) for f in FRICTIONS for kt in KTS]
     cases = cases[:: max(1, round(0.1 / effort))]
-    line("compared", f"{len(cases)} main jobs of {n_objects} objects")
+    line("compared", f"{len(cases)} main jobs of {n_objects} objects, gearing {gearing}")
     runs: list[JobRun] = []
     for friction, kt, both in cases:
         others = (friction, kt) if both else (1.0, 1.0)
-        runs.append(job((friction, others[0]), (kt, others[1]), n_objects=n_objects))
+        runs.append(
+            job((friction, others[0]), (kt, others[1]), gearing=gearing, n_objects=n_objects)
+        )
         where = "both fingers" if both else "one finger"
         line(f"{where} {friction:g}, kt {kt:g}", str(runs[-1]))
     done = [run for run in runs if run.error is None]
@@ -170,5 +175,6 @@ def main(effort: float = 1.0) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="The main job with servos off the catalogue.")
     parser.add_argument("--warm-up", action="store_true", help="an hour of cold servos instead")
+    parser.add_argument("--gearing", default="ideal", choices=tuple(GEARINGS))
     given = parser.parse_args()
-    (warm_up if given.warm_up else main)()
+    (warm_up if given.warm_up else main)(gearing=given.gearing)

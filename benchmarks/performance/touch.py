@@ -7,6 +7,7 @@ touch until the ramp begins, beyond the contact force. Times count from the true
 of the command that it ends.
 """
 
+import argparse
 import math
 import random
 from collections.abc import Callable, Mapping, Sequence
@@ -126,6 +127,11 @@ class TouchRig(Rig):
         self.changed: Callable[[float], Part] = lambda _: part
         self.slide_m_s = 0.0
         super().__init__(part, truth, noise_n, rate_hz=rate_hz, **(usual | settings))
+
+    @property
+    def now_s(self) -> float:
+        """Time of now in s."""
+        return self._now_s
 
     def _new_sensor(self, noise_n: float, seed: int, rate_hz: float | None) -> Sensor:
         sensor = super()._new_sensor(noise_n, seed, rate_hz)
@@ -305,15 +311,16 @@ def _impacts(over_n: Sequence[float]) -> str:
     return f"{median(over_n):5.2f}{max(over_n):5.2f}" + (f" ({missed} missed)" if missed else "")
 
 
-def main(effort: float = 1.0) -> None:
+def main(effort: float = 1.0, *, only: str = "", first_seed: int = _FIRST_SEED) -> None:
+    """Measure and print; ``only`` names the figures that are wanted by a part of their name."""
     n, n_quiet = repeats(40, effort), repeats(100, effort)
     wanted = slice(None if effort >= _ALL_FROM else 1)
 
     def rows(table: Mapping[str, Callable[[float | None, int], Any]]) -> list[str]:
-        return list(table)[wanted]
+        return [name for name in table if only in name][wanted]
 
     def cells(run: Callable[[float | None, int], Any], count: int) -> dict[str, list[Any]]:
-        seeds = range(_FIRST_SEED, _FIRST_SEED + count)
+        seeds = range(first_seed, first_seed + count)
         return {name: [run(rate_hz, i) for i in seeds] for name, rate_hz in RATES_HZ.items()}
 
     line("compared", f"{n} runs each, {n_quiet} quiet holds, {3 * n_quiet} random ramps")
@@ -332,3 +339,12 @@ def main(effort: float = 1.0) -> None:
         for sensor, texts in reports.items():
             for text in filter(None, texts):
                 line("", f"{sensor}: {text[:150]}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="What a simulated gripper notices, and how soon.")
+    parser.add_argument("--only", default="", help="part of the name of the figures wanted")
+    parser.add_argument("--effort", type=float, default=1.0, help="share of the runs")
+    parser.add_argument("--seed", type=int, default=_FIRST_SEED, help="first seed")
+    given = parser.parse_args()
+    main(given.effort, only=given.only, first_seed=given.seed)

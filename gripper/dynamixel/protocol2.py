@@ -11,6 +11,7 @@ from typing import NamedTuple
 from dynamixel_sdk import COMM_PORT_BUSY, COMM_SUCCESS, Protocol2PacketHandler
 
 from gripper.dynamixel.serial_port import SdkPort
+from gripper.errors import BusBusy
 
 HEADER = b"\xff\xff\xfd"
 """First bytes of every packet; inside a packet they are stuffed."""
@@ -153,12 +154,16 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
     def txPacket(self, port: SdkPort, txpacket: Sequence[int]) -> int:  # noqa: N802
         """Send a packet after its header, length and CRC are filled in."""
         params = bytes(txpacket[_BODY_AT + 1 : -_CRC_SIZE])
-        return self.send(port, txpacket[_ID_AT], txpacket[_BODY_AT], params)
-
-    def send(self, port: SdkPort, servo_id: int, instruction: int, params: bytes) -> int:
-        """Send one instruction packet; return the SDK's result, busy while an answer is awaited."""
-        if port.is_using:
+        try:
+            self.send(port, txpacket[_ID_AT], txpacket[_BODY_AT], params)
+        except BusBusy:
             return int(COMM_PORT_BUSY)
+        return int(COMM_SUCCESS)
+
+    def send(self, port: SdkPort, servo_id: int, instruction: int, params: bytes) -> None:
+        """Send one instruction packet; BusBusy while the port waits for another answer."""
+        if port.is_using:
+            raise BusBusy("the SDK's port is still in use by another transaction")
         port.is_using = True
         body = stuff(bytes((instruction,)) + params)
         length = (len(body) + _CRC_SIZE).to_bytes(2, "little")
@@ -167,7 +172,6 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
         self._following.clear()
         port.clearPort()
         port.writePort(packet)
-        return int(COMM_SUCCESS)
 
     def updateCRC(  # noqa: N802
         self, crc_accum: int, data_blk_ptr: Sequence[int], data_blk_size: int

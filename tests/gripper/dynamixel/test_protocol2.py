@@ -3,9 +3,11 @@ from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
 
 from gripper.dynamixel.protocol2 import (
     CheckedPacketHandler,
+    Instruction,
     packet_length,
     parse_status,
 )
+from gripper.errors import BusBusy
 
 
 def test_two_stuffed_places_lose_no_byte() -> None:
@@ -72,3 +74,5 @@ def test_a_port_in_use_is_busy() -> None:
     wire = Wire()
     wire.is_using = True
     assert CheckedPacketHandler().txPacket(wire, [0] * 10) == COMM_PORT_BUSY
+    with pytest.raises(BusBusy):
+        CheckedPacketHandler().send(wire, 1, Instruction.PING, b"")
