@@ -128,11 +128,6 @@ class TouchRig(Rig):
         self.slide_m_s = 0.0
         super().__init__(part, truth, noise_n, rate_hz=rate_hz, **(usual | settings))
 
-    @property
-    def now_s(self) -> float:
-        """Time of now in s."""
-        return self._now_s
-
     def _new_sensor(self, noise_n: float, seed: int, rate_hz: float | None) -> Sensor:
         sensor = super()._new_sensor(noise_n, seed, rate_hz)
         scan_n = None if rate_hz is None else noise_n * math.sqrt(1.5)
