@@ -64,8 +64,8 @@ def test_one_finger_after_the_other_shows_its_torque(make_cell) -> None:
         assert drive.kt_nm_a == XM430_W350.kt_nm_a, "no pad moves the motor constant"
 
 
-def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_cell, make_part) -> None:
-    cell = make_cell(drive_sds=NEVER, part=make_part(present=False))
+def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_cell) -> None:
+    cell = make_cell(drive_sds=NEVER, present=False)
     for motor, factor in zip(cell.motors, (0.75, 1.25), strict=True):
         motor.kt_factor = factor
     cell.gripper.start()
@@ -79,8 +79,8 @@ def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_cell, mak
         assert drive.temperature_c == pytest.approx(motor.temperature_c, abs=1.0)
 
 
-def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_cell, make_part) -> None:
-    cell = make_cell(part=make_part(present=False))
+def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_cell) -> None:
+    cell = make_cell(present=False)
     cell.gripper.start()
     cell.gripper.open()
     assert not cell.gripper.drives.read().notes
@@ -93,8 +93,8 @@ def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_cell, ma
     assert drives(cell)[1].breakaway_a == pytest.approx(true_friction_a(cell.motors[1]), rel=0.1)
 
 
-def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_cell, make_part) -> None:
-    cell = make_cell(part=make_part(present=False), current_max_a=1.2)
+def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_cell) -> None:
+    cell = make_cell(present=False, current_max_a=1.2)
     cell.gripper.start()
     cell.gripper.open()
 

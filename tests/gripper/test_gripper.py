@@ -95,12 +95,8 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
 
 @pytest.mark.parametrize("stiffness_n_m", [5e3, 2e4, 5e4])
 @pytest.mark.parametrize("rate_n_s", [1.0, 3.0, 10.0])
-def test_the_ramp_ends_without_overshoot_and_settles(
-    make_cell, make_part, stiffness_n_m, rate_n_s
-) -> None:
-    cell = make_cell(
-        part=make_part(stiffness_n_m=stiffness_n_m), noise_n=0.3, approach_speed_m_s=0.01
-    )
+def test_the_ramp_ends_without_overshoot_and_settles(make_cell, stiffness_n_m, rate_n_s) -> None:
+    cell = make_cell(stiffness_n_m=stiffness_n_m, noise_n=0.3, approach_speed_m_s=0.01)
     cell.gripper.start()
     true_n: list[tuple[float, float]] = []
     cell.gripper.grasp(
@@ -206,8 +202,8 @@ def test_a_part_is_squeezed_again_in_the_same_grip(cell) -> None:
     assert cell.gripper.phase is GripperPhase.HOLDING
 
 
-def test_nothing_between_the_fingers_is_a_result(make_cell, make_part) -> None:
-    cell = make_cell(part=make_part(present=False), aperture_min_m=0.004)
+def test_nothing_between_the_fingers_is_a_result(make_cell) -> None:
+    cell = make_cell(present=False, aperture_min_m=0.004)
     cell.gripper.start()
     outcome = cell.gripper.grasp(RAMP)
     assert outcome.result is GraspResult.NO_CONTACT
@@ -217,8 +213,8 @@ def test_nothing_between_the_fingers_is_a_result(make_cell, make_part) -> None:
     cell.gripper.open()
 
 
-def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_cell, make_part) -> None:
-    cell = make_cell(part=make_part(stiffness_n_m=50_000.0))
+def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_cell) -> None:
+    cell = make_cell(stiffness_n_m=50_000.0)
     cell.sensor.gain = 0.0
     cell.gripper.start()
     with pytest.raises(GripContradicted, match="the pads show no force"):

@@ -194,8 +194,8 @@ def test_a_stop_at_the_begin_of_a_release_lets_nothing_fall(cell) -> None:
     assert cell.force_n == 0.0
 
 
-def test_a_stop_in_the_approach_goes_no_farther(make_cell, make_part) -> None:
-    cell = make_cell(part=make_part(present=False), approach_speed_m_s=0.02)
+def test_a_stop_in_the_approach_goes_no_farther(make_cell) -> None:
+    cell = make_cell(present=False, approach_speed_m_s=0.02)
     cell.gripper.start()
 
     def stop(cycle) -> None:

@@ -190,10 +190,8 @@ def test_a_fault_of_the_finger_that_opens_is_latched(make_cell) -> None:
     assert cell.mechanics.finger_position_m[1] < 0.018
 
 
-def test_a_release_closes_no_finger_that_stands_wide_open(make_cell, make_part) -> None:
-    cell = make_cell(
-        aperture_m=0.07, aperture_open_m=0.018, force_max_n=9.0, part=make_part(present=False)
-    )
+def test_a_release_closes_no_finger_that_stands_wide_open(make_cell) -> None:
+    cell = make_cell(aperture_m=0.07, aperture_open_m=0.018, force_max_n=9.0, present=False)
     cell.gripper.start()
     assert cell.gripper.release().state.aperture_m == pytest.approx(0.07, abs=0.002)
     cell.clock.sleep(0.5)

@@ -118,8 +118,8 @@ def test_asked_while_the_fingers_approach_the_ramp_ends_as_it_begins(cell) -> No
     assert cell.peak_n < 4.0
 
 
-def test_a_force_that_could_not_hold_a_part_grows_until_it_can(make_cell, make_part) -> None:
-    cell = make_cell(part=make_part(stiffness_n_m=2000.0), approach_speed_m_s=0.004, noise_n=0.02)
+def test_a_force_that_could_not_hold_a_part_grows_until_it_can(make_cell) -> None:
+    cell = make_cell(stiffness_n_m=2000.0, approach_speed_m_s=0.004, noise_n=0.02)
     cell.gripper.start()
     asked: list[float] = []
 
@@ -207,10 +207,10 @@ def test_requests_count_during_a_grasp_only() -> None:
 
 @pytest.mark.parametrize("noise_n", [0.02, 0.2])
 def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_bears(
-    make_cell, make_part, noise_n: float
+    make_cell, noise_n: float
 ) -> None:
     # 1 N/mm: 3.5 N at the 0.5 mm to which the fingers close.
-    cell = make_cell(part=make_part(width_m=0.004, stiffness_n_m=2000.0), noise_n=noise_n)
+    cell = make_cell(width_m=0.004, stiffness_n_m=2000.0, noise_n=noise_n)
     gripper = cell.gripper
     gripper.start()
     outcome = gripper.grasp(LINEAR)
@@ -231,11 +231,10 @@ def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_be
     assert gripper.phase is GripperPhase.IDLE
 
 
-def test_a_smaller_opening_while_pressing_lets_a_small_part_sink_deeper(
-    make_cell, make_part
-) -> None:
-    part = make_part(width_m=0.005, stiffness_n_m=6000.0)
-    cell = make_cell(part=part, aperture_min_m=0.003, aperture_pressed_m=0.001)
+def test_a_smaller_opening_while_pressing_lets_a_small_part_sink_deeper(make_cell) -> None:
+    cell = make_cell(
+        width_m=0.005, stiffness_n_m=6000.0, aperture_min_m=0.003, aperture_pressed_m=0.001
+    )
     cell.gripper.start()
     outcome = cell.gripper.grasp(ForceRamp.linear(8.0, 5.0, hold_s=1.0))
     assert (outcome.result, outcome.short) == (GraspResult.FORCE_REACHED, "")

@@ -9,11 +9,9 @@ from gripper.values.state import GripperPhase
 
 
 @pytest.fixture
-def tripped(make_cell, make_part):
+def tripped(make_cell):
     """A part gripped with 14 N, whose servos' watchdogs have tripped: they hold it with less."""
-    cell = make_cell(
-        part=make_part(width_m=0.016), aperture_m=0.024, force_max_n=15.0, aperture_open_m=0.024
-    )
+    cell = make_cell(width_m=0.016, aperture_m=0.024, force_max_n=15.0, aperture_open_m=0.024)
     cell.gripper.start()
     outcome = cell.gripper.grasp(ForceRamp.linear(14.0, rate_n_s=20.0, hold_s=0.3))
     assert outcome.result is GraspResult.FORCE_REACHED

@@ -35,10 +35,10 @@ def test_a_stiffness_that_is_far_too_small_drives_no_force_beyond_the_ramp(
 
 @pytest.mark.parametrize("factor", [1.5, 2.0])
 def test_pads_that_report_too_much_do_not_open_the_fingers_beyond_the_touch(
-    make_cell, make_part, factor
+    make_cell, factor
 ) -> None:
     """A light grip: the loop backs off from a force that is not there."""
-    cell = make_cell(part=make_part(stiffness_n_m=2000.0), approach_speed_m_s=0.02)
+    cell = make_cell(stiffness_n_m=2000.0, approach_speed_m_s=0.02)
     pads = WrongPads(
         cell, lambda it: replace(it, force_n=tuple(factor * n + 1.0 for n in it.force_n))
     )
@@ -59,12 +59,13 @@ def test_pads_that_report_too_much_do_not_open_the_fingers_beyond_the_touch(
 @pytest.mark.parametrize("stiffness_n_m", [3e3, 1e4, 5e4])
 @pytest.mark.parametrize("wrong", [(5.3, False), (13.5, True), (13.9, True)])
 def test_pads_that_report_too_little_let_no_force_above_the_cap(
-    make_cell, make_part, loop_rate_hz, stiffness_n_m, wrong
+    make_cell, loop_rate_hz, stiffness_n_m, wrong
 ) -> None:
     """Only the current bounds the force then, and inertia adds to what it makes."""
     at_n, invalid = wrong
     cell = make_cell(
-        part=make_part(width_m=0.03, stiffness_n_m=stiffness_n_m),
+        width_m=0.03,
+        stiffness_n_m=stiffness_n_m,
         aperture_m=0.034,
         aperture_open_m=0.036,
         force_max_n=15.0,
@@ -97,12 +98,10 @@ LIES = {
 
 @pytest.mark.parametrize("rate_n_s", [10.0, 40.0])
 @pytest.mark.parametrize("lie", LIES)
-def test_no_wrong_sample_makes_far_more_force_than_is_asked_for(
-    make_cell, make_part, lie, rate_n_s
-) -> None:
+def test_no_wrong_sample_makes_far_more_force_than_is_asked_for(make_cell, lie, rate_n_s) -> None:
     """Torque constant and friction are off as far as they may be: the current alone decides."""
     cell = make_cell(
-        part=make_part(stiffness_n_m=5e3),
+        stiffness_n_m=5e3,
         kt_error=0.1,
         friction_error=-0.15,
         force_max_n=15.0,

@@ -16,9 +16,10 @@ from gripper.values.outcome import GraspResult
 from tests.gripper.force.pads import WrongPads
 
 
-def test_friction_that_breaks_on_a_short_lever_is_no_jump_of_the_zero(make_cell, make_part) -> None:
-    part = make_part(stiffness_n_m=3000.0)
-    cell = make_cell(linkage="rack", part=part, rate_hz=200.0, noise_n=0.05, delay_s=0.005)
+def test_friction_that_breaks_on_a_short_lever_is_no_jump_of_the_zero(make_cell) -> None:
+    cell = make_cell(
+        linkage="rack", stiffness_n_m=3000.0, rate_hz=200.0, noise_n=0.05, delay_s=0.005
+    )
     cell.gripper.start()
     outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=1.0, hold_s=0.5))
     assert outcome.result is GraspResult.FORCE_REACHED

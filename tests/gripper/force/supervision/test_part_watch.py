@@ -207,9 +207,7 @@ def test_a_light_part_that_is_taken_is_lost_though_no_finger_runs(
 
 
 @pytest.mark.parametrize("believed_n_m", [700.0, 4600.0])
-def test_a_soft_part_that_yields_fast_is_not_lost(
-    make_cell, make_part, monkeypatch, believed_n_m
-) -> None:
+def test_a_soft_part_that_yields_fast_is_not_lost(make_cell, monkeypatch, believed_n_m) -> None:
     """The first samples make foam look stiff; the pads show that it is there."""
 
     def first_wrong(estimate: StiffnessEstimate) -> float | None:
@@ -218,7 +216,8 @@ def test_a_soft_part_that_yields_fast_is_not_lost(
 
     monkeypatch.setattr(StiffnessEstimate, "stiffness_n_m", property(first_wrong))
     cell = make_cell(
-        part=make_part(width_m=0.05, stiffness_n_m=400.0),
+        width_m=0.05,
+        stiffness_n_m=400.0,
         aperture_m=0.055,
         aperture_open_m=0.055,
         slip_travel_m=0.05,
@@ -237,10 +236,8 @@ def test_a_soft_part_that_noise_shows_early_is_not_lost_before_it_is_held() -> N
     assert outcome.result is GraspResult.FORCE_REACHED
 
 
-def test_a_soft_part_that_is_taken_in_the_ramp_is_lost(make_cell, make_part) -> None:
-    cell = make_cell(
-        part=make_part(width_m=0.05, stiffness_n_m=400.0), aperture_m=0.055, aperture_open_m=0.055
-    )
+def test_a_soft_part_that_is_taken_in_the_ramp_is_lost(make_cell) -> None:
+    cell = make_cell(width_m=0.05, stiffness_n_m=400.0, aperture_m=0.055, aperture_open_m=0.055)
     cell.gripper.start()
     taken_s: list[float] = []
     ramping_s: list[float] = []
