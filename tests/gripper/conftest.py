@@ -328,3 +328,20 @@ def cell() -> Cell:
 @pytest.fixture
 def make_cell() -> Callable[..., Cell]:
     return Cell
+
+
+@pytest.fixture
+def make_started() -> Callable[..., Cell]:
+    """Return the maker of cells whose gripper was started."""
+
+    def make(**options: Any) -> Cell:
+        cell = Cell(**options)
+        cell.gripper.start()
+        return cell
+
+    return make
+
+
+@pytest.fixture
+def started(make_started: Callable[..., Cell]) -> Cell:
+    return make_started()

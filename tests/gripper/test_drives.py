@@ -27,12 +27,11 @@ def true_friction_a(motor: Any) -> float:
 
 @pytest.mark.parametrize("friction", [(0.5, 0.5), (3.0, 3.0), (3.0, 1.0), (1.0, 0.5)])
 def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
-    make_cell, friction
+    make_started, friction
 ) -> None:
-    cell = make_cell(drive_sds=NEVER, aperture_m=0.03)
+    cell = make_started(drive_sds=NEVER, aperture_m=0.03)
     for motor, factor in zip(cell.motors, friction, strict=True):
         motor.friction_factor = factor
-    cell.gripper.start()
     cell.gripper.open()
     assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
     assert cell.force_n == pytest.approx(6.0, abs=0.6)
@@ -47,11 +46,10 @@ def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
     assert cell.clock.monotonic() - began_s < 3.0
 
 
-def test_one_finger_after_the_other_shows_its_torque(make_cell) -> None:
-    cell = make_cell(drive_sds=NEVER)
+def test_one_finger_after_the_other_shows_its_torque(make_started) -> None:
+    cell = make_started(drive_sds=NEVER)
     for motor, factor in zip(cell.motors, (0.75, 1.2), strict=True):
         motor.kt_factor = factor
-    cell.gripper.start()
     cell.gripper.open()
     cell.gripper.grasp(ForceRamp.linear(8.0, 8.0, 0.5))
     cell.gripper.drives.measure_load()
@@ -64,11 +62,10 @@ def test_one_finger_after_the_other_shows_its_torque(make_cell) -> None:
         assert drive.kt_nm_a == XM430_W350.kt_nm_a, "no pad moves the motor constant"
 
 
-def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_cell) -> None:
-    cell = make_cell(drive_sds=NEVER, present=False)
+def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_started) -> None:
+    cell = make_started(drive_sds=NEVER, present=False)
     for motor, factor in zip(cell.motors, (0.75, 1.25), strict=True):
         motor.kt_factor = factor
-    cell.gripper.start()
     cell.gripper.open()
     cell.gripper.drives.measure_friction()
     assert cell.gripper.read_feedback().aperture_m == pytest.approx(0.03, abs=0.001)
@@ -79,9 +76,8 @@ def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_cell) -> 
         assert drive.temperature_c == pytest.approx(motor.temperature_c, abs=1.0)
 
 
-def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_cell) -> None:
-    cell = make_cell(present=False)
-    cell.gripper.start()
+def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_started) -> None:
+    cell = make_started(present=False)
     cell.gripper.open()
     assert not cell.gripper.drives.read().notes
     cell.motors[1].friction_factor = 1.6
@@ -93,9 +89,8 @@ def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_cell) ->
     assert drives(cell)[1].breakaway_a == pytest.approx(true_friction_a(cell.motors[1]), rel=0.1)
 
 
-def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_cell) -> None:
-    cell = make_cell(present=False, current_max_a=1.2)
-    cell.gripper.start()
+def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_started) -> None:
+    cell = make_started(present=False, current_max_a=1.2)
     cell.gripper.open()
 
     def wear() -> None:
@@ -113,10 +108,9 @@ def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_cell) -
 
 
 @pytest.mark.parametrize("gain", [0.6, 0.8])
-def test_pads_that_read_too_little_are_noted_once_the_back_emf_is_known(make_cell, gain) -> None:
-    cell = make_cell(drive_sds=NEVER, force_max_n=12.0)
+def test_pads_that_read_too_little_are_noted_once_the_back_emf_is_known(make_started, gain) -> None:
+    cell = make_started(drive_sds=NEVER, force_max_n=12.0)
     cell.sensor.gain = gain
-    cell.gripper.start()
     cell.gripper.open()
     cell.gripper.grasp(ForceRamp.linear(6.0, 8.0, 0.5))
     cell.gripper.drives.measure_load()

@@ -194,9 +194,8 @@ def test_a_stop_at_the_begin_of_a_release_lets_nothing_fall(cell) -> None:
     assert cell.force_n == 0.0
 
 
-def test_a_stop_in_the_approach_goes_no_farther(make_cell) -> None:
-    cell = make_cell(present=False, approach_speed_m_s=0.02)
-    cell.gripper.start()
+def test_a_stop_in_the_approach_goes_no_farther(make_started) -> None:
+    cell = make_started(present=False, approach_speed_m_s=0.02)
 
     def stop(cycle) -> None:
         if cycle.state.aperture_m < 0.012:

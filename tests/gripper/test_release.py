@@ -190,9 +190,8 @@ def test_a_fault_of_the_finger_that_opens_is_latched(make_cell) -> None:
     assert cell.mechanics.finger_position_m[1] < 0.018
 
 
-def test_a_release_closes_no_finger_that_stands_wide_open(make_cell) -> None:
-    cell = make_cell(aperture_m=0.07, aperture_open_m=0.018, force_max_n=9.0, present=False)
-    cell.gripper.start()
+def test_a_release_closes_no_finger_that_stands_wide_open(make_started) -> None:
+    cell = make_started(aperture_m=0.07, aperture_open_m=0.018, force_max_n=9.0, present=False)
     assert cell.gripper.release().state.aperture_m == pytest.approx(0.07, abs=0.002)
     cell.clock.sleep(0.5)
     assert cell.mechanics.aperture_m == pytest.approx(0.07, abs=0.002)
@@ -218,12 +217,11 @@ def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell) -> None:
     assert str(cell.gripper.release()) == "the fingers are open"
 
 
-def test_a_finger_that_is_said_to_stand_too_wide_open_is_named(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.open()
-    cell.gripper.close()
-    cell.knobs[0].jump_encoder(0.3)
-    cell.clock.sleep(2.0)
-    report = cell.gripper.release()
+def test_a_finger_that_is_said_to_stand_too_wide_open_is_named(started) -> None:
+    started.gripper.open()
+    started.gripper.close()
+    started.knobs[0].jump_encoder(0.3)
+    started.clock.sleep(2.0)
+    report = started.gripper.release()
     assert report.wider == (1,)
     assert "the finger of servo 1 was not moved" in str(report)

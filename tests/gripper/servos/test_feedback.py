@@ -22,11 +22,10 @@ def test_a_leap_in_a_pause_is_found_before_the_next_goal(cell) -> None:
     assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
 
 
-def test_turns_of_a_servo_without_torque_do_not_matter(cell) -> None:
-    cell.gripper.start()
-    before_m = cell.gripper.read_feedback().aperture_m
-    cell.knobs[0].offset_report(2 * 4096)
-    assert cell.gripper.read_feedback().aperture_m == pytest.approx(before_m, abs=1e-4)
+def test_turns_of_a_servo_without_torque_do_not_matter(started) -> None:
+    before_m = started.gripper.read_feedback().aperture_m
+    started.knobs[0].offset_report(2 * 4096)
+    assert started.gripper.read_feedback().aperture_m == pytest.approx(before_m, abs=1e-4)
 
 
 @pytest.mark.parametrize("offset_raw", [-4096, 800])

@@ -174,10 +174,9 @@ def test_pads_that_are_noisy_while_empty_brake_by_what_stands_out() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [None, 333.0])
-def test_fast_force_meets_a_part_more_gently(make_cell, rate_hz) -> None:
-    cell = make_cell(rate_hz=rate_hz, noise_n=0.1, friction_error=-0.15)
+def test_fast_force_meets_a_part_more_gently(make_started, rate_hz) -> None:
+    cell = make_started(rate_hz=rate_hz, noise_n=0.1, friction_error=-0.15)
     cell.part.stiffness_n_m = 6000.0
-    cell.gripper.start()
     peaks_n: list[float] = []
 
     def watch(cycle: Cycle) -> None:
@@ -188,10 +187,9 @@ def test_fast_force_meets_a_part_more_gently(make_cell, rate_hz) -> None:
     assert (peaks_n[-1] < 1.0) is (rate_hz is not None)
 
 
-def test_fingers_that_touch_before_they_have_run_press_on_all_the_same(make_cell) -> None:
-    cell = make_cell(rate_hz=333.0, noise_n=0.1, friction_error=0.2, aperture_m=0.0123)
+def test_fingers_that_touch_before_they_have_run_press_on_all_the_same(make_started) -> None:
+    cell = make_started(rate_hz=333.0, noise_n=0.1, friction_error=0.2, aperture_m=0.0123)
     cell.part.stiffness_n_m = 3000.0
-    cell.gripper.start()
     outcome = cell.gripper.grasp(ForceRamp.linear(2.0, rate_n_s=3.0))
     assert outcome.contact_t_s is not None
     assert outcome.contact_t_s < 1.5
@@ -231,10 +229,11 @@ def test_no_ramp_begins_while_the_force_of_a_hard_touch_is_fresh() -> None:
 
 
 @pytest.mark.parametrize("near_m_s", [0.012, 0.015])
-def test_fingers_that_travel_start_hard_and_slow_down_to_their_speed(make_cell, near_m_s) -> None:
+def test_fingers_that_travel_start_hard_and_slow_down_to_their_speed(
+    make_started, near_m_s
+) -> None:
     """No finger gets so slow that it waits for the pads as one that a part slows down."""
-    cell = make_cell(rate_hz=200.0, noise_n=0.01, approach_speed_m_s=near_m_s, force_max_n=15.0)
-    cell.gripper.start()
+    cell = make_started(rate_hz=200.0, noise_n=0.01, approach_speed_m_s=near_m_s, force_max_n=15.0)
     cell.gripper.grasp(ForceRamp.linear(2.0, rate_n_s=20.0))
     cell.gripper.release()
     seen: list[tuple[float, float]] = []

@@ -111,9 +111,7 @@ def test_a_wrong_direction_of_one_is_refused_where_its_finger_is_beyond_the_midd
 def test_a_wrong_direction_of_one_servo_that_drives_both_is_told(
     make_cell, linkage, aperture_m
 ) -> None:
-    cell = make_cell(
-        n_servos=1, linkage=linkage, turned=(0,), aperture_m=aperture_m, present=False
-    )
+    cell = make_cell(n_servos=1, linkage=linkage, turned=(0,), aperture_m=aperture_m, present=False)
     if aperture_m > 0.004:
         with pytest.raises(VerificationFailed, match=r"gripper.servos\[0\].direction -1"):
             cell.gripper.start()
@@ -125,9 +123,10 @@ def test_a_wrong_direction_of_one_servo_that_drives_both_is_told(
 
 
 @pytest.mark.parametrize("aperture_m", [0.0, 0.018, 0.03])
-def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(make_cell, aperture_m) -> None:
-    cell = make_cell(zero_off=(100, 100), aperture_m=aperture_m, present=False, force_max_n=8.0)
-    cell.gripper.start()
+def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(
+    make_started, aperture_m
+) -> None:
+    cell = make_started(zero_off=(100, 100), aperture_m=aperture_m, present=False, force_max_n=8.0)
     stop = Stop(cell)
     cell.gripper.open(0.03)
     with pytest.raises(GripContradicted, match=r"at an opening of 1[789]\.\d mm, .*zero_pulse"):
@@ -136,18 +135,16 @@ def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(make_cell, 
 
 
 @pytest.mark.parametrize("link_m", [0.03, 0.08])
-def test_a_wrong_length_without_an_offset_is_not_told_by_motion(make_cell, link_m) -> None:
-    cell = make_cell(link_m=link_m, present=False)
-    cell.gripper.start()
+def test_a_wrong_length_without_an_offset_is_not_told_by_motion(make_started, link_m) -> None:
+    cell = make_started(link_m=link_m, present=False)
     cell.gripper.open()
     assert cell.gripper.grasp(RAMP).result is GraspResult.NO_CONTACT
     assert cell.mechanics.aperture_m == pytest.approx(0.0, abs=5e-4)
 
 
 @pytest.mark.parametrize("offset_m", [0.004, -0.004])
-def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_cell, offset_m) -> None:
-    cell = make_cell(offset_m=offset_m, present=False)
-    cell.gripper.start()
+def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_started, offset_m) -> None:
+    cell = make_started(offset_m=offset_m, present=False)
     cell.gripper.open()
     error, told = (GripContradicted, "zero_pulse")
     if offset_m < 0.0:
@@ -158,10 +155,11 @@ def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_cell, offset_m) ->
 
 @pytest.mark.parametrize("friction_error", [LONG(-0.3), 0.0, 0.3, LONG(0.6)])
 @pytest.mark.parametrize("aperture_m", [0.0, 0.004, 0.018])
-def test_the_proof_costs_a_right_gripper_little_time(make_cell, friction_error, aperture_m) -> None:
+def test_the_proof_costs_a_right_gripper_little_time(
+    make_started, friction_error, aperture_m
+) -> None:
     """MoveTo alone takes 0.33 s for 18 mm and 0.63 s from closed, at 60 mm/s."""
-    cell = make_cell(aperture_m=aperture_m, friction_error=friction_error, present=False)
-    cell.gripper.start()
+    cell = make_started(aperture_m=aperture_m, friction_error=friction_error, present=False)
     began_s = cell.clock.monotonic()
     state = cell.gripper.open()
     assert state.aperture_m == pytest.approx(0.03, abs=0.001)
@@ -197,10 +195,9 @@ def test_a_release_after_it_goes_limp_again(make_cell, aperture_m, most_n) -> No
     assert stop.most_n < most_n
 
 
-def test_a_time_that_ends_before_the_empty_fingers_meet_is_told_as_that(make_cell) -> None:
+def test_a_time_that_ends_before_the_empty_fingers_meet_is_told_as_that(make_started) -> None:
     slow = {"approach_speed_m_s": 0.004, "contact_timeout_s": 1.0}
-    cell = make_cell(present=False, **slow)
-    cell.gripper.start()
+    cell = make_started(present=False, **slow)
     with pytest.raises(LimitExceeded, match=r"after 3 s they have closed .*contact_timeout_s"):
         cell.gripper.press_pads_together(ForceRamp.linear(3.0, 5.0))
     assert cell.torques == [1, 1]
