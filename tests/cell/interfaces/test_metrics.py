@@ -46,13 +46,18 @@ def test_a_scrape_counts_parts_faults_and_links(connect) -> None:
     assert served.ended().error == ""
     goal = {"task": "sort", "parts": 2, "feed": ["ball", "box"], "max_grasps": 1}
     client.post("/api/jobs", lease=lease, goal=goal)
-    assert served.ended().error == ""
+    ended = served.ended()
+    assert ended.error == ""
     status, text = scraped(client, served.interfaces["view_token"])
     assert status == 200
     found = values_of(text)
     prefix = "tactile_cell_"
-    assert sum(n for key, n in found.items() if key.startswith(f"{prefix}parts_total")) == 2
-    assert found[f"{prefix}parts_total{{box}}{{named}}"] == 1
+    names = {"ball": "{ball}{named}", "box": "{box}{named}", "reject": "{UNKNOWN}{unknown}"}
+    places = {names[place]: n for place, n in ended.progress["places"].items() if n}
+    prefixed = {key: n for key, n in found.items() if key.startswith(f"{prefix}parts_total")}
+    assert prefixed == {f"{prefix}parts_total{key}": n for key, n in places.items()}
+    assert sum(places.values()) == 2
+    assert places["{box}{named}"] == 1
     assert found[f"{prefix}cycle_seconds_count"] == 2
     assert 1.0 < found[f"{prefix}cycle_seconds_sum"] < 60.0
     assert found[f"{prefix}force_error_newtons_count"] >= 2
