@@ -139,7 +139,6 @@ def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(stand, tm
     one = stand(noise=NoiseModel(level=0.3))
     finding = one.passes(BaselineStep())
     was = gauge_of({"baseline": finding.values})
-    assert was is not None
     assert was.held_n == pytest.approx((was.force_n, was.force_n), rel=0.1)
     assert was.held_mm < was.contact_mm < 11.0
     assert min(was.patch_taxels) > 5

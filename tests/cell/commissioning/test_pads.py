@@ -157,7 +157,6 @@ def test_places_and_mounts_of_patches() -> None:
     assert pressed_at(layout, force_n) is None
     force_n[layout.taxels_of(2).start] = 1.0
     patch = pressed_at(layout, force_n)
-    assert patch is not None
     assert (patch.pad, patch.force_n) == (2, 1.0)
     assert (patch.along, patch.across) == pytest.approx((-15 / 16, -1 / 2))
     found = mounts_of(layout, {2: patch, 0: Patch(pad=0, along=0.8, across=0.4, force_n=1.0)})

@@ -270,7 +270,6 @@ def test_a_release_can_be_stopped_too(bench: Any, again: str) -> None:
         r"while letting go, at an opening of ([\d.]+) mm; a part may be half held until",
         str(stopped.value),
     )
-    assert told is not None
     assert float(told[1]) == pytest.approx(stood_mm, abs=0.5)
     bench.sleep(0.5)
     assert bench.simulated.devices.mechanics.aperture_m * 1e3 == pytest.approx(stood_mm, abs=0.8)

@@ -226,7 +226,6 @@ def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(
     assert bench.life.state is CellState.ABORTED
     assert bench.life.grasp_state is GraspState.PART_LOST
     text = bench.life.fault
-    assert text is not None
     after_s = float(text.rpartition("; ")[2].removesuffix(" s after the answer"))
     assert 3.0 <= after_s <= 3.1 + limit_s
     bench.simulated.injector.clear_all()

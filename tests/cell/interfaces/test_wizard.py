@@ -131,8 +131,7 @@ class Page(Client):
         return self.ask("POST", f"/api/{path}", {"lease": self.lease, **body})[0]
 
     def state(self) -> dict[str, Any]:
-        found: dict[str, Any] = self.get("/api/state")
-        return found
+        return self.get("/api/state")
 
     def becomes(self, phase: str) -> dict[str, Any]:
         until(lambda: self.state()["phase"] == phase)
@@ -300,7 +299,6 @@ def test_the_command_opens_the_page_until_it_is_ended(tmp_path) -> None:
     program = Path(sys.executable).with_name("tactile-cell")
     command = [str(program), "commission", str(tmp_path), "--page", "--http", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         found = json.loads(process.stdout.readline())
         state = Client(found).get("/api/state")
         process.send_signal(signal.SIGTERM)

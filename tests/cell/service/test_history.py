@@ -201,7 +201,6 @@ def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(
 
 
 def test_a_damaged_file_is_moved_away_and_a_later_one_is_left(kept: Kept) -> None:
-    assert kept.path is not None
     kept.path.parent.mkdir()
     kept.path.write_bytes(b"no data base at all, but long enough to be looked at" * 100)
     kept.history.add(part())

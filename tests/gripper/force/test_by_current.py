@@ -31,7 +31,6 @@ def closed(cell: Any, force_n: float = 5.0) -> tuple[Gripper, GraspOutcome]:
     gripper = by_current(cell)
 
     def watch(cycle: Cycle) -> None:
-        assert cycle.force is not None
         # At an opening of 0 the fingers press on each other.
         pressed = cell.force_n > 0.5 or cycle.state.aperture_m < cell.settings.aperture_min_m
         assert cycle.force.grip_n == 0.0 or pressed

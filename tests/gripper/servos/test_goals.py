@@ -49,7 +49,6 @@ def test_the_cap_is_noticed_the_sooner_the_more_it_is_passed(over_n, at_most_s) 
         )
         if found_s is None and guard.force_is_too_high():
             found_s = t_s
-    assert found_s is not None
     assert 10.0 < found_s <= 10.0 + at_most_s
 
 

@@ -116,6 +116,4 @@ def test_a_factory_reset_of_all_servos_changes_nothing() -> None:
 
 
 def dxl2_read(servo_id: int, address: int, size: int) -> bytes:
-    parameters = [address, 0, size, 0]
-    raw: bytes = dxl2.InstructionPacket(servo_id, 0x02, dxl2.Params(parameters)).raw
-    return raw
+    return dxl2.InstructionPacket(servo_id, 0x02, dxl2.Params([address, 0, size, 0])).raw

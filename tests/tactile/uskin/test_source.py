@@ -102,7 +102,6 @@ def test_frames_come_at_the_rate_of_the_boards_and_in_the_mounted_order(
     assert all(one.t_s - one.scanned_s < 0.012 for one in found)
     assert source.statistics.frames.torn == source.statistics.foreign == 0
     for one in found:
-        assert one.extra is not None
         np.testing.assert_allclose(one.extra, np.full((32, 2), 0x7E31), atol=100)
     cell.world.press(1, 0.0, 0.0, 8.0)  # type: ignore[union-attr]
     assert int(np.argmax(run(cell, source, 0.1)[-1].counts)) < 16

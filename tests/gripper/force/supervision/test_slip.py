@@ -23,7 +23,6 @@ def test_a_sudden_drop_is_a_slip_within_a_tenth_of_a_second() -> None:
         sample = ForceSample(t_s=0.02 * (i // 4), force_n=(force_n, force_n))
         if found_s is None and watch.check(t_s, 0.01, sample, setpoint_n=4.0) is not None:
             found_s = t_s
-    assert found_s is not None
     assert 1.0 < found_s < 1.1
 
 
