@@ -96,9 +96,7 @@ def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecor
 
 
 @pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])
-def test_a_felt_size_far_from_the_drawn_ones_is_of_no_taught_object(
-    record: GraspRecord, drawn_m: tuple[float, ...], label: str
-) -> None:
+def test_a_felt_size_far_from_the_drawn_ones_is_of_no_taught_object(record, drawn_m, label) -> None:
     told: list[Posterior] = []
     found = identified(
         record,

@@ -1,7 +1,6 @@
 """Health of a cell: its levels follow the limits of the config."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -40,9 +39,7 @@ def test_lost_frames_are_judged_by_their_limit(make_bench: Any) -> None:
     assert health_values(strict, bench.cell, None)["can"]["level"] == "bad"
 
 
-def test_too_little_space_for_the_recording_is_watched(
-    make_bench: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_little_space_for_the_recording_is_watched(make_bench, tmp_path, monkeypatch) -> None:
     free = retention.STOP_BYTES + (10 << 20)
     monkeypatch.setattr(retention, "free_bytes", lambda _folder: free)
     folder, notes = tmp_path / "run-20270115-080000", list[str]()

@@ -135,9 +135,7 @@ def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_o
         grasps_of(*cell, ["box"], 1, seed=1)
 
 
-def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(
-    taught: Any, tmp_path: Path
-) -> None:
+def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(taught, tmp_path) -> None:
     recording, named = taught.result.recording, tmp_path / "named.npz"
     n_identified = len(taught.result.records)
     notes: list[str] = []

@@ -58,9 +58,7 @@ def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n
     )
 
 
-def test_a_gauge_says_under_which_foam_shapes_are_read(
-    make_plugin: Any, taught: Any, tmp_path: Path
-) -> None:
+def test_a_gauge_says_under_which_foam_shapes_are_read(make_plugin, taught, tmp_path) -> None:
     gauge = tmp_path / "gauge.npz"
     balls = [replace(grasp, label="master") for grasp in taught.grasps if grasp.label == "ball"]
     write_dataset(gauge, balls)
@@ -108,9 +106,7 @@ def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -
     assert plugin.simulate({"state": True})["placed"] == "my mug"
 
 
-def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(
-    plugin: Any,
-) -> None:
+def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(plugin) -> None:
     for fault in (None, "servo1.off", "can.unplugged"):
         assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
         if fault is not None:
@@ -399,9 +395,7 @@ def test_what_was_taught_is_written_at_the_end_or_the_end_says_why(
     plugin.close()
 
 
-def test_a_teaching_that_was_stopped_adds_its_grasps(
-    make_plugin: Any, taught: Any, tmp_path: Path
-) -> None:
+def test_a_teaching_that_was_stopped_adds_its_grasps(make_plugin, taught, tmp_path) -> None:
     path, file = tmp_path / "new.npz", tmp_path / "new.grasps.npz"
     plugin = make_plugin(model=taught.result.model, save=path)
     done(plugin, TeachGoal(label="ball", grasps=1))

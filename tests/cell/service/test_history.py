@@ -180,9 +180,7 @@ def test_the_first_days_go_when_there_are_many(kept: Kept, monkeypatch: pytest.M
     assert left == [False, False, True, True, True]
 
 
-def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(
-    kept: Kept, tmp_path: Path
-) -> None:
+def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(kept, tmp_path) -> None:
     (tmp_path / "out").write_text("a file in the place of the folder")
     for _ in range(3):
         kept.history.add(part())

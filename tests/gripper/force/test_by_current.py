@@ -62,9 +62,7 @@ def test_five_newtons_by_current_are_five_newtons_but_for_the_torque_constant(
     assert cell.force_n == 0.0
 
 
-def test_the_samples_carry_what_the_torque_figures_leave_open(
-    make_cell: Callable[..., Any],
-) -> None:
+def test_the_samples_carry_what_the_torque_figures_leave_open(make_cell) -> None:
     cell = make_cell(kt_error=0.1)
     samples = []
     gripper, _ = closed(cell)
@@ -92,9 +90,7 @@ def test_friction_is_no_part(make_cell: Callable[..., Any], friction_error: floa
 
 
 @pytest.mark.parametrize("stiffness_n_m", [3000.0, 20_000.0])
-def test_a_part_that_is_taken_away_is_lost(
-    make_cell: Callable[..., Any], stiffness_n_m: float
-) -> None:
+def test_a_part_that_is_taken_away_is_lost(make_cell, stiffness_n_m) -> None:
     cell = make_cell(stiffness_n_m=stiffness_n_m)
     gripper, _ = closed(cell)
 
@@ -105,9 +101,7 @@ def test_a_part_that_is_taken_away_is_lost(
         gripper.hold(1.0, take)
 
 
-def test_the_true_force_keeps_its_cap_where_the_torque_constant_is_wrong(
-    make_cell: Callable[..., Any],
-) -> None:
+def test_the_true_force_keeps_its_cap_where_the_torque_constant_is_wrong(make_cell) -> None:
     cell = make_cell(kt_error=0.1, friction_error=-0.2, force_max_n=15.0)
     gripper = by_current(cell)
     most_n = largest_setpoint_n(gripper.settings.force_max_n)

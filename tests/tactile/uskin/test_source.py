@@ -91,9 +91,7 @@ def test_a_press_shows_at_its_place_on_its_pad(ids: list[BoardIds], *, falling: 
             cell.world.lift()  # type: ignore[union-attr]
 
 
-def test_frames_come_at_the_rate_of_the_boards_and_in_the_mounted_order(
-    cell: SimulatedCell,
-) -> None:
+def test_frames_come_at_the_rate_of_the_boards_and_in_the_mounted_order(cell) -> None:
     mounts = [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
     source = make_source(cell, [xr1944(1), xr1944(2)], mounts=mounts)
     source.start()
@@ -143,9 +141,7 @@ def test_a_fault_in_operation_is_raised_by_each_call_until_a_new_start(
         ("uskin.doubled=0", DuplicateNode, "finger 0 .*: two boards have its address"),
     ],
 )
-def test_a_fault_at_the_start_is_named(
-    cell: SimulatedCell, source: UskinSource, fault: str, error: type[LinkFault], named: str
-) -> None:
+def test_a_fault_at_the_start_is_named(cell, source, fault, error, named) -> None:
     cell.inject(fault)
     with pytest.raises(error, match=named):
         source.start()
@@ -169,9 +165,7 @@ def test_single_lost_messages_cost_one_frame_each(cell: SimulatedCell, source: U
     assert 10 * 35 <= n <= 10 * 39
 
 
-def test_short_and_foreign_messages_are_counted_and_left_out(
-    cell: SimulatedCell, source: UskinSource
-) -> None:
+def test_short_and_foreign_messages_are_counted_and_left_out(cell, source) -> None:
     source.start()
     cell.devices.can_devices.send(cell.clock.monotonic(), 0x710, [b"\x00\x01"])
     cell.devices.can_devices.send(cell.clock.monotonic(), 0x123, [bytes(8)])

@@ -89,9 +89,7 @@ def test_pads_that_are_empty_for_a_moment_are_no_doubt(watched: Watched) -> None
     assert type(watched.watch._stage) is Sure
 
 
-def test_much_force_that_is_gone_at_once_is_doubted_and_a_frame_confirms_it(
-    watched: Watched,
-) -> None:
+def test_much_force_that_is_gone_at_once_is_doubted_and_a_frame_confirms_it(watched) -> None:
     watched.force_n = watched.frame_n = 0.0
     watched.pressing_n = 4.0  # less than friction at rest: free fingers would stand as well
     periods = 0
