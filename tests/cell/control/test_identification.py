@@ -89,10 +89,7 @@ def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecor
         assert (found.label, found.shape) == ("ball", None)
         assert len(found.posteriors) == 2
         assert found.complaints[0].startswith(complaint)
-    assert identified(record, read_shape=lambda _grasp: None).shapes == (
-        None,
-        None,
-    )
+    assert identified(record, read_shape=lambda _grasp: None).shapes == (None, None)
 
 
 @pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])

@@ -24,14 +24,7 @@ from cell.errors import (
 )
 from cell.learning.taught_model import TaughtModel
 from cell.plugin.goals import checked_goal
-from cell.plugin.plugin import (
-    Answer,
-    GripGoal,
-    IdentifyGoal,
-    JobFailed,
-    TeachGoal,
-    VerifyGoal,
-)
+from cell.plugin.plugin import Answer, GripGoal, IdentifyGoal, JobFailed, TeachGoal, VerifyGoal
 from cell.plugin.worker import Job, JobOutcome
 from gripper.errors import ServoFault, VerificationFailed
 from gripper.values.state import GripperPhase
@@ -52,9 +45,7 @@ def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n
     """Do something once, in a phase of the gripper, with at least so much grip."""
     hand = plugin._cell.controller.hand
     once(
-        plugin._cell.simulated.clock,
-        lambda: hand.phase is phase and grip_n(plugin) >= above_n,
-        act,
+        plugin._cell.simulated.clock, lambda: hand.phase is phase and grip_n(plugin) >= above_n, act
     )
 
 
@@ -276,8 +267,7 @@ def test_a_servo_at_fault_is_latched_at_loading_and_mended_by_clear(make_plugin:
 
 
 @pytest.mark.parametrize(
-    ("fault", "error"),
-    [("unit.off", NodeMissing), ("servo1.off", VerificationFailed)],
+    ("fault", "error"), [("unit.off", NodeMissing), ("servo1.off", VerificationFailed)]
 )
 def test_a_device_that_is_missing_at_the_start_is_an_error_of_the_constructor(
     plugin_class: Any, meddle: Any, fault: str, error: type[Exception]

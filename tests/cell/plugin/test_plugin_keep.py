@@ -8,13 +8,7 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.positioner import Destination
 from cell.errors import ConfigError
-from cell.plugin.plugin import (
-    GripGoal,
-    IdentifyGoal,
-    JobFailed,
-    SortGoal,
-    TactileCellPlugin,
-)
+from cell.plugin.plugin import GripGoal, IdentifyGoal, JobFailed, SortGoal, TactileCellPlugin
 from tests.cell.served import LIMIT_S, done, grip_n
 
 HELD = ("COMPLETE", 17, False, True)

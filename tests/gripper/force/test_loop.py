@@ -2,10 +2,7 @@
 
 import pytest
 
-from gripper.errors import (
-    BusTimeout,
-    ForceSensorStale,
-)
+from gripper.errors import BusTimeout, ForceSensorStale
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase

@@ -141,10 +141,7 @@ def test_what_shows_no_zero_is_refused(change: dict[str, Any], says: str) -> Non
     values = {name: getattr(grasp, name) for name in ("pads", "counts", "t_s", "aperture_m")}
     with pytest.raises(ValueError, match=says):
         measure_zero(
-            Grasp(**(values | {"force_n": grasp.force_n} | change)),
-            pads_n,
-            (0, 1),
-            step_m=STEP_M,
+            Grasp(**(values | {"force_n": grasp.force_n} | change)), pads_n, (0, 1), step_m=STEP_M
         )
 
 

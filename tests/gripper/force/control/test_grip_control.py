@@ -7,11 +7,7 @@ import pytest
 
 from benchmarks.performance._force_plant import CREEP, Rig, Truth
 from benchmarks.performance.force_ramps import PARTS
-from gripper.errors import (
-    ForceSensorStale,
-    GripperError,
-    LimitExceeded,
-)
+from gripper.errors import ForceSensorStale, GripperError, LimitExceeded
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.ramp import ForceRamp
 from gripper.settings import ForceLoopSettings, GripperSettings, ServoSettings
@@ -101,11 +97,7 @@ def test_no_wrong_sample_makes_far_more_force_than_is_asked_for(
 ) -> None:
     """Torque constant and friction are off as far as they may be: the current alone decides."""
     cell = make_started(
-        stiffness_n_m=5e3,
-        kt_error=0.1,
-        friction_error=-0.15,
-        force_max_n=15.0,
-        rate_hz=200.0,
+        stiffness_n_m=5e3, kt_error=0.1, friction_error=-0.15, force_max_n=15.0, rate_hz=200.0
     )
     first: list[ForceSample] = []
 

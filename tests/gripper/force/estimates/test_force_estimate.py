@@ -4,10 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from gripper.errors import (
-    ForceAboveCap,
-    LimitExceeded,
-)
+from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.force.estimates.force_estimate import ForceEstimate
 from gripper.force.ramp import ForceRamp
 from gripper.settings import ForceLoopSettings

@@ -4,9 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from gripper.errors import (
-    GripContradicted,
-)
+from gripper.errors import GripContradicted
 from gripper.force.ramp import ForceRamp
 from gripper.values.state import GripperPhase
 from tests.gripper.force.pads import WrongPads

@@ -7,10 +7,7 @@ import pytest
 
 from benchmarks.performance.force_ramps import PARTS
 from benchmarks.performance.touch import TouchRig
-from gripper.errors import (
-    GripContradicted,
-    PartLost,
-)
+from gripper.errors import GripContradicted, PartLost
 from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Moment
