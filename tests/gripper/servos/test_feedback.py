@@ -55,6 +55,9 @@ def test_a_servo_that_has_restarted_between_two_readings_is_a_fault_at_once(cell
 
     with pytest.raises(ServoFault, match="its torque is off although") as error:
         cell.gripper.hold(2.0, observe)
-    assert error.value.servo_id == servo + 1
+    assert (error.value.servo_id, error.value.torque_lost) == (servo + 1, True)
     assert goals_s[-1] <= cell.acted_s[0]
+    assert cell.clock.monotonic() - cell.acted_s[0] < 0.015
     assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
+    cell.clock.sleep(1.0)
+    assert cell.torques == [servo, 1 - servo]
