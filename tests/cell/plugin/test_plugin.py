@@ -74,7 +74,9 @@ def test_a_gauge_says_under_which_foam_shapes_are_read(make_plugin, taught, tmp_
 
 
 def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> None:
-    with pytest.raises(JobFailed, match="at least 3") as failed:
+    with pytest.raises(
+        JobFailed, match=r"ABORTED: .*at least 3.*kept for the next teaching"
+    ) as failed:
         done(plugin, TeachGoal(label="pin", grasps=1, present="ball"))
     assert failed.value.fault_number == 519
     assert (plugin.labels, plugin.state()) == (("ball", "box"), "IDLE")
@@ -475,15 +477,6 @@ def test_nothing_taught_is_nothing_to_identify_or_save(make_plugin: Any, tmp_pat
         plugin.start(IdentifyGoal())
     with pytest.raises(CellStateError, match="nothing was taught"):
         plugin.save(tmp_path / "m.npz")
-
-
-def test_too_few_grasps_to_learn_from_abort_the_job_not_the_cell(make_plugin: Any) -> None:
-    plugin = make_plugin()
-    with pytest.raises(JobFailed, match=r"ABORTED: .*at least 3.*kept for the next teaching"):
-        done(plugin, TeachGoal(label="ball", grasps=1))
-    assert plugin.state() == "IDLE"
-    assert done(plugin, TeachGoal(label="ball", grasps=2)) == 2
-    assert plugin.labels == ("ball",)
 
 
 def test_a_model_of_other_pads_is_refused_before_the_cell_is_touched(
