@@ -13,9 +13,9 @@ from simulator.errors import SimulatorSettingsError
 from simulator.settings import SimulatorSettings
 from tactile.errors import BusOff, DuplicateNode, FrameTimeout, LayoutError, LinkFault
 from tactile.layout import PadMount
-from tactile.source import TactileFrame
 from tactile.uskin.messages import BoardIds, samples, xr1944
 from tactile.uskin.source import UskinSource
+from tests.tactile.conftest import run
 
 LAYOUT = PAD_LAYOUTS["uskin_4x4"]()
 NEWER = [
@@ -57,14 +57,6 @@ def make_source(cell: SimulatedCell, ids: list[BoardIds], **changes: object) -> 
         reopen=cell.open_can_bus,
         **changes,  # type: ignore[arg-type]
     )
-
-
-def run(cell: SimulatedCell, source: UskinSource, seconds: float) -> list[TactileFrame]:
-    found: list[TactileFrame] = []
-    for _ in range(round(seconds / 0.005)):
-        cell.clock.sleep(0.005)
-        found += source.poll().frames
-    return found
 
 
 def test_the_samples_of_a_message_stand_high_byte_first() -> None:
