@@ -27,6 +27,12 @@ def becomes(page: Any, selector: str, wanted: str) -> None:
     expect(page.locator(selector)).to_have_text(pattern, timeout=20_000)
 
 
+def click(page: Any, button: str, selector: str, wanted: str) -> None:
+    """Make one step of an operator: click, and wait until an element shows a text."""
+    page.click(button)
+    becomes(page, selector, wanted)
+
+
 def show(page: Any, cell: FakeCell, name: str) -> None:
     """Bring the cell into a state, and wait until the page shows it."""
     getattr(cell, name)()
@@ -72,8 +78,7 @@ def test_the_page_shows_the_state_and_commands_once(open_page, cell) -> None:
     becomes(page, "#do_identify", "take command first")
     page.click("#do_identify", force=True)
     assert not cell.asked
-    page.click("#command")
-    becomes(page, "#commander", "This page")
+    click(page, "#command", "#commander", "This page")
     becomes(page, "#do_identify", "name the part")
     page.select_option("#keep", "always")
     page.click("#do_identify")
@@ -104,8 +109,7 @@ def test_a_name_is_text_wherever_it_stands(open_page, cell) -> None:
     cell.plugin.objects = {EVIL: {"n_grasps": 3, "shape": EVIL, "size_mm": 3.0}}
     page = open_page()
     becomes(page, "#held_name", re.escape(EVIL))
-    page.click("#strip button >> nth=-1")
-    becomes(page, "#grasp_title", re.escape(EVIL))
+    click(page, "#strip button >> nth=-1", "#grasp_title", re.escape(EVIL))
     page.click("#grasp_close")
     for tab in ("teach", "sort"):
         page.click(f"#tab_{tab}")
@@ -186,8 +190,7 @@ def test_an_unknown_part_is_an_answer(open_page, cell) -> None:
 @pytest.mark.long
 def test_the_cell_is_gauged_with_a_taught_object(open_page, cell) -> None:
     page = open_page(command=True)
-    page.click("#tab_teach")
-    becomes(page, "#gauge_now", "pads 1\u00a0%, opening 0.0\u00a0mm")
+    click(page, "#tab_teach", "#gauge_now", "pads 1\u00a0%, opening 0.0\u00a0mm")
     page.click("#gauge_now")
     page.select_option("#gauge_label", "nut")
     cell.plugin.pause()
@@ -230,11 +233,9 @@ def test_it_is_taught_with_a_photograph(open_page, cell) -> None:
     page.wait_for_selector("#taught img")
 
     page.click("[aria-label='Remove the last grasp of washer']")
-    page.click("#sure_yes")
-    becomes(page, "#taught li:last-child small", "9 grasps")
+    click(page, "#sure_yes", "#taught li:last-child small", "9 grasps")
     page.click("[aria-label='Forget washer']")
-    page.click("#sure_yes")
-    becomes(page, "#taught li:last-child b", "pin")
+    click(page, "#sure_yes", "#taught li:last-child b", "pin")
     assert cell.given("forget") == [True, False]
 
 
@@ -304,10 +305,8 @@ def test_what_a_busy_server_does_not_answer_is_asked_again(open_page, cell) -> N
     cell.service.info = lambda: 1 // 0
     page = open_page()
     becomes(page, "#state", "Ready")
-    page.click("#strip button >> nth=-1")
-    becomes(page, "#grasp_title", "nut")
-    page.click("#grasp_close")
-    becomes(page, "#cell", "^$")
+    click(page, "#strip button >> nth=-1", "#grasp_title", "nut")
+    click(page, "#grasp_close", "#cell", "^$")
     del cell.service.info
     becomes(page, "#cell", "Cell 3")
 
