@@ -23,19 +23,20 @@ def held(cell) -> None:
     cell.gripper.close()
 
 
-def overload(cell, index: int) -> None:
-    cell.knobs[index].overload()
+def held_by_one(cell, limp: int = 0):
+    """Hold the part, let a servo shut down, and return the gripper of the next program."""
+    held(cell)
+    cell.knobs[limp].overload()
     cell.clock.sleep(0.1)
-    assert cell.register(index, "torque_enable") == 0
+    assert cell.register(limp, "torque_enable") == 0
+    return cell.new_gripper()
 
 
 @pytest.mark.parametrize("limp", [0, 1])
 def test_the_other_finger_opens_where_a_servo_has_shut_down(cell, limp) -> None:
-    held(cell)
-    overload(cell, limp)
+    gripper = held_by_one(cell, limp)
     assert cell.force_n > 1.0
     before_m = cell.mechanics.finger_position_m
-    gripper = cell.new_gripper()
     report = gripper.release()
     assert cell.force_n == 0.0
     assert report.opened == (2 - limp,)
@@ -56,9 +57,7 @@ def test_the_other_finger_opens_where_a_servo_has_shut_down(cell, limp) -> None:
 
 @pytest.mark.parametrize("lost", ["answer", "request"])
 def test_a_reboot_is_judged_by_the_servo_not_by_its_answer(cell, monkeypatch, lost) -> None:
-    held(cell)
-    overload(cell, 0)
-    gripper = cell.new_gripper()
+    gripper = held_by_one(cell)
     gripper.release()
     reboot = ServoBus.reboot
 
@@ -128,8 +127,7 @@ def test_an_error_that_leaves_the_torque_on_hinders_no_release(cell) -> None:
 
 def test_nothing_is_opened_where_no_servo_can_be_moved_and_the_way_on_is_named(make_cell) -> None:
     cell = make_cell(n_servos=1, linkage="rack")
-    held(cell)
-    overload(cell, 0)
+    held_by_one(cell)
     with pytest.raises(ServoFault, match=r"no finger can be opened: servo 1 has no torque .*hand"):
         cell.new_gripper().release()
     cell.device.faults.silent.add(1)
@@ -147,9 +145,7 @@ def test_a_servo_that_does_not_match_is_made_limp_and_the_message_says_so(cell) 
 
 def test_a_release_of_one_finger_can_be_stopped_and_ended_later(make_cell) -> None:
     cell = make_cell(aperture_open_m=0.04)
-    held(cell)
-    overload(cell, 0)
-    gripper = cell.new_gripper()
+    gripper = held_by_one(cell)
 
     def stop(cycle) -> None:
         if cycle.state.aperture_m > 0.02:
@@ -171,9 +167,7 @@ def test_a_release_of_one_finger_can_be_stopped_and_ended_later(make_cell) -> No
 
 def test_a_fault_of_the_finger_that_opens_is_latched(make_cell) -> None:
     cell = make_cell(aperture_open_m=0.04)
-    held(cell)
-    overload(cell, 0)
-    gripper = cell.new_gripper()
+    gripper = held_by_one(cell)
 
     def silence(cycle) -> None:
         if cycle.state.aperture_m > 0.02:
