@@ -121,8 +121,7 @@ def test_a_gauge_object_that_feels_otherwise_names_the_step(change, what, step) 
     assert (found.what, found.step) == (what, step)
 
 
-def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(stand) -> None:
-    one = stand()
+def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(one) -> None:
     servos = [{"id": n, "model": "XM430-W350", "firmware": 0} for n in (1, 2)]
     one.bench.found = FOUND | {"unit": {"serial_number": 1}, "servos": {"servos": servos}}
     assert {change.what for change in changed_hardware(one.bench)} == {"servo 1", "servo 2"}

@@ -83,8 +83,7 @@ def test_a_trip_is_not_cleared_by_what_arms_or_disarms(tripped) -> None:
     assert tripped.peak_n < held_n + 0.1
 
 
-def test_a_silent_servo_does_not_keep_the_other_watchdog_armed(make_cell) -> None:
-    cell = make_cell()
+def test_a_silent_servo_does_not_keep_the_other_watchdog_armed(cell) -> None:
     cell.hold_part(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
     cell.device.faults.silent = {1}
     with pytest.raises(BusTimeout):
@@ -92,9 +91,8 @@ def test_a_silent_servo_does_not_keep_the_other_watchdog_armed(make_cell) -> Non
     assert cell.servos[1].core.registers.get("bus_watchdog") == 0
 
 
-def test_a_trip_between_two_questions_is_found(make_cell, monkeypatch) -> None:
+def test_a_trip_between_two_questions_is_found(cell, monkeypatch) -> None:
     """An answer that is lost for long enough lets the watchdog trip behind the last look at it."""
-    cell = make_cell()
     cell.hold_part(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
     read, slept = cell.bus.read, []
 

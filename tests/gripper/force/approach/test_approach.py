@@ -43,6 +43,11 @@ def new_approach(aperture_m: float = 0.02) -> Approach:
     return Approach(measured_drives(SETTINGS), LINKAGE, state(0.0, aperture_m, 0.0))
 
 
+@pytest.fixture
+def approach() -> Approach:
+    return new_approach()
+
+
 def step(
     approach: Approach, t_s: float, dt_s: float, at: ServoFeedback, seen: ForceSample | None
 ) -> tuple[ApproachEvent, tuple[float, ...]]:
@@ -63,8 +68,7 @@ def test_contact_takes_several_new_samples_on_each_pad() -> None:
     assert detector.touched == (False, False)
 
 
-def test_both_pads_end_the_approach() -> None:
-    approach = new_approach()
+def test_both_pads_end_the_approach(approach) -> None:
     events = []
     for i in range(3):
         at = state(0.02 * i, 0.02, -0.02)
@@ -72,8 +76,7 @@ def test_both_pads_end_the_approach() -> None:
     assert events == [ApproachEvent.CLOSING, ApproachEvent.CLOSING, ApproachEvent.CONTACT]
 
 
-def test_a_finger_that_touches_waits_while_the_other_closes_on() -> None:
-    approach = new_approach()
+def test_a_finger_that_touches_waits_while_the_other_closes_on(approach) -> None:
     goals = [LINKAGE.angles_rad(0.02)]
     for i in range(40):
         t_s = 0.02 * i
@@ -87,8 +90,7 @@ def test_a_finger_that_touches_waits_while_the_other_closes_on() -> None:
     assert angles[0] == angles[1]
 
 
-def test_a_finger_slowed_down_waits_for_the_pads_and_goes_on_without_them() -> None:
-    approach = new_approach()
+def test_a_finger_slowed_down_waits_for_the_pads_and_goes_on_without_them(approach) -> None:
     step(approach, 0.0, DT_S, state(0.0, 0.02, -0.02), None)
     at = state(0.005, 0.0199, -0.005)
     _, angles = step(approach, 0.005, DT_S, at, None)
@@ -99,8 +101,7 @@ def test_a_finger_slowed_down_waits_for_the_pads_and_goes_on_without_them() -> N
     assert all(a < b for a, b in zip(after, angles, strict=True))
 
 
-def test_the_goal_runs_ahead_by_a_little_only() -> None:
-    approach = new_approach()
+def test_the_goal_runs_ahead_by_a_little_only(approach) -> None:
     for i in range(200):
         _, angles = step(approach, 0.005 * i, DT_S, state(0.005 * i, 0.02, 0.0), None)
     assert LINKAGE.aperture_m(angles) >= 0.02 - 0.0061
@@ -120,8 +121,9 @@ def test_time_out_is_the_limit() -> None:
 @pytest.mark.parametrize(
     ("one_pad_n", "ends"), [(0.0, ApproachEvent.OBSTRUCTED), (1.0, ApproachEvent.CONTACT)]
 )
-def test_a_standstill_at_the_current_limit_is_a_contact_with_one_pad_alone(one_pad_n, ends) -> None:
-    approach = new_approach()
+def test_a_standstill_at_the_current_limit_is_a_contact_with_one_pad_alone(
+    approach, one_pad_n, ends
+) -> None:
     closing_a = approach.currents_a[0]
     event, i = ApproachEvent.CLOSING, 0
     while event is ApproachEvent.CLOSING:
@@ -135,8 +137,7 @@ def test_a_standstill_at_the_current_limit_is_a_contact_with_one_pad_alone(one_p
     assert approach.currents_a[0] <= closing_a * 1.6 + 1e-9
 
 
-def test_an_invalid_sample_shows_no_contact() -> None:
-    approach = new_approach()
+def test_an_invalid_sample_shows_no_contact(approach) -> None:
     for i in range(5):
         at = state(0.02 * i, 0.02, -0.02)
         event, _ = step(approach, 0.02 * i, DT_S, at, sample(0.02 * i, 9.0, 9.0, valid=False))
