@@ -33,13 +33,17 @@ def line() -> Iterator[Callable[[int], Line]]:
         one.close()
 
 
+@pytest.fixture
+def served(serve) -> Served:
+    return serve("http")
+
+
 def address(served: Served, port: int = 0) -> str:
     found = served.interfaces
     return f"http://127.0.0.1:{port or found['http_port']}/#token={found['token']}"
 
 
-def test_a_part_is_named_kept_verified_and_let_go(serve, open_page) -> None:
-    served = serve("http")
+def test_a_part_is_named_kept_verified_and_let_go(served, open_page) -> None:
     page = open_page(address(served), command=True)
     page.select_option("#keep", "when_named")
     click(page, "#do_identify", "#state", "Part held")
@@ -62,8 +66,7 @@ def test_a_part_is_named_kept_verified_and_let_go(serve, open_page) -> None:
     assert tasks == ["identify", "verify", Command.RELEASE, "identify"]
 
 
-def test_anybody_holds_from_a_second_page(serve, open_page) -> None:
-    served = serve("http")
+def test_anybody_holds_from_a_second_page(served, open_page) -> None:
     first = open_page(address(served), command=True)
     second = open_page(address(served))
     served.plugin.pause()
@@ -78,8 +81,7 @@ def test_anybody_holds_from_a_second_page(serve, open_page) -> None:
     assert len(served.plugin.asked) == 1
 
 
-def test_the_way_out_of_a_fault_step_by_step(serve, open_page) -> None:
-    served = serve("http")
+def test_the_way_out_of_a_fault_step_by_step(served, open_page) -> None:
     page = open_page(address(served), command=True)
     served.plugin.pause()
     click(page, "#do_grip", "#state", "Working")
@@ -118,8 +120,7 @@ def test_a_lost_lease_is_told_and_taken_anew(serve, open_page) -> None:
     click(page, "#command", "#do_release", "the part may fall")
 
 
-def test_command_is_taken_over_and_given_up(serve, open_page) -> None:
-    served = serve("http")
+def test_command_is_taken_over_and_given_up(served, open_page) -> None:
     served.service.lease.acquire("PLC")
     page = open_page(address(served))
     becomes(page, "#commander", "In command: PLC")
@@ -146,8 +147,7 @@ def test_command_is_taken_over_and_given_up(serve, open_page) -> None:
     becomes(twin, "#commander", "Nobody")
 
 
-def test_a_cut_line_is_red_at_once_and_returns_by_itself(serve, line, open_page) -> None:
-    served = serve("http")
+def test_a_cut_line_is_red_at_once_and_returns_by_itself(served, line, open_page) -> None:
     wire = line(served.interfaces["http_port"])
     page = open_page(address(served, wire.port), command=True)
     becomes(page, "#state", "Ready")
@@ -166,8 +166,7 @@ def test_a_cut_line_is_red_at_once_and_returns_by_itself(serve, line, open_page)
     assert len(served.plugin.asked) == 1
 
 
-def test_a_command_whose_answer_is_lost_is_done_once(serve, line, open_page) -> None:
-    served = serve("http")
+def test_a_command_whose_answer_is_lost_is_done_once(served, line, open_page) -> None:
     wire = line(served.interfaces["http_port"])
     page = open_page(address(served, wire.port), command=True)
     wire.mute = True
@@ -180,8 +179,7 @@ def test_a_command_whose_answer_is_lost_is_done_once(serve, line, open_page) -> 
     assert len(served.plugin.asked) == 1
 
 
-def test_a_slow_line_is_not_shown_as_live(serve, line, open_page) -> None:
-    served = serve("http")
+def test_a_slow_line_is_not_shown_as_live(served, line, open_page) -> None:
     wire = line(served.interfaces["http_port"])
     page = open_page(address(served, wire.port))
     becomes(page, "#state", "Ready")
@@ -203,8 +201,7 @@ def test_over_tls(serve, tls, open_page) -> None:
     click(page, "#do_identify", "#held_name", "ball")
 
 
-def test_a_page_that_slept_shows_now(serve, line, open_page) -> None:
-    served = serve("http")
+def test_a_page_that_slept_shows_now(served, line, open_page) -> None:
     wire = line(served.interfaces["http_port"])
     page = open_page("about:blank")
     page.clock.install()
@@ -287,8 +284,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, wide
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
-def test_a_second_person_watches_by_the_link(serve, open_page, wide) -> None:
-    served = serve("http")
+def test_a_second_person_watches_by_the_link(served, open_page, wide) -> None:
     page = open_page(address(served), wide=wide)
     click(page, "#share_open", "#share_note", "set serve.listen to 0.0.0.0")
     link = page.get_attribute("#share_address", "href")

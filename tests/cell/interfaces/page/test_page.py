@@ -18,6 +18,11 @@ PIXEL = base64.b64decode(
 STATES = ("idle", "working", "named", "unknown", "faulted", "teaching", "sorting")
 
 
+@pytest.fixture
+def page(open_page: Any) -> Any:
+    return open_page()
+
+
 def becomes(page: Any, selector: str, wanted: str) -> None:
     """Wait until an element shows a text, a regular expression."""
     from playwright.sync_api import expect
@@ -70,8 +75,7 @@ def test_the_page_shows_today_yesterday_the_week_and_what_is_confused(open_page,
     assert fits(page)
 
 
-def test_the_page_shows_the_state_and_commands_once(open_page, cell) -> None:
-    page = open_page()
+def test_the_page_shows_the_state_and_commands_once(page, cell) -> None:
     becomes(page, "#state", "Ready")
     becomes(page, "#held_name", "^nut$")
     assert "token" not in page.url
@@ -177,8 +181,7 @@ def test_german_words_numbers_and_faults(open_page, cell) -> None:
 
 
 @pytest.mark.long
-def test_an_unknown_part_is_an_answer(open_page, cell) -> None:
-    page = open_page()
+def test_an_unknown_part_is_an_answer(page, cell) -> None:
     becomes(page, "#state", "Ready")
     show(page, cell, "unknown")
     becomes(page, "#held_name", "Unknown")
@@ -276,8 +279,7 @@ def test_what_is_not_allowed_is_grey_with_its_reason(open_page, cell) -> None:
 
 
 @pytest.mark.long
-def test_health_is_one_line_until_something_is_not_well(open_page, cell) -> None:
-    page = open_page()
+def test_health_is_one_line_until_something_is_not_well(page, cell) -> None:
     becomes(page, "#health", "All is well")
     assert page.locator("#health").bounding_box()["height"] < 45
     cell.plugin.levels["servos"] |= {"level": "watch", "temperature_c": [64.0, 41.0]}
@@ -330,8 +332,7 @@ def test_no_dialog_stands_in_front_of_hold(open_page, cell, wide) -> None:
 
 
 @pytest.mark.long
-def test_the_keyboard_alone_is_enough(open_page, cell) -> None:
-    page = open_page()
+def test_the_keyboard_alone_is_enough(page, cell) -> None:
     becomes(page, "#state", "Ready")
     focused = "document.activeElement.id || document.activeElement.textContent"
 
@@ -375,9 +376,8 @@ def test_a_wrong_token_is_asked_for_again(open_page, cell) -> None:
 
 
 @pytest.mark.real_time
-def test_the_first_paint_is_quick(open_page, cell) -> None:
+def test_the_first_paint_is_quick(page, cell) -> None:
     """LatestValues at the second visit: at the first one the browser itself still starts."""
-    page = open_page()
     becomes(page, "#state", "Ready")
     page.reload()
     becomes(page, "#state", "Ready")
