@@ -283,7 +283,7 @@ def test_health_is_one_line_until_something_is_not_well(page, cell) -> None:
     becomes(page, "#health", "All is well")
     assert page.locator("#health").bounding_box()["height"] < 45
     cell.plugin.levels["servos"] |= {"level": "watch", "temperature_c": [64.0, 41.0]}
-    becomes(page, "#health span >> nth=0", "Look – Servos: 64 °C")
+    becomes(page, "#health span >> nth=0", "Attention – Servos: 64 °C")
     cell.plugin.levels["servos"]["level"] = "ok"
     cell.faulted()
     becomes(page, "#health", "^Servos")  # a fault is not well, whatever else is
