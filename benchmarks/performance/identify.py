@@ -4,9 +4,9 @@ With the folder of recorded grasps in TACTILE_CELL_DATA, 36 real objects are tau
 60 % of each object's grasps and the others named; without it, simulated grasps of the paper's five
 objects. Then many labels with five grasps each.
 
-The last figures are the times of the simulated cell from the command to a named part that is
-released or kept. Computing takes no virtual time. Its CPU time is added if it is longer than the
-motion during which a real-time cell computes.
+Then come the times of a start of the simulated cell. The last figures are its times from the
+command to a named part that is released or kept. Computing takes no virtual time. Its CPU time is
+added if it is longer than the motion during which a real-time cell computes.
 """
 
 import statistics
@@ -19,6 +19,7 @@ from functools import partial
 from benchmarks._measure import line, quantile, repeats, timed
 from benchmarks.recognition._grasps import PAPER, recorded, simulated
 from cell.build import build_cell
+from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.keeping import Keep
@@ -44,6 +45,16 @@ def one_series(train: Sequence[Grasp], test: Sequence[Grasp], rounds: int) -> No
         f"{len(train)} grasps taught in {taught.wall_s:.2f} s, {p50_ms:.2f} ms an answer, p99 "
         f"{p99_ms:.2f} ms",
     )
+
+
+def starts() -> None:
+    """Print the times of a start of the cell without and with a self-zero."""
+    for when in ("never", "daily"):
+        with closing(build_cell(changed_config(CellConfig(), {"self_zero": when}))) as cell:
+            assert cell.simulated is not None
+            began_s = cell.simulated.clock.monotonic()
+            cell.controller.start()
+            line(f"start, self-zero {when}", f"{cell.simulated.clock.monotonic() - began_s:.1f} s")
 
 
 def from_the_command(n_teach: int, rounds: int) -> None:
@@ -124,4 +135,5 @@ def main(effort: float = 1.0) -> None:
     line("compared", "grasps of one series, many labels, and the simulated cell")
     one_series(taught, rest, repeats(3, effort))
     many(repeats(500, effort, least=6))
+    starts()
     from_the_command(repeats(20, effort, least=3), repeats(8, effort))

@@ -113,6 +113,16 @@ class DriveCharacteristic:
         """The same values, with the friction uncertainty of an unmeasured servo of its model."""
         return replace(self, friction_sd=_FRICTION_SD)
 
+    def with_friction(self, factor: float) -> Self:
+        """Return the same values with another friction, by a factor on all of its currents."""
+        return replace(
+            self,
+            coulomb_a=factor * self.coulomb_a,
+            stribeck_a=factor * self.stribeck_a,
+            viscous_a_s=factor * self.viscous_a_s,
+            breakaway_a=factor * self.breakaway_a,
+        )
+
     @property
     def breakaway_share(self) -> float:
         """Friction at rest under a load over that of free motion."""

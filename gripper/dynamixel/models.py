@@ -109,6 +109,11 @@ class ServoModel:
         return raw * self.current_unit_a
 
     @property
+    def winding_ohm(self) -> float:
+        """Resistance of the motor's winding in ohm, from the current of the stalled motor."""
+        return self.nominal_voltage_v / self.stall_current_a
+
+    @property
     def slow_rad_s(self) -> float:
         """Speed in rad/s that counts as rest: a count of the X series, or of the model."""
         return max(self.velocity_unit_rad_s, _SLOW_RAD_S)

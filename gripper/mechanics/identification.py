@@ -68,6 +68,12 @@ class FreePoint(NamedTuple):
     voltage_v: float | None = None
     """Voltage that the servo has put on its motor; None: unknown."""
 
+    def at_current(self, current_a: float, winding_ohm: float) -> "FreePoint":
+        """Return the same motion with another current, and the voltage that drives it."""
+        more_v = winding_ohm * (current_a - self.current_a)
+        voltage_v = None if self.voltage_v is None else self.voltage_v + more_v
+        return self._replace(current_a=current_a, voltage_v=voltage_v)
+
 
 class LoadPoint(NamedTuple):
     """Load in N m of a servo that presses, by the pads, and its current in A; both from 0 up."""
@@ -170,11 +176,11 @@ def fit_back_emf(points: Sequence[FreePoint], model: ServoModel) -> float | None
     speeds = [abs(point.speed_rad_s) for point in known]
     if len(known) < 3 or max(speeds) < _LEAST_SPAN * min(speeds):
         return None
-    resistance_ohm = model.nominal_voltage_v / model.stall_current_a
-    sd_v = [hypot(_VOLTAGE_SD_V, resistance_ohm * point.sd_a) for point in known]
+    sd_v = [hypot(_VOLTAGE_SD_V, model.winding_ohm * point.sd_a) for point in known]
     rows = [(point.current_a, point.speed_rad_s, point.voltage_v) for point in known]
     # The known resistance is a row too.
-    rows, sd_v = [*rows, (1.0, 0.0, resistance_ohm)], [*sd_v, _RESISTANCE_SD * resistance_ohm]
+    rows.append((1.0, 0.0, model.winding_ohm))
+    sd_v.append(_RESISTANCE_SD * model.winding_ohm)
     whole = np.array(rows, dtype=np.float64) / np.array(sd_v)[:, None]
     found = np.linalg.lstsq(whole[:, :2], whole[:, 2], rcond=None)[0]
     return float(found[1]) if min(found) > 0.0 else None
@@ -191,8 +197,7 @@ def anchored(
     """
     ratio, sd = drive.kt_per_back_emf, _WEIGHED_SD
     if ratio is None:
-        resistance_ohm = model.nominal_voltage_v / model.stall_current_a
-        idle_v = resistance_ohm * model.friction_nm / model.kt_nm_a
+        idle_v = model.winding_ohm * model.friction_nm / model.kt_nm_a
         expected_v_s = (model.nominal_voltage_v - idle_v) / model.no_load_rad_s
         ratio, sd = model.kt_nm_a / expected_v_s, model.back_emf_sd
         # Ratio of a motor with equal torque and back-EMF constants, and equal losses both ways.

@@ -114,7 +114,7 @@ class ServoMotor:
         self.worn = 0.0
         """Growth of the friction so far, as a share."""
         self.voltage_v = model.nominal_voltage_v
-        self._resistance_ohm = model.nominal_voltage_v / model.stall_current_a
+        self._resistance_ohm = model.winding_ohm
         count_a = model.stall_current_a / model.whole_pwm_raw / model.rad_per_pulse
         self._p_current = count_a / model.error_per_pwm
         self._d_current = count_a / _D_GAIN_DIVISOR * _D_GAIN_PERIOD_S

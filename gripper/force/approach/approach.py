@@ -185,7 +185,7 @@ class Approach:
         """Return whether all fingers close steadily and no pad has been touched so far."""
         nominal_rad_s = self._nominal_rad_s(state)
         return not self._was_touched and all(
-            abs(-servo.velocity_rad_s - nominal_rad_s)
+            nominal_rad_s + servo.velocity_rad_s
             <= max((1.0 - _RUNNING_SHARE) * nominal_rad_s, settings.servo_model.slow_rad_s)
             for servo, settings in zip(state.servos, self._settings.servos, strict=True)
         )

@@ -1,10 +1,11 @@
 """Free motion of the fingers, which gives the friction of each servo."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import exp, hypot, sqrt
-from statistics import fmean, median, pstdev
+from statistics import fmean, pstdev
+from typing import NamedTuple
 
 from gripper.dynamixel.drive import DriveCharacteristic, disagreement
 from gripper.errors import ServoFault
@@ -19,20 +20,26 @@ from gripper.mechanics.identification import (
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.state import ServoFeedback, ServoState
 
-_AFTER_START_S = 0.06
-"""Time in s from the start of free motion until its current is that of friction alone. [tuned]"""
+_AFTER_START_S = 0.02
+"""Time in s from the start of free motion that is left out: the current lags its goal. [tuned]"""
 _BEFORE_END_S = 0.05
-"""Time in s before the end of free motion that is left out: the pads report a contact late.
+"""Time in s before the end of a closing motion that is left out: the pads report a contact late.
 [tuned]"""
 _WINDOW_S = 0.4
 """Time in s of free motion for one point. [tuned]"""
 _LEAST_PERIODS = 12
 """Least periods of one point: 0.06 s at 200 Hz. [tuned]"""
-_STEADY_SHARE, _STEADY_COUNTS, _LEAST_COUNTS = 0.1, 1.5, 0.5
-"""Largest deviation of the speed of a steady motion from its mean, as a share and in counts, and
-the least speed in counts. [resolution]"""
+_LEAST_COUNTS = 0.5
+"""Least speed in counts of a motion. [resolution]"""
+_INERTIA_SD = 0.5
+"""Uncertainty of the moving inertia, as a share: an identified gearing of one model has 2.4 times
+the catalogue's (arXiv 2410.08650). [assumed]"""
 _EVEN_SHARE = 0.15
-"""Share by which the currents of both halves of a free motion may differ. [tuned]"""
+"""Share by which the currents of both halves of a free motion may differ, without what accelerates
+them. [tuned]"""
+_COMMON_SHARE = 0.7
+"""Share of the change of the friction at one speed by which that of other speeds changes, too:
+temperature changes it at all speeds. [tuned]"""
 _SAME_SPEED = 1.3
 """Ratio of speeds below which they are one point: the newest motion counts. [chosen]"""
 _FEW_POINTS, _MOST_POINTS = 4, 16
@@ -56,7 +63,7 @@ class FreeMotion:
     def __init__(self, settings: GripperSettings) -> None:
         self._settings = settings
         self._points: dict[int, list[FreePoint]] = {}
-        self._runs = {servo.servo_id: _Run() for servo in settings.servos}
+        self._runs = {servo.servo_id: _Run(servo) for servo in settings.servos}
         self._priors: dict[int, DriveCharacteristic] = {}
         self.notes: list[str] = []
         """Unusual changes that were not yet fetched."""
@@ -110,7 +117,7 @@ class FreeMotion:
             if not (free and run.goes_on(servo, settings.servo_model.slow_rad_s)):
                 self._take(settings, servo, run)
                 run.start()
-            run.add(moment.now_s, servo, settings)
+            run.add(moment.now_s, servo)
             drive = self._drive(settings)
             if not drive.measured and run.lasts():
                 # The rest of the first motion uses the result of its beginning.
@@ -140,16 +147,21 @@ class FreeMotion:
             return
         drive, servo_id, model = self._drive(settings), settings.servo_id, settings.servo_model
         points = self._points.setdefault(servo_id, [])
-        # Few motions give little information on other speeds.
-        few = 0 < len(points) < _FEW_POINTS and not any(_alike(one, point) for one in points)
-        ratio = 1.0 if few else change(point, drive)
         prior = self._priors.setdefault(servo_id, drive)
+        earlier = [one for one in points if _alike(one, point)]
+        # The first motions give little information on other speeds.
+        few = not prior.measured and 0 < len(points) < _FEW_POINTS and not earlier
+        ratio = 1.0 if few else change(point, drive)
         if ratio != 1.0:
             self._note(servo, drive, ratio)
             points.clear()
+            earlier.clear()
             self._priors[servo_id] = prior = drive.distrusted
-        points[:] = [one for one in points if not _alike(one, point)][1 - _MOST_POINTS :]
+        follows = (point.current_a / earlier[-1].current_a) ** _COMMON_SHARE if earlier else 1.0
+        others = [one for one in points if not _alike(one, point)][1 - _MOST_POINTS :]
+        points[:] = [one.at_current(follows * one.current_a, model.winding_ohm) for one in others]
         points.append(point)
+        self._priors[servo_id] = prior = prior.with_friction(follows)
         found = fit_friction(points, prior)
         found = replace(
             found,
@@ -194,65 +206,86 @@ def _alike(one: FreePoint, other: FreePoint) -> bool:
     return 1.0 / _SAME_SPEED < ratio < _SAME_SPEED
 
 
-class _Run:
-    """Steady motion of one servo."""
+class _Period(NamedTuple):
+    """Feedback of one servo in one period."""
 
-    def __init__(self) -> None:
+    now_s: float
+    speed_rad_s: float
+    current_a: float
+    voltage_v: float
+
+
+class _Run:
+    """Motion of one servo in one direction."""
+
+    def __init__(self, settings: ServoSettings) -> None:
+        model = settings.servo_model
+        self._step_a = model.current_unit_a / sqrt(12.0)
+        self._winding_ohm = model.winding_ohm
+        self._a_s2 = model.rotor_inertia_kg_m2 / model.kt_nm_a
         self.start()
 
     def start(self) -> None:
         """Start another motion."""
         self._since_s: float | None = None
-        self._periods: deque[tuple[float, float, float, float]] = deque()
+        self._periods: deque[_Period] = deque()
 
     def goes_on(self, servo: ServoState, count_rad_s: float) -> bool:
-        """Return whether a servo moves as before."""
+        """Return whether a servo moves in the direction of before."""
         speed = servo.velocity_rad_s
         if abs(speed) < _LEAST_COUNTS * count_rad_s:
             return False
-        if not self._periods:
-            return True
-        mean = fmean(one[1] for one in list(self._periods)[-_LEAST_PERIODS:])
-        return abs(speed - mean) <= _STEADY_SHARE * abs(mean) + _STEADY_COUNTS * count_rad_s
+        return not self._periods or speed * self._periods[-1].speed_rad_s > 0.0
 
-    def add(self, now_s: float, servo: ServoState, settings: ServoSettings) -> None:
+    def add(self, now_s: float, servo: ServoState) -> None:
         """Add one period."""
         if self._since_s is None:
             self._since_s = now_s
-        self._step_a = settings.servo_model.current_unit_a / sqrt(12.0)
         voltage_v = servo.pwm_share * servo.voltage_v
-        self._periods.append((now_s, servo.velocity_rad_s, servo.current_a, voltage_v))
-        while self._periods[0][0] < now_s - _WINDOW_S - _BEFORE_END_S:
+        self._periods.append(_Period(now_s, servo.velocity_rad_s, servo.current_a, voltage_v))
+        while self._periods[0].now_s < now_s - _WINDOW_S - _BEFORE_END_S:
             self._periods.popleft()
 
-    def _inner(self) -> list[tuple[float, float, float, float]]:
+    def _inner(self) -> list["_Period"]:
         if self._since_s is None or not self._periods:
             return []
-        first_s, last_s = self._since_s + _AFTER_START_S, self._periods[-1][0] - _BEFORE_END_S
-        return [one for one in self._periods if first_s <= one[0] <= last_s]
+        last = self._periods[-1]
+        end_s = last.now_s - (_BEFORE_END_S if last.speed_rad_s < 0.0 else 0.0)
+        return [
+            one for one in self._periods if self._since_s + _AFTER_START_S <= one.now_s <= end_s
+        ]
 
     def lasts(self) -> bool:
         """Return whether the motion is long enough for a point."""
         return len(self._inner()) >= _LEAST_PERIODS
+
+    def _accelerating_a(self, periods: Sequence["_Period"]) -> float:
+        """Return the mean current in A that accelerates the motor."""
+        first, last = periods[0], periods[-1]
+        return self._a_s2 * (last.speed_rad_s - first.speed_rad_s) / (last.now_s - first.now_s)
 
     def point(self) -> FreePoint | None:
         """Return the point of the motion; None where it was too short."""
         inner = self._inner()
         if len(inner) < _LEAST_PERIODS:
             return None
-        speed_rad_s = fmean(one[1] for one in inner)
-        current_a = median(one[2] for one in inner)
         half = len(inner) // 2
-        halves_a = [median(one[2] for one in part) for part in (inner[:half], inner[half:])]
-        if speed_rad_s * current_a <= 0.0 or abs(halves_a[1] - halves_a[0]) > _EVEN_SHARE * abs(
-            current_a
-        ):
-            # The servo is driven from outside, slows down, or presses on something.
-            return None
-        voltage_v = fmean(one[3] for one in inner)
-        return FreePoint(
-            speed_rad_s=speed_rad_s,
-            current_a=current_a,
-            sd_a=hypot(pstdev([one[2] for one in inner]) / sqrt(len(inner) / 4.0), self._step_a),
-            voltage_v=voltage_v or None,
+        whole_a, *halves_a = (
+            fmean(one.current_a for one in part) - self._accelerating_a(part)
+            for part in (inner, inner[:half], inner[half:])
         )
+        speed_rad_s = fmean(one.speed_rad_s for one in inner)
+        if speed_rad_s * whole_a <= 0.0 or abs(halves_a[1] - halves_a[0]) > _EVEN_SHARE * abs(
+            whole_a
+        ):
+            # The servo is driven from outside, or presses on something.
+            return None
+        spread_a = pstdev([one.current_a for one in inner]) / sqrt(len(inner) / 4.0)
+        sd_a = hypot(spread_a, self._step_a, _INERTIA_SD * self._accelerating_a(inner))
+        moving = FreePoint(
+            speed_rad_s=speed_rad_s,
+            current_a=fmean(one.current_a for one in inner),
+            sd_a=sd_a,
+            voltage_v=fmean(one.voltage_v for one in inner) or None,
+        )
+        return moving.at_current(whole_a, self._winding_ohm)
