@@ -33,11 +33,6 @@ def line() -> Iterator[Callable[[int], Line]]:
         one.close()
 
 
-@pytest.fixture
-def served(serve) -> Served:
-    return serve("http")
-
-
 def address(served: Served, port: int = 0) -> str:
     found = served.interfaces
     return f"http://127.0.0.1:{port or found['http_port']}/#token={found['token']}"
