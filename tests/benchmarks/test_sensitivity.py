@@ -51,8 +51,6 @@ def test_one_constant_is_another_from_the_import_on(module, name, factor, wanted
     whole = f"gripper.force.{module}"
     path = ROOT.joinpath(*whole.split(".")).with_suffix(".py")
     spec = importlib.util.spec_from_loader(whole, Scaled(whole, str(path), name, factor))
-    assert spec is not None
-    assert spec.loader is not None
     other = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(other)
     assert getattr(other, name) == pytest.approx(wanted)

@@ -110,7 +110,6 @@ def make_bench() -> Iterator[MakeBench]:
     def make(config: CellConfig | None = None, **options: Any) -> Bench:
         chosen = config or small_config()
         cells.append(build_cell(chosen, **options))
-        assert cells[-1].simulated is not None
         return Bench(config=chosen, cell=cells[-1], simulated=cells[-1].simulated)
 
     yield make
@@ -177,7 +176,6 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Taught:
             folder=folder,
             progress=lambda *step: progress.append(step),
         )
-    assert result.dataset is not None
     return Taught(config, folder, result, read_dataset(result.dataset), tuple(progress))
 
 

@@ -38,7 +38,6 @@ def test_a_seeded_grasp_makes_the_same_traffic() -> None:
     cell = build_cell(small_config(tactile__force_period_ms=2, seed=7))
     can, servos = Digest(), Digest()
     simulated = cell.simulated
-    assert simulated is not None
     line = simulated.devices.servo_bus
     receive, transmit = line.receive, line.transmit
 

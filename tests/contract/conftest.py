@@ -278,7 +278,6 @@ def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
             config = load_config(config_path(request.config))
             bus = drive_bus(config)
             closing.callback(close_bus, bus)
-        assert bus is not None
         axis = config.positioner.drives[0]
         watch, loss_s = Watch(clock, 0.005), 1e-3 * config.positioner.can.heartbeat_loss_ms
         axes = Axes(drive_axes([axis], bus, watch, loss_s=loss_s), watch)

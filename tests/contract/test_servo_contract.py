@@ -44,8 +44,7 @@ def refusal(servos: Any, register: Any, raw: int) -> int:
     """Error number with which a write is refused."""
     with pytest.raises(ServoRejected) as caught:
         servos.bus.write(servos.one, register, raw)
-    code: int = caught.value.code
-    return code
+    return caught.value.code
 
 
 def test_ping_tells_model_and_firmware_as_the_registers_do(servos: Any) -> None:

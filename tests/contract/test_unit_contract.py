@@ -2,7 +2,6 @@
 
 import struct
 from itertools import pairwise
-from typing import Any
 
 import pytest
 
@@ -23,14 +22,14 @@ def request(command: int, index: int, subindex: int, value: int = 0) -> bytes:
     return struct.pack("<BHBL", command, index, subindex, value)
 
 
-def test_the_unit_is_what_its_eds_says(unit: Any) -> None:
+def test_the_unit_is_what_its_eds_says(unit) -> None:
     identity = unit.link.start()  # compares layout, formats and mapping, or raises
     assert (identity.vendor_id, identity.product_code) == (od.VENDOR_ID, od.PRODUCT_CODE)
     assert identity.revision >> 16 == od.REVISION >> 16
     assert identity.name
 
 
-def test_each_sync_gives_one_whole_frame(unit: Any) -> None:
+def test_each_sync_gives_one_whole_frame(unit) -> None:
     unit.link.start()
     frames = unit.frames(20 * unit.link.settings.sync_period_s)
     assert 18 <= len(frames) <= 21
@@ -45,7 +44,7 @@ def test_each_sync_gives_one_whole_frame(unit: Any) -> None:
     assert (counts.lost, counts.torn, counts.short, counts.corrupt) == (0, 0, 0, 0)
 
 
-def test_without_sync_no_frame_comes(unit: Any) -> None:
+def test_without_sync_no_frame_comes(unit) -> None:
     unit.link.start()
     unit.frames(0.1)
     unit.link.stop()
@@ -55,7 +54,7 @@ def test_without_sync_no_frame_comes(unit: Any) -> None:
     assert unit.receive(0x180 + unit.node_id, 0.2) is None
 
 
-def test_the_last_frame_can_be_read_by_sdo_too(unit: Any) -> None:
+def test_the_last_frame_can_be_read_by_sdo_too(unit) -> None:
     unit.link.start()
     frames = unit.frames(0.1)
     samples = unit.link._session.objects.read(od.LAST_FRAME)
@@ -65,7 +64,7 @@ def test_the_last_frame_can_be_read_by_sdo_too(unit: Any) -> None:
     assert same.counts.astype(f"<u{unit.link.layout.sample_bytes}").tobytes() == samples
 
 
-def test_a_reset_is_told_by_a_boot_up_and_ends_pre_operational(unit: Any) -> None:
+def test_a_reset_is_told_by_a_boot_up_and_ends_pre_operational(unit) -> None:
     unit.send(0, bytes((1, unit.node_id)))
     unit.reset()  # fails without a boot-up
     answer = unit.sdo(request(WRITE_2, od.HEARTBEAT_MS, 0, 50))
@@ -73,7 +72,7 @@ def test_a_reset_is_told_by_a_boot_up_and_ends_pre_operational(unit: Any) -> Non
     assert unit.receive(0x700 + unit.node_id)[1] == bytes([PRE_OPERATIONAL])
 
 
-def test_the_heartbeat_comes_as_often_as_it_is_set(unit: Any) -> None:
+def test_the_heartbeat_comes_as_often_as_it_is_set(unit) -> None:
     node, period_s = unit.node_id, 0.1
     answer = unit.sdo(request(WRITE_2, od.HEARTBEAT_MS, 0, round(1000 * period_s)))
     assert answer[0] == WRITTEN
@@ -98,7 +97,7 @@ def test_the_heartbeat_comes_as_often_as_it_is_set(unit: Any) -> None:
     ],
     ids=["no object", "no sub-index", "read only", "no command"],
 )
-def test_what_cannot_be_done_is_aborted_with_its_code(unit: Any, asked: bytes, code: int) -> None:
+def test_what_cannot_be_done_is_aborted_with_its_code(unit, asked: bytes, code: int) -> None:
     answer = unit.sdo(asked)
     assert answer[0] == ABORT
     assert answer[1:4] == asked[1:4]
@@ -108,6 +107,6 @@ def test_what_cannot_be_done_is_aborted_with_its_code(unit: Any, asked: bytes, c
     assert int.from_bytes(vendor[4:], "little") == od.VENDOR_ID
 
 
-def test_a_stray_write_takes_no_zero(unit: Any) -> None:
+def test_a_stray_write_takes_no_zero(unit) -> None:
     answer = unit.sdo(request(WRITE_4, od.TARE, od.TARE_COMMAND, 1))
     assert answer[0] == ABORT

@@ -175,7 +175,6 @@ def campaign_cell(
     """
     config = campaign_config(changes)
     cell = build_cell(config, folder=folder)
-    assert cell.simulated is not None
     monitor = InvariantMonitor(cell.simulated, config.gripper)
     monitor.attach(cell)
     try:

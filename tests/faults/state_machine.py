@@ -3,12 +3,7 @@
 import logging
 
 from hypothesis import HealthCheck, Phase, seed, settings, strategies as st
-from hypothesis.stateful import (
-    RuleBasedStateMachine,
-    initialize,
-    rule,
-    run_state_machine_as_test,
-)
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
 from cell.control.keeping import Keep
 from simulator.faults.entry import FaultEntry, Number

@@ -3,7 +3,6 @@
 After it the steps of the fault catalogue lead the cell back to IDLE.
 """
 
-from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -23,9 +22,7 @@ def parameter(row: FaultRow) -> Any:
 
 
 @pytest.mark.parametrize("row", [parameter(row) for row in ROWS])
-def test_a_fault_has_its_reaction_within_its_limit(
-    row: FaultRow, request: pytest.FixtureRequest, record_property: Callable[[str, object], None]
-) -> None:
+def test_a_fault_has_its_reaction_within_its_limit(row, request, record_property) -> None:
     if row.real_time:
         request.getfixturevalue("free_machine")
     observed = row.run()

@@ -2,7 +2,7 @@
 
 import re
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -155,9 +155,7 @@ def cell() -> Iterator[Driver]:
     made.close()
 
 
-def test_a_label_from_spoiled_taxels_is_found(
-    cell: Driver, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_label_from_spoiled_taxels_is_found(cell, monkeypatch) -> None:
     monkeypatch.setattr(driver, "spoiling", lambda _faults, _now_s: ["taxels.off=0.9"])
     with pytest.raises(InvariantBroken, match=r"a label in spite of taxels.off=0.9"):
         cell.identify(3.0)
@@ -283,9 +281,7 @@ DEFECTS = {
 
 @pytest.mark.parametrize("defect", DEFECTS, ids=lambda defect: defect.__name__)
 @pytest.mark.parametrize("interface", INTERFACES)
-def test_a_defect_behind_a_interface_is_found(
-    interface: str, defect: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_defect_behind_a_interface_is_found(interface, defect, monkeypatch) -> None:
     defect(monkeypatch)
     with pytest.raises(InvariantBroken, match=DEFECTS[defect]):
         drive_through(interface)
@@ -297,9 +293,7 @@ def test_a_interface_that_shows_another_fault_is_found(monkeypatch: pytest.Monke
         drive_through("xmlrpc")
 
 
-def test_a_command_without_an_end_behind_a_interface_is_found(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_command_without_an_end_behind_a_interface_is_found(monkeypatch) -> None:
     def hang(kept: KeptPart) -> None:
         while True:
             kept.life.clock.sleep(0.1)

@@ -158,7 +158,6 @@ def test_the_self_zero_and_the_drives_of_the_present_format_count(current) -> No
     kept = kept_zeros(load_config(current / "current.yaml"), Path("out"), new_hand=False)
     kept.now_s = lambda: kept.measured_s
     assert kept.refused == ""
-    assert kept.newest is not None
     assert kept.newest.opening_m == pytest.approx(0.42e-3, abs=1e-5)
     assert [drive.breakaway_a for drive in kept.kept_drives({}).values()] == pytest.approx(
         [0.137, 0.132], abs=1e-3

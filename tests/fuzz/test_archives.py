@@ -58,8 +58,7 @@ def npy_with(header: str, body: bytes = b"") -> bytes:
 
 
 def array_of(data: bytes) -> NDArray[Any]:
-    array: NDArray[Any] = np.load(io.BytesIO(data), allow_pickle=False)
-    return array
+    return np.load(io.BytesIO(data), allow_pickle=False)
 
 
 def members_of(data: bytes) -> dict[str, bytes]:

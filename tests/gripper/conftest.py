@@ -118,9 +118,9 @@ def bus(script: ScriptedStream, clock: VirtualClock) -> ServoBus:
 class Part:
     """An elastic part between the pads; it floats, so both pads carry the same force."""
 
-    width_m: float = 0.012
-    stiffness_n_m: float = 20_000.0
-    present: bool = True
+    width_m: float
+    stiffness_n_m: float
+    present: bool
 
     def force_n(self, first_m: float, second_m: float) -> tuple[float, float]:
         """Force on both pads for their half openings."""
@@ -188,7 +188,9 @@ class Cell:
         n_servos: int = 2,
         linkage: str = "parallel",
         model: ServoModel = XM430_W350,
-        part: Part | None = None,
+        width_m: float = 0.012,
+        stiffness_n_m: float = 20_000.0,
+        present: bool = True,
         noise_n: float = 0.2,
         delay_s: float = 0.03,
         kt_error: float = 0.0,
@@ -206,11 +208,12 @@ class Cell:
     ) -> None:
         """Build the cell; ``turned`` to ``offset_m`` make its settings differ from its mechanics.
 
+        ``width_m`` to ``present`` are those of the `Part`.
         ``drive_sds`` are the uncertainties of friction and torque, as a measurement leaves them.
         ``turned`` are indices of servos, ``zero_off`` is in pulses of opening too wide.
         """
         self.clock = VirtualClock()
-        self.part = part if part is not None else Part()
+        self.part = Part(width_m, stiffness_n_m, present)
         self.sensor = SampledForce(noise_n=noise_n, delay_s=delay_s, seed=seed, rate_hz=rate_hz)
         directions = (1, -1)[:n_servos]
         self.motors = [ServoMotor(model) for _ in range(n_servos)]
@@ -328,5 +331,17 @@ def make_cell() -> Callable[..., Cell]:
 
 
 @pytest.fixture
-def make_part() -> Callable[..., Part]:
-    return Part
+def make_started() -> Callable[..., Cell]:
+    """Return the maker of cells whose gripper was started."""
+
+    def make(**options: Any) -> Cell:
+        cell = Cell(**options)
+        cell.gripper.start()
+        return cell
+
+    return make
+
+
+@pytest.fixture
+def started(make_started: Callable[..., Cell]) -> Cell:
+    return make_started()

@@ -27,12 +27,11 @@ def true_friction_a(motor: Any) -> float:
 
 @pytest.mark.parametrize("friction", [(0.5, 0.5), (3.0, 3.0), (3.0, 1.0), (1.0, 0.5)])
 def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
-    make_cell, friction
+    make_started, friction
 ) -> None:
-    cell = make_cell(drive_sds=NEVER, aperture_m=0.03)
+    cell = make_started(drive_sds=NEVER, aperture_m=0.03)
     for motor, factor in zip(cell.motors, friction, strict=True):
         motor.friction_factor = factor
-    cell.gripper.start()
     cell.gripper.open()
     assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
     assert cell.force_n == pytest.approx(6.0, abs=0.6)
@@ -47,11 +46,10 @@ def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
     assert cell.clock.monotonic() - began_s < 3.0
 
 
-def test_one_finger_after_the_other_shows_its_torque(make_cell) -> None:
-    cell = make_cell(drive_sds=NEVER)
+def test_one_finger_after_the_other_shows_its_torque(make_started) -> None:
+    cell = make_started(drive_sds=NEVER)
     for motor, factor in zip(cell.motors, (0.75, 1.2), strict=True):
         motor.kt_factor = factor
-    cell.gripper.start()
     cell.gripper.open()
     cell.gripper.grasp(ForceRamp.linear(8.0, 8.0, 0.5))
     cell.gripper.drives.measure_load()
@@ -67,11 +65,10 @@ def test_one_finger_after_the_other_shows_its_torque(make_cell) -> None:
             assert drive.kt_nm_a == pytest.approx(motor.kt_nm_a, rel=0.1)
 
 
-def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_cell, make_part) -> None:
-    cell = make_cell(drive_sds=NEVER, part=make_part(present=False))
+def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_started) -> None:
+    cell = make_started(drive_sds=NEVER, present=False)
     for motor, factor in zip(cell.motors, (0.75, 1.25), strict=True):
         motor.kt_factor = factor
-    cell.gripper.start()
     cell.gripper.open()
     cell.gripper.drives.measure_friction()
     assert cell.gripper.read_feedback().aperture_m == pytest.approx(0.03, abs=0.001)
@@ -82,10 +79,9 @@ def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_cell, mak
         assert drive.temperature_c == pytest.approx(motor.temperature_c, abs=1.0)
 
 
-def test_ordinary_grasps_follow_grease_that_warms(make_cell) -> None:
+def test_ordinary_grasps_follow_grease_that_warms(make_started) -> None:
     """The travel of a grasp is short and accelerates throughout."""
-    cell = make_cell(noise_n=0.02, rate_hz=200.0, part=None)
-    cell.gripper.start()
+    cell = make_started(noise_n=0.02, rate_hz=200.0)
     for motor in cell.motors:
         motor.friction_factor = 1.3
     for _ in range(8):
@@ -98,9 +94,8 @@ def test_ordinary_grasps_follow_grease_that_warms(make_cell) -> None:
     assert not cell.gripper.drives.read().notes
 
 
-def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_cell, make_part) -> None:
-    cell = make_cell(part=make_part(present=False))
-    cell.gripper.start()
+def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_started) -> None:
+    cell = make_started(present=False)
     cell.gripper.open()
     assert not cell.gripper.drives.read().notes
     cell.motors[1].friction_factor = 1.6
@@ -112,9 +107,8 @@ def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_cell, ma
     assert drives(cell)[1].breakaway_a == pytest.approx(true_friction_a(cell.motors[1]), rel=0.1)
 
 
-def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_cell, make_part) -> None:
-    cell = make_cell(part=make_part(present=False), current_max_a=1.2)
-    cell.gripper.start()
+def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_started) -> None:
+    cell = make_started(present=False, current_max_a=1.2)
     cell.gripper.open()
 
     def wear() -> None:
@@ -132,10 +126,9 @@ def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_cell, m
 
 
 @pytest.mark.parametrize("gain", [0.6, 0.8])
-def test_pads_that_read_too_little_are_noted_once_the_back_emf_is_known(make_cell, gain) -> None:
-    cell = make_cell(drive_sds=NEVER, force_max_n=12.0)
+def test_pads_that_read_too_little_are_noted_once_the_back_emf_is_known(make_started, gain) -> None:
+    cell = make_started(drive_sds=NEVER, force_max_n=12.0)
     cell.sensor.gain = gain
-    cell.gripper.start()
     cell.gripper.open()
     cell.gripper.grasp(ForceRamp.linear(6.0, 8.0, 0.5))
     cell.gripper.drives.measure_load()

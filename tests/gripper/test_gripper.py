@@ -95,13 +95,8 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
 
 @pytest.mark.parametrize("stiffness_n_m", [5e3, 2e4, 5e4])
 @pytest.mark.parametrize("rate_n_s", [1.0, 3.0, 10.0])
-def test_the_ramp_ends_without_overshoot_and_settles(
-    make_cell, make_part, stiffness_n_m, rate_n_s
-) -> None:
-    cell = make_cell(
-        part=make_part(stiffness_n_m=stiffness_n_m), noise_n=0.3, approach_speed_m_s=0.01
-    )
-    cell.gripper.start()
+def test_the_ramp_ends_without_overshoot_and_settles(make_started, stiffness_n_m, rate_n_s) -> None:
+    cell = make_started(stiffness_n_m=stiffness_n_m, noise_n=0.3, approach_speed_m_s=0.01)
     true_n: list[tuple[float, float]] = []
     cell.gripper.grasp(
         ForceRamp.linear(8.0, rate_n_s, hold_s=1.0),
@@ -126,17 +121,16 @@ def test_wrong_torque_figures_are_made_up_for_by_the_sensor(
     assert cell.peak_n <= 8.5
 
 
-def test_the_loop_keeps_its_rate_and_the_observer_sees_what_was_written(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.open()
+def test_the_loop_keeps_its_rate_and_the_observer_sees_what_was_written(started) -> None:
+    started.gripper.open()
     cycles: list[Cycle] = []
     written: list[int] = []
 
     def observe(cycle: Cycle) -> None:
         cycles.append(cycle)
-        written.append(cell.register(0, "goal_current"))
+        written.append(started.register(0, "goal_current"))
 
-    cell.gripper.grasp(RAMP, observe)
+    started.gripper.grasp(RAMP, observe)
     steps = [b.t_s - a.t_s for a, b in itertools.pairwise(cycles)]
     assert max(abs(step_s - 0.005) for step_s in steps) < 0.003
     assert sum(steps) / len(steps) == pytest.approx(0.005, rel=0.01)
@@ -187,28 +181,26 @@ def test_a_request_to_stop_does_not_end_a_carry(cell) -> None:
     assert cell.force_n == pytest.approx(4.0, abs=0.6)
 
 
-def test_a_part_is_squeezed_again_in_the_same_grip(cell) -> None:
-    cell.gripper.start()
+def test_a_part_is_squeezed_again_in_the_same_grip(started) -> None:
     with pytest.raises(GripperStateError):
-        cell.gripper.squeeze(RAMP)
-    cell.gripper.grasp(RAMP)
+        started.gripper.squeeze(RAMP)
+    started.gripper.grasp(RAMP)
     with pytest.raises(LimitExceeded, match="carry it with less force first"):
-        cell.gripper.squeeze(RAMP)
-    cell.gripper.hold_at(2.0)
-    cell.least_n = 99.0
+        started.gripper.squeeze(RAMP)
+    started.gripper.hold_at(2.0)
+    started.least_n = 99.0
     setpoints_n: list[float] = []
-    outcome = cell.gripper.squeeze(RAMP, lambda c: setpoints_n.append(c.setpoint_n))
+    outcome = started.gripper.squeeze(RAMP, lambda c: setpoints_n.append(c.setpoint_n))
     assert outcome.result is GraspResult.FORCE_REACHED
     assert outcome.final_force_n == pytest.approx(8.0, abs=0.6)
     assert setpoints_n[0] == pytest.approx(2.0, abs=0.1)
     assert setpoints_n == sorted(setpoints_n)
-    assert cell.least_n > 1.0
-    assert cell.gripper.phase is GripperPhase.HOLDING
+    assert started.least_n > 1.0
+    assert started.gripper.phase is GripperPhase.HOLDING
 
 
-def test_nothing_between_the_fingers_is_a_result(make_cell, make_part) -> None:
-    cell = make_cell(part=make_part(present=False), aperture_min_m=0.004)
-    cell.gripper.start()
+def test_nothing_between_the_fingers_is_a_result(make_started) -> None:
+    cell = make_started(present=False, aperture_min_m=0.004)
     outcome = cell.gripper.grasp(RAMP)
     assert outcome.result is GraspResult.NO_CONTACT
     assert outcome.contact_t_s is None
@@ -217,10 +209,9 @@ def test_nothing_between_the_fingers_is_a_result(make_cell, make_part) -> None:
     cell.gripper.open()
 
 
-def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_cell, make_part) -> None:
-    cell = make_cell(part=make_part(stiffness_n_m=50_000.0))
+def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_started) -> None:
+    cell = make_started(stiffness_n_m=50_000.0)
     cell.sensor.gain = 0.0
-    cell.gripper.start()
     with pytest.raises(GripContradicted, match="the pads show no force"):
         cell.gripper.grasp(RAMP)
     assert 0.5 < cell.peak_n < 8.0
@@ -230,9 +221,8 @@ def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_cell, make_part) -> 
     cell.gripper.release()
 
 
-def test_a_ramp_beyond_a_limit_is_refused_before_anything_moves(make_cell) -> None:
-    cell = make_cell(force_max_n=20.0, grasp_force_max_n=10.0, current_max_a=0.4)
-    cell.gripper.start()
+def test_a_ramp_beyond_a_limit_is_refused_before_anything_moves(make_started) -> None:
+    cell = make_started(force_max_n=20.0, grasp_force_max_n=10.0, current_max_a=0.4)
     with pytest.raises(LimitExceeded, match=r"12.* the limit is 10"):
         cell.gripper.grasp(ForceRamp.linear(12.0, 5.0))
     with pytest.raises(LimitExceeded, match="current_max_a"):
@@ -263,39 +253,36 @@ def test_the_largest_ramp_is_the_last_one_that_is_allowed(make_cell, current_max
 @pytest.mark.parametrize("gain", [1.0, 0.3])
 @pytest.mark.parametrize("friction_error", [0.0, -0.2])
 def test_the_drive_alone_keeps_the_true_force_below_the_cap(
-    make_cell, gain: float, friction_error: float
+    make_started, gain: float, friction_error: float
 ) -> None:
-    cell = make_cell(force_max_n=8.0, friction_error=friction_error)
+    cell = make_started(force_max_n=8.0, friction_error=friction_error)
     cell.sensor.gain = gain
-    cell.gripper.start()
     with suppress(LimitExceeded):
         cell.gripper.grasp(ForceRamp.linear(7.6, 5.0, hold_s=1.0))
     assert cell.peak_n <= 8.0 * 1.01
 
 
-def test_an_old_request_to_stop_does_not_end_a_new_command(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.request_stop()
-    cell.gripper.open()
+def test_an_old_request_to_stop_does_not_end_a_new_command(started) -> None:
+    started.gripper.request_stop()
+    started.gripper.open()
 
 
-def test_commands_out_of_turn_are_refused(cell) -> None:
-    cell.gripper.start()
+def test_commands_out_of_turn_are_refused(started) -> None:
     with pytest.raises(GripperStateError, match="hold is not possible in the state OFF"):
-        cell.gripper.hold(1.0)
+        started.gripper.hold(1.0)
 
     def reenter(_: Cycle) -> None:
         with pytest.raises(GripperStateError, match="another command runs"):
-            cell.gripper.release()
+            started.gripper.release()
         with pytest.raises(GripperStateError):
-            cell.gripper.clear_fault()
+            started.gripper.clear_fault()
 
-    cell.gripper.open(observer=reenter)
-    cell.gripper.grasp(RAMP)
+    started.gripper.open(observer=reenter)
+    started.gripper.grasp(RAMP)
     with pytest.raises(GripperStateError, match="release the part first"):
-        cell.gripper.open()
+        started.gripper.open()
     with pytest.raises(LimitExceeded, match="duration_s"):
-        cell.gripper.hold(0.0)
+        started.gripper.hold(0.0)
 
 
 def test_torque_found_on_in_another_mode_changes_nothing_before_the_release(cell) -> None:
@@ -310,27 +297,25 @@ def test_torque_found_on_in_another_mode_changes_nothing_before_the_release(cell
     assert cell.gripper.phase is GripperPhase.IDLE
 
 
-def test_ticks_feed_the_watchdog_between_commands(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.tick()
-    cell.gripper.grasp(RAMP)
+def test_ticks_feed_the_watchdog_between_commands(started) -> None:
+    started.gripper.tick()
+    started.gripper.grasp(RAMP)
     for _ in range(20):
-        cell.clock.sleep(0.1)
-        cell.gripper.tick()
-    assert cell.register(0, "bus_watchdog") == 10
-    assert cell.force_n == pytest.approx(8.0, abs=0.5)
-    assert cell.gripper.read_feedback().aperture_m == pytest.approx(
-        cell.mechanics.aperture_m, abs=5e-4
+        started.clock.sleep(0.1)
+        started.gripper.tick()
+    assert started.register(0, "bus_watchdog") == 10
+    assert started.force_n == pytest.approx(8.0, abs=0.5)
+    assert started.gripper.read_feedback().aperture_m == pytest.approx(
+        started.mechanics.aperture_m, abs=5e-4
     )
 
 
-def test_without_ticks_and_without_a_part_the_next_command_restarts_the_watchdog(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.open()
-    cell.clock.sleep(1.0)
-    assert cell.register(0, "bus_watchdog") == -1
-    cell.gripper.tick()
-    outcome = cell.gripper.grasp(RAMP)
+def test_without_ticks_and_without_a_part_the_next_command_restarts_the_watchdog(started) -> None:
+    started.gripper.open()
+    started.clock.sleep(1.0)
+    assert started.register(0, "bus_watchdog") == -1
+    started.gripper.tick()
+    outcome = started.gripper.grasp(RAMP)
     assert outcome.result is GraspResult.FORCE_REACHED
 
 
@@ -354,9 +339,8 @@ def test_settings_and_linkage_must_agree(cell) -> None:
         )
 
 
-def test_zero_position_near_the_end_of_a_turn_does_not_matter(make_cell) -> None:
-    cell = make_cell(zero_raw=10)
-    cell.gripper.start()
+def test_zero_position_near_the_end_of_a_turn_does_not_matter(make_started) -> None:
+    cell = make_started(zero_raw=10)
     cell.gripper.open()
     assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
     assert cell.gripper.release().state.aperture_m == pytest.approx(0.03, abs=0.0008)

@@ -8,10 +8,9 @@ from gripper.force.ramp import ForceRamp
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 
 
-def test_silent_servos_do_not_hold_up_the_report_of_another_fault(make_cell) -> None:
+def test_silent_servos_do_not_hold_up_the_report_of_another_fault(make_started) -> None:
     """A supply that fails takes pads and servos at once; the pads are named first."""
-    cell = make_cell(bus_loss_s=0.5)
-    cell.gripper.start()
+    cell = make_started(bus_loss_s=0.5)
 
     def fail() -> None:
         cell.sensor.dead = True
@@ -40,13 +39,12 @@ def test_a_tick_finds_a_tripped_watchdog_too(cell) -> None:
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_a_stuck_finger_is_reported(cell, monkeypatch, first) -> None:
-    cell.gripper.start()
+def test_a_stuck_finger_is_reported(started, monkeypatch, first) -> None:
     if not first:
-        cell.gripper.open(0.025)
-    monkeypatch.setattr(type(cell.mechanics), "step", lambda *_, **__: None)
+        started.gripper.open(0.025)
+    monkeypatch.setattr(type(started.mechanics), "step", lambda *_, **__: None)
     with pytest.raises(
         MechanicsContradicted if first else ServoFault,
         match="blocked on its way" if first else r"stuck.*gripper.linkage",
     ):
-        cell.gripper.open()
+        started.gripper.open()

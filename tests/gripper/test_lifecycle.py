@@ -96,18 +96,6 @@ def test_the_other_finger_stands_still_when_a_servo_drops_its_torque(cell) -> No
     assert abs(cell.mechanics.finger_position_m[0] - living_m) < 0.0008
 
 
-def test_a_restart_too_short_to_be_silent_is_seen_by_the_servos_clock(cell) -> None:
-    cell.hold_part(RAMP)
-    core = cell.servos[0].core
-    observe = cell.once(lambda: core.boot(cell.clock.monotonic(), blackout_s=0.0), in_s=0.5)
-    with pytest.raises(ServoFault, match="its torque is off") as fault:
-        cell.gripper.hold(2.0, observe)
-    assert fault.value.torque_lost
-    assert cell.clock.monotonic() - cell.acted_s[0] < 0.015
-    cell.clock.sleep(1.0)
-    assert cell.torques == [0, 1]
-
-
 # Fingers on their way stop where they are.
 
 
@@ -194,9 +182,8 @@ def test_a_stop_at_the_begin_of_a_release_lets_nothing_fall(cell) -> None:
     assert cell.force_n == 0.0
 
 
-def test_a_stop_in_the_approach_goes_no_farther(make_cell, make_part) -> None:
-    cell = make_cell(part=make_part(present=False), approach_speed_m_s=0.02)
-    cell.gripper.start()
+def test_a_stop_in_the_approach_goes_no_farther(make_started) -> None:
+    cell = make_started(present=False, approach_speed_m_s=0.02)
 
     def stop(cycle) -> None:
         if cycle.state.aperture_m < 0.012:

@@ -28,10 +28,9 @@ SLOW = {
     ("knob", "value", "error"), [("gain", 3.0, ForceAboveCap), ("dead", True, ForceSensorStale)]
 )
 def test_pads_are_watched_while_the_servos_are_not_understood(
-    make_cell, knob, value, error
+    make_started, knob, value, error
 ) -> None:
-    cell = make_cell(bus_loss_s=2.0, force_max_n=9.0)
-    cell.gripper.start()
+    cell = make_started(bus_loss_s=2.0, force_max_n=9.0)
 
     def fail() -> None:
         cell.device.faults.chatter = DENSE

@@ -23,19 +23,20 @@ def held(cell) -> None:
     cell.gripper.close()
 
 
-def overload(cell, index: int) -> None:
-    cell.knobs[index].overload()
+def held_by_one(cell, limp: int = 0):
+    """Hold the part, let a servo shut down, and return the gripper of the next program."""
+    held(cell)
+    cell.knobs[limp].overload()
     cell.clock.sleep(0.1)
-    assert cell.register(index, "torque_enable") == 0
+    assert cell.register(limp, "torque_enable") == 0
+    return cell.new_gripper()
 
 
 @pytest.mark.parametrize("limp", [0, 1])
 def test_the_other_finger_opens_where_a_servo_has_shut_down(cell, limp) -> None:
-    held(cell)
-    overload(cell, limp)
+    gripper = held_by_one(cell, limp)
     assert cell.force_n > 1.0
     before_m = cell.mechanics.finger_position_m
-    gripper = cell.new_gripper()
     report = gripper.release()
     assert cell.force_n == 0.0
     assert report.opened == (2 - limp,)
@@ -56,9 +57,7 @@ def test_the_other_finger_opens_where_a_servo_has_shut_down(cell, limp) -> None:
 
 @pytest.mark.parametrize("lost", ["answer", "request"])
 def test_a_reboot_is_judged_by_the_servo_not_by_its_answer(cell, monkeypatch, lost) -> None:
-    held(cell)
-    overload(cell, 0)
-    gripper = cell.new_gripper()
+    gripper = held_by_one(cell)
     gripper.release()
     reboot = ServoBus.reboot
 
@@ -128,8 +127,7 @@ def test_an_error_that_leaves_the_torque_on_hinders_no_release(cell) -> None:
 
 def test_nothing_is_opened_where_no_servo_can_be_moved_and_the_way_on_is_named(make_cell) -> None:
     cell = make_cell(n_servos=1, linkage="rack")
-    held(cell)
-    overload(cell, 0)
+    held_by_one(cell)
     with pytest.raises(ServoFault, match=r"no finger can be opened: servo 1 has no torque .*hand"):
         cell.new_gripper().release()
     cell.device.faults.silent.add(1)
@@ -147,9 +145,7 @@ def test_a_servo_that_does_not_match_is_made_limp_and_the_message_says_so(cell) 
 
 def test_a_release_of_one_finger_can_be_stopped_and_ended_later(make_cell) -> None:
     cell = make_cell(aperture_open_m=0.04)
-    held(cell)
-    overload(cell, 0)
-    gripper = cell.new_gripper()
+    gripper = held_by_one(cell)
 
     def stop(cycle) -> None:
         if cycle.state.aperture_m > 0.02:
@@ -171,9 +167,7 @@ def test_a_release_of_one_finger_can_be_stopped_and_ended_later(make_cell) -> No
 
 def test_a_fault_of_the_finger_that_opens_is_latched(make_cell) -> None:
     cell = make_cell(aperture_open_m=0.04)
-    held(cell)
-    overload(cell, 0)
-    gripper = cell.new_gripper()
+    gripper = held_by_one(cell)
 
     def silence(cycle) -> None:
         if cycle.state.aperture_m > 0.02:
@@ -190,11 +184,8 @@ def test_a_fault_of_the_finger_that_opens_is_latched(make_cell) -> None:
     assert cell.mechanics.finger_position_m[1] < 0.018
 
 
-def test_a_release_closes_no_finger_that_stands_wide_open(make_cell, make_part) -> None:
-    cell = make_cell(
-        aperture_m=0.07, aperture_open_m=0.018, force_max_n=9.0, part=make_part(present=False)
-    )
-    cell.gripper.start()
+def test_a_release_closes_no_finger_that_stands_wide_open(make_started) -> None:
+    cell = make_started(aperture_m=0.07, aperture_open_m=0.018, force_max_n=9.0, present=False)
     assert cell.gripper.release().state.aperture_m == pytest.approx(0.07, abs=0.002)
     cell.clock.sleep(0.5)
     assert cell.mechanics.aperture_m == pytest.approx(0.07, abs=0.002)
@@ -220,12 +211,11 @@ def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell) -> None:
     assert str(cell.gripper.release()) == "the fingers are open"
 
 
-def test_a_finger_that_is_said_to_stand_too_wide_open_is_named(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.open()
-    cell.gripper.close()
-    cell.knobs[0].jump_encoder(0.3)
-    cell.clock.sleep(2.0)
-    report = cell.gripper.release()
+def test_a_finger_that_is_said_to_stand_too_wide_open_is_named(started) -> None:
+    started.gripper.open()
+    started.gripper.close()
+    started.knobs[0].jump_encoder(0.3)
+    started.clock.sleep(2.0)
+    report = started.gripper.release()
     assert report.wider == (1,)
     assert "the finger of servo 1 was not moved" in str(report)

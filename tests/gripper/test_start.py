@@ -10,8 +10,7 @@ from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 
 
-def test_a_servo_with_another_id_is_named_in_the_table(make_cell) -> None:
-    cell = make_cell()
+def test_a_servo_with_another_id_is_named_in_the_table(cell) -> None:
     cell.servos[1].core.table.data[7] = 5
     with pytest.raises(VerificationFailed, match=r"other IDs that answer: 5 \(XM430-W350\)") as bad:
         cell.gripper.start()
@@ -68,8 +67,7 @@ def test_the_gain_that_the_goals_count_on_is_put_right(cell) -> None:
     assert {row.item for row in report.rows if row.corrected} >= {"operating_mode"}
 
 
-def test_an_adapter_with_a_latency_of_16_ms_is_refused_with_the_remedy(make_cell) -> None:
-    cell = make_cell()
+def test_an_adapter_with_a_latency_of_16_ms_is_refused_with_the_remedy(cell) -> None:
     late(cell, 0.016)
     with pytest.raises(LinkTooSlow, match=r"latency timer.*loop_rate_hz to 4\d"):
         cell.gripper.start()
@@ -81,8 +79,7 @@ def late(cell, delay_s: float) -> None:
     cell.device.faults.delay.probability = 1.0
 
 
-def test_a_latency_of_2_ms_only_makes_the_time_outs_longer(make_cell) -> None:
-    cell = make_cell()
+def test_a_latency_of_2_ms_only_makes_the_time_outs_longer(cell) -> None:
     late(cell, 0.002)
     cell.gripper.start()
     outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0))
@@ -90,8 +87,7 @@ def test_a_latency_of_2_ms_only_makes_the_time_outs_longer(make_cell) -> None:
     assert cell.gripper.statistics.missed_reads == 0
 
 
-def test_a_machine_that_is_too_busy_is_refused(make_cell) -> None:
-    cell = make_cell()
+def test_a_machine_that_is_too_busy_is_refused(cell) -> None:
     cell.device.faults.delay_s = 0.02
     cell.device.faults.delay.every = 3
     with pytest.raises(LinkTooSlow, match="too busy"):

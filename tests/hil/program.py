@@ -38,8 +38,7 @@ def done(cell: Any, lease: int, job: int) -> int:
     """Wait for a job over XML-RPC and return how it ended."""
     assert job > 0, job
     until(lambda: cell.alive(lease) or cell.job_state(job) >= 4)
-    ended: int = cell.job_state(job)
-    return ended
+    return cell.job_state(job)
 
 
 def start(*arguments: object) -> subprocess.Popen[str]:

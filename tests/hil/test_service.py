@@ -48,7 +48,6 @@ class Service:
         self.reader.start()
 
     def _read(self) -> None:
-        assert self.process.stdout is not None
         self.events.extend(json.loads(line) for line in self.process.stdout)
 
     @property

@@ -100,6 +100,10 @@ def make_grasps(
     ]
 
 
+def accuracy(recognizer, grasps: Sequence[Grasp]) -> float:
+    return np.mean([recognizer.posterior(g).best == g.label for g in grasps])
+
+
 class GraspFactory:
     """What tests make grasps with."""
 

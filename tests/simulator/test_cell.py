@@ -49,7 +49,6 @@ class Host:
 
     def start_unit(self) -> None:
         boot_up = self.cell.can_bus.recv(0.1)
-        assert boot_up is not None
         assert (boot_up.arbitration_id, bytes(boot_up.data)) == (0x705, b"\0")
         self.send(0, 1, 5)
 

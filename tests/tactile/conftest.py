@@ -8,9 +8,10 @@ import pytest
 
 from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
 from simulator.can.memory_bus import InMemoryCanBus
+from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
 from tactile.layout import TaxelLayout, paper_layout
-from tactile.source import ForceMessage, TactileFrame
+from tactile.source import ForceMessage, FrameSource, TactileFrame
 from tactile.unit.link import TactileLink
 from tactile.unit.settings import LinkSettings
 
@@ -98,6 +99,15 @@ class Bench:
             return send(ready_s, can_id, changed) if changed else ready_s
 
         self.unit.connect(altered)
+
+
+def run(cell: SimulatedCell, source: FrameSource, seconds: float) -> list[TactileFrame]:
+    """Poll the source of boards at the rate of a force loop and return the frames."""
+    found: list[TactileFrame] = []
+    for _ in range(round(seconds / 0.005)):
+        cell.clock.sleep(0.005)
+        found += source.poll().frames
+    return found
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import pytest
 from tactile.errors import LayoutError
 from tactile.layout import Pad, TaxelLayout, paper_layout, pinch_layout
 
+PAPER = paper_layout()
 INNER = [
     Pad(name=f"f{i}", finger=i, face="inner", rows=2, columns=3, pitch_x_m=0.002, pitch_y_m=0.003)
     for i in (0, 1)
@@ -15,40 +16,36 @@ INNER = [
 
 
 def test_paper_layout_has_204_taxels_a_finger_in_the_order_of_the_paper() -> None:
-    layout = paper_layout()
     finger = [[16, 4], [16, 4], [16, 2], [16, 2], [6, 2]]
-    assert layout.pad_shape.tolist() == finger + finger
-    assert layout.n_taxels == 408
-    assert layout.sample_bytes == 1
-    assert [pad.face for pad in layout.pads[:5]] == ["inner", "outer", "side_a", "side_b", "tip"]
-    assert layout.gripping_pads == (0, 5)
-    assert [pad.finger for pad in layout.pads] == [0] * 5 + [1] * 5
-    assert layout.taxels_of(5) == slice(204, 268)
-    np.testing.assert_array_equal(np.bincount(layout.taxel_pad)[:5], [64, 64, 32, 32, 12])
+    assert PAPER.pad_shape.tolist() == finger + finger
+    assert PAPER.n_taxels == 408
+    assert PAPER.sample_bytes == 1
+    assert [pad.face for pad in PAPER.pads[:5]] == ["inner", "outer", "side_a", "side_b", "tip"]
+    assert PAPER.gripping_pads == (0, 5)
+    assert [pad.finger for pad in PAPER.pads] == [0] * 5 + [1] * 5
+    assert PAPER.taxels_of(5) == slice(204, 268)
+    np.testing.assert_array_equal(np.bincount(PAPER.taxel_pad)[:5], [64, 64, 32, 32, 12])
 
 
 def test_paper_pitch_and_extent() -> None:
-    layout = paper_layout()
-    inner = layout.pads[0]
+    inner = PAPER.pads[0]
     assert inner.pitch_x_m == pytest.approx(3.4375e-3)
     assert inner.pitch_y_m == pytest.approx(5e-3)
-    assert np.all(np.abs(layout.position_m[:, 0]) <= 0.0275 + 1e-12)
-    assert np.all(np.abs(layout.position_m[:, 1]) <= 0.010 + 1e-12)
-    assert np.all((layout.position_m[:, 2] <= 0) & (layout.position_m[:, 2] >= -0.012))
+    assert np.all(np.abs(PAPER.position_m[:, 0]) <= 0.0275 + 1e-12)
+    assert np.all(np.abs(PAPER.position_m[:, 1]) <= 0.010 + 1e-12)
+    assert np.all((PAPER.position_m[:, 2] <= 0) & (PAPER.position_m[:, 2] >= -0.012))
 
 
 def test_normals_point_out_of_the_finger() -> None:
-    layout = paper_layout()
     centre = np.array([0.0, 0.0, -0.006])
-    assert np.all(np.einsum("ij,ij->i", layout.position_m - centre, layout.normal) > 0)
-    np.testing.assert_allclose(np.linalg.norm(layout.normal, axis=1), 1.0)
-    np.testing.assert_array_equal(layout.normal[0], [0, 0, 1])
+    assert np.all(np.einsum("ij,ij->i", PAPER.position_m - centre, PAPER.normal) > 0)
+    np.testing.assert_allclose(np.linalg.norm(PAPER.normal, axis=1), 1.0)
+    np.testing.assert_array_equal(PAPER.normal[0], [0, 0, 1])
 
 
 def test_inner_pads_of_both_fingers_face_each_other_taxel_by_taxel() -> None:
-    layout = paper_layout()
-    first, second = (layout.taxels_of(pad) for pad in layout.gripping_pads)
-    np.testing.assert_array_equal(layout.position_m[first], layout.position_m[second])
+    first, second = (PAPER.taxels_of(pad) for pad in PAPER.gripping_pads)
+    np.testing.assert_array_equal(PAPER.position_m[first], PAPER.position_m[second])
 
 
 def test_pinch_layout_is_row_by_row_and_centred() -> None:
@@ -62,8 +59,7 @@ def test_pinch_layout_is_row_by_row_and_centred() -> None:
 
 
 def test_arrays_cannot_be_written() -> None:
-    layout = paper_layout()
-    for array in (layout.taxel_xy_m, layout.position_m, layout.normal, layout.taxel_pad):
+    for array in (PAPER.taxel_xy_m, PAPER.position_m, PAPER.normal, PAPER.taxel_pad):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
 

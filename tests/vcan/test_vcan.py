@@ -38,7 +38,6 @@ def unit() -> Iterator["subprocess.Popen[str]"]:
     with subprocess.Popen(
         [sys.executable, str(script), CHANNEL, str(NODE)], stdout=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         yield process
         process.kill()

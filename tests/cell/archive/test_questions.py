@@ -49,7 +49,6 @@ def test_a_confusion_has_the_day_on_which_it_began(aged: Fleet) -> None:
     of_cell = ask(aged.archive, Selection(cells=frozenset({"press 2"}))).confusions[0]
     assert of_cell.since == "2027-01-09"
     table = confusion_table(ask(aged.archive))
-    assert table is not None
     assert table.text == "55 of 60 right, 5 wrong"
 
 
@@ -93,7 +92,6 @@ def test_an_archive_without_answers_says_so(tmp_path: Path, untaught: str) -> No
 @pytest.mark.parametrize("kind", [".png", ".svg"])
 def test_pictures_are_written(aged: Fleet, tmp_path: Path, kind: str) -> None:
     table = confusion_table(ask(aged.archive))
-    assert table is not None
     write_picture(tmp_path / f"a{kind}", confusion_figure(table))
     write_picture(tmp_path / f"b{kind}", grasp_figure(ramp("ball", np.random.default_rng(1)), "$"))
     start = {".png": b"\x89PNG", ".svg": b"<?xml"}[kind]

@@ -97,3 +97,8 @@ def stand(tmp_path: Path) -> Iterator[MakeStand]:
             return Stand(undo.enter_context(SimulatedCell(made)), tmp_path)
 
         yield make
+
+
+@pytest.fixture
+def one(stand: MakeStand) -> Stand:
+    return stand()

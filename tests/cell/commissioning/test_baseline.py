@@ -121,8 +121,7 @@ def test_a_gauge_object_that_feels_otherwise_names_the_step(change, what, step) 
     assert (found.what, found.step) == (what, step)
 
 
-def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(stand) -> None:
-    one = stand()
+def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(one) -> None:
     servos = [{"id": n, "model": "XM430-W350", "firmware": 0} for n in (1, 2)]
     one.bench.found = FOUND | {"unit": {"serial_number": 1}, "servos": {"servos": servos}}
     assert {change.what for change in changed_hardware(one.bench)} == {"servo 1", "servo 2"}
@@ -139,7 +138,6 @@ def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(stand, tm
     one = stand(noise=NoiseModel(level=0.3))
     finding = one.passes(BaselineStep())
     was = gauge_of({"baseline": finding.values})
-    assert was is not None
     assert was.held_n == pytest.approx((was.force_n, was.force_n), rel=0.1)
     assert was.held_mm < was.contact_mm < 11.0
     assert min(was.patch_taxels) > 5

@@ -113,6 +113,11 @@ def limp(stand: MakeStand) -> MakeStand:
     return make
 
 
+@pytest.fixture
+def one(limp: MakeStand) -> Stand:
+    return limp()
+
+
 def test_one_servo_with_a_pinion(stand) -> None:
     one = stand(
         servos=(SimulatedServoSettings(servo_id=1, mount=ServoMount(direction=-1)),),
@@ -149,8 +154,7 @@ def test_directions_zero_and_linkage_of_badly_mounted_servos(limp) -> None:
     assert one.person.script.watched
 
 
-def test_a_wrong_linkage_and_opening_of_the_config_are_named(limp) -> None:
-    one = limp()
+def test_a_wrong_linkage_and_opening_of_the_config_are_named(one) -> None:
     wrong = {
         "gripper.linkage": {"kind": "rack_pinion", "pinion_radius_mm": 40.0},
         "gripper.aperture_open_mm": 150.0,
@@ -164,8 +168,7 @@ def test_a_wrong_linkage_and_opening_of_the_config_are_named(limp) -> None:
     assert opening.startswith("gripper.aperture_open_mm was 150, is now 11")
 
 
-def test_a_person_stops_the_first_motion_while_it_runs(limp) -> None:
-    one = limp()
+def test_a_person_stops_the_first_motion_while_it_runs(one) -> None:
 
     def stop() -> None:
         if one.torques == [1, 1]:
@@ -177,8 +180,7 @@ def test_a_person_stops_the_first_motion_while_it_runs(limp) -> None:
 
 
 @pytest.mark.parametrize("tight", ["close", "open"])
-def test_a_first_motion_begins_with_room_on_both_sides(limp, tight) -> None:
-    one = limp()
+def test_a_first_motion_begins_with_room_on_both_sides(one, tight) -> None:
     one.passes(STEP, fingers__free=[one.does("empty", tight), one.does("half")])
     assert one.person.script.asked.count("fingers.free") == 2
 
@@ -198,8 +200,7 @@ def drifting(one: Stand) -> None:
         (drifting, "finger 0 (servo 1): closed instead of opening"),
     ],
 )
-def test_a_finger_that_does_not_open_is_named_and_limp(limp, happens, named) -> None:
-    one = limp()
+def test_a_finger_that_does_not_open_is_named_and_limp(one, happens, named) -> None:
 
     def free() -> None:
         one.does("empty", "half")()
@@ -212,16 +213,14 @@ def test_a_finger_that_does_not_open_is_named_and_limp(limp, happens, named) -> 
     assert one.torques == [0, 0]
 
 
-def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(limp) -> None:
-    one = limp()
+def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(one) -> None:
     found = one.run(STEP, fingers__opened="no")
     assert found.status is Verdict.FAIL
     assert found.settings == {}
     assert one.torques == [0, 0]
 
 
-def test_closed_that_was_confirmed_too_early_is_measured_again(limp) -> None:
-    one = limp()
+def test_closed_that_was_confirmed_too_early_is_measured_again(one) -> None:
     found = one.passes(
         STEP,
         fingers__close=[one.does("half"), one.does("close")],
@@ -249,9 +248,8 @@ def test_closed_that_was_confirmed_too_early_is_measured_again(limp) -> None:
     ],
 )
 def test_a_finger_that_stands_closer_on_a_block_than_closed_is_measured_again(
-    limp, replies, named
+    one, replies, named
 ) -> None:
-    one = limp()
     ((key, wrong),) = replies.items()
     right = {"fingers.close": ("empty", "close"), "fingers.open_second": ("open 1",)}[key]
 
@@ -277,7 +275,6 @@ def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(limp) -> None
         one.run(STEP, practice={"How do the fingers move": ("", "")})
     (question,) = [one for one in one.person.script.questions if one.key == "fingers.kind"]
     assert question.default is None
-    assert question.choices is not None
     for choice, kind in zip(question.choices, KINDS, strict=True):
         assert choice.key == kind
         assert choice.picture in SKETCHES
@@ -290,8 +287,7 @@ def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(limp) -> None
     assert decided(fit_linkages([on_parallel(m, 0.03) for m in BLOCKS_M]))
 
 
-def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(limp) -> None:
-    one = limp()
+def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(one) -> None:
     replies: dict[str, Any] = {
         "fingers.on_block2": one.does("block 30"),
         "fingers.on_block3": one.does("block 20"),
@@ -312,8 +308,7 @@ def test_one_block_is_enough_and_worth_a_word(limp) -> None:
     assert found.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.05)
 
 
-def test_leaving_at_each_question_leaves_no_torque(limp) -> None:
-    one = limp()
+def test_leaving_at_each_question_leaves_no_torque(one) -> None:
     one.run(STEP)
     for place in [*one.person.script.asked, "approve"]:
         with pytest.raises(WizardAborted):
@@ -321,8 +316,7 @@ def test_leaving_at_each_question_leaves_no_torque(limp) -> None:
         assert one.torques == [0, 0], place
 
 
-def test_an_interruption_of_the_first_motion_leaves_the_fingers_limp(limp, monkeypatch) -> None:
-    one = limp()
+def test_an_interruption_of_the_first_motion_leaves_the_fingers_limp(one, monkeypatch) -> None:
     write, seen = GoalWriter.write, []
 
     def interrupted(writer: GoalWriter, goals: Any, state: Any) -> None:

@@ -1,7 +1,5 @@
 """The law from counts to newtons of the wizard: loads on both pads, and the factor that is set."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -92,7 +90,7 @@ def test_without_a_scale_the_forces_are_unchecked(stand: MakeStand) -> None:
         ([[(1.0, 0.0), (3.0, 0.0)]] * 2, "No law can be found: the pads show no force"),
     ],
 )
-def test_loads_that_are_no_law_fail(loads: Any, named: str) -> None:
+def test_loads_that_are_no_law_fail(loads, named: str) -> None:
     with pytest.raises(StepFailed, match=named):
         judge_law(TactileConfig(), loads, notes := Finding())
     assert not notes.settings

@@ -77,8 +77,7 @@ def test_both_pads_turned_and_exchanged_are_what_the_simulated_cell_has(stand) -
     assert "force messages cannot be used" not in "\n".join(finding.lines)
 
 
-def test_a_dead_pad_is_named_and_fails_the_step(stand) -> None:
-    one = stand()
+def test_a_dead_pad_is_named_and_fails_the_step(one) -> None:
     finding = one.run(
         PRESSED, practice={"!Press finger0.inner": ("lift", "")}, pads_pressed__again="skip"
     )
@@ -88,8 +87,7 @@ def test_a_dead_pad_is_named_and_fails_the_step(stand) -> None:
     assert finding.settings == {}
 
 
-def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand) -> None:
-    one = stand()
+def test_the_wrong_pad_or_its_middle_is_asked_for_again(one) -> None:
     practice = {"!Press finger1.inner with": ("press finger0.inner", "")}
 
     def again() -> str:
@@ -157,7 +155,6 @@ def test_places_and_mounts_of_patches() -> None:
     assert pressed_at(layout, force_n) is None
     force_n[layout.taxels_of(2).start] = 1.0
     patch = pressed_at(layout, force_n)
-    assert patch is not None
     assert (patch.pad, patch.force_n) == (2, 1.0)
     assert (patch.along, patch.across) == pytest.approx((-15 / 16, -1 / 2))
     found = mounts_of(layout, {2: patch, 0: Patch(pad=0, along=0.8, across=0.4, force_n=1.0)})

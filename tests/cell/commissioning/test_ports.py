@@ -95,7 +95,6 @@ def test_programs_that_have_a_port_open_are_named(tmp_path) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", waits, str(device)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as other:
-        assert other.stdout is not None
         other.stdout.readline()
         (found,) = users_of(str(device))
         assert found.endswith(f"(process {other.pid})")

@@ -89,13 +89,11 @@ class Process:
         self.text = ""
 
     def type(self, line: str) -> None:
-        assert self.process.stdin is not None
         self.process.stdin.write(f"{line}\n".encode())
         self.process.stdin.flush()
 
     def read(self, timeout_s: float = 0.2) -> bool:
         """Read what is printed; False at its end."""
-        assert self.process.stdout is not None
         if not select.select([self.process.stdout], [], [], timeout_s)[0]:
             return True
         data = os.read(self.process.stdout.fileno(), 65536)
@@ -115,7 +113,6 @@ class Process:
         self.process.terminate()
         self.process.wait(20.0)
         for pipe in (self.process.stdin, self.process.stdout):
-            assert pipe is not None
             pipe.close()
 
 
@@ -124,7 +121,6 @@ class Process:
 def test_the_practice_of_the_tutorial_is_typed_as_it_is_printed() -> None:
     page = TUTORIAL.read_text("utf-8")
     transcript = re.search(r"<!-- transcript: commission -->\n\n```text\n(.*?)```", page, re.DOTALL)
-    assert transcript is not None
     told = list(events(transcript[1]))
     simulate, commission, ask = practice_commands()
     with ExitStack() as undo:

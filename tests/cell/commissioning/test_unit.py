@@ -41,16 +41,14 @@ def test_a_unit_is_found_and_set_up_and_named(stand: MakeStand) -> None:
     assert "force messages" in finding.lines[-1]
 
 
-def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(stand: MakeStand) -> None:
-    one = stand()
+def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(one) -> None:
     one.cell.clock.sleep(0.1)  # it has booted
     first, second = (one.run(STEP) for _ in range(2))
     assert "found by asking each node-ID" in first.lines[0]
     assert "found by listening" in second.lines[0]
 
 
-def test_nothing_is_written_that_is_refused(stand: MakeStand) -> None:
-    one = stand()
+def test_nothing_is_written_that_is_refused(one) -> None:
     with pytest.raises(WizardAborted):
         one.run(STEP, leave_at=["approve"])
     assert one.cell.unit.dictionary.number(0x1017) == 0
@@ -80,8 +78,7 @@ def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(stand: MakeSta
     assert one.run(STEP).lines == ["invalid bit rate 1000000"]
 
 
-def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(stand: MakeStand) -> None:
-    one = stand()
+def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(one) -> None:
     mount = DriveMount(node_id=3, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
     one.cell.devices.can_devices.add(SimulatedDrive(mount))
     finding = one.passes(STEP)
@@ -89,8 +86,7 @@ def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(stand: MakeStand) -> 
     assert "Beside it, node 3 is another device" in "\n".join(finding.lines)
 
 
-def test_the_interface_is_asked_for_only_where_there_are_several(stand: MakeStand) -> None:
-    one = stand()
+def test_the_interface_is_asked_for_only_where_there_are_several(one) -> None:
     one.bench.settings = {"gripper.port": "/dev/ttyUSB0"}
     one.lines.ports += ("/dev/ttyACM0", "/dev/ttyACM1")
     finding = one.run(STEP, unit__interface="slcan /dev/ttyACM1")

@@ -103,9 +103,7 @@ def test_the_object_is_carried_out_of_the_pads_and_back(bench: Any) -> None:
         (Pose(x_m=7e-3), "axis x was asked for 7.00 mm, its limits are -6.00 mm to 6.00 mm"),
     ],
 )
-def test_a_pose_that_no_axis_reaches_is_refused_and_nothing_moves(
-    bench: Any, pose: Pose, words: str
-) -> None:
+def test_a_pose_that_no_axis_reaches_is_refused_and_nothing_moves(bench, pose, words) -> None:
     bench.ready().grasp(3.0, Pose())
     before = true_pose(bench)
     with pytest.raises(PositionerError, match=words):

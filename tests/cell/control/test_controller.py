@@ -65,9 +65,7 @@ def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) 
     assert pressed[-1].max() > pressed[0].max() + 40
 
 
-def test_a_machine_clock_set_back_leaves_the_grasps_in_order(
-    bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_machine_clock_set_back_leaves_the_grasps_in_order(bench, monkeypatch) -> None:
     bench.controller.start()
     bench.controller.moves.present("box")
     (step,) = plan(bench.config.sequence, 1, seed=4)
@@ -213,9 +211,7 @@ def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
     ("phase", "after_s", "least_n"),
     [(RAMPING, 0.0, 0.2), (RAMPING, 0.3, 1.0), (APPROACHING, 0.0, 0.0), (APPROACHING, 0.2, 0.0)],
 )
-def test_cancelling_keeps_the_grip_until_it_is_released(
-    bench: Any, phase: GripperPhase, after_s: float, least_n: float
-) -> None:
+def test_cancelling_keeps_the_grip_until_it_is_released(bench, phase, after_s, least_n) -> None:
     bench.ready()
     bench.once_in(phase, bench.life.cancel, after_s)
     left = "the grip is kept" if phase is RAMPING else r"stopped while closing, .* may be touched"
@@ -270,7 +266,6 @@ def test_a_release_can_be_stopped_too(bench: Any, again: str) -> None:
         r"while letting go, at an opening of ([\d.]+) mm; a part may be half held until",
         str(stopped.value),
     )
-    assert told is not None
     assert float(told[1]) == pytest.approx(stood_mm, abs=0.5)
     bench.sleep(0.5)
     assert bench.simulated.devices.mechanics.aperture_m * 1e3 == pytest.approx(stood_mm, abs=0.8)
@@ -362,9 +357,7 @@ def test_the_cell_is_supervised_while_a_person_moves_the_object(make_bench: Make
     assert len(asked) == 2
 
 
-def test_a_frame_that_shows_the_part_stands_against_messages_that_show_none(
-    make_bench: MakeBench,
-) -> None:
+def test_a_frame_that_shows_the_part_stands_against_messages_that_show_none(make_bench) -> None:
     slow = {"kind": "linear", "rate_n_s": 5.0, "hold_s": 0.3}
     # With some noise the sensor's own comparison of messages and frames is the first to find it.
     bench = make_bench(small_config(sequence__ramp=slow, seed=2)).ready()

@@ -89,16 +89,11 @@ def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecor
         assert (found.label, found.shape) == ("ball", None)
         assert len(found.posteriors) == 2
         assert found.complaints[0].startswith(complaint)
-    assert identified(record, read_shape=lambda _grasp: None).shapes == (
-        None,
-        None,
-    )
+    assert identified(record, read_shape=lambda _grasp: None).shapes == (None, None)
 
 
 @pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])
-def test_a_felt_size_far_from_the_drawn_ones_is_of_no_taught_object(
-    record: GraspRecord, drawn_m: tuple[float, ...], label: str
-) -> None:
+def test_a_felt_size_far_from_the_drawn_ones_is_of_no_taught_object(record, drawn_m, label) -> None:
     told: list[Posterior] = []
     found = identified(
         record,

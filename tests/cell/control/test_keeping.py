@@ -159,9 +159,7 @@ def test_an_error_while_it_is_named_is_a_fault_with_the_part_kept(bench: Any) ->
 # -- one grip --------------------------------------------------------------------------------
 
 
-def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(
-    make_bench: MakeBench, taught: Any
-) -> None:
+def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(make_bench, taught) -> None:
     bench = make_bench(small_config(sequence__regrasp="none"))
     bench.ready("box")
     least_n: list[float] = []
@@ -215,9 +213,7 @@ def test_forces_of_the_config_that_could_not_hold_a_part_are_refused() -> None:
 
 
 @pytest.mark.parametrize(("fault", "limit_s"), [("object.gone", 0.15), ("object.slips=20", 0.25)])
-def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(
-    bench: Any, fault: str, limit_s: float
-) -> None:
+def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(bench, fault, limit_s) -> None:
     identify(bench, Scripted(SURE), Keep.ALWAYS)
     bench.idle(3.0)
     bench.simulated.inject(fault)
@@ -226,7 +222,6 @@ def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(
     assert bench.life.state is CellState.ABORTED
     assert bench.life.grasp_state is GraspState.PART_LOST
     text = bench.life.fault
-    assert text is not None
     after_s = float(text.rpartition("; ")[2].removesuffix(" s after the answer"))
     assert 3.0 <= after_s <= 3.1 + limit_s
     bench.simulated.injector.clear_all()
@@ -305,9 +300,7 @@ TO_BIN = Destination(label="ball", place="bin 1")
 
 
 @pytest.mark.parametrize("answer", [False, "there"])
-def test_a_place_that_is_refused_leaves_the_part_in_the_grip(
-    make_bench: MakeBench, answer: Any
-) -> None:
+def test_a_place_that_is_refused_leaves_the_part_in_the_grip(make_bench, answer) -> None:
     bench = make_bench(places=lambda _destination: answer)
     bench.ready()
     bench.controller.grip(3.0, Pose())

@@ -27,14 +27,9 @@ def life_of(state: CellState, phase: GripperPhase, **hand: Any) -> CellLifecycle
 
 @pytest.mark.parametrize(
     ("phase", "state", "kept"),
-    [
-        (GripperPhase.IDLE, CellState.IDLE, []),
-        (GripperPhase.HOLDING, CellState.ABORTED, ["kept"]),
-    ],
+    [(GripperPhase.IDLE, CellState.IDLE, []), (GripperPhase.HOLDING, CellState.ABORTED, ["kept"])],
 )
-def test_a_pose_that_is_not_reached_is_a_fault_beside_a_part_alone(
-    phase: GripperPhase, state: CellState, kept: list[str]
-) -> None:
+def test_a_pose_that_is_not_reached_is_a_fault_beside_a_part_alone(phase, state, kept) -> None:
     calls: list[str] = []
     life = life_of(CellState.EXECUTE, phase, keep_grip=lambda: calls.append("kept"))
     with pytest.raises(PositionerError), life.latching_faults():

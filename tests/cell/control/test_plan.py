@@ -68,9 +68,7 @@ def test_pose_refuses_what_is_not_finite_and_reads_well() -> None:
     "config",
     [LinearRampConfig(), StaircaseRampConfig(kind="staircase"), SCurveRampConfig(kind="s_curve")],
 )
-def test_ramps_of_the_config_end_at_the_wanted_force(
-    config: LinearRampConfig | StaircaseRampConfig | SCurveRampConfig,
-) -> None:
+def test_ramps_of_the_config_end_at_the_wanted_force(config) -> None:
     ramp = ramp_from_config(config, 5.0)
     assert ramp.final_n == 5.0
     assert ramp.setpoint_n(ramp.duration_s) == pytest.approx(5.0)

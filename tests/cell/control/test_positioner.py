@@ -4,7 +4,6 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -73,7 +72,7 @@ OTHER = Pose(y_m=2e-3)
         *((wrong, "the host answered") for wrong in (0, 1, "yes")),
     ],
 )
-def test_host_moves_or_refuses(answer: Any, reached: Pose | str) -> None:
+def test_host_moves_or_refuses(answer, reached: Pose | str) -> None:
     positioner = CallbackPositioner(lambda _pose: answer)
     positioner.present("ignored")
     if isinstance(reached, Pose):

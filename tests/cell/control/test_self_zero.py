@@ -136,9 +136,7 @@ def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, part: 
 @pytest.mark.parametrize(
     "part", ["sphere:diameter=9.5mm", "sphere:diameter=5mm", "cylinder:diameter=3mm,length=60mm"]
 )
-def test_a_daily_start_opens_again_on_a_part_and_goes_on(
-    make_bench, tmp_path: Path, part: str
-) -> None:
+def test_a_daily_start_opens_again_on_a_part_and_goes_on(make_bench, tmp_path, part) -> None:
     config = small_config(self_zero="daily")
     (tmp_path / "job").mkdir()
     bench = make_bench(config, folder=tmp_path / "job")
@@ -178,9 +176,7 @@ def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(make_be
 
 
 @pytest.mark.parametrize("when", ["daily", "always"])
-def test_a_zero_that_cannot_be_written_counts_in_its_program(
-    make_bench, tmp_path: Path, when: str
-) -> None:
+def test_a_zero_that_cannot_be_written_counts_in_its_program(make_bench, tmp_path, when) -> None:
     """Nobody has asked a daily start for one, and a full disk is no fault of the hand."""
     config = small_config(self_zero=when)
     (tmp_path / "job").mkdir()
@@ -258,9 +254,7 @@ def test_what_is_out_of_bounds_is_named(make_bench, changes, says) -> None:
 
 
 @pytest.mark.parametrize(("when", "times"), [("always", 2), ("daily", 2), ("on_demand", 0)])
-def test_it_is_measured_at_a_start_where_it_is_due(
-    make_bench, tmp_path: Path, when: str, times: int
-) -> None:
+def test_it_is_measured_at_a_start_where_it_is_due(make_bench, tmp_path, when, times) -> None:
     config = small_config(self_zero=when)
     kept = zero_file(tmp_path, config.name)
     seen: list[Any] = []
@@ -298,9 +292,7 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     assert bench.controller.zeros.newest == found
 
 
-def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(monkeypatch, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
     call("teach", "ball", "-n", 2, "-o", "taught.npz")
     zeros = {grasp.zero for grasp in read_grasps(Path("taught.npz"))}
@@ -379,9 +371,7 @@ def test_a_damaged_file_is_named_and_counts_as_none(tmp_path: Path, how: str, sa
 
 
 @pytest.mark.parametrize("values", [{}, {"measured_s": "x"}, {"measured_s": 1e300}, {"hand": 3}])
-def test_a_whole_file_of_other_values_counts_as_none(
-    tmp_path: Path, values: dict[str, Any]
-) -> None:
+def test_a_whole_file_of_other_values_counts_as_none(tmp_path, values) -> None:
     kept = {"measured_s": 1.8e9, "hand": {}} | (asdict(ZERO) if values else {}) | values
     write_json(tmp_path / "zero.json", SELF_ZERO, kept, error=CellError)
     zeros = SelfZeros("daily", path=tmp_path / "zero.json")
@@ -402,9 +392,7 @@ def test_a_whole_file_of_other_values_counts_as_none(
         ({"simulator.pads": {"stiffness": [0.8, 1.0]}}, "simulator.pads"),
     ],
 )
-def test_a_zero_of_another_cell_counts_as_none_and_is_named(
-    tmp_path: Path, change: dict[str, Any], named: str
-) -> None:
+def test_a_zero_of_another_cell_counts_as_none_and_is_named(tmp_path, change, named) -> None:
     here = changed_config(CellConfig(), REAL)
     kept_zeros(here, tmp_path).keep(ZERO)
     assert kept_zeros(here, tmp_path).newest == ZERO

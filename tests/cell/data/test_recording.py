@@ -189,7 +189,6 @@ def test_foreign_reader_finds_schemas_that_each_message_fits(whole) -> None:
     validators: dict[str, jsonschema.Draft202012Validator] = {}
     with whole[0].open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
-            assert schema is not None
             assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
             content = json.loads(message.data)
             if channel.topic not in validators:

@@ -105,7 +105,8 @@ def hand(monkeypatch: pytest.MonkeyPatch) -> HandProcess:
     return HandProcess(CellConfig())
 
 
-def loop_of(_hand: HandProcess) -> FakeLoop:
+@pytest.fixture
+def loop(hand: HandProcess) -> FakeLoop:
     return FakeLoop.made[-1]
 
 
@@ -113,21 +114,20 @@ def nothing(_cycle: Any, _frames: Any) -> None:
     pass
 
 
-def test_periods_reach_the_watch_and_the_answer_is_returned(hand) -> None:
+def test_periods_reach_the_watch_and_the_answer_is_returned(loop, hand) -> None:
     seen: list[Any] = []
-    loop_of(hand).script.append([period(), period(), answer(99), None])
+    loop.script.append([period(), period(), answer(99), None])
     assert (
         hand.grasp(RAMP, lambda cycle, _frames: seen.append((cycle.phase, hand.phase))) == "value"
     )
     assert seen == [(GripperPhase.RAMPING, GripperPhase.RAMPING)] * 2
     assert hand.phase is GripperPhase.HOLDING
-    assert loop_of(hand).sent == [("grasp", {"ramp": RAMP})]
+    assert loop.sent == [("grasp", {"ramp": RAMP})]
     assert hand.notes == ("a note",)
     assert hand.statistics.loop.cycles == 5
 
 
-def test_what_the_process_measures_is_shown_in_a_motion_and_between_two(hand) -> None:
-    loop = loop_of(hand)
+def test_what_the_process_measures_is_shown_in_a_motion_and_between_two(loop, hand) -> None:
     assert hand.latest == LatestValues()
     moved = period()
     loop.script.append([moved, None])
@@ -147,8 +147,7 @@ def test_what_the_process_measures_is_shown_in_a_motion_and_between_two(hand) ->
     assert hand.latest == LatestValues(cycle=spoilt, force=force, frame=frame)
 
 
-def test_the_end_of_a_ramp_names_the_grasp_that_it_is_meant_for(hand) -> None:
-    loop = loop_of(hand)
+def test_the_end_of_a_ramp_names_the_grasp_that_it_is_meant_for(loop, hand) -> None:
     hand.start()
     loop.script.append([period(), period(), None])
     hand.grasp(RAMP, lambda _cycle, _frames: hand.end_ramp())
@@ -163,7 +162,9 @@ def test_a_ramp_beyond_a_limit_is_refused_without_asking_the_process(hand) -> No
         hand.check_ramp(ForceRamp.linear(14.9, 5.0))
 
 
-def test_what_the_watch_raises_stops_the_command_and_comes_with_where_the_fingers_are(hand) -> None:
+def test_what_the_watch_raises_stops_the_command_and_comes_with_where_the_fingers_are(
+    loop, hand
+) -> None:
     told: list[int] = []
 
     def fail(_cycle: Any, _frames: Any) -> None:
@@ -172,7 +173,6 @@ def test_what_the_watch_raises_stops_the_command_and_comes_with_where_the_finger
 
     stopped = GraspStopped("stopped on request")
     note_fingers(stopped, "stopped while letting go")
-    loop = loop_of(hand)
     loop.script.append([period(), period(), answer(1, stopped)])
     with pytest.raises(OSError, match="disk is full") as caught:
         hand.release(fail)
@@ -180,14 +180,13 @@ def test_what_the_watch_raises_stops_the_command_and_comes_with_where_the_finger
     assert (len(told), loop.stops, loop.lost) == (1, 1, None)
 
 
-def test_an_error_of_the_process_is_raised_as_what_it_is(hand) -> None:
-    loop_of(hand).script.append([lambda number: answer(number, BusTimeout("cable"))])
+def test_an_error_of_the_process_is_raised_as_what_it_is(loop, hand) -> None:
+    loop.script.append([lambda number: answer(number, BusTimeout("cable"))])
     with pytest.raises(BusTimeout, match="cable"):
         hand.start()
 
 
-def test_a_fault_between_commands_comes_with_the_next_tick_or_command(hand) -> None:
-    loop = loop_of(hand)
+def test_a_fault_between_commands_comes_with_the_next_tick_or_command(loop, hand) -> None:
     hand.tick()
     for call in (hand.tick, hand.start_sensor):
         loop.coming.append(SILENT)
@@ -197,16 +196,14 @@ def test_a_fault_between_commands_comes_with_the_next_tick_or_command(hand) -> N
     assert hand.phase is GripperPhase.IDLE
 
 
-def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(hand) -> None:
-    loop = loop_of(hand)
+def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(loop, hand) -> None:
     assert hand.shutdown() == ""
     loop.coming.append(SILENT)
     assert hand.shutdown() == "silent"
     assert loop.sent == [("shutdown", {})] * 2
 
 
-def test_a_lost_process_is_told_until_it_is_cleared(hand) -> None:
-    loop = loop_of(hand)
+def test_a_lost_process_is_told_until_it_is_cleared(loop, hand) -> None:
     loop.script.append([period(), HandLost("killed")])
     with pytest.raises(HandLost):
         hand.grasp(RAMP, nothing)
@@ -221,18 +218,17 @@ def test_a_lost_process_is_told_until_it_is_cleared(hand) -> None:
     hand.start()
 
 
-def test_a_process_that_says_that_it_ends_is_lost(hand) -> None:
+def test_a_process_that_says_that_it_ends_is_lost(loop, hand) -> None:
     fault = HandFault(error=HandLost("told to end"), phase=GripperPhase.IDLE)
-    loop_of(hand).coming.append(fault)
+    loop.coming.append(fault)
     with pytest.raises(HandLost, match="told to end"):
         hand.tick()
-    assert loop_of(hand).closed
+    assert loop.closed
     assert hand.phase is GripperPhase.IDLE
 
 
 @pytest.mark.parametrize("again", [False, True])
-def test_a_signal_while_waiting_stops_first_and_a_second_ends_at_once(hand, again) -> None:
-    loop = loop_of(hand)
+def test_a_signal_while_waiting_stops_first_and_a_second_ends_at_once(loop, hand, again) -> None:
     more = [KeyboardInterrupt()] if again else []
     loop.script.append([period(), KeyboardInterrupt(), *more, period(), None])
     with pytest.raises(KeyboardInterrupt):

@@ -45,7 +45,6 @@ def test_a_cell_on_boards_finds_its_self_zero_by_closing_empty_fingers() -> None
         cell.controller.start()
         assert cell.controller.life.fault is None
         zero = cell.controller.zeros.newest
-        assert zero is not None
         assert abs(1e3 * zero.opening_m) < 0.5
 
 

@@ -87,8 +87,7 @@ ERRORS = [
 
 def crossed(error: BaseException) -> BaseException:
     event = pickle.loads(packed(HandFault(error=error, phase=GripperPhase.OFF)))
-    found: BaseException = event.error
-    return found
+    return event.error
 
 
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)

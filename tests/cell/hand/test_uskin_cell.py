@@ -17,7 +17,6 @@ PRESET = load_config(Path(__file__).parents[3] / "config" / "uskin.yaml")
 def test_each_approach_has_a_zero_of_its_own_while_z_drifts() -> None:
     config = changed_config(PRESET, {"tactile.tare_frames": 30})
     cell = build_cell(config)
-    assert cell.simulated is not None
     clock, world = cell.simulated.clock, cell.simulated.devices.physical
     with closing(cell):
         cell.controller.start()
@@ -37,8 +36,6 @@ def test_each_approach_has_a_zero_of_its_own_while_z_drifts() -> None:
             cell.controller.release()
             slow.clear()
         zero = cell.controller.zeroing.taxels
-        assert first is not None
-        assert zero is not None
         moved = zero.offset_counts - first.offset_counts
         assert moved.min() > 3500
         assert zero.n_frames == 20

@@ -17,3 +17,13 @@ def connect(serve: Any) -> Callable[..., tuple[Any, Client]]:
         return served, Client(served.interfaces)
 
     return make
+
+
+@pytest.fixture
+def served(serve: Any) -> Any:
+    return serve("http")
+
+
+@pytest.fixture
+def host(served: Any) -> Client:
+    return Client(served.interfaces)

@@ -91,14 +91,12 @@ def config(taught: Any, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def dataset(taught: Any) -> Path:
-    path: Path = taught.result.dataset
-    return path
+    return taught.result.dataset
 
 
 @pytest.fixture
 def model(taught: Any) -> Path:
-    path: Path = taught.result.model
-    return path
+    return taught.result.model
 
 
 def read_json(path: Path) -> Any:

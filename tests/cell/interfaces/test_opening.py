@@ -3,7 +3,6 @@
 import os
 import socket
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -11,7 +10,7 @@ from cell.errors import CellError, ConfigError
 from cell.interfaces.opening import open_interfaces, warnings
 
 
-def test_interfaces_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) -> None:
+def test_interfaces_that_cannot_be_opened_say_why(serve, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no interface is open"), open_interfaces(serve().service):
         pass
     with pytest.raises(CellError, match=r"cannot read token or secret .*missing"):
@@ -33,7 +32,7 @@ def test_interfaces_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) ->
         serve("http", serve__token_file=str(tmp_path / "short"))
 
 
-def test_an_address_for_others_is_warned_of(serve: Any) -> None:
+def test_an_address_for_others_is_warned_of(serve) -> None:
     assert warnings(serve("modbus", "xmlrpc", "http").service) == ()
     others = {"serve__listen": "0.0.0.0", "serve__allow": ["192.0.2.1"]}
     modbus, http = warnings(serve(serve__modbus_port=0, serve__http_port=0, **others).service)
@@ -43,7 +42,7 @@ def test_an_address_for_others_is_warned_of(serve: Any) -> None:
 
 
 @pytest.mark.parametrize("interface", ["modbus", "xmlrpc", "http", "opcua"])
-def test_a_taken_port_names_the_key_that_sets_another(serve: Any, interface: str) -> None:
+def test_a_taken_port_names_the_key_that_sets_another(serve, interface: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port, key = taken.getsockname()[1], f"serve__{interface}_port"
         ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http", "opcua")}

@@ -44,7 +44,6 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
             text=True,
         )
         made.append(process)
-        assert process.stdout is not None
         return process, json.loads(process.stdout.readline() or "{}")
 
     yield run
@@ -154,7 +153,6 @@ def test_the_page_takes_the_next_port_where_its_own_is_taken(monkeypatch) -> Non
     with socket.create_server(("127.0.0.1", 0)) as taken:
         monkeypatch.setattr(serving, "_PAGE_PORT", taken.getsockname()[1])
         found = serving.free_page_port("127.0.0.1")
-        assert found is not None
         assert found > taken.getsockname()[1]
 
 

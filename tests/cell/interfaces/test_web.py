@@ -39,8 +39,7 @@ from tests.waiting import until
 PAGE = Path("docs/how-to/use-it-over-http.md")
 
 
-def test_the_state_names_who_commands_and_keeps_the_last_answer(connect) -> None:
-    served, host = connect()
+def test_the_state_names_who_commands_and_keeps_the_last_answer(served, host) -> None:
     lease = host.post("/api/lease", name="host")["lease"]
     assert host.post(f"/api/lease/{lease}/alive") == {"lease": lease}
     host.post("/api/jobs", lease=lease, goal={"task": "identify", "present": "box"})
@@ -68,8 +67,7 @@ def test_an_answer_does_not_wait_for_the_acknowledgement_of_the_client(connect) 
     assert min(took_s[1:]) < 0.03  # the delay of an acknowledgement is 40 ms
 
 
-def test_refusals_have_a_status_and_a_fault_number(connect) -> None:
-    served, host = connect()
+def test_refusals_have_a_status_and_a_fault_number(served, host) -> None:
     lease = host.post("/api/lease", name="host")["lease"]
     identify = {"task": "identify"}
     for path, body, status, number in (
@@ -116,8 +114,7 @@ def check_refusal(found: int, answer: Any, *, status: int) -> None:
     assert "__" not in answer["error"]
 
 
-def test_the_state_says_what_is_allowed_and_since_when(connect) -> None:
-    served, host = connect()
+def test_the_state_says_what_is_allowed_and_since_when(served, host) -> None:
     begin_s = time.time()
     now = host.get("/api/state")
     assert begin_s - 1.0 <= now["time_s"] <= time.time() + 1.0
@@ -142,8 +139,7 @@ def test_the_state_says_what_is_allowed_and_since_when(connect) -> None:
     assert [one["number"] for one in host.get("/api/jobs")] == [1]
 
 
-def test_a_fault_has_its_remedy_and_steps(connect) -> None:
-    served, host = connect()
+def test_a_fault_has_its_remedy_and_steps(served, host) -> None:
     assert host.get("/api/state")["fault"] is None
     lease = host.post("/api/lease", name="host")["lease"]
     served.plugin.pause()
@@ -246,8 +242,7 @@ def check_newtons(served: Served, host: Client) -> None:
     assert force_n[:64].min() == 0.0
 
 
-def test_taught_objects_are_listed_shown_and_forgotten(connect) -> None:
-    served, host = connect()
+def test_taught_objects_are_listed_shown_and_forgotten(served, host) -> None:
     photo = b"\xff\xd8\xff\xe0" + bytes(200_000)
     lease = host.post("/api/lease", name="host")["lease"]
     assert [one["label"] for one in host.get("/api/taught")] == ["ball", "box"]
@@ -379,8 +374,7 @@ def test_a_trainer_exchanges_the_part_and_an_own_name_is_taught(connect, capsys)
     assert world.placed[0] in ("ball", "box")
 
 
-def test_the_view_only_link_reads_and_gives_no_command(connect) -> None:
-    served, host = connect()
+def test_the_view_only_link_reads_and_gives_no_command(served, host) -> None:
     found = served.interfaces
     view = {"http_port": host.port, "token": found["view_token"]}
     watcher = Client(view)
@@ -406,8 +400,7 @@ def test_a_cell_with_real_ports_has_no_faults_on_request(connect) -> None:
             check_refusal(*host.ask(way, f"/api/simulation/{path}", body), status=404)
 
 
-def test_all_but_hold_and_health_needs_the_token(connect) -> None:
-    served, host = connect()
+def test_all_but_hold_and_health_needs_the_token(served, host) -> None:
     paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
     guarded = [(path, method) for path, ways in paths.items() for method in ways]
     assert len(guarded) == 29
@@ -426,8 +419,7 @@ def test_all_but_hold_and_health_needs_the_token(connect) -> None:
         )
 
 
-def test_the_description_has_a_text_for_each_path(connect) -> None:
-    _, host = connect()
+def test_the_description_has_a_text_for_each_path(host) -> None:
     described = host.ask("GET", "/openapi.json", token=None)[1]
     paths = described["paths"]
     assert all(way["description"] for ways in paths.values() for way in ways.values())
@@ -446,8 +438,7 @@ def test_the_description_has_a_text_for_each_path(connect) -> None:
     assert "HTTPValidationError" not in json.dumps(paths)
 
 
-def test_the_example_of_the_page_runs(connect, capsys) -> None:
-    served, host = connect()
+def test_the_example_of_the_page_runs(served, host, capsys) -> None:
     exec(compile(page_examples(host)[0], "use-it-over-http.md", "exec"), {})
     assert [job.task for job in served.service.jobs()] == ["identify", "verify", "release", "sort"]
     assert "ball 0.9 sphere 9.5" in capsys.readouterr().out
@@ -473,15 +464,13 @@ def openapi_paths(host: Client) -> set[str]:
     return {path.replace("{label:path}", "{label}") for path in paths}
 
 
-def test_what_is_no_request_is_refused(connect) -> None:
-    _, host = connect()
+def test_what_is_no_request_is_refused(host) -> None:
     with socket.create_connection(("127.0.0.1", host.port), timeout=20.0) as link:
         link.sendall(b"this is no request\r\n\r\n")
         assert link.makefile("rb").read().startswith(b"HTTP/1.1 400 ")
 
 
-def test_a_defect_is_answered_in_the_same_shape(connect, caplog) -> None:
-    served, host = connect()
+def test_a_defect_is_answered_in_the_same_shape(served, host, caplog) -> None:
 
     served.plugin.info = raising(ZeroDivisionError("a defect"))
     status, found = host.ask("GET", "/api/info")
@@ -500,8 +489,7 @@ def test_an_answer_may_take_longer_than_a_request(connect) -> None:
     assert len(host.get("/api/taught")) == 2
 
 
-def test_a_page_from_elsewhere_is_refused(connect) -> None:
-    _, host = connect()
+def test_a_page_from_elsewhere_is_refused(host) -> None:
     here = f"http://127.0.0.1:{host.port}"
     for origin, status in ((here, 200), ("http://evil.example", 403), ("null", 403)):
         assert host.ask("POST", "/api/hold", {}, Origin=origin)[0] == status
@@ -558,12 +546,10 @@ while True:
 """Makes one connection after the other that never ends its request."""
 
 
-def test_a_hold_gets_through_a_flood_of_half_sent_requests(connect) -> None:
-    _, host = connect()
+def test_a_hold_gets_through_a_flood_of_half_sent_requests(host) -> None:
     command = [sys.executable, "-c", FLOOD, str(host.port), str(2 * BUSY_MAX)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as flood:
         try:
-            assert flood.stdout is not None
             assert flood.stdout.readline() == b"flooded\n"
             for _ in range(20):
                 assert host.ask("POST", "/api/hold", token=None)[0] == 200
@@ -572,16 +558,14 @@ def test_a_hold_gets_through_a_flood_of_half_sent_requests(connect) -> None:
             flood.kill()
 
 
-def test_a_lease_is_taken_over_at_this_machine(connect) -> None:
-    served, host = connect()
+def test_a_lease_is_taken_over_at_this_machine(served, host) -> None:
     first = served.service.lease.acquire("PLC")
     assert host.ask("POST", "/api/lease", {"name": "operator"})[0] == 403
     assert host.post("/api/lease", name="operator", take=True)["lease"] != first
     assert not served.service.lease.has(first)
 
 
-def test_the_socket_sends_states_and_frames(connect) -> None:
-    served, host = connect()
+def test_the_socket_sends_states_and_frames(served, host) -> None:
     with host.live("&frames=1") as link:
         assert json.loads(link.recv(timeout=20))["pose"] is None
         lease = host.post("/api/lease", name="host")["lease"]
@@ -594,8 +578,7 @@ def test_the_socket_sends_states_and_frames(connect) -> None:
         until(lambda: (m := link.recv(timeout=20)) and isinstance(m, str) and "COMPLETE" in m)
 
 
-def test_the_token_comes_as_subprotocol_or_first_message(connect) -> None:
-    _, host = connect()
+def test_the_token_comes_as_subprotocol_or_first_message(host) -> None:
     at = f"ws://127.0.0.1:{host.port}/api/live"
 
     def shown(link: Any) -> bool:

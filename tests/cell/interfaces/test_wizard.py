@@ -131,8 +131,7 @@ class Page(Client):
         return self.ask("POST", f"/api/{path}", {"lease": self.lease, **body})[0]
 
     def state(self) -> dict[str, Any]:
-        found: dict[str, Any] = self.get("/api/state")
-        return found
+        return self.get("/api/state")
 
     def becomes(self, phase: str) -> dict[str, Any]:
         until(lambda: self.state()["phase"] == phase)
@@ -162,9 +161,11 @@ def wizard(tmp_path: Path, walk: list[Any]) -> Iterator[Wizard]:
 
 @pytest.fixture
 def client(wizard: Wizard) -> Iterator[Page]:
-    """A page on the interface of the wizard."""
+    """A page on the interface of the wizard, in command."""
     interface = WizardServer(wizard)
-    yield Page({"http_port": interface.port, "token": interface.token})
+    page = Page({"http_port": interface.port, "token": interface.token})
+    page.acquire()
+    yield page
     interface.close()
 
 
@@ -180,7 +181,6 @@ def asked(client: Page) -> Callable[[Any], None]:
 
 
 def test_the_whole_way_left_once_and_taken_up_again(client, walk, tmp_path, asked) -> None:
-    client.acquire()
     assert client.tell("run") == 200
     state = client.becomes("asking")
     assert state["question"]["text"] == "Which port leads to the servos?"
@@ -218,7 +218,6 @@ def test_the_whole_way_left_once_and_taken_up_again(client, walk, tmp_path, aske
 
 
 def test_anybody_stops_a_motion_without_token_and_lease(client, walk, asked) -> None:
-    client.acquire()
     client.tell("run")
     for value in ("1", True, "done"):
         asked(value)
@@ -232,7 +231,6 @@ def test_anybody_stops_a_motion_without_token_and_lease(client, walk, asked) -> 
 def test_a_person_who_falls_silent_ends_a_motion_and_no_question(
     client, wizard, walk, asked
 ) -> None:
-    client.acquire()
     client.tell("run")
     client.becomes("asking")
     wizard.lease.give_up(client.lease)
@@ -249,7 +247,6 @@ def test_a_person_who_falls_silent_ends_a_motion_and_no_question(
 
 
 def test_only_what_is_offered_is_an_answer(client, walk) -> None:
-    client.acquire()
     client.tell("run")
     client.becomes("asking")
     for wrong in ("7", 0, True, ""):
@@ -263,7 +260,6 @@ def test_only_what_is_offered_is_an_answer(client, walk) -> None:
 
 def test_what_ends_the_wizard_is_named_and_the_step_is_taken_up_again(client, walk) -> None:
     walk[0].mistakes = 1
-    client.acquire()
     client.tell("run")
     state = client.becomes("failed")
     assert state["error"]["text"] == "unexpected error (RuntimeError): this step has a mistake"
@@ -274,7 +270,6 @@ def test_what_ends_the_wizard_is_named_and_the_step_is_taken_up_again(client, wa
 
 def test_a_step_is_done_again_with_those_that_need_it(client, walk, asked) -> None:
     walk[1].go.set()
-    client.acquire()
     client.tell("run")
     for value in ("0", True, "done", 10.0):
         asked(value)
@@ -300,7 +295,6 @@ def test_the_command_opens_the_page_until_it_is_ended(tmp_path) -> None:
     program = Path(sys.executable).with_name("tactile-cell")
     command = [str(program), "commission", str(tmp_path), "--page", "--http", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         found = json.loads(process.stdout.readline())
         state = Client(found).get("/api/state")
         process.send_signal(signal.SIGTERM)

@@ -79,7 +79,6 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
     shown = {"gain": found.gain, "opening_mm": 1e3 * found.aperture_offset_m}
     before = {"gain": pytest.approx(1.0), "opening_mm": pytest.approx(0.0, abs=1e-9)}
     assert told[-1]["gauged"] == {"label": "ball", "before": before, "after": shown}
-    assert model.drift is not None
     assert model.drift.drift == found
     assert load_model(path).recognizer.grid.drift == found  # type: ignore[attr-defined]
     again = gauge(NO_DRIFT)

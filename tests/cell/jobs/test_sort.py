@@ -180,7 +180,6 @@ def test_poses_of_places_reach_the_positioner(taught: Any) -> None:
     entry = {"label": "ball", "place": "left", "pose": {"x_mm": 120.0, "rotation_deg": 90.0}}
     config = changed_config(taught.config, {"sort.places": [entry, BINS[1]]})
     pose = Places(config, ("ball", "box")).of("ball").pose
-    assert pose is not None
     assert (pose.x_m, pose.rotation_rad) == pytest.approx((0.12, 1.5708), abs=1e-4)
 
 

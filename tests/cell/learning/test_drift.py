@@ -193,7 +193,6 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(monkeypat
     first, second = taught_with[1]
     assert np.array_equal(first.counts, controller.given.counts)
     assert second.aperture_m == pytest.approx(controller.given.aperture_m + 4e-3, abs=1e-4)
-    assert model.drift is not None
     assert model.drift.n_followed == 3
 
 
@@ -257,7 +256,6 @@ def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
         replace(model, recognizer=calibrate_model(model, {"ball": balls})),
         training_set=taught.grasps,
     )
-    assert gauged.drift is not None
     before = gauged.drift.drift
     assert before.aperture_offset_m < -0.3e-3
     gauged.train()

@@ -156,7 +156,6 @@ def test_objects_are_named_in_less_time_and_none_wrongly(make_bench, taught) -> 
 
 def test_a_model_keeps_what_it_was_taught_with_ramps_cut_short(taught) -> None:
     heads = load_early(load_model(taught.result.model))
-    assert heads is not None
     assert len(heads.recognizers) == 2
     assert {head.labels for head in heads.recognizers} == {("ball", "box")}
     # A ramp to a small force never reaches half of the usual load.
@@ -233,5 +232,4 @@ def test_what_a_plugin_was_taught_decides_early_and_is_saved(tmp_path) -> None:
         assert (answer.label, answer.n_grasps) == ("box", 1)
         plugin.save(tmp_path / "m.npz")
     heads = load_early(load_model(tmp_path / "m.npz"))
-    assert heads is not None
     assert len(heads.recognizers) > 0

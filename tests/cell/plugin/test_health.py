@@ -1,8 +1,6 @@
 """Health of a cell: its levels follow the limits of the config."""
 
 import math
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,7 +14,7 @@ from tests.cell.served import until
     ("limit_c", "level"), [(80.0, "ok"), (None, "watch"), (-1.0, "bad")], ids=str
 )
 def test_heat_is_judged_by_the_limit_and_where_the_current_is_lowered(
-    make_bench: Any, limit_c: float | None, level: str
+    make_bench, limit_c: float | None, level: str
 ) -> None:
     bench = make_bench().ready()
     warm_c = bench.controller.latest.cycle.state.temperature_c
@@ -29,7 +27,7 @@ def test_heat_is_judged_by_the_limit_and_where_the_current_is_lowered(
     assert health_values(config, bench.cell, None)["servos"]["level"] == level
 
 
-def test_lost_frames_are_judged_by_their_limit(make_bench: Any) -> None:
+def test_lost_frames_are_judged_by_their_limit(make_bench) -> None:
     bench = make_bench(small_config(tactile__loss_max_share=0.5)).ready()
     assert health_values(bench.config, bench.cell, None)["can"]["level"] == "ok"
     bench.simulated.inject("can.lose_next=12")
@@ -40,9 +38,7 @@ def test_lost_frames_are_judged_by_their_limit(make_bench: Any) -> None:
     assert health_values(strict, bench.cell, None)["can"]["level"] == "bad"
 
 
-def test_too_little_space_for_the_recording_is_watched(
-    make_bench: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_little_space_for_the_recording_is_watched(make_bench, tmp_path, monkeypatch) -> None:
     free = retention.STOP_BYTES + (10 << 20)
     monkeypatch.setattr(retention, "free_bytes", lambda _folder: free)
     folder, notes = tmp_path / "run-20270115-080000", list[str]()

@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -81,7 +80,7 @@ def test_each_call_of_the_host_is_heard() -> None:
 
 
 def test_a_lost_recording_holds_the_grasp_where_the_config_says_so_until_it_goes_on(
-    make_bench: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make_bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = make_bench(small_config(recording__when_lost="hold"), folder=tmp_path).ready()
     room = fill_disk_after(monkeypatch, 0)

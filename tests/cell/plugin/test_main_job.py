@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +30,7 @@ def test_the_papers_check_names_the_likeliest_also_in_doubt() -> None:
     assert scores["force_ramp_one_grasp"].counts.tolist() == [[0, 0, 1], [0, 0, 0]]
 
 
-def test_what_was_taught_is_written(taught: Any) -> None:
+def test_what_was_taught_is_written(taught) -> None:
     assert [grasp.label for grasp in taught.grasps] == ["ball"] * 5 + ["box"] * 5
     loaded = load_model(taught.result.model, taught.grasps[0].pads)
     assert loaded.trainer_name == "force_ramp"
@@ -49,12 +48,12 @@ def test_what_was_taught_is_written(taught: Any) -> None:
     assert len({grasp.command for grasp in taught.grasps}) == 10
 
 
-def test_no_pose_of_teaching_is_met_again(taught: Any) -> None:
+def test_no_pose_of_teaching_is_met_again(taught) -> None:
     poses = [pose["x_m"] for pose in read_recording(taught.result.recording).poses]
     assert len(set(poses)) == len(poses)
 
 
-def test_progress_reaches_its_end(taught: Any) -> None:
+def test_progress_reaches_its_end(taught) -> None:
     last = {task: (done, total) for task, done, total in taught.progress}
     assert last == {
         "teach ball": (5, 5),
@@ -65,7 +64,7 @@ def test_progress_reaches_its_end(taught: Any) -> None:
     }
 
 
-def test_json_has_what_was_promised(taught: Any) -> None:
+def test_json_has_what_was_promised(taught) -> None:
     data = json.loads(json_bytes(taught.result.as_json()))
     assert data["seconds"] >= 0.0
     assert (data["n_taught"], data["n_trials"]) == (10, 2)
@@ -119,7 +118,7 @@ def test_nothing_asked_is_no_accuracy() -> None:
 
 
 def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_one(
-    make_bench: MakeBench, taught: Any
+    make_bench: MakeBench, taught
 ) -> None:
     bench = make_bench(taught.config)
     bench.controller.start()
@@ -140,9 +139,7 @@ def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_o
         grasps_of(*cell, ["box"], 1, seed=1)
 
 
-def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(
-    taught: Any, tmp_path: Path
-) -> None:
+def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(taught, tmp_path) -> None:
     recording, named = taught.result.recording, tmp_path / "named.npz"
     n_identified = len(taught.result.records)
     notes: list[str] = []
@@ -159,7 +156,7 @@ def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(
         name_recorded(named, "thing", tmp_path / "again.npz")
 
 
-def test_training_on_too_little_says_what_is_missing(taught: Any) -> None:
+def test_training_on_too_little_says_what_is_missing(taught) -> None:
     with pytest.raises(CellError, match=r"cannot be trained on these 2 grasps: .*at least 3"):
         train([taught.grasps[0], taught.grasps[5]], "force_ramp")
     with pytest.raises(CellError, match="cannot be trained on these 0 grasps"):

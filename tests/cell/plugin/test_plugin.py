@@ -45,15 +45,11 @@ def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n
     """Do something once, in a phase of the gripper, with at least so much grip."""
     hand = plugin._cell.controller.hand
     once(
-        plugin._cell.simulated.clock,
-        lambda: hand.phase is phase and grip_n(plugin) >= above_n,
-        act,
+        plugin._cell.simulated.clock, lambda: hand.phase is phase and grip_n(plugin) >= above_n, act
     )
 
 
-def test_a_gauge_says_under_which_foam_shapes_are_read(
-    make_plugin: Any, taught: Any, tmp_path: Path
-) -> None:
+def test_a_gauge_says_under_which_foam_shapes_are_read(make_plugin, taught, tmp_path) -> None:
     gauge = tmp_path / "gauge.npz"
     balls = [replace(grasp, label="master") for grasp in taught.grasps if grasp.label == "ball"]
     write_dataset(gauge, balls)
@@ -78,7 +74,9 @@ def test_a_gauge_says_under_which_foam_shapes_are_read(
 
 
 def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> None:
-    with pytest.raises(JobFailed, match="at least 3") as failed:
+    with pytest.raises(
+        JobFailed, match=r"ABORTED: .*at least 3.*kept for the next teaching"
+    ) as failed:
         done(plugin, TeachGoal(label="pin", grasps=1, present="ball"))
     assert failed.value.fault_number == 519
     assert (plugin.labels, plugin.state()) == (("ball", "box"), "IDLE")
@@ -101,9 +99,7 @@ def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -
     assert plugin.simulate({"state": True})["placed"] == "my mug"
 
 
-def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(
-    plugin: Any,
-) -> None:
+def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(plugin) -> None:
     for fault in (None, "servo1.off", "can.unplugged"):
         assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
         if fault is not None:
@@ -273,8 +269,7 @@ def test_a_servo_at_fault_is_latched_at_loading_and_mended_by_clear(make_plugin:
 
 
 @pytest.mark.parametrize(
-    ("fault", "error"),
-    [("unit.off", NodeMissing), ("servo1.off", VerificationFailed)],
+    ("fault", "error"), [("unit.off", NodeMissing), ("servo1.off", VerificationFailed)]
 )
 def test_a_device_that_is_missing_at_the_start_is_an_error_of_the_constructor(
     plugin_class: Any, meddle: Any, fault: str, error: type[Exception]
@@ -392,9 +387,7 @@ def test_what_was_taught_is_written_at_the_end_or_the_end_says_why(
     plugin.close()
 
 
-def test_a_teaching_that_was_stopped_adds_its_grasps(
-    make_plugin: Any, taught: Any, tmp_path: Path
-) -> None:
+def test_a_teaching_that_was_stopped_adds_its_grasps(make_plugin, taught, tmp_path) -> None:
     path, file = tmp_path / "new.npz", tmp_path / "new.grasps.npz"
     plugin = make_plugin(model=taught.result.model, save=path)
     done(plugin, TeachGoal(label="ball", grasps=1))
@@ -484,15 +477,6 @@ def test_nothing_taught_is_nothing_to_identify_or_save(make_plugin: Any, tmp_pat
         plugin.start(IdentifyGoal())
     with pytest.raises(CellStateError, match="nothing was taught"):
         plugin.save(tmp_path / "m.npz")
-
-
-def test_too_few_grasps_to_learn_from_abort_the_job_not_the_cell(make_plugin: Any) -> None:
-    plugin = make_plugin()
-    with pytest.raises(JobFailed, match=r"ABORTED: .*at least 3.*kept for the next teaching"):
-        done(plugin, TeachGoal(label="ball", grasps=1))
-    assert plugin.state() == "IDLE"
-    assert done(plugin, TeachGoal(label="ball", grasps=2)) == 2
-    assert plugin.labels == ("ball",)
 
 
 def test_a_model_of_other_pads_is_refused_before_the_cell_is_touched(

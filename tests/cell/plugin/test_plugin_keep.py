@@ -21,9 +21,7 @@ def standing(plugin: TactileCellPlugin) -> tuple[Any, ...]:
     return status.state, status.state_number, status.needs_reset, status.holding
 
 
-def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(
-    plugin: TactileCellPlugin,
-) -> None:
+def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(plugin) -> None:
     job = plugin.start({"task": "grip", "force_n": 3.0, "present": "box"})
     found = plugin.result(job, LIMIT_S)
     assert (found.held, found.same, found.reasons) == (True, True, ())

@@ -167,7 +167,6 @@ NASTY = "<script>alert('x')</script>&\"$\\frac{1}{2}$ #010110 id=\""
 
 def test_labels_and_paths_are_shown_not_interpreted(run) -> None:
     p = Posterior(labels=(NASTY, "b"), probability=np.array([0.7, 0.3]), unknown=0.1)
-    assert run.trajectories is not None
     one = replace(run.trajectories, objects=run.trajectories.objects[:1], windows=())
     sequence = identified(NASTY, "b", p)
     data = replace(
@@ -206,14 +205,12 @@ def test_levels_are_picked_by_force(run) -> None:
 
 
 def test_every_plot_colours_an_object_as_the_legend_does(run) -> None:
-    assert run.trajectories is not None
     turned = run.trajectories.objects[::-1]
     data = replace(run, trajectories=replace(run.trajectories, objects=turned))
     labels = [item.label for item in turned]
     colours = {label: place for place, label in enumerate(label_order(data))}
     assert labels != sorted(labels, key=colours.__getitem__)
     view = trajectories_view(data, colours)
-    assert view is not None
     # Each object is one line of the sweep, in the order of the trajectories.
     lines = re.findall(r"fill: none; stroke: var\(--c(\d)\)", view["sweep"])
     assert [int(number) for number in lines] == [colours[label] for label in labels]
@@ -340,7 +337,6 @@ def test_all_shapes_are_drawn_on_one_scale() -> None:
         felt("bar", make_shape("flat", 10.0, 15.9), UNKNOWN),
     )
     view = shapes_view(rows)
-    assert view is not None
     pin, bar = view["groups"]
     assert pin["label"] == "pin"
     assert pin["kinds"] == "cylinder 1 of 3, oval 1 of 3, without shape 1 of 3"
@@ -366,10 +362,8 @@ def test_many_shapes_are_counted_but_not_all_drawn() -> None:
     one = make_shape("cylinder", 6.0)
     rows = [felt("pin", one)] * (MAX_BARS + 5)
     view = shapes_view(rows)
-    assert view is not None
     (group,) = view["groups"]
     assert len(group["bars"]) == MAX_BARS
     assert group["kinds"] == f"cylinder {MAX_BARS + 5} of {MAX_BARS + 5}"
     strange = shapes_view([felt("pin", one, UNKNOWN)] * (MAX_BARS + 5))
-    assert strange is not None
     assert (len(strange["strangers"]), strange["n_hidden"]) == (MAX_BARS, 5)

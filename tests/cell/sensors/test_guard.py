@@ -19,6 +19,7 @@ from tactile.source import (
     SourceStatistics,
     TactileFrame,
 )
+from tests.fuzz.harness import Clock
 
 LAYOUT = pinch_layout()
 LIMIT_S = 10.0
@@ -27,18 +28,6 @@ ZERO = PadZero(
     noise_counts=np.ones(LAYOUT.n_taxels),
     bad=np.zeros(LAYOUT.n_taxels, dtype=bool),
 )
-
-
-class Clock:
-    """Passes when the test says so."""
-
-    now_s = 0.0
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float, /) -> None:
-        self.now_s += seconds
 
 
 class Source:

@@ -180,9 +180,7 @@ def test_the_first_days_go_when_there_are_many(kept: Kept, monkeypatch: pytest.M
     assert left == [False, False, True, True, True]
 
 
-def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(
-    kept: Kept, tmp_path: Path
-) -> None:
+def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(kept, tmp_path) -> None:
     (tmp_path / "out").write_text("a file in the place of the folder")
     for _ in range(3):
         kept.history.add(part())
@@ -201,7 +199,6 @@ def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(
 
 
 def test_a_damaged_file_is_moved_away_and_a_later_one_is_left(kept: Kept) -> None:
-    assert kept.path is not None
     kept.path.parent.mkdir()
     kept.path.write_bytes(b"no data base at all, but long enough to be looked at" * 100)
     kept.history.add(part())

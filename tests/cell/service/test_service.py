@@ -21,11 +21,15 @@ IDENTIFY = {"task": "identify", "max_grasps": 1, "present": "ball"}
 KEEP = IDENTIFY | {"keep": "always"}
 
 
+@pytest.fixture
+def served(serve: Any) -> Any:
+    return serve()
+
+
 # -- the lease ---------------------------------------------------------------------------------
 
 
-def test_a_lease_lasts_as_long_as_its_client_is_heard(serve: Any) -> None:
-    served = serve()
+def test_a_lease_lasts_as_long_as_its_client_is_heard(served) -> None:
     lease = served.service.lease.acquire("first")
     for _ in range(3):
         served.clock.now_s += LEASE_S
@@ -39,8 +43,7 @@ def test_a_lease_lasts_as_long_as_its_client_is_heard(serve: Any) -> None:
     assert served.service.lease.acquire("second")
 
 
-def test_a_button_holds_the_cell_until_each_client_has_let_go(serve: Any) -> None:
-    served = serve()
+def test_a_button_holds_the_cell_until_each_client_has_let_go(served) -> None:
     service, lease = served.service, served.service.lease.acquire("first")
     served.plugin.pause()
     service.start(lease, IDENTIFY)
@@ -63,8 +66,7 @@ def test_a_button_holds_the_cell_until_each_client_has_let_go(serve: Any) -> Non
 
 
 @pytest.mark.parametrize("way", ["the button again", "clear", "clear of a fault"])
-def test_a_hold_outlives_its_client_until_a_person_acts(serve: Any, way: str) -> None:
-    served = serve()
+def test_a_hold_outlives_its_client_until_a_person_acts(served, way: str) -> None:
     service, lease = served.service, served.service.lease.acquire("first")
     if way == "clear of a fault":
         served.plugin.fail(FrameTimeout("no frame"))
@@ -95,8 +97,7 @@ def test_a_hold_outlives_its_client_until_a_person_acts(serve: Any, way: str) ->
         assert served.ended().outcome == "SUCCEEDED"
 
 
-def test_a_client_without_a_connection_repeats_its_hold(serve: Any) -> None:
-    served = serve()
+def test_a_client_without_a_connection_repeats_its_hold(served) -> None:
     service, lease = served.service, served.service.lease.acquire("first")
     service.stop_as("HTTP 192.0.2.1 panel", None)  # once: nothing stays
     assert service.held_by == ()
@@ -116,8 +117,7 @@ def test_a_client_without_a_connection_repeats_its_hold(serve: Any) -> None:
     assert service.held_by == ()
 
 
-def test_many_holds_do_not_grow_and_still_stop_the_job(serve: Any) -> None:
-    served = serve()
+def test_many_holds_do_not_grow_and_still_stop_the_job(served) -> None:
     service, lease = served.service, served.service.lease.acquire("first")
     for number in range(100):
         service.begin_stop(number, f"{number}")
@@ -134,8 +134,7 @@ def test_many_holds_do_not_grow_and_still_stop_the_job(serve: Any) -> None:
     assert service.lease.has(lease)
 
 
-def test_a_person_at_the_cell_takes_the_lease_and_holds_the_job(serve: Any) -> None:
-    served = serve()
+def test_a_person_at_the_cell_takes_the_lease_and_holds_the_job(served) -> None:
     first = served.service.lease.acquire("first")
     served.plugin.pause()
     served.service.start(first, IDENTIFY)
@@ -199,8 +198,7 @@ def test_the_last_answer_outlives_the_jobs_that_are_kept(serve: Any, monkeypatch
         served.service.job(2)
 
 
-def test_a_repeated_request_is_not_done_twice(serve: Any) -> None:
-    served = serve()
+def test_a_repeated_request_is_not_done_twice(served) -> None:
     lease = served.service.lease.acquire("first")
     for _ in range(3):
         assert served.service.start(lease, KEEP, number=1) == 1
@@ -226,8 +224,7 @@ def test_labels_have_ids_that_the_config_fixes(serve: Any) -> None:
     assert service.info()["labels"] == ["cube", "box", "ball"]
 
 
-def test_each_command_is_remarked_with_its_client(serve: Any) -> None:
-    served = serve()
+def test_each_command_is_remarked_with_its_client(served) -> None:
     service, lease = served.service, served.service.lease.acquire("first")
     service.start(lease, KEEP)
     for key in (1, 0, RELEASE_KEY + 1, 0x504F):

@@ -134,7 +134,6 @@ def signal_in_the_ramp(row: FaultRow) -> Observed:
                 *(config, "run", Path(name)), config_file=None, json_file=None
             ) as cell:
                 simulated = cell.plugin._cell.simulated
-                assert simulated is not None
                 heard = threading.Event()
                 interrupt = cell.plugin._cell.controller.life.cancel
 
@@ -217,7 +216,6 @@ def host_ends_by_an_error(_row: FaultRow) -> Observed:
     with _gripping(host=True) as client:
 
         def ends() -> None:
-            assert client.process.stdin is not None
             client.process.stdin.close()
             _wait_for_end(client.pid)
 
@@ -403,7 +401,6 @@ def _wait_for_grip(process: "subprocess.Popen[bytes]") -> None:
     while _simulator().grip_n() < _GRIPPED_N:
         if process.poll() is not None or time.monotonic() > end_s:
             process.kill()
-            assert process.stderr is not None
             raise CellError(f"nothing was gripped: {process.stderr.read().decode()[-300:]}")
         threading.Event().wait(0.02)
 

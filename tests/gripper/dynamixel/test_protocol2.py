@@ -13,7 +13,6 @@ from gripper.errors import BusBusy
 def test_two_stuffed_places_lose_no_byte() -> None:
     packet = bytes.fromhex("FFFFFD00010B005500FFFFFDFDFFFDFD5460")
     status = parse_status(packet)
-    assert status is not None
     assert status.data == bytes.fromhex("FFFFFDFFFDFD")
 
 

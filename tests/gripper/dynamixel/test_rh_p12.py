@@ -23,10 +23,6 @@ CONFIG = Path(__file__).parents[3] / "config" / "rh-p12-rn.yaml"
 MODEL = MODELS["RH-P12-RN(A)"]
 
 
-def servo() -> SimulatedServo:
-    return SimulatedServo(1, MODEL, ServoMotor(MODEL, angle_rad=0.5))
-
-
 def test_driver_and_simulator_agree_on_the_addresses_that_each_has_written_down() -> None:
     rows = {row.name: row for row in rh_p12.ROWS}
     for register in table.REGISTERS.values():
@@ -68,7 +64,7 @@ def test_its_backup_has_the_items_that_the_x_series_lacks() -> None:
 
 
 def test_goals_keep_to_the_range_and_a_goal_velocity_of_none_stops() -> None:
-    one = servo()
+    one = SimulatedServo(1, MODEL, ServoMotor(MODEL, angle_rad=0.5))
     assert one.core.registers.get("operating_mode") == OperatingMode.CURRENT_BASED_POSITION
     goal = (564).to_bytes(2, "little")
     for raw, error in ((1151, 6), (-1, 6), (1150, 0)):

@@ -31,7 +31,6 @@ def closed(cell: Any, force_n: float = 5.0) -> tuple[Gripper, GraspOutcome]:
     gripper = by_current(cell)
 
     def watch(cycle: Cycle) -> None:
-        assert cycle.force is not None
         # At an opening of 0 the fingers press on each other.
         pressed = cell.force_n > 0.5 or cycle.state.aperture_m < cell.settings.aperture_min_m
         assert cycle.force.grip_n == 0.0 or pressed
@@ -63,9 +62,7 @@ def test_five_newtons_by_current_are_five_newtons_but_for_the_torque_constant(
     assert cell.force_n == 0.0
 
 
-def test_the_samples_carry_what_the_torque_figures_leave_open(
-    make_cell: Callable[..., Any],
-) -> None:
+def test_the_samples_carry_what_the_torque_figures_leave_open(make_cell) -> None:
     cell = make_cell(kt_error=0.1)
     samples = []
     gripper, _ = closed(cell)
@@ -74,10 +71,8 @@ def test_the_samples_carry_what_the_torque_figures_leave_open(
     assert abs(samples[-1].grip_n - cell.force_n) < 2.0 * samples[-1].noise_n
 
 
-def test_a_soft_part_is_gripped_too(
-    make_cell: Callable[..., Any], make_part: Callable[..., Any]
-) -> None:
-    cell = make_cell(part=make_part(stiffness_n_m=1000.0))
+def test_a_soft_part_is_gripped_too(make_cell: Callable[..., Any]) -> None:
+    cell = make_cell(stiffness_n_m=1000.0)
     assert closed(cell)[1].result is GraspResult.FORCE_REACHED
     assert cell.force_n == pytest.approx(4.7, abs=0.3)
 
@@ -89,18 +84,14 @@ def test_fingers_that_start_on_the_part_find_it(make_cell: Callable[..., Any]) -
 
 
 @pytest.mark.parametrize("friction_error", [-0.5, 0.0, 0.3, 0.5])
-def test_friction_is_no_part(
-    make_cell: Callable[..., Any], make_part: Callable[..., Any], friction_error: float
-) -> None:
-    cell = make_cell(part=make_part(present=False), friction_error=friction_error)
+def test_friction_is_no_part(make_cell: Callable[..., Any], friction_error: float) -> None:
+    cell = make_cell(present=False, friction_error=friction_error)
     assert closed(cell)[1].result is GraspResult.NO_CONTACT
 
 
 @pytest.mark.parametrize("stiffness_n_m", [3000.0, 20_000.0])
-def test_a_part_that_is_taken_away_is_lost(
-    make_cell: Callable[..., Any], make_part: Callable[..., Any], stiffness_n_m: float
-) -> None:
-    cell = make_cell(part=make_part(stiffness_n_m=stiffness_n_m))
+def test_a_part_that_is_taken_away_is_lost(make_cell, stiffness_n_m) -> None:
+    cell = make_cell(stiffness_n_m=stiffness_n_m)
     gripper, _ = closed(cell)
 
     def take(cycle: Cycle) -> None:
@@ -110,9 +101,7 @@ def test_a_part_that_is_taken_away_is_lost(
         gripper.hold(1.0, take)
 
 
-def test_the_true_force_keeps_its_cap_where_the_torque_constant_is_wrong(
-    make_cell: Callable[..., Any],
-) -> None:
+def test_the_true_force_keeps_its_cap_where_the_torque_constant_is_wrong(make_cell) -> None:
     cell = make_cell(kt_error=0.1, friction_error=-0.2, force_max_n=15.0)
     gripper = by_current(cell)
     most_n = largest_setpoint_n(gripper.settings.force_max_n)

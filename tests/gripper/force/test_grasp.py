@@ -50,9 +50,8 @@ class Asking:
 
 
 @pytest.mark.parametrize("kind", RAMPS)
-def test_the_set_point_stays_and_the_force_does_not_rise_any_more(make_cell, kind: str) -> None:
-    cell = make_cell(approach_speed_m_s=0.01)
-    cell.gripper.start()
+def test_the_set_point_stays_and_the_force_does_not_rise_any_more(make_started, kind: str) -> None:
+    cell = make_started(approach_speed_m_s=0.01)
     asking = Asking(cell, 3.5)
     outcome = cell.gripper.grasp(RAMPS[kind], asking)
     assert (outcome.result, outcome.ended_early) == (GraspResult.FORCE_REACHED, True)
@@ -81,46 +80,43 @@ def test_an_ended_ramp_takes_less_time_and_ends_at_the_level_that_was_next(make_
     assert lasted[0] < lasted[1] - 100
 
 
-def test_a_request_between_grasps_or_after_the_ramp_is_not_kept(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.end_ramp()
+def test_a_request_between_grasps_or_after_the_ramp_is_not_kept(started) -> None:
+    started.gripper.end_ramp()
     settling: list[float] = []
 
     def when_it_is_over(cycle: Cycle) -> None:
         if cycle.level is not None:
             settling.append(cycle.t_s)
             if cycle.t_s - settling[0] > 0.3:
-                cell.gripper.end_ramp()
+                started.gripper.end_ramp()
 
-    outcome = cell.gripper.grasp(LINEAR, when_it_is_over)
+    outcome = started.gripper.grasp(LINEAR, when_it_is_over)
     assert not outcome.ended_early
-    assert cell.force_n == pytest.approx(8.0, abs=0.5)
-    cell.gripper.end_ramp()
-    cell.gripper.release()
-    cell.gripper.end_ramp()
-    assert not cell.gripper.grasp(LINEAR).ended_early
+    assert started.force_n == pytest.approx(8.0, abs=0.5)
+    started.gripper.end_ramp()
+    started.gripper.release()
+    started.gripper.end_ramp()
+    assert not started.gripper.grasp(LINEAR).ended_early
 
 
-def test_asked_while_the_fingers_approach_the_ramp_ends_as_it_begins(cell) -> None:
-    cell.gripper.start()
+def test_asked_while_the_fingers_approach_the_ramp_ends_as_it_begins(started) -> None:
     cycles: list[Cycle] = []
 
     def while_closing(cycle: Cycle) -> None:
         cycles.append(cycle)
         if cycle.phase is GripperPhase.APPROACHING and len(cycles) == 20:
-            cell.gripper.end_ramp()
+            started.gripper.end_ramp()
 
-    outcome = cell.gripper.grasp(LINEAR, while_closing)
+    outcome = started.gripper.grasp(LINEAR, while_closing)
     assert outcome.ended_early
     assert outcome.contact_aperture_m == pytest.approx(0.012, abs=0.0006)
     ramped = [cycle for cycle in cycles if cycle.phase is GripperPhase.RAMPING]
     assert len({cycle.setpoint_n for cycle in ramped if cycle.setpoint_n > 0.0}) == 1
-    assert cell.peak_n < 4.0
+    assert started.peak_n < 4.0
 
 
-def test_a_force_that_could_not_hold_a_part_grows_until_it_can(make_cell, make_part) -> None:
-    cell = make_cell(part=make_part(stiffness_n_m=2000.0), approach_speed_m_s=0.004, noise_n=0.02)
-    cell.gripper.start()
+def test_a_force_that_could_not_hold_a_part_grows_until_it_can(make_started) -> None:
+    cell = make_started(stiffness_n_m=2000.0, approach_speed_m_s=0.004, noise_n=0.02)
     asked: list[float] = []
 
     def at_once(cycle: Cycle) -> None:
@@ -134,19 +130,17 @@ def test_a_force_that_could_not_hold_a_part_grows_until_it_can(make_cell, make_p
     assert cell.peak_n < 2.0
 
 
-def test_a_stop_comes_first(cell) -> None:
-    cell.gripper.start()
-    asking = Asking(cell, 4.0, cell.gripper.request_stop)
+def test_a_stop_comes_first(started) -> None:
+    asking = Asking(started, 4.0, started.gripper.request_stop)
     with pytest.raises(GraspStopped):
-        cell.gripper.grasp(LINEAR, asking)
-    assert cell.gripper.phase is GripperPhase.HOLDING
+        started.gripper.grasp(LINEAR, asking)
+    assert started.gripper.phase is GripperPhase.HOLDING
     assert asking.asked_at == len(asking.cycles) - 1
 
 
-def test_a_part_that_is_lost_as_its_ramp_ends_is_lost(make_cell) -> None:
+def test_a_part_that_is_lost_as_its_ramp_ends_is_lost(make_started) -> None:
     # No force counts as reached before the pads, which are late, have shown that it is gone.
-    cell = make_cell(settle_tolerance_n=0.0, settle_tolerance_share=0.0)
-    cell.gripper.start()
+    cell = make_started(settle_tolerance_n=0.0, settle_tolerance_share=0.0)
 
     def drop() -> None:
         cell.part.present = False
@@ -156,9 +150,8 @@ def test_a_part_that_is_lost_as_its_ramp_ends_is_lost(make_cell) -> None:
     assert cell.gripper.phase is GripperPhase.IDLE
 
 
-def test_a_fault_while_the_force_settles_keeps_the_grip(make_cell) -> None:
-    cell = make_cell(force_stale_s=0.06)
-    cell.gripper.start()
+def test_a_fault_while_the_force_settles_keeps_the_grip(make_started) -> None:
+    cell = make_started(force_stale_s=0.06)
 
     def blind() -> None:
         # The force seen last is not the wanted one, so that the ended ramp waits for another.
@@ -174,25 +167,23 @@ def test_a_fault_while_the_force_settles_keeps_the_grip(make_cell) -> None:
     assert cell.force_n == pytest.approx(5.0, abs=1.1)
 
 
-def test_what_is_held_after_an_ended_ramp_is_looked_after(cell) -> None:
-    cell.gripper.start()
-    assert cell.gripper.grasp(LINEAR, Asking(cell, 4.0)).ended_early
-    cell.part.present = False
+def test_what_is_held_after_an_ended_ramp_is_looked_after(started) -> None:
+    assert started.gripper.grasp(LINEAR, Asking(started, 4.0)).ended_early
+    started.part.present = False
     with pytest.raises(PartLost):
-        cell.gripper.hold(1.0)
+        started.gripper.hold(1.0)
 
 
-def test_any_thread_may_ask(cell) -> None:
-    cell.gripper.start()
+def test_any_thread_may_ask(started) -> None:
 
     def from_elsewhere() -> None:
-        thread = threading.Thread(target=cell.gripper.end_ramp)
+        thread = threading.Thread(target=started.gripper.end_ramp)
         thread.start()
         thread.join()
 
-    asking = Asking(cell, 4.0)
+    asking = Asking(started, 4.0)
     asking.acts = (from_elsewhere,)
-    assert cell.gripper.grasp(LINEAR, asking).ended_early
+    assert started.gripper.grasp(LINEAR, asking).ended_early
 
 
 def test_requests_count_during_a_grasp_only() -> None:
@@ -207,10 +198,10 @@ def test_requests_count_during_a_grasp_only() -> None:
 
 @pytest.mark.parametrize("noise_n", [0.02, 0.2])
 def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_bears(
-    make_cell, make_part, noise_n: float
+    make_cell, noise_n: float
 ) -> None:
     # 1 N/mm: 3.5 N at the 0.5 mm to which the fingers close.
-    cell = make_cell(part=make_part(width_m=0.004, stiffness_n_m=2000.0), noise_n=noise_n)
+    cell = make_cell(width_m=0.004, stiffness_n_m=2000.0, noise_n=noise_n)
     gripper = cell.gripper
     gripper.start()
     outcome = gripper.grasp(LINEAR)
@@ -231,12 +222,10 @@ def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_be
     assert gripper.phase is GripperPhase.IDLE
 
 
-def test_a_smaller_opening_while_pressing_lets_a_small_part_sink_deeper(
-    make_cell, make_part
-) -> None:
-    part = make_part(width_m=0.005, stiffness_n_m=6000.0)
-    cell = make_cell(part=part, aperture_min_m=0.003, aperture_pressed_m=0.001)
-    cell.gripper.start()
+def test_a_smaller_opening_while_pressing_lets_a_small_part_sink_deeper(make_started) -> None:
+    cell = make_started(
+        width_m=0.005, stiffness_n_m=6000.0, aperture_min_m=0.003, aperture_pressed_m=0.001
+    )
     outcome = cell.gripper.grasp(ForceRamp.linear(8.0, 5.0, hold_s=1.0))
     assert (outcome.result, outcome.short) == (GraspResult.FORCE_REACHED, "")
     assert outcome.final_aperture_m == pytest.approx(0.0023, abs=2e-4)

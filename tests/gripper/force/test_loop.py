@@ -2,10 +2,7 @@
 
 import pytest
 
-from gripper.errors import (
-    BusTimeout,
-    ForceSensorStale,
-)
+from gripper.errors import BusTimeout, ForceSensorStale
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
@@ -14,9 +11,8 @@ RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 
 
 @pytest.mark.parametrize("dies", [False, True])
-def test_a_stall_of_the_loop_is_no_silence_of_the_pads(make_cell, dies) -> None:
-    cell = make_cell(stall_max_s=0.2)
-    cell.gripper.start()
+def test_a_stall_of_the_loop_is_no_silence_of_the_pads(make_started, dies) -> None:
+    cell = make_started(stall_max_s=0.2)
     newest = cell.sensor.latest_force
     stalled_s: list[float] = []
 
@@ -48,27 +44,26 @@ def test_no_sensor_no_approach(cell) -> None:
     assert before_m - cell.mechanics.aperture_m < 0.003
 
 
-def test_a_dead_bus_is_given_up_in_bounded_time_and_the_grip_stays(cell) -> None:
-    cell.gripper.start()
+def test_a_dead_bus_is_given_up_in_bounded_time_and_the_grip_stays(started) -> None:
     times: list[float] = []
 
     def silence() -> None:
-        times.append(cell.clock.monotonic())
-        cell.device.faults.silent.update({1, 2})
+        times.append(started.clock.monotonic())
+        started.device.faults.silent.update({1, 2})
 
     with pytest.raises(BusTimeout, match=r"a part may still be gripped.*no answer"):
-        cell.gripper.grasp(RAMP, cell.once(silence, at_n=5.0))
-    assert 0.06 < cell.clock.monotonic() - times[0] < 0.1
-    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
-    cell.clock.sleep(2.0)
-    assert cell.force_n > 3.0
-    transactions = cell.bus.statistics.transactions
-    cell.gripper.keep_grip()
-    assert cell.bus.statistics.transactions == transactions
+        started.gripper.grasp(RAMP, started.once(silence, at_n=5.0))
+    assert 0.06 < started.clock.monotonic() - times[0] < 0.1
+    assert started.gripper.phase is GripperPhase.HELD_AFTER_FAULT
+    started.clock.sleep(2.0)
+    assert started.force_n > 3.0
+    transactions = started.bus.statistics.transactions
+    started.gripper.keep_grip()
+    assert started.bus.statistics.transactions == transactions
     with pytest.raises(BusTimeout):
-        cell.gripper.clear_fault()
-    cell.gripper.close()
-    assert cell.force_n > 3.0
+        started.gripper.clear_fault()
+    started.gripper.close()
+    assert started.force_n > 3.0
 
 
 def test_a_pause_before_three_lost_answers_is_no_lost_bus(cell) -> None:

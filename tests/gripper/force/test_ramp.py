@@ -42,9 +42,7 @@ def test_monotone_bounded_rate_limited_and_ending_at_the_target(ramp: ForceRamp)
 
 @settings(derandomize=True, max_examples=80)
 @given(ramps(), st.floats(-1.0, 60.0))
-def test_begun_at_a_measured_force_the_setpoint_does_not_jump(
-    ramp: ForceRamp, now_n: float
-) -> None:
+def test_begun_at_a_measured_force_the_setpoint_does_not_jump(ramp, now_n) -> None:
     begun = ramp.starting_from(now_n)
     assert begun.setpoint_n(0.0) == pytest.approx(max(0.0, now_n), abs=1e-9)
     assert begun.final_n == ramp.final_n

@@ -95,8 +95,7 @@ def test_fewer_overruns_in_a_row_only_count(make_cell: Any) -> None:
     assert cell.gripper.statistics.overruns == 5
 
 
-def test_transactions_and_the_age_of_the_force_are_counted(make_cell: Any) -> None:
-    cell = make_cell()
+def test_transactions_and_the_age_of_the_force_are_counted(cell) -> None:
     cell.hold_part(RAMP)
     statistics = cell.gripper.statistics
     assert statistics.transaction.n >= statistics.cycles

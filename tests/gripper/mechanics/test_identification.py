@@ -115,11 +115,7 @@ def test_only_a_measured_friction_is_contradicted() -> None:
     assert change(point, CATALOGUE) == 1.0
     measured = replace(CATALOGUE, friction_sd=0.05)
     assert change(point, measured) == pytest.approx(0.25 / CATALOGUE.breakaway_a)
-    assert change(replace_current(point, -0.13), measured) == 1.0
-
-
-def replace_current(point: FreePoint, current_a: float) -> FreePoint:
-    return point._replace(current_a=current_a)
+    assert change(point._replace(current_a=-0.13), measured) == 1.0
 
 
 def load_points(gearing: Gearing, *, rises: bool, seed: int) -> list[LoadPoint]:

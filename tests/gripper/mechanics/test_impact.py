@@ -83,7 +83,6 @@ def test_a_cap_below_which_nothing_stops_is_refused_and_the_remedy_works() -> No
     with pytest.raises(LimitExceeded, match=r"force_max_n is 2 N: .* Raise") as error:
         check_approach(low, LINKAGE)
     found = re.search(r"Raise force_max_n to ([0-9.]+) N", str(error.value))
-    assert found is not None
     assert check_approach(replace(low, force_max_n=float(found[1])), LINKAGE) >= 0.004
 
 

@@ -22,11 +22,10 @@ def test_a_leap_in_a_pause_is_found_before_the_next_goal(cell) -> None:
     assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
 
 
-def test_turns_of_a_servo_without_torque_do_not_matter(cell) -> None:
-    cell.gripper.start()
-    before_m = cell.gripper.read_feedback().aperture_m
-    cell.knobs[0].offset_report(2 * 4096)
-    assert cell.gripper.read_feedback().aperture_m == pytest.approx(before_m, abs=1e-4)
+def test_turns_of_a_servo_without_torque_do_not_matter(started) -> None:
+    before_m = started.gripper.read_feedback().aperture_m
+    started.knobs[0].offset_report(2 * 4096)
+    assert started.gripper.read_feedback().aperture_m == pytest.approx(before_m, abs=1e-4)
 
 
 @pytest.mark.parametrize("offset_raw", [-4096, 800])
@@ -56,6 +55,9 @@ def test_a_servo_that_has_restarted_between_two_readings_is_a_fault_at_once(cell
 
     with pytest.raises(ServoFault, match="its torque is off although") as error:
         cell.gripper.hold(2.0, observe)
-    assert error.value.servo_id == servo + 1
+    assert (error.value.servo_id, error.value.torque_lost) == (servo + 1, True)
     assert goals_s[-1] <= cell.acted_s[0]
+    assert cell.clock.monotonic() - cell.acted_s[0] < 0.015
     assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
+    cell.clock.sleep(1.0)
+    assert cell.torques == [servo, 1 - servo]

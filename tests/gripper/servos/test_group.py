@@ -9,11 +9,9 @@ from gripper.values.state import GripperPhase
 
 
 @pytest.fixture
-def tripped(make_cell, make_part):
+def tripped(make_cell):
     """A part gripped with 14 N, whose servos' watchdogs have tripped: they hold it with less."""
-    cell = make_cell(
-        part=make_part(width_m=0.016), aperture_m=0.024, force_max_n=15.0, aperture_open_m=0.024
-    )
+    cell = make_cell(width_m=0.016, aperture_m=0.024, force_max_n=15.0, aperture_open_m=0.024)
     cell.gripper.start()
     outcome = cell.gripper.grasp(ForceRamp.linear(14.0, rate_n_s=20.0, hold_s=0.3))
     assert outcome.result is GraspResult.FORCE_REACHED
@@ -85,8 +83,7 @@ def test_a_trip_is_not_cleared_by_what_arms_or_disarms(tripped) -> None:
     assert tripped.peak_n < held_n + 0.1
 
 
-def test_a_silent_servo_does_not_keep_the_other_watchdog_armed(make_cell) -> None:
-    cell = make_cell()
+def test_a_silent_servo_does_not_keep_the_other_watchdog_armed(cell) -> None:
     cell.hold_part(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
     cell.device.faults.silent = {1}
     with pytest.raises(BusTimeout):
@@ -94,9 +91,8 @@ def test_a_silent_servo_does_not_keep_the_other_watchdog_armed(make_cell) -> Non
     assert cell.servos[1].core.registers.get("bus_watchdog") == 0
 
 
-def test_a_trip_between_two_questions_is_found(make_cell, monkeypatch) -> None:
+def test_a_trip_between_two_questions_is_found(cell, monkeypatch) -> None:
     """An answer that is lost for long enough lets the watchdog trip behind the last look at it."""
-    cell = make_cell()
     cell.hold_part(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
     read, slept = cell.bus.read, []
 

@@ -79,7 +79,6 @@ def test_the_servos_own_clock_shows_old_answers_and_restarts() -> None:
     assert watch.check(1, 32760, 0.0, 0.001) is None
     assert watch.check(1, 2, 0.010, 0.011) is None
     old = watch.check(1, 3, 0.040, 0.041)
-    assert old is not None
     assert "old answer" in str(old)
     assert watch.check(1, 33, 0.041, 0.042) is None
     assert watch.check(1, 20000, 0.046, 0.047) is not None

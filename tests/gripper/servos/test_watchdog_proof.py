@@ -71,9 +71,8 @@ def test_it_is_off_unless_asked_for_and_refuses_a_long_way(make_cell) -> None:
         cell.gripper.open()
 
 
-def test_it_needs_open_fingers(make_cell, make_part) -> None:
-    cell = make_cell(watchdog_self_test=True, aperture_min_m=0.01, part=make_part(present=False))
-    cell.gripper.start()
+def test_it_needs_open_fingers(make_started) -> None:
+    cell = make_started(watchdog_self_test=True, aperture_min_m=0.01, present=False)
     with pytest.raises(
         LimitExceeded, match=r"closes the fingers by .* mm: open them further first"
     ):

@@ -12,6 +12,7 @@ from recognition.features.aperture import aperture_features
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest
 from recognition.recognizers import make_trainer
+from tests.recognition.conftest import accuracy
 
 DRIFT = Drift(gains=(0.7,), aperture_offset_m=-4e-3)
 
@@ -19,10 +20,6 @@ DRIFT = Drift(gains=(0.7,), aperture_offset_m=-4e-3)
 @pytest.fixture(scope="module")
 def taught(train):
     return make_trainer("force_ramp").fit(train)
-
-
-def accuracy(recognizer, grasps):
-    return np.mean([recognizer.posterior(g).best == g.label for g in grasps])
 
 
 def test_a_drift_is_read_from_its_text():

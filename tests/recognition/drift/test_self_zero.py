@@ -141,10 +141,7 @@ def test_what_shows_no_zero_is_refused(change: dict[str, Any], says: str) -> Non
     values = {name: getattr(grasp, name) for name in ("pads", "counts", "t_s", "aperture_m")}
     with pytest.raises(ValueError, match=says):
         measure_zero(
-            Grasp(**(values | {"force_n": grasp.force_n} | change)),
-            pads_n,
-            (0, 1),
-            step_m=STEP_M,
+            Grasp(**(values | {"force_n": grasp.force_n} | change)), pads_n, (0, 1), step_m=STEP_M
         )
 
 
@@ -217,17 +214,20 @@ def zero_of(drift: Drift) -> SelfZero:
     )
 
 
+def named(taught: Any, grasps: Sequence[Grasp]) -> float:
+    """Return the share of grasps that get the name of their object."""
+    return float(np.mean([taught.posterior(g).name == g.label for g in grasps]))
+
+
 def test_two_self_zeros_undo_what_has_changed_for_each_grasp(train, fresh) -> None:
     drift, none = Drift(gains=(0.7, 0.9), aperture_offset_m=-4e-3), Drift(gains=(1.0, 1.0))
     taught = make_trainer("force_ramp").fit([replace(g, zero=zero_of(none)) for g in train])
     later = [drift.apply(a_day_later(g)) for g in fresh]
     told = [replace(g, zero=zero_of(drift)) for g in later]
 
-    def right(grasps: Sequence[Grasp]) -> float:
-        return float(np.mean([taught.posterior(g).name == g.label for g in grasps]))
-
-    assert right(told) >= right([replace(g, zero=zero_of(none)) for g in fresh]) - 0.05
-    assert right(told) > right(later) + 0.1
+    undrifted = [replace(g, zero=zero_of(none)) for g in fresh]
+    assert named(taught, told) >= named(taught, undrifted) - 0.05
+    assert named(taught, told) > named(taught, later) + 0.1
     again = type(taught).from_arrays(taught.to_arrays())
     assert again.posterior(told[0]).probability == pytest.approx(
         taught.posterior(told[0]).probability
@@ -250,7 +250,7 @@ def test_grasps_of_several_sessions_teach_as_of_one(train, fresh) -> None:
     ]
     taught = make_trainer("force_ramp").fit(half)
     told = [replace(g, zero=zero_of(none)) for g in fresh]
-    assert np.mean([taught.posterior(g).name == g.label for g in told]) > 0.8
+    assert named(taught, told) > 0.8
 
 
 def test_a_self_zero_ties_the_opening_of_what_was_taught_from_drawings(train, fresh) -> None:
@@ -261,10 +261,7 @@ def test_a_self_zero_ties_the_opening_of_what_was_taught_from_drawings(train, fr
     later = [drift.apply(a_day_later(g)) for g in fresh]
     told = [replace(g, zero=zero_of(drift)) for g in later]
 
-    def right(grasps: Sequence[Grasp]) -> float:
-        return float(np.mean([taught.posterior(g).name == g.label for g in grasps]))
-
-    assert right(told) > right(later) + 0.1
+    assert named(taught, told) > named(taught, later) + 0.1
     grid = taught.grid_at(told[0])
     assert grid.offset_sd_m < 0.2e-3
     # Nothing is known of the gain that both pads have in common.

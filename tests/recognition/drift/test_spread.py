@@ -26,7 +26,6 @@ def days(log_gain_sd: float, offset_sd_mm: float, n_days: int) -> tuple[list[Gra
 def test_the_spread_that_was_made_is_found() -> None:
     grasps, groups = days(0.15, 1.5, 30)
     prior = learn_spread(grasps, groups, learn_rest(grasps))
-    assert prior is not None
     assert prior.log_gain_sd == pytest.approx(0.15, rel=0.35)
     assert prior.offset_sd_mm == pytest.approx(1.5, rel=0.35)
     assert prior.unchanged == 0.0
@@ -36,7 +35,6 @@ def test_few_days_leave_most_to_the_usual_spread_and_one_day_shows_none() -> Non
     grasps, groups = days(0.0, 0.0, 2)
     rest = learn_rest(grasps)
     prior = learn_spread(grasps, groups, rest)
-    assert prior is not None
     assert 1.0 < prior.offset_sd_mm < DriftPrior().offset_sd_mm
     assert learn_spread(grasps, ["0"] * len(grasps), rest) is None
     others = [f"{group} {grasp.label}" for group, grasp in zip(groups, grasps, strict=True)]

@@ -11,6 +11,11 @@ from recognition.ramp.levels import LOAD_FRACTIONS, load_levels, stack_levels
 from recognition.ramp.ramp import Rest, find_ramp, held_part, learn_rest
 
 
+@pytest.fixture
+def rest(train) -> Rest:
+    return learn_rest(train)
+
+
 def test_the_pads_that_rise_are_the_gripping_ones(factory):
     pads = factory.pads(shapes=((4, 4), (10, 6), (6, 2), (10, 6)), adc_max=255)
     grasps = factory.many(3, seed=3, pads=pads, gripping=(1, 3), noise_counts=16.0)
@@ -48,8 +53,7 @@ def test_a_rest_above_all_frames_cuts_nothing_off(factory):
     assert held_part(loaded, rest)[0] is loaded
 
 
-def test_rest_follows_an_offset_that_was_not_taught(factory, pads, train):
-    rest = learn_rest(train)
+def test_rest_follows_an_offset_that_was_not_taught(rest, factory, pads, train):
     lifted = dataclasses.replace(train[0], counts=train[0].counts + 30)
     assert find_ramp(lifted, rest).load == pytest.approx(find_ramp(train[0], rest).load)
 
@@ -64,8 +68,7 @@ def test_touch_is_the_first_frame_of_the_lasting_contact(factory, pads, train):
     assert find_ramp(brushed, learn_rest(train)).start == pytest.approx(9, abs=2)
 
 
-def test_no_contact_is_not_touched(train):
-    rest = learn_rest(train)
+def test_no_contact_is_not_touched(rest, train):
     empty = dataclasses.replace(train[0], counts=np.zeros_like(train[0].counts))
     ramp = find_ramp(empty, rest)
     assert not ramp.touched
@@ -133,15 +136,13 @@ def test_a_ramp_of_a_cell_has_the_same_levels_at_any_rate(train):
     assert elsewhere.touch_aperture_mm[0, 0] > fast.touch_aperture_mm[0, 0]
 
 
-def test_levels_of_one_grasp_are_those_among_many(train):
-    rest = learn_rest(train)
+def test_levels_of_one_grasp_are_those_among_many(rest, train):
     alone, among = load_levels(train[3:4], rest), load_levels(train, rest)
     assert alone.maps[1][0] == pytest.approx(among.maps[1][3])
     assert len(stack_levels([alone, among])) == 1 + len(train)
 
 
-def test_gaps_in_the_opening_are_bridged_and_a_missing_one_stays_missing(train):
-    rest = learn_rest(train)
+def test_gaps_in_the_opening_are_bridged_and_a_missing_one_stays_missing(rest, train):
     holes = train[0].aperture_m.copy()
     holes[::4] = np.nan
     bridged = load_levels([dataclasses.replace(train[0], aperture_m=holes)], rest)
@@ -160,8 +161,7 @@ def test_rest_refuses_what_it_cannot_learn_from(factory, train):
         find_ramp(other[0], learn_rest(train))
 
 
-def test_rest_comes_back_from_its_arrays(train):
-    rest = learn_rest(train)
+def test_rest_comes_back_from_its_arrays(rest, train):
     again = Rest.from_arrays(rest.to_arrays())
     again.check(train[0].pads)
     assert again.gripping == rest.gripping
@@ -204,8 +204,7 @@ def test_what_follows_the_release_is_left_out(train):
     )
 
 
-def test_a_spike_of_one_frame_is_no_load(train):
-    rest = learn_rest(train)
+def test_a_spike_of_one_frame_is_no_load(rest, train):
     counts = train[0].counts.copy()
     counts[25, 3] = train[0].pads.adc_max
     counts[30, 40] = train[0].pads.adc_max

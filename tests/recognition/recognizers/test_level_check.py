@@ -26,11 +26,9 @@ def _pads(shapes, adc_max=255):
     return make_pads(shapes=shapes, adc_max=adc_max, pitch_m=3.5e-3)
 
 
-LAYOUTS = {
-    "paper": _pads(PAPER_FINGER * 2),
-    "two inner pads": _pads(((16, 4), (16, 4))),
-    "pinch": _pads(((13, 6), (13, 6)), 4095),
-}
+PAPER, INNER = _pads(PAPER_FINGER * 2), _pads(((16, 4), (16, 4)))
+PINCH = _pads(((13, 6), (13, 6)), 4095)
+LAYOUTS = {"paper": PAPER, "two inner pads": INNER, "pinch": PINCH}
 
 
 def _grasp(pads, peak, rng, *, label="", touched=None, noise=0.01, force=True, width_m=0.006):
@@ -90,9 +88,8 @@ def test_a_level_outside_every_band_is_unknown(pads):
 
 
 def test_objects_with_one_level_share_the_probability_and_close_the_window():
-    pads = LAYOUTS["pinch"]
     rng = np.random.default_rng(12)
-    grasps = [_grasp(pads, 0.5, rng, label=label) for label in "ab" for _ in range(8)]
+    grasps = [_grasp(PINCH, 0.5, rng, label=label) for label in "ab" for _ in range(8)]
     taught = LevelCheckTrainer().fit(grasps)
     assert taught.levels.closed in (((0, 1),), ((1, 0),))
     values = [taught.level(grasp) for grasp in grasps]
@@ -104,11 +101,10 @@ def test_objects_with_one_level_share_the_probability_and_close_the_window():
 
 
 def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform():
-    pads = LAYOUTS["paper"]
     rng = np.random.default_rng(13)
-    taught = LevelCheckTrainer().fit(_taught(pads, rng))
-    nothing = _grasp(pads, 0.0, rng)
-    tip_only = _grasp(pads, 0.5, rng, touched=(4,))  # a pad of 6 x 2: two rows are no surface
+    taught = LevelCheckTrainer().fit(_taught(PAPER, rng))
+    nothing = _grasp(PAPER, 0.0, rng)
+    tip_only = _grasp(PAPER, 0.5, rng, touched=(4,))  # a pad of 6 x 2: two rows are no surface
     one_frame = dataclasses.replace(
         nothing,
         **{name: getattr(nothing, name)[:1] for name in ("counts", "t_s", "aperture_m", "force_n")},
@@ -127,15 +123,14 @@ def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform():
 
 
 def test_arrays_hold_all_that_was_learnt():
-    pads = LAYOUTS["pinch"]
     rng = np.random.default_rng(14)
     settings = LevelSettings(force_n=6.0, rim=0, reading=Reading.ALGEBRAIC_MINIMUM)
-    taught = LevelCheckTrainer(settings=settings).fit(_taught(pads, rng))
+    taught = LevelCheckTrainer(settings=settings).fit(_taught(PINCH, rng))
     arrays = taught.to_arrays()
     assert all(array.dtype.kind in "iufU" for array in arrays.values())
     again = LevelCheckRecognizer.from_arrays(arrays)
     assert again.settings == settings
-    grasp = _grasp(pads, 0.4, rng)
+    grasp = _grasp(PINCH, 0.4, rng)
     first, second = taught.posterior(grasp), again.posterior(grasp)
     assert np.array_equal(first.probability, second.probability)
     assert first.unknown == second.unknown
@@ -150,22 +145,20 @@ def test_arrays_hold_all_that_was_learnt():
 
 def test_other_pads_are_refused():
     rng = np.random.default_rng(15)
-    pinch, inner = (LAYOUTS[name] for name in ("pinch", "two inner pads"))
-    taught = LevelCheckTrainer().fit(_taught(pinch, rng))
+    taught = LevelCheckTrainer().fit(_taught(PINCH, rng))
     with pytest.raises(ValueError, match="2 pads with 128 taxels up to 255; taught were 2"):
-        taught.posterior(_grasp(inner, 0.4, rng))
+        taught.posterior(_grasp(INNER, 0.4, rng))
     with pytest.raises(ValueError, match="different pads"):
-        LevelCheckTrainer().fit([*_taught(pinch, rng), *_taught(inner, rng)])
+        LevelCheckTrainer().fit([*_taught(PINCH, rng), *_taught(INNER, rng)])
 
 
 def test_an_object_without_any_surface_stays_without_a_level():
-    pads = LAYOUTS["paper"]
     rng = np.random.default_rng(16)
-    grasps = _taught(pads, rng)
-    spoilt = [_grasp(pads, 0.5, rng, touched=(4,), label="tip") for _ in range(3)]
+    grasps = _taught(PAPER, rng)
+    spoilt = [_grasp(PAPER, 0.5, rng, touched=(4,), label="tip") for _ in range(3)]
     taught = LevelCheckTrainer().fit([*grasps, *spoilt])
     assert np.isnan(taught.low).tolist() == [label == "tip" for label in taught.labels]
-    posterior = taught.posterior(_grasp(pads, 0.8, rng))
+    posterior = taught.posterior(_grasp(PAPER, 0.8, rng))
     assert posterior.best == "high"
     assert posterior.probability[posterior.labels.index("tip")] < 0.01
     again = LevelCheckRecognizer.from_arrays(taught.to_arrays())
@@ -180,18 +173,16 @@ def test_the_trainer_says_what_it_is_and_refuses_what_does_not_teach():
     assert not LevelCheckTrainer(use_aperture=True).uses_aperture
     with pytest.raises(ValueError, match="no grasps"):
         trainer.fit([])
-    pads = LAYOUTS["pinch"]
     with pytest.raises(ValueError, match="no label"):
-        trainer.fit([_grasp(pads, 0.5, np.random.default_rng(0))])
+        trainer.fit([_grasp(PINCH, 0.5, np.random.default_rng(0))])
     with pytest.raises(RecognitionError, match="margin is 0"):
         LevelCheckTrainer(margin=0.0)
 
 
 def test_one_touch_per_object_suffices():
-    pads = LAYOUTS["pinch"]
     rng = np.random.default_rng(17)
-    taught = LevelCheckTrainer().fit(_taught(pads, rng)[::5])
-    assert taught.posterior(_grasp(pads, 0.41, rng)).best == "middle"
+    taught = LevelCheckTrainer().fit(_taught(PINCH, rng)[::5])
+    assert taught.posterior(_grasp(PINCH, 0.41, rng)).best == "middle"
 
 
 # --- the level of one grasp -----------------------------------------------------------------
@@ -205,81 +196,74 @@ def test_the_level_is_a_quarter_over_the_fitted_peak_in_counts_of_255(pads):
 
 
 def test_noise_of_the_paper_moves_the_level_by_less_than_its_windows():
-    pads = LAYOUTS["two inner pads"]
     rng = np.random.default_rng(19)
-    quiet = grip_level(_grasp(pads, 0.5, np.random.default_rng(1), noise=0.0))
-    noisy = [grip_level(_grasp(pads, 0.5, rng, noise=10 / 255)) for _ in range(20)]
+    quiet = grip_level(_grasp(INNER, 0.5, np.random.default_rng(1), noise=0.0))
+    noisy = [grip_level(_grasp(INNER, 0.5, rng, noise=10 / 255)) for _ in range(20)]
     assert np.mean(noisy) == pytest.approx(quiet, rel=0.15)
 
 
 def test_gripping_pads_are_the_most_loaded_and_its_counterpart():
-    paper = LAYOUTS["paper"]
     load = np.array([9.0, 0, 0, 0, 6, 5, 0, 0, 0, 0])
-    assert gripping_pads(load, paper) == (0, 5)
-    assert gripping_pads(load[::-1], paper) == (9, 4)
+    assert gripping_pads(load, PAPER) == (0, 5)
+    assert gripping_pads(load[::-1], PAPER) == (9, 4)
     load[5] = 0.1
-    assert gripping_pads(load, paper) == (0,)
+    assert gripping_pads(load, PAPER) == (0,)
     assert gripping_pads([3.0], _pads(((16, 4),))) == (0,)
     odd = _pads(((16, 4), (13, 6), (16, 4)))
     assert gripping_pads([1.0, 5.0, 2.0], odd) == (1, 2)
     with pytest.raises(ContactError, match="no pad is loaded"):
-        gripping_pads(np.zeros(10), paper)
+        gripping_pads(np.zeros(10), PAPER)
 
 
 def test_frames_near_a_share_of_the_force_or_of_the_load():
-    pads = LAYOUTS["pinch"]
     rng = np.random.default_rng(20)
-    grasp = _grasp(pads, 0.5, rng)
+    grasp = _grasp(PINCH, 0.5, rng)
     assert frames_near(grasp, 1.0, 0.01).tolist() == list(range(27, 38))
     half = frames_near(grasp, 0.5, 0.03)
     assert grasp.force_n[half] == pytest.approx(np.full(len(half), 4.0), abs=0.3)
-    without = _grasp(pads, 0.5, rng, force=False)
+    without = _grasp(PINCH, 0.5, rng, force=False)
     assert set(frames_near(without, 1.0, 0.05)) >= set(range(28, 37))
     assert len(frames_near(grasp, 0.513, 0.0)) == 1
 
 
 def test_a_fixed_force_that_was_not_reached_is_refused():
-    pads = LAYOUTS["pinch"]
-    grasp = _grasp(pads, 0.5, np.random.default_rng(21))
+    grasp = _grasp(PINCH, 0.5, np.random.default_rng(21))
     half = grip_level(grasp, LevelSettings(force_n=4.0))
     assert half == pytest.approx(2 * grip_level(grasp), rel=0.2)
     with pytest.raises(ContactError, match=r"within 2 N of 20 N; the ramp reached 8 N"):
         grip_level(grasp, LevelSettings(force_n=20.0))
     taught = LevelCheckTrainer(settings=LevelSettings(force_n=4.0)).fit(
-        _taught(pads, np.random.default_rng(22), force=False)
+        _taught(PINCH, np.random.default_rng(22), force=False)
     )
     assert (
-        taught.posterior(_grasp(pads, 0.8, np.random.default_rng(23), force=False)).best == "high"
+        taught.posterior(_grasp(PINCH, 0.8, np.random.default_rng(23), force=False)).best == "high"
     )
 
 
 def test_lambda_of_force_falls_along_the_ramp_and_gives_thresholds_at_its_end():
-    pads = LAYOUTS["paper"]
     rng = np.random.default_rng(24)
     shares = (0.01, 0.25, 0.5, 1.0)
     settings = LevelSettings(tolerance=0.02)
-    values = ramp_levels(_grasp(pads, 0.6, rng), shares, settings)
+    values = ramp_levels(_grasp(PAPER, 0.6, rng), shares, settings)
     assert np.all(np.diff(values[1:]) < 0)
     taught = [
-        [ramp_levels(_grasp(pads, peak, rng), shares, settings) for _ in range(3)]
+        [ramp_levels(_grasp(PAPER, peak, rng), shares, settings) for _ in range(3)]
         for peak in (0.3, 0.8)
     ]
     last = find_thresholds([np.array(values)[:, -1] for values in taught])
-    assert check_level(last, ramp_levels(_grasp(pads, 0.8, rng), shares, settings)[-1]) == 1
+    assert check_level(last, ramp_levels(_grasp(PAPER, 0.8, rng), shares, settings)[-1]) == 1
     with pytest.raises(ContactError, match="above 0, up to 1"):
-        ramp_levels(_grasp(pads, 0.5, rng), [0.0])
+        ramp_levels(_grasp(PAPER, 0.5, rng), [0.0])
 
 
 def test_steps_of_the_ramp_without_contact_are_nan():
-    pads = LAYOUTS["paper"]
-    grasp = _grasp(pads, 0.5, np.random.default_rng(25), touched=(4,))
+    grasp = _grasp(PAPER, 0.5, np.random.default_rng(25), touched=(4,))
     assert np.isnan(ramp_levels(grasp, (0.5, 1.0))).all()
 
 
 def test_levels_are_taken_at_the_force_that_every_taught_grasp_reached():
-    pads = LAYOUTS["pinch"]
     rng = np.random.default_rng(5)
-    taught = _taught(pads, rng)
+    taught = _taught(PINCH, rng)
     weak = dataclasses.replace(taught[0], force_n=0.5 * taught[0].force_n)
     recognizer = LevelCheckTrainer().fit([*taught, weak])
     assert recognizer.settings.force_n == pytest.approx(4.0)
@@ -306,8 +290,7 @@ def _held(pads, peak, rng, noise, n_frames):
 
 
 def test_the_patch_does_not_grow_with_the_number_of_frames_averaged():
-    pads = LAYOUTS["two inner pads"]
-    few, many = (_held(pads, 0.5, np.random.default_rng(3), 0.01, n) for n in (2, 40))
+    few, many = (_held(INNER, 0.5, np.random.default_rng(3), 0.01, n) for n in (2, 40))
 
     def spread_over(settings):
         return abs(np.log(grip_level(few, settings) / grip_level(many, settings)))
@@ -317,17 +300,15 @@ def test_the_patch_does_not_grow_with_the_number_of_frames_averaged():
 
 
 def test_noise_of_the_whole_pad_does_not_hide_the_first_touch_in_the_baseline():
-    pads = LAYOUTS["paper"]
-    quiet = grip_level(_grasp(pads, 0.6, np.random.default_rng(4), noise=0.0))
-    loud = [grip_level(_grasp(pads, 0.6, np.random.default_rng(4), noise=0.04)) for _ in range(3)]
+    quiet = grip_level(_grasp(PAPER, 0.6, np.random.default_rng(4), noise=0.0))
+    loud = [grip_level(_grasp(PAPER, 0.6, np.random.default_rng(4), noise=0.04)) for _ in range(3)]
     assert np.mean(loud) == pytest.approx(quiet, rel=0.06)
 
 
 def test_more_noise_than_taught_is_seen_and_widens_bands_and_probabilities():
-    pads = LAYOUTS["paper"]
     rng = np.random.default_rng(6)
-    taught = LevelCheckTrainer().fit(_taught(pads, rng))
-    calm, loud = (_grasp(pads, 0.4, np.random.default_rng(7), noise=n) for n in (0.005, 0.1))
+    taught = LevelCheckTrainer().fit(_taught(PAPER, rng))
+    calm, loud = (_grasp(PAPER, 0.4, np.random.default_rng(7), noise=n) for n in (0.005, 0.1))
     assert taught.more_noise(calm) == 0.0
     assert 0.005 < taught.more_noise(loud) < 0.5
     deaf = dataclasses.replace(taught, noise_per_count=0.0)
@@ -340,9 +321,8 @@ def test_more_noise_than_taught_is_seen_and_widens_bands_and_probabilities():
 
 
 def test_noise_predicts_how_far_levels_of_one_touch_vary():
-    pads = LAYOUTS["two inner pads"]
     rng = np.random.default_rng(8)
-    grasps = [_held(pads, 0.5, rng, 0.03, 20) for _ in range(60)]
+    grasps = [_held(INNER, 0.5, rng, 0.03, 20) for _ in range(60)]
     seen = np.std(np.log([grip_level(grasp) for grasp in grasps]))
     counts, per_count = usual_noise(grasps, LevelSettings())
     assert counts * per_count == pytest.approx(seen, rel=0.4)
@@ -350,8 +330,7 @@ def test_noise_predicts_how_far_levels_of_one_touch_vary():
 
 
 def test_taught_noise_that_is_no_number_is_refused():
-    pads = LAYOUTS["pinch"]
-    arrays = LevelCheckTrainer().fit(_taught(pads, np.random.default_rng(9))).to_arrays()
+    arrays = LevelCheckTrainer().fit(_taught(PINCH, np.random.default_rng(9))).to_arrays()
     with pytest.raises(ValueError, match="noise make no levels"):
         LevelCheckRecognizer.from_arrays({**arrays, "noise_counts": np.array(np.nan)})
     with pytest.raises(ValueError, match="'peak_share' is missing"):

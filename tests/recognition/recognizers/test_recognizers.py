@@ -28,6 +28,7 @@ from recognition.recognizers import (
 from recognition.recognizers.comparators.comparator import Comparator, ComparatorTrainer
 from recognition.recognizers.force_ramp.view import describe
 from recognition.recognizers.force_ramp.view_training import even_in_time
+from tests.recognition.conftest import accuracy
 
 OURS = ("force_ramp", "shrinkage_lda")
 
@@ -66,10 +67,6 @@ def kind(request):
 @pytest.fixture(scope="module")
 def any_taught(kind, teach):
     return teach(kind)
-
-
-def accuracy(recognizer, grasps):
-    return np.mean([recognizer.posterior(g).best == g.label for g in grasps])
 
 
 def part(grasp, frames):

@@ -123,7 +123,6 @@ def test_axes_have_terminals_of_their_own_and_carry_the_object(tmp_path: Path) -
         one.run(0.05)
         label, pose = one.cell.devices.physical.placed or ("", None)
         assert label == "box"
-        assert pose is not None
         assert pose.x_m == pytest.approx(5e-3)
     assert not (tmp_path / "axes-can").exists()
     assert not (tmp_path / "axis-roll").exists()
@@ -247,7 +246,6 @@ def test_folders_that_cannot_be_used_are_an_error(tmp_path: Path) -> None:
 def test_it_ends_when_it_is_told_to_and_leaves_nothing_behind() -> None:
     command = [sys.executable, "-c", SCRIPT]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         try:
             folder = Path(json.loads(process.stdout.readline())["positioner_socket"]).parent
             assert folder.is_dir()

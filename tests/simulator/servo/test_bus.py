@@ -21,9 +21,7 @@ def sync_read(address: int, size: int, *servo_ids: int) -> bytes:
     ("instruction", "parameters", "led"),
     [(Instruction.READ, "8400 0400", 0), (Instruction.WRITE, "4100 01", 1)],
 )
-def test_broadcasts_reach_all_and_are_not_acknowledged(
-    bench, instruction: int, parameters: str, led: int
-):
+def test_broadcasts_reach_all_and_are_not_acknowledged(bench, instruction, parameters, led):
     assert bench.exchange(encode_instruction(0xFE, instruction, bytes.fromhex(parameters))) == b""
     assert [bench.read(i, 65, 1) for i in (1, 2)] == [led, led]
 

@@ -22,9 +22,7 @@ LAW = Friction(
 
 
 def figures(name: str) -> Drive:
-    found = GEARINGS[name].identified
-    assert found is not None
-    return found
+    return GEARINGS[name].identified
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def test_bytes_that_are_stuffed_both_ways() -> None:
     assert talk.exchange(wire("FFFFFD00 01 0900 03 7400 FFFFFDFF CB05")) == b""
     for name, value in (("current", -1), ("velocity", -3), ("position", 2048)):
         talk.put(1, f"present_{name}", value)
-    answer = talk.exchange(dxl2_read(1, 126, 10))
+    answer = talk.exchange(dxl2.InstructionPacket(1, 0x02, dxl2.Params([126, 0, 10, 0])).raw)
     assert answer == wire("FFFFFD00 01 0F00 55 00 FFFFFDFDFFFFFF00080000 49F0")
 
 
@@ -113,9 +113,3 @@ def test_a_factory_reset_of_all_servos_changes_nothing() -> None:
     everything = dxl2.InstructionPacket(0xFE, 0x06, dxl2.Params([0xFF])).raw
     assert talk.exchange(everything) == b""
     assert talk.get(2, "temperature_limit") == 61
-
-
-def dxl2_read(servo_id: int, address: int, size: int) -> bytes:
-    parameters = [address, 0, size, 0]
-    raw: bytes = dxl2.InstructionPacket(servo_id, 0x02, dxl2.Params(parameters)).raw
-    return raw

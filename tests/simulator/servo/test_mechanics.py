@@ -78,23 +78,25 @@ def test_closing_current_gives_the_force_of_the_torque_fit(count: int):
     assert force[0] == pytest.approx(force[1], rel=0.02)
 
 
+def held_n(mechanics, current_a: float, before_a: float) -> float:
+    """Return the force on a soft spring after the current went slowly from another one."""
+    for i in range(1, 401):
+        push(mechanics, before_a + (current_a - before_a) * i / 400)
+        force = press(mechanics, 0.0195, 3_000.0, 5 * STEP_S)
+    return force[0]
+
+
 @pytest.mark.parametrize("share", [0.0, 0.2])
 def test_unloading_holds_more_by_twice_the_friction_and_that_of_the_load(share: float):
     mechanics = fingers(gearing=Gearing(load_friction=share))
 
-    def force_at(current_a: float, before_a: float) -> float:
-        for i in range(1, 401):
-            push(mechanics, before_a + (current_a - before_a) * i / 400)
-            force = press(mechanics, 0.0195, 3_000.0, 5 * STEP_S)
-        return force[0]
-
-    loading_n = force_at(0.5, 0.0)
-    force_at(1.0, 0.5)
-    unloading_n = force_at(0.5, 1.0)
+    loading_n = held_n(mechanics, 0.5, 0.0)
+    held_n(mechanics, 1.0, 0.5)
+    unloading_n = held_n(mechanics, 0.5, 1.0)
     slope = 0.06 * math.cos(math.asin(0.0165 / 0.06))
     assert loading_n == pytest.approx((1.769 * 0.5 - 0.2214) / slope, rel=0.06)
-    held_n = (1.0 + share) / (1.0 - share) * (1.769 * 0.5 + 0.2214) / slope
-    assert unloading_n - loading_n == pytest.approx(held_n - loading_n, rel=0.12)
+    most_n = (1.0 + share) / (1.0 - share) * (1.769 * 0.5 + 0.2214) / slope
+    assert unloading_n - loading_n == pytest.approx(most_n - loading_n, rel=0.12)
 
 
 @pytest.mark.parametrize("name", [n for n, g in GEARINGS.items() if g.identified is not None])
@@ -102,19 +104,13 @@ def test_a_real_gearing_presses_and_holds_as_its_law_says(name: str):
     mechanics = fingers(gearing=GEARINGS[name])
     drive = GEARINGS[name].drive_of(XM430_W350)
 
-    def held_n(current_a: float, before_a: float) -> float:
-        for i in range(1, 401):
-            push(mechanics, before_a + (current_a - before_a) * i / 400)
-            force = press(mechanics, 0.0195, 3_000.0, 5 * STEP_S)
-        return force[0]
-
     slope = 0.06 * math.cos(math.asin(0.016 / 0.06))
-    rising_nm = slope * held_n(1.0, 0.0)
+    rising_nm = slope * held_n(mechanics, 1.0, 0.0)
     forward_nm = drive.friction.forward_nm(drive.kt_nm_a, 0.0)
     # Friction that fades with speed makes steps of the motion: each ends a little farther.
     assert rising_nm == pytest.approx(forward_nm, rel=0.1)
     # The load gives way where it overcomes the motor and the friction of both.
-    giving_nm = slope * held_n(0.15, 1.0)
+    giving_nm = slope * held_n(mechanics, 0.15, 1.0)
     driving_nm = 0.15 * drive.kt_nm_a
     lost_nm = drive.friction.torque_nm(driving_nm, -giving_nm, 0.0)
     assert giving_nm == pytest.approx(driving_nm + lost_nm, rel=0.2)

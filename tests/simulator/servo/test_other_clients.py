@@ -41,8 +41,7 @@ def bus(driver: Any) -> Iterator[dxl2.MotorBus]:
 
 
 def present(driver: Any, servo_id: int) -> int:
-    position: int = driver.bench.servos[servo_id - 1].core.position.present_raw()
-    return position
+    return driver.bench.servos[servo_id - 1].core.position.present_raw()
 
 
 def registers(driver: Any, servo_id: int) -> Any:

@@ -182,8 +182,19 @@ def test_impossible_poses_and_sizes_are_refused() -> None:
         ellipsoid(length_m=1e-2, diameter_m=1e-2, width_m=1e-2)
 
 
-def test_a_mesh_of_a_box_is_that_box(tmp_path) -> None:
-    trimesh = pytest.importorskip("trimesh")
+@pytest.fixture
+def trimesh():
+    return pytest.importorskip("trimesh")
+
+
+@pytest.fixture
+def ball_file(trimesh, tmp_path):
+    path = tmp_path / "ball.stl"
+    path.write_bytes(trimesh.creation.icosphere(radius=5.0).export(file_type="stl"))
+    return path
+
+
+def test_a_mesh_of_a_box_is_that_box(trimesh, tmp_path) -> None:
     path = tmp_path / "box.stl"
     mesh = trimesh.creation.box(extents=(16.0, 10.0, 6.0))
     mesh.apply_translation((100.0, 5.0, -3.0))
@@ -199,20 +210,14 @@ def test_a_mesh_of_a_box_is_that_box(tmp_path) -> None:
     assert shape.roll_step_rad == 0.0
 
 
-def test_a_mesh_of_a_ball_is_round(tmp_path) -> None:
-    trimesh = pytest.importorskip("trimesh")
-    path = tmp_path / "ball.stl"
-    path.write_bytes(trimesh.creation.icosphere(radius=5.0).export(file_type="stl"))
-    low, high = load_mesh(path).heights(np.array([0.0, 3e-3, 6e-3]), np.zeros(3), 0.0)
+def test_a_mesh_of_a_ball_is_round(ball_file) -> None:
+    low, high = load_mesh(ball_file).heights(np.array([0.0, 3e-3, 6e-3]), np.zeros(3), 0.0)
     assert low == pytest.approx([5e-3, 4e-3, -math.inf], abs=0.05e-3)
     assert high == pytest.approx(low)
 
 
-def test_a_mesh_is_the_same_whole_and_in_pieces(tmp_path, monkeypatch) -> None:
-    trimesh = pytest.importorskip("trimesh")
-    path = tmp_path / "ball.stl"
-    path.write_bytes(trimesh.creation.icosphere(radius=5.0).export(file_type="stl"))
-    mesh = load_mesh(path)
+def test_a_mesh_is_the_same_whole_and_in_pieces(ball_file, monkeypatch) -> None:
+    mesh = load_mesh(ball_file)
     whole = mesh.heights(*GRID, 0.3)
     exact = Ellipsoid(length_m=10e-3, width_m=10e-3, height_m=10e-3).heights(*GRID, 0.3)
     within = np.hypot(*GRID) < 4.5e-3
@@ -223,9 +228,8 @@ def test_a_mesh_is_the_same_whole_and_in_pieces(tmp_path, monkeypatch) -> None:
     assert np.array_equal(mesh.heights(*GRID, 0.3), whole)
 
 
-def test_a_mesh_as_programs_export_it_is_read(tmp_path) -> None:
+def test_a_mesh_as_programs_export_it_is_read(trimesh, tmp_path) -> None:
     """Keywords in capitals, a byte order mark, and a triangle that has shrunk to a line."""
-    trimesh = pytest.importorskip("trimesh")
     path = tmp_path / "box.stl"
     text = trimesh.creation.box(extents=(16.0, 10.0, 6.0)).export(file_type="stl_ascii")
     line = (
@@ -242,8 +246,7 @@ def test_a_mesh_as_programs_export_it_is_read(tmp_path) -> None:
     ("size_mm", "shown"),
     [((0.6, 0.4, 0.2), r"0\.6 x 0\.4 x 0\.2"), ((1e5, 5.0, 5.0), r"1e\+05 x 5 x 5")],
 )
-def test_a_mesh_in_another_unit_is_refused_with_its_size(tmp_path, size_mm, shown) -> None:
-    trimesh = pytest.importorskip("trimesh")
+def test_a_mesh_in_another_unit_is_refused_with_its_size(trimesh, tmp_path, size_mm, shown) -> None:
     path = tmp_path / "box.stl"
     path.write_bytes(trimesh.creation.box(extents=size_mm).export(file_type="stl"))
     with pytest.raises(SimulatorSettingsError, match=f"{shown} mm .* export it in mm"):
@@ -253,8 +256,9 @@ def test_a_mesh_in_another_unit_is_refused_with_its_size(tmp_path, size_mm, show
         load_mesh(path)
 
 
-def test_a_disc_of_a_few_nanometres_is_refused_however_it_lies_in_its_file(tmp_path) -> None:
-    trimesh = pytest.importorskip("trimesh")
+def test_a_disc_of_a_few_nanometres_is_refused_however_it_lies_in_its_file(
+    trimesh, tmp_path
+) -> None:
     disc = trimesh.creation.cylinder(radius=5.0, height=1e-2)
     disc.apply_transform(trimesh.transformations.rotation_matrix(0.7, (1.0, 1.0, 0.0)))
     path = tmp_path / "disc.stl"
@@ -264,9 +268,8 @@ def test_a_disc_of_a_few_nanometres_is_refused_however_it_lies_in_its_file(tmp_p
 
 
 @pytest.mark.parametrize(("along_mm", "n_bodies"), [(30.0, 2), (9.0, 1), (0.0, 1)])
-def test_a_mesh_of_bodies_that_lie_apart_is_refused(tmp_path, along_mm, n_bodies) -> None:
+def test_a_mesh_of_bodies_that_lie_apart_is_refused(trimesh, tmp_path, along_mm, n_bodies) -> None:
     """Bodies that overlap are one part, and so is a body with a cavity."""
-    trimesh = pytest.importorskip("trimesh")
     first, second = (trimesh.creation.box(extents=(side,) * 3) for side in (10.0, 8.0))
     if along_mm == 0.0:
         second.invert()
@@ -280,8 +283,7 @@ def test_a_mesh_of_bodies_that_lie_apart_is_refused(tmp_path, along_mm, n_bodies
         load_mesh(path)
 
 
-def test_meshes_that_are_no_solid_are_refused(tmp_path) -> None:
-    trimesh = pytest.importorskip("trimesh")
+def test_meshes_that_are_no_solid_are_refused(trimesh, tmp_path) -> None:
     mesh = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
     open_box = trimesh.Trimesh(mesh.vertices, mesh.faces[:-2])
     path = tmp_path / "open.stl"

@@ -98,6 +98,11 @@ class Bench:
         return self.world.taxel_force_n()[self.layout.taxels_of(pad)].reshape(shape)
 
 
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
 def spread_m(bench: Bench) -> tuple[float, float]:
     """Return the footprint's standard deviations along x and y."""
     force_n = bench.pad_force_n(0).ravel()
@@ -121,8 +126,7 @@ def test_the_taxels_carry_the_contact_force(name: str, layout: TaxelLayout) -> N
 
 
 @pytest.mark.parametrize("name", PAPER_OBJECTS)
-def test_peaks_lie_in_the_useful_range_of_8_bit_counts(name: str) -> None:
-    bench = Bench()
+def test_peaks_lie_in_the_useful_range_of_8_bit_counts(bench, name: str) -> None:
     bench.world.place(name)
     peaks = []
     for force_n in (2.0, 4.0, 6.0, 8.0):
@@ -154,8 +158,7 @@ def test_a_ball_prints_round_a_cylinder_long_and_a_box_flat() -> None:
     assert np.ptp(inside_n) < 0.15 * inside_n.mean()
 
 
-def test_an_offset_moves_the_footprint() -> None:
-    bench = Bench()
+def test_an_offset_moves_the_footprint(bench) -> None:
     bench.world.place("ball", ObjectPose(x_m=6e-3, y_m=2e-3))
     bench.squeeze(4.0)
     force_n = bench.pad_force_n(1).ravel()
@@ -163,8 +166,7 @@ def test_an_offset_moves_the_footprint() -> None:
     assert force_n @ xy_m / force_n.sum() == pytest.approx([6e-3, 2e-3], abs=0.3e-3)
 
 
-def test_the_object_floats_until_both_pads_push_equally() -> None:
-    bench = Bench()
+def test_the_object_floats_until_both_pads_push_equally(bench) -> None:
     friction_n = QUIET.nest_friction_n
     bench.world.place("box", ObjectPose(z_m=1e-3))
     assert bench.go(6.5e-3, 6.5e-3) == (0.0, 0.0)
@@ -179,8 +181,7 @@ def test_the_object_floats_until_both_pads_push_equally() -> None:
     assert -0.6e-3 < bench.world._press.z_m < -0.3e-3
 
 
-def test_the_object_stays_where_it_was_left() -> None:
-    bench = Bench()
+def test_the_object_stays_where_it_was_left(bench) -> None:
     bench.world.place("box")
     bench.go(3.9e-3, 4.5e-3)
     z_m = bench.world._press.z_m
@@ -188,8 +189,7 @@ def test_the_object_stays_where_it_was_left() -> None:
     assert bench.world._press.z_m == z_m != 0.0
 
 
-def test_the_mechanics_feel_force_and_stiffness_of_the_step_before() -> None:
-    bench = Bench()
+def test_the_mechanics_feel_force_and_stiffness_of_the_step_before(bench) -> None:
     bench.world.place("box")
     bench.go(4.5e-3, 4.5e-3)
     bench.go(4.49e-3, 4.49e-3)
@@ -198,8 +198,7 @@ def test_the_mechanics_feel_force_and_stiffness_of_the_step_before() -> None:
     assert grown_n[0] - force_n[0] == pytest.approx(1e-5 * stiffness_n_m[0], rel=0.02)
 
 
-def test_time_passes_in_steps_of_a_millisecond() -> None:
-    bench = Bench()
+def test_time_passes_in_steps_of_a_millisecond(bench) -> None:
     bench.world.advance_to(0.0104)
     assert len(bench.fingers.steps) == 10
     bench.world.advance_to(0.0109)
@@ -223,8 +222,7 @@ def test_the_noise_is_new_for_each_frame_and_the_same_for_each_run() -> None:
     assert np.array_equal(first, worlds[1].scan())
 
 
-def test_an_object_goes_only_between_open_fingers() -> None:
-    bench = Bench()
+def test_an_object_goes_only_between_open_fingers(bench) -> None:
     bench.world.place("box")
     bench.go(4.5e-3, 4.5e-3)
     with pytest.raises(SimulatorStateError, match="release it first"):

@@ -39,7 +39,6 @@ def held_elsewhere(interface: str, channel: str) -> "subprocess.Popen[str]":
         stdout=subprocess.PIPE,
         text=True,
     )
-    assert process.stdout is not None
     assert process.stdout.readline() == "locked\n"
     return process
 

@@ -15,7 +15,8 @@ from tactile.errors import FrameTimeout, LayoutError, LinkFault, LinkStateError,
 from tactile.flexitac.source import FlexiTacSource
 from tactile.flexitac.stream import PROFILES
 from tactile.layout import PadMount, TaxelLayout
-from tactile.source import FrameStatus, TactileFrame
+from tactile.source import FrameStatus
+from tests.tactile.conftest import run
 
 LAYOUT = PAD_LAYOUTS["flexitac_12x32"]()
 
@@ -34,15 +35,6 @@ def source(cell: SimulatedCell) -> FlexiTacSource:
 def make_source(cell: SimulatedCell, **changes: object) -> FlexiTacSource:
     values = {"profile": PROFILES["12x32"], "layout": LAYOUT, "clock": cell.clock} | changes
     return FlexiTacSource([partial(cell.open_board, n) for n in (0, 1)], **values)  # type: ignore[arg-type]
-
-
-def run(cell: SimulatedCell, source: FlexiTacSource, seconds: float) -> list[TactileFrame]:
-    """Poll at the rate of a force loop and return the frames."""
-    found: list[TactileFrame] = []
-    for _ in range(round(seconds / 0.005)):
-        cell.clock.sleep(0.005)
-        found += source.poll().frames
-    return found
 
 
 def test_frames_come_at_the_rate_of_the_slower_board_with_fresh_times(cell, source) -> None:

@@ -34,6 +34,11 @@ def received(assembler: FrameAssembler, stream: Stream) -> list[TactileFrame]:
     return [frame for frame in frames if frame is not None]
 
 
+@pytest.fixture
+def assembler() -> FrameAssembler:
+    return FrameAssembler(PAPER)
+
+
 def burst_loss(stream: Stream, rng: np.random.Generator) -> Stream:
     length = int(rng.integers(1, 131))
     start = int(rng.integers(0, len(stream) - length))
@@ -69,8 +74,7 @@ def test_every_frame_that_lost_nothing_is_handed_out(damage: Damage) -> None:
         assert [f.counter for f in received(FrameAssembler(PAPER), stream)] == whole
 
 
-def test_undamaged_stream_is_all_there_across_the_counters_turn() -> None:
-    assembler = FrameAssembler(PAPER)
+def test_undamaged_stream_is_all_there_across_the_counters_turn(assembler) -> None:
     frames = received(
         assembler, stream_of({c & 0xFFFF: np.full(408, c & 0xFF) for c in range(65530, 65546)})
     )
@@ -99,70 +103,61 @@ def test_a_late_message_completes_its_own_frame_while_the_next_one_arrives() -> 
     assert assembler.counts.torn == 0
 
 
-def test_a_message_later_than_the_next_frame_does_not_bring_back_an_older_frame() -> None:
+def test_a_message_later_than_the_next_frame_does_not_bring_back_an_older_frame(assembler) -> None:
     first, second, third = (SENT.burst(np.full(408, c), c, 0) for c in (0, 1, 2))
     late = first.pop(40)
-    assembler = FrameAssembler(PAPER)
     counters = [frame.counter for frame in received(assembler, first + second + [late] + third)]
     assert counters == [1, 2]
 
 
-def test_duplicates_and_swaps_are_counted_and_harmless() -> None:
+def test_duplicates_and_swaps_are_counted_and_harmless(assembler) -> None:
     messages = SENT.burst(np.arange(408) & 255, 9, 0)
     swapped = [messages[1], messages[0], messages[0], *messages[2:], messages[58], messages[3]]
-    assembler = FrameAssembler(PAPER)
     assert len(received(assembler, swapped)) == 1
     assert assembler.counts.reordered == 1
     assert assembler.counts.duplicate == 3
 
 
-def test_repeated_and_older_frames_are_stale() -> None:
+def test_repeated_and_older_frames_are_stale(assembler) -> None:
     newer, older = (SENT.burst(np.full(408, c), c, 0) for c in (9, 8))
     other = SENT.burst(np.full(408, 77), 9, 0)
-    assembler = FrameAssembler(PAPER)
     assert len(received(assembler, newer + older + other)) == 1
     assert assembler.counts.stale == 2
 
 
 @pytest.mark.parametrize("length", [0, 1, 3, 7])
-def test_short_messages_are_dropped_even_if_the_dlc_says_eight(length: int) -> None:
+def test_short_messages_are_dropped_even_if_the_dlc_says_eight(assembler, length: int) -> None:
     messages = SENT.burst(np.zeros(408, int), 0, 0)
-    assembler = FrameAssembler(PAPER)
     assert assembler.push(messages[0][:length], 8, 0.0) is None
     assert assembler.push(messages[0], length, 0.0) is None
     assert assembler.counts.short == 2
     assert len(received(assembler, messages)) == 1
 
 
-def test_index_beyond_the_burst_is_refused() -> None:
-    assembler = FrameAssembler(PAPER)
+def test_index_beyond_the_burst_is_refused(assembler) -> None:
     assert assembler.push(bytes([59]) + bytes(7), 8, 0.0) is None
     assert assembler.counts.corrupt == 1
 
 
-def test_wrong_crc_is_refused_and_the_next_frame_is_taken() -> None:
+def test_wrong_crc_is_refused_and_the_next_frame_is_taken(assembler) -> None:
     first, second = (SENT.burst(np.full(408, c), c, 0) for c in (4, 5))
     first[58] = first[58][:-1] + bytes([first[58][-1] ^ 1])
-    assembler = FrameAssembler(PAPER)
     assert [frame.counter for frame in received(assembler, first + second)] == [5]
     assert assembler.counts.corrupt == 1
 
 
-def test_a_counter_of_another_phase_than_its_messages_is_refused() -> None:
+def test_a_counter_of_another_phase_than_its_messages_is_refused(assembler) -> None:
     sent = [bytes([m[0] ^ 1 << PHASE_SHIFT]) + m[1:] for m in stream_of({4: np.full(408, 7)})]
-    assembler = FrameAssembler(PAPER)
     assert received(assembler, sent) == []
     assert assembler.counts.corrupt == 1
 
 
-def test_a_buffer_that_the_caller_reuses_does_no_harm() -> None:
-    assembler = FrameAssembler(PAPER)
+def test_a_buffer_that_the_caller_reuses_does_no_harm(assembler) -> None:
     buffer = bytearray(8)
     frame = None
     for message in SENT.burst(np.arange(408) & 255, 1, 0):
         buffer[:] = message
         frame = assembler.push(buffer, 8, 0.0)
-    assert frame is not None
     np.testing.assert_array_equal(frame.counts, np.arange(408) & 255)
 
 

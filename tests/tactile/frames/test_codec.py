@@ -72,7 +72,6 @@ def test_round_trip(*, n_taxels, sample_bytes, counter, status, seed, shuffle) -
     frames = [assembler.push(message, 8, 1.5) for message in messages]
     assert frames[:-1] == [None] * (len(messages) - 1)
     frame = frames[-1]
-    assert frame is not None
     assert (frame.counter, frame.status, frame.t_s) == (counter, status, 1.5)
     assert frame.counts.dtype == np.uint16
     assert not frame.counts.flags.writeable

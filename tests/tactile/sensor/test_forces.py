@@ -125,8 +125,6 @@ def test_the_force_of_quiet_frames_is_that_of_one_frame_and_of_noisy_ones_the_me
     link.press(4.0, "blob")
     readings(sensor, link, 1)
     reading, sample = sensor.latest, force.latest_force()
-    assert sample is not None
-    assert reading is not None
     assert sample.force_n == (reading.scan_force_n if alone else reading.finger_force_n)
     if alone:
         assert sample.noise_n == sensor.scan_noise_n < 0.02
@@ -158,7 +156,6 @@ def test_the_centre_is_the_mean_place_weighted_by_force() -> None:
     assert ForceCentres(LAYOUT).of(force_n) is None
     force_n[second[5]] = 0.2
     found = ForceCentres(LAYOUT).of(force_n)
-    assert found is not None
     position_m = LAYOUT.position_m[:, :2]
     one_m = 0.25 * position_m[first[0]] + 0.75 * position_m[first[1]]
     assert found == pytest.approx(tuple(0.5 * (one_m + position_m[second[5]])))

@@ -24,12 +24,8 @@ def test_texts(code: int, text: str) -> None:
     assert emergency_text(code) == text
 
 
-def make() -> NodeSupervisor:
-    return NodeSupervisor("the unit", heartbeat_s=0.1)
-
-
 def test_restart_of_the_controller_ends_error_passive() -> None:
-    supervisor = make()
+    supervisor = NodeSupervisor("the unit", heartbeat_s=0.1)
     supervisor.on_error_frame(0x04, bytes([0, 0x30]), 1.0)
     supervisor.on_error_frame(0x100, b"", 1.2)
     supervisor.check(2.0)

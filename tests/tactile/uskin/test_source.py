@@ -13,9 +13,9 @@ from simulator.errors import SimulatorSettingsError
 from simulator.settings import SimulatorSettings
 from tactile.errors import BusOff, DuplicateNode, FrameTimeout, LayoutError, LinkFault
 from tactile.layout import PadMount
-from tactile.source import TactileFrame
 from tactile.uskin.messages import BoardIds, samples, xr1944
 from tactile.uskin.source import UskinSource
+from tests.tactile.conftest import run
 
 LAYOUT = PAD_LAYOUTS["uskin_4x4"]()
 NEWER = [
@@ -59,14 +59,6 @@ def make_source(cell: SimulatedCell, ids: list[BoardIds], **changes: object) -> 
     )
 
 
-def run(cell: SimulatedCell, source: UskinSource, seconds: float) -> list[TactileFrame]:
-    found: list[TactileFrame] = []
-    for _ in range(round(seconds / 0.005)):
-        cell.clock.sleep(0.005)
-        found += source.poll().frames
-    return found
-
-
 def test_the_samples_of_a_message_stand_high_byte_first() -> None:
     assert samples(bytes.fromhex("0A 7E 31 7E 32 93 12")) == (0x7E31, 0x7E32, 0x9312)
     assert samples(bytes.fromhex("00 00 01 00 02 FF FF 77")) == (1, 2, 0xFFFF)
@@ -91,9 +83,7 @@ def test_a_press_shows_at_its_place_on_its_pad(ids: list[BoardIds], *, falling: 
             cell.world.lift()  # type: ignore[union-attr]
 
 
-def test_frames_come_at_the_rate_of_the_boards_and_in_the_mounted_order(
-    cell: SimulatedCell,
-) -> None:
+def test_frames_come_at_the_rate_of_the_boards_and_in_the_mounted_order(cell) -> None:
     mounts = [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
     source = make_source(cell, [xr1944(1), xr1944(2)], mounts=mounts)
     source.start()
@@ -102,7 +92,6 @@ def test_frames_come_at_the_rate_of_the_boards_and_in_the_mounted_order(
     assert all(one.t_s - one.scanned_s < 0.012 for one in found)
     assert source.statistics.frames.torn == source.statistics.foreign == 0
     for one in found:
-        assert one.extra is not None
         np.testing.assert_allclose(one.extra, np.full((32, 2), 0x7E31), atol=100)
     cell.world.press(1, 0.0, 0.0, 8.0)  # type: ignore[union-attr]
     assert int(np.argmax(run(cell, source, 0.1)[-1].counts)) < 16
@@ -144,9 +133,7 @@ def test_a_fault_in_operation_is_raised_by_each_call_until_a_new_start(
         ("uskin.doubled=0", DuplicateNode, "finger 0 .*: two boards have its address"),
     ],
 )
-def test_a_fault_at_the_start_is_named(
-    cell: SimulatedCell, source: UskinSource, fault: str, error: type[LinkFault], named: str
-) -> None:
+def test_a_fault_at_the_start_is_named(cell, source, fault, error, named) -> None:
     cell.inject(fault)
     with pytest.raises(error, match=named):
         source.start()
@@ -170,9 +157,7 @@ def test_single_lost_messages_cost_one_frame_each(cell: SimulatedCell, source: U
     assert 10 * 35 <= n <= 10 * 39
 
 
-def test_short_and_foreign_messages_are_counted_and_left_out(
-    cell: SimulatedCell, source: UskinSource
-) -> None:
+def test_short_and_foreign_messages_are_counted_and_left_out(cell, source) -> None:
     source.start()
     cell.devices.can_devices.send(cell.clock.monotonic(), 0x710, [b"\x00\x01"])
     cell.devices.can_devices.send(cell.clock.monotonic(), 0x123, [bytes(8)])

@@ -54,10 +54,12 @@ def connect(serve: Any) -> Iterator[Callable[..., tuple[Served, Plc]]]:
     """Return the maker of a served cell and a PLC; with a cell another PLC of the same one."""
     made: list[Plc] = []
 
-    def make(served: Served | None = None, **changes: Any) -> tuple[Served, Plc]:
+    def make(
+        served: Served | None = None, *, adopt: bool = False, **changes: Any
+    ) -> tuple[Served, Plc]:
         served = served or serve("modbus", **changes)
         made.append(Plc(served.interfaces["modbus_port"]))
-        return served, made[-1]
+        return served, made[-1].adopt() if adopt else made[-1]
 
     yield make
     for plc in made:
@@ -95,8 +97,7 @@ def test_live_values_have_their_registers(connect) -> None:
 
 
 def test_a_zeroed_or_stale_key_lets_nothing_go(connect) -> None:
-    served, plc = connect()
-    plc.adopt()
+    served, plc = connect(adopt=True)
     assert plc.command(GRIP, 0, 300) == 0
     # A key that stands there from an earlier command is no key of this one.
     assert plc.command(VERIFY, 0, 0, 0, 0, RELEASE_KEY) == 0
@@ -113,8 +114,7 @@ def test_a_zeroed_or_stale_key_lets_nothing_go(connect) -> None:
 
 
 def test_a_command_runs_with_its_number_and_once(connect) -> None:
-    served, plc = connect()
-    plc.adopt()
+    served, plc = connect(adopt=True)
     assert plc.command(GRIP, 0, 300) == 0
     # Single writes, as a UR makes them: nothing runs before the number is written.
     for address, value in ((COMMAND, RELEASE), (6, RELEASE_KEY)):
@@ -152,8 +152,7 @@ def test_who_commands_writes_the_secret_first_where_there_is_one(connect, tmp_pa
 
 
 def test_a_frozen_life_counter_is_silence(connect) -> None:
-    served, plc = connect()
-    plc.adopt()
+    served, plc = connect(adopt=True)
     served.plugin.pause()
     assert plc.command(IDENTIFY) == 0
     assert plc.inputs()[2] & RUNNING
@@ -274,8 +273,7 @@ def test_a_long_identification_goes_on_in_the_next_answer() -> None:
 
 
 def test_unknown_commands_objects_and_addresses_are_refused(connect) -> None:
-    served, plc = connect()
-    plc.adopt()
+    served, plc = connect(adopt=True)
     for number in (0, 5, 8, 10, 99, 0x1500, 0x1E00):
         assert plc.command(number) == 513
     assert plc.command(20, 3) == 513  # two labels
@@ -290,8 +288,7 @@ def test_unknown_commands_objects_and_addresses_are_refused(connect) -> None:
 
 
 def test_function_23_writes_then_reads_or_does_neither(connect) -> None:
-    served, plc = connect()
-    plc.adopt()
+    served, plc = connect(adopt=True)
     found = plc.link.readwrite_registers(
         read_address=0,
         read_count=9,
@@ -311,8 +308,7 @@ def test_function_23_writes_then_reads_or_does_neither(connect) -> None:
 
 
 def test_a_pose_has_its_registers(connect) -> None:
-    served, plc = connect()
-    plc.adopt()
+    served, plc = connect(adopt=True)
     served.ask_pose(Pose(x_m=0.00123, y_m=-0.0004, rotation_rad=0.5, roll_rad=-0.25))
     inputs = plc.inputs()
     shown = struct.unpack(">4h", struct.pack(">4H", *inputs[17:21]))
@@ -331,8 +327,7 @@ def _full(link: socket.socket, data: bytes) -> bool:
 
 
 def test_a_client_that_never_reads_holds_nobody_up(connect) -> None:
-    served, plc = connect()
-    plc.adopt()
+    served, plc = connect(adopt=True)
     read = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, 64)
     with socket.create_connection(("127.0.0.1", served.interfaces["modbus_port"])) as greedy:
         greedy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

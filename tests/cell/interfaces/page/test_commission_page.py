@@ -12,7 +12,7 @@ from cell.commissioning.record import write_record
 from cell.config.serve import ServeConfig
 from cell.interfaces.wizard import Wizard, WizardServer
 from tests.cell.commissioning.test_engine import Asking
-from tests.cell.interfaces.page.test_page import becomes, fits
+from tests.cell.interfaces.page.test_page import becomes, click, fits
 from tests.cell.interfaces.test_wizard import Moving, Ports
 from tests.waiting import until
 
@@ -38,17 +38,14 @@ def address(tmp_path: Path, walk: list[Any]) -> Iterator[str]:
 
 def first_motion(page: Any) -> None:
     """Go from the start to the first motion."""
-    page.click("#run[aria-disabled=false]")
-    becomes(page, "#question_text", "Which port leads to the servos")
+    click(page, "#run[aria-disabled=false]", "#question_text", "Which port leads to the servos")
     drawn = "images => images.filter(image => image.naturalWidth).length"
     until(lambda: page.locator("#question_choices img").evaluate_all(drawn) == 2)
     page.click("#question_choices button >> nth=1")
     becomes(page, "#writes li:first-child .change", "57,600 bit/s → 1,000,000 bit/s")
-    page.click("#approve")
-    becomes(page, "#question_text", "Open both fingers by hand")
+    click(page, "#approve", "#question_text", "Open both fingers by hand")
     becomes(page, "#now_live dd", "servo 1: [1-9]")  # runs on while nobody answers
-    page.click("#question_choices button")
-    becomes(page, "#now_live", "opening.*12.3 mm")
+    click(page, "#question_choices button", "#now_live", "opening.*12.3 mm")
 
 
 def test_a_cell_is_commissioned_left_and_taken_up_again(open_page, address, walk, tmp_path) -> None:
@@ -56,8 +53,7 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(open_page, address, walk
     becomes(page, "#run", "take command first")
     page.click("#command")
     walk[0].wrong = 1
-    page.click("#run[aria-disabled=false]")
-    becomes(page, "#now_said", "No adapter is plugged in")
+    click(page, "#run[aria-disabled=false]", "#now_said", "No adapter is plugged in")
     page.click("text=leave; the findings are kept")
     first_motion(page)
     page.keyboard.press("Escape")
@@ -66,30 +62,24 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(open_page, address, walk
     assert walk[1].limp
     page.reload()
     becomes(page, "#run", "Continue")
-    page.click("#run[aria-disabled=false]")
-    becomes(page, "#state", "Waits for approval")
-    page.click("#refuse")
-    becomes(page, "#now_error", "nothing was written or moved")
+    click(page, "#run[aria-disabled=false]", "#state", "Waits for approval")
+    click(page, "#refuse", "#now_error", "nothing was written or moved")
     walk[1].go.set()
     page.click("#run")
     page.click("#approve")
-    page.click("#question_choices button")
-    becomes(page, "#question_range", "1 to 40 mm")
+    click(page, "#question_choices button", "#question_range", "1 to 40 mm")
     page.fill("#question_value", "50")
     page.click("#question_send")
     assert page.text_content("#state") == "Waits for you"  # the browser holds it back
     page.fill("#question_value", "12.5")
-    page.click("#question_send")
-    becomes(page, "#question_text", r"^\?$")
+    click(page, "#question_send", "#question_text", r"^\?$")
     page.reload()
     becomes(page, "#state", "Waits for you")
     page.fill("#question_value", "cube")
-    page.click("#question_send")
-    becomes(page, "#state", "Commissioned")
+    click(page, "#question_send", "#state", "Commissioned")
     becomes(page, "#files", "commissioning.html")
     becomes(page, "#corrected", r"corrected\s*name was wrong")
-    page.click("#steps summary >> nth=1")
-    becomes(page, "#steps li:nth-child(2)", "A block of 12.5 mm")
+    click(page, "#steps summary >> nth=1", "#steps li:nth-child(2)", "A block of 12.5 mm")
     drawn = "images => images.filter(image => image.naturalWidth).length"
     until(lambda: page.locator("#steps img").evaluate_all(drawn) == 2)
     with page.expect_download() as saved:
@@ -98,8 +88,7 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(open_page, address, walk
     assert "A block of 12.5 mm" in record
     assert "name: cube" in record
     page.click("text=Repeat this step")
-    page.click("#sure_yes")
-    becomes(page, "#steps li:nth-child(2) summary", "open")
+    click(page, "#sure_yes", "#steps li:nth-child(2) summary", "open")
     assert fits(page)
 
 

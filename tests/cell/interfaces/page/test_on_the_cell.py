@@ -9,7 +9,7 @@ import segno
 from cell.control.states import Command
 from gripper.errors import PartSlipped
 from tests.cell.interfaces.page.line import Line
-from tests.cell.interfaces.page.test_page import becomes, fits, press
+from tests.cell.interfaces.page.test_page import becomes, click, fits, press
 from tests.cell.interfaces.test_web import stl
 from tests.cell.served import Served
 from tests.waiting import until
@@ -38,16 +38,13 @@ def address(served: Served, port: int = 0) -> str:
     return f"http://127.0.0.1:{port or found['http_port']}/#token={found['token']}"
 
 
-def test_a_part_is_named_kept_verified_and_let_go(serve, open_page) -> None:
-    served = serve("http")
+def test_a_part_is_named_kept_verified_and_let_go(served, open_page) -> None:
     page = open_page(address(served), command=True)
     page.select_option("#keep", "when_named")
-    page.click("#do_identify")
-    becomes(page, "#state", "Part held")
+    click(page, "#do_identify", "#state", "Part held")
     becomes(page, "#held_name", "ball")
     becomes(page, "#do_identify", "a part is held")
-    page.click("#do_verify")
-    becomes(page, "#held_check", "Still the same part")
+    click(page, "#do_verify", "#held_check", "Still the same part")
     press(page, "#do_release", 0.3)
     assert served.grip_n > 0.0
     press(page, "#do_release", 1.3)
@@ -57,16 +54,14 @@ def test_a_part_is_named_kept_verified_and_let_go(serve, open_page) -> None:
     served.plugin.pause()
     page.click("#do_identify")
     until(lambda: served.service.job().outcome_number == 2)
-    page.click("#command")
-    becomes(page, "#state", "On hold")
+    click(page, "#command", "#state", "On hold")
     becomes(page, "#held_when", "In the grip")
     becomes(page, "#held_name", "Not named")
     tasks = [one.task if hasattr(one, "task") else one[0] for one in served.plugin.asked]
     assert tasks == ["identify", "verify", Command.RELEASE, "identify"]
 
 
-def test_anybody_holds_from_a_second_page(serve, open_page) -> None:
-    served = serve("http")
+def test_anybody_holds_from_a_second_page(served, open_page) -> None:
     first = open_page(address(served), command=True)
     second = open_page(address(served))
     served.plugin.pause()
@@ -81,12 +76,10 @@ def test_anybody_holds_from_a_second_page(serve, open_page) -> None:
     assert len(served.plugin.asked) == 1
 
 
-def test_the_way_out_of_a_fault_step_by_step(serve, open_page) -> None:
-    served = serve("http")
+def test_the_way_out_of_a_fault_step_by_step(served, open_page) -> None:
     page = open_page(address(served), command=True)
     served.plugin.pause()
-    page.click("#do_grip")
-    becomes(page, "#state", "Working")
+    click(page, "#do_grip", "#state", "Working")
     served.plugin.fail(PartSlipped("the centre of force moved 3.1 mm, limit 2.0 mm"))
     becomes(page, "#fault_title", "The held part slips")
     becomes(page, "#fault_number", "Fault 206")
@@ -96,8 +89,7 @@ def test_the_way_out_of_a_fault_step_by_step(serve, open_page) -> None:
     assert not page.is_visible("#do_identify")
     becomes(page, "[data-step=release] button", "clear the fault first")
     becomes(page, ".next p", "Acknowledge the fault")
-    page.click("[data-step=clear] button")
-    becomes(page, "#state", "Reset needed")
+    click(page, "[data-step=clear] button", "#state", "Reset needed")
     becomes(page, ".next p", "Release the part")
     assert served.grip_n > 0.0
     press(page, "[data-step=release] button", 0.3)
@@ -105,8 +97,7 @@ def test_the_way_out_of_a_fault_step_by_step(serve, open_page) -> None:
     press(page, "[data-step=release] button", 1.3)
     until(lambda: served.grip_n == 0.0)
     becomes(page, ".next p", "Reset: devices are checked")
-    page.click("[data-step=reset] button")
-    becomes(page, "#state", "Ready")
+    click(page, "[data-step=reset] button", "#state", "Ready")
     assert not page.is_visible("#fault")
     assert page.is_visible("#do_identify")
 
@@ -115,29 +106,23 @@ def test_a_lost_lease_is_told_and_taken_anew(serve, open_page) -> None:
     served = serve("http", serve__lease_timeout_s=SHORT_LEASE_S)
     page = open_page(address(served), command=True)
     served.plugin.pause()
-    page.click("#do_grip")
-    becomes(page, "#state", "Working")
+    click(page, "#do_grip", "#state", "Working")
     served.pass_lease()
     becomes(page, "#state", "On hold")
     becomes(page, "#said", "no longer in command")
     becomes(page, "#commander", "Nobody")
     becomes(page, "#do_release", "take command first")
-    page.click("#command")
-    becomes(page, "#do_release", "the part may fall")
+    click(page, "#command", "#do_release", "the part may fall")
 
 
-def test_command_is_taken_over_and_given_up(serve, open_page) -> None:
-    served = serve("http")
+def test_command_is_taken_over_and_given_up(served, open_page) -> None:
     served.service.lease.acquire("PLC")
     page = open_page(address(served))
     becomes(page, "#commander", "In command: PLC")
+    click(page, "#command", "#sure_text", "PLC is in command. Take over?")
+    click(page, "#sure_no", "#commander", "In command: PLC")
     page.click("#command")
-    becomes(page, "#sure_text", "PLC is in command. Take over?")
-    page.click("#sure_no")
-    becomes(page, "#commander", "In command: PLC")
-    page.click("#command")
-    page.click("#sure_yes")
-    becomes(page, "#commander", "This page")
+    click(page, "#sure_yes", "#commander", "This page")
     page.reload()
     becomes(page, "#commander", "This page")
     # The browser copies the storage of a page to its duplicate, as to a page that it opens.
@@ -153,13 +138,11 @@ def test_command_is_taken_over_and_given_up(serve, open_page) -> None:
     page.goto("about:blank")
     page.go_back()
     becomes(page, "#commander", "This page")
-    page.click("#command")
-    becomes(page, "#commander", "Nobody")
+    click(page, "#command", "#commander", "Nobody")
     becomes(twin, "#commander", "Nobody")
 
 
-def test_a_cut_line_is_red_at_once_and_returns_by_itself(serve, line, open_page) -> None:
-    served = serve("http")
+def test_a_cut_line_is_red_at_once_and_returns_by_itself(served, line, open_page) -> None:
     wire = line(served.interfaces["http_port"])
     page = open_page(address(served, wire.port), command=True)
     becomes(page, "#state", "Ready")
@@ -178,8 +161,7 @@ def test_a_cut_line_is_red_at_once_and_returns_by_itself(serve, line, open_page)
     assert len(served.plugin.asked) == 1
 
 
-def test_a_command_whose_answer_is_lost_is_done_once(serve, line, open_page) -> None:
-    served = serve("http")
+def test_a_command_whose_answer_is_lost_is_done_once(served, line, open_page) -> None:
     wire = line(served.interfaces["http_port"])
     page = open_page(address(served, wire.port), command=True)
     wire.mute = True
@@ -192,8 +174,7 @@ def test_a_command_whose_answer_is_lost_is_done_once(serve, line, open_page) -> 
     assert len(served.plugin.asked) == 1
 
 
-def test_a_slow_line_is_not_shown_as_live(serve, line, open_page) -> None:
-    served = serve("http")
+def test_a_slow_line_is_not_shown_as_live(served, line, open_page) -> None:
     wire = line(served.interfaces["http_port"])
     page = open_page(address(served, wire.port))
     becomes(page, "#state", "Ready")
@@ -212,12 +193,10 @@ def test_over_tls(serve, tls, open_page) -> None:
     served = serve("http", **tls)
     url = address(served).replace("http:", "https:")
     page = open_page(url, command=True, ignore_https_errors=True)
-    page.click("#do_identify")
-    becomes(page, "#held_name", "ball")
+    click(page, "#do_identify", "#held_name", "ball")
 
 
-def test_a_page_that_slept_shows_now(serve, line, open_page) -> None:
-    served = serve("http")
+def test_a_page_that_slept_shows_now(served, line, open_page) -> None:
     wire = line(served.interfaces["http_port"])
     page = open_page("about:blank")
     page.clock.install()
@@ -241,17 +220,14 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, wide
     served = serve("http", cell={})
     world = served.plugin._cell.simulated.world
     page = open_page(address(served), wide=wide)
-    page.click("#simulated")
-    becomes(page, "#sim_taken", "each object in turn")
+    click(page, "#simulated", "#sim_taken", "each object in turn")
     becomes(page, "#sim_put", "take command first")
-    page.click("#command")
-    becomes(page, "#sim_put", "for all jobs from now on")
+    click(page, "#command", "#sim_put", "for all jobs from now on")
     page.select_option("#sim_part", label="another shape")
     page.select_option("#sim_kind", label="box")
     page.locator("#sim_lengths [name=height]").fill("6")
     page.locator("#sim_pose [name=x_m]").fill("1.5")
-    page.click("#sim_put")
-    becomes(page, "#sim_placed", "^box 16 × 10 × 6 mm$")
+    click(page, "#sim_put", "#sim_placed", "^box 16 × 10 × 6 mm$")
     assert world.placed[1].x_m == pytest.approx(1.5e-3)
     found = axe.run(page).response["violations"]
     assert not found, [(one["id"], one["nodes"][0]["html"]) for one in found]
@@ -269,8 +245,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, wide
     page.click("#simulated")
     page.wait_for_selector("#sim_part option[value='my mug']", state="attached")
     page.select_option("#sim_part", "my mug")
-    page.click("#sim_put")
-    becomes(page, "#sim_taken", "^my mug$")
+    click(page, "#sim_put", "#sim_taken", "^my mug$")
     # What is in the grip is not exchanged.
     grip = {"task": "grip", "force_n": 3.0}
     assert served.ended(served.service.start(served.service.lease.number, grip)).held
@@ -278,12 +253,10 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, wide
     page.select_option("#sim_fault", "servo1.overheat")
     becomes(page, "#sim_meaning", "its internal temperature has this value")
     page.select_option("#sim_fault", "servo1.off")
-    page.click("#sim_begin")
-    becomes(page, "#sim_running li span", "servo1.off")
+    click(page, "#sim_begin", "#sim_running li span", "servo1.off")
     page.click("#sim_running button")
     page.wait_for_selector("#sim_running li", state="detached")
-    page.click("#sim_begin")
-    becomes(page, "#sim_running li span", "servo1.off")
+    click(page, "#sim_begin", "#sim_running li span", "servo1.off")
     number = served.service.start(served.service.lease.number, {"task": "verify"})
     assert served.ended(number).fault_number in (102, 103)
     page.click("#sim_reset")
@@ -294,12 +267,10 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, wide
     (tmp_path / "pyramid.stl").write_bytes(stl(12.0))
     page.set_input_files("#sim_stl", tmp_path / "pyramid.stl")
     page.wait_for_selector("#sim_part:has(option[value='pyramid']:checked)")
-    page.click("#sim_put")
-    becomes(page, "#sim_placed", "pyramid")
+    click(page, "#sim_put", "#sim_placed", "pyramid")
     # Nothing lies there: the refusal says what to do.
     page.select_option("#sim_part", "nothing")
-    page.click("#sim_put")
-    becomes(page, "#sim_placed", "nothing")
+    click(page, "#sim_put", "#sim_placed", "nothing")
     page.click("#simulation_close")
     page.click("#tab_teach")
     page.fill("#teach_name", "my cup")
@@ -308,11 +279,9 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, wide
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
-def test_a_second_person_watches_by_the_link(serve, open_page, wide) -> None:
-    served = serve("http")
+def test_a_second_person_watches_by_the_link(served, open_page, wide) -> None:
     page = open_page(address(served), wide=wide)
-    page.click("#share_open")
-    becomes(page, "#share_note", "set serve.listen to 0.0.0.0")
+    click(page, "#share_open", "#share_note", "set serve.listen to 0.0.0.0")
     link = page.get_attribute("#share_address", "href")
     assert link == address(served).replace(
         served.interfaces["token"], served.interfaces["view_token"]

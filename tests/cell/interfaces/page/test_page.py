@@ -18,6 +18,11 @@ PIXEL = base64.b64decode(
 STATES = ("idle", "working", "named", "unknown", "faulted", "teaching", "sorting")
 
 
+@pytest.fixture
+def page(open_page: Any) -> Any:
+    return open_page()
+
+
 def becomes(page: Any, selector: str, wanted: str) -> None:
     """Wait until an element shows a text, a regular expression."""
     from playwright.sync_api import expect
@@ -25,6 +30,12 @@ def becomes(page: Any, selector: str, wanted: str) -> None:
     # A space of a pattern is any: between number and unit it is one that does not break.
     pattern = re.compile(re.sub(r"\\? ", r"\\s", wanted))
     expect(page.locator(selector)).to_have_text(pattern, timeout=20_000)
+
+
+def click(page: Any, button: str, selector: str, wanted: str) -> None:
+    """Make one step of an operator: click, and wait until an element shows a text."""
+    page.click(button)
+    becomes(page, selector, wanted)
 
 
 def show(page: Any, cell: FakeCell, name: str) -> None:
@@ -64,16 +75,14 @@ def test_the_page_shows_today_yesterday_the_week_and_what_is_confused(open_page,
     assert fits(page)
 
 
-def test_the_page_shows_the_state_and_commands_once(open_page, cell) -> None:
-    page = open_page()
+def test_the_page_shows_the_state_and_commands_once(page, cell) -> None:
     becomes(page, "#state", "Ready")
     becomes(page, "#held_name", "^nut$")
     assert "token" not in page.url
     becomes(page, "#do_identify", "take command first")
     page.click("#do_identify", force=True)
     assert not cell.asked
-    page.click("#command")
-    becomes(page, "#commander", "This page")
+    click(page, "#command", "#commander", "This page")
     becomes(page, "#do_identify", "name the part")
     page.select_option("#keep", "always")
     page.click("#do_identify")
@@ -104,8 +113,7 @@ def test_a_name_is_text_wherever_it_stands(open_page, cell) -> None:
     cell.plugin.objects = {EVIL: {"n_grasps": 3, "shape": EVIL, "size_mm": 3.0}}
     page = open_page()
     becomes(page, "#held_name", re.escape(EVIL))
-    page.click("#strip button >> nth=-1")
-    becomes(page, "#grasp_title", re.escape(EVIL))
+    click(page, "#strip button >> nth=-1", "#grasp_title", re.escape(EVIL))
     page.click("#grasp_close")
     for tab in ("teach", "sort"):
         page.click(f"#tab_{tab}")
@@ -173,8 +181,7 @@ def test_german_words_numbers_and_faults(open_page, cell) -> None:
 
 
 @pytest.mark.long
-def test_an_unknown_part_is_an_answer(open_page, cell) -> None:
-    page = open_page()
+def test_an_unknown_part_is_an_answer(page, cell) -> None:
     becomes(page, "#state", "Ready")
     show(page, cell, "unknown")
     becomes(page, "#held_name", "Unknown")
@@ -186,8 +193,7 @@ def test_an_unknown_part_is_an_answer(open_page, cell) -> None:
 @pytest.mark.long
 def test_the_cell_is_gauged_with_a_taught_object(open_page, cell) -> None:
     page = open_page(command=True)
-    page.click("#tab_teach")
-    becomes(page, "#gauge_now", "pads 1\u00a0%, opening 0.0\u00a0mm")
+    click(page, "#tab_teach", "#gauge_now", "pads 1\u00a0%, opening 0.0\u00a0mm")
     page.click("#gauge_now")
     page.select_option("#gauge_label", "nut")
     cell.plugin.pause()
@@ -230,11 +236,9 @@ def test_it_is_taught_with_a_photograph(open_page, cell) -> None:
     page.wait_for_selector("#taught img")
 
     page.click("[aria-label='Remove the last grasp of washer']")
-    page.click("#sure_yes")
-    becomes(page, "#taught li:last-child small", "9 grasps")
+    click(page, "#sure_yes", "#taught li:last-child small", "9 grasps")
     page.click("[aria-label='Forget washer']")
-    page.click("#sure_yes")
-    becomes(page, "#taught li:last-child b", "pin")
+    click(page, "#sure_yes", "#taught li:last-child b", "pin")
     assert cell.given("forget") == [True, False]
 
 
@@ -275,12 +279,11 @@ def test_what_is_not_allowed_is_grey_with_its_reason(open_page, cell) -> None:
 
 
 @pytest.mark.long
-def test_health_is_one_line_until_something_is_not_well(open_page, cell) -> None:
-    page = open_page()
+def test_health_is_one_line_until_something_is_not_well(page, cell) -> None:
     becomes(page, "#health", "All is well")
     assert page.locator("#health").bounding_box()["height"] < 45
     cell.plugin.levels["servos"] |= {"level": "watch", "temperature_c": [64.0, 41.0]}
-    becomes(page, "#health span >> nth=0", "Look – Servos: 64 °C")
+    becomes(page, "#health span >> nth=0", "Attention – Servos: 64 °C")
     cell.plugin.levels["servos"]["level"] = "ok"
     cell.faulted()
     becomes(page, "#health", "^Servos")  # a fault is not well, whatever else is
@@ -304,10 +307,8 @@ def test_what_a_busy_server_does_not_answer_is_asked_again(open_page, cell) -> N
     cell.service.info = lambda: 1 // 0
     page = open_page()
     becomes(page, "#state", "Ready")
-    page.click("#strip button >> nth=-1")
-    becomes(page, "#grasp_title", "nut")
-    page.click("#grasp_close")
-    becomes(page, "#cell", "^$")
+    click(page, "#strip button >> nth=-1", "#grasp_title", "nut")
+    click(page, "#grasp_close", "#cell", "^$")
     del cell.service.info
     becomes(page, "#cell", "Cell 3")
 
@@ -331,8 +332,7 @@ def test_no_dialog_stands_in_front_of_hold(open_page, cell, wide) -> None:
 
 
 @pytest.mark.long
-def test_the_keyboard_alone_is_enough(open_page, cell) -> None:
-    page = open_page()
+def test_the_keyboard_alone_is_enough(page, cell) -> None:
     becomes(page, "#state", "Ready")
     focused = "document.activeElement.id || document.activeElement.textContent"
 
@@ -376,9 +376,8 @@ def test_a_wrong_token_is_asked_for_again(open_page, cell) -> None:
 
 
 @pytest.mark.real_time
-def test_the_first_paint_is_quick(open_page, cell) -> None:
+def test_the_first_paint_is_quick(page, cell) -> None:
     """LatestValues at the second visit: at the first one the browser itself still starts."""
-    page = open_page()
     becomes(page, "#state", "Ready")
     page.reload()
     becomes(page, "#state", "Ready")

@@ -74,42 +74,33 @@ def told_by_motion(cell) -> str:
 @pytest.mark.parametrize("aperture_m", [0.0, 0.0005, 0.0035])
 @pytest.mark.parametrize("friction_error", [LONG(-0.2), 0.0, LONG(0.2)])
 def test_a_wrong_direction_of_both_near_closed_is_told_by_the_first_motion(
-    make_cell, make_part, aperture_m, friction_error
+    make_cell, aperture_m, friction_error
 ) -> None:
     cell = make_cell(
-        turned=(0, 1),
-        aperture_m=aperture_m,
-        friction_error=friction_error,
-        part=make_part(present=False),
+        turned=(0, 1), aperture_m=aperture_m, friction_error=friction_error, present=False
     )
     told_by_motion(cell)
 
 
 @pytest.mark.parametrize("aperture_m", [0.0, 0.0035])
-def test_a_low_cap_of_the_current_leaves_room_for_the_way_back(
-    make_cell, make_part, aperture_m
-) -> None:
-    cell = make_cell(
-        turned=(0, 1), aperture_m=aperture_m, current_max_a=0.3, part=make_part(present=False)
-    )
+def test_a_low_cap_of_the_current_leaves_room_for_the_way_back(make_cell, aperture_m) -> None:
+    cell = make_cell(turned=(0, 1), aperture_m=aperture_m, current_max_a=0.3, present=False)
     told_by_motion(cell)
 
 
 @pytest.mark.parametrize("index", [0, 1])
 @pytest.mark.parametrize("aperture_m", [0.0, 0.004, 0.009])
-def test_a_wrong_direction_of_one_is_told_by_the_first_motion(
-    make_cell, make_part, index, aperture_m
-) -> None:
-    cell = make_cell(turned=(index,), aperture_m=aperture_m, part=make_part(present=False))
+def test_a_wrong_direction_of_one_is_told_by_the_first_motion(make_cell, index, aperture_m) -> None:
+    cell = make_cell(turned=(index,), aperture_m=aperture_m, present=False)
     assert f"servo {index + 1}: it is blocked" in told_by_motion(cell)
 
 
 @pytest.mark.parametrize("index", [0, 1])
 @pytest.mark.parametrize("aperture_m", [0.012, 0.018, 0.03])
 def test_a_wrong_direction_of_one_is_refused_where_its_finger_is_beyond_the_middle(
-    make_cell, make_part, index, aperture_m
+    make_cell, index, aperture_m
 ) -> None:
-    cell = make_cell(turned=(index,), aperture_m=aperture_m, part=make_part(present=False))
+    cell = make_cell(turned=(index,), aperture_m=aperture_m, present=False)
     text = refused_at_rest(cell)
     assert f"servo {index + 1} present_position" in text
     assert f"servo {2 - index} present_position" not in text
@@ -118,15 +109,9 @@ def test_a_wrong_direction_of_one_is_refused_where_its_finger_is_beyond_the_midd
 @pytest.mark.parametrize("linkage", ["parallel", "rack"])
 @pytest.mark.parametrize("aperture_m", [0.0, 0.003, 0.018])
 def test_a_wrong_direction_of_one_servo_that_drives_both_is_told(
-    make_cell, make_part, linkage, aperture_m
+    make_cell, linkage, aperture_m
 ) -> None:
-    cell = make_cell(
-        n_servos=1,
-        linkage=linkage,
-        turned=(0,),
-        aperture_m=aperture_m,
-        part=make_part(present=False),
-    )
+    cell = make_cell(n_servos=1, linkage=linkage, turned=(0,), aperture_m=aperture_m, present=False)
     if aperture_m > 0.004:
         with pytest.raises(VerificationFailed, match=r"gripper.servos\[0\].direction -1"):
             cell.gripper.start()
@@ -139,12 +124,9 @@ def test_a_wrong_direction_of_one_servo_that_drives_both_is_told(
 
 @pytest.mark.parametrize("aperture_m", [0.0, 0.018, 0.03])
 def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(
-    make_cell, make_part, aperture_m
+    make_started, aperture_m
 ) -> None:
-    cell = make_cell(
-        zero_off=(100, 100), aperture_m=aperture_m, part=make_part(present=False), force_max_n=8.0
-    )
-    cell.gripper.start()
+    cell = make_started(zero_off=(100, 100), aperture_m=aperture_m, present=False, force_max_n=8.0)
     stop = Stop(cell)
     cell.gripper.open(0.03)
     with pytest.raises(GripContradicted, match=r"at an opening of 1[789]\.\d mm, .*zero_pulse"):
@@ -153,20 +135,16 @@ def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(
 
 
 @pytest.mark.parametrize("link_m", [0.03, 0.08])
-def test_a_wrong_length_without_an_offset_is_not_told_by_motion(
-    make_cell, make_part, link_m
-) -> None:
-    cell = make_cell(link_m=link_m, part=make_part(present=False))
-    cell.gripper.start()
+def test_a_wrong_length_without_an_offset_is_not_told_by_motion(make_started, link_m) -> None:
+    cell = make_started(link_m=link_m, present=False)
     cell.gripper.open()
     assert cell.gripper.grasp(RAMP).result is GraspResult.NO_CONTACT
     assert cell.mechanics.aperture_m == pytest.approx(0.0, abs=5e-4)
 
 
 @pytest.mark.parametrize("offset_m", [0.004, -0.004])
-def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_cell, make_part, offset_m) -> None:
-    cell = make_cell(offset_m=offset_m, part=make_part(present=False))
-    cell.gripper.start()
+def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_started, offset_m) -> None:
+    cell = make_started(offset_m=offset_m, present=False)
     cell.gripper.open()
     error, told = (GripContradicted, "zero_pulse")
     if offset_m < 0.0:
@@ -178,13 +156,10 @@ def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_cell, make_part, o
 @pytest.mark.parametrize("friction_error", [LONG(-0.3), 0.0, 0.3, LONG(0.6)])
 @pytest.mark.parametrize("aperture_m", [0.0, 0.004, 0.018])
 def test_the_proof_costs_a_right_gripper_little_time(
-    make_cell, make_part, friction_error, aperture_m
+    make_started, friction_error, aperture_m
 ) -> None:
     """MoveTo alone takes 0.33 s for 18 mm and 0.63 s from closed, at 60 mm/s."""
-    cell = make_cell(
-        aperture_m=aperture_m, friction_error=friction_error, part=make_part(present=False)
-    )
-    cell.gripper.start()
+    cell = make_started(aperture_m=aperture_m, friction_error=friction_error, present=False)
     began_s = cell.clock.monotonic()
     state = cell.gripper.open()
     assert state.aperture_m == pytest.approx(0.03, abs=0.001)
@@ -196,9 +171,9 @@ def test_the_proof_costs_a_right_gripper_little_time(
     assert cell.clock.monotonic() - before_s < 0.03 / 0.06 + 0.15
 
 
-def test_a_finger_that_is_blocked_on_its_way_is_no_stiff_gearing(make_cell, make_part) -> None:
+def test_a_finger_that_is_blocked_on_its_way_is_no_stiff_gearing(make_cell) -> None:
     """A part on the outside: here an open stop that comes before the opening."""
-    cell = make_cell(aperture_m=0.02, part=make_part(present=False))
+    cell = make_cell(aperture_m=0.02, present=False)
     cell.mechanics._upper_rad = cell.linkage.angles_rad(0.025)[0]
     cell.gripper.start()
     with pytest.raises(MechanicsContradicted, match=r"25\.\d mm on its way to 30\.0 mm"):
@@ -206,8 +181,8 @@ def test_a_finger_that_is_blocked_on_its_way_is_no_stiff_gearing(make_cell, make
 
 
 @pytest.mark.parametrize(("aperture_m", "most_n"), [(0.002, 2.0), (0.0, 5.0)])
-def test_a_release_after_it_goes_limp_again(make_cell, make_part, aperture_m, most_n) -> None:
-    cell = make_cell(turned=(0, 1), aperture_m=aperture_m, part=make_part(present=False))
+def test_a_release_after_it_goes_limp_again(make_cell, aperture_m, most_n) -> None:
+    cell = make_cell(turned=(0, 1), aperture_m=aperture_m, present=False)
     told_by_motion(cell)
     cell.gripper.clear_fault()
     cell.mechanics.drive_to(aperture_m)
@@ -220,12 +195,9 @@ def test_a_release_after_it_goes_limp_again(make_cell, make_part, aperture_m, mo
     assert stop.most_n < most_n
 
 
-def test_a_time_that_ends_before_the_empty_fingers_meet_is_told_as_that(
-    make_cell, make_part
-) -> None:
+def test_a_time_that_ends_before_the_empty_fingers_meet_is_told_as_that(make_started) -> None:
     slow = {"approach_speed_m_s": 0.004, "contact_timeout_s": 1.0}
-    cell = make_cell(part=make_part(present=False), **slow)
-    cell.gripper.start()
+    cell = make_started(present=False, **slow)
     with pytest.raises(LimitExceeded, match=r"after 3 s they have closed .*contact_timeout_s"):
         cell.gripper.press_pads_together(ForceRamp.linear(3.0, 5.0))
     assert cell.torques == [1, 1]

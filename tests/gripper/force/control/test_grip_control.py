@@ -7,11 +7,7 @@ import pytest
 
 from benchmarks.performance._force_plant import CREEP, Rig, Truth
 from benchmarks.performance.force_ramps import PARTS
-from gripper.errors import (
-    ForceSensorStale,
-    GripperError,
-    LimitExceeded,
-)
+from gripper.errors import ForceSensorStale, GripperError, LimitExceeded
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
@@ -35,14 +31,13 @@ def test_a_stiffness_that_is_far_too_small_drives_no_force_beyond_the_ramp(
 
 @pytest.mark.parametrize("factor", [1.5, 2.0])
 def test_pads_that_report_too_much_do_not_open_the_fingers_beyond_the_touch(
-    make_cell, make_part, factor
+    make_started, factor
 ) -> None:
     """A light grip: the loop backs off from a force that is not there."""
-    cell = make_cell(part=make_part(stiffness_n_m=2000.0), approach_speed_m_s=0.02)
+    cell = make_started(stiffness_n_m=2000.0, approach_speed_m_s=0.02)
     pads = WrongPads(
         cell, lambda it: replace(it, force_n=tuple(factor * n + 1.0 for n in it.force_n))
     )
-    cell.gripper.start()
     least_n: list[float] = []
 
     def observe(cycle) -> None:
@@ -59,12 +54,13 @@ def test_pads_that_report_too_much_do_not_open_the_fingers_beyond_the_touch(
 @pytest.mark.parametrize("stiffness_n_m", [3e3, 1e4, 5e4])
 @pytest.mark.parametrize("wrong", [(5.3, False), (13.5, True), (13.9, True)])
 def test_pads_that_report_too_little_let_no_force_above_the_cap(
-    make_cell, make_part, loop_rate_hz, stiffness_n_m, wrong
+    make_started, loop_rate_hz, stiffness_n_m, wrong
 ) -> None:
     """Only the current bounds the force then, and inertia adds to what it makes."""
     at_n, invalid = wrong
-    cell = make_cell(
-        part=make_part(width_m=0.03, stiffness_n_m=stiffness_n_m),
+    cell = make_started(
+        width_m=0.03,
+        stiffness_n_m=stiffness_n_m,
         aperture_m=0.034,
         aperture_open_m=0.036,
         force_max_n=15.0,
@@ -76,7 +72,6 @@ def test_pads_that_report_too_little_let_no_force_above_the_cap(
         return replace(sample, force_n=tuple(0.4 * n for n in sample.force_n), valid=valid)
 
     pads = WrongPads(cell, too_little)
-    cell.gripper.start()
 
     def observe(cycle) -> None:
         if pads.began_s is None and cycle.setpoint_n > at_n:
@@ -98,15 +93,11 @@ LIES = {
 @pytest.mark.parametrize("rate_n_s", [10.0, 40.0])
 @pytest.mark.parametrize("lie", LIES)
 def test_no_wrong_sample_makes_far_more_force_than_is_asked_for(
-    make_cell, make_part, lie, rate_n_s
+    make_started, lie, rate_n_s
 ) -> None:
     """Torque constant and friction are off as far as they may be: the current alone decides."""
-    cell = make_cell(
-        part=make_part(stiffness_n_m=5e3),
-        kt_error=0.1,
-        friction_error=-0.15,
-        force_max_n=15.0,
-        rate_hz=200.0,
+    cell = make_started(
+        stiffness_n_m=5e3, kt_error=0.1, friction_error=-0.15, force_max_n=15.0, rate_hz=200.0
     )
     first: list[ForceSample] = []
 
@@ -115,7 +106,6 @@ def test_no_wrong_sample_makes_far_more_force_than_is_asked_for(
         return LIES[lie](sample, first[0])
 
     pads = WrongPads(cell, wrong)
-    cell.gripper.start()
 
     def observe(cycle) -> None:
         if pads.began_s is None and cycle.setpoint_n > 2.0:
@@ -176,8 +166,10 @@ def test_a_correction_downwards_does_not_shoot_beyond_where_friction_is_less_tha
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_part_met_with_more_than_the_ramp_asks_for_is_pressed_no_harder(make_cell, seed) -> None:
-    cell = make_cell(
+def test_a_part_met_with_more_than_the_ramp_asks_for_is_pressed_no_harder(
+    make_started, seed
+) -> None:
+    cell = make_started(
         rate_hz=200.0,
         kt_error=0.09,
         friction_error=-0.15,
@@ -187,18 +179,16 @@ def test_a_part_met_with_more_than_the_ramp_asks_for_is_pressed_no_harder(make_c
         approach_force_n=2.0,
     )
     forces_n: list[float] = []
-    cell.gripper.start()
     ramp = ForceRamp.linear(2.0, rate_n_s=10.0)
     cell.gripper.grasp(ramp, lambda c: forces_n.append(cell.force_n) if c.setpoint_n else None)
     assert 2.2 < forces_n[0] == max(forces_n)
 
 
-def test_a_warm_servo_gets_less_current_before_it_is_too_hot(make_cell) -> None:
+def test_a_warm_servo_gets_less_current_before_it_is_too_hot(make_started) -> None:
     assert SETTINGS.current_cap_a(60.0) == SETTINGS.current_max_a
     assert SETTINGS.current_cap_a(65.0) == pytest.approx(0.75 * SETTINGS.current_max_a)
     assert SETTINGS.current_cap_a(90.0) == pytest.approx(0.5 * SETTINGS.current_max_a)
-    cell = make_cell(current_max_a=0.5, temperature_max_c=70.0)
-    cell.gripper.start()
+    cell = make_started(current_max_a=0.5, temperature_max_c=70.0)
     for knob in cell.knobs:
         knob.overheat(69.0)
     currents_a: list[float] = []

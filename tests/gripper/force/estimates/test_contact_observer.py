@@ -7,9 +7,7 @@ from tests.gripper.force.grips import make_grip
 
 
 @pytest.mark.parametrize("speed_m_s", [0.0, -1e-9, 1e-9])
-def test_fingers_set_out_with_the_force_beyond_friction_whichever_way_they_crept(
-    speed_m_s: float,
-) -> None:
+def test_fingers_set_out_with_the_force_beyond_friction_whichever_way_they_crept(speed_m_s) -> None:
     observer = ContactObserver(make_grip(2.0), 0.0, stiffness_n_m=1e4, lacking_n=0.0)
     observer.speed_m_s = speed_m_s
     beyond_n, dt_s = 0.2, 0.005

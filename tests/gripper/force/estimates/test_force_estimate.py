@@ -4,10 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from gripper.errors import (
-    ForceAboveCap,
-    LimitExceeded,
-)
+from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.force.estimates.force_estimate import ForceEstimate
 from gripper.force.ramp import ForceRamp
 from gripper.settings import ForceLoopSettings
@@ -16,10 +13,10 @@ from gripper.values.outcome import GraspResult
 from tests.gripper.force.pads import WrongPads
 
 
-def test_friction_that_breaks_on_a_short_lever_is_no_jump_of_the_zero(make_cell, make_part) -> None:
-    part = make_part(stiffness_n_m=3000.0)
-    cell = make_cell(linkage="rack", part=part, rate_hz=200.0, noise_n=0.05, delay_s=0.005)
-    cell.gripper.start()
+def test_friction_that_breaks_on_a_short_lever_is_no_jump_of_the_zero(make_started) -> None:
+    cell = make_started(
+        linkage="rack", stiffness_n_m=3000.0, rate_hz=200.0, noise_n=0.05, delay_s=0.005
+    )
     outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=1.0, hold_s=0.5))
     assert outcome.result is GraspResult.FORCE_REACHED
 
@@ -36,12 +33,11 @@ def test_growth_just_after_friction_has_broken_is_no_jump() -> None:
 @pytest.mark.parametrize("final_n", [0.7, 4.0])
 @pytest.mark.parametrize("moment", ["ramp", "hold"])
 def test_pads_whose_zero_jumps_on_a_part_do_not_let_it_go(
-    make_cell, rate_hz, final_n, moment
+    make_started, rate_hz, final_n, moment
 ) -> None:
     """The fingers stand and press as before: it is no force that there is too much of."""
-    cell = make_cell(rate_hz=rate_hz)
+    cell = make_started(rate_hz=rate_hz)
     pads = WrongPads(cell, lambda it: replace(it, force_n=tuple(n + 4.0 for n in it.force_n)))
-    cell.gripper.start()
     least_n: list[float] = []
 
     def observe(cycle) -> None:

@@ -7,10 +7,7 @@ import pytest
 
 from benchmarks.performance.force_ramps import PARTS
 from benchmarks.performance.touch import TouchRig
-from gripper.errors import (
-    GripContradicted,
-    PartLost,
-)
+from gripper.errors import GripContradicted, PartLost
 from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Moment
@@ -89,9 +86,7 @@ def test_pads_that_are_empty_for_a_moment_are_no_doubt(watched: Watched) -> None
     assert type(watched.watch._stage) is Sure
 
 
-def test_much_force_that_is_gone_at_once_is_doubted_and_a_frame_confirms_it(
-    watched: Watched,
-) -> None:
+def test_much_force_that_is_gone_at_once_is_doubted_and_a_frame_confirms_it(watched) -> None:
     watched.force_n = watched.frame_n = 0.0
     watched.pressing_n = 4.0  # less than friction at rest: free fingers would stand as well
     periods = 0
@@ -167,12 +162,11 @@ def test_each_stage_can_be_reached() -> None:
 @pytest.mark.parametrize("final_n", [1.0, 4.0, 8.0])
 @pytest.mark.parametrize("moment", ["ramp", "hold"])
 def test_pads_that_show_nothing_any_more_do_not_let_a_part_go(
-    make_cell, rate_hz, final_n, moment
+    make_started, rate_hz, final_n, moment
 ) -> None:
     """Nothing but the fingers, which do not close, shows the part then."""
-    cell = make_cell(rate_hz=rate_hz, slip_drop_n=20.0)
+    cell = make_started(rate_hz=rate_hz, slip_drop_n=20.0)
     pads = WrongPads(cell, lambda it: replace(it, force_n=tuple(0.0 * n for n in it.force_n)))
-    cell.gripper.start()
     least_n: list[float] = []
 
     def observe(cycle) -> None:
@@ -192,11 +186,10 @@ def test_pads_that_show_nothing_any_more_do_not_let_a_part_go(
 @pytest.mark.parametrize("rate_hz", [None, 500.0])
 @pytest.mark.parametrize("level_n", [0.8, 1.5])
 def test_a_light_part_that_is_taken_is_lost_though_no_finger_runs(
-    make_cell, rate_hz, level_n
+    make_started, rate_hz, level_n
 ) -> None:
     """Friction holds the fingers where the part was: they close only when they try to."""
-    cell = make_cell(rate_hz=rate_hz, slip_drop_n=20.0)
-    cell.gripper.start()
+    cell = make_started(rate_hz=rate_hz, slip_drop_n=20.0)
 
     def take(cycle) -> None:
         if cycle.level is not None:
@@ -207,9 +200,7 @@ def test_a_light_part_that_is_taken_is_lost_though_no_finger_runs(
 
 
 @pytest.mark.parametrize("believed_n_m", [700.0, 4600.0])
-def test_a_soft_part_that_yields_fast_is_not_lost(
-    make_cell, make_part, monkeypatch, believed_n_m
-) -> None:
+def test_a_soft_part_that_yields_fast_is_not_lost(make_started, monkeypatch, believed_n_m) -> None:
     """The first samples make foam look stiff; the pads show that it is there."""
 
     def first_wrong(estimate: StiffnessEstimate) -> float | None:
@@ -217,13 +208,13 @@ def test_a_soft_part_that_yields_fast_is_not_lost(
         return believed_n_m if small else estimate._stiffness_n_m
 
     monkeypatch.setattr(StiffnessEstimate, "stiffness_n_m", property(first_wrong))
-    cell = make_cell(
-        part=make_part(width_m=0.05, stiffness_n_m=400.0),
+    cell = make_started(
+        width_m=0.05,
+        stiffness_n_m=400.0,
         aperture_m=0.055,
         aperture_open_m=0.055,
         slip_travel_m=0.05,
     )
-    cell.gripper.start()
     outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.3))
     assert outcome.result is GraspResult.FORCE_REACHED
     assert cell.force_n == pytest.approx(4.0, abs=0.5)
@@ -237,11 +228,8 @@ def test_a_soft_part_that_noise_shows_early_is_not_lost_before_it_is_held() -> N
     assert outcome.result is GraspResult.FORCE_REACHED
 
 
-def test_a_soft_part_that_is_taken_in_the_ramp_is_lost(make_cell, make_part) -> None:
-    cell = make_cell(
-        part=make_part(width_m=0.05, stiffness_n_m=400.0), aperture_m=0.055, aperture_open_m=0.055
-    )
-    cell.gripper.start()
+def test_a_soft_part_that_is_taken_in_the_ramp_is_lost(make_started) -> None:
+    cell = make_started(width_m=0.05, stiffness_n_m=400.0, aperture_m=0.055, aperture_open_m=0.055)
     taken_s: list[float] = []
     ramping_s: list[float] = []
 
@@ -260,16 +248,15 @@ def test_a_soft_part_that_is_taken_in_the_ramp_is_lost(make_cell, make_part) -> 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
 
-def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(cell) -> None:
-    cell.gripper.start()
-    take = cell.once(lambda: setattr(cell.part, "present", False), at_n=3.0)
-    outcome = cell.gripper.grasp(ForceRamp.linear(8.0, rate_n_s=5.0), take)
+def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(started) -> None:
+    take = started.once(lambda: setattr(started.part, "present", False), at_n=3.0)
+    outcome = started.gripper.grasp(ForceRamp.linear(8.0, rate_n_s=5.0), take)
     assert outcome.result is GraspResult.PART_LOST
-    assert cell.gripper.phase is GripperPhase.IDLE
-    assert cell.clock.monotonic() - cell.acted_s[0] < 0.09
-    stopped_m = cell.mechanics.aperture_m
-    cell.clock.sleep(1.0)
-    assert stopped_m - cell.mechanics.aperture_m < 0.003
+    assert started.gripper.phase is GripperPhase.IDLE
+    assert started.clock.monotonic() - started.acted_s[0] < 0.09
+    stopped_m = started.mechanics.aperture_m
+    started.clock.sleep(1.0)
+    assert stopped_m - started.mechanics.aperture_m < 0.003
 
 
 @pytest.mark.parametrize("final_n", [3.0, 8.0])
@@ -288,20 +275,18 @@ def test_fast_force_shows_a_part_taken_away_at_once(make_cell, final_n) -> None:
 
 
 @pytest.mark.parametrize("force_n", [0.7, 1.5])
-def test_a_light_part_is_not_lost_in_the_noise_of_single_scans(make_cell, force_n) -> None:
-    cell = make_cell(rate_hz=333.0, noise_n=0.35, slip_drop_n=20.0)
-    cell.gripper.start()
+def test_a_light_part_is_not_lost_in_the_noise_of_single_scans(make_started, force_n) -> None:
+    cell = make_started(rate_hz=333.0, noise_n=0.35, slip_drop_n=20.0)
     assert cell.gripper.grasp(ForceRamp.linear(force_n, rate_n_s=2.0)).contact_t_s is not None
     cell.gripper.hold(5.0)
 
 
 @pytest.mark.parametrize("stalls_s", [0.05, 0.15, 0.2])
-def test_a_part_is_not_lost_because_the_loop_stalls(make_cell, stalls_s) -> None:
+def test_a_part_is_not_lost_because_the_loop_stalls(make_started, stalls_s) -> None:
     # A force that overshoots in a stall comes back at once: that is no slip.
-    cell = make_cell(
+    cell = make_started(
         force_stale_s=0.3, stall_max_s=0.25, watchdog_s=0.5, bus_loss_s=0.3, slip_drop_n=2.0
     )
-    cell.gripper.start()
     periods = 0
 
     def stall(cycle) -> None:
@@ -315,9 +300,8 @@ def test_a_part_is_not_lost_because_the_loop_stalls(make_cell, stalls_s) -> None
     assert cell.force_n == pytest.approx(4.0, abs=0.5)
 
 
-def test_a_part_is_not_lost_because_the_pads_say_nothing(make_cell) -> None:
-    cell = make_cell(force_stale_s=0.3, watchdog_s=0.5)
-    cell.gripper.start()
+def test_a_part_is_not_lost_because_the_pads_say_nothing(make_started) -> None:
+    cell = make_started(force_stale_s=0.3, watchdog_s=0.5)
 
     def silence(cycle) -> None:
         cell.sensor.valid = not 2.0 < cycle.setpoint_n < 3.0
