@@ -140,14 +140,14 @@ def test_objects_are_named_in_less_time_and_none_wrongly(make_bench, taught) -> 
     grasp_s: dict[bool, list[float]] = {True: [], False: []}
     for whole, times_s in grasp_s.items():
         ended = 0
-        for number, label in enumerate(["ball", "box"]):
+        for number, label in enumerate(["ball", "box"] * 4):
             found = identify(
                 bench.controller, model, presented=label, seed=20 + number, whole_ramps=whole
             )
             assert found.label in (label, UNKNOWN)
             times_s += [record.duration_s for record in found.records]
             ended += sum(record.early is not None for record in found.records)
-        assert (ended == 0) is whole
+        assert ended == 0 if whole else ended >= 3
     assert np.mean(grasp_s[False]) < np.mean(grasp_s[True])
     more = Collection(label="ball", n_planned=1)
     teach(bench.controller, model, more, seed=30, on_grasp=lambda _: None)
