@@ -18,8 +18,13 @@ LABELS = ("ball", "box", "cylinder")
 
 @pytest.fixture(scope="module")
 def grasps() -> list[Grasp]:
-    """Return six grasps of each of three objects."""
-    config = changed_config(CellConfig(), {"self_zero": "never", "tactile.tare_frames": 25})
+    """Return six grasps of each of three objects.
+
+    The slow ramp gives enough frames to a recogniser that reads frames one by one.
+    """
+    ramp = {"kind": "linear", "rate_n_s": 5.0, "hold_s": 0.3}
+    keys = {"self_zero": "never", "tactile.tare_frames": 25, "sequence.ramp": ramp}
+    config = changed_config(CellConfig(), keys)
     with closing(build_cell(config)) as cell:
         cell.controller.start()
         return list(grasps_of(cell.controller, config.sequence, LABELS, 6, seed=1))
