@@ -14,6 +14,9 @@ from cell.control.watch import MotionWatch
 from cell.control.zeroing import BORNE_SHARE
 from cell.hand.interface import Hand
 
+_LOSS_DECIDED_S = 0.5
+"""Time in s within which the supervision of a hold decides whether a part is lost."""
+
 
 @dataclass
 class KeptPart:
@@ -59,6 +62,10 @@ class KeptPart:
         """
         with self.life.executing(Event.VERIFY):
             check = compared(self._measure(), self._then)
+            if not check.held:
+                # A part that has just gone may need longer than the measurement to count as lost.
+                self.hand.hold_at(self.force_n, _LOSS_DECIDED_S, self.watch.motion)
+                check = compared(self._measure(), self._then)
             self.life.keep(since="answer")
         self.journal.note("verify", "; ".join(check.reasons) or "the same part")
         return check

@@ -283,6 +283,19 @@ def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
     assert bench.grip_n > 1.0
 
 
+@pytest.mark.parametrize("gone_ms", [0, 5, 10, 20])
+def test_a_part_that_goes_at_the_moment_of_a_look_is_lost(bench: Any, gone_ms: int) -> None:
+    bench.idle(0.01)
+    bench.controller.kept.wanted_force_n = 2.0
+    bench.controller.grip(4.0, Pose())
+    bench.simulated.devices.physical.remove()
+    bench.idle(1e-3 * gone_ms)
+    with pytest.raises(PartLost):
+        bench.controller.kept.verify()
+    assert bench.life.state is CellState.ABORTED
+    assert bench.life.grasp_state is GraspState.PART_LOST
+
+
 def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
     bench.controller.grip(4.0, Pose())
     for step in range(1, 41):

@@ -29,12 +29,7 @@ def test_my_parts_are_carried_into_their_bins(simulated_cell, recognizer):
 
 
 def test_a_part_that_is_lost_on_the_way_stops_my_station(simulated_cell, recognizer):
-    def lose(_destination):
-        cell.simulated.remove()
-        for _ in range(60):
-            cell.controller.life.tick()  # the rest of the way, under supervision
-
-    cell = simulated_cell(seed=7, places=lose).start()
+    cell = simulated_cell(seed=7, places=lambda _destination: cell.simulated.remove()).start()
     station = SortingStation(cell.controller, recognizer, cell.config.sequence, BINS)
     cell.controller.moves.present("dowel")
     with pytest.raises((PartLost, PartSlipped)):
