@@ -12,7 +12,7 @@ import resource
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -53,22 +53,27 @@ _MOST = 20
 
 
 def make_files(folder: Path, n_grasps: int) -> None:
-    """Write the data sets."""
+    """Write the data sets, with two processes."""
     grasps = recorded() or simulated(len(PAPER), 20)
-    for number in range(-(-n_grasps // _OF_FILE)):
-        rng = np.random.default_rng(number)
-        n = min(_OF_FILE, n_grasps - number * _OF_FILE)
-        start_ms = _FIRST_MS + (number // _CELLS) * _DAY_MS
-        source = f"cell press {number % _CELLS}"
-        some = [
-            replace(
-                noisy(grasps[(number * _OF_FILE + i * 7) % len(grasps)], rng),
-                start_ms=start_ms + 20_000 * i,
-                source=source,
-            )
-            for i in range(n)
-        ]
-        write_dataset(folder / f"{number:06d}.npz", some)
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        write = partial(_write_file, folder, grasps, n_grasps)
+        pool.map(write, range(-(-n_grasps // _OF_FILE)))
+
+
+def _write_file(folder: Path, grasps: Sequence[Grasp], n_grasps: int, number: int) -> None:
+    rng = np.random.default_rng(number)
+    n = min(_OF_FILE, n_grasps - number * _OF_FILE)
+    start_ms = _FIRST_MS + (number // _CELLS) * _DAY_MS
+    source = f"cell press {number % _CELLS}"
+    some = [
+        replace(
+            noisy(grasps[(number * _OF_FILE + i * 7) % len(grasps)], rng),
+            start_ms=start_ms + 20_000 * i,
+            source=source,
+        )
+        for i in range(n)
+    ]
+    write_dataset(folder / f"{number:06d}.npz", some)
 
 
 def noisy(grasp: Grasp, rng: np.random.Generator) -> Grasp:
