@@ -109,9 +109,15 @@ COMMAND_COLUMNS, ZERO_COLUMNS = (
 def keep_array(
     record: object, name: str, values: ArrayLike, dtype: DTypeLike | None = None
 ) -> NDArray[Any]:
-    """Set a field of a frozen record to a read-only copy of an array, and return the copy."""
-    array: NDArray[Any] = np.array(values, dtype=dtype)
-    array.setflags(write=False)
+    """Set a field of a frozen record to a read-only array, and return it.
+
+    It is a copy, except of an array that nobody can write: that of another record, or its part.
+    """
+    array: NDArray[Any] = np.asarray(values, dtype=dtype)
+    owner = array if array.base is None else array.base
+    if array.flags.writeable or not isinstance(owner, np.ndarray) or owner.flags.writeable:
+        array = array.copy()
+        array.setflags(write=False)
     object.__setattr__(record, name, array)
     return array
 

@@ -22,7 +22,7 @@ from scipy.special import logsumexp
 from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftPrior
 from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray, SelfZero
-from recognition.ramp.levels import Levels, stack_levels
+from recognition.ramp.levels import Levels
 
 _REST_GAP_M = 1e-3
 """Opening in m beyond that of the first load from which the pads count as untouched."""
@@ -259,20 +259,17 @@ def at_zero(
 
     Levels of grasps without a self-zero are not changed. Without a taught one none are.
     """
-    zeros = list(dict.fromkeys(grasp.zero for grasp in grasps))
-    if taught is None or not set(zeros) - {None, taught}:
+    zeros = {grasp.zero for grasp in grasps} - {None}
+    if taught is None or not zeros - {taught}:
         return levels
-    parts, places = [], []
-    for zero in zeros:
-        rows = np.array([i for i, grasp in enumerate(grasps) if grasp.zero == zero])
-        part = levels.take(rows)
-        if zero is not None:
-            drift = since(taught, zero, gripping, grasps[0].pads.n_pads)
-            log_gains = np.log(drift.gains_of(gripping))
-            part = part.without_drift(log_gains, drift.aperture_offset_m * 1e3)
-        parts.append(part)
-        places.append(rows)
-    return stack_levels(parts).take(np.argsort(np.concatenate(places)))
+    n_pads = grasps[0].pads.n_pads
+    drifts: dict[SelfZero | None, Drift] = {None: Drift(gains=(1.0,))}
+    drifts |= {zero: since(taught, zero, gripping, n_pads) for zero in zeros if zero is not None}
+    of_each = [drifts[grasp.zero] for grasp in grasps]
+    return levels.without_drift(
+        np.log([drift.gains_of(gripping) for drift in of_each]),
+        1e3 * np.array([[drift.aperture_offset_m] for drift in of_each]),
+    )
 
 
 def prior_since(taught: SelfZero, today: SelfZero) -> DriftPrior:

@@ -65,22 +65,24 @@ class Levels:
             return self
         return _of_fields([self], lambda arrays: arrays[0][rows])
 
-    def without_drift(self, log_gain: float | NDArray[np.float64], offset_mm: float) -> "Levels":
+    def without_drift(
+        self, log_gain: float | NDArray[np.float64], offset_mm: float | NDArray[np.float64]
+    ) -> "Levels":
         """Return the levels with a drift undone.
 
         Parameters
         ----------
-        log_gain : () or (P,)
-            Logarithm of the gain, common to the gripping pads or of each.
-        offset_mm
+        log_gain : (), (P,) or (n, P)
+            Logarithm of the gain, common to the gripping pads, of each, or of each in each grasp.
+        offset_mm : () or (n, 1)
             Increase of the reading of the opening in mm.
         """
-        factors = np.exp(-np.broadcast_to(log_gain, len(self.maps)))
+        factors = np.exp(-np.broadcast_to(log_gain, (len(self), len(self.maps))))
         return replace(
             self,
-            maps=tuple(m * f for m, f in zip(self.maps, factors, strict=True)),
-            noise=self.noise * factors,
-            timed_load=self.timed_load * factors[:, None],
+            maps=tuple(m * f[:, None, None] for m, f in zip(self.maps, factors.T, strict=True)),
+            noise=self.noise * factors[:, None],
+            timed_load=self.timed_load * factors[..., None],
             aperture_mm=self.aperture_mm - offset_mm,
             touch_aperture_mm=self.touch_aperture_mm - offset_mm,
             timed_aperture_mm=self.timed_aperture_mm - offset_mm,
@@ -89,7 +91,14 @@ class Levels:
 
 def load_levels(grasps: Sequence[Grasp], rest: Rest) -> Levels:
     """Return grasps reduced to levels. Raises ValueError for pads other than the taught ones."""
-    return stack_levels([_reduce(*held_part(grasp, rest)) for grasp in grasps])
+    first = _reduce(*held_part(grasps[0], rest))
+    # Joining them at the end would need twice the memory.
+    whole = _of_fields([first], lambda arrays: np.repeat(arrays[0], len(grasps), axis=0))
+    for row, grasp in enumerate(grasps[1:], start=1):
+        one = _reduce(*held_part(grasp, rest))
+        for rows, of_one in zip(_arrays(whole), _arrays(one), strict=True):
+            rows[row] = of_one[0]
+    return whole
 
 
 def stack_levels(parts: Sequence[Levels]) -> Levels:
@@ -101,12 +110,16 @@ def _of_fields(
     parts: Sequence[Levels], join: Callable[[list[NDArray[Any]]], NDArray[Any]]
 ) -> Levels:
     """Return levels with the joined arrays of the parts."""
-    names = [one.name for one in fields(Levels) if one.name != "maps"]
-    maps = zip(*(part.maps for part in parts), strict=True)
-    return Levels(
-        maps=tuple(join(list(of_pad)) for of_pad in maps),
-        **{name: join([getattr(part, name) for part in parts]) for name in names},
-    )
+    joined = [join(list(one)) for one in zip(*map(_arrays, parts), strict=True)]
+    n_pads = len(parts[0].maps)
+    return Levels(maps=tuple(joined[:n_pads]), **dict(zip(_NAMES, joined[n_pads:], strict=True)))
+
+
+def _arrays(levels: Levels) -> list[NDArray[Any]]:
+    return [*levels.maps, *(getattr(levels, name) for name in _NAMES)]
+
+
+_NAMES = tuple(one.name for one in fields(Levels) if one.name != "maps")
 
 
 def _reduce(grasp: Grasp, ramp: Ramp) -> Levels:

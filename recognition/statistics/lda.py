@@ -17,6 +17,8 @@ variation."""
 _DIAGONAL_FLOOR = 1e-9
 """Added to the diagonal of the covariance, in squared units of the features, for its
 factorisation."""
+_AT_A_TIME = 4096
+"""Rows centred at a time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,7 +105,9 @@ def fit_lda(
     members = csr_array((np.ones(n), (classes, np.arange(n))), shape=(n_classes, n))
     means = (members @ features) / count[:, None]
     # The features of all grasps need much memory: this is the only copy.
-    within = features - means[classes]
+    within = features.copy()
+    for begin in range(0, n, _AT_A_TIME):
+        within[begin : begin + _AT_A_TIME] -= means[classes[begin : begin + _AT_A_TIME]]
     mean = means.mean(axis=0)
     freedom = float(n - n_classes)
     between = count @ (means - count @ means / n) ** 2
