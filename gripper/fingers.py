@@ -16,7 +16,7 @@ from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.loop import LoopRunner
 from gripper.lifecycle import Lifecycle
 from gripper.mechanics.kinematics import Linkage, OneFinger
-from gripper.servos.goals import OPENING_MARGIN_RAD
+from gripper.servos.goal_limits import OPENING_MARGIN_RAD
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings

@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from tactile.control_unit.settings import LinkSettings as LinkSettings
     from tactile.errors import TactileError as TactileError
     from tactile.layout import (
         Pad as Pad,
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     )
     from tactile.sensor.tare import TareResult as TareResult
     from tactile.source import FrameSource as FrameSource, TactileFrame as TactileFrame
-    from tactile.unit.settings import LinkSettings as LinkSettings
 
 _FACE = {
     "tactile.errors": "TactileError",
@@ -41,7 +41,7 @@ _FACE = {
     "tactile.sensor.opening": "open_sensor",
     "tactile.sensor.sensor": "SensorSettings TactileReading TactileSensor",
     "tactile.sensor.tare": "TareResult",
-    "tactile.unit.settings": "LinkSettings",
+    "tactile.control_unit.settings": "LinkSettings",
 }
 """Names by module; a module is imported at the first use of one of its names."""
 _HOMES = {name: home for home, names in _FACE.items() for name in names.split()}

@@ -1,6 +1,6 @@
 """Frame sources: the protocol of each tactile sensor, and its values.
 
-The CANopen control unit (`tactile.unit`) is one source. Higher layers work with any source.
+The CANopen control unit (`tactile.control_unit`) is one source. Higher layers work with any source.
 """
 
 from collections.abc import Sequence

@@ -19,12 +19,12 @@ from simulator.clock import VirtualClock
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
 from simulator.world.world import PhysicalWorld
+from tactile.control_unit import object_dictionary
+from tactile.control_unit.link import TactileLink
+from tactile.control_unit.settings import LinkSettings
 from tactile.layout import paper_layout
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.opening import force_table
-from tactile.unit import object_dictionary
-from tactile.unit.link import TactileLink
-from tactile.unit.settings import LinkSettings
 
 NODE_ID, BITRATE = 5, 1_000_000
 PERIODS_MS = (0, 5, 3, 2)

@@ -13,8 +13,8 @@ from cell.commissioning.unit import network_interfaces
 from gripper.dynamixel.models import MODELS, model_name
 from gripper.errors import GripperError
 from tactile.can.bus import CanBus
+from tactile.control_unit.search import read_device, scan_nodes
 from tactile.errors import TactileError
-from tactile.unit.search import read_device, scan_nodes
 
 _DRIVES = 402
 """Device profile of drives (CiA 402)."""

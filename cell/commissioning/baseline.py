@@ -33,9 +33,9 @@ from gripper.clock import Clock
 from gripper.dynamixel.models import model_name
 from gripper.errors import GripperError
 from gripper.values.outcome import GraspResult
+from tactile.control_unit.search import read_unit
 from tactile.errors import TactileError
 from tactile.sensor.taxel_forces import TaxelForces
-from tactile.unit.search import read_unit
 
 _HOLD_S = 0.5
 """Time in s for which the gauge object is held and measured."""

@@ -32,7 +32,7 @@ from gripper.dynamixel.control_table import PRESENT_BLOCK, TORQUE_ENABLE
 from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.errors import GripperError
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
-from gripper.servos.goals import ServoGoal
+from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
@@ -644,7 +644,7 @@ class _Hands:
     ) -> tuple[float, float]:
         """Raise the current of one servo until its finger opens; return current in A, way in rad.
 
-        The other servo holds its position. Limits are beside the write, in `gripper.servos.goals`.
+        The other servo holds its position. `gripper.servos.goal_limits` limits the current.
         """
         clock, period_s = self._bench.clock, settings.period_s
         state = group.read_patiently()

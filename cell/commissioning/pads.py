@@ -19,13 +19,13 @@ from cell.config.model import TAXELS_OF_SMALL_PART, CellConfig
 from cell.errors import ConfigError
 from cell.hand.build import sensor_settings
 from tactile.clock import Clock
+from tactile.control_unit.mounting import Mounting
 from tactile.errors import TareRefused
 from tactile.layout import PadMount, TaxelLayout
 from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import Neighbourhood
 from tactile.sensor.sensor import TactileSensor
 from tactile.sensor.tare import TareLimits, TaxelHealth, assess_health, compute_tare, too_many_bad
-from tactile.unit.mounting import Mounting
 
 _REST_FRAMES = 100
 """Number of frames at rest, the same as for the zero of a cell."""

@@ -29,14 +29,9 @@ from cell.errors import CellError, ConfigError
 from cell.hand.build import frame_source, sensor_settings
 from cell.plugins import PAD_LAYOUTS
 from tactile.can.bus import CanBus, MissingBus
-from tactile.errors import BusNotOpened, TactileError
-from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
-from tactile.layout import TaxelLayout
-from tactile.sensor.opening import open_sensor
-from tactile.sensor.sensor import TactileSensor
-from tactile.unit.bus_load import least_sync_period_s, message_bits
-from tactile.unit.commissioning import identity_checks
-from tactile.unit.search import (
+from tactile.control_unit.bus_load import least_sync_period_s, message_bits
+from tactile.control_unit.commissioning import identity_checks
+from tactile.control_unit.search import (
     BusTraffic,
     FoundUnit,
     listen,
@@ -45,7 +40,12 @@ from tactile.unit.search import (
     scan_nodes,
     write_unit,
 )
-from tactile.unit.settings import ExpectedIdentity
+from tactile.control_unit.settings import ExpectedIdentity
+from tactile.errors import BusNotOpened, TactileError
+from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
+from tactile.layout import TaxelLayout
+from tactile.sensor.opening import open_sensor
+from tactile.sensor.sensor import TactileSensor
 
 TRIED_BIT_RATES: tuple[int, ...] = tuple(
     sorted(get_args(TactileConfig.model_fields["bitrate"].annotation), reverse=True)
@@ -122,7 +122,7 @@ def restore_unit_values(bench: Bench, kept: Mapping[str, Any], dialog: Dialog) -
     """Write the objects of the control unit as `unit_values` has returned them, once approved.
 
     Returns what was done. Nothing is written where ValueError is raised, as ``kept`` is damaged, or
-    CellError, as it is of another unit. Raises TactileError as `tactile.unit.search.write_unit`.
+    CellError, as it is of another unit. Raises TactileError as `write_unit`.
     """
     then = TypeAdapter(FoundUnit).validate_python(kept)
     with bench.can_bus() as bus:

@@ -57,7 +57,7 @@ class SensorConfig(Section):
     kind: str
     """What reads the pads."""
     canopen: ClassVar[bool] = False
-    """Whether it is a CANopen node after ``tactile/unit/control_unit.eds``."""
+    """Whether it is a CANopen node after ``tactile/control_unit/control_unit.eds``."""
     on_can: ClassVar[bool] = False
     """Whether it is on the bus of `tactile.interface`, `channel` and `bitrate`."""
     lone_on_can: ClassVar[str] = ""

@@ -19,6 +19,7 @@ from cell.config.sensor import SensorConfig
 from cell.errors import ConfigError, raised_as
 from cell.plugins import PAD_LAYOUTS, SENSORS
 from recognition.grasp import PadArray
+from tactile.control_unit.settings import ExpectedIdentity, LinkSettings
 from tactile.errors import CalibrationError, LayoutError
 from tactile.layout import Face, Pad, PadMount, TaxelLayout, taxel_order
 from tactile.sensor.calibration import (
@@ -27,7 +28,6 @@ from tactile.sensor.calibration import (
     LinearCalibration,
     TableCalibration,
 )
-from tactile.unit.settings import ExpectedIdentity, LinkSettings
 
 FASTEST_BITRATE = 1_000_000
 """Largest bit rate of a CAN bus in bit/s."""

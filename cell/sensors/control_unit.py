@@ -13,11 +13,11 @@ from cell.config.tactile import (
     link_settings,
     make_calibration,
 )
+from tactile.control_unit.bus_load import bus_load, least_sync_period_s
+from tactile.control_unit.settings import WINDOW_SHARE
 from tactile.frames.codec import FrameFormat
 from tactile.layout import TaxelLayout
 from tactile.source import FrameSource
-from tactile.unit.bus_load import bus_load, least_sync_period_s
-from tactile.unit.settings import WINDOW_SHARE
 
 
 class ControlUnitConfig(SensorConfig):

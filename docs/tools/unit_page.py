@@ -14,9 +14,9 @@ import numpy as np
 from simulator import simulated_cell
 from simulator.can.messages import BurstFormat, force_bytes
 from tactile import open_sensor
+from tactile.control_unit import object_dictionary as od
 from tactile.layout import paper_layout
 from tactile.source import ForceMessage, ForceStatus
-from tactile.unit import object_dictionary as od
 
 _NODE = 5
 """Node-ID of the simulated unit."""

@@ -7,7 +7,7 @@ from gripper.force.estimates.history import History
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.identification import LoadPoint
 from gripper.mechanics.kinematics import Linkage, transmissions
-from gripper.servos.goals import running_lead_rad
+from gripper.servos.goal_limits import running_lead_rad
 
 _LOAD_N_S = {True: 8.0, False: 7.0}
 """Rate in N/s of the drive of the moving finger while the force rises (True) and falls: by a drive

@@ -19,7 +19,7 @@ from gripper.errors import (
     LimitExceeded,
 )
 from gripper.force.timing import LoopStatistics, LoopTimer
-from gripper.servos.goals import ServoGoal
+from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings

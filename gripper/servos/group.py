@@ -26,7 +26,7 @@ from gripper.errors import (
 from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
 from gripper.servos import stop_goals
 from gripper.servos.feedback import Feedback
-from gripper.servos.goals import GOAL_BLOCK, GoalGuard, GoalWriter, ServoGoal
+from gripper.servos.goal_limits import GOAL_BLOCK, GoalGuard, GoalWriter, ServoGoal
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
-from gripper.servos.goals import ServoGoal
+from gripper.servos.goal_limits import ServoGoal
 from gripper.settings import GripperSettings
 from gripper.values.state import ServoFeedback
 

@@ -12,7 +12,7 @@ from gripper.clock import Clock
 from gripper.errors import LimitExceeded, WatchdogUnproven
 from gripper.mechanics.impact import closing_current_max_a
 from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
-from gripper.servos.goals import ServoGoal
+from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings

@@ -20,8 +20,8 @@ from simulator.can.scanner import ScannedWorld, Scanner
 from simulator.can.wire import mean_bits
 from simulator.clock import ROUNDING_S
 from simulator.errors import SimulatorSettingsError
+from tactile.control_unit import object_dictionary as od
 from tactile.layout import TaxelLayout
-from tactile.unit import object_dictionary as od
 
 EMCY_WINDOW = 0xFF01
 """EMCY code: a burst was cut off, because it does not fit into the synchronous window (0x1007)."""

@@ -13,8 +13,8 @@ from canopen.objectdictionary import ODVariable
 
 from simulator.can.messages import DamagedObject
 from simulator.can.scanner import Scanner
+from tactile.control_unit import object_dictionary as unit_od
 from tactile.layout import TaxelLayout
-from tactile.unit import object_dictionary as unit_od
 
 NO_OBJECT = 0x0602_0000
 NOT_MAPPABLE = 0x0604_0041

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from simulator.can.faults import ControlUnitFaults
 from simulator.can.messages import MESSAGE_BYTES, BurstFormat
 from simulator.can.pad_forces import PadForces
+from tactile.control_unit.object_dictionary import UnitTareResult
 from tactile.layout import TaxelLayout
 from tactile.source import ForceStatus, FrameStatus
-from tactile.unit.object_dictionary import UnitTareResult
 
 
 class ScannedWorld(Protocol):

@@ -21,8 +21,8 @@ from simulator.faults.entry import (
     turned,
     unplugging,
 )
+from tactile.control_unit import object_dictionary
 from tactile.layout import PadMount, taxel_order
-from tactile.unit import object_dictionary
 
 _BURST_PERIOD_S = 0.5
 """Period in s of the bursts of ``can.intermittent``: a loose contact."""

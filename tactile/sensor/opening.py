@@ -8,12 +8,12 @@ import numpy as np
 
 from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.clock import Clock
+from tactile.control_unit.link import TactileLink
+from tactile.control_unit.settings import LinkSettings
 from tactile.frames.force_message import TABLE_NODES, encode_table
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration
 from tactile.sensor.sensor import SensorSettings, TactileSensor
-from tactile.unit.link import TactileLink
-from tactile.unit.settings import LinkSettings
 
 
 def open_sensor(

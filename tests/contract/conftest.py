@@ -38,9 +38,9 @@ from motion.bus import DriveBus, Watch
 from motion.drive import Cia402Drive
 from simulator.servo.protocol2 import crc16
 from tactile.can.bus import CanBus, close_bus
+from tactile.control_unit.link import TactileLink
+from tactile.control_unit.settings import LinkSettings
 from tactile.source import TactileFrame
-from tactile.unit.link import TactileLink
-from tactile.unit.settings import LinkSettings
 from tests.faults.scenarios.axes import CHANGES
 
 ANSWER_S = 0.05

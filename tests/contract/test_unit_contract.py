@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from tactile.unit import object_dictionary as od
+from tactile.control_unit import object_dictionary as od
 
 PRE_OPERATIONAL, OPERATIONAL = 127, 5
 ABORT = 0x80

@@ -16,17 +16,17 @@ from simulator.can.messages import BurstFormat, force_bytes
 from simulator.devices import CellDevices
 from simulator.settings import SimulatorSettings
 from tactile.can.sdo_client import MAX_OBJECT_BYTES, PolledSdoClient
+from tactile.control_unit import object_dictionary as od
+from tactile.control_unit.sdo import ObjectAccess
+from tactile.control_unit.session import LinkSession
+from tactile.control_unit.settings import LinkSettings
+from tactile.control_unit.supervision import NodeSupervisor
 from tactile.errors import NodeEmergency, NodeMissing, TactileError
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
 from tactile.frames.force_stream import ForceStream
 from tactile.layout import paper_layout
 from tactile.source import ForceMessage, ForceStatus, TactileFrame
-from tactile.unit import object_dictionary as od
-from tactile.unit.sdo import ObjectAccess
-from tactile.unit.session import LinkSession
-from tactile.unit.settings import LinkSettings
-from tactile.unit.supervision import NodeSupervisor
 from tests.fuzz.harness import Clock, bad_input, damages, disturbed, pieces
 
 NODE = 5

@@ -10,10 +10,10 @@ from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
 from simulator.can.memory_bus import InMemoryCanBus
 from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
+from tactile.control_unit.link import TactileLink
+from tactile.control_unit.settings import LinkSettings
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.source import ForceMessage, FrameSource, TactileFrame
-from tactile.unit.link import TactileLink
-from tactile.unit.settings import LinkSettings
 
 NODE = 5
 BOOT_S = 0.05

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from tactile.can.bus import close_bus, open_bus
+from tactile.control_unit import object_dictionary as od
+from tactile.control_unit.link import TactileLink
+from tactile.control_unit.settings import LinkSettings
 from tactile.errors import BusNotOpened, FrameTimeout, HeartbeatLost, NodeMissing
 from tactile.layout import paper_layout
-from tactile.unit import object_dictionary as od
-from tactile.unit.link import TactileLink
-from tactile.unit.settings import LinkSettings
 
 CHANNEL = os.environ.get("TACTILE_CELL_VCAN", "")
 pytestmark = pytest.mark.skipif(not CHANNEL, reason="needs SocketCAN: make vcan")

@@ -18,7 +18,7 @@ from gripper.mechanics.kinematics import (
     motion_currents_a,
     transmissions,
 )
-from gripper.servos.goals import (
+from gripper.servos.goal_limits import (
     ServoGoal,
     closing_margin_rad,
     most_closed_rad,

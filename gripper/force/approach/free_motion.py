@@ -12,7 +12,7 @@ from gripper.force.approach.mechanics_proof import (
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import closing_current_max_a, closing_speed_m_s
 from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
-from gripper.servos.goals import ServoGoal, overrun_rad
+from gripper.servos.goal_limits import ServoGoal, overrun_rad
 from gripper.settings import GripperSettings
 from gripper.values.state import ServoFeedback
 

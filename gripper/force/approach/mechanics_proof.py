@@ -53,7 +53,7 @@ from gripper.mechanics.kinematics import (
     transmissions,
 )
 from gripper.servos.feedback import BEYOND_CLOSED_M
-from gripper.servos.goals import ServoGoal, most_closed_rad, overrun_rad
+from gripper.servos.goal_limits import ServoGoal, most_closed_rad, overrun_rad
 from gripper.settings import GripperSettings
 from gripper.values.recent import FRAME_S, LEAST_SAMPLES, RecentForce
 from gripper.values.servo_checks import VerificationRow

@@ -6,7 +6,7 @@ from math import inf
 from gripper.dynamixel.models import ServoModel
 from gripper.force.estimates.grip import Grip
 from gripper.mechanics.kinematics import Transmission, mean_friction_n
-from gripper.servos.goals import (
+from gripper.servos.goal_limits import (
     ServoGoal,
     closing_margin_rad,
     most_closed_rad,

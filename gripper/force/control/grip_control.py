@@ -14,7 +14,7 @@ from gripper.force.loop import Moment
 from gripper.force.supervision.pad_checks import PadChecks
 from gripper.force.supervision.part_watch import PartWatch
 from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n, transmissions
-from gripper.servos.goals import ServoGoal
+from gripper.servos.goal_limits import ServoGoal
 from gripper.values.state import GRAIN_M, ServoFeedback
 
 _INERTIA_N_S_M = 100.0

@@ -16,7 +16,7 @@ from gripper.force.estimates.contact_observer import ContactObserver
 from gripper.force.estimates.grip import Grip
 from gripper.mechanics.impact import CURRENT_S, impact_limit
 from gripper.mechanics.kinematics import driving_n
-from gripper.servos.goals import STICTION, pressing_speed_m_s
+from gripper.servos.goal_limits import STICTION, pressing_speed_m_s
 
 _WRITE_S = 0.001
 """Time in s from the feedback of a period to the write of its goals. [assumed]"""

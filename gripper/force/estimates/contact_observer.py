@@ -10,7 +10,7 @@ from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.history import History
 from gripper.force.estimates.stiffness import STIFFEST_N_M
 from gripper.force.loop import Moment
-from gripper.servos.goals import STICTION
+from gripper.servos.goal_limits import STICTION
 from gripper.values.force_sensor import ForceSample
 
 _SOFTEST_N_M = 100.0

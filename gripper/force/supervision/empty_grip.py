@@ -7,7 +7,7 @@ from gripper.force.loop import Action, Moment
 from gripper.force.supervision.doubt import ADVICE, BREAKAWAY_SHARE, RUN_M, SOFTEST_N_M
 from gripper.force.supervision.pad_samples import FrameMean
 from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_currents_a, transmissions
-from gripper.servos.goals import ServoGoal
+from gripper.servos.goal_limits import ServoGoal
 from gripper.settings import GripperSettings
 from gripper.values.recent import LEAST_SAMPLES, RecentForce
 from gripper.values.state import ServoFeedback

@@ -27,8 +27,8 @@ from cell.errors import CellError
 from cell.interfaces.cli.app import app
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
+from tactile.control_unit.search import read_unit
 from tactile.sensor.opening import open_sensor
-from tactile.unit.search import read_unit
 from tests.cell.commissioning.script import SimulatedLines
 from tests.cell.conftest import REAL, call
 

@@ -23,7 +23,7 @@ from cell.interfaces.cli.dialog import SKETCHES
 from cell.interfaces.page import FOLDER
 from gripper.dynamixel.models import XM430_W350
 from gripper.mechanics.kinematics import ParallelLinkage, RackPinion
-from gripper.servos.goals import GoalWriter
+from gripper.servos.goal_limits import GoalWriter
 from simulator.servo.mechanics import RackLinkage, ServoMount
 from simulator.settings import SimulatedServoSettings
 from tests.cell.commissioning.conftest import MakeStand, Stand

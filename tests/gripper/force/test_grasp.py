@@ -10,7 +10,7 @@ from gripper.errors import ForceSensorStale, GraspStopped, PartLost
 from gripper.force.grasp import GripStep, HoldStep, RampTime
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp, RampEnd
-from gripper.servos.goals import ServoGoal
+from gripper.servos.goal_limits import ServoGoal
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase

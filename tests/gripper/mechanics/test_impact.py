@@ -14,7 +14,7 @@ from gripper.errors import LimitExceeded
 from gripper.force.approach import approach
 from gripper.mechanics.impact import approach_speed_m_s, check_approach, impact_limit
 from gripper.mechanics.kinematics import ParallelLinkage
-from gripper.servos.goals import GoalGuard
+from gripper.servos.goal_limits import GoalGuard
 from gripper.settings import GripperSettings, ServoSettings
 from tests.values import measured_drives
 

@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import pytest
 
-from gripper.servos.goals import ServoGoal
+from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.stop_goals import frozen
 
 

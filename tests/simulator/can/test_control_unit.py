@@ -15,6 +15,8 @@ from simulator.can.control_unit import (
 )
 from simulator.can.faults import ControlUnitFaults
 from simulator.errors import SimulatorStateError
+from tactile.control_unit import object_dictionary as od
+from tactile.control_unit.object_dictionary import UnitTareResult
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
 from tactile.frames.force_message import decode_force_message
@@ -22,8 +24,6 @@ from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.opening import force_table
 from tactile.source import ForceMessage, ForceStatus, FrameStatus, TactileFrame
-from tactile.unit import object_dictionary as od
-from tactile.unit.object_dictionary import UnitTareResult
 from tests.tactile.conftest import Skin
 
 NMT, SYNC, EMCY, TPDO1, SDO_OUT, SDO_IN, HEARTBEAT = 0, 0x80, 0x85, 0x185, 0x585, 0x605, 0x705

@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from simulator.can.control_unit import ControlUnitSettings
+from tactile.control_unit import object_dictionary as od
+from tactile.control_unit.link import TactileLink
+from tactile.control_unit.settings import ExpectedIdentity, LinkSettings
 from tactile.errors import (
     BusDisturbed,
     BusOff,
@@ -22,9 +25,6 @@ from tactile.errors import (
 )
 from tactile.frames.flow import FrameFlow
 from tactile.layout import paper_layout, pinch_layout
-from tactile.unit import object_dictionary as od
-from tactile.unit.link import TactileLink
-from tactile.unit.settings import ExpectedIdentity, LinkSettings
 
 NODE = 5
 FRAMES = 0x180 + NODE
@@ -235,7 +235,7 @@ def test_foreign_remote_extended_and_damaged_messages_are_counted(bench) -> None
 def test_too_many_damaged_lines_of_a_serial_adapter_are_a_fault(bench, monkeypatch) -> None:
     bench.run(0.1)
     lines = itertools.count()
-    monkeypatch.setattr("tactile.unit.session.bad_lines", lambda _bus: next(lines))
+    monkeypatch.setattr("tactile.control_unit.session.bad_lines", lambda _bus: next(lines))
     with pytest.raises(BusDisturbed, match=r"1\d damaged messages"):
         bench.run(1.0)
 

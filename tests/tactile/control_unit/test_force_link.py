@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from simulator.can.control_unit import ControlUnitSettings
+from tactile.control_unit import object_dictionary as od
 from tactile.errors import FrameTimeout, IdentityMismatch, LinkFault
 from tactile.layout import paper_layout
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.opening import force_table
 from tactile.source import ForceStatus, PadZero
-from tactile.unit import object_dictionary as od
 from tests.tactile.conftest import Bench
 
 LAYOUT = paper_layout()

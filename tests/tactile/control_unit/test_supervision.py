@@ -2,8 +2,8 @@
 
 import pytest
 
+from tactile.control_unit.supervision import NodeSupervisor, emergency_text
 from tactile.errors import BusErrorPassive
-from tactile.unit.supervision import NodeSupervisor, emergency_text
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from simulator.can.wire import mean_bits
+from tactile.control_unit.bus_load import bus_load, least_sync_period_s, message_bits
+from tactile.control_unit.settings import LinkSettings
 from tactile.layout import paper_layout
-from tactile.unit.bus_load import bus_load, least_sync_period_s, message_bits
-from tactile.unit.settings import LinkSettings
 
 QUIET = LinkSettings(force_period_s=0.0, heartbeat_s=10.0)
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, fields
 from math import inf
 from typing import Any
 
+from tactile.control_unit import object_dictionary
 from tactile.layout import PadMount
 from tactile.source import SourceIdentity
-from tactile.unit import object_dictionary
 
 WINDOW_SHARE = 0.85
 """Share of the period of SYNC for the burst of a frame."""

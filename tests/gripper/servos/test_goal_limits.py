@@ -12,7 +12,7 @@ from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.impact import SLOWEST_M_S, impact_limit
 from gripper.mechanics.kinematics import ParallelLinkage
-from gripper.servos.goals import GoalGuard, GoalWriter, ServoGoal
+from gripper.servos.goal_limits import GoalGuard, GoalWriter, ServoGoal
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import ServoFeedback

@@ -3,12 +3,12 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from tactile.control_unit import object_dictionary as od
+from tactile.control_unit.sdo import ObjectAccess
+from tactile.control_unit.settings import ExpectedIdentity, LinkSettings, NodeIdentity
 from tactile.errors import IdentityMismatch
 from tactile.frames.codec import FrameFormat
 from tactile.layout import TaxelLayout
-from tactile.unit import object_dictionary as od
-from tactile.unit.sdo import ObjectAccess
-from tactile.unit.settings import ExpectedIdentity, LinkSettings, NodeIdentity
 
 _COB_ID_MASK = 0x1FFFFFFF | 1 << 31
 """Identifier and valid bit of a PDO's COB-ID entry; the bit between them only forbids RTR."""

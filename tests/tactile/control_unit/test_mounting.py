@@ -7,13 +7,13 @@ from simulator.can.messages import read_zero
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
+from tactile.control_unit.mounting import Mounting
+from tactile.control_unit.settings import LinkSettings
 from tactile.errors import LayoutError
 from tactile.frames.force_message import encode_zero
 from tactile.layout import PadMount, paper_layout, pinch_layout, taxel_order
 from tactile.sensor.opening import open_sensor
 from tactile.source import Arrivals, ForceMessage, ForceStatus
-from tactile.unit.mounting import Mounting
-from tactile.unit.settings import LinkSettings
 
 PINCH = pinch_layout()
 EXCHANGED = (PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0))

@@ -2,9 +2,9 @@
 
 from math import inf
 
+from tactile.control_unit.settings import WINDOW_SHARE, LinkSettings
 from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
 from tactile.layout import TaxelLayout
-from tactile.unit.settings import WINDOW_SHARE, LinkSettings
 
 
 def message_bits(n_bytes: int) -> int:

@@ -7,9 +7,9 @@ from pathlib import Path
 import canopen
 import pytest
 
+from tactile.control_unit import object_dictionary as od
 from tactile.frames.codec import FrameFormat
 from tactile.layout import paper_layout
-from tactile.unit import object_dictionary as od
 
 
 @pytest.fixture(scope="module")

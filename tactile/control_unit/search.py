@@ -13,13 +13,13 @@ import can
 
 from tactile.can.receiver import message_source
 from tactile.clock import Clock
+from tactile.control_unit import object_dictionary as od
+from tactile.control_unit.commissioning import read_identity
+from tactile.control_unit.sdo import ObjectAccess
+from tactile.control_unit.session import LinkSession
+from tactile.control_unit.settings import LinkSettings, NodeIdentity
 from tactile.errors import BusOff, IdentityMismatch, NodeMissing, TactileError
 from tactile.layout import TaxelLayout, paper_layout
-from tactile.unit import object_dictionary as od
-from tactile.unit.commissioning import read_identity
-from tactile.unit.sdo import ObjectAccess
-from tactile.unit.session import LinkSession
-from tactile.unit.settings import LinkSettings, NodeIdentity
 
 _NODES = range(1, 128)
 """Node-IDs that there are (CiA 301, 7.1.1)."""

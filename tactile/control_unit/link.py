@@ -14,12 +14,8 @@ import numpy as np
 from tactile.can.bus import MissingBus
 from tactile.can.receiver import message_source
 from tactile.clock import Clock
-from tactile.errors import BusOff, LinkFault, LinkStateError, NodeMissing, ReceiveLoopDead
-from tactile.frames.force_message import encode_zero
-from tactile.layout import TaxelLayout
-from tactile.source import Arrivals, ForceStatus, PadZero, SourceStatistics
-from tactile.unit import object_dictionary
-from tactile.unit.commissioning import (
+from tactile.control_unit import object_dictionary
+from tactile.control_unit.commissioning import (
     Check,
     identity_checks,
     layout_checks,
@@ -29,10 +25,14 @@ from tactile.unit.commissioning import (
     set_up,
     set_up_forces,
 )
-from tactile.unit.mounting import Mounting
-from tactile.unit.session import LinkSession
-from tactile.unit.settings import LinkSettings, NodeIdentity
-from tactile.unit.supervision import OPERATIONAL
+from tactile.control_unit.mounting import Mounting
+from tactile.control_unit.session import LinkSession
+from tactile.control_unit.settings import LinkSettings, NodeIdentity
+from tactile.control_unit.supervision import OPERATIONAL
+from tactile.errors import BusOff, LinkFault, LinkStateError, NodeMissing, ReceiveLoopDead
+from tactile.frames.force_message import encode_zero
+from tactile.layout import TaxelLayout
+from tactile.source import Arrivals, ForceStatus, PadZero, SourceStatistics
 
 _Result = TypeVar("_Result")
 

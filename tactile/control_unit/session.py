@@ -12,6 +12,10 @@ from tactile.can.bus import bad_lines
 from tactile.can.receiver import MessageSource, interface_failed
 from tactile.can.sdo_client import PolledSdoClient
 from tactile.clock import Clock
+from tactile.control_unit import object_dictionary as od
+from tactile.control_unit.sdo import ObjectAccess
+from tactile.control_unit.settings import LinkSettings
+from tactile.control_unit.supervision import NodeSupervisor, TrafficLimit
 from tactile.errors import DuplicateNode, FrameTimeout, NodeMissing
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
@@ -19,10 +23,6 @@ from tactile.frames.flow import FrameFlow
 from tactile.frames.force_stream import ForceStream
 from tactile.layout import TaxelLayout
 from tactile.source import Arrivals, ForceMessage, ForceStatistics, SourceStatistics, TactileFrame
-from tactile.unit import object_dictionary as od
-from tactile.unit.sdo import ObjectAccess
-from tactile.unit.settings import LinkSettings
-from tactile.unit.supervision import NodeSupervisor, TrafficLimit
 
 _SURPLUS_ANSWERS = 3
 """Surplus of SDO answers over requests that shows a second unit, not one double message."""
