@@ -246,7 +246,7 @@ class _Run:
         while self._periods[0].now_s < now_s - _WINDOW_S - _BEFORE_END_S:
             self._periods.popleft()
 
-    def _inner(self) -> list["_Period"]:
+    def _inner(self) -> list[_Period]:
         if self._since_s is None or not self._periods:
             return []
         last = self._periods[-1]
@@ -259,7 +259,7 @@ class _Run:
         """Return whether the motion is long enough for a point."""
         return len(self._inner()) >= _LEAST_PERIODS
 
-    def _accelerating_a(self, periods: Sequence["_Period"]) -> float:
+    def _accelerating_a(self, periods: Sequence[_Period]) -> float:
         """Return the mean current in A that accelerates the motor."""
         first, last = periods[0], periods[-1]
         return self._a_s2 * (last.speed_rad_s - first.speed_rad_s) / (last.now_s - first.now_s)
