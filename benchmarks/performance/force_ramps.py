@@ -31,6 +31,7 @@ from benchmarks.performance._force_plant import (
     Rig,
     Truth,
 )
+from gripper.dynamixel.models import XM430_W350
 from gripper.force.control import grip_control
 from simulator.servo.gearing import GEARINGS
 
@@ -223,6 +224,35 @@ def geared(
         line(name, f"{counts}, {_mean_n(found):.2f} N, {_lost(found):2d}")
 
 
+def measured_lines() -> None:
+    """Print the errors of both lines of the load and of the friction, for each gearing."""
+    line("gearings", "errors of rising, falling, yielding share, friction at rest")
+    for name in GEARINGS:
+        true_drive, found = GEARINGS[name].drive_of(XM430_W350), []
+        law, kt_nm_a = true_drive.friction, true_drive.kt_nm_a
+        by_motor, by_load, base_nm = sum(law.drive), sum(law.load), sum(law.base_nm)
+        true = (
+            (1.0 + by_load) / (1.0 - by_motor) / kt_nm_a,
+            (1.0 - by_load) / (1.0 + by_motor) / kt_nm_a,
+            (1.0 - by_motor) / (1.0 + by_motor),
+            base_nm / (1.0 - by_motor) / kt_nm_a,
+        )
+        for part in PARTS:
+            case = next(case for case in CASES if case.part == part)
+            gripper = rig(Setup(gearing=name, measured=True, rate_hz=GEARED_HZ), case, TRUTHS[0])
+            gripper.measure_servos()
+            for drive in gripper.gripper.drives.read().drives.values():
+                shown = (
+                    drive.rising_a_nm,
+                    drive.falling_a_nm,
+                    drive.yielding_share,
+                    drive.breakaway_a,
+                )
+                found.append([100.0 * (a / b - 1.0) for a, b in zip(shown, true, strict=True)])
+        spans = (f"{min(one):.0f} to {max(one):.0f} %" for one in zip(*found, strict=True))
+        line(name, f"{', '.join(spans)} of {1e3 * true[3]:.0f} mA")
+
+
 def _missed(case: Case, quality: RampQuality) -> str:
     """Return the initials of the aims that are missed: overshoot, settling, hold."""
     marks = zip("OSH", met(quality, case.final_n), strict=True)
@@ -281,9 +311,12 @@ if __name__ == "__main__":
     parser.add_argument("--friction", type=float, default=1.0, help="factor with --gearing")
     parser.add_argument("--kt", type=float, default=1.0, help="factor on torque with --gearing")
     parser.add_argument("--frames", action="store_true", help="gearings without force messages")
+    parser.add_argument("--measured", action="store_true", help="the measured servos alone")
     parser.add_argument("--effort", type=float, default=1.0, help="0.1: one truth alone")
     given = parser.parse_args()
-    if given.frames or given.gearing:
+    if given.measured:
+        measured_lines()
+    elif given.frames or given.gearing:
         names = (given.gearing,) if given.gearing else tuple(GEARINGS)
         rate_hz = None if given.frames else GEARED_HZ
         geared(given.effort, names, rate_hz, (given.friction, given.kt))

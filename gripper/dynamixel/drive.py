@@ -1,9 +1,10 @@
 """Drive characteristic of one servo: the relation of current and torque, with its uncertainty.
 
 Two measured lines bound the load that a current holds: the load rises at ``rising_a_nm * load +
-breakaway_a``, and falls at ``falling_a_nm * load - breakaway_a``. In free motion the current is
-``offset_a +- friction_a(speed)``. Loads are torques at the output by the force of the pads; only
-``kt_nm_a`` does not depend on the pads.
+breakaway_a``, and falls at ``falling_a_nm * load - yielding_share * breakaway_a``, where that is
+above 0 A. Below 0 A the motor helps the load to fall; the load is gone at ``-breakaway_a``. In free
+motion the current is ``offset_a +- friction_a(speed)``. Loads are torques at the output by the
+force of the pads; only ``kt_nm_a`` does not depend on the pads.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,6 +21,8 @@ SIGMAS = 2.0
 _FRICTION_SD = 0.7
 """Standard deviation of the logarithm of the friction current between two servos of one model: a
 quarter to four times. The catalogue alone is so uncertain. [assumed]"""
+_FALLING_SD = 0.4
+"""The same of a load that falls over one that rises. [vendor]"""
 
 _MEASURED_FRICTION_SD, _MEASURED_LOAD_SD = 0.1, 0.02
 """The same within a day, once both were measured. [assumed]"""
@@ -49,8 +52,13 @@ class DriveCharacteristic:
     rising_a_nm: float
     falling_a_nm: float
     """Growth of the current in A for each N m of a load that rises, or falls."""
+    yielding_share: float = 1.0
+    """Current by which friction without a load helps to hold one, over ``breakaway_a``: 1 where
+    losses grow with the load, less where they grow with the torque of the motor."""
     load_sd: float = KT_SD
-    """Uncertainty of both."""
+    """Uncertainty of ``rising_a_nm``."""
+    falling_sd: float = _FALLING_SD
+    """Uncertainty of ``falling_a_nm`` and ``yielding_share``."""
     kt_nm_a: float
     """Torque at the output in N m for each A of a rising load, by catalogue and back-EMF."""
     kt_sd: float = KT_SD
@@ -68,7 +76,7 @@ class DriveCharacteristic:
     def __post_init__(self) -> None:
         positive = {
             name: getattr(self, name)
-            for name in ("breakaway_a", "rising_a_nm", "falling_a_nm", "kt_nm_a")
+            for name in ("breakaway_a", "rising_a_nm", "falling_a_nm", "yielding_share", "kt_nm_a")
         }
         for name, value in positive.items():
             if not 0.0 < value < float("inf"):

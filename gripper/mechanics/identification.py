@@ -5,12 +5,14 @@ other give A for each N m: friction locks one, the other one moves slowly. Neith
 motor constant from the gain of the pads: the back-EMF is the reference.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import hypot, log
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
@@ -42,16 +44,16 @@ _VOLTAGE_SD_V, _RESISTANCE_SD = 0.02, 0.15
 [assumed]"""
 _BLOCKS, _LEAST_BLOCKS = 30, 6
 """Parts of the points of a load whose means are taken, and fewest of these in a line. [tuned]"""
-_LOCKED, _ENDS = 0.25, 0.05
-"""Shares of the load's way that are left out after a turn, and before the next one. [tuned]"""
+_LOCKED, _ENDS = {True: 0.25, False: 0.15}, 0.05
+"""Shares of the load's way that are left out after a turn to a load that rises (True) or falls, and
+before the next turn. [tuned]"""
 _ALIKE = 2.0
 """Factor for the common error of neighbouring parts' means, over their scatter. [tuned]"""
-_FALLING_BASE = (0.7, 0.4)
-"""Breakaway of a falling load over that of a rising one, and its uncertainty. It is 0.3 to 1 for
+_YIELDING = (0.7, 0.4)
+"""Yielding share of a gearing, falling over rising slope, and the uncertainty of both: 0.3 to 1 for
 gearings that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]"""
-_SUREST = {True: 0.1, False: 0.25}
-"""Largest uncertainty of a slope that counts, as a share, where the load rises (True) and falls.
-Without a line it falls as it rises, up to three times wrong. [chosen]"""
+_SUREST = 0.1
+"""Largest uncertainty of a rising slope that counts, as a share. [chosen]"""
 _LEAST_SPAN = 1.5
 """Least ratio of speeds that separates resistance and back-EMF."""
 _OUTLIER_SIGMAS = 2.5
@@ -152,17 +154,27 @@ def fit_load(
     other one stands. A direction with too little data stays as it was. The earlier friction is a
     prior with its uncertainty.
     """
-    up, down = _line(rising, before, rises=True), _line(falling, before, rises=False)
-    if up is None:
+    up = _rising(rising, before)
+    if up is None or up.sds[0] > _SUREST * up.values[0]:
         return before
-    # A gearing needs no more current to yield than to drive.
-    relief = before.falling_a_nm / before.rising_a_nm if down is None else down.slope / up.slope
-    return replace(
+    slope, base_a = up.values.tolist()
+    found = replace(
         before,
-        rising_a_nm=up.slope,
-        falling_a_nm=up.slope * min(relief, 1.0),
-        breakaway_a=max(up.base, 0.1 * before.breakaway_a),
-        load_sd=max(up.slope_share, _LEAST_LOAD_SD),
+        rising_a_nm=slope,
+        falling_a_nm=slope * before.falling_a_nm / before.rising_a_nm,
+        breakaway_a=max(base_a, 0.1 * before.breakaway_a),
+        load_sd=max(float(up.sds[0]) / slope, _LEAST_LOAD_SD),
+    )
+    down = _falling(falling, up)
+    if down is None:
+        return found
+    falls, share, _ = down.values.tolist()
+    # A gearing needs no more current to yield than to drive.
+    return replace(
+        found,
+        falling_a_nm=min(falls, slope),
+        yielding_share=min(share, 1.0),
+        falling_sd=float(down.sds[0]) / falls,
     )
 
 
@@ -200,12 +212,12 @@ def anchored(
         idle_v = model.winding_ohm * model.friction_nm / model.kt_nm_a
         expected_v_s = (model.nominal_voltage_v - idle_v) / model.no_load_rad_s
         ratio, sd = model.kt_nm_a / expected_v_s, model.back_emf_sd
-        # Ratio of a motor with equal torque and back-EMF constants, and equal losses both ways.
-        kept = (drive.falling_a_nm / drive.rising_a_nm) ** 0.5
+        # Ratio of a motor with equal torque and back-EMF constants.
+        kept = _kept_share(drive)
         if kept < ratio:
-            ratio, sd = kept, hypot(sd, _LOSS_SD)
+            ratio, sd = kept, hypot(sd, _LOSS_SD, 0.5 * drive.falling_sd)
     values = replace(drive, back_emf_v_s=back_emf_v_s)
-    if drive.kt_sd >= sd:
+    if drive.kt_sd >= min(sd, model.kt_sd):
         values = replace(values, kt_nm_a=ratio * back_emf_v_s, kt_sd=sd)
     kt_nm_a, load_sd = values.kt_nm_a, max(_UNPRESSED_SD, sd)
     if drive.load_sd < load_sd:
@@ -241,45 +253,108 @@ def change(point: FreePoint, drive: DriveCharacteristic) -> float:
     return ratio if drive.measured and abs(log(ratio)) > allowed else 1.0
 
 
-class _Line(NamedTuple):
-    """Line of current over load: A for each N m, A without a load, uncertainty of the slope."""
+def _kept_share(drive: DriveCharacteristic) -> float:
+    """Return the share of the motor's torque that a rising load gets, by both lines of the load.
 
-    slope: float
-    base: float
-    slope_share: float
+    Where losses grow with the load, L = (T - base) / (1 + l) rises and (T + base) / (1 - l) falls;
+    where they grow with the motor's torque, (1 - d) T - base and (1 + d) T + base.
+    """
+    falls = drive.falling_a_nm / drive.rising_a_nm
+    by_motor, by_load = 2.0 * falls / (1.0 + falls), 0.5 * (1.0 + falls)
+    if falls >= 1.0:
+        return 1.0
+    # The yielding share is ``falls`` where all losses are the motor's, and 1 where none are.
+    of_load = min(max((drive.yielding_share - falls) / (1.0 - falls), 0.0), 1.0)
+    return of_load * by_load + (1.0 - of_load) * by_motor
 
 
-def _line(points: Sequence[LoadPoint], before: DriveCharacteristic, *, rises: bool) -> _Line | None:
-    """Return the line of a servo whose load rises or falls; None where the points give no line."""
+class _Fit(NamedTuple):
+    """Values of a model of current over load, and their standard deviations."""
+
+    values: NDArray[np.float64]
+    sds: NDArray[np.float64]
+
+
+def _rising(points: Sequence[LoadPoint], before: DriveCharacteristic) -> _Fit | None:
+    """Return A for each N m of a load that rises, and A without a load."""
+    blocks = _moving(points, _LOCKED[True], 1.0 - _ENDS)
+    if blocks is None:
+        return None
+    base_sd_a = before.breakaway_a * max(before.friction_sd, LEAST_FRICTION_SD)
+    start = np.array([before.rising_a_nm, before.breakaway_a])
+    return _fit(
+        blocks, lambda line, load_nm: line[0] * load_nm + line[1], start, [np.inf, base_sd_a]
+    )
+
+
+def _falling(points: Sequence[LoadPoint], up: _Fit) -> _Fit | None:
+    """Return A for each N m of a load that falls, the yielding share, and A without a load."""
+    blocks = _moving(points, _ENDS, 1.0 - _LOCKED[False])
+    if blocks is None:
+        return None
+
+    def current_a(values: NDArray[np.float64], load_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+        slope, share, base_a = values
+        passive_nm = share * base_a / slope
+        above_nm = load_nm - passive_nm
+        shown_a: NDArray[np.float64] = above_nm * np.where(
+            above_nm > 0.0, slope, base_a / passive_nm
+        )
+        return shown_a
+
+    start = np.array([_YIELDING[0] * up.values[0], _YIELDING[0], up.values[1]])
+    return _fit(blocks, current_a, start, [_YIELDING[1] * up.values[0], _YIELDING[1], up.sds[1]])
+
+
+def _moving(points: Sequence[LoadPoint], least: float, most: float) -> NDArray[np.float64] | None:
+    """Return means (m, 2) of parts of the points, within shares of the load's way; None: too few.
+
+    The noise of single loads would make a line too flat.
+    """
     size = max(1, len(points) // _BLOCKS)
     n_blocks = len(points) // size
     if n_blocks < _LEAST_BLOCKS:
         return None
-    # The noise of single loads would make the line too flat.
     blocks = np.array(points[: n_blocks * size]).reshape(n_blocks, size, 2).mean(axis=1)
     low, high = blocks[:, 0].min(), blocks[:, 0].max()
     # After a turn of the direction, friction locks the finger.
-    least, most = (_LOCKED, 1.0 - _ENDS) if rises else (_ENDS, 1.0 - _LOCKED)
     way = (blocks[:, 0] - low) / max(high - low, 1e-9)
-    blocks = blocks[(way >= least) & (way <= most)]
-    # Below 0 A the motor drives the load away, and its own losses change their sign.
-    holding = blocks[blocks[:, 1] > 0.0]
-    load, current = (holding if len(holding) >= _LEAST_BLOCKS else blocks).T
-    if len(load) < _LEAST_BLOCKS:
-        return None
-    share, sd_share = (1.0, max(before.friction_sd, LEAST_FRICTION_SD)) if rises else _FALLING_BASE
-    base = share * before.breakaway_a * (1.0 if rises else -1.0)
-    base_sd = sd_share * before.breakaway_a
-    rows, sd = np.column_stack([load, np.ones(len(load))]), base_sd
+    moving: NDArray[np.float64] = blocks[(way >= least) & (way <= most)]
+    return moving if len(moving) >= _LEAST_BLOCKS else None
+
+
+def _fit(
+    blocks: NDArray[np.float64],
+    model: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
+    start: NDArray[np.float64],
+    start_sds: Sequence[float],
+) -> _Fit:
+    """Fit a model of current over load; blocks far from it are left out.
+
+    Parameters
+    ----------
+    blocks : (m, 2)
+        Loads in N m and currents in A.
+    model
+        Currents of some values at some loads.
+    start, start_sds
+        Values before the measurement, and their standard deviations.
+    """
+    (load_nm, current_a), sd_a = blocks.T, start_sds[-1]
     for _ in range(3):
-        whole = np.vstack([rows / sd, [0.0, 1.0 / base_sd]])
-        wanted = np.append(current / sd, base / base_sd)
-        found = np.linalg.lstsq(whole, wanted, rcond=None)[0]
-        sd = max(_ALIKE * float(np.median(np.abs(current - rows @ found))) / 0.6745, 1e-4)
-        near = np.abs(current - rows @ found) <= _OUTLIER_SIGMAS * sd / _ALIKE
-        rows, current = rows[near], current[near]
-    slope, base = float(found[0]), float(found[1])
-    slope_sd = float(np.linalg.inv(whole.T @ whole)[0, 0]) ** 0.5
-    if slope <= 0.0 or slope_sd > _SUREST[rises] * slope:
-        return None
-    return _Line(slope, base, slope_sd / slope)
+
+        def misfit(
+            values: NDArray[np.float64],
+            load_nm: NDArray[np.float64] = load_nm,
+            current_a: NDArray[np.float64] = current_a,
+            sd_a: float = sd_a,
+        ) -> NDArray[np.float64]:
+            off = (model(values, load_nm) - current_a) / sd_a
+            return np.concatenate([off, (values - start) / start_sds])
+
+        found = least_squares(misfit, start, bounds=(1e-3 * start, np.inf), x_scale=start)
+        off_a = np.abs(model(found.x, load_nm) - current_a)
+        sd_a = max(_ALIKE * float(np.median(off_a)) / 0.6745, 1e-4)
+        near = off_a <= _OUTLIER_SIGMAS * sd_a / _ALIKE
+        load_nm, current_a = load_nm[near], current_a[near]
+    return _Fit(found.x, np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac))))

@@ -208,12 +208,23 @@ class Transmission(NamedTuple):
         return self.drive.breakaway_a * self.n_per_a
 
     @property
-    def relief(self) -> float:
-        """Ratio of falling to rising force at a drive, without the friction at no load.
+    def _passive_n(self) -> float:
+        """Largest force in N that the gearing holds without a current."""
+        drive = self.drive
+        return drive.yielding_share * drive.breakaway_a / (drive.falling_a_nm * self.radius_m)
 
-        1 where the gearing's friction does not grow with the load.
-        """
-        return self.drive.rising_a_nm / self.drive.falling_a_nm
+    def held_n(self, drive_n: float) -> float:
+        """Return the largest force in N that a drive in N holds; below 0 if it opens the finger."""
+        if drive_n >= 0.0:
+            return self._passive_n + drive_n * self.drive.rising_a_nm / self.drive.falling_a_nm
+        return self._passive_n * (1.0 + drive_n / self.friction_n)
+
+    def yielding_n(self, force_n: float) -> float:
+        """Return the drive in N at which a force in N begins to fall: the inverse of `held_n`."""
+        above_n = force_n - self._passive_n
+        if above_n >= 0.0:
+            return above_n * self.drive.falling_a_nm / self.drive.rising_a_nm
+        return self.friction_n * above_n / self._passive_n
 
     def doubt_n(self, force_n: float) -> float:
         """Return the standard deviation in N of a grip force by the current alone."""
@@ -227,7 +238,7 @@ class Transmission(NamedTuple):
     def force_band_n(self, current_a: float) -> tuple[float, float]:
         """Return the least and the largest grip force in N that a current can hold."""
         centre_n, friction_n = current_a * self.n_per_a, self.friction_n
-        return max(0.0, centre_n - friction_n), max(0.0, (centre_n + friction_n) * self.relief)
+        return max(0.0, centre_n - friction_n), max(0.0, self.held_n(centre_n))
 
     def pressing_n(self, current_a: float) -> float:
         """Return the largest plausible force in N that a current may press with as it rises."""

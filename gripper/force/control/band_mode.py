@@ -156,7 +156,7 @@ class BandMode(Mode):
             return target_n - estimate.bias_n + friction_n
         if error_n < -fall_n:
             self._turn(period.moment.now_s, rising=False)
-            return (setpoint_n - estimate.bias_n) / period.relief - friction_n
+            return period.yielding_n(setpoint_n - estimate.bias_n)
         return None
 
     def _approached(
@@ -178,7 +178,7 @@ class BandMode(Mode):
         """Move the modelled force as far as the friction band around the drive pushes it."""
         estimate, drive_n = self._grip.estimate, self._grip.quiet_n
         now_s, friction_n = period.moment.now_s, period.friction_n
-        most_n = (drive_n + friction_n) * period.relief
+        most_n = period.held_n(drive_n)
         model_n = min(max(estimate.model_n, drive_n - friction_n), most_n)
         if model_n < estimate.model_n:
             self._fell_s = now_s
@@ -241,7 +241,7 @@ class BandMode(Mode):
         inside = estimate.model_n - drive_n < (1.0 - self._tuning.creep_share) * friction_n
         if sample.t_s - breaking[0][0] < _ANCHOR_S or mean_n > setpoint_n or inside:
             return
-        model_n = (drive_n + friction_n) * period.relief
+        model_n = period.held_n(drive_n)
         estimate.correct(model_n - estimate.model_n, mean_n - model_n)
         self._breaking_since_s = None
 

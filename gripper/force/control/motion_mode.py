@@ -128,7 +128,8 @@ class MotionMode(Mode):
 
     def _friction_n(self, period: Period) -> float:
         """Return the friction in N at the present speed; on a way down the load loses some too."""
-        held_n = (1.0 - 1.0 / period.relief) * max(0.0, self.observer.force_n)
+        force_n = max(0.0, self.observer.force_n)
+        held_n = force_n - period.friction_n - period.yielding_n(force_n)
         fingers = 2 / len(period.paths)
         friction_n = fmean(
             path.drive.moving_a(fingers * self.observer.speed_m_s / path.radius_m) * path.n_per_a

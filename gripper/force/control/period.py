@@ -46,10 +46,13 @@ class Period:
         assert self.moment.sample is not None
         return self.moment.sample
 
-    @property
-    def relief(self) -> float:
-        """Falling force over rising force at the same drive, the mean of the servos."""
-        return sum(path.relief for path in self.paths) / len(self.paths)
+    def held_n(self, drive_n: float) -> float:
+        """Return the largest force in N that a drive in N holds, the mean of the servos."""
+        return sum(path.held_n(drive_n) for path in self.paths) / len(self.paths)
+
+    def yielding_n(self, force_n: float) -> float:
+        """Return the drive in N at which a force in N begins to fall, the mean of the servos."""
+        return sum(path.yielding_n(force_n) for path in self.paths) / len(self.paths)
 
     @property
     def end_n(self) -> float:

@@ -168,6 +168,8 @@ class FreeMotion:
             breakaway_a=(found.coulomb_a + found.stribeck_a) * drive.breakaway_share,
             rising_a_nm=drive.rising_a_nm,
             falling_a_nm=drive.falling_a_nm,
+            yielding_share=drive.yielding_share,
+            falling_sd=drive.falling_sd,
             load_sd=drive.load_sd,
             temperature_c=servo.temperature_c,
         )

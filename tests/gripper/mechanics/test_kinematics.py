@@ -68,6 +68,30 @@ def test_currents_bound_the_band(force_n: float) -> None:
     assert path.force_band_n(unloading_a)[1] == pytest.approx(force_n, abs=1e-9)
 
 
+@settings(derandomize=True, max_examples=50)
+@given(st.floats(0.0, 30.0), st.floats(0.3, 1.0))
+def test_a_force_falls_at_one_drive_and_is_gone_at_the_friction(
+    force_n: float, share: float
+) -> None:
+    path = Transmission(
+        DriveCharacteristic(
+            breakaway_a=0.1,
+            coulomb_a=0.1,
+            rising_a_nm=0.6,
+            falling_a_nm=0.3,
+            yielding_share=share,
+            kt_nm_a=1.7,
+        ),
+        0.05,
+    )
+    assert path.held_n(path.yielding_n(force_n)) == pytest.approx(force_n, abs=1e-9)
+    assert path.yielding_n(0.0) == pytest.approx(-path.friction_n)
+    held_n = share * 0.1 / (0.3 * 0.05)
+    assert path.force_band_n(0.0)[1] == pytest.approx(held_n), "the gearing alone"
+    falls_a = 0.3 * 0.05 * (held_n + force_n) - share * 0.1
+    assert path.force_band_n(falls_a)[1] == pytest.approx(held_n + force_n)
+
+
 def test_one_servo_for_both_fingers_needs_twice_the_torque() -> None:
     assert RackPinion(pinion_radius_m=0.01, n_servos=1).effective_radius_m(0.3) == 0.02
     assert RackPinion(pinion_radius_m=0.01, n_servos=2).effective_radius_m(0.3) == 0.01
