@@ -39,6 +39,9 @@ _BREAKAWAY_N = 0.1
 _LOOSENED_SHARE, _LOOSENING_N_S = 0.5, 20.0
 """Share of the friction at which the push of a fall begins to grow, and its rate in N/s. That edge
 of the friction is exact to a newton; after too large a push the force jumps. [tuned]"""
+_HEAVIER = 1.6
+"""Mass for the brake over the known one: identified gearings have up to 2.4 times the catalogue's.
+[tuned]"""
 _NEAR_N = 0.03
 """Distance in N from its end at which a rise is over. [tuned]"""
 _BELOW_SDS, _LEAST_BELOW_N, _MOST_BELOW_N = 1.5, 0.05, 0.18
@@ -112,12 +115,13 @@ class MotionMode(Mode):
             When sensor and model disagree, see `ForceEstimate.jumps` and `check`.
         """
         grip, observer, sample = self._grip, self.observer, period.sample
-        estimate, friction_n = grip.estimate, self._friction_n(period)
+        estimate, frictions_n = grip.estimate, self._frictions_n(period)
+        friction_n = frictions_n[self._falls]
         moment, setpoint_n = period.moment, period.setpoint_n
         measured_n = driving_n(period.state, period.paths)
         jumped = estimate.jumps(sample, observer.unexplained_n(sample), setpoint_n, friction_n)
         mean_n, seen = 0.5 * (self._measured_n + measured_n), None if jumped else sample
-        observer.step(moment, drive_n=mean_n, friction_n=friction_n, sample=seen)
+        observer.step(moment, drive_n=mean_n, frictions_n=frictions_n, sample=seen)
         self._measured_n = measured_n
         grip.quiet_n = self._planned_drive_n(period)
         grip.asked_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
@@ -126,21 +130,24 @@ class MotionMode(Mode):
         estimate.check(moment.now_s, sample, friction_n, period.doubt_n)
         return grip.quiet_n
 
-    def _friction_n(self, period: Period) -> float:
-        """Return the friction in N at the present speed; on a way down the load loses some too."""
-        force_n = max(0.0, self.observer.force_n)
-        held_n = force_n - period.friction_n - period.yielding_n(force_n)
-        fingers = 2 / len(period.paths)
+    def _frictions_n(self, period: Period) -> tuple[float, float]:
+        """Return the friction in N at the present speed, while the fingers close and open.
+
+        While they open, the gearing also holds a part of the load.
+        """
+        fingers, force_n = 2 / len(period.paths), max(0.0, self.observer.force_n)
         friction_n = fmean(
             path.drive.moving_a(fingers * self.observer.speed_m_s / path.radius_m) * path.n_per_a
             for path in period.paths
         )
-        return friction_n + (held_n if self._falls else 0.0)
+        held_n = force_n - period.friction_n - period.yielding_n(force_n)
+        return friction_n, friction_n + held_n
 
     def _planned_drive_n(self, period: Period) -> float:
         """Advance the plan by one period and return the driving force in N that follows it."""
         grip, observer, sign, dt_s = self._grip, self.observer, self._sign, period.moment.dt_s
-        setpoint_n, end_n, friction_n = period.setpoint_n, period.end_n, self._friction_n(period)
+        setpoint_n, end_n, frictions_n = period.setpoint_n, period.end_n, self._frictions_n(period)
+        friction_n = frictions_n[self._falls]
         stiffness = observer.stiffness_n_m
         impact = impact_limit(grip.settings, grip.linkage, period.state.angles_rad)
         speed_max_m_s = pressing_speed_m_s(grip.settings, impact, setpoint_n)
@@ -159,7 +166,7 @@ class MotionMode(Mode):
         plan.step(dt_s, setpoint_n, end_n, rates_n_s=(ramp_n_s, most_n_s), change_n_s2=change_n_s2)
         # The new drive acts a little later; until then the last one does.
         ahead_s = _WRITE_S + CURRENT_S
-        speed = observer.speed_after_m_s(ahead_s, grip.drive_n, friction_n)
+        speed = observer.speed_after_m_s(ahead_s, grip.drive_n, frictions_n)
         force_n = observer.force_n + 0.5 * (speed + observer.speed_m_s) * stiffness * ahead_s
         planned_n = plan.force_n + sign * plan.rate_n_s * ahead_s
         error_n = sign * (planned_n - force_n)
@@ -168,9 +175,12 @@ class MotionMode(Mode):
         accelerates = sign * plan.rate_change_n_s2 / stiffness + (wanted - speed) / SPEED_S
         # Growth of the force while only friction brakes the fingers.
         stopping_n = 0.5 * observer.mass_kg * speed**2 * stiffness / max(friction_n, _NEAR_N)
-        arrived = sign * (end_n - force_n) <= _NEAR_N + stopping_n
-        if at_end and wanted_m_s < speed_max_m_s:
-            self._late_s += dt_s
+        left_n = sign * (end_n - force_n)
+        arrived = left_n <= _NEAR_N + stopping_n
+        # A gearing that holds a part of the load also brakes by a drive below the force.
+        brake_n = (_HEAVIER * stopping_n / max(left_n, _NEAR_N) - 1.0) * friction_n
+        brake_n = max(0.0, min(brake_n, _LOCKED_SHARE * (frictions_n[1] - friction_n)))
+        self._late_s += dt_s if at_end and wanted_m_s < speed_max_m_s else 0.0
         stands = abs(speed) * stiffness * _FORCE_S <= _NEAR_N
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
         band_n = _LOCKED_SHARE * friction_n
@@ -187,8 +197,8 @@ class MotionMode(Mode):
             observer.open_from(grip.drive_n, friction_n)
         # Fingers that still open after the longest time must be locked too.
         if arrived or (self.over and self._falls):
-            push_n = sign * band_n if stands else 0.0
-        push_n = sign * max(sign * push_n, -band_n)
+            push_n = sign * band_n if stands else -brake_n
+        push_n = sign * max(sign * push_n, -max(band_n, brake_n))
         drive_max_n = period.drive_max_n - period.inertia_n
         return min(force_n + observer.lacking_n + push_n, drive_max_n)
 

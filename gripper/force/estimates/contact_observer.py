@@ -4,7 +4,7 @@ Motor and finger, seen at the pad, are a mass. Friction brakes it, and a spring,
 pushes back.
 """
 
-from math import copysign, exp, log, sqrt
+from math import exp, log, sqrt
 
 from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.history import History
@@ -77,19 +77,30 @@ class ContactObserver:
         """Standard deviation of the force in N."""
         return sqrt(max(self._p[0][0], 0.0))
 
-    def speed_after_m_s(self, dt_s: float, drive_n: float, friction_n: float) -> float:
-        """Return the speed in m/s after ``dt_s`` s under a drive; 0 where friction locks."""
-        push_n = drive_n - self.lacking_n - self.force_n
+    def speed_after_m_s(
+        self, dt_s: float, drive_n: float, frictions_n: tuple[float, float]
+    ) -> float:
+        """Return the speed in m/s after ``dt_s`` s under a drive; 0 where friction locks.
+
+        ``frictions_n``: friction in N while the fingers close, and while they open.
+        """
+        push_n, (closing_n, opening_n) = drive_n - self.lacking_n - self.force_n, frictions_n
         speed = self.speed_m_s
-        after = speed + (push_n - copysign(friction_n, speed)) * dt_s / self.mass_kg
+        braked_n = push_n - (closing_n if speed >= 0.0 else -opening_n)
+        after = speed + braked_n * dt_s / self.mass_kg
         if speed * after > 0.0:
             return after
-        if abs(push_n) <= STICTION * friction_n:
+        if -STICTION * opening_n <= push_n <= STICTION * closing_n:
             return 0.0
-        return (push_n - copysign(friction_n, push_n)) * dt_s / self.mass_kg
+        return (push_n - (closing_n if push_n > 0.0 else -opening_n)) * dt_s / self.mass_kg
 
     def step(
-        self, moment: Moment, *, drive_n: float, friction_n: float, sample: ForceSample | None
+        self,
+        moment: Moment,
+        *,
+        drive_n: float,
+        frictions_n: tuple[float, float],
+        sample: ForceSample | None,
     ) -> None:
         """Advance to the present feedback and use it.
 
@@ -99,13 +110,13 @@ class ContactObserver:
             Feedback.
         drive_n
             Driving force in N since the last step, by the measured currents.
-        friction_n
-            Friction of a finger in N.
+        frictions_n
+            As `speed_after_m_s`.
         sample
             Newest valid force sample, which may be the same as before; None leaves it out.
         """
         if moment.dt_s > 0.0:
-            self._predict(moment.dt_s, drive_n, friction_n)
+            self._predict(moment.dt_s, drive_n, frictions_n)
         speed_m_s = -0.5 * moment.state.aperture_velocity_m_s
         self._history.add(moment.now_s, self.force_n)
         self._correct(1, speed_m_s - self.speed_m_s, _SPEED_NOISE_M_S**2)
@@ -134,10 +145,10 @@ class ContactObserver:
         """Return the excess in N of a sample over the force at the time of its measurement."""
         return sample.grip_n - self._history.at(sample.measured_s)
 
-    def _predict(self, dt_s: float, drive_n: float, friction_n: float) -> None:
+    def _predict(self, dt_s: float, drive_n: float, frictions_n: tuple[float, float]) -> None:
         stiffness, mass = self.stiffness_n_m, self.mass_kg
         speed = self.speed_m_s
-        after = self.speed_after_m_s(dt_s, drive_n, friction_n)
+        after = self.speed_after_m_s(dt_s, drive_n, frictions_n)
         self.force_n = max(0.0, self.force_n + 0.5 * (speed + after) * stiffness * dt_s)
         self.speed_m_s = after
         p = self._p

@@ -65,10 +65,10 @@ def make_period(
         "drive_max_n": 40.0,
         "inertia_n": 0.0,
         "may_open": True,
+        "paths": paths,
     }
     return Period(
         moment=Moment(now_s=now_s, dt_s=dt_s, state=state, sample=sample),
         setpoint_n=setpoint_n,
-        paths=paths,
         **(usual | changes),
     )

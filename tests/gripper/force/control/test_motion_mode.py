@@ -1,21 +1,26 @@
 """The mode of planned motions alone, on a finger with mass, friction and a spring."""
 
-from math import copysign
+from dataclasses import replace
 
 import pytest
 
 from gripper.force.control.motion_mode import MotionMode
 from gripper.force.control.period import Mode
-from tests.gripper.force.grips import FRICTION_N, PERIOD_S, make_grip, make_period
+from gripper.mechanics.kinematics import Transmission, transmissions
+from gripper.settings import GripperSettings
+from tests.gripper.force.grips import LINKAGE, PERIOD_S, STATE, make_grip, make_period
 
 STIFFNESS_N_M = 1e4
 """Of pad and part at one pad."""
+PATHS = transmissions(GripperSettings(), LINKAGE, STATE.angles_rad)
+"""Gearings with Coulomb friction alone."""
 
 
 class Finger:
     """A mass that friction brakes and a spring pushes back, in steps of 0.1 ms."""
 
-    def __init__(self, mass_kg: float, force_n: float) -> None:
+    def __init__(self, path: Transmission, mass_kg: float, force_n: float) -> None:
+        self.path = path
         self.mass_kg = mass_kg
         self.force_n = force_n
         self.speed_m_s = 0.0
@@ -24,9 +29,11 @@ class Finger:
         step_s = 1e-4
         for _ in range(round(PERIOD_S / step_s)):
             push_n = drive_n - self.force_n
-            if self.speed_m_s == 0.0 and abs(push_n) <= FRICTION_N:
+            opening_n = self.force_n - self.path.yielding_n(self.force_n)
+            if self.speed_m_s == 0.0 and -opening_n <= push_n <= self.path.friction_n:
                 continue
-            brake_n = copysign(FRICTION_N, self.speed_m_s or push_n)
+            closes = (self.speed_m_s or push_n) > 0.0
+            brake_n = self.path.friction_n if closes else -opening_n
             before_m_s = self.speed_m_s
             self.speed_m_s += (push_n - brake_n) / self.mass_kg * step_s
             if before_m_s * self.speed_m_s < 0.0:
@@ -34,12 +41,19 @@ class Finger:
             self.force_n += STIFFNESS_N_M * self.speed_m_s * step_s
 
 
-def moved(setpoints_n: list[float], force_n: float, *, begins_n: float) -> tuple[float, float]:
+def moved(
+    setpoints_n: list[float],
+    force_n: float,
+    *,
+    begins_n: float,
+    paths: tuple[Transmission, ...] = PATHS,
+) -> tuple[float, float]:
     """Return the largest force and that at the end of a motion along set-points, in N."""
     grip = make_grip(force_n)
     grip.drive_n = grip.quiet_n = force_n
     mode = MotionMode(grip, 0.0, STIFFNESS_N_M)
-    finger, peak_n, before_n = Finger(grip.mass_kg, force_n), 0.0, begins_n
+    finger = Finger(paths[0], grip.mass_kg, force_n)
+    peak_n, before_n = 0.0, begins_n
     for i, setpoint_n in enumerate(setpoints_n):
         period = make_period(
             i * PERIOD_S,
@@ -49,6 +63,8 @@ def moved(setpoints_n: list[float], force_n: float, *, begins_n: float) -> tuple
             arrival_n=setpoints_n[-1],
             speed_m_s=-2.0 * finger.speed_m_s,
             drive_n=grip.drive_n,
+            paths=paths,
+            friction_n=paths[0].friction_n,
         )
         if i == 0:
             mode.enter(period, Mode())
@@ -70,6 +86,24 @@ def test_a_fast_rise_ends_just_below_its_set_point(rate_n_s: float) -> None:
     steps = round(5.0 / rate_n_s / PERIOD_S)
     setpoints_n = [1.0 + 5.0 * (i + 1) / steps for i in range(steps)] + [6.0] * 100
     peak_n, end_n = moved(setpoints_n, 1.0, begins_n=1.0)
+    assert peak_n < 6.15
+    assert end_n == pytest.approx(5.9, abs=0.2)
+
+
+@pytest.mark.parametrize("rate_n_s", [10.0, 20.0])
+def test_a_gearing_that_holds_the_load_brakes_a_fast_rise(rate_n_s: float) -> None:
+    path = PATHS[0]
+    usual = path.drive
+    lossy = replace(
+        usual,
+        breakaway_a=0.08 * usual.breakaway_a,
+        falling_a_nm=usual.rising_a_nm / 3.5,
+        yielding_share=0.6,
+    )
+    steps = round(5.0 / rate_n_s / PERIOD_S)
+    setpoints_n = [1.0 + 5.0 * (i + 1) / steps for i in range(steps)] + [6.0] * 100
+    paths = (path._replace(drive=lossy),) * 2
+    peak_n, end_n = moved(setpoints_n, 1.0, begins_n=1.0, paths=paths)
     assert peak_n < 6.15
     assert end_n == pytest.approx(5.9, abs=0.2)
 
