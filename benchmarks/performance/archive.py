@@ -3,7 +3,7 @@
 Grasps are recorded ones (TACTILE_CELL_DATA names their folder, else simulated ones), repeated with
 noise, in data sets of a cell and day each. Each piece of work runs in a process of its own, which
 prints its peak memory, and that of its largest worker. A tenth of the files shows whether memory
-grows with the archive. `--grasps 1000000` takes hours and 15 GB of disk.
+grows with the archive. `--grasps 1000000` takes two hours and 25 GB of disk.
 """
 
 import argparse
