@@ -8,7 +8,7 @@ import heapq
 import json
 import secrets
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -104,13 +104,17 @@ class Archive:
         columns: Sequence[str],
         selection: Selection = EVERYTHING,
         partitions: Sequence[Partition] | None = None,
+        keys: Set[str] | None = None,
     ) -> Iterator[tuple[Partition, pa.RecordBatch]]:
-        """Yield some columns of the selected rows in pieces, of all or of the given partitions."""
+        """Yield some columns of the selected rows in pieces, of all or of the given partitions.
+
+        With ``keys``, only groups of rows that contain one of them are read.
+        """
         known = bool(selection.objects)
         wanted = [*columns, *(["label"] if known and "label" not in columns else [])]
         for partition in self.partitions(selection) if partitions is None else partitions:
             for path in partition.files:
-                for batch in self._batches(path, wanted):
+                for batch in self._batches(path, wanted, keys):
                     rows = batch
                     if known:
                         labels = pa.array(sorted(selection.objects))
@@ -130,7 +134,7 @@ class Archive:
             repeatable choice.
         """
         chosen = None if most is None else self._sample(selection, most)
-        for _, batch in self.batches(SCHEMA.names, selection):
+        for _, batch in self.batches(SCHEMA.names, selection, keys=chosen):
             rows = batch
             if chosen is not None:
                 rows = rows.filter(pa.array([k in chosen for k in rows.column("key").to_pylist()]))
@@ -168,12 +172,20 @@ class Archive:
     def _files(self, place: str) -> tuple[str, ...]:
         return tuple(path for path in self._inside(place) if path.endswith(".parquet"))
 
-    def _batches(self, path: str, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
+    def _batches(
+        self, path: str, columns: Sequence[str], keys: Set[str] | None = None
+    ) -> Iterator[pa.RecordBatch]:
         try:
             with self._fs.open(path, "rb") as file, pq.ParquetFile(file) as table:
                 found = (table.schema_arrow.metadata or {}).get(b"format", b"").decode()
                 ARCHIVE.check(found or None, path, ArchiveError)
-                yield from table.iter_batches(batch_size=_BATCH, columns=list(columns))
+                groups = [
+                    group
+                    for group in range(table.num_row_groups)
+                    if keys is None
+                    or not keys.isdisjoint(_keys(table.read_row_group(group, columns=["key"])))
+                ]
+                yield from table.iter_batches(_BATCH, groups, columns=list(columns))
         except (OSError, pa.ArrowException) as cause:
             raise ArchiveError(
                 f"{path} cannot be read ({cause}); remove it and {SOURCES} of the archive, and "
@@ -282,7 +294,7 @@ def nothing_selected(target: str) -> ArchiveError:
     return ArchiveError(f"no grasp of {target} is selected: look at its folders for cells and days")
 
 
-def _keys(batch: pa.RecordBatch) -> list[str]:
+def _keys(batch: pa.RecordBatch | pa.Table) -> list[str]:
     return list(batch.column("key").to_pylist())
 
 

@@ -18,7 +18,7 @@ from cell.archive.ingest import ingest, sources
 from cell.archive.questions import ask
 from cell.archive.selection import Selection, parse_selection
 from cell.archive.store import Archive
-from cell.archive.table import COLUMNS, SCHEMA
+from cell.archive.table import COLUMNS, SCHEMA, grasp_key
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import recording_grasps
@@ -26,7 +26,7 @@ from cell.errors import ArchiveError, ConfigError
 from cell.jobs.common import silent
 from cell.jobs.parallel import workers
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
-from tests.cell.archive.fleet import PADS, ramp, record_fleet
+from tests.cell.archive.fleet import PADS, SIZES_MM, ramp, record_fleet
 from tests.fuzz.harness import Clock
 
 add = partial(ingest, progress=silent)
@@ -231,10 +231,15 @@ def test_a_selection_reads_only_its_cells_days_and_objects(archived) -> None:
 
 def test_some_grasps_of_each_object_are_the_same_each_time(archived) -> None:
     archive = Archive(archived)
-    some = [g.start_ms for g in archive.grasps(most=5)]
-    assert some == [g.start_ms for g in archive.grasps(most=5)]
-    assert len(some) == 15
+    keys = {
+        label: sorted(row["key"] for row in every(archived) if row["label"] == label)
+        for label in SIZES_MM
+    }
+    some = sorted(grasp_key(grasp) for grasp in archive.grasps(most=5))
+    assert some == sorted(key for of_label in keys.values() for key in of_label[:5])
     assert len(list(archive.grasps(most=100))) == 36
+    assert sum(1 for _ in archive.batches(["key"])) > 1
+    assert sum(1 for _ in archive.batches(["key"], keys={some[0]})) == 1
 
 
 @pytest.mark.parametrize("kind", [".csv", ".parquet", ".npz"])
