@@ -162,6 +162,7 @@ class ServoSettings:
         if self.kt_nm_a is not None:
             a_nm = 1.0 / self.kt_nm_a
             torque = {"kt_nm_a": self.kt_nm_a, "kt_sd": sd, "load_sd": sd}
+            torque["inertia_ratio"] = self.servo_model.kt_nm_a / self.kt_nm_a
             drive = replace(drive, rising_a_nm=a_nm, falling_a_nm=a_nm, **torque)
         if self.friction_a is not None:
             friction = {"coulomb_a": self.friction_a, "breakaway_a": self.friction_a}

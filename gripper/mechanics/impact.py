@@ -93,7 +93,8 @@ def impact_limit(
         for servo, path, current_a in zip(settings.servos, paths, currents_a, strict=True):
             drive_n = max(drive_n, path.pressing_n(current_a))
             load_share = max(load_share, exp(SIGMAS * path.drive.load_sd))
-            inertia_kg_m2 = servo.servo_model.rotor_inertia_kg_m2 + fingers * _FINGER_KG_M2
+            servo_kg_m2 = path.drive.inertia_a_s2(servo.servo_model) / path.drive.rising_a_nm
+            inertia_kg_m2 = servo_kg_m2 + fingers * _FINGER_KG_M2
             # By virtual work a servo that drives both fingers has half its mass at each pad.
             mass_kg = max(mass_kg, fingers * inertia_kg_m2 / path.radius_m**2)
     stiffness_n_m = max(settings.pad_stiffness_n_m, settings.force_max_n / _SMALL_PART_M)

@@ -163,7 +163,7 @@ def test_the_self_zero_and_the_drives_of_the_present_format_count(current) -> No
         [0.137, 0.132], abs=1e-3
     )
     said = call("doctor", "-c", "current.yaml")
-    assert "self-zero: of 2026-11-23" in said
+    assert "self-zero: none of today, the last is of 2026-11-23" in said
     assert "servo 1: friction 0.137 A" in said
 
 

@@ -311,8 +311,9 @@ class FirstMotion:
         return MechanicsContradicted(
             f"servo {servo.servo_id}: {found}, at an opening of {self._stands_m * 1e3:.1f} mm on "
             f"its way to {self._aperture_m * 1e3:.1f} mm, with {max(self._currents_a):.2f} A, the "
-            f"least that moves it. So the settings do not match the position of the fingers, or "
-            f"something blocks them; the torque is switched off. Look at the fingers, then check "
+            f"least that moves it. So the settings do not match the position of the fingers, "
+            f"something blocks them, or their friction is too high; the torque is switched off. "
+            f"Look at the fingers, move them by hand, then check "
             f"{mechanics_text(self._settings, self._linkage)}"
         )
 

@@ -8,7 +8,7 @@ A motion also corrects a small error of a hold.
 """
 
 from collections import deque
-from math import sqrt
+from math import exp, sqrt
 from statistics import fmean
 
 from gripper.force.control.period import Mode, Period
@@ -39,9 +39,6 @@ _BREAKAWAY_N = 0.1
 _LOOSENED_SHARE, _LOOSENING_N_S = 0.5, 20.0
 """Share of the friction at which the push of a fall begins to grow, and its rate in N/s. That edge
 of the friction is exact to a newton; after too large a push the force jumps. [tuned]"""
-_HEAVIER = 1.6
-"""Mass for the brake over the known one: identified gearings have up to 2.4 times the catalogue's.
-[tuned]"""
 _NEAR_N = 0.03
 """Distance in N from its end at which a rise is over. [tuned]"""
 _BELOW_SDS, _LEAST_BELOW_N, _MOST_BELOW_N = 1.5, 0.05, 0.18
@@ -178,9 +175,11 @@ class MotionMode(Mode):
         left_n = sign * (end_n - force_n)
         arrived = left_n <= _NEAR_N + stopping_n
         # A gearing that holds a part of the load also brakes by a drive below the force.
-        brake_n = (_HEAVIER * stopping_n / max(left_n, _NEAR_N) - 1.0) * friction_n
+        heavier = exp(max(path.drive.inertia_sd for path in period.paths))
+        brake_n = (heavier * stopping_n / max(left_n, _NEAR_N) - 1.0) * friction_n
         brake_n = max(0.0, min(brake_n, _LOCKED_SHARE * (frictions_n[1] - friction_n)))
-        self._late_s += dt_s if at_end and wanted_m_s < speed_max_m_s else 0.0
+        late = at_end and wanted_m_s < speed_max_m_s and not self._locked
+        self._late_s += dt_s if late else 0.0
         stands = abs(speed) * stiffness * _FORCE_S <= _NEAR_N
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
         band_n = _LOCKED_SHARE * friction_n

@@ -1,7 +1,7 @@
 """Free motion of the fingers, which gives the friction of each servo."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from math import exp, hypot, sqrt
 from statistics import fmean, pstdev
@@ -11,11 +11,13 @@ from gripper.dynamixel.drive import DriveCharacteristic, disagreement
 from gripper.errors import ServoFault
 from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.mechanics.identification import (
+    AcceleratedPoint,
     FreePoint,
     anchored,
     change,
     fit_back_emf,
     fit_friction,
+    fit_inertia,
 )
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.state import ServoFeedback, ServoState
@@ -29,11 +31,10 @@ _WINDOW_S = 0.4
 """Time in s of free motion for one point. [tuned]"""
 _LEAST_PERIODS = 12
 """Least periods of one point: 0.06 s at 200 Hz. [tuned]"""
+_PART_PERIODS = 8
+"""Periods of a part of a motion whose acceleration is one value: 0.04 s at 200 Hz. [chosen]"""
 _LEAST_COUNTS = 0.5
 """Least speed in counts of a motion. [resolution]"""
-_INERTIA_SD = 0.5
-"""Uncertainty of the moving inertia, as a share: an identified gearing of one model has 2.4 times
-the catalogue's (arXiv 2410.08650). [assumed]"""
 _EVEN_SHARE = 0.15
 """Share by which the currents of both halves of a free motion may differ, without what accelerates
 them. [tuned]"""
@@ -102,7 +103,7 @@ class FreeMotion:
 
         state = runner.run(watched, needs_force=needs_force)
         for servo, settings in zip(state.servos, self._settings.servos, strict=True):
-            self._take(settings, servo, self._runs[servo.servo_id])
+            self._end(settings, servo, self._runs[servo.servo_id])
         self._start()
         return state
 
@@ -115,7 +116,7 @@ class FreeMotion:
         for servo, settings in zip(moment.state.servos, self._settings.servos, strict=True):
             run = self._runs[servo.servo_id]
             if not (free and run.goes_on(servo, settings.servo_model.slow_rad_s)):
-                self._take(settings, servo, run)
+                self._end(settings, servo, run)
                 run.start()
             run.add(moment.now_s, servo)
             drive = self._drive(settings)
@@ -140,12 +141,20 @@ class FreeMotion:
     def _drive(self, settings: ServoSettings) -> DriveCharacteristic:
         return self._settings.drives.of(settings.servo_id, settings.drive)
 
+    def _end(self, settings: ServoSettings, servo: ServoState, run: "_Run") -> None:
+        """Use an ended motion of a servo: its inertia, then its friction."""
+        drive = self._drive(settings)
+        if drive.measured:
+            found = fit_inertia(run.parts(), drive, settings.servo_model)
+            self._settings.drives.put(settings.servo_id, found)
+        self._take(settings, servo, run)
+
     def _take(self, settings: ServoSettings, servo: ServoState, run: "_Run") -> None:
-        """Fit the friction of a servo again with the ended motion."""
-        point = run.point()
+        """Fit the friction of a servo again with its motion."""
+        drive, servo_id, model = self._drive(settings), settings.servo_id, settings.servo_model
+        point = run.point(drive)
         if point is None:
             return
-        drive, servo_id, model = self._drive(settings), settings.servo_id, settings.servo_model
         points = self._points.setdefault(servo_id, [])
         prior = self._priors.setdefault(servo_id, drive)
         earlier = [one for one in points if _alike(one, point)]
@@ -170,6 +179,8 @@ class FreeMotion:
             falling_a_nm=drive.falling_a_nm,
             yielding_share=drive.yielding_share,
             falling_sd=drive.falling_sd,
+            inertia_ratio=drive.inertia_ratio,
+            inertia_sd=drive.inertia_sd,
             load_sd=drive.load_sd,
             temperature_c=servo.temperature_c,
         )
@@ -223,13 +234,14 @@ class _Run:
     def __init__(self, settings: ServoSettings) -> None:
         model = settings.servo_model
         self._step_a = model.current_unit_a / sqrt(12.0)
-        self._winding_ohm = model.winding_ohm
-        self._a_s2 = model.rotor_inertia_kg_m2 / model.kt_nm_a
+        self._step_rad_s = model.slow_rad_s / sqrt(12.0)
+        self._model = model
         self.start()
 
     def start(self) -> None:
         """Start another motion."""
         self._since_s: float | None = None
+        self._first: list[_Period] = []
         self._periods: deque[_Period] = deque()
 
     def goes_on(self, servo: ServoState, count_rad_s: float) -> bool:
@@ -244,36 +256,61 @@ class _Run:
         if self._since_s is None:
             self._since_s = now_s
         voltage_v = servo.pwm_share * servo.voltage_v
-        self._periods.append(_Period(now_s, servo.velocity_rad_s, servo.current_a, voltage_v))
+        period = _Period(now_s, servo.velocity_rad_s, servo.current_a, voltage_v)
+        self._periods.append(period)
+        if now_s <= self._since_s + _WINDOW_S:
+            self._first.append(period)
         while self._periods[0].now_s < now_s - _WINDOW_S - _BEFORE_END_S:
             self._periods.popleft()
 
-    def _inner(self) -> list[_Period]:
+    def _inner(self, periods: Iterable[_Period]) -> list[_Period]:
+        """Return the periods of free motion whose currents have followed their goals."""
         if self._since_s is None or not self._periods:
             return []
         last = self._periods[-1]
         end_s = last.now_s - (_BEFORE_END_S if last.speed_rad_s < 0.0 else 0.0)
-        return [
-            one for one in self._periods if self._since_s + _AFTER_START_S <= one.now_s <= end_s
-        ]
+        return [one for one in periods if self._since_s + _AFTER_START_S <= one.now_s <= end_s]
 
     def lasts(self) -> bool:
         """Return whether the motion is long enough for a point."""
-        return len(self._inner()) >= _LEAST_PERIODS
+        return len(self._inner(self._periods)) >= _LEAST_PERIODS
 
-    def _accelerating_a(self, periods: Sequence[_Period]) -> float:
-        """Return the mean current in A that accelerates the motor."""
-        first, last = periods[0], periods[-1]
-        return self._a_s2 * (last.speed_rad_s - first.speed_rad_s) / (last.now_s - first.now_s)
+    def parts(self) -> list[AcceleratedPoint]:
+        """Return the parts of the motion's beginning, each with its acceleration."""
+        inner = self._inner(self._first)
+        ends = range(_PART_PERIODS, len(inner) + 1, _PART_PERIODS)
+        return [self._part(inner[end - _PART_PERIODS : end]) for end in ends]
 
-    def point(self) -> FreePoint | None:
-        """Return the point of the motion; None where it was too short."""
-        inner = self._inner()
+    def _part(self, periods: Sequence[_Period]) -> AcceleratedPoint:
+        middle_s = fmean(one.now_s for one in periods)
+        spread_s2 = sum((one.now_s - middle_s) ** 2 for one in periods)
+        turned = sum((one.now_s - middle_s) * one.speed_rad_s for one in periods)
+        return AcceleratedPoint(
+            speed_rad_s=fmean(one.speed_rad_s for one in periods),
+            current_a=fmean(one.current_a for one in periods),
+            acceleration_rad_s2=turned / spread_s2,
+            acceleration_sd_rad_s2=self._step_rad_s / sqrt(spread_s2),
+        )
+
+    def point(self, drive: DriveCharacteristic) -> FreePoint | None:
+        """Return the point of the motion; None where it was too short.
+
+        The current that accelerates the servo is taken out by the inertia of its ``drive``.
+        """
+
+        inertia_a_s2 = drive.inertia_a_s2(self._model)
+
+        def accelerating_a(periods: Sequence[_Period]) -> float:
+            first, last = periods[0], periods[-1]
+            gained_rad_s, lasts_s = last.speed_rad_s - first.speed_rad_s, last.now_s - first.now_s
+            return inertia_a_s2 * gained_rad_s / lasts_s
+
+        inner = self._inner(self._periods)
         if len(inner) < _LEAST_PERIODS:
             return None
         half = len(inner) // 2
         whole_a, *halves_a = (
-            fmean(one.current_a for one in part) - self._accelerating_a(part)
+            fmean(one.current_a for one in part) - accelerating_a(part)
             for part in (inner, inner[:half], inner[half:])
         )
         speed_rad_s = fmean(one.speed_rad_s for one in inner)
@@ -283,11 +320,11 @@ class _Run:
             # The servo is driven from outside, or presses on something.
             return None
         spread_a = pstdev([one.current_a for one in inner]) / sqrt(len(inner) / 4.0)
-        sd_a = hypot(spread_a, self._step_a, _INERTIA_SD * self._accelerating_a(inner))
+        sd_a = hypot(spread_a, self._step_a, drive.inertia_sd * accelerating_a(inner))
         moving = FreePoint(
             speed_rad_s=speed_rad_s,
             current_a=fmean(one.current_a for one in inner),
             sd_a=sd_a,
             voltage_v=fmean(one.voltage_v for one in inner) or None,
         )
-        return moving.at_current(whole_a, self._winding_ohm)
+        return moving.at_current(whole_a, self._model.winding_ohm)
