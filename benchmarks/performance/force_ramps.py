@@ -7,13 +7,16 @@ runs, of the true force. The loop was tuned with other seeds. The force loop als
 with further truths (friction that grows with load, backlash, ripple, creep), and with more noise
 and larger errors of the figures. The last runs have the gearings of real servos, which the gripper
 measures before, as in a self-zero. ``--gearing`` runs one of them alone, ``--friction`` and
-``--kt`` multiply its friction and torque, and ``--frames`` removes the force messages.
+``--kt`` multiply its friction and torque, and ``--frames`` removes the force messages. With
+``--factors`` half of the ramps run with each pair of factors, and with up to 1.6 A: more friction
+and less torque need more current.
 
 ``python -m benchmarks.performance.force_ramps --page`` writes the figures into
 docs/explanations/force-loop.md; the tests run some of them again and compare.
 """
 
 import argparse
+import itertools
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -76,6 +79,8 @@ class Setup:
     """Name of the servos' gearing."""
     factors: tuple[float, float] = (1.0, 1.0)
     """As for `Rig`."""
+    current_max_a: float = 0.8
+    """Cap of the current in A."""
     measured: bool = False
     """Whether the gripper has measured its servos, as a self-zero does."""
     creep: float = 0.0
@@ -128,6 +133,10 @@ FAST = tuple(case for case in CASES if case.rate_n_s >= 10.0)
 """Ramps that are planned motions."""
 GEARED_HZ = 200.0
 """Force messages a second with the gearings of real servos: as a cell has them."""
+FACTORS = tuple(itertools.product((0.5, 1.0, 1.5, 2.0, 3.0), (0.7, 1.0, 1.3)))
+"""Factors on friction and torque of the gearings."""
+STRONG_A = 1.6
+"""Cap of the current in A with factors."""
 
 
 def rig(setup: Setup, case: Case, truth: Truth) -> Rig:
@@ -141,6 +150,7 @@ def rig(setup: Setup, case: Case, truth: Truth) -> Rig:
         factors=setup.factors,
         creep=setup.creep,
         supervised=setup.law is None,
+        current_max_a=setup.current_max_a,
     )
 
 
@@ -224,33 +234,54 @@ def geared(
         line(name, f"{counts}, {_mean_n(found):.2f} N, {_lost(found):2d}")
 
 
+def factored(effort: float, names: Sequence[str], rate_hz: float | None) -> None:
+    """Print half of the ramps with each gearing and pair of factors."""
+    cases = CASES[:: 2 if effort >= 1.0 else round(2.0 / effort)]
+    line("gearings", f"{len(cases)} ramps, friction, torque: overshoot, settling, hold met, lost")
+    for name, (friction, kt) in itertools.product(names, FACTORS):
+        setup = Setup(
+            gearing=name,
+            measured=True,
+            rate_hz=rate_hz,
+            factors=(friction, kt),
+            current_max_a=STRONG_A,
+        )
+        found = {case: run(setup, case, 1) for case in cases}
+        counts = ", ".join(f"{n:2d}" for n in _counts(found))
+        line(f"{name} {friction:g}, {kt:g}", f"{counts}, {_lost(found):2d}")
+
+
+def measured_errors(name: str, part: str) -> tuple[list[list[float]], float]:
+    """Return the errors of both measured servos of a gearing, as shares, and its friction in A.
+
+    They are those of both lines of the load, of the yielding share and of the friction at rest.
+    """
+    true_drive, found = GEARINGS[name].drive_of(XM430_W350), []
+    law, kt_nm_a = true_drive.friction, true_drive.kt_nm_a
+    by_motor, by_load, base_nm = sum(law.drive), sum(law.load), sum(law.base_nm)
+    true = (
+        (1.0 + by_load) / (1.0 - by_motor) / kt_nm_a,
+        (1.0 - by_load) / (1.0 + by_motor) / kt_nm_a,
+        (1.0 - by_motor) / (1.0 + by_motor),
+        base_nm / (1.0 - by_motor) / kt_nm_a,
+    )
+    case = next(case for case in CASES if case.part == part)
+    gripper = rig(Setup(gearing=name, measured=True, rate_hz=GEARED_HZ), case, TRUTHS[0])
+    gripper.measure_servos()
+    for drive in gripper.gripper.drives.read().drives.values():
+        shown = drive.rising_a_nm, drive.falling_a_nm, drive.yielding_share, drive.breakaway_a
+        found.append([a / b - 1.0 for a, b in zip(shown, true, strict=True)])
+    return found, true[3]
+
+
 def measured_lines() -> None:
     """Print the errors of both lines of the load and of the friction, for each gearing."""
     line("gearings", "errors of rising, falling, yielding share, friction at rest")
     for name in GEARINGS:
-        true_drive, found = GEARINGS[name].drive_of(XM430_W350), []
-        law, kt_nm_a = true_drive.friction, true_drive.kt_nm_a
-        by_motor, by_load, base_nm = sum(law.drive), sum(law.load), sum(law.base_nm)
-        true = (
-            (1.0 + by_load) / (1.0 - by_motor) / kt_nm_a,
-            (1.0 - by_load) / (1.0 + by_motor) / kt_nm_a,
-            (1.0 - by_motor) / (1.0 + by_motor),
-            base_nm / (1.0 - by_motor) / kt_nm_a,
-        )
-        for part in PARTS:
-            case = next(case for case in CASES if case.part == part)
-            gripper = rig(Setup(gearing=name, measured=True, rate_hz=GEARED_HZ), case, TRUTHS[0])
-            gripper.measure_servos()
-            for drive in gripper.gripper.drives.read().drives.values():
-                shown = (
-                    drive.rising_a_nm,
-                    drive.falling_a_nm,
-                    drive.yielding_share,
-                    drive.breakaway_a,
-                )
-                found.append([100.0 * (a / b - 1.0) for a, b in zip(shown, true, strict=True)])
-        spans = (f"{min(one):.0f} to {max(one):.0f} %" for one in zip(*found, strict=True))
-        line(name, f"{', '.join(spans)} of {1e3 * true[3]:.0f} mA")
+        parts = [measured_errors(name, part) for part in PARTS]
+        columns = zip(*(servo for found, _ in parts for servo in found), strict=True)
+        spans = (f"{100 * min(one):.0f} to {100 * max(one):.0f} %" for one in columns)
+        line(name, f"{', '.join(spans)} of {1e3 * parts[0][1]:.0f} mA")
 
 
 def _missed(case: Case, quality: RampQuality) -> str:
@@ -310,15 +341,19 @@ if __name__ == "__main__":
     parser.add_argument("--gearing", choices=tuple(GEARINGS), help="this gearing alone")
     parser.add_argument("--friction", type=float, default=1.0, help="factor with --gearing")
     parser.add_argument("--kt", type=float, default=1.0, help="factor on torque with --gearing")
+    parser.add_argument("--factors", action="store_true", help="gearings with all factors")
     parser.add_argument("--frames", action="store_true", help="gearings without force messages")
     parser.add_argument("--measured", action="store_true", help="the measured servos alone")
     parser.add_argument("--effort", type=float, default=1.0, help="0.1: one truth alone")
     given = parser.parse_args()
     if given.measured:
         measured_lines()
-    elif given.frames or given.gearing:
+    elif given.frames or given.gearing or given.factors:
         names = (given.gearing,) if given.gearing else tuple(GEARINGS)
         rate_hz = None if given.frames else GEARED_HZ
-        geared(given.effort, names, rate_hz, (given.friction, given.kt))
+        if given.factors:
+            factored(given.effort, names, rate_hz)
+        else:
+            geared(given.effort, names, rate_hz, (given.friction, given.kt))
     else:
         main(given.effort, page=given.page)

@@ -50,8 +50,8 @@ Written by `python -m benchmarks.performance.sensitivity --page`. The tables hav
 counts. The last two columns show the figures that change when a tuned or assumed constant is a
 third smaller or larger. The figures come from `benchmarks force_ramps` and `benchmarks touch`.
 The simulated grippers of the first have ideal gearing, or load-dependent friction, backlash, ripple
-and creep (further truths). "-" means that no figure changed. The constant may still be needed for
-a case that these figures do not cover.
+and creep (further truths), or the measured gearing of an MX-64. "-" means that no figure changed.
+The constant may still be needed for a case that these figures do not cover.
 
 Origins:
 """
@@ -193,23 +193,25 @@ def figures(effort: float) -> dict[str, float]:
     """Return the figures of the force loop by name; `math.inf` where nothing is noticed."""
     from benchmarks.performance import force_ramps, touch  # after the finder is set
 
-    def ramps(name: str, step: int) -> None:
+    def ramps(short: str, setup: force_ramps.Setup, step: int) -> None:
         cases = force_ramps.FAST[:: max(step, round(0.1 / effort))]
-        setup, truth = force_ramps.SETUPS[name], force_ramps.TRUTHS[1]
         found = []
         for case in cases:
-            rig = force_ramps.rig(setup, case, truth)
-            found.append((rig.grasp(case.final_n, case.rate_n_s), case.final_n))
-        short = name.removeprefix("force loop, ")
+            rig = force_ramps.rig(setup, case, force_ramps.TRUTHS[1])
+            quality = rig.grasp(case.final_n, case.rate_n_s, measured=setup.measured)
+            found.append((quality, case.final_n))
         marks = [force_ramps.met(quality, final_n) for quality, final_n in found]
         for index, aim in enumerate(("overshoot", "settling", "hold")):
             made[f"{short}: {aim} met of {len(cases)}"] = sum(mark[index] for mark in marks)
         made[f"{short}: mean error in N"] = sum(q.holding_n for q, _ in found) / len(found)
 
     made: dict[str, float] = {}
-    ramps("force loop, messages", 3)
-    ramps("force loop, messages, further truths", 3)
-    ramps("force loop, frames", 4)
+    for short, step in (("messages", 3), ("messages, further truths", 3), ("frames", 4)):
+        ramps(short, force_ramps.SETUPS[f"force loop, {short}"], step)
+    measured = force_ramps.Setup(gearing="mx64", measured=True, rate_hz=force_ramps.GEARED_HZ)
+    ramps("measured MX-64", measured, 6)
+    errors, _ = force_ramps.measured_errors("mx64", "cork, 5 N/mm")
+    made["measured MX-64: error of servos"] = max(abs(error) for one in errors for error in one)
     seeds = range(6000, 6000 + repeats(3, effort))
     for rate, rate_hz in (("200 Hz", 200.0), ("frames", None)):
         over_n = [touch.impact(rate_hz, seed, speed_m_s=0.015) for seed in seeds]
