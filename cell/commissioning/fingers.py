@@ -32,7 +32,7 @@ from gripper.dynamixel.control_table import PRESENT_BLOCK, TORQUE_ENABLE
 from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.errors import GripperError
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
-from gripper.servos.goal_limits import ServoGoal
+from gripper.servos.goal_limits import ServoGoal, closing_margin_rad
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
@@ -83,9 +83,8 @@ _OFF_PULSES = 60
 _LEAST_ROOM_M = 6e-3
 """Opening in m, and distance from the widest one, that the first motion needs."""
 _FIRST_WAY_RAD = 0.05
-"""Travel of the first motion in rad: 3 mm with links of 60 mm."""
-_FRICTION_FACTOR = 2.0
-"""Largest current of the first motion, as a factor on the friction current."""
+"""Least travel of the goal of the first motion in rad: 3 mm with links of 60 mm. The finger is
+stopped after half of it."""
 _RAMP_A_S = 0.1
 """Rise of the current in the first motion in A/s."""
 _WRONG_WAY_RAD = 0.01
@@ -229,11 +228,14 @@ def zero_pulse(model: ServoModel, closed_raw: int, direction: int, closed_rad: f
 
 
 def first_current_max_a(settings: GripperSettings) -> float:
-    """Return the largest current of the first motion in A: twice the friction current."""
-    return max(
-        _FRICTION_FACTOR * settings.drives.of(servo.servo_id, servo.drive).breakaway_a
-        for servo in settings.servos
-    )
+    """Return the largest current of the first motion in A: the largest plausible friction."""
+    drives = (settings.drives.of(servo.servo_id, servo.drive) for servo in settings.servos)
+    return min(settings.current_max_a, max(drive.most_breakaway_a for drive in drives))
+
+
+def first_way_rad(model: ServoModel, current_a: float) -> float:
+    """Return the distance in rad of the goal of the first motion, so that it gets a current."""
+    return max(_FIRST_WAY_RAD, closing_margin_rad(model, current_a))
 
 
 class FingersStep(Step):
@@ -579,6 +581,7 @@ class _Hands:
             return linkage.aperture_m(group.read_patiently().angles_rad)
 
         self._shown = lambda: f"opening {opening_m() * 1e3:.1f} mm"
+        ways_rad = [first_way_rad(model, cap_a) for model in self._models]
         text = (
             "Take the block out and open both fingers by hand to about half way. Keep your hands "
             "off then."
@@ -597,17 +600,17 @@ class _Hands:
                     where=f"finger {number} (servo {servo.id})",
                     what="first motion",
                     before="at rest, no torque",
-                    after=f"opens by {degrees(_FIRST_WAY_RAD):.1f} deg at most, with "
+                    after=f"opens by {degrees(way_rad):.1f} deg at most, with "
                     f"{cap_a:.2f} A at most, then no torque",
                     undo="by hand",
                 )
-                for number, servo in enumerate(self._servos)
+                for number, (servo, way_rad) in enumerate(zip(self._servos, ways_rad, strict=True))
             ]
         )
         try:
             group.make_ready(part_possible=False, releasing=False)
             for number, servo in enumerate(self._servos):
-                current_a, way_rad = self._open_a_little(group, settings, number)
+                current_a, way_rad = self._open_a_little(group, settings, number, ways_rad[number])
                 name = f"finger {number} (servo {servo.id})"
                 if way_rad <= -_WRONG_WAY_RAD:
                     raise StepFailed(
@@ -616,8 +619,8 @@ class _Hands:
                     )
                 if way_rad < _FIRST_WAY_RAD / 2.0:
                     raise StepFailed(
-                        f"{name}: did not move with {cap_a:.2f} A: check what blocks it, and check "
-                        "the supply"
+                        f"{name}: did not move with {cap_a:.2f} A: check what blocks it, how "
+                        "freely it turns by hand, and the supply"
                     )
                 self._notes.fact(
                     f"{name}: opened by {degrees(way_rad):.1f} deg with {current_a:.3f} A"
@@ -640,11 +643,12 @@ class _Hands:
             )
 
     def _open_a_little(
-        self, group: ServoGroup, settings: GripperSettings, index: int
+        self, group: ServoGroup, settings: GripperSettings, index: int, goal_rad: float
     ) -> tuple[float, float]:
         """Raise the current of one servo until its finger opens; return current in A, way in rad.
 
-        The other servo holds its position. `gripper.servos.goal_limits` limits the current.
+        Its goal is ``goal_rad`` ahead. The other servo holds its position.
+        `gripper.servos.goal_limits` limits the current.
         """
         clock, period_s = self._bench.clock, settings.period_s
         state = group.read_patiently()
@@ -653,7 +657,12 @@ class _Hands:
         current_a, way_rad, shown_s = 0.0, 0.0, clock.monotonic()
         while current_a < settings.current_max_a:
             current_a = min(current_a + _RAMP_A_S * period_s, settings.current_max_a)
-            group.goals.write(_goals(start, index, current_a, hold_a), state)
+            ahead = [goal_rad if i == index else 0.0 for i in range(len(start))]
+            goals = [
+                ServoGoal(angle_rad=angle + way, current_a=current_a if way else hold_a)
+                for angle, way in zip(start, ahead, strict=True)
+            ]
+            group.goals.write(goals, state)
             clock.sleep(period_s)
             state = group.read_patiently()
             way_rad = state.angles_rad[index] - start[index]
@@ -668,15 +677,6 @@ class _Hands:
         with suppress(GripperError):
             group.hold_position()
         return current_a, way_rad
-
-
-def _goals(start: Sequence[float], index: int, current_a: float, hold_a: float) -> list[ServoGoal]:
-    return [
-        ServoGoal(angle_rad=angle + _FIRST_WAY_RAD, current_a=current_a)
-        if number == index
-        else ServoGoal(angle_rad=angle, current_a=hold_a)
-        for number, angle in enumerate(start)
-    ]
 
 
 def _linkage_text(linkage: Linkage) -> str:

@@ -185,6 +185,12 @@ def test_a_first_motion_begins_with_room_on_both_sides(one, tight) -> None:
     assert one.person.script.asked.count("fingers.free") == 2
 
 
+def test_stiff_servos_pass_the_first_motion(one) -> None:
+    for motor in one.cell.devices.mechanics.motors:
+        motor.friction_factor = 3.0
+    one.passes(STEP)
+
+
 def pinched(one: Stand) -> None:
     one.cell.devices.mechanics.motors[1].friction_factor = 22.0
 
