@@ -254,7 +254,7 @@ def factored(effort: float, names: Sequence[str], rate_hz: float | None) -> None
 def measured_errors(name: str, part: str) -> tuple[list[list[float]], float]:
     """Return the errors of both measured servos of a gearing, as shares, and its friction in A.
 
-    They are those of both lines of the load, of the yielding share and of the friction at rest.
+    They are those of both lines of the load, the yielding share, the friction at rest and the mass.
     """
     true_drive, found = GEARINGS[name].drive_of(XM430_W350), []
     law, kt_nm_a = true_drive.friction, true_drive.kt_nm_a
@@ -264,24 +264,26 @@ def measured_errors(name: str, part: str) -> tuple[list[list[float]], float]:
         (1.0 - by_load) / (1.0 + by_motor) / kt_nm_a,
         (1.0 - by_motor) / (1.0 + by_motor),
         base_nm / (1.0 - by_motor) / kt_nm_a,
+        true_drive.inertia_kg_m2,
     )
     case = next(case for case in CASES if case.part == part)
     gripper = rig(Setup(gearing=name, measured=True, rate_hz=GEARED_HZ), case, TRUTHS[0])
     gripper.measure_servos()
     for drive in gripper.gripper.drives.read().drives.values():
-        shown = drive.rising_a_nm, drive.falling_a_nm, drive.yielding_share, drive.breakaway_a
+        lines = drive.rising_a_nm, drive.falling_a_nm, drive.yielding_share, drive.breakaway_a
+        shown = *lines, drive.inertia_a_s2(XM430_W350) / drive.rising_a_nm
         found.append([a / b - 1.0 for a, b in zip(shown, true, strict=True)])
     return found, true[3]
 
 
 def measured_lines() -> None:
     """Print the errors of both lines of the load and of the friction, for each gearing."""
-    line("gearings", "errors of rising, falling, yielding share, friction at rest")
+    line("gearings", "errors of rising, falling, yielding share, friction at rest, mass")
     for name in GEARINGS:
         parts = [measured_errors(name, part) for part in PARTS]
         columns = zip(*(servo for found, _ in parts for servo in found), strict=True)
         spans = (f"{100 * min(one):.0f} to {100 * max(one):.0f} %" for one in columns)
-        line(name, f"{', '.join(spans)} of {1e3 * parts[0][1]:.0f} mA")
+        line(name, f"{', '.join(spans)}; friction {1e3 * parts[0][1]:.0f} mA")
 
 
 def _missed(case: Case, quality: RampQuality) -> str:
