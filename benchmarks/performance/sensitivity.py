@@ -55,8 +55,9 @@ The constant may still be needed for a case that these figures do not cover.
 
 Origins:
 """
-_MOVED_SHARE, _MOVED_COUNT = 0.25, 2
-"""Least change of a mean or a time, as a share, and of a number of ramps."""
+_MOVED_SHARE, _MOVED_N, _MOVED_COUNT = 0.25, 0.05, 2
+"""Least change of a mean or a time, as a share, of a force in N, and of a number of ramps. The mean
+error of a few ramps changes by less without a cause."""
 _TIMEOUT_S = 900.0
 
 
@@ -250,7 +251,8 @@ def moved(base: Mapping[str, float], found: Mapping[str, float] | str) -> list[s
     for name, was in base.items():
         now = found[name]
         change = abs(now - was) if now != was else 0.0
-        least = _MOVED_COUNT if " of " in name else max(0.02, _MOVED_SHARE * was)
+        least = max(_MOVED_N if name.endswith("in N") else 0.02, _MOVED_SHARE * was)
+        least = _MOVED_COUNT if " of " in name else least
         if change >= least:
             texts.append(f"{name} {was:.3g} to {now:.3g}")
     return texts

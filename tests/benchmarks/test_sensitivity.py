@@ -56,8 +56,10 @@ def test_one_constant_is_another_from_the_import_on(module, name, factor, wanted
     assert getattr(other, name) == pytest.approx(wanted)
 
 
-def test_figures_move_by_a_quarter_or_by_two_ramps() -> None:
+def test_figures_move_by_a_quarter_by_two_ramps_or_by_more_than_the_scatter_of_forces() -> None:
     base = {"hold met of 8": 8.0, "late, in s": 0.1, "error in N": 0.01}
+    assert moved(base, base | {"error in N": 0.05}) == []
+    assert moved(base, base | {"error in N": 0.07}) == ["error in N 0.01 to 0.07"]
     assert moved(base, base | {"hold met of 8": 7.0, "late, in s": 0.12, "error in N": 0.02}) == []
     assert moved(base, base | {"hold met of 8": 6.0, "late, in s": float("inf")}) == [
         "hold met of 8 8 to 6",
