@@ -46,6 +46,17 @@ def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
     assert cell.clock.monotonic() - began_s < 3.0
 
 
+def test_a_stiff_and_weak_servo_that_nobody_measured_opens_at_its_start(make_started) -> None:
+    """Its friction takes four times the current of the catalogue."""
+    cell = make_started(drive_sds=NEVER, aperture_m=0.012, present=False)
+    for motor in cell.motors:
+        motor.friction_factor, motor.kt_factor = 3.0, 0.7
+    cell.gripper.open()
+    assert cell.gripper.read_feedback().aperture_m == pytest.approx(0.03, abs=0.001)
+    for motor, drive in zip(cell.motors, drives(cell), strict=True):
+        assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1)
+
+
 def test_one_finger_after_the_other_shows_its_torque(make_started) -> None:
     cell = make_started(drive_sds=NEVER)
     for motor, factor in zip(cell.motors, (0.75, 1.2), strict=True):

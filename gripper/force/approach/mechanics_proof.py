@@ -53,7 +53,12 @@ from gripper.mechanics.kinematics import (
     transmissions,
 )
 from gripper.servos.feedback import BEYOND_CLOSED_M
-from gripper.servos.goal_limits import ServoGoal, most_closed_rad, overrun_rad
+from gripper.servos.goal_limits import (
+    ServoGoal,
+    closing_margin_rad,
+    most_closed_rad,
+    overrun_rad,
+)
 from gripper.settings import GripperSettings
 from gripper.values.recent import FRAME_S, LEAST_SAMPLES, RecentForce
 from gripper.values.servo_checks import VerificationRow
@@ -197,7 +202,7 @@ class FirstMotion:
 
     Each finger gets the least current that moves it. A finger that stands still at its limit tries
     the way back. If that is free, the finger is blocked, not held by friction; else its gearing is
-    stiff, and it gets more current once.
+    stiff, and it gets more current once. Its goal is then so far ahead that the current flows.
 
     Parameters
     ----------
@@ -247,11 +252,9 @@ class FirstMotion:
                 end_rad,
                 rate_rad_s=speed_m_s / per_rad_m,
                 least_rad=least_rad,
-                overrun_rad=overrun_rad(servo.servo_model, path.drive),
             )
-            for servo, path, start_rad, end_rad, least_rad in zip(
+            for servo, start_rad, end_rad, least_rad in zip(
                 settings.servos,
-                paths,
                 state.angles_rad,
                 target_rad,
                 most_closed_rad(settings, linkage),
@@ -275,7 +278,11 @@ class FirstMotion:
         if pressed:
             raise self._contradicted(servos[0], pressed)
         goals_rad = []
-        for finger, servo in zip(self._fingers, servos, strict=True):
+        for finger, servo, settings in zip(
+            self._fingers, servos, self._settings.servos, strict=True
+        ):
+            drive = self._settings.drives.of(settings.servo_id, settings.drive)
+            finger.overrun_rad = overrun_rad(settings.servo_model, drive)
             if self._back is not None and finger is not self._back:
                 finger.begin_at(servo)
                 goals_rad.append(servo.angle_rad)
@@ -306,6 +313,9 @@ class FirstMotion:
         if self._currents_a == self._stiff_a or (ran_freely and may_not_turn):
             raise self._contradicted(servo, "it is blocked on its way")
         self._currents_a = self._stiff_a
+        if not self._only_open:
+            for stiff, current_a in zip(self._fingers, self._stiff_a, strict=True):
+                stiff.lead_rad = closing_margin_rad(stiff.model, current_a)
 
     def _contradicted(self, servo: ServoState, found: str) -> MechanicsContradicted:
         return MechanicsContradicted(
@@ -329,13 +339,15 @@ class _Finger:
         *,
         rate_rad_s: float,
         least_rad: float,
-        overrun_rad: float,
     ) -> None:
+        self.model = model
         self._reached_rad = REACHED_PULSES * model.rad_per_pulse
         self._still_rad_s = _STILL_COUNTS * model.slow_rad_s
         self._least_rad = min(least_rad, start_rad)
-        self._overrun_rad = overrun_rad
-        self._lead_rad = max(_LEAD_RAD, overrun_rad)
+        self.overrun_rad = 0.0
+        """Distance in rad of the goal beyond the target, by the newest friction."""
+        self.lead_rad = _LEAD_RAD
+        """Largest lead of the goal in rad."""
         self._sign = 1.0 if target_rad >= start_rad else -1.0
         self._target_rad = target_rad
         self._from_rad = start_rad
@@ -377,9 +389,9 @@ class _Finger:
             self._goal_rad = servo.angle_rad
             return servo.angle_rad
         sign = -self._sign if back else self._sign
-        most_rad = self._lead_rad
+        most_rad = max(self.lead_rad, self.overrun_rad)
         if not back:
-            most_rad = min(most_rad, left_rad + self._overrun_rad)
+            most_rad = min(most_rad, left_rad + self.overrun_rad)
         ahead_rad = sign * (self._goal_rad - servo.angle_rad) + self._rate_rad_s * dt_s
         if back:
             ahead_rad = most_rad

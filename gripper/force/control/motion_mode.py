@@ -140,6 +140,18 @@ class MotionMode(Mode):
         held_n = force_n - period.friction_n - period.yielding_n(force_n)
         return friction_n, friction_n + held_n
 
+    def _brake_n(
+        self, period: Period, frictions_n: tuple[float, float], stopping_share: float
+    ) -> float:
+        """Return by how many N the drive must be below the force to brake in time.
+
+        A gearing that holds a part of the load brakes so. ``stopping_share`` is the growth of the
+        force while friction alone brakes, over the growth that is left.
+        """
+        heavier = exp(max(path.drive.inertia_sd for path in period.paths))
+        brake_n = (heavier * stopping_share - 1.0) * frictions_n[self._falls]
+        return max(0.0, min(brake_n, _LOCKED_SHARE * (frictions_n[1] - frictions_n[self._falls])))
+
     def _planned_drive_n(self, period: Period) -> float:
         """Advance the plan by one period and return the driving force in N that follows it."""
         grip, observer, sign, dt_s = self._grip, self.observer, self._sign, period.moment.dt_s
@@ -174,10 +186,7 @@ class MotionMode(Mode):
         stopping_n = 0.5 * observer.mass_kg * speed**2 * stiffness / max(friction_n, _NEAR_N)
         left_n = sign * (end_n - force_n)
         arrived = left_n <= _NEAR_N + stopping_n
-        # A gearing that holds a part of the load also brakes by a drive below the force.
-        heavier = exp(max(path.drive.inertia_sd for path in period.paths))
-        brake_n = (heavier * stopping_n / max(left_n, _NEAR_N) - 1.0) * friction_n
-        brake_n = max(0.0, min(brake_n, _LOCKED_SHARE * (frictions_n[1] - friction_n)))
+        brake_n = self._brake_n(period, frictions_n, stopping_n / max(left_n, _NEAR_N))
         late = at_end and wanted_m_s < speed_max_m_s and not self._locked
         self._late_s += dt_s if late else 0.0
         stands = abs(speed) * stiffness * _FORCE_S <= _NEAR_N

@@ -297,7 +297,6 @@ class _Run:
 
         The current that accelerates the servo is taken out by the inertia of its ``drive``.
         """
-
         inertia_a_s2 = drive.inertia_a_s2(self._model)
 
         def accelerating_a(periods: Sequence[_Period]) -> float:
