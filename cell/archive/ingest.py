@@ -2,9 +2,11 @@
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from zipfile import BadZipFile, ZipFile
 
 from cell.archive.store import Archive, StagedFile
 from cell.archive.table import Row, dataset_rows, recording_rows, tables
@@ -49,12 +51,13 @@ class Ingested:
 def sources(places: Sequence[Path]) -> list[Path]:
     """Return the recordings and data sets of some folders and files.
 
-    Raises ArchiveError where one does not exist, or no file is found.
+    The models in a folder, which runs write beside their recordings, are left out. Raises ArchiveError where one does not exist, or no file is found.
     """
     found: list[Path] = []
     for place in places:
         if place.is_dir():
-            found += [path for path in sorted(place.rglob("*")) if path.suffix in _KINDS]
+            paths = sorted(path for kind in _KINDS for path in place.rglob(f"*{kind}"))
+            found += [path for path in paths if not _is_model(path)]
         elif place.exists():
             found.append(place)
         else:
@@ -64,6 +67,12 @@ def sources(places: Sequence[Path]) -> list[Path]:
             f"no recording (.mcap) and no data set (.npz) in {', '.join(map(str, places))}"
         )
     return list(dict.fromkeys(path.resolve() for path in found))
+
+
+def _is_model(path: Path) -> bool:
+    with suppress(OSError, BadZipFile), ZipFile(path) as file:
+        return "model.npy" in file.namelist()
+    return False
 
 
 def ingest(

@@ -139,6 +139,7 @@ def test_what_is_torn_foreign_or_unfinished_is_named_and_left_for_the_next_run(
     (tmp_path / "foreign.mcap").write_bytes(b"no recording")
     np.savez(tmp_path / "foreign.npz", a=np.arange(3))
     (tmp_path / "notes.txt").write_text("not looked at")
+    np.savez(tmp_path / "model.npz", model=np.array("{}"))
     clock = Clock()
     open_recording = Recorder(tmp_path / "open.mcap", clock, pads=PADS)
     target = str(tmp_path / "archive")
