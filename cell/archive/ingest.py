@@ -51,7 +51,8 @@ class Ingested:
 def sources(places: Sequence[Path]) -> list[Path]:
     """Return the recordings and data sets of some folders and files.
 
-    The models in a folder, which runs write beside their recordings, are left out. Raises ArchiveError where one does not exist, or no file is found.
+    The models in a folder, which runs write beside their recordings, are left out. Raises
+    ArchiveError where one does not exist, or no file is found.
     """
     found: list[Path] = []
     for place in places:

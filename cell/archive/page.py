@@ -6,7 +6,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from cell.archive.questions import SIGNALS, Answers, Signal, Trend
+from cell.archive.questions import LEAST_DAYS, SIGNALS, Answers, Signal, Trend
 from cell.data.files import write_atomically
 from cell.errors import ReportError
 from cell.report.build import score
@@ -38,9 +38,8 @@ def lines(answers: Answers) -> list[str]:
     """Return the answers as lines of text."""
     found = [_confusion_line(one) for one in answers.confusions[:_MOST_CONFUSIONS]]
     found = found or ["no object was confused with another one"]
-    for question, (_, nothing) in _QUESTIONS.items():
-        trends = answers.found(question)
-        found += [trend_text(one) for one in trends] or [nothing]
+    for question in _QUESTIONS:
+        found += _trend_lines(answers, question)
     needs = [f"{one.label}: {'; '.join(one.reasons)}" for one in answers.objects if one.reasons]
     return found + (
         [f"needs more grasps: {one}" for one in needs] or ["no object needs more grasps"]
@@ -55,6 +54,18 @@ def confusion_table(answers: Answers) -> ConfusionTable | None:
     labels = sorted({name for one in asked for name in one[:2]} - {UNKNOWN})
     truths, given = zip(*(one[:2] for one in asked for _ in range(one[2])), strict=True)
     return score("All identifications of named parts", truths, given, labels)
+
+
+def _trend_lines(answers: Answers, question: str) -> list[str]:
+    """Return the trends that answer a question, and the cells with too few days for one."""
+    judged = {one.cell for one in answers.trends if one.question == question}
+    few = ", ".join(cell for cell in answers.cells if cell not in judged)
+    found = [trend_text(one) for one in answers.found(question)]
+    if judged and not found:
+        found = [_QUESTIONS[question][1]]
+    days = f"fewer than {LEAST_DAYS} days of the same objects"
+    missing = f"No answer about {question}: {days} in {few}."
+    return found + ([missing] if few else [])
 
 
 def trend_text(trend: Trend) -> str:
@@ -109,10 +120,10 @@ def _view(answers: Answers, target: str) -> dict[str, Any]:
             {
                 "key": key,
                 "title": title,
-                "answers": [trend_text(one) for one in answers.found(key)] or [nothing],
+                "answers": _trend_lines(answers, key),
                 "plots": [(name, plot) for name, question, plot in plots if question == key],
             }
-            for key, (title, nothing) in _QUESTIONS.items()
+            for key, (title, _) in _QUESTIONS.items()
         ],
         "objects": [
             {

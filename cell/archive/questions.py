@@ -27,7 +27,7 @@ _COLUMNS = (
     "label", "taught", "answer", "of_part", "part_grasps", "zero", "closing_current_a",
     "hold_current_a", "touch_aperture_m", "pad_load",
 )  # fmt: skip
-_LEAST_DAYS = 3
+LEAST_DAYS = 3
 """Fewest days of a cell for a trend."""
 _LEAST_EVIDENCE = 5.0
 """Logarithm of the likelihood ratio above which a confusion has a first day."""
@@ -278,7 +278,7 @@ def _trends(days: Sequence[DaySums]) -> Iterable[Trend]:
         n, total = every[:, :, number, 0], every[:, :, number, 1]
         shared = n * (np.count_nonzero(n, axis=0) > 1)  # an object of one day shows no change
         rows = shared.sum(axis=1) > 0
-        if np.count_nonzero(rows) < _LEAST_DAYS:
+        if np.count_nonzero(rows) < LEAST_DAYS:
             continue
         mean = np.divide(total, n, out=np.zeros_like(total), where=n > 0)
         effect = day_effects(mean[rows], shared[rows])

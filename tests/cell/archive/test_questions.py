@@ -84,6 +84,8 @@ def test_an_archive_without_answers_says_so(tmp_path: Path, untaught: str) -> No
     answers = ask(untaught)
     assert confusion_table(answers) is None
     assert lines(answers)[0] == "no object was confused with another one"
+    for line, question in zip(lines(answers)[1:], ("drift", "ageing", "friction"), strict=False):
+        assert line.startswith(f"No answer about {question}: fewer than 3 days of the same objects")
     write_page(tmp_path / "a.html", answers, untaught)
     with pytest.raises(CellError, match="evaluate"):
         call("plot", "confusion", untaught, "-o", tmp_path / "a.png")
