@@ -46,11 +46,14 @@ def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
     assert cell.clock.monotonic() - began_s < 3.0
 
 
-def test_a_stiff_and_weak_servo_that_nobody_measured_opens_at_its_start(make_started) -> None:
-    """Its friction takes four times the current of the catalogue."""
+@pytest.mark.parametrize("frictions_kts", [((3.0, 0.7), (3.0, 0.7)), ((1.0, 0.7), (1.0, 1.3))])
+def test_stiff_or_unlike_servos_that_nobody_measured_open_at_their_start(
+    make_started, frictions_kts
+) -> None:
+    """Friction takes up to four times the current of the catalogue."""
     cell = make_started(drive_sds=NEVER, aperture_m=0.012, present=False)
-    for motor in cell.motors:
-        motor.friction_factor, motor.kt_factor = 3.0, 0.7
+    for motor, factors in zip(cell.motors, frictions_kts, strict=True):
+        motor.friction_factor, motor.kt_factor = factors
     cell.gripper.open()
     assert cell.gripper.read_feedback().aperture_m == pytest.approx(0.03, abs=0.001)
     for motor, drive in zip(cell.motors, drives(cell), strict=True):

@@ -283,6 +283,7 @@ class FirstMotion:
         ):
             drive = self._settings.drives.of(settings.servo_id, settings.drive)
             finger.overrun_rad = overrun_rad(settings.servo_model, drive)
+            finger.moved |= finger.has_run(servo)
             if self._back is not None and finger is not self._back:
                 finger.begin_at(servo)
                 goals_rad.append(servo.angle_rad)
@@ -310,12 +311,16 @@ class FirstMotion:
         self._back = None
         # Where no way back is tried, it is enough that the finger has moved with this current.
         may_not_turn = self._only_open or not finger.opens
-        if self._currents_a == self._stiff_a or (ran_freely and may_not_turn):
+        index = self._fingers.index(finger)
+        stiff = self._currents_a[index] == self._stiff_a[index]
+        if stiff or (ran_freely and may_not_turn):
             raise self._contradicted(servo, "it is blocked on its way")
-        self._currents_a = self._stiff_a
-        if not self._only_open:
-            for stiff, current_a in zip(self._fingers, self._stiff_a, strict=True):
-                stiff.lead_rad = closing_margin_rad(stiff.model, current_a)
+        # A finger that has moved needs no more current.
+        for number, other in enumerate(self._fingers):
+            if other is finger or not other.moved:
+                self._currents_a[number] = self._stiff_a[number]
+                if not self._only_open:
+                    other.lead_rad = closing_margin_rad(other.model, self._stiff_a[number])
 
     def _contradicted(self, servo: ServoState, found: str) -> MechanicsContradicted:
         return MechanicsContradicted(
@@ -355,6 +360,8 @@ class _Finger:
         self._rate_rad_s = rate_rad_s
         self._still_s = 0.0
         self.there = False
+        self.moved = False
+        """Whether it has ever moved on its way."""
 
     @property
     def opens(self) -> bool:
