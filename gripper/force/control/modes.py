@@ -8,8 +8,6 @@ from gripper.force.control.period import Mode, Period
 from gripper.force.estimates.grip import Grip
 from gripper.mechanics.kinematics import driving_n
 
-_FAST_N_S = 6.0
-"""Rate in N/s above which a rise is a planned motion; below, friction at rest decides. [tuned]"""
 _FAST_PERIOD_S = 0.0065
 """Longest time in s between two goals of a planned motion, about half of the time constant of its
 speed: in a slower loop the fingers would run too far. [chosen]"""
@@ -116,9 +114,9 @@ def _ended(modes: GripModes, period: Period) -> bool:
     return modes.motion.over or falls or not (_quick(modes, period) and period.usable)
 
 
-def _rises_fast(modes: GripModes, period: Period) -> bool:
-    """Whether the set-point rises so fast that the fingers must be moved."""
-    return _may_move(modes, period) and period.rises_n > _FAST_N_S * period.moment.dt_s
+def _rises(modes: GripModes, period: Period) -> bool:
+    """Whether the set-point rises, and samples are new enough to move the fingers by a plan."""
+    return _may_move(modes, period) and period.rises_n > 0.0
 
 
 def _strays(modes: GripModes, period: Period) -> bool:
@@ -140,7 +138,11 @@ def _tried(modes: GripModes) -> bool:
 
 
 def _may_move(modes: GripModes, period: Period) -> bool:
-    return _quick(modes, period) and period.moment.young and period.moment.dt_s > 0.0
+    """Whether the fingers may follow a plan: a current in motion does not show the force."""
+    moment = period.moment
+    if not (_quick(modes, period) and moment.young and moment.dt_s > 0.0):
+        return False
+    return not period.sample.by_current
 
 
 TRANSITIONS: tuple[tuple[type[Mode], Callable[[GripModes, Period], bool], type[Mode]], ...] = (
@@ -150,7 +152,7 @@ TRANSITIONS: tuple[tuple[type[Mode], Callable[[GripModes, Period], bool], type[M
     (MotionMode, lambda modes, period: _tried(modes) or _ended(modes, period), BandMode),
     (BandMode, lambda _, period: not period.usable, WaitMode),
     (WaitMode, lambda _, period: period.usable, BandMode),
-    (BandMode, _rises_fast, MotionMode),
+    (BandMode, _rises, MotionMode),
     (BandMode, _strays, MotionMode),
 )
 """Mode, condition of its end, and next mode. In each period the rows are tried in this order until

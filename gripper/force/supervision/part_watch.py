@@ -78,7 +78,7 @@ class PartWatch:
         seen = sample is not None and sample.valid
         if sample is not None and seen:
             pads.take(sample)
-            self._was_held |= pads.loaded or grip.asked_n >= grip.settings.contact_force_n
+            self._was_held |= grip.asked_n >= grip.settings.contact_force_n
         # If noise has ended the approach slightly early, no part can be lost.
         seen &= self._was_held
         paths = transmissions(grip.settings, grip.linkage, state.angles_rad)

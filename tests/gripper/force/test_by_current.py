@@ -26,7 +26,9 @@ def by_current(cell: Any) -> Gripper:
     return Gripper(cell.bus, cell.linkage, cell.settings, clock=cell.clock, force_sensor=None)
 
 
-def closed(cell: Any, force_n: float = 5.0) -> tuple[Gripper, GraspOutcome]:
+def closed(
+    cell: Any, force_n: float = 5.0, *, rate_n_s: float = 5.0
+) -> tuple[Gripper, GraspOutcome]:
     """The outcome of a grasp in which no contact was claimed before there was a force."""
     gripper = by_current(cell)
 
@@ -37,9 +39,10 @@ def closed(cell: Any, force_n: float = 5.0) -> tuple[Gripper, GraspOutcome]:
 
     gripper.start()
     gripper.open()
-    return gripper, gripper.grasp(ForceRamp.linear(force_n, 5.0, 0.5), watch)
+    return gripper, gripper.grasp(ForceRamp.linear(force_n, rate_n_s, 0.5), watch)
 
 
+@pytest.mark.parametrize("rate_n_s", [5.0, 20.0])
 @pytest.mark.parametrize(
     ("wrong", "within_n"),
     [
@@ -52,10 +55,10 @@ def closed(cell: Any, force_n: float = 5.0) -> tuple[Gripper, GraspOutcome]:
     ],
 )
 def test_five_newtons_by_current_are_five_newtons_but_for_the_torque_constant(
-    make_cell: Callable[..., Any], wrong: dict[str, Any], within_n: float
+    make_cell: Callable[..., Any], wrong: dict[str, Any], within_n: float, rate_n_s: float
 ) -> None:
     cell = make_cell(**wrong)
-    gripper, outcome = closed(cell)
+    gripper, outcome = closed(cell, rate_n_s=rate_n_s)
     assert outcome.result is GraspResult.FORCE_REACHED
     assert cell.force_n == pytest.approx(5.0, abs=within_n)
     gripper.release()
@@ -71,9 +74,10 @@ def test_the_samples_carry_what_the_torque_figures_leave_open(make_cell) -> None
     assert abs(samples[-1].grip_n - cell.force_n) < 2.0 * samples[-1].noise_n
 
 
-def test_a_soft_part_is_gripped_too(make_cell: Callable[..., Any]) -> None:
+@pytest.mark.parametrize("rate_n_s", [5.0, 20.0])
+def test_a_soft_part_is_gripped_too(make_cell: Callable[..., Any], rate_n_s: float) -> None:
     cell = make_cell(stiffness_n_m=1000.0)
-    assert closed(cell)[1].result is GraspResult.FORCE_REACHED
+    assert closed(cell, rate_n_s=rate_n_s)[1].result is GraspResult.FORCE_REACHED
     assert cell.force_n == pytest.approx(4.7, abs=0.3)
 
 

@@ -14,7 +14,7 @@ from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
-from simulator.servo.gearing import XM430_W350_GEARING
+from simulator.servo.gearing import MX_64_GEARING, XM430_W350_GEARING
 from tests.gripper.force.pads import WrongPads
 
 
@@ -148,6 +148,22 @@ def test_a_force_on_foam_that_creeps_stays_within_its_aim_for_a_long_hold() -> N
     quality = rig.grasp(4.0, 3.0)
     assert not quality.lost
     assert max(quality.holding_n, quality.overshoot_n) <= 0.15
+
+
+@pytest.mark.parametrize(
+    ("part", "final_n", "rate_n_s", "seed"),
+    [
+        ("steel ball, 200 N/mm", 8.0, 3.0, 103),
+        ("cork, 5 N/mm", 8.0, 1.0, 203),
+        ("foam ball, 0.2 N/mm", 4.0, 1.0, 103),  # a contact by noise, at 0.03 N
+    ],
+)
+def test_a_slow_ramp_does_not_jump_where_the_gearing_sticks(part, final_n, rate_n_s, seed) -> None:
+    truth = Truth(kt_error=0.0, friction_error=0.0, seed=seed)
+    rig = Rig(PARTS[part], truth, 0.2, rate_hz=200.0, gearing=MX_64_GEARING)
+    quality = rig.grasp(final_n, rate_n_s, measured=True)
+    assert not quality.lost
+    assert quality.overshoot_n <= 0.2
 
 
 @pytest.mark.parametrize("seed", [0, 2, 5])

@@ -7,6 +7,7 @@ from gripper.force.control.modes import TRANSITIONS, GripModes, TrialMode, WaitM
 from gripper.force.control.motion_mode import MotionMode
 from gripper.force.control.period import Period
 from gripper.mechanics.kinematics import driving_n
+from gripper.values.force_sensor import ForceSample
 from tests.gripper.force.grips import make_grip, make_period
 
 STEADY = {"setpoint_n": 2.0, "sample": 2.0}
@@ -14,6 +15,7 @@ RISES = {"setpoint_n": 2.1, "sample": 2.0, "rises_n": 0.1}
 CREEPS = {"setpoint_n": 2.01, "sample": 2.0, "rises_n": 0.01}
 FALLS = {"setpoint_n": 1.9, "sample": 2.0, "rises_n": -0.1}
 NOTHING = {"setpoint_n": 2.0, "sample": None}
+BY_CURRENT = ForceSample(t_s=0.005, force_n=(2.0, 2.0), lag_s=0.0, by_current=True)
 
 
 def period(now_s: float, given: dict) -> Period:
@@ -28,7 +30,9 @@ def new_modes(*, doubt_n: float = 0.0) -> GripModes:
     ("periods", "modes"),
     [
         ((STEADY, RISES, RISES), (BandMode, MotionMode, MotionMode)),
-        ((CREEPS, CREEPS | {"dt_s": 0.0}), (BandMode, BandMode)),
+        ((CREEPS, CREEPS), (MotionMode, MotionMode)),
+        ((CREEPS | {"dt_s": 0.0},), (BandMode,)),
+        ((RISES | {"sample": BY_CURRENT},), (BandMode,)),
         ((RISES, FALLS, RISES), (MotionMode, BandMode, MotionMode)),
         ((RISES, NOTHING, NOTHING, RISES), (MotionMode, WaitMode, WaitMode, MotionMode)),
         ((STEADY, NOTHING, STEADY), (BandMode, WaitMode, BandMode)),
