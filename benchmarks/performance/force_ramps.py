@@ -130,7 +130,7 @@ CASES = tuple(
 )
 
 FAST = tuple(case for case in CASES if case.rate_n_s >= 10.0)
-"""Ramps that are planned motions."""
+"""Ramps of 10 N/s and more."""
 GEARED_HZ = 200.0
 """Force messages a second with the gearings of real servos: as a cell has them."""
 FACTORS = tuple(itertools.product((0.5, 1.0, 1.5, 2.0, 3.0), (0.7, 1.0, 1.3)))

@@ -49,6 +49,7 @@ Written by `python -m benchmarks.performance.sensitivity --page`. The tables hav
 `gripper/force` with its value, meaning and origin. Values without a unit in the text are shares or
 counts. The last two columns show the figures that change when a tuned or assumed constant is a
 third smaller or larger. The figures come from `benchmarks force_ramps` and `benchmarks touch`.
+The ramps have 10 N/s and more.
 The simulated grippers of the first have ideal gearing, or load-dependent friction, backlash, ripple
 and creep (further truths), or the measured gearing of an MX-64. "-" means that no figure changed.
 The constant may still be needed for a case that these figures do not cover.

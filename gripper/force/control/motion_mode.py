@@ -1,9 +1,9 @@
 """Mode of control that changes the grip force by a planned motion of the fingers.
 
 Motor and finger, seen at the pad, are a mass; friction brakes it, and a spring of pad and part
-pushes it back. A fast ramp is a motion of that mass: force and speed follow a plan with a smooth
-rate. The inertia, the friction and the stiffness of the part, learnt in each contact, are fed
-forward. At the end the mass is at rest, and friction locks it.
+pushes it back. A rise of the force is a motion of that mass: force and speed follow a plan with a
+smooth rate. The inertia, the friction and the stiffness of the part, learnt in each contact, are
+fed forward. At the end the mass is at rest, and friction locks it.
 A motion also corrects a small error of a hold.
 """
 
