@@ -90,7 +90,7 @@ LIES = {
 """Samples that show too little force, made of the newest one and of the first wrong one."""
 
 
-@pytest.mark.parametrize("rate_n_s", [10.0, 40.0])
+@pytest.mark.parametrize("rate_n_s", [3.0, 10.0, 40.0])
 @pytest.mark.parametrize("lie", LIES)
 def test_no_wrong_sample_makes_far_more_force_than_is_asked_for(
     make_started, lie, rate_n_s
