@@ -19,7 +19,7 @@ from typing import Any
 from benchmarks._measure import line, repeats
 from benchmarks.performance._force_plant import Part, Rig, Sensor, Truth
 from benchmarks.performance.force_ramps import PARTS
-from gripper.errors import ForceAboveCap, GripperError, PartLost, PartSlipped
+from gripper.errors import ForceAboveCap, GripperError, LimitExceeded, PartLost, PartSlipped
 from gripper.force.ramp import ForceRamp
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
@@ -223,14 +223,15 @@ def slides(rate_hz: float | None, seed: int) -> float:
 def trapped(rate_hz: float | None, seed: int) -> float:
     """Return the time in s from the cap to the fault, where something trapped pushes.
 
-    NaN where it pushes the fingers open before the true force is above the cap.
+    The sudden growth of the force is a fault too. NaN where it pushes the fingers open before the
+    true force is above the cap.
     """
     rig = TouchRig(STEEL, rate_hz, seed)
     rig.changed = lambda t_s: replace(
         STEEL, width_m=STEEL.width_m + min(_TRAPPED_M, _TRAPPED_M_S * t_s)
     )
     _held(rig, 12.0)
-    noticed_s = _after_hold(rig, ForceAboveCap)
+    noticed_s = _after_hold(rig, ForceAboveCap, LimitExceeded)
     return math.nan if rig.over_s == math.inf else noticed_s
 
 
