@@ -156,8 +156,7 @@ class MotionMode(Mode):
         """Advance the plan by one period and return the driving force in N that follows it."""
         grip, observer, sign, dt_s = self._grip, self.observer, self._sign, period.moment.dt_s
         setpoint_n, end_n, frictions_n = period.setpoint_n, period.end_n, self._frictions_n(period)
-        friction_n = frictions_n[self._falls]
-        stiffness = observer.stiffness_n_m
+        friction_n, stiffness = frictions_n[self._falls], observer.stiffness_n_m
         impact = impact_limit(grip.settings, grip.linkage, period.state.angles_rad)
         speed_max_m_s = pressing_speed_m_s(grip.settings, impact, setpoint_n)
         at_end = sign * (setpoint_n - end_n) >= 0.0
@@ -193,7 +192,10 @@ class MotionMode(Mode):
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
         band_n = _LOCKED_SHARE * friction_n
         push_n = sign * (friction_n + sign * observer.mass_kg * accelerates)
-        if observer.speed_m_s == 0.0:
+        if observer.speed_m_s == 0.0 and error_n <= 0.0:
+            # The force is ahead of its plan: friction locks the fingers until it is not.
+            push_n = sign * min(sign * push_n, band_n)
+        elif observer.speed_m_s == 0.0:
             push_n = sign * max(sign * push_n, STICTION * friction_n + _BREAKAWAY_N)
             if self._falls:
                 self._locked = True
@@ -207,8 +209,7 @@ class MotionMode(Mode):
         if arrived or (self.over and self._falls):
             push_n = sign * band_n if stands else -brake_n
         push_n = sign * max(sign * push_n, -max(band_n, brake_n))
-        drive_max_n = period.drive_max_n - period.inertia_n
-        return min(force_n + observer.lacking_n + push_n, drive_max_n)
+        return min(force_n + observer.lacking_n + push_n, period.drive_max_n - period.inertia_n)
 
 
 class ForcePlan:

@@ -166,6 +166,16 @@ def test_a_slow_ramp_does_not_jump_where_the_gearing_sticks(part, final_n, rate_
     assert quality.overshoot_n <= 0.2
 
 
+@pytest.mark.parametrize("factors", [(0.5, 1.3), (2.0, 0.7)])
+def test_a_slow_ramp_of_servos_that_were_never_measured_stays_behind_its_plan(factors) -> None:
+    truth = Truth(kt_error=0.0, friction_error=0.0, seed=501)
+    part = PARTS["steel ball, 200 N/mm"]
+    rig = Rig(part, truth, 0.2, rate_hz=200.0, factors=factors, current_max_a=1.2)
+    quality = rig.grasp(8.0, 1.0)
+    assert not quality.lost
+    assert quality.overshoot_n <= 0.3
+
+
 @pytest.mark.parametrize("seed", [0, 2, 5])
 def test_a_correction_downwards_does_not_shoot_beyond_where_friction_is_less_than_known(
     make_cell, seed
