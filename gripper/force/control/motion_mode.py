@@ -192,7 +192,7 @@ class MotionMode(Mode):
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
         band_n = _LOCKED_SHARE * friction_n
         push_n = sign * (friction_n + sign * observer.mass_kg * accelerates)
-        if observer.speed_m_s == 0.0 and error_n <= 0.0:
+        if observer.speed_m_s == 0.0 and error_n < -_BREAKAWAY_N:
             # The force is ahead of its plan: friction locks the fingers until it is not.
             push_n = sign * min(sign * push_n, band_n)
         elif observer.speed_m_s == 0.0:
