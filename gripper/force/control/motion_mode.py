@@ -35,7 +35,8 @@ _LOCKED_SHARE = 0.5
 """Share of the friction beyond the force at which the drive stays: friction locks the fingers.
 [tuned]"""
 _BREAKAWAY_N = 0.1
-"""Drive in N beyond friction at rest that starts locked fingers. [tuned]"""
+"""Drive in N beyond friction at rest that starts locked fingers. They stay locked where the force
+is ahead of its plan by more. [tuned]"""
 _LOOSENED_SHARE, _LOOSENING_N_S = 0.5, 20.0
 """Share of the friction at which the push of a fall begins to grow, and its rate in N/s. That edge
 of the friction is exact to a newton; after too large a push the force jumps. [tuned]"""
