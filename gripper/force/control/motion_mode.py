@@ -36,7 +36,7 @@ _LOCKED_SHARE = 0.5
 [tuned]"""
 _BREAKAWAY_N = 0.1
 """Drive in N beyond friction at rest that starts locked fingers. They stay locked where the force
-is ahead of its plan by more. [tuned]"""
+is beyond its set-point by more. [tuned]"""
 _LOOSENED_SHARE, _LOOSENING_N_S = 0.5, 20.0
 """Share of the friction at which the push of a fall begins to grow, and its rate in N/s. That edge
 of the friction is exact to a newton; after too large a push the force jumps. [tuned]"""
@@ -193,8 +193,8 @@ class MotionMode(Mode):
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
         band_n = _LOCKED_SHARE * friction_n
         push_n = sign * (friction_n + sign * observer.mass_kg * accelerates)
-        if observer.speed_m_s == 0.0 and error_n < -_BREAKAWAY_N:
-            # The force is ahead of its plan: friction locks the fingers until it is not.
+        if observer.speed_m_s == 0.0 and sign * (force_n - setpoint_n) > _BREAKAWAY_N:
+            # The force is beyond its set-point: friction locks the fingers until it is not.
             push_n = sign * min(sign * push_n, band_n)
         elif observer.speed_m_s == 0.0:
             push_n = sign * max(sign * push_n, STICTION * friction_n + _BREAKAWAY_N)

@@ -167,7 +167,7 @@ def test_a_slow_ramp_does_not_jump_where_the_gearing_sticks(part, final_n, rate_
 
 
 @pytest.mark.parametrize("factors", [(0.5, 1.3), (2.0, 0.7)])
-def test_a_slow_ramp_of_servos_that_were_never_measured_stays_behind_its_plan(factors) -> None:
+def test_a_slow_ramp_of_servos_that_were_never_measured_stays_below_its_set_point(factors) -> None:
     truth = Truth(kt_error=0.0, friction_error=0.0, seed=501)
     part = PARTS["steel ball, 200 N/mm"]
     rig = Rig(part, truth, 0.2, rate_hz=200.0, factors=factors, current_max_a=1.2)
