@@ -3,11 +3,13 @@
 import math
 import random
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import XM430_W350
 from gripper.errors import GripperError
 from gripper.force.control.period import Period
@@ -174,6 +176,11 @@ class RampQuality:
     holding_n: float
     lost: bool = False
 
+    @classmethod
+    def not_held(cls, final_n: float) -> "RampQuality":
+        """Return the figures of a part that is not held, which should have had a force in N."""
+        return cls(overshoot_n=0.0, settling_s=_HOLD_S, holding_n=final_n, lost=True)
+
 
 class Rig:
     """One gripper on one part, in virtual time; the true force is known at every moment.
@@ -279,21 +286,35 @@ class Rig:
         self._sensor.measure(now_s, self.force_n)
         self._trace.append((now_s, self.force_n))
 
-    def measure_servos(self) -> None:
-        """Measure both servos as the self-zero of a cell does, without the part."""
-        part, self._part = self._part, Part(width_m=0.0, stiffness_n_m=math.inf)
+    def measure_servos(self) -> Mapping[int, DriveCharacteristic]:
+        """Measure both servos as the self-zero of a cell does, without the part.
+
+        Returns
+        -------
+        Mapping[int, DriveCharacteristic]
+            The measured servos, by their IDs.
+
+        Raises
+        ------
+        GripperError
+            When the gripper cannot move or measure them.
+        """
+        self._part = Part(width_m=0.0, stiffness_n_m=math.inf)
         self.gripper.start()
         self.gripper.open()
         self.gripper.press_pads_together(ForceRamp.linear(_PADS_N, _PADS_N_S))
         self.gripper.drives.measure_load()
         self.gripper.release()
         self.gripper.drives.measure_friction()
-        self.gripper.open(part.width_m + _FREE_M)
-        self._part = part
-        self._trace.clear()
+        return dict(self.gripper.drives.read().drives)
 
-    def grasp(self, final_n: float, rate_n_s: float, *, measured: bool = False) -> RampQuality:
-        """Grasp and hold, and judge the true force; ``measured``: after `measure_servos`."""
+    def grasp(
+        self,
+        final_n: float,
+        rate_n_s: float,
+        drives: Mapping[int, DriveCharacteristic] | None = None,
+    ) -> RampQuality:
+        """Grasp and hold, and judge the true force; ``drives``: of `measure_servos`."""
         ends_s: list[float] = []
 
         def observe(cycle: Cycle) -> None:
@@ -303,16 +324,14 @@ class Rig:
 
         contact_s: float | None = None
         with suppress(GripperError):
-            if measured:
-                self.measure_servos()
-            else:
-                self.gripper.start()
+            self.gripper.start()
+            self.gripper.drives.use(drives or {})
             outcome = self.gripper.grasp(ForceRamp.linear(final_n, rate_n_s), observe)
             if outcome.result is not GraspResult.PART_LOST and outcome.contact_t_s is not None:
                 self.gripper.hold(_HOLD_S, observe)
                 contact_s = outcome.contact_t_s
         if contact_s is None or not ends_s:
-            return RampQuality(overshoot_n=0.0, settling_s=_HOLD_S, holding_n=final_n, lost=True)
+            return RampQuality.not_held(final_n)
         tolerance_n = max(0.2, 0.05 * final_n)
         ramped = [entry for entry in self._trace if entry[0] >= contact_s]
         after = [(t_s - ends_s[0], n - final_n) for t_s, n in ramped if t_s >= ends_s[0]]

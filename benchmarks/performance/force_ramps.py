@@ -6,7 +6,7 @@ torque figures are right in one run and wrong in the two others. Each figure is 
 runs, of the true force. The loop was tuned with other seeds. The force loop also runs on a plant
 with further truths (friction that grows with load, backlash, ripple, creep), and with more noise
 and larger errors of the figures. The last runs have the gearings of real servos, which the gripper
-measures before, as in a self-zero. ``--gearing`` runs one of them alone, ``--friction`` and
+measures once before, as in a self-zero. ``--gearing`` runs one of them alone, ``--friction`` and
 ``--kt`` multiply its friction and torque, and ``--frames`` removes the force messages. With
 ``--factors`` half of the ramps run with each pair of factors, and with up to 1.6 A: more friction
 and less torque need more current.
@@ -18,8 +18,9 @@ docs/explanations/force-loop.md; the tests run some of them again and compare.
 import argparse
 import itertools
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -34,7 +35,9 @@ from benchmarks.performance._force_plant import (
     Rig,
     Truth,
 )
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import XM430_W350
+from gripper.errors import GripperError
 from gripper.force.control import grip_control
 from simulator.servo.gearing import GEARINGS
 
@@ -154,16 +157,27 @@ def rig(setup: Setup, case: Case, truth: Truth) -> Rig:
     )
 
 
+@cache
+def measured_drives(setup: Setup, truth: Truth) -> Mapping[int, DriveCharacteristic] | None:
+    """Return the servos that a gripper has measured; None if it cannot start or measure them."""
+    with suppress(GripperError):
+        return rig(setup, CASES[0], truth).measure_servos()
+    return None
+
+
+def grasp(setup: Setup, case: Case, truth: Truth) -> RampQuality:
+    """Return the figures of one ramp of one gripper."""
+    drives = measured_drives(setup, truth) if setup.measured else None
+    if setup.measured and drives is None:
+        return RampQuality.not_held(case.final_n)
+    return rig(setup, case, truth).grasp(case.final_n, case.rate_n_s, drives)
+
+
 def run(setup: Setup, case: Case, n_truths: int = len(TRUTHS)) -> RampQuality:
     """Return the worst figures of one ramp over the grippers with different errors."""
     truths = HARD_TRUTHS if setup.hard else TRUTHS
     with setup.in_use():
-        return worst(
-            [
-                rig(setup, case, truth).grasp(case.final_n, case.rate_n_s, measured=setup.measured)
-                for truth in truths[:n_truths]
-            ]
-        )
+        return worst([grasp(setup, case, truth) for truth in truths[:n_truths]])
 
 
 def worst(runs: Sequence[RampQuality]) -> RampQuality:
@@ -268,8 +282,7 @@ def measured_errors(name: str, part: str) -> tuple[list[list[float]], float]:
     )
     case = next(case for case in CASES if case.part == part)
     gripper = rig(Setup(gearing=name, measured=True, rate_hz=GEARED_HZ), case, TRUTHS[0])
-    gripper.measure_servos()
-    for drive in gripper.gripper.drives.read().drives.values():
+    for drive in gripper.measure_servos().values():
         lines = drive.rising_a_nm, drive.falling_a_nm, drive.yielding_share, drive.breakaway_a
         shown = *lines, drive.inertia_a_s2(XM430_W350) / drive.rising_a_nm
         found.append([a / b - 1.0 for a, b in zip(shown, true, strict=True)])

@@ -199,8 +199,7 @@ def figures(effort: float) -> dict[str, float]:
         cases = force_ramps.FAST[:: max(step, round(0.1 / effort))]
         found = []
         for case in cases:
-            rig = force_ramps.rig(setup, case, force_ramps.TRUTHS[1])
-            quality = rig.grasp(case.final_n, case.rate_n_s, measured=setup.measured)
+            quality = force_ramps.grasp(setup, case, force_ramps.TRUTHS[1])
             found.append((quality, case.final_n))
         marks = [force_ramps.met(quality, final_n) for quality, final_n in found]
         for index, aim in enumerate(("overshoot", "settling", "hold")):

@@ -35,8 +35,8 @@ _LOCKED_SHARE = 0.5
 """Share of the friction beyond the force at which the drive stays: friction locks the fingers.
 [tuned]"""
 _BREAKAWAY_N = 0.1
-"""Drive in N beyond friction at rest that starts locked fingers. They stay locked where the force
-is beyond its set-point by more. [tuned]"""
+"""Drive in N beyond friction at rest that starts locked fingers. Where the force is beyond its
+set-point by more, they stay locked. [tuned]"""
 _LOOSENED_SHARE, _LOOSENING_N_S = 0.5, 20.0
 """Share of the friction at which the push of a fall begins to grow, and its rate in N/s. That edge
 of the friction is exact to a newton; after too large a push the force jumps. [tuned]"""
@@ -153,6 +153,15 @@ class MotionMode(Mode):
         brake_n = (heavier * stopping_share - 1.0) * frictions_n[self._falls]
         return max(0.0, min(brake_n, _LOCKED_SHARE * (frictions_n[1] - frictions_n[self._falls])))
 
+    def _loosening_n(self, push_n: float, friction_n: float, dt_s: float) -> float:
+        """Return the push in N that starts locked fingers; a fall begins with less, which grows."""
+        if not self._falls:
+            return max(push_n, STICTION * friction_n + _BREAKAWAY_N)
+        self._locked = True
+        self._loosening_s += dt_s
+        grown_n = _LOOSENED_SHARE * friction_n + _LOOSENING_N_S * self._loosening_s
+        return max(min(push_n, -STICTION * friction_n - _BREAKAWAY_N), -grown_n)
+
     def _planned_drive_n(self, period: Period) -> float:
         """Advance the plan by one period and return the driving force in N that follows it."""
         grip, observer, sign, dt_s = self._grip, self.observer, self._sign, period.moment.dt_s
@@ -193,22 +202,18 @@ class MotionMode(Mode):
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
         band_n = _LOCKED_SHARE * friction_n
         push_n = sign * (friction_n + sign * observer.mass_kg * accelerates)
-        if observer.speed_m_s == 0.0 and sign * (force_n - setpoint_n) > _BREAKAWAY_N:
-            # The force is beyond its set-point: friction locks the fingers until it is not.
-            push_n = sign * min(sign * push_n, band_n)
-        elif observer.speed_m_s == 0.0:
-            push_n = sign * max(sign * push_n, STICTION * friction_n + _BREAKAWAY_N)
-            if self._falls:
-                self._locked = True
-                self._loosening_s += dt_s
-                grown_n = _LOOSENED_SHARE * friction_n + _LOOSENING_N_S * self._loosening_s
-                push_n = max(push_n, -grown_n)
-        elif self._locked:
+        ahead = sign * (force_n - setpoint_n) > _BREAKAWAY_N
+        if observer.speed_m_s == 0.0 and not ahead:
+            push_n = self._loosening_n(push_n, friction_n, dt_s)
+        elif self._locked and observer.speed_m_s != 0.0:
             self._locked = False
             observer.open_from(grip.drive_n, friction_n)
         # Fingers that still open after the longest time must be locked too.
         if arrived or (self.over and self._falls):
             push_n = sign * band_n if stands else -brake_n
+        if ahead and stands:
+            # In the middle of the band wrong friction moves nothing.
+            push_n = sign * min(sign * push_n, 0.0)
         push_n = sign * max(sign * push_n, -max(band_n, brake_n))
         return min(force_n + observer.lacking_n + push_n, period.drive_max_n - period.inertia_n)
 

@@ -160,8 +160,10 @@ def test_a_force_on_foam_that_creeps_stays_within_its_aim_for_a_long_hold() -> N
 )
 def test_a_slow_ramp_does_not_jump_where_the_gearing_sticks(part, final_n, rate_n_s, seed) -> None:
     truth = Truth(kt_error=0.0, friction_error=0.0, seed=seed)
-    rig = Rig(PARTS[part], truth, 0.2, rate_hz=200.0, gearing=MX_64_GEARING)
-    quality = rig.grasp(final_n, rate_n_s, measured=True)
+    measured, rig = (
+        Rig(PARTS[part], truth, 0.2, rate_hz=200.0, gearing=MX_64_GEARING) for _ in (0, 1)
+    )
+    quality = rig.grasp(final_n, rate_n_s, measured.measure_servos())
     assert not quality.lost
     assert quality.overshoot_n <= 0.2
 
