@@ -19,7 +19,7 @@ import argparse
 import itertools
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -143,10 +143,14 @@ STRONG_A = 1.6
 
 
 def rig(setup: Setup, case: Case, truth: Truth) -> Rig:
-    """Return a gripper with the sensor and plant of a setup, open before the part of a case."""
+    """Return a gripper with the sensor and plant of a setup, open before the part of a case.
+
+    Each case has noise of its own, so that one unlucky noise does not count in all of them.
+    """
+    own_noise = replace(truth, seed=100 * CASES.index(case) + truth.seed)
     return Rig(
         PARTS[case.part],
-        truth,
+        own_noise,
         HARD_NOISE_N if setup.hard else NOISE_N,
         rate_hz=setup.rate_hz,
         gearing=GEARINGS[setup.gearing],
