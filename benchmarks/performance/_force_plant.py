@@ -325,7 +325,8 @@ class Rig:
         contact_s: float | None = None
         with suppress(GripperError):
             self.gripper.start()
-            self.gripper.drives.use(drives or {})
+            if drives is not None:
+                self.gripper.drives.use(drives)
             outcome = self.gripper.grasp(ForceRamp.linear(final_n, rate_n_s), observe)
             if outcome.result is not GraspResult.PART_LOST and outcome.contact_t_s is not None:
                 self.gripper.hold(_HOLD_S, observe)

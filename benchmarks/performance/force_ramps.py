@@ -171,8 +171,8 @@ def measured_drives(setup: Setup, truth: Truth) -> Mapping[int, DriveCharacteris
 
 def grasp(setup: Setup, case: Case, truth: Truth) -> RampQuality:
     """Return the figures of one ramp of one gripper."""
-    drives = measured_drives(setup, truth) if setup.measured else None
-    if setup.measured and drives is None:
+    drives = None
+    if setup.measured and (drives := measured_drives(setup, truth)) is None:
         return RampQuality.not_held(case.final_n)
     return rig(setup, case, truth).grasp(case.final_n, case.rate_n_s, drives)
 
@@ -269,21 +269,30 @@ def factored(effort: float, names: Sequence[str], rate_hz: float | None) -> None
         line(f"{name} {friction:g}, {kt:g}", f"{counts}, {_lost(found):2d}")
 
 
-def measured_errors(name: str, part: str) -> tuple[list[list[float]], float]:
-    """Return the errors of both measured servos of a gearing, as shares, and its friction in A.
+def true_values(name: str) -> tuple[float, ...]:
+    """Return the true values of a gearing that a gripper measures.
 
-    They are those of both lines of the load, the yielding share, the friction at rest and the mass.
+    They are those of both lines of the load in A for each N m, the yielding share, the friction at
+    rest in A and the inertia in kg m².
     """
-    true_drive, found = GEARINGS[name].drive_of(XM430_W350), []
+    true_drive = GEARINGS[name].drive_of(XM430_W350)
     law, kt_nm_a = true_drive.friction, true_drive.kt_nm_a
     by_motor, by_load, base_nm = sum(law.drive), sum(law.load), sum(law.base_nm)
-    true = (
+    return (
         (1.0 + by_load) / (1.0 - by_motor) / kt_nm_a,
         (1.0 - by_load) / (1.0 + by_motor) / kt_nm_a,
         (1.0 - by_motor) / (1.0 + by_motor),
         base_nm / (1.0 - by_motor) / kt_nm_a,
         true_drive.inertia_kg_m2,
     )
+
+
+def measured_errors(name: str, part: str) -> tuple[list[list[float]], float]:
+    """Return the errors of both measured servos of a gearing, as shares, and its friction in A.
+
+    The errors are in the order of `true_values`.
+    """
+    true, found = true_values(name), []
     case = next(case for case in CASES if case.part == part)
     gripper = rig(Setup(gearing=name, measured=True, rate_hz=GEARED_HZ), case, TRUTHS[0])
     for drive in gripper.measure_servos().values():

@@ -477,6 +477,19 @@ def test_pads_on_each_other_contradict_no_message_at_twice_the_noise(make_bench,
     assert bench.controller.zeros.newest is not None
 
 
+def test_pads_on_each_other_stay_far_below_the_cap_where_one_motor_is_stronger(make_bench) -> None:
+    """The set-point ends at 10 N, the cap is 15 N, and no servo was ever measured."""
+    unlike = {"simulator__servos__friction": [0.5, 1.0], "simulator__servos__kt": [1.3, 1.0]}
+    bench = make_bench(small_config(self_zero="always", **unlike))
+    forces_n: list[float] = []
+    bench.simulated.clock.on_advance.append(
+        lambda _now_s: forces_n.append(max(bench.simulated.world.contact_force_n()))
+    )
+    bench.controller.start()
+    assert bench.controller.zeros.newest is not None
+    assert max(forces_n) < 12.5
+
+
 DRIVE = replace(
     DriveCharacteristic.catalogue(MODELS["XM430-W350"]),
     breakaway_a=0.2,
