@@ -24,6 +24,8 @@ quarter to four times. The catalogue alone is so uncertain. [assumed]"""
 _FALLING_SD = 0.4
 """The same of a load that falls over one that rises. [vendor]"""
 
+_STICKS_SHARE = 2 / 3
+"""Falling over rising line of a load below which a gearing sticks. [chosen]"""
 _INERTIA_SD = 0.5
 """The same of the inertia: an identified gearing of one model has 2.4 times the catalogue's (arXiv
 2410.08650). [assumed]"""
@@ -87,6 +89,11 @@ class DriveCharacteristic:
             value = getattr(self, name)
             if not 0.0 < value < inf:
                 raise LimitExceeded(f"{name} is {value}, must be above 0 and finite")
+
+    @property
+    def sticks(self) -> bool:
+        """Whether the gearing loses so much of its load that slow motions stick and slip."""
+        return self.falling_a_nm < _STICKS_SHARE * self.rising_a_nm
 
     @classmethod
     def catalogue(cls, model: ServoModel) -> Self:

@@ -112,7 +112,7 @@ class BandMode(Mode):
         if not held:
             self._held_since_s = period.moment.now_s
         wanted_n = None
-        if not (held and period.moment.young):
+        if not (held and period.may_plan):
             wanted_n = self._edge_n(period, setpoint_n, rate_n_s, held=held)
         if wanted_n is None:
             self._dither = 0.0

@@ -1,11 +1,14 @@
 """Control of the grip force of one grasp: one period, from the set-point to the servos' goals."""
 
 from collections.abc import Sequence
+from math import hypot
 
 from gripper.force.approach.approach import Reached
 from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
 from gripper.force.control.modes import GripModes
+from gripper.force.control.motion_mode import SPEED_S
 from gripper.force.control.period import Period
+from gripper.force.estimates.contact_observer import LOG_STIFFNESS_SD
 from gripper.force.estimates.force_estimate import ForceEstimate
 from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.history import History
@@ -20,6 +23,11 @@ from gripper.values.state import GRAIN_M, ServoFeedback
 _INERTIA_N_S_M = 100.0
 """Margin of the drive in N below the cap of the force for each m/s of closing, with a lever of 60
 mm: on a part of 10 N/mm the inertia of the fingers adds this force to their drive. [tuned]"""
+_FAST_PERIOD_S = 0.0065
+"""Longest time in s between two goals of a planned motion, about half of the time constant of its
+speed: in a slower loop the fingers would run too far. [chosen]"""
+_LATE_PERIOD_S = SPEED_S
+"""Time in s since the last period after which slower control replaces a motion."""
 _HARDENS = 1.5
 """Stiffness at the contact over the mean stiffness up to it, for foam. [assumed]"""
 
@@ -72,7 +80,8 @@ class GripControl:
         self._checks = PadChecks(settings, state, now_s, widest_m=state.aperture_m + given_m)
         # The opening shrinks by the yield of both pads.
         pad_n_m = 2.0 * _HARDENS * max(force_n, self.watch.pads.empty_n) / (yielded_m + GRAIN_M)
-        self._modes = GripModes(grip, now_s, pad_n_m)
+        pad_log_sd = hypot(LOG_STIFFNESS_SD, GRAIN_M / (yielded_m + GRAIN_M))
+        self._modes = GripModes(grip, now_s, pad_n_m, pad_log_sd)
         self._goals = DriveGoals(grip, state, reached.touch_m)
 
     @property
@@ -127,6 +136,7 @@ class GripControl:
             Period(
                 moment=moment,
                 usable=usable,
+                quick=self._settings.period_s <= _FAST_PERIOD_S and moment.dt_s <= _LATE_PERIOD_S,
                 setpoint_n=setpoint_n,
                 rises_n=rises_n,
                 arrival_n=arrival_n,

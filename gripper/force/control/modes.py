@@ -3,21 +3,15 @@
 from collections.abc import Callable
 
 from gripper.force.control.band_mode import BandMode
-from gripper.force.control.motion_mode import SPEED_S, MotionMode
+from gripper.force.control.motion_mode import MotionMode
 from gripper.force.control.period import Mode, Period
+from gripper.force.estimates.contact_observer import LOG_STIFFNESS_SD
 from gripper.force.estimates.grip import Grip
 from gripper.mechanics.kinematics import driving_n
 
-_FAST_PERIOD_S = 0.0065
-"""Longest time in s between two goals of a planned motion, about half of the time constant of its
-speed: in a slower loop the fingers would run too far. [chosen]"""
-_LATE_PERIOD_S = SPEED_S
-"""Time in s since the last period after which slower control replaces a motion."""
 _CORRECTED_N = {False: 0.05, True: 0.1}
 """Error of a hold in N, beside the uncertainty of the force, that a motion corrects, up and down
 (True): foam creeps, and the way down costs twice the friction. [tuned]"""
-_CORRECTED_DOUBT_N = 0.06
-"""Largest uncertainty of the force in N for this correction. [tuned]"""
 _PAUSE_S = 0.05
 """Least time in s between two of these motions. [tuned]"""
 
@@ -70,14 +64,16 @@ class GripModes:
         What is known and asked of the grip.
     now_s
         Monotonic time in s.
-    pad_n_m
-        Stiffness of pad and part at one pad in N/m, as the contact has shown it.
+    pad_n_m, pad_log_sd
+        As for `MotionMode`.
     """
 
-    def __init__(self, grip: Grip, now_s: float, pad_n_m: float) -> None:
+    def __init__(
+        self, grip: Grip, now_s: float, pad_n_m: float, pad_log_sd: float = LOG_STIFFNESS_SD
+    ) -> None:
         self.grip = grip
         self.band = BandMode(grip, now_s)
-        self.motion = MotionMode(grip, now_s, pad_n_m)
+        self.motion = MotionMode(grip, now_s, pad_n_m, pad_log_sd)
         self._modes: dict[type[Mode], Mode] = {
             BandMode: self.band,
             MotionMode: self.motion,
@@ -103,29 +99,24 @@ class GripModes:
         return None
 
 
-def _quick(modes: GripModes, period: Period) -> bool:
-    """Whether the loop is fast enough for a planned motion."""
-    return modes.grip.settings.period_s <= _FAST_PERIOD_S and period.moment.dt_s <= _LATE_PERIOD_S
-
-
 def _ended(modes: GripModes, period: Period) -> bool:
     """Whether a motion has arrived, or can no longer continue."""
     falls = period.rises_n < 0.0
-    return modes.motion.over or falls or not (_quick(modes, period) and period.usable)
+    return modes.motion.over or falls or not (period.quick and period.usable)
 
 
 def _rises(modes: GripModes, period: Period) -> bool:
     """Whether the set-point rises, and samples are new enough to move the fingers by a plan."""
-    return _may_move(modes, period) and period.rises_n > 0.0
+    return _may_move(period) and period.rises_n > 0.0
 
 
 def _strays(modes: GripModes, period: Period) -> bool:
-    """Whether the force of a hold is wrong, and exact enough for a correction."""
+    """Whether the force of a hold is wrong by more than it is uncertain."""
     estimate = modes.grip.estimate
     setpoint_n, force_n, now_s = period.setpoint_n, estimate.force_n, period.moment.now_s
-    if not (_may_move(modes, period) and period.rises_n == 0.0 and setpoint_n == period.end_n):
+    if not (_may_move(period) and period.rises_n == 0.0 and setpoint_n == period.end_n):
         return False
-    if estimate.doubt_n > _CORRECTED_DOUBT_N or now_s - modes.motion.ended_s < _PAUSE_S:
+    if now_s - modes.motion.ended_s < _PAUSE_S:
         return False
     falls = setpoint_n < force_n
     error_n = abs(setpoint_n - force_n)
@@ -137,12 +128,9 @@ def _tried(modes: GripModes) -> bool:
     return modes.grip.moving is not None
 
 
-def _may_move(modes: GripModes, period: Period) -> bool:
-    """Whether the fingers may follow a plan: a current in motion does not show the force."""
-    moment = period.moment
-    if not (_quick(modes, period) and moment.young and moment.dt_s > 0.0):
-        return False
-    return not period.sample.by_current
+def _may_move(period: Period) -> bool:
+    """Whether a planned motion may begin."""
+    return period.may_plan and period.moment.dt_s > 0.0
 
 
 TRANSITIONS: tuple[tuple[type[Mode], Callable[[GripModes, Period], bool], type[Mode]], ...] = (

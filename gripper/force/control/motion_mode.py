@@ -12,7 +12,7 @@ from math import exp, sqrt
 from statistics import fmean
 
 from gripper.force.control.period import Mode, Period
-from gripper.force.estimates.contact_observer import ContactObserver
+from gripper.force.estimates.contact_observer import LOG_STIFFNESS_SD, ContactObserver
 from gripper.force.estimates.grip import Grip
 from gripper.mechanics.impact import CURRENT_S, impact_limit
 from gripper.mechanics.kinematics import driving_n
@@ -56,14 +56,17 @@ class MotionMode(Mode):
         What is known and asked of the grip.
     now_s
         Monotonic time in s.
-    pad_n_m
-        Stiffness of pad and part at one pad in N/m, as the contact has shown it.
+    pad_n_m, pad_log_sd
+        Stiffness of pad and part at one pad in N/m, as the contact has shown it, and the standard
+        deviation of its logarithm.
     """
 
     observer: ContactObserver
     """Of the present or last motion; its learnt values are kept for the next one."""
 
-    def __init__(self, grip: Grip, now_s: float, pad_n_m: float) -> None:
+    def __init__(
+        self, grip: Grip, now_s: float, pad_n_m: float, pad_log_sd: float = LOG_STIFFNESS_SD
+    ) -> None:
         self.over = False
         """Whether the force has arrived and the fingers stand."""
         self.ended_s = self.moved_s = now_s
@@ -72,6 +75,7 @@ class MotionMode(Mode):
         """Set-point in N of that period."""
         self._grip = grip
         self._pad_n_m = pad_n_m
+        self._pad_log_sd = pad_log_sd
         self._lacking_n: dict[bool, float] = {}
 
     def enter(self, period: Period, before: Mode) -> None:
@@ -91,6 +95,7 @@ class MotionMode(Mode):
             grip,
             period.moment.now_s - period.moment.dt_s,
             stiffness_n_m=self._pad_n_m,
+            log_stiffness_sd=self._pad_log_sd,
             lacking_n=self._lacking_n.get(falls, other_n),
         )
         self.plan = ForcePlan(self.observer.force_n, self._sign)
@@ -98,6 +103,7 @@ class MotionMode(Mode):
     def exit(self, period: Period) -> None:
         """End the motion, and keep its measurements of part and friction."""
         self._pad_n_m = self.observer.stiffness_n_m
+        self._pad_log_sd = LOG_STIFFNESS_SD
         self._lacking_n[self._falls] = self.observer.lacking_n
         if period.usable and (self.over or period.rises_n < 0.0):
             self.ended_s = period.moment.now_s
@@ -121,6 +127,8 @@ class MotionMode(Mode):
         mean_n, seen = 0.5 * (self._measured_n + measured_n), None if jumped else sample
         observer.step(moment, drive_n=mean_n, frictions_n=frictions_n, sample=seen)
         self._measured_n = measured_n
+        if (shown_n_m := grip.stiffness.stiffness_n_m) is not None:
+            observer.learn_stiffness(2.0 * shown_n_m, grip.stiffness.log_sd)
         grip.quiet_n = self._planned_drive_n(period)
         grip.asked_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
         self.moved_s = moment.now_s
@@ -196,9 +204,8 @@ class MotionMode(Mode):
         left_n = sign * (end_n - force_n)
         arrived = left_n <= _NEAR_N + stopping_n
         brake_n = self._brake_n(period, frictions_n, stopping_n / max(left_n, _NEAR_N))
-        late = at_end and wanted_m_s < speed_max_m_s and not self._locked
-        self._late_s += dt_s if late else 0.0
         stands = abs(speed) * stiffness * _FORCE_S <= _NEAR_N
+        self._late_s += dt_s if at_end and stands and not self._locked else 0.0
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
         band_n = _LOCKED_SHARE * friction_n
         push_n = sign * (friction_n + sign * observer.mass_kg * accelerates)

@@ -17,6 +17,8 @@ class Period:
     """Feedback and newest sample."""
     usable: bool
     """Whether there is a usable sample: a valid one without doubt about the part."""
+    quick: bool
+    """Whether the loop is fast enough for a planned motion."""
     setpoint_n: float
     rises_n: float
     """Set-point of the grip force in N, and its increase since the last period."""
@@ -45,6 +47,17 @@ class Period:
         """Newest sample, if it is usable."""
         assert self.moment.sample is not None
         return self.moment.sample
+
+    @property
+    def may_plan(self) -> bool:
+        """Whether the fingers may follow a plan.
+
+        A current in motion does not show the force. Old samples suffice where the gearing sticks:
+        there the friction band is worse.
+        """
+        if not (self.quick and self.usable) or self.sample.by_current:
+            return False
+        return self.moment.young or any(path.drive.sticks for path in self.paths)
 
     def held_n(self, drive_n: float) -> float:
         """Return the largest force in N that a drive in N holds, the mean of the servos."""

@@ -15,12 +15,19 @@ from gripper.values.force_sensor import ForceSample
 
 _SOFTEST_N_M = 100.0
 """Least stiffness in N/m of pad and part at one pad. [chosen]"""
-_LOG_STIFFNESS_SD, _LOG_STIFFNESS_RS = 0.5, 2.0
+LOG_STIFFNESS_SD, _LOG_STIFFNESS_RS = 0.5, 2.0
 """Initial standard deviation of the logarithm of the stiffness, and its random walk per root of a
 second: foam hardens. [tuned]"""
 _DISTURBANCE_SHARE, _DISTURBANCE_N_RS = 0.12, 1.5
 """Initial uncertainty of drive and friction, as a share of the drive, and random walk of their
 difference in N per root of a second. [tuned]"""
+_PAD_N_M = 4e3
+"""Stiffness in N/m of a usual pad with little load: less needs evidence. [tuned]"""
+_EXPECTED_N, _SHORT_SHARE = 0.15, 0.25
+"""Least expected growth in N for this evidence, and the share of it that samples must lack; both
+are sums over the samples of a motion. [tuned]"""
+_DISTURBANCE_N_RM = 200.0
+"""The same for each m/s of speed: friction changes with the speed. [tuned]"""
 _SPEED_NOISE_M_S = 0.0007
 """Noise in m/s of the speed by the servos: half of its resolution of 1.4 mm/s. [resolution]"""
 _SPEED_WANDER_M_S, _FORCE_WANDER_N = 0.0004, 0.02
@@ -47,10 +54,18 @@ class ContactObserver:
         Monotonic time in s.
     stiffness_n_m, lacking_n
         Stiffness at one pad in N/m and missing force of the drive in N, as far as they are known.
+    log_stiffness_sd
+        Standard deviation of the logarithm of the stiffness.
     """
 
     def __init__(
-        self, grip: Grip, start_s: float, *, stiffness_n_m: float, lacking_n: float
+        self,
+        grip: Grip,
+        start_s: float,
+        *,
+        stiffness_n_m: float,
+        lacking_n: float,
+        log_stiffness_sd: float = LOG_STIFFNESS_SD,
     ) -> None:
         self.mass_kg = grip.mass_kg
         self.force_n = max(0.0, grip.estimate.force_n)
@@ -61,11 +76,14 @@ class ContactObserver:
             [grip.estimate.doubt_n**2, 0.0, 0.0, 0.0],
             [0.0, _SPEED_NOISE_M_S**2, 0.0, 0.0],
             [0.0, 0.0, (_DISTURBANCE_SHARE * max(grip.drive_n, 1.0)) ** 2, 0.0],
-            [0.0, 0.0, 0.0, _LOG_STIFFNESS_SD**2],
+            [0.0, 0.0, 0.0, log_stiffness_sd**2],
         ]
         self._history = History()
         self._history.add(start_s, self.force_n)
         self._sample_s = start_s
+        self._start_n = self.force_n
+        self._expected_n = self._short_n = 0.0
+        self._learnt: tuple[float, bool] | None = None
 
     @property
     def stiffness_n_m(self) -> float:
@@ -123,10 +141,32 @@ class ContactObserver:
         if sample is not None and sample.t_s > self._sample_s:
             self._sample_s = sample.t_s
             most_n = max(_BELIEVED_N, _BELIEVED_SDS * sqrt(self._p[0][0] + sample.noise_n**2))
-            error_n = min(max(self.unexplained_n(sample), -most_n), most_n)
+            unexplained_n = self.unexplained_n(sample)
+            self._expected_n += sample.grip_n - unexplained_n - self._start_n
+            self._short_n -= unexplained_n
+            error_n = min(max(unexplained_n, -most_n), most_n)
             before_n = self.force_n
             self._correct(0, error_n, sample.noise_n**2)
             self._history.shift(self.force_n - before_n)
+
+    def learn_stiffness(self, stiffness_n_m: float, log_sd: float) -> None:
+        """Use a stiffness at one pad in N/m that the way of the fingers has shown.
+
+        Pads that show a force before they touch make a stiff part look soft. So a stiffness below
+        that of usual pads counts only if the force has grown less than expected in this motion.
+
+        Parameters
+        ----------
+        stiffness_n_m, log_sd
+            Stiffness, and standard deviation of its logarithm. The same stiffness counts once.
+        """
+        softer = self._expected_n > _EXPECTED_N and self._short_n > _SHORT_SHARE * self._expected_n
+        if (stiffness_n_m, softer) == self._learnt:
+            return
+        self._learnt = stiffness_n_m, softer
+        if not softer:
+            stiffness_n_m = max(stiffness_n_m, min(_PAD_N_M, self.stiffness_n_m))
+        self._correct(3, log(stiffness_n_m) - self._log_stiffness, log_sd**2)
 
     def open_from(self, drive_n: float, friction_n: float) -> None:
         """Set the edge of the friction from the drive in N at which fingers started to open.
@@ -172,7 +212,7 @@ class ContactObserver:
                 [sum(fp[i][k] * f[j][k] for k in range(4)) for j in range(4)] for i in range(4)
             ]
             p[1][1] += _SPEED_WANDER_M_S**2
-            p[2][2] += _DISTURBANCE_N_RS**2 * dt_s
+            p[2][2] += (_DISTURBANCE_N_RS**2 + (_DISTURBANCE_N_RM * after) ** 2) * dt_s
             p[3][3] += _LOG_STIFFNESS_RS**2 * dt_s
         p[0][0] += _FORCE_WANDER_N**2
 

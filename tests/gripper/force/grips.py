@@ -57,6 +57,7 @@ def make_period(
     state = replace(STATE, t_s=now_s, aperture_velocity_m_s=speed_m_s, servos=servos)
     usual = {
         "usable": sample is not None,
+        "quick": dt_s <= 2 * PERIOD_S,
         "rises_n": 0.0,
         "arrival_n": None,
         "taper": False,

@@ -40,6 +40,8 @@ class Loop:
         return self.grip.quiet_n
 
     def step(self, now_s: float, setpoint_n: float, sample: ForceSample, **changes: Any) -> float:
+        # A quick loop leaves the errors of a hold to planned motions.
+        changes = {"quick": False} | changes
         return self.mode.step(make_period(now_s, setpoint_n, sample, **changes))
 
 

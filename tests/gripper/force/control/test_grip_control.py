@@ -168,6 +168,41 @@ def test_a_slow_ramp_does_not_jump_where_the_gearing_sticks(part, final_n, rate_
     assert quality.overshoot_n <= 0.2
 
 
+@pytest.mark.parametrize(
+    ("part", "final_n", "rate_n_s"),
+    [
+        ("steel ball, 200 N/mm", 8.0, 10.0),
+        ("cork, 5 N/mm", 8.0, 3.0),
+        ("foam ball, 0.2 N/mm", 2.0, 40.0),  # the fingers still move long after the ramp
+        ("foam ball, 0.2 N/mm", 4.0, 20.0),
+    ],
+)
+@pytest.mark.parametrize("seed", [71, 103])
+def test_frames_alone_hold_a_force_where_the_gearing_sticks(part, final_n, rate_n_s, seed) -> None:
+    truth = Truth(kt_error=0.0, friction_error=0.0, seed=seed)
+    measured, rig = (Rig(PARTS[part], truth, 0.2, gearing=MX_64_GEARING) for _ in (0, 1))
+    quality = rig.grasp(final_n, rate_n_s, measured.measure_servos())
+    assert not quality.lost
+    assert quality.overshoot_n <= 0.3
+    assert quality.holding_n <= 0.6
+
+
+def test_pads_that_show_a_force_before_they_touch_do_not_make_a_stiff_part_soft(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With frames and a gearing that sticks, as the test of a stiffness that is far too small."""
+    truth = Truth(kt_error=0.0, friction_error=0.0, seed=71)
+    measured, rig = (
+        Rig(PARTS["steel ball, 200 N/mm"], truth, 0.2, gearing=MX_64_GEARING) for _ in (0, 1)
+    )
+    drives = measured.measure_servos()
+    monkeypatch.setattr(StiffnessEstimate, "stiffness_n_m", 136.0)
+    monkeypatch.setattr(StiffnessEstimate, "log_sd", 0.3, raising=False)
+    quality = rig.grasp(6.0, 20.0, drives)
+    assert not quality.lost
+    assert quality.overshoot_n <= 1.0
+
+
 @pytest.mark.parametrize("factors", [(0.5, 1.3), (2.0, 0.7)])
 def test_a_slow_ramp_of_servos_that_were_never_measured_stays_below_its_set_point(factors) -> None:
     truth = Truth(kt_error=0.0, friction_error=0.0, seed=501)
