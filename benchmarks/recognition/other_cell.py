@@ -100,7 +100,7 @@ def main(effort: float = 1.0) -> None:
         answers = gauged(taught, untold, [label])
         every += [one for one in answers if one.taught]
         line(f"  gauged by {label}", figures(answers))
-    line("  gauged, all together", figures(every))
+    line("  gauged, all together", figures(every, times=len(taught_objects)))
     drawn = []
     for seed in range(repeats(N_DRAWN, effort)):
         objects, other = taught_objects | new_objects, drawn_cell(seed)

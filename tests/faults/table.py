@@ -193,7 +193,8 @@ CONTROL_UNIT = _near((
     FaultRow(10, "gone", "the unit falls silent",
              "unit.off@contact+0.1s", "HOLD", 0.06 + SYNC_S + LOOP_S, number=401),
     FaultRow(11, "pre-operational", "the unit falls to pre-operational; its next heartbeat says so",
-             "unit.pre_operational@contact+0.1s", "HOLD", 0.1 + LOOP_S, number=309),
+             "unit.pre_operational@contact+0.1s", "HOLD", 0.1 + LOOP_S,
+             number=(309, 401)),  # the heartbeat, or the missing messages before it
     FaultRow(11, "EMCY", "the unit sends an emergency",
              "unit.emergency=0x5000@contact+0.1s", "HOLD", 2 * LOOP_S, number=310),
     FaultRow(12, "second unit at the start", "two units with one node-ID",
@@ -299,7 +300,7 @@ TAXELS = _near((
              number=401),
     FaultRow(13, "without noise, at first", "the same just after the touch: the part seems soft",
              "unit.stuck@contact+0.04s", "HOLD", 0.3 + SYNC_S, changes={"simulator.noise": "none"},
-             number=401),
+             number=(401, 407)),  # the same samples, or messages that contradict them before
     FaultRow(14, "few at the start", "four taxels at full scale",
              "taxels.stuck=0.01", "NOTE", None),
     FaultRow(14, "many at the start", "120 taxels at full scale",
@@ -391,7 +392,8 @@ BOARDS = tuple(replace(row, changes=FLEXITAC | dict(row.changes)) for row in _ne
     FaultRow(45, "header inside", "the same in the ramp, where the offset is known",
              "board.marked=0@contact+0.1s", "NOTHING", None),
     FaultRow(45, "dead pad", "all taxels of a pad read 0 in the ramp",
-             "taxels.stuck_at=384-767:0@contact+0.1s", "HOLD", 0.5, changes=LONG_HOLD, number=207),
+             "taxels.stuck_at=384-767:0@contact+0.1s", "HOLD", 0.5, changes=LONG_HOLD,
+             number=(200, 207)),  # the other pad's sudden force, or the imbalance
     FaultRow(45, "dead pad at the start", "all taxels of a pad read 0 from the start on",
              "taxels.stuck_at=384-767:0", "REJECT", START_S, number=405),
     # No reading shows it: the pads of the wizard are pressed, and parts are taught with it.
