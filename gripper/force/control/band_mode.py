@@ -1,4 +1,4 @@
-"""Mode of control that follows the friction band: holds, falls, and each change without messages.
+"""Mode of control that follows the friction band: falls, and all else where no motion is planned.
 
 The gearing holds a load by friction: at a driving force u (torque constant times current over
 effective radius) the grip force may be anywhere from u - phi to u + phi, phi being the friction

@@ -106,7 +106,7 @@ def _ended(modes: GripModes, period: Period) -> bool:
 
 
 def _rises(modes: GripModes, period: Period) -> bool:
-    """Whether the set-point rises, and samples are new enough to move the fingers by a plan."""
+    """Whether the set-point rises, and the fingers may follow a plan."""
     return _may_move(period) and period.rises_n > 0.0
 
 

@@ -83,6 +83,7 @@ class ContactObserver:
         self._sample_s = start_s
         self._start_n = self.force_n
         self._expected_n = self._short_n = 0.0
+        self._soft = False
         self._learnt: tuple[float, bool] | None = None
 
     @property
@@ -160,11 +161,12 @@ class ContactObserver:
         stiffness_n_m, log_sd
             Stiffness, and standard deviation of its logarithm. The same stiffness counts once.
         """
-        softer = self._expected_n > _EXPECTED_N and self._short_n > _SHORT_SHARE * self._expected_n
-        if (stiffness_n_m, softer) == self._learnt:
+        least_n = _SHORT_SHARE * self._expected_n
+        self._soft |= self._expected_n > _EXPECTED_N and self._short_n > least_n
+        if (stiffness_n_m, self._soft) == self._learnt:
             return
-        self._learnt = stiffness_n_m, softer
-        if not softer:
+        self._learnt = stiffness_n_m, self._soft
+        if not self._soft:
             stiffness_n_m = max(stiffness_n_m, min(_PAD_N_M, self.stiffness_n_m))
         self._correct(3, log(stiffness_n_m) - self._log_stiffness, log_sd**2)
 
