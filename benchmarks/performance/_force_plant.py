@@ -347,7 +347,7 @@ class Rig:
 class _PlainLaw:
     """A law of force in the place of all modes of the gripper's own, without a model."""
 
-    def __init__(self, grip: Grip, now_s: float, _pad_n_m: float) -> None:
+    def __init__(self, grip: Grip, now_s: float, *_pad: float) -> None:
         self._grip = grip
         self._integral_n = grip.drive_n - grip.setpoint_n
 
