@@ -142,6 +142,7 @@ class ForceEstimate:
         friction_n: float,
         *,
         fell: bool = False,
+        moved_n: float = 0.0,
     ) -> bool:
         """Return whether a sample shows a large jump of the force that no drive made.
 
@@ -159,6 +160,8 @@ class ForceEstimate:
             Half the width of the friction band as grip force.
         fell
             Whether the modelled force has just fallen: friction may still hold more.
+        moved_n
+            Growth in N since the sample that moving fingers add if the part is twice as stiff.
 
         Raises
         ------
@@ -168,6 +171,7 @@ class ForceEstimate:
         least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n, _JUMP_FRICTION_SHARE * friction_n)
         broke = sample.measured_s - self._broke_s < _BREAKS_S
         least_n += _JUMP_SIGMAS * hypot(sample.noise_n, self._broke_n if broke else 0.0)
+        least_n += moved_n
         if fell:
             least_n += _STICKS_SHARE * friction_n
         if jump_n <= least_n:

@@ -70,3 +70,14 @@ def test_a_force_that_jumps_above_the_cap_is_told_as_that(make_cell, rate_hz) ->
 
     with pytest.raises(ForceAboveCap, match="force_max_n is 7"):
         cell.gripper.hold(1.5, observe)
+
+
+def test_moving_fingers_may_meet_a_part_that_is_twice_as_stiff_as_known() -> None:
+    """Without it, foam that hardens under fast fingers would count as pads whose zero has jumped."""
+    estimate = ForceEstimate(ForceLoopSettings(), force_n=3.0, now_s=0.0)
+    for now_s in (0.1, 0.2):
+        sample = ForceSample(t_s=now_s, force_n=(4.0, 4.0), noise_n=0.01)
+        assert not estimate.jumps(sample, 1.0, 3.0, 3.0, moved_n=0.4)
+    estimate.jumps(ForceSample(t_s=0.3, force_n=(4.0, 4.0), noise_n=0.01), 1.0, 3.0, 3.0)
+    with pytest.raises(LimitExceeded, match="zero has jumped"):
+        estimate.jumps(ForceSample(t_s=0.4, force_n=(4.0, 4.0), noise_n=0.01), 1.0, 3.0, 3.0)
