@@ -73,7 +73,7 @@ def test_a_force_that_jumps_above_the_cap_is_told_as_that(make_cell, rate_hz) ->
 
 
 def test_moving_fingers_may_meet_a_part_that_is_twice_as_stiff_as_known() -> None:
-    """Without it, foam that hardens under fast fingers would count as pads whose zero has jumped."""
+    """Foam that hardens under fast fingers is no jump of the zero of the pads."""
     estimate = ForceEstimate(ForceLoopSettings(), force_n=3.0, now_s=0.0)
     for now_s in (0.1, 0.2):
         sample = ForceSample(t_s=now_s, force_n=(4.0, 4.0), noise_n=0.01)
