@@ -24,14 +24,14 @@ quarter to four times. The catalogue alone is so uncertain. [assumed]"""
 _FALLING_SD = 0.4
 """The same of a load that falls over one that rises. [vendor]"""
 
-_STICKS_SHARE = 2 / 3
-"""Falling over rising line of a load below which a gearing sticks. [chosen]"""
 _INERTIA_SD = 0.5
 """The same of the inertia: an identified gearing of one model has 2.4 times the catalogue's (arXiv
 2410.08650). [assumed]"""
 
 _MEASURED_FRICTION_SD, _MEASURED_LOAD_SD = 0.1, 0.02
 """The same within a day, once both were measured. [assumed]"""
+_STICKS_SHARE = 2 / 3
+"""Falling over rising line of a load below which a gearing sticks. [chosen]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -123,9 +123,8 @@ class MotionMode(Mode):
         friction_n = frictions_n[self._falls]
         moment, setpoint_n = period.moment, period.setpoint_n
         measured_n = driving_n(period.state, period.paths)
-        moved_n = abs(observer.speed_m_s) * observer.stiffness_n_m
-        moved_n *= moment.now_s - sample.measured_s
-        jump_n = observer.unexplained_n(sample)
+        since_s, jump_n = moment.now_s - sample.measured_s, observer.unexplained_n(sample)
+        moved_n = abs(observer.speed_m_s) * observer.stiffness_n_m * since_s
         jumped = estimate.jumps(sample, jump_n, setpoint_n, friction_n, moved_n=moved_n)
         mean_n, seen = 0.5 * (self._measured_n + measured_n), None if jumped else sample
         observer.step(moment, drive_n=mean_n, frictions_n=frictions_n, sample=seen)

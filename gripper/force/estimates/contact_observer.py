@@ -18,14 +18,14 @@ _SOFTEST_N_M = 100.0
 LOG_STIFFNESS_SD, _LOG_STIFFNESS_RS = 0.5, 2.0
 """Initial standard deviation of the logarithm of the stiffness, and its random walk per root of a
 second: foam hardens. [tuned]"""
-_DISTURBANCE_SHARE, _DISTURBANCE_N_RS = 0.12, 1.5
-"""Initial uncertainty of drive and friction, as a share of the drive, and random walk of their
-difference in N per root of a second. [tuned]"""
 _PAD_N_M = 4e3
 """Stiffness in N/m of a usual pad with little load: less needs evidence. [tuned]"""
 _EXPECTED_N, _SHORT_SHARE = 0.15, 0.25
 """Least expected growth in N for this evidence, and the share of it that samples must lack; both
 are sums over the samples of a motion. [tuned]"""
+_DISTURBANCE_SHARE, _DISTURBANCE_N_RS = 0.12, 1.5
+"""Initial uncertainty of drive and friction, as a share of the drive, and random walk of their
+difference in N per root of a second. [tuned]"""
 _DISTURBANCE_N_RM = 200.0
 """The same for each m/s of speed: friction changes with the speed. [tuned]"""
 _SPEED_NOISE_M_S = 0.0007

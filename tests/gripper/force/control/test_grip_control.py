@@ -196,8 +196,9 @@ def test_pads_that_show_a_force_before_they_touch_do_not_make_a_stiff_part_soft(
         Rig(PARTS["steel ball, 200 N/mm"], truth, 0.2, gearing=MX_64_GEARING) for _ in (0, 1)
     )
     drives = measured.measure_servos()
+    sure = property(lambda _estimate: 0.3, lambda _estimate, _value: None)
     monkeypatch.setattr(StiffnessEstimate, "stiffness_n_m", 136.0)
-    monkeypatch.setattr(StiffnessEstimate, "log_sd", 0.3, raising=False)
+    monkeypatch.setattr(StiffnessEstimate, "log_sd", sure, raising=False)
     quality = rig.grasp(6.0, 20.0, drives)
     assert not quality.lost
     assert quality.overshoot_n <= 1.0
