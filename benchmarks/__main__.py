@@ -1,42 +1,14 @@
-"""Run every benchmark, or those named: python -m benchmarks [NAME ...].
-
-What takes long runs with `make soak`: `connects`, `soak`, `shift` and `week` of
-`benchmarks.performance`.
-"""
+"""Run every benchmark, or those named: python -m benchmarks [NAME ...]. `make soak` is apart."""
 
 import importlib
 import sys
 
 BENCHMARKS = {
-    "performance": (
-        "archive",
-        "interfaces",
-        "force_cap",
-        "force_messages",
-        "force_ramps",
-        "identify",
-        "loop_lateness",
-        "sensitivity",
-        "servo_factors",
-        "touch",
-    ),
-    "recognition": (
-        "caution",
-        "drawing",
-        "drift",
-        "early_end",
-        "many_objects",
-        "other_cell",
-        "other_physics",
-        "sensors",
-        "sequences",
-        "shape_size",
-    ),
+    "performance": ("archive", "force_cap", "force_ramps", "identify", "touch"),
+    "recognition": ("many_objects", "other_cell", "sensors", "shape_size"),
     "paper": ("reproduction",),
 }
 """Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""
-ALONE = ("sensitivity",)
-"""Benchmarks that take an hour or more: they run when they are named."""
 
 
 def modules() -> dict[str, str]:
@@ -50,7 +22,7 @@ def modules() -> dict[str, str]:
 
 def main() -> None:
     known = modules()
-    for name in sys.argv[1:] or [one for one in known if one not in ALONE]:
+    for name in sys.argv[1:] or known:
         if name not in known:
             sys.exit(f"no benchmark is named {name!r}; there are {', '.join(known)}")
         print(f"== {name}", flush=True)

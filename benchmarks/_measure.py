@@ -1,4 +1,4 @@
-"""Small shared helpers: alternatives that take turns in one run, quantiles, lines of figures."""
+"""Shared helpers: times, shares with intervals, quantiles, effort, lines of figures."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -25,20 +25,6 @@ def timed(work: Callable[[], _Result]) -> tuple[_Result, Timed]:
     cpu_s, wall_s = time.process_time(), time.perf_counter()
     result = work()
     return result, Timed(wall_s=time.perf_counter() - wall_s, cpu_s=time.process_time() - cpu_s)
-
-
-def in_turns(cases: Mapping[str, Callable[[], _Result]], rounds: int) -> dict[str, list[_Result]]:
-    """Run all cases once a round, each round beginning with another one; results by case.
-
-    So the other load of the machine affects all cases alike.
-    """
-    names = list(cases)
-    found: dict[str, list[_Result]] = {name: [] for name in names}
-    for turn in range(rounds):
-        first = turn % len(names)
-        for name in names[first:] + names[:first]:
-            found[name].append(cases[name]())
-    return found
 
 
 def share(n_hits: int, n: int, *, times: int = 1) -> str:

@@ -13,7 +13,6 @@ from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
-from recognition.shape.answer import UNCLEAR, ShapeAnswer
 from recognition.statistics.fusion import StopRule
 
 
@@ -106,31 +105,3 @@ def figures(answers: Sequence[JudgedAnswer], *, times: int = 1) -> str:
     if any(one.early for one in answers):
         text += f", {np.mean([one.early for one in answers]):.0%} of all ended early"
     return text + (f"; new UNKNOWN {share(sum(new), len(new))} of {len(new)}" if new else "")
-
-
-Told = tuple[str, float | None, ShapeAnswer]
-"""True kind and thickness in mm (None: not known) of what was grasped, and the answer."""
-
-
-def shape_figures(told: Sequence[Told]) -> str:
-    """Return how right kinds are and how often intervals hold; sizes must be known of all or none.
-
-    Of several thicknesses in an answer one has to hold.
-    """
-    n = len(told)
-    right = sum(answer.kind == kind for kind, _, answer in told)
-    unclear = sum(answer.kind == UNCLEAR for _, _, answer in told)
-    text = f"kind right {share(right, n)} of {n}, wrong {n - right - unclear}, unclear {unclear}"
-    away_mm, held = [], 0
-    for _, size_mm, answer in told:
-        if size_mm is not None:
-            away_mm.append(1e3 * answer.size_m - size_mm)
-            held += any(t.low_m <= 1e-3 * size_mm <= t.high_m for t in answer.thicknesses)
-    wide_mm = np.median([1e3 * (answer.high_m - answer.low_m) for _, _, answer in told])
-    text += f"; 90 % interval {wide_mm:.2f} mm wide"
-    if away_mm:
-        text += (
-            f", held {share(held, n)}, mean error {np.abs(away_mm).mean():.2f} mm "
-            f"(bias {np.mean(away_mm):+.2f})"
-        )
-    return text

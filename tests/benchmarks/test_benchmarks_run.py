@@ -12,7 +12,7 @@ import pytest
 
 import benchmarks
 from benchmarks import __main__ as command
-from benchmarks._measure import in_turns, same, share
+from benchmarks._measure import same, share
 
 pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to run them
 
@@ -39,13 +39,6 @@ def test_the_command_names_what_there_is(monkeypatch) -> None:
     monkeypatch.setattr(sys, "argv", ["benchmarks", "nothing"])
     with pytest.raises(SystemExit, match=", ".join(MODULES)):
         command.main()
-
-
-def test_alternatives_take_turns_and_begin_in_turn() -> None:
-    order: list[str] = []
-    found = in_turns({name: lambda n=name: order.append(n) or n for name in "abc"}, 2)
-    assert "".join(order) == "abcbca"
-    assert found == {"a": ["a", "a"], "b": ["b", "b"], "c": ["c", "c"]}
 
 
 def test_results_that_should_be_equal_end_it_where_they_are_not() -> None:
