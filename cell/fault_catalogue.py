@@ -115,6 +115,10 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     gripper.MechanicsContradicted: Fault(114, "Fingers do not move as the config says",
         "Wrong `gripper.servos[].direction`, `zero_pulse` or `gripper.linkage`; a blocked finger.",
         "Look where the fingers stand, correct the key, clear and reset.", LIMP, START),
+    gripper.AnswersOff: Fault(115, "A servo answers pings only or confirms no write",
+        "Its Status Return Level (register 68) is below 2.",
+        "Clear, then start or release: both set the register to 2.",
+        "The servos' bus watchdog triggers; a part may be held.", MEND),
     # -- 2xx: grip and force -------------------------------------------------------------------
     gripper.LimitExceeded: Fault(200, "Command or measured value outside a limit",
         "A request beyond the config, or heat.", "Request less, or let the hot part cool down.",

@@ -31,6 +31,10 @@ class BusTimeout(GripperError, TimeoutError):
     """A servo did not answer in time, nor to the retry."""
 
 
+class AnswersOff(BusTimeout):
+    """A servo answers pings, but not a request: its Status Return Level (register 68) is low."""
+
+
 class FingerSilent(BusTimeout):
     """One servo is silent while the other one answers; the other finger stands still."""
 

@@ -127,6 +127,7 @@ class Fingers:
     def release(self, observer: Observer | None) -> ReleaseReport:
         """Let go, see `gripper.gripper.Gripper.release`; a servo that cannot be moved is left."""
         if not self.servos.goals_in_force:
+            self.health.demand_answers()
             left = self._not_able()
             if left:
                 return self._open_one(left[0], observer)

@@ -12,6 +12,7 @@ from typing import Self
 from gripper.clock import Clock
 from gripper.drives import DriveMeasurement
 from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import STATUS_RETURN_LEVEL
 from gripper.dynamixel.serial_port import ByteStream, open_line
 from gripper.errors import (
     FeedbackImplausible,
@@ -129,8 +130,8 @@ class Gripper:
         """Verify the servos; nothing moves and no torque is switched.
 
         With the torque off, operating mode, return delay and status return level are corrected.
-        With the torque on, a part may be held: nothing is changed, the state becomes
-        HELD_AFTER_FAULT, and `release` is the next step.
+        With the torque on, a part may be held: only the status return level is corrected, the state
+        becomes HELD_AFTER_FAULT, and `release` is the next step.
 
         Raises
         ------
@@ -145,6 +146,8 @@ class Gripper:
         """
         self._life.check_ready("start")
         self._health.require_present()
+        if STATUS_RETURN_LEVEL.name in self.settings.corrected_registers:
+            self._health.demand_answers()
         for servo_id, seen in self._servos.feedback.strayed.items():
             raise FeedbackImplausible(
                 f"servo {servo_id}: {seen}, and it was not restarted since then: the position of "
@@ -443,6 +446,7 @@ class Gripper:
         """
         if self._life.running:
             raise GripperStateError("clear_fault is not possible while a command runs")
+        self._health.demand_answers()
         conditions = self.conditions()
         if not any(condition.answers for condition in conditions):
             # Reading again raises the fault of the bus.

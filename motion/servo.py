@@ -150,6 +150,7 @@ class ServoAxis:
 
         Raises MotionError if it is missing, or at fault without ``reboot`` or after it.
         """
+        self._ask(lambda: self._bus.demand_answers((self._id,)))
         self.identify()
         error = self._read_error()
         if error and reboot:

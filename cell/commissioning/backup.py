@@ -279,6 +279,7 @@ def _write_back(
 ) -> None:
     servo_id = place.servo_id
     with bench.servo_bus(port, place.baud_rate) as bus:
+        bus.demand_answers((servo_id,))
         for name, (_, wanted) in changes.items():
             if name in _LAST:
                 continue

@@ -17,13 +17,14 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed, leave
 from cell.config.gripper import use_servo_models
 from cell.plugins import SERVO_MODELS
-from gripper.dynamixel.bus import ServoBus, ServoIdentity
+from gripper.dynamixel.bus import ANSWERS_ALL, ServoBus, ServoIdentity
 from gripper.dynamixel.control_table import (
     BAUD_CODES,
     BAUD_RATE,
     PRESENT_INPUT_VOLTAGE,
     REGISTERS,
     SERVO_ID,
+    STATUS_RETURN_LEVEL,
     TORQUE_ENABLE,
 )
 from gripper.dynamixel.latency import check_link
@@ -179,6 +180,7 @@ def _numbered(
                 "adapter is one for half-duplex lines (U2D2)"
             )
         else:
+            _demand_answers(bench, dialog, port, found)
             placed = _placed(bench, dialog, port, rate, found)
             found = Scan(servos=tuple(Found(rate, one) for one in placed))
             n_wanted = n_wanted or _count(dialog, placed)
@@ -191,6 +193,20 @@ def _numbered(
         found = scan_servos(bench, port, dialog, rates)
         if not found.servos and not found.crowded:
             found = scan_servos(bench, port, dialog)
+
+
+def _demand_answers(bench: Bench, dialog: Dialog, port: str, found: Scan) -> None:
+    """Set Status Return Level to 2 where it is lower: such a servo confirms no other write."""
+    for servo_id, rate in ((one.identity.servo_id, one.baud_rate) for one in found.servos):
+        with bench.servo_bus(port, rate) as bus:
+            bus.ping(servo_id)  # says which control table it has
+            off = bus.answers_off(servo_id)
+            level = 0 if off else bus.read(servo_id, STATUS_RETURN_LEVEL)
+            if level != ANSWERS_ALL:
+                change = {STATUS_RETURN_LEVEL.name: (level, ANSWERS_ALL)}
+                undo = "nothing to undo: it is 2 after each power-on"
+                dialog.approve(register_writes(f"servo {servo_id}", change, undo))
+                bus.demand_answers((servo_id,))
 
 
 def _connected(dialog: Dialog, last: ServoIdentity) -> bool:

@@ -28,7 +28,7 @@ from gripper.dynamixel.control_table import (
 from gripper.dynamixel.drive import DriveCharacteristic, disagreement
 from gripper.dynamixel.models import model_name
 from gripper.dynamixel.serial_port import latency_timer_ms, serial_candidates
-from gripper.errors import GripperError, VerificationFailed
+from gripper.errors import AnswersOff, GripperError, VerificationFailed
 from gripper.force.approach.mechanics_proof import POSITION_ITEM
 from gripper.settings import CORRECTABLE
 from gripper.values.servo_checks import VerificationRow
@@ -36,6 +36,8 @@ from motion.errors import AxisMissing, AxisSilent, MotionError
 from tactile.errors import IdentityMismatch, TactileError
 from tactile.source import TactileFrame
 
+_AT_START = "the cell sets it at its start"
+"""Advice for a register that a start corrects."""
 _TORQUE = "servo torque"
 """Name of the check of the servos' torque."""
 _PRESSED_SIGMAS = 6.0
@@ -175,6 +177,8 @@ def _guarded(what: str, check: Callable[[], list[CheckResult]]) -> Iterator[Chec
     except VerificationFailed as error:
         for line in str(error).splitlines():
             yield check_result(what, line, "see the expected value", bad=Verdict.FAIL)
+    except AnswersOff as error:
+        yield check_result(what, str(error), _AT_START)
     except (GripperError, TactileError) as error:
         advice = "check power, id and bit rate"
         if what == _TORQUE:
@@ -186,6 +190,8 @@ def _torque(cell: Cell, named: str) -> list[CheckResult]:
     """Check that all servos or no servo has torque; one servo alone may press on a part."""
     conditions = cell.controller.hand.conditions()
     found = "; ".join(map(str, conditions))
+    if any(condition.answers_off for condition in conditions):
+        return [check_result(_TORQUE, found, f"{_AT_START}; a part may be in the grip")]
     limp = [condition for condition in conditions if condition.answers and not condition.torque_on]
     if not any(condition.torque_on for condition in conditions):
         failed = any(condition.shut_down for condition in conditions)
@@ -229,7 +235,7 @@ def _advice(row: VerificationRow, named: str) -> str:
             "wrong; else push it there by hand"
         )
     if row.item in CORRECTABLE:
-        return "the cell sets it at its start"
+        return _AT_START
     return "correct it with the servo maker's wizard, or correct the config"
 
 

@@ -14,7 +14,14 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from gripper.clock import Clock
-from gripper.dynamixel.control_table import PRESENT_BLOCK, RAM_START, Register, RegisterBlock
+from gripper.dynamixel.control_table import (
+    MODEL_NUMBER,
+    PRESENT_BLOCK,
+    RAM_START,
+    STATUS_RETURN_LEVEL,
+    Register,
+    RegisterBlock,
+)
 from gripper.dynamixel.models import ram_shift
 from gripper.dynamixel.protocol2 import (
     STATUS_OVERHEAD,
@@ -40,10 +47,20 @@ from gripper.dynamixel.transactions import (
     given_up,
     ping_request,
 )
-from gripper.errors import BusBusy, BusCorrupt, BusTimeout, LimitExceeded, PortLost
+from gripper.errors import (
+    AnswersOff,
+    BusBusy,
+    BusCorrupt,
+    BusTimeout,
+    LimitExceeded,
+    PortLost,
+)
 
 _COLLISION_READS = 3
 """Readings of a servo's state that show whether a second servo answers to the same ID."""
+ANSWERS_ALL = 2
+"""Content of Status Return Level (register 68) at which a servo answers each request. At 1 it
+answers pings and reads, at 0 pings only."""
 _ALL_SILENT_MISSES = 3
 """Lost answers in a row, of each requested servo, before a sync read waits for a quiet line."""
 _LATE_GUARD_S = 0.05
@@ -233,7 +250,8 @@ class ServoBus:
         """Return whether several servos answer to one ID.
 
         Each servo reports its own time, position and voltage: their answers damage each other, or
-        the adapter receives no bytes. One answer may be lost by chance.
+        the adapter receives no bytes. One answer may be lost by chance. Equal servos report one
+        Model Number (register 0); a servo that answers no read does not.
         """
         action = f"reading {PRESENT_BLOCK} of servo {servo_id}"
         params = _words(self._address(servo_id, PRESENT_BLOCK), PRESENT_BLOCK.size)
@@ -246,7 +264,26 @@ class ServoBus:
                 return True
             except BusTimeout:
                 lost += 1
-        return lost == _COLLISION_READS
+        return lost == _COLLISION_READS and not self.answers_off(servo_id)
+
+    def answers_off(self, servo_id: int) -> bool:
+        """Return whether a servo answers pings but no read: Status Return Level (68) is 0."""
+        try:
+            self.read(servo_id, MODEL_NUMBER)
+        except AnswersOff:
+            return True
+        except (BusTimeout, BusCorrupt):
+            return False
+        return False
+
+    def demand_answers(self, ids: Sequence[int]) -> None:
+        """Set Status Return Level (register 68) to 2, at which servos answer each request.
+
+        At a lower level a servo does not confirm the write, so that no answer is awaited. The item
+        is in the RAM: it can be written with torque.
+        """
+        for servo_id in ids:
+            self.sync_write({servo_id: (ANSWERS_ALL,)}, RegisterBlock(STATUS_RETURN_LEVEL))
 
     def round_trip_s(self, servo_id: int) -> float:
         """Return the round-trip time of a ping in s, also for a late answer."""
@@ -450,17 +487,23 @@ class ServoBus:
         self, request: Request, failure: NoAnswerError, deadline_s: float | None = None
     ) -> StatusPacket:
         """Repeat a request after a ping, as often as the policy allows; raise without an answer."""
+        pings = 0
         for _ in range(self._policy.repetitions):
             with suppress(NoAnswerError):
                 self._ping(request.servo_id, deadline_s)
+                pings += 1
                 self._counts["retries"] += 1
                 return accepted(self._exchange(request, patient=self._policy.patient))
-        raise self._given_up(failure, request) from None
+        # In the loop, with one repetition, noise does the same.
+        pinged = self._policy.patient and pings == self._policy.repetitions
+        raise self._given_up(failure, request, pinged=pinged) from None
 
-    def _given_up(self, failure: NoAnswerError, request: Request) -> BusTimeout | BusCorrupt:
+    def _given_up(
+        self, failure: NoAnswerError, request: Request, *, pinged: bool = False
+    ) -> BusTimeout | BusCorrupt:
         """Return the error of a servo without an answer; the line is now suspect."""
         self._mark_suspect()
-        self._last_error = given_up(failure, request, self._heard)
+        self._last_error = given_up(failure, request, self._heard, pinged=pinged)
         return self._last_error
 
     def _ping(self, servo_id: int, deadline_s: float | None = None) -> None:

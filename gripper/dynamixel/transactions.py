@@ -8,7 +8,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from gripper.dynamixel.protocol2 import CheckedPacketHandler, Instruction, StatusPacket
-from gripper.errors import BusCorrupt, BusTimeout, LimitExceeded, ServoRejected
+from gripper.errors import AnswersOff, BusCorrupt, BusTimeout, LimitExceeded, ServoRejected
 
 BROADCAST_ID = 0xFE
 """ID that all servos listen to (e-Manual, Protocol 2.0, "Packet ID")."""
@@ -164,13 +164,24 @@ def accepted(status: StatusPacket) -> StatusPacket:
     return status
 
 
-def given_up(failure: NoAnswerError, request: Request, heard: Heard) -> BusTimeout | BusCorrupt:
-    """Return the error of a servo that is not asked again."""
+def given_up(
+    failure: NoAnswerError, request: Request, heard: Heard, *, pinged: bool
+) -> BusTimeout | BusCorrupt:
+    """Return the error of a servo that is not asked again.
+
+    ``pinged``: whether it has answered each ping between its requests.
+    """
     if failure.damaged:
         found = f" ({heard})" if heard else ""
         return BusCorrupt(
             f"{request.action}: the answers of servo {request.servo_id} arrive damaged, twice in a "
             f"row{found}: check cable, termination and that no two servos share the ID"
+        )
+    if pinged:
+        return AnswersOff(
+            f"{request.action}: no answer of servo {request.servo_id}, although it answers pings: "
+            f"its Status Return Level (register 68) is below 2. A start or a release sets it to 2, "
+            f"and so does switching its supply off and on"
         )
     return BusTimeout(
         f"{request.action}: no answer of servo {request.servo_id}, twice in a row: check its "

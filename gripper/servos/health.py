@@ -1,7 +1,5 @@
 """Health of the servos: their settings, torque, hardware errors and bus watchdog."""
 
-from contextlib import suppress
-
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
     BUS_WATCHDOG,
@@ -14,7 +12,14 @@ from gripper.dynamixel.control_table import (
     RegisterBlock,
 )
 from gripper.dynamixel.models import MODELS
-from gripper.errors import BusCorrupt, BusTimeout, ServoFault, ServoMissing, VerificationFailed
+from gripper.errors import (
+    AnswersOff,
+    BusCorrupt,
+    BusTimeout,
+    ServoFault,
+    ServoMissing,
+    VerificationFailed,
+)
 from gripper.servos.verification import compare, requirements
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
@@ -56,8 +61,12 @@ class ServoHealth:
 
     def _condition(self, servo_id: int) -> ServoCondition:
         for _ in range(_CONDITION_TRIES):
-            with suppress(BusTimeout, BusCorrupt):
+            try:
                 return self._read_condition(servo_id)
+            except AnswersOff:
+                return ServoCondition(servo_id=servo_id, answers=False, answers_off=True)
+            except (BusTimeout, BusCorrupt):
+                continue
         return ServoCondition(servo_id=servo_id, answers=False)
 
     def _read_condition(self, servo_id: int) -> ServoCondition:
@@ -70,6 +79,10 @@ class ServoHealth:
             error_bits=bits,
             shut_down=not torque_on and bits & shutdown_bits != 0,
         )
+
+    def demand_answers(self) -> None:
+        """Let all servos answer each request, see `ServoBus.demand_answers`; first of all."""
+        self._bus.demand_answers(self._ids)
 
     def require_present(self) -> None:
         """Ping every servo. Raises ServoMissing, which names the IDs that answer instead."""

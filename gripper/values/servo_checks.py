@@ -29,6 +29,8 @@ class ServoCondition:
     """The servo."""
     answers: bool = True
     """False if it did not answer; its torque is then unknown, and the rest False and 0."""
+    answers_off: bool = False
+    """True if it answered pings only: its Status Return Level (register 68) is 0."""
     torque_on: bool = False
     """Whether its torque is on."""
     error_bits: int = 0
@@ -44,6 +46,11 @@ class ServoCondition:
         return self.answers and not self.shut_down and not self.strayed
 
     def __str__(self) -> str:
+        if self.answers_off:
+            return (
+                f"servo {self.servo_id} answers pings only: its Status Return Level (register 68) "
+                f"is 0; a start or a release sets it to 2"
+            )
         if not self.answers:
             return f"servo {self.servo_id} does not answer"
         torque = "its torque on" if self.torque_on else "no torque"

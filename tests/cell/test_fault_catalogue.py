@@ -25,6 +25,7 @@ FROZEN = {
     "LinkTooSlow": 104, "BusCorrupt": 105, "BusUnreliable": 106, "BusBusy": 107,
     "ServoRejected": 108, "ServoFault": 109, "VerificationFailed": 110, "ServoMissing": 111,
     "FeedbackImplausible": 112, "WatchdogUnproven": 113, "MechanicsContradicted": 114,
+    "AnswersOff": 115,
     "LimitExceeded": 200, "ForceAboveCap": 201, "PositionContradicted": 202,
     "GripperStateError": 203, "ForceSensorStale": 204, "PartLost": 205, "PartSlipped": 206,
     "ForceImbalance": 207, "GraspStopped": 208, "GripContradicted": 209,

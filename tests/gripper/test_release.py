@@ -75,6 +75,32 @@ def test_a_reboot_is_judged_by_the_servo_not_by_its_answer(cell, monkeypatch, lo
     assert gripper.start().ok
 
 
+@pytest.mark.parametrize("levels", [(0, 0), (1, 1), (2, 0), (1, 2)])
+def test_a_part_is_let_go_by_servos_that_confirm_no_write(make_cell, levels) -> None:
+    cell = make_cell(corrected_registers=frozenset({"operating_mode", "return_delay_time"}))
+    held(cell)
+    for servo, level in zip(cell.servos, levels, strict=True):
+        servo.core.registers.put("status_return_level", level)
+    assert cell.new_gripper().release().opened == (1, 2)
+    assert cell.force_n == 0.0
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_level_that_another_program_lowers_in_a_hold_does_not_keep_the_part(cell, level) -> None:
+    cell.hold_part(RAMP)
+
+    def lower() -> None:
+        for servo in cell.servos:
+            servo.core.registers.put("status_return_level", level)
+
+    with pytest.raises((BusTimeout, ServoFault)):
+        cell.gripper.hold(5.0, cell.once(lower))
+    assert cell.force_n > 3.0
+    cell.gripper.clear_fault()
+    assert cell.gripper.release().opened == (1, 2)
+    assert cell.force_n == 0.0
+
+
 @pytest.mark.parametrize("how", ["torque 0", "reboot"])
 def test_a_servo_that_another_program_made_limp_opens_again(cell, how) -> None:
     held(cell)

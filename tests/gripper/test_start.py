@@ -3,7 +3,7 @@
 import pytest
 
 from gripper.dynamixel.control_table import REGISTERS
-from gripper.errors import LimitExceeded, LinkTooSlow, VerificationFailed
+from gripper.errors import AnswersOff, LimitExceeded, LinkTooSlow, VerificationFailed
 from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.outcome import GraspResult
@@ -58,6 +58,32 @@ def test_what_may_be_corrected_is_a_setting(make_cell) -> None:
         GripperSettings(
             servos=(ServoSettings(servo_id=1),), corrected_registers=frozenset({"drive_mode"})
         )
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_servos_that_confirm_no_write_are_told_to_before_anything_else(cell, level: int) -> None:
+    for servo in cell.servos:
+        servo.core.registers.put("status_return_level", level)
+    assert cell.gripper.start().ok
+    assert cell.register(1, "status_return_level") == 2
+    assert cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0)).result is (
+        GraspResult.FORCE_REACHED
+    )
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_level_that_may_not_be_corrected_is_named_with_its_register(make_cell, level) -> None:
+    cell = make_cell(corrected_registers=frozenset({"operating_mode", "return_delay_time"}))
+    cell.servos[1].core.registers.put("status_return_level", level)
+    with pytest.raises(AnswersOff, match=r"servo 2, although it answers pings: .*\(register 68\)"):
+        cell.gripper.start()
+    assert [str(one) for one in cell.gripper.conditions()] == [
+        "servo 1 has no torque",
+        "servo 2 has no torque"
+        if level
+        else "servo 2 answers pings only: its Status Return Level (register 68) is 0; a start or a "
+        "release sets it to 2",
+    ]
 
 
 def test_the_gain_that_the_goals_count_on_is_put_right(cell) -> None:

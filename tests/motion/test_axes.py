@@ -123,6 +123,12 @@ def test_a_wrist_turns_between_its_limits(bench) -> None:
         bench.servo.go_to(2049)
 
 
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_wrist_that_confirms_no_write_turns_all_the_same(bench, level: int) -> None:
+    bench.simulated.servo.core.registers.put("status_return_level", level)
+    assert bench.move(1.0) == pytest.approx(1.0, abs=0.02)
+
+
 def test_a_wrist_that_counts_in_another_turn_is_taken_where_it_stands(make_wrist) -> None:
     bench = make_wrist(start_rad=1.75 - math.tau)
     bench.move(1.0)

@@ -61,6 +61,18 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
         assert kept["found"]["return_delay_time"] == 250
 
 
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_servo_that_confirms_no_write_is_set_to_confirm_with_an_approval(one, level) -> None:
+    for servo in one.cell.devices.servo_bus.servos:
+        servo.core.registers.put("status_return_level", level)
+    one.passes(STEP)
+    assert one.registers("status_return_level") == [2, 2]
+    shown = [(w.where, w.what, w.before, w.after) for w in one.person.script.writes]
+    assert shown[:2] == [
+        (f"servo {n}", "status_return_level (68)", str(level), "2") for n in (1, 2)
+    ]
+
+
 def test_a_step_that_goes_on_knows_that_two_servos_answered(new) -> None:
     engine = Engine([PortsStep(), STEP], new.bench)
     for leave_at in (["servos.connect_next"], []):

@@ -127,6 +127,24 @@ def test_torque_that_is_left_on_is_named_with_the_way_on(
     assert advice in finding.advice
 
 
+@pytest.mark.parametrize(("level", "whole"), [(0, False), (1, True)])
+def test_servos_that_withhold_their_answers_are_named_by_the_register(
+    altered, level, whole
+) -> None:
+    def alter(simulated: Any) -> None:
+        for servo in simulated.devices.servo_bus.servos:
+            servo.core.registers.put("status_return_level", level)
+
+    findings = by_name(altered(alter))
+    assert not [f for f in findings.values() if f.verdict is Verdict.FAIL]
+    assert ("servo 2 status_return_level" in findings) == whole
+    named = ["servo 1 status_return_level"] if whole else ["servo torque", "servos"]
+    for one in (findings[name] for name in named):
+        assert one.verdict is Verdict.WARN
+        assert one.advice.startswith("the cell sets it at its start")
+        assert whole or "Status Return Level (register 68)" in one.found
+
+
 @pytest.mark.parametrize(
     ("boards", "named", "verdict", "advice"),
     [
