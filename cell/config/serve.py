@@ -67,11 +67,6 @@ class ServeConfig(Section):
     """Port of XML-RPC, for robot programs; 0: any free port; none: closed."""
     http_port: Port | None = None
     """Port of HTTP and WebSocket (extra `serve`); 0: any free port; none: closed."""
-    opcua_port: Port | None = None
-    """Port of OPC UA (extra `opcua`), usually 4840; 0: any free port; none: closed."""
-    opcua_folder: str = Field(default="", max_length=500)
-    """Certificates of OPC UA: certificate.der and key.pem of the cell, made at the first start, and
-    in trusted/ the certificates of clients that may command; empty: read-only."""
     interfaces: tuple[ForeignInterface, ...] = Field(default=(), max_length=20)
     """Interfaces of other packages, each with its `kind` and the keys of that package."""
     lease_timeout_s: float = Field(default=2.0, ge=0.2, le=60.0)

@@ -1,4 +1,4 @@
-"""The calls of hosts in one table: source of methods (XML-RPC, OPC UA) and commands (Modbus).
+"""The calls of hosts in one table: source of methods (XML-RPC) and commands (Modbus).
 
 No method raises. A method that fails returns the negative fault number, or an empty text;
 `Calls.refusal` has the reason.
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from cell.errors import ConfigError, NotMeasured, RequestRefused
 from cell.fault_catalogue import Refusal, for_display
 from cell.interfaces.access import same_secret
-from cell.interfaces.host_values import PLATE, VALUES, Value, ur_pose
+from cell.interfaces.host_values import VALUES, Value, ur_pose
 from cell.service.service import Service
 
 CLIENT: ContextVar[str] = ContextVar("client", default="")
@@ -66,13 +66,12 @@ class Calls:
     """The methods for hosts; types are int, float, bool, str and pose only.
 
     Methods of `VALUES` and `COMMANDS` are added below. `acquire` checks the secret if it is not
-    empty. The names of clients begin with that of the interface.
+    empty.
     """
 
-    def __init__(self, service: Service, secret: str = "", *, interface: str = "XML-RPC") -> None:
+    def __init__(self, service: Service, secret: str = "") -> None:
         self._service = service
         self._secret = secret
-        self._interface = interface
         self._refusals: dict[str, Refusal] = {}
 
     @property
@@ -119,9 +118,13 @@ class Calls:
         After `latch` 1 no motion starts until the same client, by address and name, calls with 0;
         -1: stop once. A pressed button repeats 1 within each `serve.lease_timeout_s`.
         """
-        who = " ".join(filter(None, (self._interface, CLIENT.get(), str(name)[:60])))
+        who = " ".join(filter(None, ("XML-RPC", CLIENT.get(), str(name)[:60])))
         self._service.stop_as(who, None if latch < 0 else bool(latch))
         return 0
+
+    def boot(self) -> int:
+        """Return a number that differs after each start of the program, 1 to 65535."""
+        return self._service.boot
 
     def next_job(self) -> int:
         """Return the number of the next job: a command with it can be repeated safely."""
@@ -164,8 +167,7 @@ def _reader(value: Value) -> Callable[..., Any]:
         return value.kind() if found is None else found
 
     def of_cell(self: Calls) -> Any:
-        service = self._service
-        return checked(service if value in PLATE else service.snapshot())
+        return checked(self._service.snapshot())
 
     def of_job(self: Calls, job: int) -> Any:
         return checked(SimpleNamespace(job=self._service.job(job)))
@@ -205,7 +207,7 @@ def _starter(command: HostCommand) -> Callable[..., Any]:
     return start
 
 
-for _value in (*PLATE, *VALUES):
+for _value in VALUES:
     if _value.method:
         setattr(Calls, _value.method, _reader(_value))
 for _command in COMMANDS:

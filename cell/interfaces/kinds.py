@@ -12,12 +12,10 @@ class _BuiltIn(InterfaceConfig):
     module: ClassVar[str]
     name: ClassVar[str]
     """Module and class of the interface; its module is loaded only when it is opened."""
-    brings: ClassVar[str] = "serve"
-    """Extra that it needs."""
 
     def open(self, service: Service) -> Any:
         """Open it at the port of the config. Raises MissingExtraError, or OSError."""
-        with extra(self.brings, needed_by=f"serve.{self.kind}_port"):
+        with extra("serve", needed_by=f"serve.{self.kind}_port"):
             interface_type = getattr(import_module(self.module), self.name)
         return interface_type(service)
 
@@ -41,11 +39,3 @@ class HttpConfig(_BuiltIn):
 
     kind: Literal["http"] = "http"
     module, name = "cell.interfaces.web", "WebInterface"
-
-
-class OpcUaConfig(_BuiltIn):
-    """OPC UA."""
-
-    kind: Literal["opcua"] = "opcua"
-    module, name = "cell.interfaces.opc_ua.interface", "OpcUaInterface"
-    brings = "opcua"

@@ -17,7 +17,6 @@ from docs.tools.command_page import command_page
 from docs.tools.config_page import config_page
 from docs.tools.faults_page import faults_page
 from docs.tools.modbus_page import commands_page, registers_page
-from docs.tools.opc_ua_page import opc_ua_page
 from docs.tools.recording_page import recording_page
 from docs.tools.states_page import states_page, states_picture
 from docs.tools.unit_page import objects_page, start_page, vectors_page
@@ -37,7 +36,6 @@ MAKERS: dict[str, Callable[[], str]] = {
     "names of gripper": lambda: names_page("gripper"),
     "names of recognition": lambda: names_page("recognition"),
     "names of tactile": lambda: names_page("tactile"),
-    "opc-ua": opc_ua_page,
     "recording": recording_page,
     "states": states_page,
     "states picture": states_picture,

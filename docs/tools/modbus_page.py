@@ -1,21 +1,19 @@
 """The tables of the Modbus registers and commands, made from those of all interfaces."""
 
 from cell.interfaces.host_calls import COMMANDS
-from cell.interfaces.host_values import N_TEXT, PLATE, VALUES, Value
+from cell.interfaces.host_values import N_TEXT, VALUES, Value
 
 
 def registers_page() -> str:
     """Return one row for each value and its input registers."""
     rows = {
-        value.register: f"| {_registers(value)} | `{value.node}` | {value.text}"
+        value.register: f"| {_registers(value)} | {value.text}"
         + (f"; unit {value.unit:g}" if value.kind is float and value.unit != 1.0 else "")
         + " |"
-        for value in (*VALUES, *PLATE)
+        for value in VALUES
         if value.register
     }
-    return "\n".join(
-        ("| register | as in OPC UA | |", "| --- | --- | --- |", *(rows[n] for n in sorted(rows)))
-    )
+    return "\n".join(("| register | value |", "| --- | --- |", *(rows[n] for n in sorted(rows))))
 
 
 def _registers(value: Value) -> str:

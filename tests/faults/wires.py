@@ -41,7 +41,7 @@ LATCHES_NOTHING = (200, 507, 510, 511)
 """Fault numbers of jobs after which the cell is ready: limits, plan, pose, no part."""
 SUCCEEDED, CANCELED = 4, 5
 INTERFACES = ("modbus", "xmlrpc", "http")
-"""Those behind which the machine walks; to open OPC UA takes too long."""
+"""Those behind which the machine walks."""
 
 
 # -- the service -------------------------------------------------------------------------------

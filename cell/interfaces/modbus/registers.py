@@ -18,7 +18,7 @@ from cell.errors import CellError, ConfigError, NotInCommand, RequestRefused
 from cell.fault_catalogue import Refusal, for_display
 from cell.interfaces.access import may_connect, read_secret, same_secret
 from cell.interfaces.host_calls import COMMANDS
-from cell.interfaces.host_values import N_TEXT, PLATE, VALUES, Value
+from cell.interfaces.host_values import N_TEXT, VALUES, Value
 from cell.interfaces.modbus.protocol import (
     DEVICE_BUSY,
     ILLEGAL_ADDRESS,
@@ -112,8 +112,8 @@ def input_registers(
         (NOT_RECORDED, bool(status.recording_fault)),
     )
     words = [0] * N_INPUT
-    for value in (*VALUES, *PLATE):
-        found = value.of(service if value in PLATE else now)
+    for value in VALUES:
+        found = value.of(now)
         if value.register and value.kind is str:
             words[value.register : value.register + N_TEXT] = _text(found or "", N_TEXT)
         elif value.register:
@@ -126,7 +126,7 @@ def input_registers(
         _two(degrees(pose.rotation_rad), 0.1),
         _two(degrees(pose.roll_rad), 0.1),
     )
-    words[25:27] = sum(bit for bit, on in flags if on), refusal.number
+    words[25:28] = sum(bit for bit, on in flags if on), refusal.number, service.boot
     on_hold = f"on hold by {', '.join(now.held_by)}" if now.held_by else ""
     if status.fault:
         shown = for_display(status.fault_number, status.fault)

@@ -5,7 +5,6 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from http.client import HTTPConnection
-from pathlib import Path
 from typing import Any, NamedTuple
 from xmlrpc.client import ServerProxy
 
@@ -195,8 +194,6 @@ class Request:
 class Place(NamedTuple):
     """Where an interface shows a value; empty where it has it not."""
 
-    node: str
-    """Node of OPC UA."""
     method: str
     """Method of XML-RPC, and the method or value whose number it takes."""
     register: str
@@ -209,34 +206,34 @@ class Place(NamedTuple):
 
 # fmt: off
 SHOWN = {
-    "state": Place("State.Number", "state", "3", "status.state_number"),
-    "needs_reset": Place("State.NeedsReset", "needs_reset", "2.10", "status.needs_reset"),
-    "on_hold": Place("State.HeldBy", "held_by", "2.11", "held_by"),
-    "grip": Place("Grip.Number", "grip_state", "4", "status.grasp_number"),
-    "holding": Place("Grip.Holding", "holding", "2.6", "status.holding"),
-    "force_n": Place("Grip.Force", "force", "13", "live.force_n", 0.01),
-    "force_age_s": Place("Grip.ForceAge", "force_age", "23", "live.force_age_s", 1e-3),
-    "setpoint_n": Place("Grip.Setpoint", "", "", "live.setpoint_n"),
-    "opening_mm": Place("Grip.Opening", "opening", "14", "live.opening_mm", 0.01),
-    "temperature_c": Place("Grip.Temperature", "", "22", "live.temperature_c"),
-    "frame_age_s": Place("FrameAge", "frame_age", "21", "live.frame_age_s", 1e-3),
-    "fault": Place("FaultNumber", "fault_number", "", "status.fault_number"),
-    "recording": Place("RecordingFault", "recording_fault", "2.12", ""),
-    "job": Place("Job.Number", "", "8", "job.number"),
-    "outcome": Place("Job.State", "job_state job", "9", "job.outcome_number"),
-    "job_fault": Place("Job.FaultNumber", "job_fault job", "", "job.fault_number"),
-    "n_grasps": Place("Job.Grasps", "", "12", "job.n_grasps"),
-    "answer_job": Place("LastAnswer.Job", "last_answer", "24", "last_answer.number"),
-    "label": Place("LastAnswer.Label", "label last_answer", "", "last_answer.label"),
+    "state": Place("state", "3", "status.state_number"),
+    "needs_reset": Place("needs_reset", "2.10", "status.needs_reset"),
+    "on_hold": Place("held_by", "2.11", "held_by"),
+    "grip": Place("grip_state", "4", "status.grasp_number"),
+    "holding": Place("holding", "2.6", "status.holding"),
+    "force_n": Place("force", "13", "live.force_n", 0.01),
+    "force_age_s": Place("force_age", "23", "live.force_age_s", 1e-3),
+    "setpoint_n": Place("", "", "live.setpoint_n"),
+    "opening_mm": Place("opening", "14", "live.opening_mm", 0.01),
+    "temperature_c": Place("", "22", "live.temperature_c"),
+    "frame_age_s": Place("frame_age", "21", "live.frame_age_s", 1e-3),
+    "fault": Place("fault_number", "", "status.fault_number"),
+    "recording": Place("recording_fault", "2.12", ""),
+    "job": Place("", "8", "job.number"),
+    "outcome": Place("job_state job", "9", "job.outcome_number"),
+    "job_fault": Place("job_fault job", "", "job.fault_number"),
+    "n_grasps": Place("", "12", "job.n_grasps"),
+    "answer_job": Place("last_answer", "24", "last_answer.number"),
+    "label": Place("label last_answer", "", "last_answer.label"),
     "label_id": Place(
-        "LastAnswer.LabelId", "label_id last_answer", "10", "last_answer.label_id"),
+        "label_id last_answer", "10", "last_answer.label_id"),
     "probability": Place(
-        "LastAnswer.Probability", "probability last_answer", "11", "last_answer.probability", 1e-4),
-    "size_mm": Place("LastAnswer.Size", "part_size part", "15", "last_answer.size_mm", 0.01),
-    "kept": Place("LastAnswer.Kept", "", "25.2", "last_answer.kept"),
-    "part": Place("Part.Number", "part", "96", "part.number"),
-    "part_label_id": Place("Part.LabelId", "part_label_id part", "97", "part.label_id"),
-    "pose_seq": Place("Pose.Number", "pose_seq", "16", "pose_seq"),
+        "probability last_answer", "11", "last_answer.probability", 1e-4),
+    "size_mm": Place("part_size part", "15", "last_answer.size_mm", 0.01),
+    "kept": Place("", "25.2", "last_answer.kept"),
+    "part": Place("part", "96", "part.number"),
+    "part_label_id": Place("part_label_id part", "97", "part.label_id"),
+    "pose_seq": Place("pose_seq", "16", "pose_seq"),
 }
 # fmt: on
 """What all interfaces show, by our name for it."""
@@ -309,15 +306,18 @@ class ModbusHost:
         self._panel.link.close()
 
 
-class CallingHost:
-    """A host that calls methods with plain arguments."""
+class XmlRpcHost:
+    """A robot program; it keeps a part always or never."""
 
-    def __init__(self) -> None:
+    name = "XML-RPC 127.0.0.1 panel"
+
+    def __init__(self, interfaces: dict[str, Any]) -> None:
+        self._cell: Any = ServerProxy(f"http://127.0.0.1:{interfaces['xmlrpc_port']}/RPC2")
         self.lease = 0
         self._last: tuple[Any, ...] = ()
 
     def call(self, method: str, *arguments: Any) -> Any:
-        raise NotImplementedError
+        return getattr(self._cell, method)(*arguments)
 
     def acquire(self) -> int:
         found = int(self.call("acquire", "host"))
@@ -344,19 +344,6 @@ class CallingHost:
 
     def reached(self, seq: int, *, ok: bool) -> int:
         return int(self.call("pose_reached", self.lease, seq, ok))
-
-
-class XmlRpcHost(CallingHost):
-    """A robot program; it keeps a part always or never."""
-
-    name = "XML-RPC 127.0.0.1 panel"
-
-    def __init__(self, interfaces: dict[str, Any]) -> None:
-        super().__init__()
-        self._cell: Any = ServerProxy(f"http://127.0.0.1:{interfaces['xmlrpc_port']}/RPC2")
-
-    def call(self, method: str, *arguments: Any) -> Any:
-        return getattr(self._cell, method)(*arguments)
 
     def shown(self) -> dict[str, Any]:
         found: dict[str, Any] = {"job": self._cell.next_job() - 1}
@@ -445,58 +432,11 @@ class HttpHost:
     def close(self) -> None: ...
 
 
-class OpcUaHost(CallingHost):
-    """A trusted client; what it reads follows within a moment."""
-
-    name = "OPC UA panel"
-
-    def __init__(self, interfaces: dict[str, Any]) -> None:
-        super().__init__()
-        from asyncua import sync, ua
-        from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
-
-        self._id = ua.NodeId
-        self._bad = ua.UaStatusCodeError
-        self._client = sync.Client(f"opc.tcp://127.0.0.1:{interfaces['opcua_port']}/", LIMIT_S)
-        self._client.application_uri = "urn:plc"
-        folder = Path(interfaces["opcua_folder"])
-        self._client.set_security(
-            SecurityPolicyBasic256Sha256,
-            certificate=str(folder / "plc.der"),
-            private_key=str(folder / "plc.pem"),
-            mode=ua.MessageSecurityMode.SignAndEncrypt,
-        )
-        self._client.connect()
-        self._space = self._client.get_namespace_index("urn:tactile-cell:cell")
-
-    def _node(self, path: str) -> Any:
-        return self._client.get_node(self._id(f"Cell.{path}".rstrip("."), self._space))
-
-    def call(self, method: str, *arguments: Any) -> Any:
-        return self._node("").call_method(f"{self._space}:{method}", *arguments)
-
-    def _read(self, path: str) -> Any:
-        try:
-            return self._node(path).read_value()
-        except self._bad:  # not there at the moment
-            return None
-
-    def shown(self) -> dict[str, Any]:
-        return {name: self._read(place.node) for name, place in SHOWN.items()}
-
-    def refusal(self) -> tuple[int, str]:
-        return self._read("LastRefusal.Number"), self._read("LastRefusal.Text")
-
-    def close(self) -> None:
-        self._client.disconnect()
-
-
-Host = ModbusHost | XmlRpcHost | HttpHost | OpcUaHost
+Host = ModbusHost | XmlRpcHost | HttpHost
 """All with the methods of `ModbusHost`."""
 HOSTS: dict[str, Callable[[dict[str, Any]], Host]] = {
     "modbus": ModbusHost,
     "xmlrpc": XmlRpcHost,
     "http": HttpHost,
-    "opcua": OpcUaHost,
 }
 """The host of each interface."""

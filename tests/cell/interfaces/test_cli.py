@@ -796,14 +796,13 @@ def test_wrong_use_is_two_and_a_failing_job_one(fail, files, code, command, comp
         ("distributed: cluster", "evaluate {dataset} --scheduler tcp://127.0.0.1:9"),
         ("fastapi: serve", "commission {folder} --page"),
         ("fastapi: serve", "serve -c {config} --http 0"),
-        ("asyncua: opcua", "serve -c {config} --opcua 0"),
     ],
 )
 def test_a_missing_extra_is_named_with_the_command_that_adds_it(
     fail, files, extra, command, monkeypatch
 ) -> None:
     package, _, extra = extra.partition(": ")
-    users = [f"cell.interfaces.{name}" for name in ("opc_ua", "w", "page")]
+    users = [f"cell.interfaces.{name}" for name in ("w", "page")]
     for name in list(sys.modules):
         if name.partition(".")[0] == package:
             monkeypatch.setitem(sys.modules, name, None)

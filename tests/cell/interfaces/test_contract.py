@@ -1,8 +1,7 @@
 """What every interface promises its hosts: lease, hold, refusals, kept part, answer, poses."""
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, suppress
-from pathlib import Path
+from contextlib import ExitStack, closing
 from typing import Any
 
 import pytest
@@ -12,9 +11,9 @@ from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.service.service import RELEASE_KEY
 from gripper.errors import ServoFault
-from tests.cell.interfaces.hosts import HOSTS, NOT_IN_COMMAND, Host, OpcUaHost, Request
+from tests.cell.interfaces.hosts import HOSTS, NOT_IN_COMMAND, Host, Request
 from tests.cell.served import Served
-from tests.waiting import LIMIT_S, until
+from tests.waiting import LIMIT_S
 
 IDENTIFY = Request(task="identify", max_grasps=2, force_n=6.0, keep=Keep.ALWAYS)
 GRIP = Request(task="grip", force_n=3.0)
@@ -22,19 +21,6 @@ RELEASE = Request(task="release", key=RELEASE_KEY)
 REFUSED, NOT_ALLOWED, CONFIG, HELD_ON_REQUEST, ON_HOLD = 513, 505, 501, 512, 515
 IDLE, EXECUTE, ABORTED, HELD, COMPLETE = 4, 6, 9, 11, 17
 SUCCEEDED, CANCELED, FAILED = 4, 5, 6
-
-
-@pytest.fixture(scope="module")
-def trusted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of OPC UA that trusts a client, with the files of that client."""
-    pytest.importorskip("asyncua", reason="the extra opcua is not installed")
-    from tests.cell.interfaces.certificates import identity, trusting
-
-    client = identity("plc")
-    folder = trusting(tmp_path_factory.mktemp("pki"), client)
-    (folder / "plc.der").write_bytes(client.der)
-    (folder / "plc.pem").write_bytes(client.pem)
-    return folder
 
 
 Connect = Callable[..., tuple[Served, Host]]
@@ -47,33 +33,23 @@ def connect(request: pytest.FixtureRequest, serve: Any) -> Iterator[Connect]:
 
         def make(served: Served | None = None) -> tuple[Served, Host]:
             name = request.param
-            folder = str(request.getfixturevalue("trusted")) if name == "opcua" else ""
-            served = served or serve(name, serve__opcua_folder=folder)
-            host = HOSTS[name](served.interfaces | {"opcua_folder": folder})
-            return served, undo.enter_context(closing(host))
+            served = served or serve(name)
+            return served, undo.enter_context(closing(HOSTS[name](served.interfaces)))
 
         yield make
 
 
 def check_shown(host: Host, **expected: Any) -> None:
-    """Check what an interface shows of these values; OPC UA follows within a moment."""
-
-    def found() -> dict[str, Any]:
-        shown = expected | host.shown()
-        return {
-            name: bool(shown[name]) if isinstance(value, bool) else shown[name]
-            for name, value in expected.items()
-        }
-
-    if isinstance(host, OpcUaHost):
-        with suppress(AssertionError):
-            until(lambda: found() == pytest.approx(expected))
-    assert found() == pytest.approx(expected)
+    """Check what an interface shows of these values."""
+    shown = expected | host.shown()
+    found = {
+        name: bool(shown[name]) if isinstance(value, bool) else shown[name]
+        for name, value in expected.items()
+    }
+    assert found == pytest.approx(expected)
 
 
 def check_refusal(host: Host, number: int) -> None:
-    if isinstance(host, OpcUaHost):
-        until(lambda: host.refusal()[0] == number)
     shown, text = host.refusal()
     assert (shown, bool(text)) == (number, True)
 

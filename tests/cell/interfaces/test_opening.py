@@ -41,11 +41,11 @@ def test_an_address_for_others_is_warned_of(serve) -> None:
     assert warnings(serve(**others).service) == ()
 
 
-@pytest.mark.parametrize("interface", ["modbus", "xmlrpc", "http", "opcua"])
+@pytest.mark.parametrize("interface", ["modbus", "xmlrpc", "http"])
 def test_a_taken_port_names_the_key_that_sets_another(serve, interface: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port, key = taken.getsockname()[1], f"serve__{interface}_port"
-        ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http", "opcua")}
+        ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http")}
         served = serve(**ports | {key: port})
         complaint = f"127.0.0.1:{port} .*set serve.{interface}_port to another port"
         with pytest.raises(CellError, match=complaint), open_interfaces(served.service):

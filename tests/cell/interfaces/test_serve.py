@@ -74,13 +74,11 @@ def pages(line: dict[str, Any]) -> list[str]:
 def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
     start, tmp_path
 ) -> None:
-    pytest.importorskip("asyncua", reason="the extra opcua is not installed")
-    ports = ("--modbus", "0", "--xml-rpc", "0", "--http", "0", "--opcua", "0")
-    process, line = start(*ports, "--opcua-folder", "pki", config=CALLBACK)
+    ports = ("--modbus", "0", "--xml-rpc", "0", "--http", "0")
+    process, line = start(*ports, config=CALLBACK)
     assert set(line) == {
-        *("listen", "modbus_port", "xmlrpc_port", "http_port", "token", "view_token", "opcua_port")
+        *("listen", "modbus_port", "xmlrpc_port", "http_port", "token", "view_token")
     }
-    assert (tmp_path / "pki" / "key.pem").exists()
     with ServerProxy(f"http://127.0.0.1:{line['xmlrpc_port']}") as cell:
         lease = cell.acquire("robot")
         assert cell.grip(lease, 3.0) == 1

@@ -64,14 +64,6 @@ def serve(
         Path | None,
         typer.Option("--out", help="Folder for the recording; without it, nothing is recorded."),
     ] = None,
-    opcua_port: Annotated[int | None, _port("--opcua", "OPC UA", "opcua_port")] = None,
-    opcua_folder: Annotated[
-        str | None,
-        typer.Option(
-            "--opcua-folder",
-            help="Certificates of OPC UA; read-only without them [default: serve.opcua_folder].",
-        ),
-    ] = None,
     speed: Annotated[
         float,
         typer.Option(
@@ -108,8 +100,6 @@ def serve(
         "serve.modbus_port": modbus_port,
         "serve.xmlrpc_port": xmlrpc_port,
         "serve.http_port": http_port,
-        "serve.opcua_port": opcua_port,
-        "serve.opcua_folder": opcua_folder,
     }
     checked = changed_config(
         with_faults(own, faults), {key: value for key, value in given.items() if value is not None}
