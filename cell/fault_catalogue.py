@@ -192,9 +192,9 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     tactile.BusNotOpened: Fault(314, "CAN bus could not be opened",
         "Missing interface, wrong channel, missing rights.",
         "Check `tactile.interface` and `tactile.channel`; run `doctor`.", UNMOVED, OPEN),
-    tactile.PluginFault: Fault(315, "Code of a sensor package failed or hangs",
+    tactile.PluginFault: Fault(315, "Code of a sensor package failed",
         "A defect of the package that brings `tactile.sensor.kind`.",
-        "Restart the program; report the defect to the authors.", KEPT, MEND),
+        "Update that package; report the defect to its authors.", KEPT, MEND),
     # -- 4xx: taxels and frames ----------------------------------------------------------------
     tactile.FrameTimeout: Fault(401, "No whole tactile frames, or frozen values",
         "CAN load, cable, a hanging unit.",

@@ -1,4 +1,4 @@
-"""Plugins: sensors, servo models and more, found by entry points of this and other packages.
+"""Plugins: sensors, servo models and recognisers, found by entry points of installed packages.
 
 Built-in plugins are listed in ``pyproject.toml``, as in any other package. Nothing is imported
 before its use.
@@ -125,11 +125,7 @@ SENSORS = Plugins("sensors", "sensor", "cell.config.sensor:SensorConfig")
 """Sections of `tactile.sensor`: subclasses of `cell.config.sensor.SensorConfig`."""
 SERVO_MODELS = Plugins("servo_models", "servo model", "gripper.dynamixel.models:ServoModel")
 """Values of `gripper.dynamixel.models.ServoModel`."""
-PAD_LAYOUTS = Plugins("pad_layouts", "pad layout")
-"""Functions that return a `tactile.layout.TaxelLayout`."""
 RECOGNISERS = Plugins("recognisers", "recogniser")
 """Factories of a `recognition.recognizer.Trainer`, called with ``use_aperture``."""
-INTERFACES = Plugins("interfaces", "interface", "cell.config.serve:InterfaceConfig")
-"""Sections of `serve.interfaces`: subclasses of `cell.config.serve.InterfaceConfig`."""
-GROUPS = (SENSORS, SERVO_MODELS, PAD_LAYOUTS, RECOGNISERS, INTERFACES)
+GROUPS = (SENSORS, SERVO_MODELS, RECOGNISERS)
 """All groups."""

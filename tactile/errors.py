@@ -98,7 +98,7 @@ class FrameTimeout(LinkFault):
 
 
 class PluginFault(LinkFault):
-    """The code of a sensor that another package brings hangs, or does what it must not."""
+    """The code of a sensor of another package failed, or returned a wrong value."""
 
 
 class BusNotOpened(LinkFault):

@@ -13,7 +13,7 @@ Pad plane: origin in the pad's centre, x along the rows' direction, y along the 
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
@@ -358,3 +358,14 @@ def flexitac_16x16_layout() -> TaxelLayout:
 def uskin_4x4_layout() -> TaxelLayout:
     """Return two pads of uSkin at 4.7 mm pitch, 16 bit."""
     return inner_pads("uskin_4x4", 4, 4, 4.7e-3, adc_max=65535)
+
+
+LAYOUTS: Mapping[str, Callable[[], TaxelLayout]] = {
+    "flexitac_12x32": flexitac_12x32_layout,
+    "flexitac_16x16": flexitac_16x16_layout,
+    "flexitac_16x32": flexitac_16x32_layout,
+    "paper": paper_layout,
+    "pinch": pinch_layout,
+    "uskin_4x4": uskin_4x4_layout,
+}
+"""Layouts that a config names."""

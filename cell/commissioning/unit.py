@@ -27,7 +27,6 @@ from cell.config.tactile import (
 )
 from cell.errors import CellError, ConfigError
 from cell.hand.build import frame_source, sensor_settings
-from cell.plugins import PAD_LAYOUTS
 from tactile.can.bus import CanBus, MissingBus
 from tactile.control_unit.bus_load import least_sync_period_s, message_bits
 from tactile.control_unit.commissioning import identity_checks
@@ -43,7 +42,7 @@ from tactile.control_unit.search import (
 from tactile.control_unit.settings import ExpectedIdentity
 from tactile.errors import BusNotOpened, TactileError
 from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
-from tactile.layout import TaxelLayout
+from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.sensor.opening import open_sensor
 from tactile.sensor.sensor import TactileSensor
 
@@ -433,7 +432,7 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Finding) -> TaxelLayout:
 
 def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
     """Return the layout with the unit's taxels, and the value of tactile.layout for it."""
-    for name, make in PAD_LAYOUTS.usable().items():
+    for name, make in LAYOUTS.items():
         if unit.matches(layout := make()):
             return layout, name
     given = bench.given.get("tactile.layout") or bench.tactile().model_dump(mode="json")["layout"]
@@ -443,7 +442,7 @@ def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
     raise StepFailed(
         f"Its layout is unknown (hash {unit.layout_hash}): {unit.n_taxels} taxels on "
         f"{len(unit.pad_shapes)} pads of {shapes}, full scale {unit.adc_max}. Known layouts are "
-        f"{', '.join(PAD_LAYOUTS)}. Write its pads with faces and pitches into tactile.layout of a "
+        f"{', '.join(LAYOUTS)}. Write its pads with faces and pitches into tactile.layout of a "
         "config, or plug in the unit of this gripper."
     )
 

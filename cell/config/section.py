@@ -128,7 +128,7 @@ class OneOf:
 
 @dataclass(frozen=True, slots=True)
 class Installed:
-    """Annotation of a text that names a plugin: ``Annotated[str, Installed(PAD_LAYOUTS)]``."""
+    """Annotation of a text that names a plugin: ``Annotated[str, Installed(RECOGNISERS)]``."""
 
     plugins: Plugins
     """The plugins to choose from."""
@@ -160,13 +160,10 @@ class SectionOf:
 
     plugins: Plugins
     """The plugins to choose from."""
-    built_in: bool = True
-    """Whether those of this project are shown among the choices."""
 
     def sections(self) -> list[type[BaseModel]]:
         """Return the sections of the plugins that load."""
-        found: dict[str, type[BaseModel]] = self.plugins.usable()
-        return [one for n, one in found.items() if self.built_in or not self.plugins.built_in(n)]
+        return list(self.plugins.usable().values())
 
     def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(

@@ -1,8 +1,8 @@
 """Base of tactile sensors: each kind is a plugin, whose section is `tactile.sensor`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from cell.config.section import Section
 from cell.errors import ConfigError
@@ -62,8 +62,8 @@ class SensorConfig(Section):
     """Whether it is on the bus of `tactile.interface`, `channel` and `bitrate`."""
     lone_on_can: ClassVar[str] = ""
     """Reason why no CANopen node may be on its bus; empty: allowed."""
-    layout: ClassVar[str] = "paper"
-    """Named layout for its defaults."""
+    layout: ClassVar[str | Mapping[str, Any]] = "paper"
+    """Value of `tactile.layout` in its contract tests: a name, or a section."""
     baud_rate: ClassVar[int] = 115_200
     """Bit rate of its serial lines."""
     period_s: ClassVar[float] = 0.01

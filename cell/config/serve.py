@@ -3,13 +3,12 @@
 import re
 from contextlib import suppress
 from ipaddress import ip_address, ip_network
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from cell.config.section import Section, SectionOf
+from cell.config.section import Section
 from cell.config.simulator import checked_label
-from cell.plugins import INTERFACES
 
 
 def _address(text: str) -> str:
@@ -28,23 +27,6 @@ def _host(text: str) -> str:
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 """TCP port; 0: any free one."""
-
-
-class InterfaceConfig(Section):
-    """Base of the sections of interfaces; each kind is a plugin."""
-
-    kind: str
-    """Interface."""
-
-    def open(self, service: Any) -> Any:
-        """Return the open interface of a `cell.service.service.Service`.
-
-        It has ``port`` and ``close``.
-        """
-        raise NotImplementedError
-
-
-ForeignInterface = Annotated[InterfaceConfig, SectionOf(INTERFACES, built_in=False)]
 
 
 class ServeConfig(Section):
@@ -67,8 +49,6 @@ class ServeConfig(Section):
     """Port of XML-RPC, for robot programs; 0: any free port; none: closed."""
     http_port: Port | None = None
     """Port of HTTP and WebSocket (extra `serve`); 0: any free port; none: closed."""
-    interfaces: tuple[ForeignInterface, ...] = Field(default=(), max_length=20)
-    """Interfaces of other packages, each with its `kind` and the keys of that package."""
     lease_timeout_s: float = Field(default=2.0, ge=0.2, le=60.0)
     """Longest silence of the client in command in s, 0.2 to 60; then a running job is held."""
     objects: tuple[Annotated[str, AfterValidator(checked_label)], ...] = Field(
@@ -90,12 +70,6 @@ class ServeConfig(Section):
     tls_key: str = Field(default="", max_length=500)
     """Key file (PEM) of the certificate."""
 
-    @property
-    def sections(self) -> tuple[InterfaceConfig, ...]:
-        """All interfaces that are to be opened; those that are built in have a key for the port."""
-        ports = [name for name in INTERFACES if getattr(self, f"{name}_port", None) is not None]
-        return (*(INTERFACES[name](kind=name) for name in ports), *self.interfaces)
-
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if not ip_address(self.listen).is_loopback and not self.allow:
@@ -105,9 +79,6 @@ class ServeConfig(Section):
             )
         if bool(self.tls_certificate) != bool(self.tls_key):
             raise ValueError("set both serve.tls_certificate and serve.tls_key, or neither")
-        for kind in (one.kind for one in self.interfaces):
-            if INTERFACES.built_in(kind):
-                raise ValueError(f"serve.interfaces: {kind} is built in, set serve.{kind}_port")
         if len(set(self.objects)) != len(self.objects):
             raise ValueError("serve.objects has a label twice; remove one: each label has one id")
         return self

@@ -8,7 +8,6 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from cell.config.section import (
     MILLI,
     SIMULATED,
-    Installed,
     OneOf,
     Section,
     SectionOf,
@@ -17,11 +16,11 @@ from cell.config.section import (
 )
 from cell.config.sensor import SensorConfig
 from cell.errors import ConfigError, raised_as
-from cell.plugins import PAD_LAYOUTS, SENSORS
+from cell.plugins import SENSORS
 from recognition.grasp import PadArray
 from tactile.control_unit.settings import ExpectedIdentity, LinkSettings
 from tactile.errors import CalibrationError, LayoutError
-from tactile.layout import Face, Pad, PadMount, TaxelLayout, taxel_order
+from tactile.layout import LAYOUTS, Face, Pad, PadMount, TaxelLayout, taxel_order
 from tactile.sensor.calibration import (
     Calibration,
     FoamCalibration,
@@ -53,7 +52,7 @@ class PadConfig(Section):
 
 
 class PadsConfig(Section):
-    """A custom layout."""
+    """A layout of your own."""
 
     name: str = Field(min_length=1, max_length=40)
     """Name of the layout."""
@@ -148,11 +147,12 @@ class TactileConfig(Section):
     serial_number: int | None = Field(default=None, ge=0, le=4294967295)
     """Required serial number of the unit (object 1018h:4); none: any."""
     layout: Annotated[
-        Annotated[str, Installed(PAD_LAYOUTS), Tag("name")] | Annotated[PadsConfig, Tag("pads")],
+        Annotated[str, OneOf(tuple(LAYOUTS)), Tag("name")] | Annotated[PadsConfig, Tag("pads")],
         Discriminator(_name_or_pads),
     ] = "paper"
-    """paper: 408 taxels, ten pads; pinch: two pads of 13 x 6, 12 bit; flexitac_12x32 and so on:
-    two pads of 2 mm pitch, rows along the finger; or custom pads."""
+    """paper: 408 taxels, ten pads; pinch: two pads of 13 x 6, 12 bit; flexitac_12x32,
+    flexitac_16x32 and flexitac_16x16: two pads of 2 mm pitch, rows along the finger; uskin_4x4: two
+    pads of 4.7 mm pitch; or a section with pads of your own."""
     mounting: tuple[PadMountConfig, ...] = Field(default=(), max_length=32)
     """Pads that are mounted differently from the layout: exchanged, turned or mirrored."""
     calibration: Annotated[
@@ -276,8 +276,7 @@ def layout_from_config(config: TactileConfig) -> TaxelLayout:
     Raises ConfigError if custom pads are no valid layout (one inner pad for each finger).
     """
     if isinstance(config.layout, str):
-        layout: TaxelLayout = PAD_LAYOUTS[config.layout]()
-        return layout
+        return LAYOUTS[config.layout]()
     spelled = config.layout
     with raised_as(ConfigError, LayoutError, where="tactile.layout"):
         return TaxelLayout(

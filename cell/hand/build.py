@@ -33,9 +33,6 @@ _HELD_SHARE = 0.35
 """Share of the friction by which the set-point may change before the force follows, because
 friction holds the force: a quarter where empty fingers meet, and half as much again."""
 
-_HANG_PERIODS = 8.0
-"""Periods of the frames within which code of another package has to return. [chosen]"""
-
 
 def open_hand(
     config: CellConfig, *, notes: tuple[str, ...] = (), partial: bool = False
@@ -123,9 +120,6 @@ def frame_source(config: TactileConfig, lines: SensorLines) -> FrameSource:
         name=f"sensor {kind} of {SENSORS.package(kind)}",
         layout=layout_from_config(config),
         clock=lines.clock,
-        threaded=lines.real_time,
-        silence_s=max(1e-3 * config.silence_ms, _HANG_PERIODS * config.frame_period_s),
-        startup_timeout_s=config.startup_timeout_s,
     )
 
 

@@ -5,11 +5,19 @@ from contextlib import ExitStack, contextmanager
 from errno import EACCES, EADDRINUSE
 from ipaddress import ip_address
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from cell.errors import CellError, ConfigError
-from cell.plugins import INTERFACES
+from cell.installation import extra
 from cell.service.service import Service
+
+_INTERFACES = {
+    "http_port": "cell.interfaces.web:WebInterface",
+    "modbus_port": "cell.interfaces.modbus.registers:ModbusInterface",
+    "xmlrpc_port": "cell.interfaces.xml_rpc:XmlRpcInterface",
+}
+"""Class of each interface by the key of its port. Its module is loaded only if the port is set."""
 
 
 def warnings(service: Service) -> tuple[str, ...]:
@@ -43,29 +51,25 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
         if name and Path(name).exists() and not Path(name).is_file():
             raise ConfigError(f"{name}: not a plain file; name the file itself")
     with ExitStack() as undo:
-        for section in config.sections:
-            key = f"{section.kind}_port"
+        for key, name in _INTERFACES.items():
+            if getattr(config, key) is None:
+                continue
             try:
-                interface = section.open(service)
+                with extra("serve", needed_by=f"serve.{key}"):
+                    make = resolve_name(name)
+                interface = make(service)
             except OSError as error:
                 taken = error.errno in (EADDRINUSE, EACCES) and error.filename is None
                 remedy = (
                     f"; set serve.{key} to another port, or to 0: any free port" if taken else ""
                 )
                 raise CellError(
-                    f"an interface at {config.listen}:{getattr(config, key, '')} (serve.{key}) "
+                    f"an interface at {config.listen}:{getattr(config, key)} (serve.{key}) "
                     f"cannot be opened: {error}{remedy}"
-                ) from error
-            except Exception as error:
-                if isinstance(error, CellError) or INTERFACES.built_in(section.kind):
-                    raise
-                raise CellError(
-                    f"interface {section.kind} of {INTERFACES.package(section.kind)} cannot be "
-                    f"opened: {type(error).__name__}: {error}"
                 ) from error
             undo.callback(interface.close)
             found[key] = interface.port
-            if section.kind == "http":
+            if key == "http_port":
                 found |= {"token": interface.token, "view_token": interface.view_token}
         if len(found) == 1:
             raise ConfigError("no interface is open: set a port in `serve`, or give --modbus 0")

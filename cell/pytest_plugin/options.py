@@ -12,7 +12,7 @@ _HIGHEST_SERVO_ID = 252
 """Highest ID of a servo (e-Manual, Protocol 2.0)."""
 
 
-CONTRACTS = ("sensor", "servo_model", "pad_layout", "recogniser", "interface")
+CONTRACTS = ("sensor", "servo_model", "recogniser")
 """Kinds of plugins that have a contract: files of `cell.pytest_plugin.contracts`."""
 
 

@@ -1,21 +1,16 @@
-"""Guard of a frame source from another package, which may hang or raise any exception.
+"""Guard of a frame source from another package: its errors and wrong values are link faults."""
 
-Its code runs in a thread of its own, so the force loop goes on. A hang, an exception or an
-impossible frame is a fault of the link, which keeps the grip.
-"""
-
-import queue
-import sys
-import threading
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from math import inf, nextafter
 
 import numpy as np
 
 from tactile.clock import Clock
-from tactile.errors import LinkFault, LinkStateError, PluginFault, TactileError
+from tactile.errors import LinkFault, LinkStateError, PluginFault
 from tactile.layout import TaxelLayout
 from tactile.source import (
+    COUNTER_MASK,
     Arrivals,
     FrameSource,
     FrameStatistics,
@@ -24,196 +19,123 @@ from tactile.source import (
     SourceStatistics,
 )
 
-_PROMPT_S = 5e-4
-"""Longest wait of a poll in s for the answer: a tenth of a period of the force loop. The next poll
-takes a later answer. [chosen]"""
-_SWITCH_S = 5e-4
-"""Time in s after which a busy thread yields to the force loop; Python's default is 5 ms.
-[chosen]"""
-_STOP_S = 1.0
-"""Time in s for a source to stop; after it the thread is abandoned. [chosen]"""
-_START_MARGIN_S = 1.0
-"""Time in s beyond the time-out of the start, which the source itself must keep."""
-
-
-class _Worker:
-    """A thread that runs one call after another; daemonic, since a call may never return."""
-
-    def __init__(self) -> None:
-        self._calls: queue.SimpleQueue[Callable[[], Any] | None] = queue.SimpleQueue()
-        self._answers: queue.SimpleQueue[tuple[Any, BaseException | None]] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._run, name="sensor plugin", daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        while (call := self._calls.get()) is not None:
-            try:
-                self._answers.put((call(), None))
-            except BaseException as error:
-                self._answers.put((None, error))
-
-    def ask(self, call: Callable[[], Any]) -> None:
-        """Start a call in the thread."""
-        self._calls.put(call)
-
-    def answer(self, timeout_s: float) -> Any:
-        """Return its result or raise its exception; queue.Empty where none came in time."""
-        value, error = self._answers.get(timeout=timeout_s)
-        if error is not None:
-            raise error
-        return value
-
-    def end(self, timeout_s: float) -> None:
-        """End after the last call; a call that does not return in time is abandoned."""
-        self._calls.put(None)
-        self._thread.join(timeout_s)
+_LONGEST_SCAN_S = 1.0
+"""Longest time in s from the first to the last byte of a frame. [chosen]"""
+_MOST = 1e6
+"""Largest force in N, and largest place in pitches, of a force message. [chosen]"""
 
 
 class GuardedSource:
-    """Implements `tactile.source.FrameSource` with a source whose code is not trusted.
+    """Implements `tactile.source.FrameSource` with the source of another package.
 
-    It is created anew at each start. In virtual time nothing runs beside the force loop, so a hang
-    is not detected.
+    An exception of the source, or a value that no source may return, is a PluginFault. Each call
+    raises it again until the next start. Code that does not return blocks the force loop; the
+    program then finds that the process of the loop is silent.
 
     Parameters
     ----------
     make
-        Creates the source.
+        Creates the source. Raises its LinkFault, or PluginFault.
     name
         Kind and package of the source, for messages.
-    threaded
-        Whether it has a thread of its own: real time.
-    silence_s, startup_timeout_s
-        Longest time in s of a poll and of the start.
     """
 
     def __init__(
-        self,
-        make: Callable[[], FrameSource],
-        *,
-        name: str,
-        layout: TaxelLayout,
-        clock: Clock,
-        threaded: bool,
-        silence_s: float,
-        startup_timeout_s: float,
+        self, make: Callable[[], FrameSource], *, name: str, layout: TaxelLayout, clock: Clock
     ) -> None:
-        self.layout = layout
+        self.layout, self._name, self._clock = layout, name, clock
         self.sends_forces = False
         self.statistics = SourceStatistics(frames=FrameStatistics())
-        self._make, self._name, self._clock, self._threaded = make, name, clock, threaded
-        self._silence_s, self._startup_s = silence_s, startup_timeout_s + _START_MARGIN_S
-        self._source: FrameSource | None = None
-        self._worker: _Worker | None = None
-        self._asked: Callable[[], Any] | None = None
-        self._asked_s = 0.0
+        self._least_s = self._least_force_s = 0.0
         self._fault: LinkFault | None = None
+        with self._guarded():
+            self._source = make()
 
-    def start(self) -> SourceIdentity:
-        """Create the source and start it; raises its exceptions, or PluginFault."""
-        self._fault = None
-        if self._threaded:
-            self._worker = _Worker()
-            sys.setswitchinterval(min(_SWITCH_S, sys.getswitchinterval()))
-        try:
-            identity: SourceIdentity = self._call(self._begin, self._startup_s)
-        except BaseException:
-            self.stop()
-            raise
-        return identity
-
-    def _begin(self) -> SourceIdentity:
-        self._source = self._make()
-        identity = self._source.start()
-        self.sends_forces = self._source.sends_forces
-        return identity
-
-    def poll(self) -> Arrivals:
-        """Return what arrived since the last call; raises its faults, or PluginFault."""
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
         if self._fault is not None:
             raise self._fault
-        if self._source is None:
-            raise LinkStateError("the sensor is not running: start it first")
         try:
-            arrivals: Arrivals | None = self._call(self._look, _PROMPT_S, late_s=self._silence_s)
+            yield
+        except LinkStateError:
+            raise
         except LinkFault as fault:
             self._fault = fault
             raise
-        return arrivals or Arrivals()
+        except (Exception, SystemExit) as error:
+            self._fault = PluginFault(
+                f"the code of {self._name} failed: {type(error).__name__}: {error}. Update that "
+                "package, or report it to its authors"
+            )
+            raise self._fault from error
 
-    def _look(self) -> Arrivals:
-        """Poll, and check the result."""
-        source = self._source
-        if source is None:
-            return Arrivals()
-        arrivals, n = source.poll(), self.layout.n_taxels
-        for frame in arrivals.frames:
-            counts = frame.counts
-            if counts.shape != (n,) or counts.dtype != np.uint16:
-                raise ValueError(f"a frame of {counts.shape} {counts.dtype}, not ({n},) uint16")
-            if (extra := frame.extra) is not None and (
-                extra.ndim != 2 or len(extra) != n or extra.dtype != np.uint16
-            ):
-                raise ValueError(f"extra of {extra.shape} {extra.dtype}, not ({n}, k) uint16")
-            counts.setflags(write=False)
-        self.statistics = source.statistics
+    def start(self) -> SourceIdentity:
+        """Start the source; if it runs, it is stopped before."""
+        self.stop()
+        self._least_s = self._least_force_s = self._clock.monotonic()
+        with self._guarded():
+            identity, self.sends_forces = self._source.start(), self._source.sends_forces
+            if not isinstance(identity, SourceIdentity):
+                raise TypeError(f"start returned {identity!r}, must be a SourceIdentity")
+        return identity
+
+    def poll(self) -> Arrivals:
+        """Return what arrived since the last call."""
+        with self._guarded():
+            arrivals, statistics = self._source.poll(), self._source.statistics
+            _within("recent_loss_rate", statistics.recent_loss_rate, 0.0, 1.0)
+            self._check(arrivals, self._clock.monotonic())
+            self.statistics = statistics
         return arrivals
 
-    def _call(self, call: Callable[[], Any], wait_s: float, *, late_s: float = 0.0) -> Any:
-        """Call the source; return None while it takes longer, for up to ``late_s`` s."""
-        if self._worker is None:
-            return self._checked(call)
-        now_s = self._clock.monotonic()
-        try:
-            if self._asked not in (call, None):
-                self._checked(lambda: self._answer(self._silence_s))
-            if self._asked is None:
-                self._asked, self._asked_s = call, now_s
-                self._worker.ask(call)
-            return self._checked(lambda: self._answer(wait_s))
-        except queue.Empty:
-            if self._asked == call and now_s - self._asked_s < late_s:
-                return None
-        raise PluginFault(
-            f"the code of {self._name} has not returned for {max(wait_s, late_s):.3g} s: restart "
-            "the program, and report it to the authors of that package"
-        )
-
-    def _answer(self, wait_s: float) -> Any:
-        try:
-            value = self._worker.answer(wait_s) if self._worker is not None else None
-        except queue.Empty:
-            raise
-        except BaseException:
-            self._asked = None
-            raise
-        self._asked = None
-        return value
-
-    def _checked(self, call: Callable[[], Any]) -> Any:
-        """Return the result of a call; raise faults as they are, and all others as PluginFault."""
-        try:
-            return call()
-        except (queue.Empty, TactileError):
-            raise
-        except BaseException as error:
-            raise PluginFault(
-                f"the code of {self._name} failed: {type(error).__name__}: {error}. Report it to "
-                "the authors of that package"
-            ) from error
+    def _check(self, arrivals: Arrivals, now_s: float) -> None:
+        """Raise ValueError for a wrong type, shape or number, and a time that does not advance."""
+        n, least_s = self.layout.n_taxels, self._least_s
+        for frame in arrivals.frames:
+            _within("t_s of a frame", frame.t_s, least_s, now_s)
+            _within("begun_s", frame.scanned_s, frame.t_s - _LONGEST_SCAN_S, frame.t_s)
+            _within("counter of a frame", frame.counter, 0, COUNTER_MASK, int)
+            _within("status of a frame", frame.status, 0, COUNTER_MASK, int)
+            _uint16("counts", frame.counts, (n,))
+            _within("the largest of counts", int(frame.counts.max()), 0, self.layout.adc_max)
+            if frame.extra is not None:
+                _uint16("extra", frame.extra, (n, *frame.extra.shape[1:2]))
+            frame.counts.setflags(write=False)
+            # Frames that are received at once may have one time.
+            least_s, self._least_s = frame.t_s, nextafter(frame.t_s, inf)
+        for message in arrivals.forces:
+            _within("t_s of a force message", message.t_s, self._least_force_s, now_s)
+            _within("counter of a force message", message.counter, 0, 15, int)
+            _within("status of a force message", message.status, 0, 15, int)
+            for first, second in (message.force_n, message.centre_taxels or (0.0, 0.0)):
+                _within("a value of a force message", first, -_MOST, _MOST)
+                _within("a value of a force message", second, -_MOST, _MOST)
+            self._least_force_s = message.t_s
 
     def set_zero(self, zero: PadZero) -> None:
         """Set the zero of the force messages."""
-        if (source := self._source) is not None:
-            self._call(lambda: source.set_zero(zero), self._silence_s)
+        with self._guarded():
+            self._source.set_zero(zero)
 
     def stop(self) -> None:
-        """Stop the frames; a source that does not return is abandoned."""
-        source, worker, hangs = self._source, self._worker, self._asked is not None
-        self._source = self._worker = self._asked = None
-        if worker is not None:
-            if source is not None:
-                worker.ask(source.stop)
-            worker.end(0.0 if hangs else _STOP_S)
-        elif source is not None:
-            source.stop()
+        """Stop the frames. An error of the source is dropped, as the clean-up has to go on."""
+        self._fault = None
+        with suppress(Exception, SystemExit):
+            self._source.stop()
+
+
+def _within(
+    what: str, value: float, low: float, high: float, kind: type | tuple[type, ...] = (int, float)
+) -> None:
+    if not (isinstance(value, kind) and low <= value <= high):
+        raise ValueError(f"{what} is {value!r:.50}, must be a number from {low} to {high}")
+
+
+def _uint16(what: str, values: object, shape: tuple[int, ...]) -> None:
+    if isinstance(values, np.ndarray):
+        found = f"{values.dtype} {values.shape}"
+        if values.dtype == np.uint16 and values.shape == shape:
+            return
+    else:
+        found = f"of type {type(values).__name__}"
+    raise ValueError(f"{what} is {found}, must be uint16 {shape}")

@@ -10,36 +10,24 @@ from cell.config.file import changed_config, config_schema, config_text, parse_c
 from cell.config.gripper import use_servo_models
 from cell.config.model import CellConfig
 from cell.errors import CellError, ConfigError
-from cell.interfaces.opening import open_interfaces
-from cell.plugins import GROUPS, PAD_LAYOUTS, RECOGNISERS, SENSORS, SERVO_MODELS
+from cell.plugins import GROUPS, RECOGNISERS, SENSORS, SERVO_MODELS
 from gripper.dynamixel import models
 from gripper.errors import LimitExceeded
 from recognition.recognizers import RECOGNIZERS
 from tests.cell.conftest import call
 from tests.cell.sensors.packages import install
-from tests.cell.served import serving
 
 Install = Callable[..., None]
 MODULE = '''
 from dataclasses import replace
 from typing import Literal
 from cell.config.sensor import SensorConfig
-from cell.config.serve import InterfaceConfig
 from gripper.dynamixel.models import XL330_M288
 
 class Glove(SensorConfig):
     """A glove."""
     kind: Literal["glove"]
     fingers: int = 5
-
-class Mqtt(InterfaceConfig):
-    """MQTT."""
-    kind: Literal["mqtt"]
-    broker: str = ""
-    def open(self, service):
-        if not self.broker:
-            raise RuntimeError("no broker")
-        return type("Client", (), {"port": 1883, "close": lambda self: None})()
 
 SERVO = replace(XL330_M288, name="XL330-M077", number=1190)
 SAME = replace(XL330_M288, kt_nm_a=1.0)
@@ -121,14 +109,14 @@ def test_a_name_of_two_packages_is_refused(installed: Install) -> None:
     ],
 )
 def test_doctor_names_what_does_not_load(installed: Install, entry: str, problem: str) -> None:
-    installed(sensors={"broken": entry}, pad_layouts={"fine": "Glove"})
+    installed(sensors={"broken": entry}, recognisers={"fine": "Glove"})
     with pytest.raises(CellError, match=r"1 of \d+ plugins do not load"):
         call("doctor", "--plugins")
     (one,) = (plugin for plugin in SENSORS.examine() if plugin.problem)
     assert (one.name, one.package) == ("broken", "some-plugins 1.0.0")
     assert problem in one.problem
     # What does not load is in the way of nothing else.
-    assert "fine" in PAD_LAYOUTS
+    assert "fine" in RECOGNISERS
     assert CellConfig().tactile.sensor.kind == "control_unit"
     with pytest.raises(ConfigError, match=r"broken' of some-plugins 1.0.0 does not load: "):
         changed_config(CellConfig(), {"tactile.sensor": {"kind": "broken"}})
@@ -151,19 +139,3 @@ def test_a_servo_of_another_package_is_known_to_the_gripper(installed: Install) 
     assert models.model_name(1190) == "XL330-M077"
     with pytest.raises(LimitExceeded, match="XL330-M288 with number 1200 is there with other"):
         use_servo_models(["XL330-again"])
-
-
-def test_an_interface_of_another_package_is_opened_beside_the_others(installed: Install) -> None:
-    installed(interfaces={"mqtt": "Mqtt"})
-    listed = {"serve__interfaces": [{"kind": "mqtt", "broker": "here"}]}
-    with serving("modbus", **listed) as served:
-        assert served.interfaces["mqtt_port"] == 1883
-        assert served.interfaces["modbus_port"] > 0
-    with (
-        serving(serve__interfaces=[{"kind": "mqtt"}]) as served,
-        pytest.raises(CellError, match=r"interface mqtt of some-plugins 1\.0\.0 .*no broker"),
-        open_interfaces(served.service),
-    ):
-        pass
-    with pytest.raises(ConfigError, match=r"modbus is built in, set serve.modbus_port"):
-        changed_config(CellConfig(), {"serve.interfaces": [{"kind": "modbus"}]})

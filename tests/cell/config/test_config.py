@@ -82,7 +82,7 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
             "gripper:\n  linkage: {kind: rack_pinion, pinion_radius_mm: 9, link_mm: 3}\n",
             ["gripper.linkage.link_mm: unknown key; it is a key of gripper.linkage of kind"],
         ),
-        ("tactile: {layout: papr}\n", ["tactile.layout: ", "'papr'", " paper, pinch, "]),
+        ("tactile: {layout: papr}\n", ["tactile.layout: ", "'papr'", "'paper', 'pinch'"]),
         ("gripper: {servos: [{id: 1, model: XL430-W250}]}\n", ["no Goal Current", "XM430-W350"]),
         ("gripper: {current_max_a: 2.4}\n", ["current_max_a 2.4", "servo 1 (XM430-W350)", "2.3 A"]),
         (

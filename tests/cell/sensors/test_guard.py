@@ -1,18 +1,20 @@
 """The guard of a source that another package brings, on a clock of the test."""
 
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
+from math import inf, nan
 from typing import Any
 
 import numpy as np
 import pytest
 
 from cell.sensors.guard import GuardedSource
-from tactile.errors import FrameTimeout, LinkFault, LinkStateError, PluginFault
+from tactile.errors import FrameTimeout, LinkStateError, PluginFault
 from tactile.layout import pinch_layout
 from tactile.source import (
     Arrivals,
+    ForceMessage,
+    ForceStatus,
     FrameStatistics,
     PadZero,
     SourceIdentity,
@@ -22,11 +24,14 @@ from tactile.source import (
 from tests.fuzz.harness import Clock
 
 LAYOUT = pinch_layout()
-LIMIT_S = 10.0
-ZERO = PadZero(
-    offset_counts=np.zeros(LAYOUT.n_taxels),
-    noise_counts=np.ones(LAYOUT.n_taxels),
-    bad=np.zeros(LAYOUT.n_taxels, dtype=bool),
+N = LAYOUT.n_taxels
+START_S, NOW_S = 10.0, 20.0
+ZERO = PadZero(offset_counts=np.zeros(N), noise_counts=np.ones(N), bad=np.zeros(N, dtype=bool))
+FRAME = TactileFrame(
+    t_s=15.0, begun_s=14.98, counter=1, status=0, counts=np.ones(N, dtype=np.uint16)
+)
+FORCE = ForceMessage(
+    t_s=15.0, counter=1, status=ForceStatus.ZEROED, force_n=(1.0, 1.1), centre_taxels=(0.0, 0.5)
 )
 
 
@@ -34,35 +39,28 @@ class Source:
     """A frame source whose next poll does what the test wants."""
 
     layout = LAYOUT
-    sends_forces = False
-    statistics = SourceStatistics(frames=FrameStatistics(complete=7))
+    sends_forces = True
 
     def __init__(self) -> None:
-        self.then: Callable[[], Arrivals] = lambda: Arrivals((frame(),))
-        self.begin: Callable[[], Any] = lambda: None
-        self.stopped = threading.Event()
+        self.statistics: Any = SourceStatistics(frames=FrameStatistics(complete=7))
+        self.then: Callable[[], Any] = lambda: Arrivals((FRAME,), (FORCE,))
+        self.begin: Callable[[], Any] = lambda: SourceIdentity(name="fake")
+        self.end: Callable[[], Any] = lambda: None
+        self.zeroes: list[PadZero] = []
 
     def start(self) -> SourceIdentity:
-        self.begin()
-        return SourceIdentity(name="fake")
+        identity: SourceIdentity = self.begin()
+        return identity
 
     def poll(self) -> Arrivals:
-        return self.then()
+        arrivals: Arrivals = self.then()
+        return arrivals
 
-    def set_zero(self, _zero: object) -> None:
-        self.zeroed = threading.current_thread()
+    def set_zero(self, zero: PadZero) -> None:
+        self.zeroes.append(zero)
 
     def stop(self) -> None:
-        self.stopped.set()
-
-
-def frame(n: int = LAYOUT.n_taxels, kind: type = np.uint16) -> TactileFrame:
-    return TactileFrame(t_s=0.0, counter=1, status=0, counts=np.ones(n, dtype=kind))
-
-
-@pytest.fixture(params=[True, False], ids=["real", "virtual"])
-def threaded(request: pytest.FixtureRequest) -> bool:
-    return bool(request.param)
+        self.end()
 
 
 @pytest.fixture
@@ -72,129 +70,164 @@ def source() -> Source:
 
 @pytest.fixture
 def clock() -> Clock:
-    return Clock()
+    clock = Clock()
+    clock.now_s = START_S
+    return clock
 
 
 @pytest.fixture
-def guard(source: Source, clock: Clock, threaded: bool) -> Iterator[GuardedSource]:
-    one = GuardedSource(
-        lambda: source,
-        name="sensor fake of fake 1.0",
-        layout=LAYOUT,
-        clock=clock,
-        threaded=threaded,
-        silence_s=0.1,
-        startup_timeout_s=-0.5,
-    )
-    yield one
-    one.stop()
-
-
-def polled(guard: GuardedSource) -> Arrivals:
-    """Poll until something comes: the thread may take more than one period of the loop."""
-    for _ in range(20_000):
-        if (found := guard.poll()).frames:
-            return found
-    raise AssertionError("nothing came")
-
-
-def test_frames_and_counts_come_through(guard: GuardedSource, source: Source) -> None:
-    with pytest.raises(LinkStateError):
-        guard.poll()
+def guard(source: Source, clock: Clock) -> GuardedSource:
+    """The guard of a source that has started."""
+    guard = guarded(lambda: source, clock)
     assert guard.start().name == "fake"
-    found = polled(guard)
-    assert found.frames[0].counts.sum() == LAYOUT.n_taxels
+    clock.now_s = NOW_S
+    return guard
+
+
+def guarded(make: Callable[[], Any], clock: Clock) -> GuardedSource:
+    return GuardedSource(make, name="sensor fake of fake 1.0", layout=LAYOUT, clock=clock)
+
+
+def frames(*times_s: float) -> Arrivals:
+    return Arrivals(tuple(replace(FRAME, t_s=t_s, begun_s=None) for t_s in times_s))
+
+
+def test_sound_values_come_through(guard: GuardedSource, source: Source) -> None:
+    found = guard.poll()
+    assert found == Arrivals((FRAME,), (FORCE,))
     assert not found.frames[0].counts.flags.writeable
+    assert guard.sends_forces
     assert guard.statistics.frames.complete == 7
-    guard.set_zero(None)  # type: ignore[arg-type]
-    assert (source.zeroed is threading.current_thread()) == (guard._worker is None)
-    guard.stop()
-    assert source.stopped.is_set()
-    with pytest.raises(LinkStateError):
-        guard.poll()
+    source.then = lambda: frames(15.1, 15.1, 15.2)
+    assert len(guard.poll().frames) == 3
+    source.then = Arrivals
+    assert guard.poll() == Arrivals()
+    guard.set_zero(ZERO)
+    assert source.zeroes == [ZERO]
+
+
+def changed(**values: Any) -> Arrivals:
+    return Arrivals((replace(FRAME, **values),))
+
+
+def force(**values: Any) -> Arrivals:
+    return Arrivals((), (replace(FORCE, **values),))
+
+
+WIDE = np.full(N, 4096, dtype=np.uint16)
 
 
 @pytest.mark.parametrize(
     ("then", "named"),
     [
-        (lambda: 1 / 0, "fake 1.0 failed: ZeroDivisionError: division by zero. Report it"),
-        (lambda: exec("raise SystemExit(3)"), "failed: SystemExit: 3"),
-        (lambda: None, "failed: AttributeError"),
-        (
-            lambda: Arrivals((frame(3),)),
-            r"failed: ValueError: a frame of \(3,\) uint16, not \(156,",
-        ),
-        (lambda: Arrivals((frame(kind=np.float64),)), "float64"),
-        (
-            lambda: Arrivals((replace(frame(), extra=np.ones((3, 2), np.uint16)),)),
-            r"extra of \(3, 2\) uint16, not \(156, k\)",
-        ),
+        (lambda: 1 / 0, "ZeroDivisionError: division by zero. Update that package, or"),
+        (lambda: exec("raise SystemExit(3)"), "SystemExit: 3"),
+        (lambda: None, "AttributeError: 'NoneType' object has no attribute 'frames'"),
+        (lambda: Arrivals((None,)), "AttributeError: 'NoneType' object has no attribute 't_s'"),  # type: ignore[arg-type]
+        (lambda: Arrivals(None), "TypeError: 'NoneType' object is not iterable"),  # type: ignore[arg-type]
+        (lambda: changed(counts=np.ones(3, np.uint16)), r"counts is uint16 \(3,\), must be uint16"),
+        (lambda: changed(counts=np.ones(N)), r"counts is float64 \(156,\), must be uint16 \(156,"),
+        (lambda: changed(counts=[1] * N), "counts is of type list, must"),
+        (lambda: changed(counts=WIDE), "largest of counts is 4096, must be a number from 0 to 409"),
+        (lambda: changed(extra=np.ones((3, 2), np.uint16)), r"extra is uint16 \(3, 2\), must be"),
+        (lambda: changed(extra=np.ones((N, 2))), r"extra is float64 \(156, 2\), must be uint16"),
+        (lambda: changed(extra=np.ones(N, np.uint16).reshape(N, 1, 1)), r"extra is .* \(156, 1\)"),
+        (lambda: changed(t_s=nan), "t_s of a frame is nan, must be a number from 10.0 to 20.0"),
+        (lambda: changed(t_s=None), "t_s of a frame is None, must"),
+        (lambda: changed(t_s="15"), "t_s of a frame is '15', must"),
+        (lambda: changed(t_s=9.9), "t_s of a frame is 9.9, must be a number from 10.0 to 20.0"),
+        (lambda: changed(t_s=1.7e9), "t_s of a frame is 1700000000.0, must"),
+        (lambda: frames(15.2, 15.1), "t_s of a frame is 15.1, must be a number from 15.2 to 20.0"),
+        (lambda: changed(begun_s=15.1), "begun_s is 15.1, must be a number from 14.0 to 15.0"),
+        (lambda: changed(begun_s=-inf), "begun_s is -inf, must be a number from 14.0 to 15.0"),
+        (lambda: changed(counter=65536), "counter of a frame is 65536, must be a number from 0 to"),
+        (lambda: changed(counter=1.0), "counter of a frame is 1.0, must"),
+        (lambda: changed(status=None), "status of a frame is None, must"),
+        (lambda: force(t_s=inf), "t_s of a force message is inf, must be a number from 10.0 to 20"),
+        (lambda: force(counter=16), "counter of a force message is 16, must be a number from 0 to"),
+        (lambda: force(status="x"), "status of a force message is 'x', must"),
+        (lambda: force(force_n=(1.0, nan)), "a value of a force message is nan, must"),
+        (lambda: force(force_n=(1e300, 1.0)), "a value of a force message is 1e.300, must"),
+        (lambda: force(force_n=(1.0,)), "ValueError: not enough values to unpack"),
+        (lambda: force(centre_taxels=("a", 0.0)), "a value of a force message is 'a', must"),
     ],
-)
+)  # fmt: skip
 def test_what_it_must_not_do_is_a_fault_of_each_call_until_the_next_start(
-    guard: GuardedSource, source: Source, then: Any, named: str
+    guard: GuardedSource, source: Source, clock: Clock, then: Any, named: str
 ) -> None:
-    guard.start()
     sound, source.then = source.then, then
-    for _ in range(2):
-        with pytest.raises(PluginFault, match=named):
-            polled(guard)
-    source.then = sound
-    with pytest.raises(PluginFault, match=named):
+    with pytest.raises(PluginFault, match=f"the code of sensor fake of fake 1.0 failed: .*{named}"):
         guard.poll()
-    guard.stop()
+    source.then = sound
+    for call in (guard.poll, lambda: guard.set_zero(ZERO)):
+        with pytest.raises(PluginFault, match=named):
+            call()
+    assert not source.zeroes
+    clock.now_s = START_S
     guard.start()
-    assert polled(guard)
+    clock.now_s = NOW_S
+    assert guard.poll().frames
+
+
+def test_a_time_that_does_not_advance_is_a_fault(guard: GuardedSource) -> None:
+    assert guard.poll().frames
+    with pytest.raises(
+        PluginFault, match=r"t_s of a frame is 15.0, must be a number from 15\.0+2 "
+    ):
+        guard.poll()
+
+
+def test_a_force_message_older_than_the_last_is_a_fault(
+    guard: GuardedSource, source: Source
+) -> None:
+    source.then = lambda: force(t_s=15.0)
+    assert guard.poll().forces
+    assert guard.poll().forces
+    source.then = lambda: force(t_s=14.9)
+    with pytest.raises(PluginFault, match=r"t_s of a force message is 14\.9, must"):
+        guard.poll()
+
+
+@pytest.mark.parametrize(
+    "statistics", [None, SourceStatistics(frames=FrameStatistics(), recent_loss_rate=nan)]
+)
+def test_wrong_statistics_are_a_fault(
+    guard: GuardedSource, source: Source, statistics: Any
+) -> None:
+    source.statistics = statistics
+    with pytest.raises(PluginFault, match="recent_loss_rate"):
+        guard.poll()
+    assert guard.statistics.recent_loss_rate == 0.0
 
 
 def test_its_own_faults_stay_what_they_are(guard: GuardedSource, source: Source) -> None:
     def silent() -> Arrivals:
         raise FrameTimeout("silent")
 
-    guard.start()
+    def too_early() -> Arrivals:
+        raise LinkStateError("start it first")
+
+    source.then = too_early
+    with pytest.raises(LinkStateError):
+        guard.poll()
     source.then = silent
     for _ in range(2):
         with pytest.raises(FrameTimeout, match="silent"):
-            polled(guard)
-    source.begin = lambda: 1 / 0
-    with pytest.raises(PluginFault, match="ZeroDivisionError"):
-        guard.start()
-
-
-@pytest.mark.parametrize("threaded", [True], indirect=True)
-def test_a_poll_that_does_not_return_is_a_fault_and_the_next_start_has_a_thread_of_its_own(
-    guard: GuardedSource, source: Source, clock: Clock
-) -> None:
-    goes_on = threading.Event()
-
-    def hang() -> Arrivals:
-        goes_on.wait(LIMIT_S)
-        return Arrivals((frame(),))
-
-    guard.start()
-    source.then = hang
-    assert guard.poll() == Arrivals()
-    with pytest.raises(PluginFault, match="has not returned"):
-        guard.set_zero(ZERO)
-    clock.now_s = 0.09
-    assert guard.poll() == Arrivals()
-    clock.now_s = 0.11
-    for _ in range(2):
-        with pytest.raises(PluginFault, match=r"fake 1.0 has not returned for 0.1 s: restart the"):
             guard.poll()
-    guard.stop()
-    assert not source.stopped.is_set()
-    source.then = lambda: Arrivals((frame(),))
-    guard.start()
-    assert polled(guard)
-    goes_on.set()
-    assert source.stopped.wait(LIMIT_S)
+        source.then = Arrivals
 
 
-@pytest.mark.parametrize("threaded", [True], indirect=True)
-def test_a_start_that_does_not_return_is_a_fault(guard: GuardedSource, source: Source) -> None:
-    goes_on = threading.Event()
-    source.begin = lambda: goes_on.wait(LIMIT_S)
-    with pytest.raises(LinkFault, match=r"has not returned for 0\.5 s"):
+def test_creation_and_start_are_guarded(guard: GuardedSource, source: Source, clock: Clock) -> None:
+    with pytest.raises(PluginFault, match="ZeroDivisionError"):
+        guarded(lambda: 1 / 0, clock)
+    source.begin = lambda: None
+    with pytest.raises(PluginFault, match="start returned None, must be a SourceIdentity"):
         guard.start()
-    goes_on.set()
+
+
+def test_a_stop_that_fails_hinders_no_clean_up(guard: GuardedSource, source: Source) -> None:
+    calls: list[int] = []
+    source.end = lambda: calls.append(1) or 1 / 0
+    guard.stop()
+    guard.start()
+    assert calls == [1, 1]

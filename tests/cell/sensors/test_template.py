@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from cell.config.file import parse_config
+from cell.config.tactile import layout_from_config
+from tactile.layout import inner_pads
 from tests.cell.sensors.packages import install_project
 
 ROOT = Path(__file__).parents[3]
@@ -29,6 +32,13 @@ def test_the_page_shows_the_files_of_the_package() -> None:
         assert (PACKAGE / name).read_text(encoding="utf-8") in shown, name
     code = [line for line in shown[1].splitlines() if line.strip() and line.strip()[0] != "#"]
     assert len(code) < 75
+
+
+def test_the_layout_on_the_page_has_the_pads_of_the_sensor() -> None:
+    (shown,) = re.findall(r"```yaml\n(tactile:\n  layout:.*?)```", PAGE, re.DOTALL)
+    layout = layout_from_config(parse_config(shown, source="page").tactile)
+    assert layout.name == "dfrobot_6x6"
+    assert layout == inner_pads("dfrobot_6x6", 6, 6, 3e-3, adc_max=4095)
 
 
 @pytest.mark.timeout(300)

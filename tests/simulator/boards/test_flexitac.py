@@ -9,7 +9,6 @@ import flexitac
 import numpy as np
 import pytest
 
-from cell.plugins import PAD_LAYOUTS
 from simulator.boards.flexitac import FlexiTacSettings
 from simulator.boards.resistive import ResistiveLaw, ResistivePads
 from simulator.can.faults import ControlUnitFaults
@@ -18,13 +17,14 @@ from simulator.clock import VirtualClock
 from simulator.realtime.terminals import BoardPty
 from simulator.settings import SimulatorSettings
 from tactile.flexitac.stream import PROFILES, FrameStream
+from tactile.layout import LAYOUTS
 
-LAYOUT = PAD_LAYOUTS["flexitac_12x32"]()
+LAYOUT = LAYOUTS["flexitac_12x32"]()
 
 
 @contextmanager
 def simulated(name: str = "flexitac_12x32", **changes: Any) -> Iterator[SimulatedCell]:
-    layout = PAD_LAYOUTS[name]()
+    layout = LAYOUTS[name]()
     pad = layout.pads[0]
     boards = FlexiTacSettings(rows=pad.columns, columns=pad.rows)
     with SimulatedCell(SimulatorSettings(layout=layout, boards=boards, **changes)) as cell:

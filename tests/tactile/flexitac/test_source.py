@@ -7,18 +7,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cell.plugins import PAD_LAYOUTS
 from simulator.boards.flexitac import FlexiTacSettings
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from tactile.errors import FrameTimeout, LayoutError, LinkFault, LinkStateError, NodeMissing
 from tactile.flexitac.source import FlexiTacSource
 from tactile.flexitac.stream import PROFILES
-from tactile.layout import PadMount, TaxelLayout
+from tactile.layout import LAYOUTS, PadMount, TaxelLayout
 from tactile.source import FrameStatus
 from tests.tactile.conftest import run
 
-LAYOUT = PAD_LAYOUTS["flexitac_12x32"]()
+LAYOUT = LAYOUTS["flexitac_12x32"]()
 
 
 @pytest.fixture
@@ -75,7 +74,7 @@ def test_pads_that_sit_otherwise_are_put_right(cell) -> None:
 
 
 def test_a_square_board_may_sit_either_way() -> None:
-    layout = PAD_LAYOUTS["flexitac_16x16"]()
+    layout = LAYOUTS["flexitac_16x16"]()
     for rows_along in (False, True):
         settings = FlexiTacSettings(rows=16, columns=16, rows_along=rows_along)
         with SimulatedCell(SimulatorSettings(layout=layout, boards=settings)) as cell:
@@ -90,7 +89,7 @@ def test_a_square_board_may_sit_either_way() -> None:
 
 
 def test_a_layout_of_another_size_is_refused(cell) -> None:
-    wrong: TaxelLayout = PAD_LAYOUTS["flexitac_16x32"]()
+    wrong: TaxelLayout = LAYOUTS["flexitac_16x32"]()
     with pytest.raises(
         LayoutError, match="needs two inner pads of 32 rows along the finger and 12"
     ):

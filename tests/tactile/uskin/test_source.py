@@ -6,18 +6,17 @@ import can
 import numpy as np
 import pytest
 
-from cell.plugins import PAD_LAYOUTS
 from simulator.boards.uskin import UskinBoard, UskinSettings
 from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorSettingsError
 from simulator.settings import SimulatorSettings
 from tactile.errors import BusOff, DuplicateNode, FrameTimeout, LayoutError, LinkFault
-from tactile.layout import PadMount
+from tactile.layout import LAYOUTS, PadMount
 from tactile.uskin.messages import BoardIds, samples, xr1944
 from tactile.uskin.source import UskinSource
 from tests.tactile.conftest import run
 
-LAYOUT = PAD_LAYOUTS["uskin_4x4"]()
+LAYOUT = LAYOUTS["uskin_4x4"]()
 NEWER = [
     BoardIds(
         start=0x203 + board,

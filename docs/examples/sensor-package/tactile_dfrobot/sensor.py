@@ -8,13 +8,14 @@ from cell.config.sensor import RestLimits, SensorConfig
 from gripper.errors import PortLost
 from tactile.board_source import BoardSource
 from tactile.errors import LayoutError
-from tactile.layout import inner_pads
 
 ANSWER_S = 0.015  # the answer of one sensor takes 1 ms on the line
-
-
-def dfrobot_layout():
-    return inner_pads("dfrobot_6x6", 6, 6, 3e-3, adc_max=4095)  # 3 mm is assumed: measure it
+PAD = {"face": "inner", "rows": 6, "columns": 6, "pitch_x_mm": 3.0, "pitch_y_mm": 3.0}
+LAYOUT = {  # 3 mm is assumed: measure it
+    "name": "dfrobot_6x6",
+    "pads": [{"finger": 0, **PAD}, {"finger": 1, **PAD}],
+    "adc_max": 4095,
+}
 
 
 class DfrobotConfig(SensorConfig):
@@ -23,12 +24,12 @@ class DfrobotConfig(SensorConfig):
     kind: Literal["dfrobot"]
     ports: tuple[str] = ("simulated",)
     addresses: tuple[int, int] = (1, 2)
-    layout, baud_rate, period_s = "dfrobot_6x6", 921_600, 0.02
+    layout, baud_rate, period_s = LAYOUT, 921_600, 0.02
     rest = RestLimits(rest_share=0.25, bump_share=0.05)
 
     def check(self, tactile, layout):
         if [(pad.finger, pad.rows, pad.columns) for pad in layout.pads] != [(0, 6, 6), (1, 6, 6)]:
-            raise LayoutError(f"layout {layout.name} is not two pads of 6 x 6: take dfrobot_6x6")
+            raise LayoutError(f"layout {layout.name} is not one pad of 6 x 6 on each finger")
 
     def open_source(self, tactile, lines):
         return DfrobotSource(lines.open_serial[0], self.addresses, clock=lines.clock,

@@ -1,13 +1,13 @@
 """The device's own bytes, and whole grasps; for all else `pytest --contract sensor:dfrobot`."""
 
 import pytest
-from tactile_dfrobot.sensor import with_crc
+from tactile_dfrobot.sensor import LAYOUT, with_crc
 
 from tactile.errors import LinkFault
 
 CONFIG = {
     "tactile.sensor": {"kind": "dfrobot"},
-    "tactile.layout": "dfrobot_6x6",
+    "tactile.layout": LAYOUT,
     "tactile.calibration": {
         "kind": "table",
         "counts": [256.0, 512.0, 1024.0, 1536.0, 2500.0],
