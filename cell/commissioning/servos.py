@@ -29,13 +29,15 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.models import MODELS, ServoModel, model_name
-from gripper.dynamixel.serial_port import BAUD_RATES
+from gripper.dynamixel.transactions import protocol_1_text
 from gripper.errors import LinkTooSlow
 from gripper.servos.verification import Requirement, compare, requirements
 from gripper.values.servo_checks import hardware_error_names
 
-SCAN_RATES = (57600, 1_000_000, *(r for r in BAUD_RATES if r not in {57600, 1_000_000}))
-"""Order in which baud rates are scanned: the factory's and this package's first."""
+_USUAL_RATES = (57600, 1_000_000)
+"""Baud rates of the factory and of this package."""
+SCAN_RATES = (*_USUAL_RATES, *(rate for rate in BAUD_CODES if rate not in _USUAL_RATES))
+"""Order in which baud rates are scanned."""
 _COUNT = "n_servos"
 """Name of the number of servos among the values of the step."""
 _BOOT_S = 1.0
@@ -174,6 +176,7 @@ def _numbered(
             notes.values[_COUNT] = n_wanted
             _ask_for_one_alone(dialog, found)
         elif not found.servos:
+            _look_for_protocol_1(bench, port)
             raise StepFailed(
                 "no servo answers at any baud rate: check the supply (12 V at the servos, its LED "
                 "flashes once at power-on), the three or four wires to the adapter, and that the "
@@ -193,6 +196,14 @@ def _numbered(
         found = scan_servos(bench, port, dialog, rates)
         if not found.servos and not found.crowded:
             found = scan_servos(bench, port, dialog)
+
+
+def _look_for_protocol_1(bench: Bench, port: str) -> None:
+    """Raise StepFailed where a servo answers in Protocol 1.0."""
+    for rate in _USUAL_RATES:
+        with bench.servo_bus(port, rate) as bus:
+            if ids := bus.scan_protocol_1():
+                raise StepFailed(f"{protocol_1_text(ids)} (at {rate} bit/s)")
 
 
 def _demand_answers(bench: Bench, dialog: Dialog, port: str, found: Scan) -> None:

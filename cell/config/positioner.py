@@ -83,7 +83,7 @@ class ServoAxisConfig(Section):
     """Part of the pose that it moves: x, y, rotation or roll."""
     port: str = Field(default=SIMULATED, min_length=1, max_length=200)
     """Serial port of this servo only, for example /dev/ttyUSB1; `simulated`: the built-in port."""
-    baud_rate: Literal[57600, 115200, 1000000, 2000000, 3000000, 4000000] = 1000000
+    baud_rate: Literal[57600, 115200, 1000000, 2000000, 3000000, 4000000, 4500000] = 1000000
     """Baud rate of the line in bit/s."""
     id: int = Field(default=1, ge=0, le=252)
     """ID of the servo, 0 to 252."""

@@ -36,16 +36,19 @@ from gripper.dynamixel.transactions import (
     HIGHEST_ID,
     IN_LOOP,
     PING_SIZE,
+    PROTOCOL_1_SIZE,
     BusStatistics,
     Heard,
     NoAnswerError,
     Precaution,
     Request,
     accepted,
+    answers_protocol_1,
     check_id,
     checked,
     given_up,
     ping_request,
+    protocol_1_ping,
 )
 from gripper.errors import (
     AnswersOff,
@@ -245,6 +248,25 @@ class ServoBus:
             damaged |= self._handler.dropped_bytes > 0
             self._mark_suspect()
         return tuple(found), damaged
+
+    def scan_protocol_1(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[int, ...]:
+        """Ping each ID once in Protocol 1.0 and return the servos' IDs; for diagnosis."""
+        found = []
+        with self.exclusive():
+            for servo_id in ids:
+                self._port.clearPort()
+                self._port.writePort(protocol_1_ping(servo_id))
+                self._port.setPacketTimeout(PROTOCOL_1_SIZE)
+                answer = b""
+                while len(answer) < PROTOCOL_1_SIZE:
+                    data = self._port.readPort(PROTOCOL_1_SIZE - len(answer))
+                    if not data:
+                        break
+                    answer += data
+                if answers_protocol_1(servo_id, answer):
+                    found.append(servo_id)
+            self._mark_suspect()
+        return tuple(found)
 
     def shares_id(self, servo_id: int) -> bool:
         """Return whether several servos answer to one ID.

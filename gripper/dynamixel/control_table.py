@@ -25,10 +25,9 @@ WATCHDOG_TRIPPED_RAW = -1
 TICK_MODULO = 32768
 """Modulo of Realtime Tick (register 120), which counts ms."""
 
-BAUD_CODES: Mapping[int, int] = MappingProxyType(
-    {9600: 0, 57600: 1, 115200: 2, 1_000_000: 3, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6}
-)
-"""Baud rate in bit/s -> content of Baud Rate (register 8)."""
+_BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+BAUD_CODES: Mapping[int, int] = MappingProxyType({r: code for code, r in enumerate(_BAUD_RATES)})
+"""Baud rate in bit/s -> content of Baud Rate (register 8). The 330 size ends at 4 Mbit/s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

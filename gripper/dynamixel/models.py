@@ -5,6 +5,7 @@ Source: ROBOTIS e-Manual, pages of each model, sections "Specifications" and "Co
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from enum import IntEnum
 from functools import cache
 from math import tau
@@ -320,7 +321,10 @@ def require_current_control(name: str) -> ServoModel:
             f"{name} measures load, not current: it has no Goal Current and no current-based "
             f"position mode, so its grip force cannot be bounded. Use one of {', '.join(MODELS)}"
         )
-    raise LimitExceeded(f"servo model {name!r} is not known. Use one of {', '.join(MODELS)}")
+    upper = {one.upper(): one for one in MODELS}
+    near = get_close_matches(name.upper(), upper, n=1)
+    meant = f"did you mean {upper[near[0]]}? " if near else ""
+    raise LimitExceeded(f"servo model {name!r} is not known: {meant}use one of {', '.join(MODELS)}")
 
 
 _OTHER_MODELS = {

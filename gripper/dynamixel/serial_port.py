@@ -21,10 +21,8 @@ from dynamixel_sdk import PortHandler
 from serial.tools import list_ports
 
 from gripper.clock import Clock
+from gripper.dynamixel.control_table import BAUD_CODES
 from gripper.errors import LimitExceeded, PortLost
-
-BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
-"""Baud rates that both the servos (register 8) and the SDK support."""
 
 _WRITE_TIMEOUT_S = 0.1
 """Longest time in s for which a port may take no byte: 10,000 bytes at 1 Mbit/s."""
@@ -116,13 +114,13 @@ class SerialStream:
     path
         Device, such as /dev/ttyUSB0 or a link below /dev/serial/by-id.
     baudrate
-        One of `BAUD_RATES`.
+        One of `gripper.dynamixel.control_table.BAUD_CODES`.
     """
 
     def __init__(self, path: str, baudrate: int = 1_000_000) -> None:
-        if baudrate not in BAUD_RATES:
+        if baudrate not in BAUD_CODES:
             raise LimitExceeded(
-                f"baud rate {baudrate} is not supported; use {', '.join(map(str, BAUD_RATES))}"
+                f"baud rate {baudrate} is not supported; use {', '.join(map(str, BAUD_CODES))}"
             )
         self.path = path
         try:

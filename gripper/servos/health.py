@@ -12,6 +12,7 @@ from gripper.dynamixel.control_table import (
     RegisterBlock,
 )
 from gripper.dynamixel.models import MODELS
+from gripper.dynamixel.transactions import protocol_1_text
 from gripper.errors import (
     AnswersOff,
     BusCorrupt,
@@ -26,6 +27,8 @@ from gripper.values.servo_checks import ServoCondition, VerificationReport, Veri
 from gripper.values.state import ServoFeedback
 
 _TORQUE = RegisterBlock(TORQUE_ENABLE)
+_FACTORY_ID = 1
+"""ID of a new servo."""
 _CHECKS = 3
 """Checks of each servo in turn: torque, a register of the start, bus watchdog."""
 _CONDITION_TRIES = 3
@@ -117,6 +120,8 @@ class ServoHealth:
             if others
             else "check supply, cable, baud rate and that no two servos share an ID"
         )
+        if old := self._bus.scan_protocol_1(sorted({*silent, _FACTORY_ID})):
+            advice = protocol_1_text(old)
         raise ServoMissing(report, [*(str(row) for row in report.failed), advice]) from next(
             iter(silent.values())
         )

@@ -26,6 +26,7 @@ from gripper.dynamixel.control_table import (
     VELOCITY_LIMIT,
 )
 from gripper.dynamixel.models import OperatingMode, ServoModel
+from gripper.dynamixel.transactions import HIGHEST_ID
 from gripper.errors import LimitExceeded
 from gripper.settings import CORRECTABLE
 from gripper.values.servo_checks import HardwareError, VerificationRow
@@ -36,8 +37,6 @@ _STARTUP_MASK = 0b11
 """Bits of Startup Configuration (register 60) that must be 0: torque on, RAM restored."""
 _PWM_RESERVE = 1.2
 """Reserve for motion, over the PWM share at rest: current over stall current."""
-_NO_SECOND_ID = 255
-"""Secondary ID (register 12) of a servo without one; any value above 252 means no ID."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,7 +138,8 @@ def _requirements(
             high=model.max_voltage_raw,
         ),
         _between(PWM_LIMIT.name, needed_pwm, whole_pwm),
-        _exactly(SECONDARY_ID.name, _NO_SECOND_ID),
+        # No servo listens to an ID above the highest one.
+        _between(SECONDARY_ID.name, HIGHEST_ID + 1, 255),
         _exactly(RETURN_DELAY_TIME.name, 0),
         _exactly(OPERATING_MODE.name, int(OperatingMode.CURRENT_BASED_POSITION)),
         _exactly(STATUS_RETURN_LEVEL.name, 2),

@@ -88,6 +88,7 @@ class ServoBusDevice:
         self._line_free_s = end_s
         if faults.echo:
             self._send_at(end_s, data)
+        self._answer_protocol_1(data, end_s)
         for packet in self._parser.push(faults.request(data)):
             self._dispatch(packet, end_s)
 
@@ -131,7 +132,18 @@ class ServoBusDevice:
         elif packet.packet_id <= MAX_ID:
             self._unicast(packet, hearing, now_s)
 
+    def _answer_protocol_1(self, data: bytes, now_s: float) -> None:
+        """Let servos in Protocol 1.0 answer a ping in it; they carry out nothing else here."""
+        for servo in self.servos:
+            body = bytes((servo.servo_id, 2, Instruction.PING))
+            ping = _protocol_1(body)
+            if servo.speaks_protocol_1 and self._listens(servo, now_s) and data == ping:
+                self._reply(servo, _protocol_1(body[:2] + b"\x00"), now_s)
+
     def _hears(self, servo: SimulatedServo, now_s: float) -> bool:
+        return self._listens(servo, now_s) and not servo.speaks_protocol_1
+
+    def _listens(self, servo: SimulatedServo, now_s: float) -> bool:
         silent = self.faults.silent
         return (
             servo.baudrate == self.baudrate
@@ -253,6 +265,11 @@ def _at_once(packets: Sequence[bytes]) -> bytes:
     longest = max(map(len, packets))
     padded = (packet.ljust(longest, b"\xff") for packet in packets)
     return bytes(functools.reduce(operator.and_, column) for column in zip(*padded, strict=True))
+
+
+def _protocol_1(body: bytes) -> bytes:
+    """Return a packet of Protocol 1.0: header, body, checksum (e-Manual, "Protocol 1.0")."""
+    return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
 def _sync_requests(parameters: bytes) -> list[tuple[int, int, int]]:

@@ -44,7 +44,7 @@ _RANGES: dict[str, tuple[int, int]] = {
     "return_delay_time": (0, 254),
     "drive_mode": (0, 13),
     "secondary_id": (0, 255),
-    "protocol_type": (2, 2),
+    "protocol_type": (1, 2),
     "homing_offset": (-1_044_479, 1_044_479),
     "moving_threshold": (0, 1023),
     "temperature_limit": (0, 100),
@@ -96,7 +96,7 @@ def _items(model: ServoModel) -> dict[int, Item]:
     for name in ("max_voltage_limit", "min_voltage_limit"):
         ranges[name] = (model.min_voltage_raw, model.max_voltage_raw)
     if is_x330(model):
-        ranges["baud_rate"] = (0, 6)
+        ranges["baud_rate"], ranges["protocol_type"] = (0, 6), (2, 2)
     items = {}
     for register in REGISTERS.values():
         if register.name in model.absent:

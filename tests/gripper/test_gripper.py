@@ -369,6 +369,11 @@ def test_settings_out_of_range_cannot_exist(name: str, value: float) -> None:
 def test_servo_settings_out_of_range_cannot_exist() -> None:
     with pytest.raises(LimitExceeded, match="no Goal Current"):
         ServoSettings(servo_id=1, model="XL430-W250")
+    for name in ("XM430W350", "xm430-w350", "XM430-W35O"):
+        with pytest.raises(LimitExceeded, match=r"not known: did you mean XM430-W350\?"):
+            ServoSettings(servo_id=1, model=name)
+    with pytest.raises(LimitExceeded, match="'servo' is not known: use one of XM430-W350, "):
+        ServoSettings(servo_id=1, model="servo")
     with pytest.raises(LimitExceeded, match="direction"):
         ServoSettings(servo_id=1, direction=0)
     with pytest.raises(LimitExceeded, match="servo_id"):

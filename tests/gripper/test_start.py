@@ -50,6 +50,21 @@ def test_a_changed_eeprom_register_is_shown_expected_against_found(cell, name, r
     assert cell.torques == [0, 0]
 
 
+@pytest.mark.parametrize("raw", [253, 254, 255])
+def test_a_second_id_that_no_servo_listens_to_is_none(cell, raw: int) -> None:
+    cell.servos[1].core.registers.put("secondary_id", raw)
+    assert cell.gripper.start().ok
+
+
+@pytest.mark.parametrize("servo_id", [1, 2])
+def test_a_servo_in_protocol_1_is_named_with_the_register(cell, servo_id: int) -> None:
+    cell.servos[1].core.registers.put("protocol_type", 1)
+    cell.servos[1].core.table.data[7] = servo_id
+    hint = rf"Protocol 1\.0 come from servo {servo_id}: .*\(register 13\) to 2"
+    with pytest.raises(VerificationFailed, match=hint):
+        cell.gripper.start()
+
+
 def test_what_may_be_corrected_is_a_setting(make_cell) -> None:
     cell = make_cell(corrected_registers=frozenset({"status_return_level"}))
     with pytest.raises(VerificationFailed, match=r"operating_mode: expected 5, found 3"):

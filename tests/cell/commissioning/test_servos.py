@@ -73,6 +73,24 @@ def test_a_servo_that_confirms_no_write_is_set_to_confirm_with_an_approval(one, 
     ]
 
 
+def test_a_servo_at_the_fastest_baud_rate_is_found(one) -> None:
+    servo = one.cell.devices.servo_bus.servos[1]
+    servo.core.registers.put("baud_rate", 7)
+    one.passes(STEP)
+    assert one.registers("baud_rate") == [3, 3]
+    shown = [(w.where, w.before, w.after) for w in one.person.script.writes]
+    assert ("servo 2 at 4500000 bit/s", "4500000 bit/s", "1000000 bit/s") in shown
+
+
+@pytest.mark.parametrize("rate", [1, 3])
+def test_servos_in_protocol_1_are_named_with_the_register(one, rate: int) -> None:
+    for servo in one.cell.devices.servo_bus.servos:
+        servo.core.registers.put("protocol_type", 1)
+        servo.core.registers.put("baud_rate", rate)
+    finding = one.run(STEP)
+    assert any("Protocol 1.0 come from servo 1, 2" in line for line in finding.lines)
+
+
 def test_a_step_that_goes_on_knows_that_two_servos_answered(new) -> None:
     engine = Engine([PortsStep(), STEP], new.bench)
     for leave_at in (["servos.connect_next"], []):
