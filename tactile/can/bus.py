@@ -1,13 +1,12 @@
 """CAN buses: opened, locked and closed, with corrections of python-can's drivers.
 
 python-can 4.6 reads a serial adapter byte by byte. It accepts some damaged lines as messages, and
-others end its receive thread. It does not detect the loss of a socketcand server, and its buses
-have no lock against a second program. Subclasses of its drivers correct this.
+others end its receive thread. Its buses have no lock against a second program. A subclass of its
+driver and a lock file correct this.
 """
 
 import fcntl
 import hashlib
-import logging
 import os
 import re
 import select
@@ -22,7 +21,6 @@ from typing import Any, NoReturn
 
 import can
 from can.interfaces.slcan import slcanBus
-from can.interfaces.socketcand import SocketCanDaemonBus
 
 from tactile.errors import BusNotOpened
 
@@ -33,11 +31,6 @@ _NODE_BITS = 0x07F
 """Bits of the node-ID in a COB-ID (CiA 301, 7.3.5)."""
 _SHARED = ("virtual",)
 """Interfaces in one program, which need no lock."""
-_ANSWER_S = 2.0
-"""Longest wait in s for the greeting of a socketcand server."""
-_GREETING = b"< hi >"
-_DRIVERS_SOCKET = "_SocketCanDaemonBus__socket"
-"""Attribute with the socket of python-can's driver."""
 _SEND_TIMEOUT_S = 0.1
 """Longest wait in s until an adapter accepts a message: five frame periods at 50 Hz."""
 _LONGEST_LINE = 32
@@ -108,53 +101,6 @@ def _open_lock_file(path: Path) -> int:
     with suppress(FileNotFoundError):
         return os.open(path, flags)
     return os.open(path, flags | os.O_CREAT, 0o644)
-
-
-class WatchedSocketcandBus(SocketCanDaemonBus):
-    """socketcand client that raises ``can.CanOperationError`` if its server is gone.
-
-    Its base driver treats a closed connection as silence and spins on it.
-    """
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        message: can.Message | None
-        message, filtered = super()._recv_internal(timeout)  # type: ignore[no-untyped-call]
-        if message is None:
-            self._check_server()
-        return message, filtered
-
-    def _check_server(self) -> None:
-        connection: socket.socket = vars(self)[_DRIVERS_SOCKET]
-        with suppress(BlockingIOError):
-            if not connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT):
-                raise can.CanOperationError("the socketcand server has closed the connection")
-
-
-def open_socketcand(address: str) -> can.BusABC:
-    """Connect to a socketcand server.
-
-    Raises OSError, ValueError or can.CanError for an invalid address, or if the server refuses or
-    does not answer within 2 s.
-
-    Parameters
-    ----------
-    address
-        ``HOST:PORT/CHANNEL``.
-    """
-    place, _, channel = address.partition("/")
-    host, _, port = place.rpartition(":")
-    if not channel or not host:
-        raise ValueError("not of the form HOST:PORT/CHANNEL")
-    with socket.create_connection((host, int(port)), _ANSWER_S) as knock:
-        # The driver tries for 10 s to reach a server that refuses. It waits without limit for one
-        # that accepts but is stopped.
-        if knock.recv(len(_GREETING)) != _GREETING:
-            raise can.CanInitializationError("the server does not use the protocol socketcand")
-    # The driver warns for each message that is split between two packets.
-    logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
-    return WatchedSocketcandBus(  # type: ignore[no-untyped-call]
-        channel, host=host, port=int(port), tcp_tune=True
-    )
 
 
 def _is_whole(line: str) -> bool:
@@ -291,6 +237,12 @@ class BulkSlcanBus(slcanBus):
         super().send(msg, _SEND_TIMEOUT_S if timeout is None else timeout)
 
 
+_NOT_OPENED = (
+    can.CanError, OSError, ValueError, NotImplementedError, ImportError, TypeError, NameError
+)  # fmt: skip
+"""Errors of python-can's drivers; NameError and TypeError where their library or options lack."""
+
+
 def open_bus(
     interface: str,
     channel: str,
@@ -307,9 +259,9 @@ def open_bus(
     Parameters
     ----------
     interface
-        python-can's name: ``socketcan``, ``slcan``, ``socketcand``, ``virtual``, ...
+        python-can's name: ``socketcan``, ``slcan``, ``virtual``, ...
     channel
-        Interface or port; for ``socketcand`` as ``HOST:PORT/CHANNEL``.
+        Interface or port.
     bitrate
         CAN bit rate in bit/s. The system sets that of SocketCAN interfaces.
     tty_baudrate
@@ -336,7 +288,7 @@ def open_bus(
             f"CAN interface {interface!r}, channel {channel!r}, is used by another program of this "
             "kind: end that program first"
         ) from error
-    except (can.CanError, OSError, ValueError, NotImplementedError, ImportError) as error:
+    except _NOT_OPENED as error:
         cause = error.__cause__ or error
         raise BusNotOpened(
             f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {cause}. "
@@ -352,8 +304,6 @@ def _open(interface: str, channel: str, *, bitrate: int, tty_baudrate: int) -> c
         # Without this interface the driver would leave a socket open.
         socket.if_nametoindex(channel)
         options = {}
-    elif interface == "socketcand":
-        return open_socketcand(channel)
     return can.Bus(channel, interface=interface, ignore_config=True, **options)
 
 
@@ -362,7 +312,6 @@ _ADVICE = {
     "program has it open, and that you may read and write it (group dialout)",
     "socketcan": "Check `ip link`: the interface must exist and be up, with the bit rate set "
     "(ip link set CHANNEL up type can bitrate RATE)",
-    "socketcand": "Check that the server runs and that the channel is written HOST:PORT/CHANNEL",
 }
 """Advice by interface for a bus that cannot be opened."""
 

@@ -1,9 +1,7 @@
 """Buses and receivers: slcan over a pseudo-terminal, the receive thread and its ends."""
 
-import contextlib
 import os
 import queue
-import socket
 import threading
 import time
 import tty
@@ -259,8 +257,8 @@ def test_an_adapter_that_does_not_know_its_flags_is_left_in_peace(adapter) -> No
         ("slcan", "/dev/does-not-exist", "does-not-exist.*Check that the adapter is plugged in"),
         ("slcan", "", "serial port"),
         ("socketcan", "nocan7", "nocan7.*ip link"),
-        ("socketcand", "nowhere/can0", "HOST:PORT/CHANNEL"),
         ("no-such-interface", "x", "Check the names"),
+        ("kvaser", "0", "Check the names"),
     ],
 )
 def test_a_bus_that_cannot_be_opened_says_what_to_check(interface, channel, says) -> None:
@@ -271,77 +269,3 @@ def test_a_bus_that_cannot_be_opened_says_what_to_check(interface, channel, says
 def test_other_interfaces_are_opened_by_python_can() -> None:
     bus = open_bus("virtual", "tactile-test")
     bus.shutdown()
-
-
-# --- socketcand ----------------------------------------------------------------------------------
-
-
-class Server:
-    """A socketcand server on the loopback that plays its part as far as it is told to."""
-
-    def __init__(self, greeting: bytes = b"< hi >") -> None:
-        self.socket = socket.create_server(("127.0.0.1", 0))
-        self.address = f"127.0.0.1:{self.socket.getsockname()[1]}/can0"
-        self.greeting = greeting
-        self.clients: list[socket.socket] = []
-        self.connected = threading.Event()
-        self.thread = threading.Thread(target=self.run, daemon=True)
-        self.thread.start()
-
-    def run(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                client, _ = self.socket.accept()
-                self.clients.append(client)
-                client.sendall(self.greeting)
-                for _ in range(2):
-                    if not client.recv(100):
-                        break
-                    client.sendall(b"< ok >")
-                else:
-                    self.connected.set()
-
-    @property
-    def client(self) -> socket.socket:
-        """The connection that the driver uses."""
-        return self.clients[-1]
-
-    def close(self) -> None:
-        self.socket.shutdown(socket.SHUT_RDWR)
-        self.socket.close()
-        self.thread.join(5.0)
-        for client in self.clients:
-            client.close()
-
-
-@pytest.fixture
-def server() -> Iterator[Server]:
-    one = Server()
-    yield one
-    one.close()
-
-
-def test_a_socketcand_server_that_goes_away_is_noticed(server) -> None:
-    bus = open_bus("socketcand", server.address)
-    assert server.connected.wait(5.0)
-    server.client.sendall(b"< frame 185 23.424242 0102 >")
-    message = bus.recv(2.0)
-    assert (message.arbitration_id, bytes(message.data)) == (0x185, b"\1\2")
-    assert bus.recv(0.01) is None
-    receiver = ThreadedReceiver(bus, time)
-    ended(receiver, server.client.close)
-    with pytest.raises(BusOff, match="server has closed the connection"):
-        receiver.drain()
-    receiver.close()
-    close_bus(bus)
-
-
-def test_a_socketcand_server_that_refuses_or_speaks_otherwise_is_named_at_once() -> None:
-    server = Server(b"HTTP/1")
-    with pytest.raises(BusNotOpened, match=r"does not use the protocol socketcand.*server runs"):
-        open_bus("socketcand", server.address)
-    server.close()
-    start_s = time.monotonic()
-    with pytest.raises(BusNotOpened, match="refused"):
-        open_bus("socketcand", server.address)
-    assert time.monotonic() - start_s < 1.0
