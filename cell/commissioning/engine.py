@@ -48,7 +48,7 @@ class Choice:
     text: str
     """Text for the person."""
     picture: str = ""
-    """Name of its picture in the user interface, or empty."""
+    """Its picture in characters, or empty."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +75,7 @@ class Question:
 
 
 class Dialog(Protocol):
-    """User interface of the wizard: terminal, page or script. Calls may raise `WizardAborted`."""
+    """User interface of the wizard: terminal or script. Calls may raise `WizardAborted`."""
 
     def start_step(self, step: "Step", number: int, count: int) -> None:
         """Show the step that begins: its title and purpose, as ``number`` of ``count``."""

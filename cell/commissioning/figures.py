@@ -1,7 +1,6 @@
 """Figures of the findings: numbers in JSON, and their drawing as SVG.
 
-`curves` and `pads` make the numbers; `svg` draws them in the style of the report, for the record,
-and `standalone_svg` as a separate picture.
+`curves` and `pads` make the numbers; `svg` draws them in the style of the report, for the record.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cell.report.pad_pictures import pad_svg
-from cell.report.page import page_template
 from cell.report.plots import MUTED, colour, drawing, new_figure, to_svg
 from tactile.layout import TaxelLayout
 
@@ -19,9 +17,6 @@ _MOST_POINTS = 600
 """Most points of a kept curve; the picture has about as many pixels."""
 _DECIMALS = 6
 """Decimals of the kept numbers, in their units."""
-
-_CELL, _CELL_HEIGHT, _GAP, _CAPTION = 260, 130, 20, 24
-"""Size of a pad in a separate picture, distance between two, and height of a caption, in px."""
 
 Figure = Mapping[str, Any]
 
@@ -89,14 +84,6 @@ def svg(figure: Figure, name: str) -> str:
     return _pads_svg(figure) if figure["kind"] == "pads" else _curves_svg(figure, name)
 
 
-def standalone_svg(figure: Figure) -> str:
-    """Return a figure as an SVG file, light or dark like its viewer. Raises as `svg`."""
-    css = page_template("style.css.j2").render()
-    drawn = _grid(figure) if figure["kind"] == "pads" else _curves_svg(figure, "figure")
-    head, rest = drawn.split(">", 1)
-    return f"{head}><style>{css} svg {{ font-family: sans-serif; }}</style>{rest}"
-
-
 def _kept(values: ArrayLike, every: int) -> list[float | None]:
     numbers = np.asarray(values, dtype=np.float64).ravel()[::every]
     return [round(v, _DECIMALS) if np.isfinite(v) else None for v in numbers.tolist()]
@@ -106,42 +93,17 @@ def _floats(values: Sequence[float | None]) -> NDArray[np.float64]:
     return np.array(values, dtype=np.float64)  # None becomes NaN
 
 
-def _pictures(figure: Figure) -> list[tuple[str, str]]:
-    """Return the caption and the SVG of each pad, with one scale."""
+def _pads_svg(figure: Figure) -> str:
+    """Return the pictures of all pads, with one scale."""
     values = [_floats(pad["values"]) for pad in figure["pads"]]
     full = max([1e-9, *(float(np.nanmax(v)) for v in values if np.isfinite(v).any())])
-    found = []
+    cells = []
     for pad, shown in zip(figure["pads"], values, strict=True):
         known = np.nan_to_num(shown)
         label = f"{pad['name']}: {known.min():.3g} to {known.max():.3g} {figure['unit']}"
-        found.append((label, pad_svg(np.array(pad["xy_mm"]), known, full, label)))
-    return found
-
-
-def _pads_svg(figure: Figure) -> str:
-    cells = "".join(
-        f"<figure>{picture}<figcaption>{label}</figcaption></figure>"
-        for label, picture in _pictures(figure)
-    )
-    return f'<div class="pads">{cells}</div>'
-
-
-def _grid(figure: Figure) -> str:
-    """Return all pads in one SVG, two in a row."""
-    pictures = _pictures(figure)
-    cells = []
-    for place, (label, picture) in enumerate(pictures):
-        row, column = divmod(place, 2)
-        x, y = column * (_CELL + _GAP), row * (_CELL_HEIGHT + _CAPTION)
-        place_of = f'<svg x="{x}" y="{y}" width="{_CELL}" height="{_CELL_HEIGHT}" '
-        cells.append(picture.replace("<svg ", place_of, 1))
-        cells.append(
-            f'<text x="{x}" y="{y + _CELL_HEIGHT + 14}" font-size="11" fill="var(--muted)">'
-            f"{label}</text>"
-        )
-    rows = -(-len(pictures) // 2)
-    size = f"{2 * _CELL + _GAP} {rows * (_CELL_HEIGHT + _CAPTION)}"
-    return f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size}">{"".join(cells)}</svg>'
+        picture = pad_svg(np.array(pad["xy_mm"]), known, full, label)
+        cells.append(f"<figure>{picture}<figcaption>{label}</figcaption></figure>")
+    return f'<div class="pads">{"".join(cells)}</div>'
 
 
 def _curves_svg(figure: Figure, name: str) -> str:

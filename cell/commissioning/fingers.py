@@ -44,6 +44,24 @@ KINDS: dict[Kind, str] = {
     "swinging": "the fingers swing, or their links stand askew when closed",
 }
 """Kinds of linkage that are fitted, with their descriptions."""
+SKETCHES: dict[Kind, str] = {
+    "parallel": r"""
+         ## ##          ##      ##
+         ## ##          ##      ##
+        | | | |        / /      \ \
+        o o o o       o o        o o""",
+    "pinion": r"""
+         ## ##          ##      ##
+         ## ##          ##      ##
+        =======       =====    =====
+          (O)              (O)""",
+    "swinging": r"""
+         ## ##         ##        ##
+         ## ##          ##      ##
+          | |             \    /
+          o o              o  o""",
+}
+"""Picture of each kind: closed on the left, open on the right."""
 
 Pulses = tuple[int, ...]
 """Present Position of each servo in pulses, in the order of the fingers."""
@@ -476,7 +494,7 @@ class _Hands:
                         key=fit.kind,
                         text=f"{KINDS[fit.kind]} ({fit.linkage}; residual "
                         f"{fit.residual_m * 1e3:.2f} mm)",
-                        picture=f"linkage-{fit.kind}",
+                        picture=SKETCHES[fit.kind].strip("\n"),
                     )
                     for fit in shown
                 ),

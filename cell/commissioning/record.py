@@ -23,22 +23,16 @@ _LONGEST_LIST = 8
 
 
 def write_record(engine: Engine) -> tuple[Path, ...]:
-    """Write the record of the findings so far; return its path.
+    """Write the record of the findings so far as self-contained HTML; return its path.
 
     Raises CellError if the disk refuses, or the packages of the extra ``report`` are missing
     (MissingExtraError).
     """
-    path = engine.bench.folder / RECORD_NAME
-    write_text(path, render_record(engine), error=CellError, what="record")
-    return (path,)
-
-
-def render_record(engine: Engine) -> str:
-    """Return the record as self-contained HTML: no script, no font, no network."""
     folder = engine.bench.folder
+    path = folder / RECORD_NAME
     findings = engine.findings
     verdicts = [one.status for one in findings.values()]
-    return page_template("commissioning.html.j2").render(
+    page = page_template("commissioning.html.j2").render(
         cell=engine.bench.config.name,
         began=min((_time(one.began) for one in findings.values()), default=""),
         ended=max((_time(one.ended) for one in findings.values()), default=""),
@@ -58,6 +52,8 @@ def render_record(engine: Engine) -> str:
         settings=[(name, _text(value)) for name, value in engine.bench.settings.items()],
         folder=folder.resolve(),
     )
+    write_text(path, page, error=CellError, what="record")
+    return (path,)
 
 
 def _step_view(engine: Engine, step: Step) -> dict[str, Any]:

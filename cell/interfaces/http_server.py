@@ -1,6 +1,6 @@
 """The HTTP server of the interfaces: access, limits of connections, time and size, TLS, refusals.
 
-It serves the ASGI applications of `cell.interfaces.web_server` and `cell.interfaces.xml_rpc`.
+It serves the ASGI applications of `cell.interfaces.web` and `cell.interfaces.xml_rpc`.
 """
 
 import asyncio

@@ -18,9 +18,9 @@ class LiveMessage:
 
     text: str
     """The state as JSON."""
-    frame: Callable[[str], bytes | None] = lambda _kind: None
+    frame: Callable[[str], bytes | None]
     """Returns the newest frame of the requested kind; None without a frame."""
-    parts: tuple[dict[str, Any], ...] = ()
+    parts: tuple[dict[str, Any], ...]
     """The newest parts by their ``number``, oldest first."""
 
 

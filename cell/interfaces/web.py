@@ -6,31 +6,60 @@ Origin are refused. Requests and answers are JSON; a refusal has a fault number.
 
 import asyncio
 import json
+import secrets
+from collections.abc import Callable
 from dataclasses import asdict
 from datetime import date
 from functools import cache
+from ipaddress import ip_address
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
-from fastapi import Body, Depends, HTTPException, Query, Request
+from fastapi import APIRouter, Body, Depends, FastAPI, HTTPException, Query, Request, WebSocket
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
-from pydantic import Field, WithJsonSchema
+from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
+from starlette.exceptions import HTTPException as StarletteHTTPException
+from starlette.websockets import WebSocketDisconnect
 
 from cell.config.simulator import LONGEST_LABEL
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import RequestRefused
-from cell.fault_catalogue import CATALOGUE
+from cell.errors import (
+    CellError,
+    CellStateError,
+    ConfigError,
+    HeldByClient,
+    NotInCommand,
+    RequestRefused,
+)
+from cell.fault_catalogue import CATALOGUE, Refusal
 from cell.installation import extra
-from cell.interfaces.http_server import REQUEST_BYTES, Scope
-from cell.interfaces.live_socket import LiveMessage
-from cell.interfaces.web_server import LeasedBody, Paths, RequestBody, WebServer
+from cell.interfaces.access import read_secret, same_secret, view_token
+from cell.interfaces.http_server import REQUEST_BYTES, HttpServer, Scope, refusal_values
+from cell.interfaces.live_socket import LiveFeed, LiveMessage
+from cell.interfaces.page import mount_page
+from cell.interfaces.page_address import page_address, qr_code, view_note
 from cell.plugin.goals import goal_schema
 from cell.service.photos import LONGEST_PHOTO
 from cell.service.service import Service
 from cell.service.state import plain_data, state_values
+from gripper.errors import GripperError
+from tactile.errors import TactileError
 
+_SUBPROTOCOL = "tactile-cell"
+"""Subprotocol of the WebSocket."""
+_STATUS = {
+    NotInCommand: 403,
+    CellStateError: 409,
+    HeldByClient: 409,
+    RequestRefused: 422,
+    ConfigError: 422,
+}
+"""HTTP status of refusals; 500 for all other errors."""
+_ERRORS = (CellError, GripperError, TactileError, OSError)
+"""Expected errors of the cell."""
 LONGEST_STL = 10_000_100
 """Largest STL file in bytes: 200,000 triangles as binary."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -50,6 +79,36 @@ JOB_EXAMPLES: dict[str, Any] = {
     )
 }
 """Examples of `POST /api/jobs` in the description."""
+
+
+class RequestBody(BaseModel):
+    """Body of a request; an unknown field is refused."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+
+class LeasedBody(RequestBody):
+    """A command under the lease."""
+
+    lease: int
+
+
+class AcquireBody(RequestBody):
+    """Name of the new client in command; ``take``, on this machine only, takes the lease."""
+
+    name: str
+    take: bool = False
+
+
+class RefusalBody(RequestBody):
+    """A refusal, in the same form for all paths."""
+
+    fault_number: int
+    """Number in the fault catalogue, `GET /api/faults`."""
+    error: str
+    """Cause, with value and limit."""
+    remedy: str
+    """Remedy."""
 
 
 class JobBody(LeasedBody):
@@ -132,15 +191,47 @@ def state_moment(service: Service) -> LiveMessage:
     return LiveMessage(json.dumps(state, allow_nan=False), frame, tuple(state["shift"]["answers"]))
 
 
-class WebInterface(WebServer):
-    """The cell behind HTTP and WebSocket, below ``/api``.
+class WebInterface(HttpServer):
+    """The cell behind HTTP and WebSocket, below ``/api``: token, lease, live state, page.
 
-    Raises OSError or ConfigError as `WebServer`.
+    The docstrings of the methods are the OpenAPI description. TLS is on if a certificate is
+    configured. Raises OSError or ConfigError if it cannot listen at the configured address and
+    port, cannot read a file, or the file of the token is bad.
     """
 
     def __init__(self, service: Service) -> None:
         self._service = service
-        paths: Paths = (
+        config = service.config.serve
+        file = config.token_file
+        self.token = read_secret(file) if file else secrets.token_urlsafe(24)
+        """Token of clients."""
+        self.view_token = view_token(self.token)
+        """Token of clients that only read."""
+        self._feed = LiveFeed(lambda: state_moment(service), config.request_timeout_s)
+        super().__init__(
+            self._app(),
+            config,
+            config.http_port or 0,
+            name="http",
+            longest=self.longest,
+            pages=True,
+            ws="websockets-sansio",
+            ws_max_size=REQUEST_BYTES,
+            ws_per_message_deflate=False,  # on a local network it costs more than it saves
+            ssl_certfile=config.tls_certificate or None,
+            ssl_keyfile=config.tls_key or None,
+        )
+
+    def _app(self) -> FastAPI:
+        service = self._service
+        refusals: dict[int | str, dict[str, Any]] = {
+            status: {"model": RefusalBody} for status in (401, 403, 404, 409, 413, 422, 500)
+        }
+        app = FastAPI(title="tactile-cell", docs_url=None, redoc_url=None, responses=refusals)
+        for kind in (StarletteHTTPException, RequestValidationError, *_ERRORS, Exception):
+            app.add_exception_handler(kind, _refused)
+        router = APIRouter(prefix="/api", dependencies=[Depends(self.authorize)])
+        paths: tuple[tuple[str, str, Callable[..., Any]], ...] = (
             ("/info", "GET", self.info),
             ("/state", "GET", self.state),
             ("/history", "GET", self.history),
@@ -167,9 +258,21 @@ class WebInterface(WebServer):
                 ("/simulation/objects/{label:path}", "PUT", self.define_object),
                 ("/simulation/reset", "POST", self.reset_simulation),
             )
-        config = service.config.serve
-        public: Paths = (("/healthz", "GET", self.healthz), ("/metrics", "GET", self.metrics))
-        super().__init__(service.lease, config, lambda: state_moment(service), paths, public=public)
+        paths += (
+            ("/access", "GET", self.access),
+            ("/lease", "POST", self.acquire),
+            ("/lease/{lease}/alive", "POST", self.alive),
+            ("/lease/{lease}", "DELETE", self.give_up),
+        )
+        for path, method, call in paths:
+            router.add_api_route(path, call, methods=[method])
+        app.include_router(router)
+        app.add_api_websocket_route("/api/live", self.live)
+        app.add_api_route("/api/hold", self.hold, methods=["POST"])
+        app.add_api_route("/healthz", self.healthz, methods=["GET"])
+        app.add_api_route("/metrics", self.metrics, methods=["GET"])
+        mount_page(app)
+        return app
 
     def longest(self, scope: Scope) -> int:
         """Return the largest body in bytes: larger for a photo or an STL file."""
@@ -178,6 +281,89 @@ class WebInterface(WebServer):
         if scope["path"].startswith("/api/simulation/objects/"):
             return LONGEST_STL
         return LONGEST_PHOTO if scope["path"].endswith("/photo") else REQUEST_BYTES
+
+    def authorize(
+        self,
+        found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())],
+        request: Request,
+    ) -> None:
+        """Raise HTTPException or NotInCommand if the token does not permit the request."""
+        if not self._may_read(found.credentials):
+            raise HTTPException(401, "wrong token")
+        request.state.commands = same_secret(found.credentials, self.token)
+        if request.method != "GET" and not request.state.commands:
+            raise NotInCommand(
+                "this token is view only: open the page with the address that `serve` prints "
+                "after `page`"
+            )
+
+    def _may_read(self, token: str) -> bool:
+        return any(same_secret(token, one) for one in (self.token, self.view_token))
+
+    def access(self, request: Request) -> dict[str, Any]:
+        """Return whether this token commands, and the view-only link for a second person.
+
+        ``qr`` has the rows of its QR code, 1 for dark. ``note`` has the settings to change if no
+        other machine reaches the link.
+        """
+        address = page_address(
+            {"http_port": self.port, "token": self.view_token}, self._service.config.serve
+        )
+        return {
+            "commands": request.state.commands,
+            "address": address,
+            "note": view_note(self._service.config.serve),
+            "qr": ["".join(map(str, row)) for row in qr_code(address or "").matrix],
+        }
+
+    def acquire(self, body: AcquireBody, request: Request) -> dict[str, int]:
+        """Acquire the lease for commands."""
+        if body.take and not _is_here(request):
+            raise NotInCommand("only a client on this machine can take the lease from another")
+        return {"lease": self._service.lease.acquire(body.name, take=body.take)}
+
+    def alive(self, lease: int) -> dict[str, int]:
+        """Keep the lease."""
+        self._service.lease.alive(lease)
+        return {"lease": lease}
+
+    def give_up(self, lease: int) -> dict[str, int]:
+        """Give the lease up; a running job is put on hold."""
+        self._service.lease.give_up(lease)
+        return {"lease": 0}
+
+    async def live(self, link: WebSocket) -> None:
+        """Send the state as JSON, with ``?frames=1`` the newest counts too, uint16, little-endian.
+
+        ``?frames=newtons``: the force on each taxel in N, float32, little-endian.
+        ``?parts_after=N``: each part with a higher number, once, as ``{"event": "part", ...}``.
+
+        The token is a subprotocol ``token.TOKEN`` beside ``tactile-cell``, or ``?token=``, or the
+        first message ``{"token": TOKEN}``. A slow client skips messages and gets the newest.
+        """
+        offered = link.scope.get("subprotocols", [])
+        chosen = _SUBPROTOCOL if _SUBPROTOCOL in offered else None
+        tokens = [one.removeprefix("token.") for one in offered if one.startswith("token.")]
+        tokens += link.query_params.getlist("token")
+        if tokens and not any(map(self._may_read, tokens)):
+            await link.close(1008, "wrong token")
+            return
+        await link.accept(chosen)
+        try:
+            if not tokens:
+                async with asyncio.timeout(self._service.config.serve.request_timeout_s):
+                    first = await link.receive_text()
+                if not self._may_read(_token_of(first)):
+                    await link.close(1008, "wrong token")
+                    return
+            after = link.query_params.get("parts_after", "")
+            if after and not after.isdecimal():
+                await link.close(1008, "parts_after is not a part number")
+                return
+            frames = link.query_params.get("frames", "")
+            await self._feed.send_to(link, frames, int(after) if after else None)
+        except (WebSocketDisconnect, TimeoutError, RuntimeError, KeyError):
+            return  # the client is gone, takes nothing, or has not named its token
 
     def healthz(self) -> JSONResponse:
         """Whether the cell works; needs no token. 503: its thread is stuck.
@@ -341,3 +527,35 @@ class WebInterface(WebServer):
         host = "" if request.client is None else request.client.host
         self._service.stop_as(f"HTTP {host} {name}".rstrip(), latch)
         return {"state": self._service.status().state, "held_by": self._service.held_by}
+
+
+def _is_here(request: Request) -> bool:
+    """Whether a request comes from this machine."""
+    return request.client is not None and ip_address(request.client.host).is_loopback
+
+
+def _token_of(message: str) -> str:
+    """Return the token in the first message of a WebSocket; empty without a token."""
+    try:
+        found = json.loads(message)["token"]
+    except (ValueError, KeyError, TypeError):
+        return ""
+    return found if isinstance(found, str) else ""
+
+
+def _refused(_request: Request, error: Exception) -> JSONResponse:
+    """Return a refusal in the common form: number, text, remedy."""
+    match error:
+        case StarletteHTTPException():
+            return JSONResponse(
+                refusal_values(error.status_code, str(error.detail)), error.status_code
+            )
+        case RequestValidationError():
+            complaints = "; ".join(
+                f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()
+            )
+            return JSONResponse(refusal_values(422, complaints), 422)
+    status = next((code for kind, code in _STATUS.items() if isinstance(error, kind)), 500)
+    refusal = Refusal.of(error)
+    shown = {"fault_number": refusal.number, "error": refusal.text, "remedy": refusal.remedy}
+    return JSONResponse(shown, status)

@@ -17,24 +17,6 @@ _LINE_START = "\r\x1b[2K"
 """Clears the line and returns to its start (ECMA-48: CR, EL)."""
 _LINE_UP, _SAVE, _RESTORE = "\x1b[1A", "\x1b7", "\x1b8"
 """One line up (ECMA-48: CUU); save and restore the place of the cursor (DECSC, DECRC)."""
-SKETCHES = {
-    "linkage-parallel": r"""
-         ## ##          ##      ##
-         ## ##          ##      ##
-        | | | |        / /      \ \
-        o o o o       o o        o o""",
-    "linkage-pinion": r"""
-         ## ##          ##      ##
-         ## ##          ##      ##
-        =======       =====    =====
-          (O)              (O)""",
-    "linkage-swinging": r"""
-         ## ##         ##        ##
-         ## ##          ##      ##
-          | |             \    /
-          o o              o  o""",
-}
-"""Pictures of the wizard for a terminal, by name: closed on the left, open on the right."""
 _COLOURS = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
 
 
@@ -81,7 +63,7 @@ class TerminalDialog(Dialog):
             mark = " (Enter)" if choice.key == question.default else ""
             print_line(f"  {number}  {choice.text}{mark}")
             if choice.picture:
-                print_line(SKETCHES[choice.picture].strip("\n"))
+                print_line(choice.picture)
         while True:
             answer = self._answer(question, self._line(question, watch))
             if answer is not None:

@@ -35,11 +35,11 @@ class _Files(StaticFiles):
         return found
 
 
-def mount_page(app: FastAPI, name: str = "index.html") -> None:
-    """Serve the page of that name at ``/`` and all files below ``/page``."""
+def mount_page(app: FastAPI) -> None:
+    """Serve the page at ``/`` and all files below ``/page``."""
 
     async def index() -> FileResponse:
-        return FileResponse(FOLDER / name, headers=HEADERS)
+        return FileResponse(FOLDER / "index.html", headers=HEADERS)
 
     app.add_api_route("/", index, methods=["GET"], include_in_schema=False)
     app.mount("/page", _Files(directory=FOLDER))

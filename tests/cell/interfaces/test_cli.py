@@ -794,7 +794,6 @@ def test_wrong_use_is_two_and_a_failing_job_one(fail, files, code, command, comp
         ("sklearn: comparators", "train {dataset} -o {made} --recognizer extra_trees"),
         ("sklearn: comparators", "evaluate {dataset} --recognizer extra_trees --jobs 1"),
         ("distributed: cluster", "evaluate {dataset} --scheduler tcp://127.0.0.1:9"),
-        ("fastapi: serve", "commission {folder} --page"),
         ("fastapi: serve", "serve -c {config} --http 0"),
     ],
 )
@@ -802,7 +801,7 @@ def test_a_missing_extra_is_named_with_the_command_that_adds_it(
     fail, files, extra, command, monkeypatch
 ) -> None:
     package, _, extra = extra.partition(": ")
-    users = [f"cell.interfaces.{name}" for name in ("w", "page")]
+    users = [f"cell.interfaces.{name}" for name in ("web", "page")]
     for name in list(sys.modules):
         if name.partition(".")[0] == package:
             monkeypatch.setitem(sys.modules, name, None)

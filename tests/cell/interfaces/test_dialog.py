@@ -14,7 +14,10 @@ from cell.commissioning.ports import PortsStep
 from cell.interfaces.cli import dialog, terminal
 from cell.interfaces.cli.dialog import TerminalDialog
 
-CHOICES = (Choice(key="a", text="the first"), Choice(key="b", text="the second [x]"))
+CHOICES = (
+    Choice(key="a", text="the first", picture="  | |"),
+    Choice(key="b", text="the second [x]"),
+)
 WRITE = ProposedChange(where="servo 1", what="id (7)", before="1", after="2", undo="by --restore")
 
 
@@ -31,9 +34,10 @@ def typed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., TerminalDialog]:
 @pytest.mark.parametrize(
     ("lines", "answer"), [(["2"], "b"), (["b"], "b"), ([""], "a"), (["7", "x", "1"], "a")]
 )
-def test_choices_are_taken_by_number_name_or_enter(typed, lines, answer) -> None:
+def test_choices_are_taken_by_number_name_or_enter(typed, lines, answer, capsys) -> None:
     question = Question(key="q", text="Which?", choices=CHOICES, default="a")
     assert typed(*lines).ask(question) == answer
+    assert "  1  the first (Enter)\n  | |\n  2  the second" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

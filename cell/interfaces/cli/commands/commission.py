@@ -1,15 +1,9 @@
 """`commission`: guides from new parts to the first grasp of a cell."""
 
-import json
-import time
-from contextlib import closing, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    from cell.commissioning.engine import Engine
 
 
 def _can(text: str | None) -> str | None:
@@ -54,15 +48,6 @@ def commission(
         bool,
         typer.Option("--restore", help="Restore the servos' original registers, and end."),
     ] = False,
-    page: Annotated[
-        bool, typer.Option("--page", help="Use a page in the browser, until SIGTERM.")
-    ] = False,
-    http_port: Annotated[
-        int | None,
-        typer.Option(
-            "--http", help="Port of the page; 0: any [default: 8080 or the next free port]."
-        ),
-    ] = None,
 ) -> None:
     """Set up a new cell step by step, until its first grasp.
 
@@ -114,9 +99,6 @@ def commission(
             for change in changed_hardware(bench):
                 print_note(f"{change.what}: {change.found}, at commissioning {change.was}")
                 print_line(f"steps to repeat: {', '.join(engine.redo(change.step))}")
-            if page or http_port is not None:
-                _on_page(engine, http_port)
-                return
             files = engine.run(dialog)
     except KeyboardInterrupt:
         print_note("left; the results are kept. The same command continues there")
@@ -125,33 +107,3 @@ def commission(
         print_note(str(left))
         raise typer.Exit(1) from None
     dialog.finished(engine, files)
-
-
-def _on_page(engine: "Engine", http_port: int | None) -> None:
-    """Open the page until a signal ends the program; a running step is ended first."""
-    from cell.config.serve import ServeConfig
-    from cell.installation import extra
-    from cell.interfaces.cli.commands.serve import SIGNAL_LOOK_S, free_page_port
-    from cell.interfaces.cli.terminal import print_page
-    from cell.interfaces.page_address import page_address
-
-    with extra("serve", needed_by="--page"):
-        from cell.interfaces.wizard import Phase, Wizard, WizardServer
-
-    serve = ServeConfig()
-    port = free_page_port(serve.listen) if http_port is None else http_port
-    serve = ServeConfig(http_port=port)
-    with (
-        suppress(KeyboardInterrupt),
-        closing(Wizard(engine, serve)) as wizard,
-        closing(WizardServer(wizard)) as interface,
-    ):
-        found = {"listen": serve.listen, "http_port": interface.port, "token": interface.token}
-        typer.echo(json.dumps(found))
-        address = page_address(found, serve)
-        assert address is not None
-        print_page(address)
-        while True:
-            time.sleep(SIGNAL_LOOK_S)
-    if wizard.state()["phase"] != Phase.FINISHED:
-        raise typer.Exit(1)

@@ -100,14 +100,14 @@ export function renderBand({ link, info, state }) {
 }
 
 // Colour and symbol of the band.
-export function setSign(level, sign) {
+function setSign(level, sign) {
   setText(byId("told"), byId("state").textContent); // screen readers announce changes only
   const band = byId("band");
   if (band.dataset.level !== level) band.dataset.level = level;
   if (byId("sign").getAttribute("d") !== SIGNS[sign]) byId("sign").setAttribute("d", SIGNS[sign]);
 }
 
-export function renderCommander({ link, state }) {
+function renderCommander({ link, state }) {
   const commander = state?.commander ?? "";
   setText(byId("commander"), link.stale ? "" : link.commands ? t("who.you")
     : commander ? t("who.other", { name: commander }) : t("who.nobody"));

@@ -6,6 +6,7 @@ import { runs } from "./band.js";
 import { faultText, has, loadWords, native, t } from "./words.js";
 
 const RELEASE_KEY = 0x4f50;
+const DIALOGS = ["grasp", "sure", "camera", "simulation", "share"]; // Escape closes them
 
 // Reason why a command is not allowed now; empty if it is. `any`: for any client in command.
 export function reasonOf({ link, state, taught }, command, any = false) {
@@ -36,14 +37,14 @@ export function complaint(error) {
   return t("said.refused", { text: remedy ? `${text} – ${remedy}` : text });
 }
 
-// Start a page: words, its own `setup` and `render`, then the connection; asks for the token.
-// `on` has the callbacks of a Link; `lost` is the key of its text.
-export async function beginPage(view, { setup, render, lost, ...on }) {
+// Start the page: words, its `setup` and `render`, then the connection; asks for the token.
+// `on` has the callbacks of a Link.
+export async function beginPage(view, { setup, render, ...on }) {
   const login = (wrong) => {
     setText(byId("login_wrong"), wrong ? t("login.wrong") : "");
     if (!byId("login").open) byId("login").show();
   };
-  view.link = new Link({ ...on, refused: () => login(true), lost: () => view.say(t(lost), true) });
+  view.link = new Link({ ...on, refused: () => login(true), lost: () => view.say(t("said.lost"), true) });
   await loadWords();
   byId("sure_no").addEventListener("click", () => byId("sure").close());
   byId("login_form").addEventListener("submit", () => view.link.login(byId("login_token").value.trim()));
@@ -55,8 +56,7 @@ export async function beginPage(view, { setup, render, lost, ...on }) {
   else login(false);
 }
 
-// The lease and Hold of all pages; Escape closes `dialogs`.
-export function setupLease(view, dialogs) {
+export function setupCommands(view) {
   const { link, say } = view;
   const attempt = async (act, done = "") => {
     try {
@@ -72,13 +72,13 @@ export function setupLease(view, dialogs) {
   hold.disabled = false;
   const doHold = () => {
     hold.classList.add("sent");
-    attempt(() => link.hold(), view.heldText()).finally(() => setTimeout(() => hold.classList.remove("sent"), 600));
+    attempt(() => link.hold(), t("said.held")).finally(() => setTimeout(() => hold.classList.remove("sent"), 600));
   };
   hold.addEventListener("click", doHold);
   document.addEventListener("keydown", (event) => {
     if (event.key !== "Escape" || event.repeat) return;
     doHold();
-    for (const name of dialogs) byId(name).close();
+    for (const name of DIALOGS) byId(name).close();
   });
 
   byId("command").addEventListener("click", () => {
@@ -87,10 +87,7 @@ export function setupLease(view, dialogs) {
     else if (!name) attempt(() => link.acquire());
     else ask(t("who.take_sure", { name }), t("who.take_over"), () => attempt(() => link.acquire(true)));
   });
-}
 
-export function setupCommands(view) {
-  const { attempt, link } = view;
   view.start = (goal) => attempt(() => link.start(goal));
   view.send = (command, more = {}) => attempt(() => link.command("api/commands", {
     command, ...(command === "release" ? { key: RELEASE_KEY } : {}), ...more,

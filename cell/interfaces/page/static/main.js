@@ -9,7 +9,7 @@ import { forget, renderFelt, takeFrame, takeValues } from "./felt.js";
 import { drawOpened, openGrasp, renderShift } from "./shift.js";
 import { renderHealth } from "./health.js";
 import { renderFault } from "./fault.js";
-import { beginPage, reasonOf, renderCommands, setupCommands, setupLease } from "./commands.js";
+import { beginPage, reasonOf, renderCommands, setupCommands } from "./commands.js";
 import { renderTeach, setupTeach, teachEnded } from "./teach.js";
 import { renderGauge, setupGauge } from "./gauge.js";
 import { renderSort, setupSort } from "./sort.js";
@@ -31,7 +31,6 @@ const view = {
     setText(place, text);
     place.classList.toggle("bad", bad);
   },
-  heldText: () => t("said.held"),
   open: (answer) => openGrasp(view, answer),
   tab: chooseTab,
   ask,
@@ -126,7 +125,6 @@ function render() {
 }
 
 function setup() {
-  setupLease(view, ["grasp", "sure", "camera", "simulation", "share"]);
   setupCommands(view);
   setupTeach(view);
   setupGauge(view);
@@ -161,4 +159,4 @@ function setup() {
   });
 }
 
-beginPage(view, { setup, render, lost: "said.lost", state: take, frame: takeFrame, connected: refreshInfo });
+beginPage(view, { setup, render, state: take, frame: takeFrame, connected: refreshInfo });

@@ -32,8 +32,8 @@ export function t(key, values = {}) {
 
 export const has = (key) => key in texts;
 
-// A fixed text of the server, for example a cause, a remedy or the title of a step: the server sends
-// English, which is the key of the translation.
+// A fixed text of the server, for example a cause or a remedy: the server sends English, which is
+// the key of the translation.
 export const native = (text) => exact[text] ?? text ?? "";
 
 // Text of a fault by its number; without a translation its English text.

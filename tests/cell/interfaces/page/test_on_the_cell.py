@@ -303,7 +303,7 @@ def test_a_second_person_watches_by_the_link(served, open_page, wide) -> None:
 
 
 def test_other_machines_get_a_qr_code(serve, open_page, monkeypatch) -> None:
-    monkeypatch.setattr("cell.interfaces.web_server.view_note", lambda _config: "")
+    monkeypatch.setattr("cell.interfaces.web.view_note", lambda _config: "")
     served = serve("http")
     page = open_page(address(served))
     page.click("#share_open")
