@@ -37,6 +37,18 @@ def may_connect(host: str, config: ServeConfig) -> bool:
     )
 
 
+def is_loopback(host: str) -> bool:
+    """Whether an address is one of this machine alone."""
+    found = _address(host)
+    return found is not None and found.is_loopback
+
+
+def name_of(host: str) -> str:
+    """Return the name or address in a header ``Host``, in small letters; empty if it has none."""
+    found = re.fullmatch(r"(\[[^]]*\]|[^][:]+)(:\d*)?", host)
+    return "" if found is None else found[1].strip("[]").rstrip(".").lower()
+
+
 def is_for_this_machine(hosts: Sequence[str], reached: str, config: ServeConfig) -> bool:
     """Whether the header ``Host`` of a request names this machine.
 
@@ -52,10 +64,9 @@ def is_for_this_machine(hosts: Sequence[str], reached: str, config: ServeConfig)
     config
         Contains further names in ``hosts``.
     """
-    found = re.fullmatch(r"(\[[^]]*\]|[^][:]+)(:\d*)?", hosts[0]) if len(hosts) == 1 else None
-    if found is None:
+    name = name_of(hosts[0]) if len(hosts) == 1 else ""
+    if not name:
         return False
-    name = found[1].strip("[]").rstrip(".").lower()
     address = _address(name)
     if address is None:
         return name in ("localhost", socket.gethostname().lower(), *config.hosts)
@@ -96,7 +107,7 @@ def view_token(token: str) -> str:
 
 def same_secret(given: str, secret: str) -> bool:
     """Whether both are the same; the time does not depend on where they differ."""
-    return hmac.compare_digest(given.encode(), secret.encode())
+    return hmac.compare_digest(given.encode("utf-8", "surrogatepass"), secret.encode())
 
 
 def notice_dead_peers(link: Any) -> None:

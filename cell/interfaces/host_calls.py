@@ -81,8 +81,6 @@ class Calls:
 
     def _refuse(self, error: Exception) -> int:
         """Store why a call of this client is refused; return the number."""
-        if isinstance(error, TypeError):  # the request has wrong arguments
-            error = ConfigError(str(error))
         refusal, client = Refusal.of(error), CLIENT.get()
         if not isinstance(error, NotMeasured):  # a missing value is not a refusal
             self._refusals.pop(client, None)
@@ -231,6 +229,17 @@ def methods(calls: Calls) -> dict[str, Callable[..., Any]]:
     }
 
 
+def _check_types(taken: inspect.Signature, arguments: tuple[Any, ...]) -> None:
+    """Raise ConfigError for a wrong number of arguments, or a text in place of a number."""
+    try:
+        given = taken.bind(*arguments).arguments
+    except TypeError as error:
+        raise ConfigError(f"{error}; the arguments are {taken}") from error
+    for name, value in given.items():
+        if taken.parameters[name].annotation is not str and not isinstance(value, int | float):
+            raise ConfigError(f"{name} is {value!r:.40}; write a number")
+
+
 def _harmless(call: Callable[..., Any], refuse: Callable[[Exception], int]) -> Callable[..., Any]:
     taken = inspect.signature(call)
     returned = taken.return_annotation
@@ -238,6 +247,7 @@ def _harmless(call: Callable[..., Any], refuse: Callable[[Exception], int]) -> C
     @functools.wraps(call)
     def called(*arguments: Any) -> Any:
         try:
+            _check_types(taken, arguments)
             return call(*arguments)
         except Exception as error:
             number = refuse(error)

@@ -16,12 +16,15 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cell.config.serve import ServeConfig
-from cell.fault_catalogue import BY_NUMBER
+from cell.errors import RequestRefused
+from cell.fault_catalogue import CATALOGUE
 from cell.interfaces.access import (
     BUSY_MAX,
     ConnectionPlaces,
     is_for_this_machine,
+    is_loopback,
     may_connect,
+    name_of,
     notice_dead_peers,
 )
 
@@ -34,23 +37,27 @@ _SEND_BUFFER_BYTES = 65536
 """Send buffer of the system for one connection in bytes. After a stall, a client of the live
 WebSocket first receives this amount of old state."""
 REMEDIES = {
-    401: "Send the token that `serve` has printed, as `Authorization: Bearer TOKEN`.",
-    403: "Use an address, name and origin that `serve.allow` and `serve.hosts` have.",
-    404: "Read the paths in /openapi.json, and the numbers in GET /api/jobs.",
-    405: "Read the methods of each path in /openapi.json.",
-    413: "Send a smaller request.",
+    "client": "Add the address of this client to `serve.allow`.",
+    "host": "Use an address of this machine, or a name that `serve.hosts` has.",
+    "origin": "Send the request from a page of this cell.",
+    "length": "Send a Content-Length, and the body in one piece.",
+    "size": "Send a smaller request.",
+    "token": "Send the token of the cell as `Authorization: Bearer TOKEN`.",
+    "path": "Read the paths in /openapi.json.",
+    "method": "Read the methods of each path in /openapi.json.",
+    "job": "Read the numbers in GET /api/jobs.",
+    "grasp": "Read the numbers of `shift.answers` in GET /api/state.",
+    "photo": "Send a photo with PUT to this path.",
 }
-"""Remedies for refusals of the HTTP server itself."""
+"""Remedy for each cause for which a request does not reach the cell."""
 
 Scope = MutableMapping[str, Any]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
 
-def refusal_values(status: int, text: str, remedy: str = "") -> dict[str, Any]:
+def refusal_values(text: str, remedy: str) -> dict[str, Any]:
     """Return the refusal of a request that has not reached the cell, in the common form."""
-    number = 514 if status == 401 else 513
-    remedy = remedy or REMEDIES.get(status) or BY_NUMBER[number].remedy
-    return {"fault_number": number, "error": text, "remedy": remedy}
+    return {"fault_number": CATALOGUE[RequestRefused].number, "error": text, "remedy": remedy}
 
 
 async def send_answer(send: Send, status: int, body: bytes, media_type: str) -> None:
@@ -60,9 +67,9 @@ async def send_answer(send: Send, status: int, body: bytes, media_type: str) -> 
     await send({"type": "http.response.body", "body": body})
 
 
-async def refuse(send: Send, status: int, text: str, remedy: str = "") -> None:
+async def refuse(send: Send, status: int, text: str, remedy: str) -> None:
     """Refuse a request that has not reached the cell."""
-    body = json.dumps(refusal_values(status, text, remedy)).encode()
+    body = json.dumps(refusal_values(text, remedy)).encode()
     await send_answer(send, status, body, "application/json")
 
 
@@ -83,7 +90,7 @@ class Gate:
     async def __call__(self, scope: Scope, receive: Any, send: Send) -> None:
         """Pass a request on, or answer 403 or 413."""
         length = _body_bytes(scope)
-        status, reason = self._refusal(scope, length)
+        refused = self._refusal(scope, length)
 
         async def watched() -> Any:
             message = await receive()
@@ -93,7 +100,7 @@ class Gate:
 
         if scope["type"] == "websocket" or not length:
             self.whole(scope["client"])
-        if not status:
+        if refused is None:
             await self.app(scope, watched, send)
         elif scope["type"] == "websocket":
             await receive()
@@ -102,26 +109,41 @@ class Gate:
             # A connection that closes with input unread resets the answer.
             while length and length <= REQUEST_BYTES and (await receive()).get("more_body", False):
                 pass
-            await refuse(send, status, reason)
+            status, text, cause = refused
+            await refuse(send, status, text, REMEDIES[cause])
         self.whole(scope["client"])
 
-    def _refusal(self, scope: Scope, length: int | None) -> tuple[int, str]:
+    def _refusal(self, scope: Scope, length: int | None) -> tuple[int, str, str] | None:
+        """Return status, text and cause (of `REMEDIES`) of a refusal; None for no refusal."""
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
         hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
         client, reached = scope.get("client"), scope.get("server")
         config = self.config
         if client is None or reached is None or not may_connect(client[0], config):
-            return 403, "this client is not in serve.allow"
+            return 403, "this client is not in serve.allow", "client"
         if not is_for_this_machine(hosts, reached[0], config):
-            return 403, f"Host {', '.join(hosts)!r:.80} is not this machine; serve.hosts adds names"
+            return 403, f"Host {', '.join(hosts)!r:.80} is not this machine", "host"
         origin = headers.get(b"origin")
-        own = self.pages and (origin or "").partition("://")[2] == headers.get(b"host")
-        if origin is not None and not own:
-            return 403, f"the request comes from a page of another origin, {origin!r:.80}"
+        if origin is not None and not (self.pages and self._is_own(origin, hosts[0], scope)):
+            text = f"the request comes from a page of another origin, {origin!r:.80}"
+            return 403, text, "origin"
+        if length is None:
+            return 413, "the request has no valid Content-Length", "length"
         longest = self.longest(scope)
-        if length is None or length > longest:
-            return 413, f"a request needs a Content-Length of at most {longest}"
-        return 0, ""
+        if length > longest:
+            return 413, f"the body has {length} bytes, more than {longest}", "size"
+        return None
+
+    def _is_own(self, origin: str, host: str, scope: Scope) -> bool:
+        """Whether an origin is that of the cell's own page.
+
+        Its scheme is that of the connection. A proxy with TLS on this machine serves names of
+        ``serve.hosts`` over https.
+        """
+        tls = scope["scheme"] in ("https", "wss")
+        proxied = is_loopback(scope["client"][0]) and name_of(host) in self.config.hosts
+        schemes = ("https",) if tls else ("http", "https") if proxied else ("http",)
+        return origin in (f"{scheme}://{host}" for scheme in schemes)
 
 
 def _body_bytes(scope: Scope) -> int | None:
@@ -262,6 +284,7 @@ class HttpServer:
             http=partial(HttpConnection, connections),  # type: ignore[arg-type]
             timeout_graceful_shutdown=1,
             timeout_keep_alive=idle_s,
+            proxy_headers=False,  # a client could write the address of another one into them
             backlog=_ACCEPTED_AT_ONCE,
             **{"ws": "none"} | settings,
         )

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import asdict
 from datetime import date
 from functools import cache
-from ipaddress import ip_address
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
@@ -31,13 +30,21 @@ from cell.errors import (
     CellStateError,
     ConfigError,
     HeldByClient,
+    ModelError,
     NotInCommand,
+    PlanRefused,
     RequestRefused,
 )
 from cell.fault_catalogue import CATALOGUE, Refusal
 from cell.installation import extra
-from cell.interfaces.access import read_secret, same_secret, view_token
-from cell.interfaces.http_server import REQUEST_BYTES, HttpServer, Scope, refusal_values
+from cell.interfaces.access import is_loopback, read_secret, same_secret, view_token
+from cell.interfaces.http_server import (
+    REMEDIES,
+    REQUEST_BYTES,
+    HttpServer,
+    Scope,
+    refusal_values,
+)
 from cell.interfaces.live_socket import LiveFeed, LiveMessage
 from cell.interfaces.page import mount_page
 from cell.interfaces.page_address import page_address, qr_code, view_note
@@ -56,8 +63,12 @@ _STATUS = {
     HeldByClient: 409,
     RequestRefused: 422,
     ConfigError: 422,
+    PlanRefused: 422,
+    ModelError: 422,
 }
 """HTTP status of refusals; 500 for all other errors."""
+_CAUSES = {401: "token", 404: "path", 405: "method"}
+"""Causes of `REMEDIES` for refusals of the framework, by status."""
 _ERRORS = (CellError, GripperError, TactileError, OSError)
 """Expected errors of the cell."""
 LONGEST_STL = 10_000_100
@@ -126,9 +137,7 @@ class StartBody(JobBody):
 class CommandBody(JobBody):
     """A command; ``release`` needs its key, 20304; ``reboot`` restarts servos with a fault."""
 
-    command: Literal[
-        Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN, "forget_drift"
-    ]
+    command: Literal["release", "clear", "reset", "shutdown", "forget_drift"]
     key: int = 0
     reboot: bool = False
 
@@ -191,6 +200,14 @@ def state_moment(service: Service) -> LiveMessage:
     return LiveMessage(json.dumps(state, allow_nan=False), frame, tuple(state["shift"]["answers"]))
 
 
+class NotThere(RequestRefused):
+    """What a path names does not exist: status 404."""
+
+    def __init__(self, text: str, cause: str) -> None:
+        super().__init__(text)
+        self.remedy = REMEDIES[cause]
+
+
 class WebInterface(HttpServer):
     """The cell behind HTTP and WebSocket, below ``/api``: token, lease, live state, page.
 
@@ -242,7 +259,6 @@ class WebInterface(HttpServer):
             ("/taught", "GET", self.taught),
             ("/taught/{label:path}/photo", "GET", self.photo),
             ("/taught/{label:path}/photo", "PUT", self.put_photo),
-            ("/taught/{label:path}/last", "DELETE", self.take_back),
             ("/taught/{label:path}", "DELETE", self.forget),
             ("/jobs", "POST", self.start),
             ("/commands", "POST", self.command),
@@ -318,7 +334,7 @@ class WebInterface(HttpServer):
 
     def acquire(self, body: AcquireBody, request: Request) -> dict[str, int]:
         """Acquire the lease for commands."""
-        if body.take and not _is_here(request):
+        if body.take and not (request.client and is_loopback(request.client.host)):
             raise NotInCommand("only a client on this machine can take the lease from another")
         return {"lease": self._service.lease.acquire(body.name, take=body.take)}
 
@@ -420,7 +436,7 @@ class WebInterface(HttpServer):
         """
         part = self._service.shift.part(number)
         if part is None or part.curves is None:
-            raise HTTPException(404, f"grasp {number} is not stored; see the numbers in /api/state")
+            raise NotThere(f"grasp {number} is not stored", "grasp")
         return part.curves
 
     def jobs(self) -> list[dict[str, Any]]:
@@ -432,26 +448,25 @@ class WebInterface(HttpServer):
         try:
             found: dict[str, Any] = plain_data(self._service.job(number))
         except RequestRefused as error:
-            raise HTTPException(404, str(error)) from error
+            raise NotThere(str(error), "job") from error
         return found
 
     def taught(self) -> list[dict[str, Any]]:
         """List the taught objects: stored grasps, shape and size in mm, address of the photo."""
         return [taught_values(one) for one in self._service.taught()]
 
-    def forget(self, label: str, lease: int) -> dict[str, int]:
-        """Start to delete a taught object; it is deleted when the job has succeeded."""
-        return {"job": self._service.forget(lease, label)}
+    def forget(self, label: str, lease: int, last: bool = False) -> dict[str, int]:
+        """Start to delete a taught object, or with ``last=true`` its newest grasp.
 
-    def take_back(self, label: str, lease: int) -> dict[str, int]:
-        """Start to remove the newest grasp of a taught object."""
-        return {"job": self._service.forget(lease, label, last=True)}
+        It is deleted when the job has succeeded.
+        """
+        return {"job": self._service.forget(lease, label, last=last)}
 
     def photo(self, label: str) -> Response:
         """Return the photo of a taught object."""
         found = self._service.photos.get(label)
         if found is None:
-            raise HTTPException(404, f"{label!r:.80} has no photo")
+            raise NotThere(f"{label!r:.80} has no photo", "photo")
         photo, kind = found
         headers = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}
         return Response(photo, media_type=kind, headers=headers)
@@ -475,8 +490,9 @@ class WebInterface(HttpServer):
         """
         if body.command == "forget_drift":
             return {"job": self._service.forget_drift(body.lease, number=body.job)}
+        command = Command(body.command)
         number = self._service.command(
-            body.lease, body.command, key=body.key, reboot=body.reboot, number=body.job
+            body.lease, command, key=body.key, reboot=body.reboot, number=body.job
         )
         return {"job": number}
 
@@ -529,11 +545,6 @@ class WebInterface(HttpServer):
         return {"state": self._service.status().state, "held_by": self._service.held_by}
 
 
-def _is_here(request: Request) -> bool:
-    """Whether a request comes from this machine."""
-    return request.client is not None and ip_address(request.client.host).is_loopback
-
-
 def _token_of(message: str) -> str:
     """Return the token in the first message of a WebSocket; empty without a token."""
     try:
@@ -546,15 +557,17 @@ def _token_of(message: str) -> str:
 def _refused(_request: Request, error: Exception) -> JSONResponse:
     """Return a refusal in the common form: number, text, remedy."""
     match error:
+        case NotThere():
+            return JSONResponse(refusal_values(str(error), error.remedy), 404)
         case StarletteHTTPException():
-            return JSONResponse(
-                refusal_values(error.status_code, str(error.detail)), error.status_code
-            )
+            cause = _CAUSES.get(error.status_code)
+            remedy = CATALOGUE[RequestRefused].remedy if cause is None else REMEDIES[cause]
+            return JSONResponse(refusal_values(str(error.detail), remedy), error.status_code)
         case RequestValidationError():
             complaints = "; ".join(
                 f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()
             )
-            return JSONResponse(refusal_values(422, complaints), 422)
+            return JSONResponse(refusal_values(complaints, CATALOGUE[RequestRefused].remedy), 422)
     status = next((code for kind, code in _STATUS.items() if isinstance(error, kind)), 500)
     refusal = Refusal.of(error)
     shown = {"fault_number": refusal.number, "error": refusal.text, "remedy": refusal.remedy}

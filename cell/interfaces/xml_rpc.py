@@ -16,7 +16,7 @@ from cell.service.service import Service
 
 _PATHS = ("/", "/RPC2")
 """Paths of the calls."""
-_REMEDY = f"POST calls to {_PATHS[1]}."
+_REMEDY = f"POST calls to {_PATHS[1]}, as text/xml in UTF-8, without compression and DOCTYPE."
 """Remedy for a request that is not a call."""
 _IDLE_S = 60
 """Silence in s after which a connection is closed; robots reconnect by themselves."""
@@ -42,12 +42,14 @@ class _Dispatcher(SimpleXMLRPCDispatcher):
         elif scope["method"] != "POST":
             await refuse(send, 405, f"{scope['method']} is not a call", _REMEDY)
         elif fields.get(b"content-type", "").partition(";")[0].strip() != "text/xml":
-            await refuse(send, 403, "the Content-Type must be text/xml")
-        elif fields.get(b"content-encoding", "identity") != "identity" or b"<!" in body:
-            await refuse(send, 501, "compression and document types are not supported")
+            await refuse(send, 403, "the Content-Type is not text/xml", _REMEDY)
+        elif (coding := fields.get(b"content-encoding", "identity")) != "identity":
+            await refuse(send, 501, f"Content-Encoding {coding!r:.40} is not supported", _REMEDY)
+        elif (call := _decoded(body)) is None:
+            await refuse(send, 501, "the call is not in UTF-8, or has a DOCTYPE", _REMEDY)
         else:
             CLIENT.set(scope["client"][0])
-            found = await asyncio.to_thread(self._marshaled_dispatch, body)
+            found = await asyncio.to_thread(self._marshaled_dispatch, call)
             await send_answer(send, 200, cast("bytes", found), "text/xml")
 
     def system_methodSignature(self, method_name: str) -> Any:  # noqa: N802  name of the base class
@@ -57,6 +59,19 @@ class _Dispatcher(SimpleXMLRPCDispatcher):
         found = inspect.signature(self.funcs[method_name])
         taken = (one.annotation for one in found.parameters.values())
         return [[_TYPES.get(one, "struct") for one in (found.return_annotation, *taken)]]
+
+
+def _decoded(body: bytes) -> str | None:
+    """Return a call as text; None in another encoding or with a document type.
+
+    The parser takes a text as UTF-8, whatever encoding its first line names; only null bytes would
+    make it UTF-16.
+    """
+    try:
+        call = body.decode()
+    except UnicodeDecodeError:
+        return None
+    return None if "<!" in call or "\0" in call else call
 
 
 class XmlRpcInterface(HttpServer):

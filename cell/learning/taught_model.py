@@ -10,7 +10,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.records import GraspRecord, pad_array
 from cell.data.dataset import read_dataset, write_dataset
-from cell.errors import CellError, CellStateError, TrainingSetMissing
+from cell.errors import CellError, CellStateError, RequestRefused, TrainingSetMissing
 from cell.learning.model import LoadedModel, check_pads, load_model, save_model
 from cell.learning.pad_knowledge import PadKnowledge
 from cell.learning.taught_shapes import TaughtShapes
@@ -172,14 +172,14 @@ class TaughtModel:
     def forget(self, label: str, *, last: bool = False) -> None:
         """Forget an object, or with ``last`` only its newest grasp, and train without it.
 
-        Raises CellStateError if it was not taught, or its grasps are not available. Raises
-        CellError if too few grasps would remain; nothing is forgotten then.
+        Raises RequestRefused if it was not taught, and TrainingSetMissing if its grasps are not
+        available. Raises CellError if too few grasps would remain; nothing is forgotten then.
         """
         self.check_extendable()
         before = self.training_set
         taught = [index for index, grasp in enumerate(before) if grasp.label == label]
         if not taught:
-            raise CellStateError(f"{label!r} is not taught; {', '.join(self.labels) or 'nothing'}")
+            raise RequestRefused(f"{label!r} is not taught; {', '.join(self.labels) or 'nothing'}")
         gone = set(taught[-1:] if last else taught)
         self.training_set = tuple(g for index, g in enumerate(before) if index not in gone)
         if not self.training_set:

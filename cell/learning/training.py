@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 from cell.config.model import CellConfig
-from cell.errors import CellError, CellStateError, ModelError, TooFewGrasps, raised_as
+from cell.errors import CellError, ModelError, RequestRefused, TooFewGrasps, raised_as
 from cell.installation import extra
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import Arrays, LoadedModel, made_up_grasp, rehearse
@@ -54,7 +54,7 @@ def may_end_early(recognizer: Recognizer) -> bool:
 def gaugeable(model: Trained | LoadedModel, *labels: str) -> ForceRampRecognizer:
     """Return the recogniser of a model if it can be gauged with these objects.
 
-    Raises ModelError if it is of another kind, and CellStateError if an object was not taught.
+    Raises ModelError if it is of another kind, and RequestRefused if an object was not taught.
     """
     recognizer = model.recognizer
     if not isinstance(recognizer, ForceRampRecognizer):
@@ -63,7 +63,7 @@ def gaugeable(model: Trained | LoadedModel, *labels: str) -> ForceRampRecognizer
         )
     for label in labels:
         if label not in recognizer.labels:
-            raise CellStateError(
+            raise RequestRefused(
                 f"{label!r:.80} was not taught: gauge with one of {', '.join(recognizer.labels)}"
             )
     return recognizer

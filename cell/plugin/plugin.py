@@ -24,7 +24,6 @@ from cell.control.plan import Pose
 from cell.control.states import CellState, Command, command_effect
 from cell.errors import (
     CellError,
-    CellStateError,
     ConfigError,
     HandLost,
     PartInGrip,
@@ -487,12 +486,14 @@ class TactileCellPlugin:
 
         Raises
         ------
+        RequestRefused
+            If it is not taught.
         CellStateError
-            If it is not taught, its grasps are not available, or the cell is not IDLE.
+            If its grasps are not available, or the cell is not IDLE.
         """
         self._model.check_extendable()
         if label not in self._model.labels:
-            raise CellStateError(f"{label!r:.80} is not taught")
+            raise RequestRefused(f"{label!r:.80} is not taught")
         file = self._file
 
         def work(_report: Report) -> None:

@@ -133,7 +133,7 @@ def input_registers(
     else:
         shown = on_hold or for_display(job.fault_number, job.error)
     words[TEXT_AT:REFUSAL_AT] = _text(shown)
-    words[REFUSAL_AT : REFUSAL_AT + N_LONG_TEXT] = _text(for_display(refusal.number, refusal.text))
+    words[REFUSAL_AT : REFUSAL_AT + N_LONG_TEXT] = _text(refusal.text)
     return words
 
 

@@ -11,7 +11,13 @@ from unittest.mock import Mock
 
 import pytest
 
-from cell.interfaces.access import BUSY_MAX, ConnectionPlaces, is_for_this_machine, may_connect
+from cell.interfaces.access import (
+    BUSY_MAX,
+    ConnectionPlaces,
+    is_for_this_machine,
+    may_connect,
+    same_secret,
+)
 from tests.cell.conftest import small_config
 from tests.waiting import until
 
@@ -169,3 +175,9 @@ def test_requests_name_this_machine(host, may) -> None:
     assert is_for_this_machine([host], "192.0.2.1", config) is may
     assert not is_for_this_machine([host, host], "192.0.2.1", config)
     assert not is_for_this_machine([], "192.0.2.1", config)
+
+
+@pytest.mark.parametrize("given", ["", "\ud800", "a\udfff", "\u00fc" * 16, "\0", "secret "])
+def test_no_other_text_is_the_secret(given: str) -> None:
+    assert not same_secret(given, "secret")
+    assert same_secret("secret", "secret")

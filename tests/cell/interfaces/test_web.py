@@ -16,6 +16,8 @@ from http.client import HTTPConnection, HTTPSConnection
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
+from xmlrpc.client import dumps as xmlrpc_dumps
 
 import numpy as np
 import pytest
@@ -23,6 +25,7 @@ from websockets.asyncio.client import connect as open_in_one_thread
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
+from cell.errors import ModelError, PlanRefused
 from cell.interfaces.access import BUSY_MAX
 from cell.interfaces.http_server import HttpConnection
 from cell.interfaces.opening import open_interfaces
@@ -91,17 +94,56 @@ def test_refusals_have_a_status_and_a_fault_number(served, host) -> None:
         ("/api/commands", {"lease": lease, "command": "reset", "force": 1}),
     ):
         check_refusal(*host.ask("POST", path, body), status=422)
-    for way, path, status in (
-        ("GET", "/api/jobs/3", 404),
-        ("GET", "/api/nothing", 404),
-        ("DELETE", "/api/jobs/3", 405),
-        ("POST", "/api/hold?latch=perhaps", 422),
+    for way, path, status, remedy in (
+        ("GET", "/api/jobs/3", 404, "numbers in GET /api/jobs"),
+        ("GET", "/api/grasps/3", 404, "`shift.answers`"),
+        ("GET", "/api/taught/ball/photo", 404, "with PUT"),
+        ("GET", "/api/nothing", 404, "paths in /openapi.json"),
+        ("DELETE", "/api/jobs/3", 405, "methods of each path"),
+        ("POST", "/api/hold?latch=perhaps", 422, "Correct the request."),
     ):
-        check_refusal(*host.ask(way, path), status=status)
-    check_refusal(*host.ask("GET", "/api/state", token="wrong"), status=401)
-    check_refusal(*host.ask("POST", "/api/hold", {"x": "y" * 70_000}), status=413)
-    check_refusal(*host.ask("POST", "/api/hold", Origin="http://evil.example"), status=403)
+        check_refusal(*(found := host.ask(way, path)), status=status)
+        assert remedy in found[1]["remedy"], path
+    for more, status, remedy in (
+        ({"token": "wrong"}, 401, "Send the token"),
+        ({"token": None}, 401, "Send the token"),
+        ({"body": {"x": "y" * 70_000}}, 413, "smaller"),
+        ({"Transfer-Encoding": "chunked"}, 413, "Content-Length"),
+        ({"Origin": "http://evil.example"}, 403, "from a page of this cell"),
+        ({"Host": "evil.example"}, 403, "`serve.hosts`"),
+    ):
+        check_refusal(*(found := host.ask("POST", "/api/lease", **more)), status=status)
+        assert remedy in found[1]["remedy"], more
     assert served.service.job().number == 0
+
+
+def test_what_the_config_does_not_allow_is_no_defect_of_the_cell(served, host) -> None:
+    lease = host.post("/api/lease", name="host")["lease"]
+    for error, status in ((PlanRefused("self_zero is never"), 422), (ModelError("other"), 422)):
+        served.plugin.start = raising(error)
+        found = host.ask("POST", "/api/jobs", {"lease": lease, "goal": {"task": "zero"}})
+        check_refusal(*found, status=status)
+
+
+def test_an_unknown_command_is_refused_with_the_names_of_all(served, host) -> None:
+    lease = host.post("/api/lease", name="host")["lease"]
+    for body in ({"command": "grasp"}, {"command": "RELEASE", "key": RELEASE_KEY}):
+        _, found = host.ask("POST", "/api/commands", {"lease": lease} | body)
+        assert "'release', 'clear', 'reset', 'shutdown' or 'forget_drift'" in found["error"]
+        assert "<" not in found["error"]
+
+
+def test_a_label_that_looks_like_a_path_is_a_label(served, host) -> None:
+    for label in ("ball/last", "ball/photo", "ball", "a?b#c%2F"):
+        served.plugin.objects[label] = {"n_grasps": 5, "shape": "sphere", "size_mm": 9.5}
+    lease = host.post("/api/lease", name="host")["lease"]
+    for label in ("ball/last", "ball/photo", "a?b#c%2F"):
+        at = f"/api/taught/{quote(label, safe='')}"
+        assert host.ask("DELETE", f"{at}?lease={lease}&last=true")[0] == 200
+        assert (served.plugin.objects[label]["n_grasps"], label) == (4, label)
+        assert host.ask("DELETE", f"{at}?lease={lease}")[0] == 200
+        assert label not in served.plugin.objects
+    assert served.plugin.objects["ball"]["n_grasps"] == 5
 
 
 def check_refusal(found: int, answer: Any, *, status: int) -> None:
@@ -259,7 +301,7 @@ def test_taught_objects_are_listed_shown_and_forgotten(served, host) -> None:
     assert (first["photo"], first["label_id"], first["n_grasps"]) == (at, 1, 5)
     status, found, kind = host.send("GET", at)
     assert (status, found, kind) == (200, photo, "image/jpeg")
-    assert host.ask("DELETE", f"/api/taught/ball/last?lease={lease}") == (200, {"job": 1})
+    assert host.ask("DELETE", f"/api/taught/ball?lease={lease}&last=true") == (200, {"job": 1})
     assert served.plugin.asked[-1] == ("forget", True)
     check_refusal(*host.ask("DELETE", "/api/taught/ball"), status=422)
     assert host.ask("DELETE", f"/api/taught/ball?lease={lease}") == (200, {"job": 2})
@@ -403,7 +445,7 @@ def test_a_cell_with_real_ports_has_no_faults_on_request(connect) -> None:
 def test_all_but_hold_and_health_needs_the_token(served, host) -> None:
     paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
     guarded = [(path, method) for path, ways in paths.items() for method in ways]
-    assert len(guarded) == 29
+    assert len(guarded) == 28
     for path, method in guarded:
         if path in ("/api/hold", "/healthz"):
             continue
@@ -497,9 +539,58 @@ def test_a_page_from_elsewhere_is_refused(host) -> None:
         assert json.loads(link.recv(timeout=20))["status"]["state"] == "IDLE"
     with pytest.raises(InvalidStatus, match="403"), host.live(origin="http://evil.example"):
         pass
+    # Another scheme is another origin.
+    for scheme in ("https", "file", "ws", "chrome-extension"):
+        other = f"{scheme}://127.0.0.1:{host.port}"
+        assert host.ask("POST", "/api/hold", {}, Origin=other)[0] == 403
+        with pytest.raises(InvalidStatus, match="403"), host.live(origin=other):
+            pass
     host.token = "wrong"
     with pytest.raises(InvalidStatus, match="403"), host.live():
         pass
+
+
+def test_a_proxy_with_tls_serves_names_of_the_config(connect) -> None:
+    _, host = connect(serve__hosts=["cell.lan"])
+    for name, origin, status in (
+        ("cell.lan", "https://cell.lan", 200),
+        ("cell.lan:8443", "https://cell.lan:8443", 200),
+        ("cell.lan", "file://cell.lan", 403),
+        ("cell.lan", "https://cell.lan:8443", 403),
+        ("localhost", "https://localhost", 403),
+    ):
+        assert host.ask("POST", "/api/hold", {}, Host=name, Origin=origin)[0] == status, origin
+
+
+FORGED = {
+    "X-Forwarded-For": "127.0.0.7",
+    "X-Forwarded-Proto": "https",
+    "Forwarded": "for=127.0.0.7;proto=https",
+    "X-Real-IP": "127.0.0.7",
+}
+"""What a proxy adds to a request, or a client that wants to be another one."""
+
+
+def test_a_client_that_names_another_address_stays_itself(serve) -> None:
+    served = serve("http", "xmlrpc")
+    host = Client(served.interfaces)
+    served.service.begin_stop("HTTP 127.0.0.7 gate", "HTTP 127.0.0.7 gate")
+    served.service.begin_stop("XML-RPC 127.0.0.7", "XML-RPC 127.0.0.7")
+    both = served.service.held_by
+    assert host.ask("POST", "/api/hold?latch=false&name=gate", token=None, **FORGED)[0] == 200
+    link = HTTPConnection("127.0.0.1", served.interfaces["xmlrpc_port"], timeout=20.0)
+    kind = {"Content-Type": "text/xml"}
+    link.request("POST", "/RPC2", xmlrpc_dumps((0,), "hold"), FORGED | kind)
+    assert link.getresponse().status == 200
+    link.close()
+    assert served.service.held_by == both
+
+
+def test_connections_through_a_proxy_stay(connect) -> None:
+    _, host = connect(serve__request_timeout_s=0.3)
+    with host.live(additional_headers=FORGED) as live:
+        for _ in range(20):
+            live.recv(timeout=20)
 
 
 def test_a_page_whose_name_leads_here_is_refused_everywhere(connect) -> None:
@@ -592,7 +683,7 @@ def test_the_token_comes_as_subprotocol_or_first_message(host) -> None:
         assert shown(link)
     with pytest.raises(InvalidStatus, match="403"):
         open_socket(at, subprotocols=["tactile-cell", "token.wrong"])
-    for first in ("{}", "no json", '{"token": 1}', '{"token": "wrong"}'):
+    for first in ("{}", "no json", '{"token": 1}', '{"token": "wrong"}', '{"token": "\\ud800"}'):
         with open_socket(at) as link:
             link.send(first)
             with pytest.raises(ConnectionClosed):

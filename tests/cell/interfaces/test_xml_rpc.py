@@ -21,6 +21,7 @@ from cell.service.service import RELEASE_KEY
 from gripper.errors import PartSlipped
 from tests.cell.interfaces.ur_script import Robot
 from tests.cell.served import Served
+from tests.values import raising
 from tests.waiting import until
 
 
@@ -73,11 +74,16 @@ def test_no_method_raises_whatever_it_is_given(connect) -> None:
     kind = {"Content-Type": "Text/XML; charset=utf-8"}
     assert loads(post(served, state, "[::1]:5021", **kind)[1])[0] == (4,)
     assert cell.identify(1, 1, 1.0, True) == -514
-    assert cell.identify(1, 1) == -501
+    for wrong in ((1, 1), ("x", 1, 1.0, True), (1, {}, 1.0, True)):
+        assert cell.identify(*wrong) == -501
+    assert cell.hold("x") == -501
+    assert cell.last_refusal().startswith("501: latch is 'x'; write a number")
     assert cell.job_state(7) == -513
     assert (cell.label(7), cell.probability(7)) == ("", -513.0)
     with pytest.raises(Fault, match="not supported"):
         cell.nothing()
+    served.service.lease.alive = raising(TypeError("a defect"))
+    assert cell.alive(1) == -599
 
 
 def test_the_last_refusal_of_each_address_says_why(connect, taught, tmp_path) -> None:
@@ -276,14 +282,23 @@ def test_who_commands_names_the_secret_where_there_is_one(connect, tmp_path) -> 
 # -- bad input ---------------------------------------------------------------------------------
 
 
+DOCTYPE = "<!DOCTYPE a [<!ENTITY b 'b'>]><methodCall><methodName>state</methodName></methodCall>"
+ENCODINGS = ("utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-8-sig")
+TYPED = '<?xml version="1.0" encoding="{}"?>' + DOCTYPE
+
+
 @pytest.mark.parametrize(
     ("body", "headers", "status"),
     [
-        (b"<!DOCTYPE a [<!ENTITY b 'b'>]><methodCall/>", {}, 501),
+        (DOCTYPE.encode(), {}, 501),
+        *((TYPED.format(one).encode(one), {}, 501) for one in ENCODINGS),
+        (b"\0" * 50, {}, 501),
+        (b'<?xml version="1.0" encoding="cp037"?>' + DOCTYPE.encode("cp037"), {}, 501),
+        (dumps(("ü",), "acquire").encode("latin-1"), {}, 501),
         (gzip.compress(dumps((), "state").encode(), mtime=0), {"Content-Encoding": "gzip"}, 501),
         (b"x", {"Content-Length": str(REQUEST_BYTES + 1)}, 413),
         (b"", {"Transfer-Encoding": "chunked"}, 413),
-        *((body, {}, 200) for body in (b"", b"<", b"<methodCall>", b"\0" * 50, b"{}")),
+        *((body, {}, 200) for body in (b"", b"<", b"<methodCall>", b"{}")),
     ],
 )
 def test_what_is_no_call_or_could_grow_is_refused(connect, body, headers, status) -> None:

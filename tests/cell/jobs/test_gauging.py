@@ -11,7 +11,7 @@ import pytest
 
 from cell.config.file import changed_config, config_text
 from cell.data.dataset import read_dataset, write_dataset
-from cell.errors import CellError, CellStateError, ConfigError, ModelError
+from cell.errors import CellError, ConfigError, ModelError, RequestRefused
 from cell.jobs.calibrate import calibrate_model
 from cell.jobs.common import silent
 from cell.jobs.evaluate import evaluate_recognizers
@@ -85,7 +85,7 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
     assert told[-1]["gauged"]["before"] == shown
     assert again.gain == pytest.approx(1.0, rel=0.1)
     assert again.aperture_offset_m > found.aperture_offset_m
-    with pytest.raises(CellStateError, match="'nut' was not taught: gauge with one of ball, box"):
+    with pytest.raises(RequestRefused, match="'nut' was not taught: gauge with one of ball, box"):
         model.check_gauge("nut")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.errors import CellError, CellStateError
+from cell.errors import CellError, RequestRefused
 from cell.learning.taught_model import TaughtModel
 from cell.learning.teaching_summary import ToldApart, told_apart
 from cell.plugin.tasks import ModelFile
@@ -45,7 +45,7 @@ def test_the_newest_grasp_is_taken_back_and_an_object_forgotten(model, tmp_path)
     file.forget("box", last=False, forgotten=lambda: gone.append("box"))
     assert (model.labels, gone, model.revision) == (("ball",), ["box"], revision + 2)
     assert TaughtModel.load(model.config, path).labels == ("ball",)
-    with pytest.raises(CellStateError, match="'box' is not taught; ball"):
+    with pytest.raises(RequestRefused, match="'box' is not taught; ball"):
         model.forget("box")
     file.forget("ball", last=False, forgotten=lambda: None)
     assert model.labels == ()

@@ -132,8 +132,8 @@ export function renderTeach(view) {
       forget.setAttribute("aria-label", t("teach.forget_of", { label: one.label }));
       for (const button of [back, forget]) button.setAttribute("aria-disabled", String(off));
       const path = `api/taught/${encodeURIComponent(one.label)}`;
-      const away = (at) => view.attempt(() => view.link.call("DELETE", `${at}?lease=${view.link.lease}`, { timeout_ms: 20_000 })).then(view.refreshTaught);
-      back.addEventListener("click", () => isAllowed(back) && view.ask(t("teach.back_sure", { label: one.label }), t("teach.back"), () => away(`${path}/last`)));
+      const away = (at, last = "") => view.attempt(() => view.link.call("DELETE", `${at}?lease=${view.link.lease}${last}`, { timeout_ms: 20_000 })).then(view.refreshTaught);
+      back.addEventListener("click", () => isAllowed(back) && view.ask(t("teach.back_sure", { label: one.label }), t("teach.back"), () => away(path, "&last=true")));
       forget.addEventListener("click", () => isAllowed(forget) && view.ask(t("teach.forget_sure", { label: one.label, n: one.n_grasps ?? 0 }), t("teach.forget"), () => away(path)));
       const facts = [one.n_grasps == null ? "" : t("shift.grasps", { n: one.n_grasps }), one.shape && one.size_mm ? shapeWord(one.shape, one.size_mm) : ""];
       return make("li", {}, image, make("span", {}, make("b", {}, one.label), make("small", {}, facts.filter(Boolean).join(" · "))), back, forget);

@@ -212,23 +212,26 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(connect, monkey
     _, second = connect(served)
     assert plc.refusal() == (0, "")
     assert plc.write(COMMAND, GRIP) == 6
-    acquire = "Acquire the lease and send life signs. "
-    assert plc.refusal() == (514, f"{acquire}change register 0, the li")
+    assert plc.refusal() == (514, "change register 0, the life counter, to get the lease")
     plc.adopt()
     assert second.write(LIFE, 5) == 6
-    assert second.refusal() == (514, f"{acquire}Modbus 127.0.0.1 is in co")
+    assert second.refusal() == (514, "Modbus 127.0.0.1 is in command; wait until it ends")
     text = "name the data set that trained the model when it is loaded, or begin without one"
     with monkeypatch.context() as alone:
         alone.setattr(served.plugin, "start", raising(TrainingSetMissing(text)))
         assert plc.command(TEACH, 1) == 517
-    assert plc.refusal() == (
-        517,
-        "Start serve with --training-set, or teach without --model. name the data set"[:64],
-    )
+    assert plc.refusal() == (517, text[:64])
+    for number, refusal, cause in (
+        (VERIFY, 505, "the cell is IDLE; allowed: "),
+        (RELEASE, 513, "release: 0x0 is not the key; "),
+        (99, 513, "command 99 is not one of ["),
+        (TEACH, 513, "object 0 has no label; serve.objects names it"),
+    ):
+        assert plc.command(number) == refusal
+        assert plc.refusal()[1].startswith(cause)
+    assert plc.command(GRIP, 0, 60000) == 501
+    assert plc.refusal()[1] == "goal grip: force_n: Input should be less than or equal to 50"
     assert plc.command(VERIFY) == 505
-    assert (
-        plc.refusal()[1] == "Give another command first, or wait for the job's end. the cell i"[:64]
-    )
     assert plc.command(GRIP, 0, 300) == 0
     served.ended()
     assert plc.refusal()[0] == 505  # until the next one
