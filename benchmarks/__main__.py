@@ -1,14 +1,16 @@
-"""Run every benchmark, or those named: python -m benchmarks [NAME ...]. `make soak` is apart."""
+"""Run every benchmark, or those named: python -m benchmarks [NAME ...]."""
 
 import importlib
 import sys
 
 BENCHMARKS = {
-    "performance": ("archive", "force_cap", "force_ramps", "identify", "touch"),
+    "performance": ("archive", "force_cap", "force_ramps", "identify", "soak", "touch"),
     "recognition": ("many_objects", "other_cell", "sensors", "shape_size"),
     "paper": ("reproduction",),
 }
 """Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""
+ALONE = ("soak",)
+"""Benchmarks that take hours: they run when they are named."""
 
 
 def modules() -> dict[str, str]:
@@ -22,7 +24,7 @@ def modules() -> dict[str, str]:
 
 def main() -> None:
     known = modules()
-    for name in sys.argv[1:] or known:
+    for name in sys.argv[1:] or [one for one in known if one not in ALONE]:
         if name not in known:
             sys.exit(f"no benchmark is named {name!r}; there are {', '.join(known)}")
         print(f"== {name}", flush=True)

@@ -1,222 +1,271 @@
-"""Ten thousand grasps in virtual time, in which memory stays flat and files and threads stay few.
+"""Long runs in virtual time, in which memory stays flat and files and threads stay few.
 
-    python -m benchmarks.performance.soak [--grasps N] [--report OUT.json]        (make soak)
+    python -m benchmarks.performance.soak [--grasps N] [--connects N] [--hours H] [--starts N]
 
-Two kinds of work alternate in one process, because they can leak in different ways. One cell is
-built once and grasps all the time. In each shift a new cell records, teaches, identifies, is
-cancelled in mid-grasp, latches a fault, is cleared, reset and closed. After each block memory,
-files and threads are measured. The first fifth of the blocks is left out: interpreter, allocator
-and recogniser fill their caches then.
+`make soak` runs all four, each in a process of its own:
+
+- grasps of one cell;
+- connections to each interface of a service that holds a part. Most clients connect and go; some
+  send half a request first, some a whole one and read its answer;
+- hours of a shift, one sorted part for each 30 s, while a client of another process reads the
+  stream and connects again and again;
+- starts of the service in one folder. In each it sorts parts, and a person clears a fault.
+
+Prints how memory, objects, files and threads grew, and ends with an error where they grow faster
+than allowed. The first fifth of the samples is left out: caches fill then.
 """
 
 import argparse
 import gc
 import os
-import sys
+import socket
 import tempfile
-import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, suppress
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
+from xmlrpc.client import dumps
 
-import numpy as np
+from scipy.stats import theilslopes
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
 
 from benchmarks._measure import line
-from cell.build import Cell, build_cell
+from cell.build import build_cell
+from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.control.plan import plan
-from cell.control.states import CellState
-from cell.errors import CellStopped
+from cell.control.states import Command
+from cell.interfaces.opening import open_interfaces
 from cell.jobs.collection import grasps_of
-from cell.learning.training import train
-from gripper.values.state import GripperPhase
-from recognition.recognizer import Recognizer
-from tactile.errors import LinkFault
+from cell.service.opening import open_service
+from cell.service.service import RELEASE_KEY, JobView, Service
 
-BLOCK = 20
-"""Grasps of one block: half of them by the long-lived cell, half by a shift of its own."""
-WARM_UP = 0.2
-"""Share of the blocks that is left out of the slopes."""
-LIMITS = {"rss_kib": 1.0, "objects": 0.5, "descriptors": 0.001, "threads": 0.001}
-"""Growth allowed for each grasp."""
-_PAGE_KIB = os.sysconf("SC_PAGE_SIZE") // 1024
+USUAL: dict[str, float] = {"grasps": 10_000, "connects": 10_000, "hours": 8.0, "starts": 42}
+LIMITS = {
+    "grasps": {"rss_kib": 1.0, "objects": 0.5, "descriptors": 0.001, "threads": 0.001},
+    "connects": {"rss_kib": 0.1, "objects": 0.01, "descriptors": 0.001, "threads": 0.001},
+    "hours": {"rss_kib": 2.0, "objects": 0.5, "descriptors": 0.001, "threads": 0.001},
+    "starts": {"rss_kib": 200.0, "objects": 100.0, "descriptors": 0.005, "threads": 0.005},
+}
+"""Growth allowed for each grasp, connection to all interfaces, part of a shift, and start."""
+REST_S = 6.0
+"""Time in s before a look: uvicorn keeps the timer of a connection that has ended for 5 s."""
+_SAMPLES, _WARM_UP = 24, 0.2
+"""Looks at the process, and the share of them that is left out."""
+_PART_S, _PARTS, _TAUGHT = 30.0, 10, 6
+"""Time in s for each part of a shift, parts of each start, and grasps that teach an object."""
+_PATIENCE_S, _JOB_S, _VISIT_S = 20.0, 120.0, 5.0
+"""Longest wait in s for an interface and for a job, and for how long a client reads the stream."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ResourceUse:
-    """Resources of the process after a number of grasps or connections."""
-
-    done: int
-    """How many."""
-    virtual_s: float
-    """Time that has passed in the simulated cells, in s."""
-    rss_kib: int
-    """Resident memory in KiB."""
-    objects: int
-    """Objects that the garbage collector keeps track of, after a collection."""
-    descriptors: int
-    threads: int
-    """Open file descriptors and threads of the process."""
+ResourceUse = Mapping[str, float]
+"""How much was ``done``, and what the process uses then, by the names in `LIMITS`."""
 
 
-def look(done: int, virtual_s: float) -> ResourceUse:
+def look(done: int) -> ResourceUse:
     """Collect garbage and measure this process."""
     gc.collect()
-    resident = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return ResourceUse(
-        done=done,
-        virtual_s=virtual_s,
-        rss_kib=resident * _PAGE_KIB,
-        objects=len(gc.get_objects()),
-        descriptors=len(os.listdir("/proc/self/fd")),
-        threads=len(os.listdir("/proc/self/task")),
-    )
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return {
+        "done": done,
+        "rss_kib": pages * os.sysconf("SC_PAGE_SIZE") / 1024,
+        "objects": len(gc.get_objects()),
+        "descriptors": len(os.listdir("/proc/self/fd")),
+        "threads": len(os.listdir("/proc/self/task")),
+    }
 
 
-def _cell(config: CellConfig, folder: Path | None = None) -> Cell:
-    cell = build_cell(config, folder=folder)
-    cell.controller.start()
-    return cell
+def judge(samples: Sequence[ResourceUse], limits: Mapping[str, float]) -> list[str]:
+    """Print what grew after the warm-up; return what grows faster than its limit.
+
+    The slope is the median over all pairs (Theil and Sen), which single steps of the allocator do
+    not change.
+    """
+    kept = samples[int(_WARM_UP * len(samples)) :]
+    bad = []
+    for name, limit in limits.items():
+        values = [sample[name] for sample in kept]
+        slope = float(theilslopes(values, [sample["done"] for sample in kept]).slope)
+        text = f"{name} grow by {slope:.4f} each, allowed are {limit:g}"
+        line("", f"{text}: {values[0]:.0f} to {values[-1]:.0f}, {max(values):.0f} at most")
+        bad += [text] if slope > limit else []
+    return bad
 
 
-def _now_s(cell: Cell) -> float:
-    return cell.simulated.clock.monotonic()
-
-
-def steady(cell: Cell, config: CellConfig, n: int, seed: int) -> int:
-    """Let a cell grasp one object ``n`` times; the number of grasps."""
+def grasps(n: int) -> list[ResourceUse]:
+    """Grasp ``n`` times with one cell."""
+    config, samples = CellConfig(), []
     labels = [entry.label for entry in config.simulator.objects]
-    label = labels[seed % len(labels)]
-    return len(grasps_of(cell.controller, config.sequence, [label], n, seed=seed))
-
-
-def shift(config: CellConfig, recognizer: Recognizer, n: int, seed: int) -> tuple[int, float]:
-    """Let a new cell record, grasp ``n`` times and more, and meet a fault; grasps, virtual s."""
-    with tempfile.TemporaryDirectory() as folder, closing(_cell(config, Path(folder))) as cell:
-        controller, simulated = cell.controller, cell.simulated
-        done = steady(cell, config, n - 2, seed)
-        found = controller.identify(recognizer, plan(config.sequence, 2, seed=seed))
-        done += len(found.records)
-        _cancelled_in(cell, GripperPhase.RAMPING, config, seed)
-        controller.release()
-        simulated.inject("unit.off")
-        try:
-            while True:
-                controller.life.tick()
-                cell.simulated.clock.sleep(0.005)
-        except LinkFault:
-            simulated.injector.clear("unit.off")
-        controller.life.clear()
-        controller.life.reset()
-        controller.start()
-        if controller.life.state is not CellState.IDLE:
-            raise SystemExit(
-                f"the cell is {controller.life.state.value} after clear, reset and start"
-            )
-        return done, _now_s(cell)
-
-
-def _cancelled_in(cell: Cell, phase: GripperPhase, config: CellConfig, seed: int) -> None:
-    """Cancel a grasp in one of its phases; the part stays in the grip."""
-    controller, advances = cell.controller, cell.simulated.clock.on_advance
-
-    def cancel(_now_s: float) -> None:
-        if controller.hand.phase is phase:
-            controller.life.cancel()
-            advances.remove(cancel)
-
-    advances.append(cancel)
-    try:
-        controller.grasp(plan(config.sequence, 1, seed=seed)[0])
-    except CellStopped:
-        return
-    raise SystemExit("a cancelled grasp went on to its end")
-
-
-def soak(n_grasps: int, config: CellConfig | None = None) -> Iterator[ResourceUse]:
-    """Do at least ``n_grasps`` grasps and yield a sample after each block."""
-    config = config or CellConfig()
-    with closing(_cell(config)) as cell:
-        labels = [entry.label for entry in config.simulator.objects]
-        taught = grasps_of(cell.controller, config.sequence, labels, 3)
-        recognizer = train(taught, "shrinkage_lda").recognizer
-        grasps, virtual_s, seed = 0, 0.0, 1000
-        while grasps < n_grasps:
-            seed += 1
-            grasps += steady(cell, config, BLOCK // 2, seed)
-            done, passed_s = shift(config, recognizer, BLOCK // 2, seed)
-            grasps, virtual_s = grasps + done, virtual_s + passed_s
+    with closing(build_cell(config)) as cell:
+        cell.controller.start()
+        block = max(1, n // _SAMPLES)
+        for done in range(block, n + 1, block):
+            one = [labels[done // block % len(labels)]]
+            grasps_of(cell.controller, config.sequence, one, block, seed=1000 + done)
             # The messages of a frame that is on its way now are no leak.
             cell.simulated.can_bus.flush()
-            yield look(grasps, virtual_s + _now_s(cell))
+            samples.append(look(done))
+    return samples
 
 
-def slopes(samples: Sequence[ResourceUse]) -> dict[str, float]:
-    """Return the growth for each grasp after the warm-up: the median slope of all pairs.
-
-    The median (Theil and Sen) does not follow single steps, as an allocator makes them.
-    """
-    kept = samples[int(WARM_UP * len(samples)) :]
-    if len(kept) < 2:
-        raise ValueError(f"{len(samples)} blocks are too few for a slope; let it run longer")
-    # A slope needs no more than some hundred points, and has a pair for each two of them.
-    thinned = kept[:: max(1, len(kept) // 400)]
-    done = np.array([float(sample.done) for sample in thinned])
-    first, second = np.triu_indices(len(thinned), k=1)
-    found = {}
-    for name in LIMITS:
-        values = np.array([float(getattr(sample, name)) for sample in thinned])
-        rises = (values[second] - values[first]) / (done[second] - done[first])
-        found[name] = float(np.median(rises))
-    return found
+def _service(**options: Any) -> Service:
+    ports = {f"serve.{name}_port": 0 for name in ("modbus", "xmlrpc", "http")}
+    config = changed_config(CellConfig(), ports | {"serve.lease_timeout_s": 60.0})
+    return open_service(config, **options)
 
 
-def grown(samples: Sequence[ResourceUse], limits: Mapping[str, float] = LIMITS) -> list[str]:
-    """Return what grows faster than its limit."""
-    return [
-        f"{name} grow by {slope:.4f} each, allowed are {limits[name]:g}"
-        for name, slope in slopes(samples).items()
-        if slope > limits[name]
-    ]
+def _ended(service: Service, lease: int, number: int) -> JobView:
+    end_s = time.monotonic() + _JOB_S
+    while (job := service.job(number)).outcome in ("ACCEPTED", "EXECUTING"):
+        if time.monotonic() > end_s:
+            raise SystemExit(f"{job.task} is not over after {_JOB_S:g} s")
+        service.lease.alive(lease)
+        time.sleep(0.002)
+    return job
 
 
-def show_growth(samples: Sequence[ResourceUse], limits: Mapping[str, float] = LIMITS) -> list[str]:
-    """Print what grew after the warm-up; return what grows faster than its limit."""
-    kept = samples[int(WARM_UP * len(samples)) :]
-    for name, slope in slopes(samples).items():
-        start, end = getattr(kept[0], name), getattr(kept[-1], name)
-        highest = max(getattr(sample, name) for sample in kept)
-        line(
-            f"  {name}",
-            f"{start} after {kept[0].done}, {end} at the end, {highest} at most; {slope:+.5f} "
-            f"each, allowed {limits[name]:g}",
-        )
-    return grown(samples, limits)
+def _run(service: Service, lease: int, **goal: Any) -> JobView:
+    """Run a job to its end. SystemExit where it does not succeed."""
+    job = _ended(service, lease, service.start(lease, goal))
+    if job.outcome != "SUCCEEDED":
+        raise SystemExit(f"{goal}: {job.error}")
+    return job
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.performance.soak", description=__doc__
-    )
-    parser.add_argument("--grasps", type=int, default=10_000)
-    wanted = parser.parse_args(arguments)
-    samples: list[ResourceUse] = []
-    start_s = next_row_s = time.monotonic()
-    for sample in soak(wanted.grasps):
-        samples.append(sample)
-        if time.monotonic() >= next_row_s:
-            line("  so far", str(sample))
-            next_row_s = time.monotonic() + 30.0
-    last, wall_s = samples[-1], time.monotonic() - start_s
-    line("soak", f"{last.done} grasps, {last.virtual_s / 3600:.1f} h of the cell")
-    line("  took", f"{wall_s / 60:.1f} min, {1e3 * wall_s / last.done:.0f} ms a grasp")
-    if len(threading.enumerate()) != 1:
-        sys.exit(f"threads are left: {threading.enumerate()}")
-    if bad := show_growth(samples):
-        sys.exit("; ".join(bad))
+def _teach(service: Service) -> tuple[int, list[str]]:
+    """Teach all objects; return the lease and the labels."""
+    lease = service.lease.acquire("soak")
+    labels = [entry.label for entry in service.config.simulator.objects]
+    for seed, label in enumerate(labels):
+        _run(service, lease, task="teach", label=label, grasps=_TAUGHT, seed=seed)
+    return lease, labels
+
+
+def ask(port: int, request: bytes, *, answer: bool = True) -> bool:
+    """Send a request, or a part of it, to an interface; return whether an answer came."""
+    address = "127.0.0.1", port
+    with suppress(OSError), socket.create_connection(address, timeout=_PATIENCE_S) as link:
+        link.sendall(request)
+        return answer and bool(link.recv(100))
+    return False
+
+
+def connects(n: int) -> list[ResourceUse]:
+    """Connect ``n`` times to each interface of a service that holds a part."""
+    call, samples = dumps((), "state"), []
+    with closing(_service()) as service, open_interfaces(service) as found:
+        head, token = "HTTP/1.1\r\nHost: localhost\r\n", f"Authorization: Bearer {found['token']}"
+        body = f"Content-Type: text/xml\r\nContent-Length: {len(call)}\r\n\r\n{call}"
+        requests = {
+            found["modbus_port"]: bytes.fromhex("000100000006010400000001"),
+            found["xmlrpc_port"]: f"POST /RPC2 {head}{body}".encode(),
+            found["http_port"]: f"GET /api/info {head}{token}\r\n\r\n".encode(),
+        }
+        if not _run(service, service.lease.acquire("soak"), task="grip", force_n=3.0).kept:
+            raise SystemExit("nothing was gripped")
+        # An interface keeps what it makes at its first clients, such as a pool of threads.
+        with ThreadPoolExecutor(16) as clients:
+            list(clients.map(lambda port: ask(port, requests[port]), 64 * list(requests)))
+        for number in range(1, n + 1):
+            for port, request in requests.items():
+                n_bytes = {3: 1 + number % (len(request) - 1), 4: len(request)}.get(number % 5, 0)
+                ask(port, request[:n_bytes], answer=n_bytes == len(request))
+            if number % max(1, n // _SAMPLES) == 0:
+                time.sleep(REST_S)
+                if not all(ask(port, request) for port, request in requests.items()):
+                    raise SystemExit(f"an interface gives no answer after {number} connections")
+                if not service.status().holding:
+                    raise SystemExit(f"the part is not held any more: {service.status()}")
+                samples.append(look(number))
+    return samples
+
+
+def watch(address: str, count: Any) -> None:
+    """Read the stream, connect again after some time, and count messages until it is ended."""
+    while True:
+        end_s = time.monotonic() + _VISIT_S
+        with suppress(OSError, WebSocketException), connect(address, ping_interval=None) as link:
+            while time.monotonic() < end_s:
+                link.recv(_JOB_S)
+                count.value += 1
+
+
+def hours(n: float) -> list[ResourceUse]:
+    """Sort the parts of a shift of ``n`` hours without its pauses, watched by a client."""
+    n_parts, samples, processes = round(3600.0 * n / _PART_S), [], get_context("spawn")
+    with closing(_service()) as service, open_interfaces(service) as found:
+        address = f"ws://127.0.0.1:{found['http_port']}/api/live?token={found['token']}&frames=1"
+        count = processes.Value("q")
+        client = processes.Process(target=watch, args=(address, count), daemon=True)
+        client.start()
+        try:
+            lease, labels = _teach(service)
+            for done in range(1, n_parts + 1):
+                feed = [labels[done % len(labels)]]
+                _run(service, lease, task="sort", parts=1, feed=feed, seed=1000 + done)
+                if done % max(1, n_parts // _SAMPLES) == 0:
+                    samples.append(look(done))
+        finally:
+            client.kill()
+        if not count.value:
+            raise SystemExit("the client got no message")
+    return samples
+
+
+def starts(n: int) -> list[ResourceUse]:
+    """Start the service ``n`` times in one folder; its shift goes on."""
+    samples, now_s = [], time.time()
+    with tempfile.TemporaryDirectory() as name:
+        model = Path(name, "parts.npz")
+        for number in range(n + 1):
+            folder = Path(name, f"{number:05}")
+            folder.mkdir()
+            with_model: dict[str, Any] = {"model" if number else "save": model}
+            with closing(_service(folder=folder, wall_s=lambda: now_s, **with_model)) as service:
+                if not number:
+                    _teach(service)
+                    continue
+                lease = service.lease.acquire("soak")
+                _run(service, lease, task="sort", parts=_PARTS, seed=number)
+                service.simulate_fault("unit.off")
+                goal = {"task": "grip", "force_n": 3.0}
+                if not _ended(service, lease, service.start(lease, goal)).fault_number:
+                    raise SystemExit("a control unit without power was no fault")
+                service.simulate_fault("unit.off", end=True)
+                for command in (Command.CLEAR, Command.RELEASE, Command.RESET):
+                    _ended(service, lease, service.command(lease, command, key=RELEASE_KEY))
+                shift = service.shift.values()
+                if (shift["parts"] + shift["missed"], shift["faults"]) != (_PARTS * number, number):
+                    raise SystemExit(f"the shift lost parts or faults at start {number}: {shift}")
+            samples.append(look(number))
+    return samples
+
+
+WORK: dict[str, Callable[[Any], list[ResourceUse]]] = {
+    "grasps": grasps,
+    "connects": connects,
+    "hours": hours,
+    "starts": starts,
+}
+
+
+def main(effort: float = 1.0, **wanted: float) -> None:
+    """Run what is wanted, by the names in `USUAL`; without, all of it."""
+    bad = []
+    line("compared", "the process in the course of a long run")
+    for what, n in (wanted or {name: effort * n for name, n in USUAL.items()}).items():
+        start_s = time.monotonic()
+        samples = WORK[what](n if what == "hours" else round(n))
+        line(what, f"{samples[-1]['done']:.0f} in {time.monotonic() - start_s:.0f} s")
+        bad += [f"{what}: {text}" for text in judge(samples, LIMITS[what])]
+    if bad:
+        raise SystemExit("; ".join(bad))
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__)
+    for option in USUAL:
+        parser.add_argument(f"--{option}", type=float)
+    main(**{name: n for name, n in vars(parser.parse_args()).items() if n is not None})

@@ -13,12 +13,13 @@ import pytest
 import benchmarks
 from benchmarks import __main__ as command
 from benchmarks._measure import same, share
+from benchmarks.performance import soak
 
 pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to run them
 
 EFFORT = 0.01
 MODULES = command.modules()
-TESTED_ELSEWHERE = {"reproduction"}
+TESTED_ELSEWHERE = {"reproduction", "soak"}
 """`test_paper` prints the study that it has made, which takes longest of all."""
 
 
@@ -32,6 +33,23 @@ def test_it_prints_its_figures(name, capsys, monkeypatch) -> None:
     assert printed.startswith("compared")
     assert len(printed.splitlines()) > 2
     assert "nan" not in printed
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_a_short_soak_leaves_no_file_and_no_thread(capsys, monkeypatch) -> None:
+    kept = {"descriptors": 0.01, "threads": 0.01}
+    monkeypatch.setattr(soak, "LIMITS", dict.fromkeys(soak.LIMITS, kept))
+    monkeypatch.setattr(soak, "REST_S", 0.5)
+    soak.main(grasps=6, connects=40, hours=0.05, starts=2)
+    printed = capsys.readouterr().out
+    assert printed.count("descriptors grow by 0.0000 each") == 4
+
+
+@pytest.mark.parametrize(("leak", "found"), [(0.0, 0), (1.0, 1)])
+def test_a_leak_is_found_and_one_step_of_the_allocator_is_none(leak, found) -> None:
+    samples = [{"done": 20 * i, "objects": 2000 * (i > 9) + 20 * i * leak} for i in range(50)]
+    assert len(soak.judge(samples, {"objects": 0.5})) == found
 
 
 def test_the_command_names_what_there_is(monkeypatch) -> None:
