@@ -36,7 +36,6 @@ from cell.commissioning.unit import restore_unit_values, unit_values
 from cell.config.file import (
     MAX_BYTES,
     config_file_text,
-    converted_text,
     parse_config,
     problem_text,
     text_with_values,
@@ -243,7 +242,7 @@ class OpenBackup:
 def open_backup(path: Path) -> Iterator[OpenBackup]:
     """Read all of a backup and compare it with its checksums.
 
-    Raises CellError if it is damaged, of a later format, or not made by `back_up`: a member with
+    Raises CellError if it is damaged, of another format, or not made by `back_up`: a member with
     another name or compression, or a size beyond that of the file.
     """
     with ExitStack() as opened:
@@ -413,7 +412,7 @@ def _config_for(backup: OpenBackup, place: Path | None) -> tuple[bytes, list[str
         data = stream.read(MAX_BYTES + 1)
     if backup.manifest.undo or not place.exists():
         return data, []
-    text, _ = converted_text(data.decode(), source=name)
+    text = data.decode()
     coming = parse_config(text, source=name)
     try:
         present = parse_config(config_file_text(place), source=str(place))

@@ -8,21 +8,20 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
-from shlex import quote
-from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
-from ruamel.yaml.nodes import CollectionNode, MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from ruamel.yaml.reader import ReaderError
 
 from cell.config.model import CellConfig
 from cell.config.section import Installed, OneOf, sections_in
 from cell.data.files import read_plain
-from cell.data.formats import CONFIG, GONE_KEYS, present_config
+from cell.data.formats import CONFIG
 from cell.errors import ConfigError, raised_as
 
 _Section = TypeVar("_Section", bound=BaseModel)
@@ -234,28 +233,11 @@ def _parsed(text: str, source: str) -> tuple[Node | None, dict[Any, Any]]:
 
 
 def recorded_config(text: str) -> CellConfig | None:
-    """Return the config in a recording, from JSON; None if it is not valid in this version.
-
-    Obsolete keys are left out.
-    """
+    """Return the config in a recording, from JSON; None if it is not valid in this version."""
     try:
-        return CellConfig.model_validate_json(json.dumps(present_config(json.loads(text))))
-    except (ValueError, TypeError, AttributeError, RecursionError):
+        return CellConfig.model_validate_json(text)
+    except ValidationError:
         return None
-
-
-def converted_text(text: str, *, source: str) -> tuple[str, tuple[str, ...]]:
-    """Return the text of an older config for this version, and one line for each change.
-
-    Obsolete keys are removed; all other text, also comments, stays. Raises ConfigError if the text
-    is not a config.
-    """
-    changes: tuple[str, ...] = ()
-    while found := next(_gone(_parsed(text, source)[0]), None):
-        text, change = _without(text, found)
-        changes += (change,)
-    parse_config(text, source=source)
-    return text, changes
 
 
 def text_with_values(text: str, values: Mapping[str, Any], *, source: str) -> str:
@@ -276,51 +258,6 @@ def text_with_values(text: str, values: Mapping[str, Any], *, source: str) -> st
             changed = f"{changed[:start]}{_scalar(value)}{changed[end:]}"
     same = parse_config(changed, source=source) == wanted
     return changed if same else config_text(wanted)
-
-
-class _Gone(NamedTuple):
-    """An obsolete key of a text, or a key with an obsolete value."""
-
-    name: str
-    """Its dotted path."""
-    section: MappingNode
-    key: ScalarNode
-    value: Node
-    """The nodes of its section, of the key and of its value."""
-
-
-def _gone(section: Node | None, way: str = "") -> Iterator[_Gone]:
-    """Return the obsolete keys of a section; if it is the only key, return the section's key."""
-    if not isinstance(section, MappingNode):
-        return
-    for key, value in section.value:
-        gone = GONE_KEYS.get(f"{way}{key.value}", {})
-        if gone is None or (isinstance(value, ScalarNode) and value.value in gone):
-            yield _Gone(f"{way}{key.value}", section, key, value)
-        for inner in _gone(value, f"{way}{key.value}."):
-            alone = len(inner.section.value) == 1 and inner.section is value
-            cut = alone and GONE_KEYS[inner.name] is None
-            yield _Gone(inner.name, section, key, value) if cut else inner
-
-
-def _without(text: str, found: _Gone) -> tuple[str, str]:
-    """Return a text without an obsolete key, or with a new value, and a line about the change."""
-    key, value = found.key, found.value
-    if gone := GONE_KEYS[found.name]:
-        start, end, new = value.start_mark.index, value.end_mark.index, gone[value.value]
-        change = f"{found.name}: {value.value} was replaced by {new}"
-        return f"{text[:start]}{new}{text[end:]}", change
-    while isinstance(value, CollectionNode) and not value.flow_style and value.value:
-        last = value.value[-1]  # the block itself ends at the next key, after comments
-        value = last[1] if isinstance(last, tuple) else last
-    before, after = text[: key.start_mark.index], text[value.end_mark.index :]
-    if found.section.flow_style:
-        comma = re.match(r"\s*,\s*", after)
-        before = before if comma else re.sub(r",\s*\Z", "", before)
-        after = after[comma.end() :] if comma else after
-    elif line_end := re.match(r"[ \t]*\r?\n", after):
-        before, after = before.rstrip(" \t"), after[line_end.end() :]
-    return before + after, f"{found.name}: removed"
 
 
 def config_schema() -> dict[str, Any]:
@@ -408,9 +345,7 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
         given = item.get("input")
         shown = "" if isinstance(given, dict | list) else f" (found: {given!r})"
         message = item["msg"].removeprefix("Value error, ")
-        if _is_gone(item):
-            message = f"is obsolete: `tactile-cell config convert {quote(source)}` removes it"
-        elif item["type"] == "extra_forbidden":
+        if item["type"] == "extra_forbidden":
             message = f"unknown key; {_meant(item['loc'])}`tactile-cell config schema` lists all"
         elif item["type"] == "missing":
             shown = ""
@@ -418,12 +353,6 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
     if len(found) > len(lines):
         lines.append(f"{source}: {len(found) - len(lines)} more errors")
     return "\n".join(lines)
-
-
-def _is_gone(complaint: Mapping[str, Any]) -> bool:
-    """Whether an error of pydantic is about a key or value of an older version."""
-    gone = GONE_KEYS.get(".".join(map(str, complaint["loc"])), {})
-    return gone is None or (isinstance(complaint["input"], str) and complaint["input"] in gone)
 
 
 def _meant(loc: tuple[int | str, ...]) -> str:

@@ -100,7 +100,7 @@ class CellConfig(Section):
     """All settings of a cell. Without a file: the simulated cell."""
 
     format: Annotated[str, OneOf((str(CONFIG),))] = str(CONFIG)
-    """Format of this file, and its version. Without this key the file may be of any version."""
+    """Format of this file, and its version. Without this key it counts as the present one."""
     name: str = Field(default="simulated cell", min_length=1, max_length=80)
     """Name of the cell, for reports."""
     seed: int = Field(default=2008, ge=0, le=2**32 - 1)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cell.config.model import CellConfig
-from cell.config.tactile import TactileConfig
 from cell.data.formats import SELF_ZERO, read_json, write_json
 from cell.errors import CellError, PlanRefused
 from gripper.dynamixel.drive import DriveCharacteristic
@@ -37,16 +36,16 @@ part that covers both pads looks like the pads, and nobody has checked for one."
 _HAND_KEYS = {
     "gripper": ("port", "servos", "linkage"),
     "tactile": (
-        *("interface", "channel", "node_id", "serial_number", "board_serial_numbers"),
-        *("layout", "mounting", "calibration"),
+        *("sensor", "interface", "channel", "node_id", "serial_number", "board_serial_numbers"),
+        *("layout", "mounting", "pad_gains", "calibration"),
     ),
     "simulator": ("pads",),
 }
+"""Keys of the config, by section, that identify the hand."""
 _SERVO_KEYS = ("id", "model", "direction", "zero_pulse")
 """Keys of a servo that identify the hand; the others describe its drive."""
 _ANOTHER_DAY_SD = 0.2
 """Uncertainty of a friction measured at an earlier start: temperature, rest. [assumed]"""
-"""Keys of the config, by section, that identify the hand."""
 
 
 def zero_file(directory: Path, cell_name: str) -> Path:
@@ -87,10 +86,6 @@ def _hand_of(config: CellConfig) -> dict[str, Any]:
         for section, keys in _HAND_KEYS.items()
         for key in keys
     }
-    for key in ("sensor", "pad_gains"):
-        # Files of earlier versions have neither: a default value does not mean another hand.
-        if getattr(config.tactile, key) != getattr(TactileConfig(), key):
-            hand[f"tactile.{key}"] = values["tactile"][key]
     hand["gripper.servos"] = [
         {key: servo[key] for key in _SERVO_KEYS} for servo in hand["gripper.servos"]
     ]
@@ -246,10 +241,9 @@ class SelfZeros:
             values = read_json(path, SELF_ZERO, error=CellError)
             if values is None:
                 return
-            # Version 1 has only the zero, beside the other keys.
-            zero = values.get("zero", values)
+            zero = values["zero"]
             last = zero and SelfZero.from_values([zero[name] for name in ZERO_COLUMNS])
-            drives = {int(name): dict(kept) for name, kept in values.get("drives", {}).items()}
+            drives = {int(name): dict(kept) for name, kept in values["drives"].items()}
             for kept in drives.values():
                 DriveCharacteristic(**kept["drive"])
             measured_s, self._kept_hand = float(values["measured_s"]), dict(values["hand"])

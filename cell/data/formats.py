@@ -1,20 +1,18 @@
-"""Formats of a cell's files: the written version, and how older versions are read.
-
-A file names its format and version. A later version is refused. A file without a format was written
-by tactile-cell 28346af4 or before.
-"""
+"""Formats of a cell's files: each file names its format and version; others are refused."""
 
 import hashlib
 import json
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from cell.data.files import json_bytes, read_plain, write_text
 from cell.errors import CellError
 
+PROGRAM = f"tactile-cell {version('tactile-cell')}"
+"""Name and version of this program."""
 _CHECKSUM = "sha256"
 """Key of a JSON file with the checksum of its other keys."""
 KEPT_BYTES = 4 << 20
@@ -30,50 +28,16 @@ class Format:
     text: str
     """Format and version in the file."""
     remedy: str
-    """Remedy for a file that cannot be read."""
-    earlier: frozenset[str] = frozenset()
-    """Formats of earlier versions that are also read."""
-    unnamed: frozenset[str] | None = None
-    """Keys of a JSON file without a format that is read; None: such a file is refused."""
+    """Next step for a file that is damaged or of another format."""
 
     def __str__(self) -> str:
         return self.text
 
     def check(self, found: object, source: object, error: type[CellError]) -> None:
-        """Raise ``error`` if a file names another format."""
-        if isinstance(found, str) and found in (self.text, *self.earlier):
-            return
-        name, version = self.text.split("/")
-        later = re.fullmatch(rf"{name}/(\d{{1,9}})", str(found))
-        if later and int(later[1]) > int(version):
-            raise error(
-                f"{source} has the format {found}; this program reads up to {self}: update "
-                "tactile-cell"
-            )
-        named = "it names no format" if found is None else f"its format is {str(found)!a:.60}"
-        raise error(f"{source} is not a {self.what}: {named}, expected {self}; {self.remedy}")
-
-
-GONE_KEYS: Mapping[str, Mapping[Any, Any] | None] = {
-    "sequence.kind": {"active": "random"},
-    "sequence.candidates": None,
-    "serve.foxglove_port": None,
-}
-"""Removed keys of a config (None), and removed values of a key with their replacements."""
-
-
-def present_config(values: dict[str, Any], way: str = "") -> dict[str, Any]:
-    """Return the values of a config, or of the section at a dotted path, without removed ones."""
-    found = {}
-    for name, value in values.items():
-        gone = GONE_KEYS.get(f"{way}{name}", {})
-        if gone is None:
-            continue
-        if isinstance(value, dict):
-            found[name] = present_config(value, f"{way}{name}.")
-        else:
-            found[name] = gone.get(value, value) if isinstance(value, str) else value
-    return found
+        """Raise ``error`` if a file names another format or version, or none."""
+        if found != self.text:
+            named = "it names no format" if found is None else f"its format is {str(found)!a:.60}"
+            raise error(f"{source}: {named}, but {PROGRAM} reads {self}; {self.remedy}")
 
 
 CONFIG = Format(
@@ -81,8 +45,14 @@ CONFIG = Format(
     text="tactile-cell-config/1",
     remedy="write that, or leave the key out",
 )
-DATASET = Format(what="grasp data set", text="grasp-dataset/1", remedy="check the path")
-RECORDING = Format(what="recording", text="tactile-cell-recording/1", remedy="check the path")
+DATASET = Format(
+    what="grasp data set", text="grasp-dataset/1", remedy="use the tactile-cell that wrote it"
+)
+RECORDING = Format(
+    what="recording",
+    text="tactile-cell-recording/1",
+    remedy="use the tactile-cell that wrote it",
+)
 MODEL = Format(
     what="model",
     text="tactile-cell-model/1",
@@ -92,24 +62,21 @@ COMMISSIONING = Format(
     what="commissioning",
     text="tactile-cell-commissioning/1",
     remedy="move it away to commission anew",
-    unnamed=frozenset({"version", "steps", "approved"}),
 )
 SERVO_BACKUP = Format(
     what="backup of a servo",
     text="tactile-cell-servo-backup/1",
-    remedy="take another copy of it",
-    unnamed=frozenset({"servo_id", "baud_rate", "found"}),
+    remedy="use another copy of it, or the tactile-cell that wrote it",
 )
 SELF_ZERO = Format(
     what="self-zero",
     text="tactile-cell-self-zero/2",
-    earlier=frozenset({"tactile-cell-self-zero/1"}),
     remedy="`tactile-cell zero` measures it anew",
 )
 CELL_BACKUP = Format(
     what="backup of a cell",
     text="tactile-cell-backup/1",
-    remedy="take another copy of it",
+    remedy="use another copy of it, or the tactile-cell that wrote it",
 )
 ARCHIVE = Format(
     what="archive",
@@ -158,8 +125,6 @@ def parse_json(
         raise error(f"{source} is damaged, it is not JSON; {kind.remedy}") from cause
     if not isinstance(values, dict):
         raise error(f"{source} is not a {kind.what}: it has no object; {kind.remedy}")
-    if values.keys() == kind.unnamed:
-        return values
     kind.check(values.get("format"), source, error)
     stated = values.pop(_CHECKSUM, None)
     if stated != _digest(values):

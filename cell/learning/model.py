@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.data.files import DAMAGE, read_npz, savez, write_atomically
-from cell.data.formats import MODEL
+from cell.data.formats import MODEL, PROGRAM
 from cell.data.grasp_limits import text_refused
 from cell.errors import ConfigError, ModelError, reason_text
 from cell.plugins import RECOGNISERS
@@ -62,9 +62,6 @@ def rehearse(recognizer: Recognizer, grasp: Grasp) -> None:
 
 MODEL_LIMIT_BYTES = 256 << 20
 """Largest unpacked size in bytes of a model file; real ones have a few MB."""
-
-_NAMED_BEFORE = {"ForceRamp": "ForceRampRecognizer"}
-"""Present names of classes, by the names in the headers of older model files."""
 
 Arrays = Mapping[str, NDArray[Any]]
 """Plain arrays by name."""
@@ -192,8 +189,7 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
             "teach again on these pads, or name the right layout in the config"
         )
     trainer_name = str(header.get("trainer"))
-    class_name = str(header.get("class"))
-    kind = _class_of(path, trainer_name, _NAMED_BEFORE.get(class_name, class_name))
+    kind = _class_of(path, trainer_name, str(header.get("class")))
     learnt = _section(arrays, _PREFIX)
 
     def rehearsed() -> tuple[Recognizer, tuple[str, ...]]:
@@ -255,7 +251,7 @@ def _built(path: Path, build: Callable[[], _T]) -> _T:
             return build()
     except _UNSUITABLE as cause:
         raise ModelError(
-            f"{path} does not fit this program ({reason_text(cause)}); {MODEL.remedy}"
+            f"{path} does not fit {PROGRAM} ({reason_text(cause)}); {MODEL.remedy}"
         ) from cause
 
 

@@ -308,7 +308,7 @@ def _facts(config: CellConfig | None, layout: TaxelLayout) -> tuple[tuple[str, s
 
 
 def _health(recording: Recording) -> tuple[HealthGroup, ...]:
-    """Return the values of the last loop message; older recordings have no counts of links."""
+    """Return the values of the last loop message; counts only of links that the cell has."""
     if not recording.statistics:
         return ()
     last = recording.statistics[-1]

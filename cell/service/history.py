@@ -16,6 +16,7 @@ from typing import Any
 
 from cell.control.answer import Answer
 from cell.data.files import free_name
+from cell.data.formats import PROGRAM
 from cell.errors import CellError
 from cell.plugin.host_status import HostStatus
 from cell.service.shift import Shift
@@ -212,7 +213,7 @@ class History:
         self._summed_s = self._wall_s()
 
     def _opened(self) -> sqlite3.Connection:
-        """Return the connection. Raises CellError if the tables are of a later version."""
+        """Return the connection. Raises CellError if the tables are of another version."""
         if self._link is None:
             if self._path is not None:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -255,10 +256,10 @@ def _connected(name: str, *, uri: bool = False) -> sqlite3.Connection:
     link = sqlite3.connect(name, timeout=1.0, check_same_thread=False, uri=uri)
     try:
         (version,) = link.execute("PRAGMA user_version").fetchone()
-        if version > VERSION:
+        if version not in (0, VERSION):  # 0: a new file
             raise CellError(
-                f"{name} has tables of version {version}; this program reads up to {VERSION}: "
-                "update tactile-cell"
+                f"{name} has tables of version {version}, but {PROGRAM} reads version {VERSION}; "
+                "move it away, or use the tactile-cell that wrote it"
             )
     except BaseException:
         link.close()

@@ -20,7 +20,7 @@ from recognition.ramp.levels import Levels, stack_levels
 from recognition.recognizers.force_ramp.view_settings import SETTINGS
 from recognition.statistics.calibration import kept_temperature
 from recognition.statistics.class_spread import ClassSpread
-from recognition.statistics.lda import LinearDiscriminant, squared_distances
+from recognition.statistics.lda import LinearDiscriminant
 from recognition.statistics.taught_sizes import TaughtSizes
 
 
@@ -221,15 +221,11 @@ class View:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
         """Rebuild from `to_arrays`; KeyError if an array is missing."""
         spread, has_spread = f"{prefix}spread_", f"{prefix}spread_centres" in arrays
-        discriminant = LinearDiscriminant.from_arrays(arrays, f"{prefix}discriminant_")
-        taught, classes = arrays[f"{prefix}taught"], arrays.get(f"{prefix}taught_classes")
-        if classes is None:  # an older file: about the same
-            classes = squared_distances(taught, discriminant.centres).argmin(axis=1)
         return cls(
             model=ClassModel(
-                discriminant=discriminant,
-                taught=taught,
-                taught_classes=classes,
+                discriminant=LinearDiscriminant.from_arrays(arrays, f"{prefix}discriminant_"),
+                taught=arrays[f"{prefix}taught"],
+                taught_classes=arrays[f"{prefix}taught_classes"],
                 sizes=TaughtSizes.from_arrays(arrays, f"{prefix}sizes_"),
                 spread=ClassSpread.from_arrays(arrays, spread) if has_spread else None,
             ),

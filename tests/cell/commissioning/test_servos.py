@@ -13,6 +13,7 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Engine, WizardAborted
 from cell.commissioning.ports import PortsStep
 from cell.commissioning.servos import ServosStep
+from cell.data.formats import SERVO_BACKUP, write_json
 from cell.errors import CellError, ConfigError
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import Register
@@ -182,11 +183,15 @@ def altered(path: Path, **values: Any) -> None:
             del owner[name]
         else:
             owner[name] = value
-    path.write_text(json.dumps(kept))
+    if kept.get("sha256") == "right":
+        content = {name: value for name, value in kept.items() if name not in ("format", "sha256")}
+        write_json(path, SERVO_BACKUP, content, error=CellError)
+    else:
+        path.write_text(json.dumps(kept))
 
 
-NO_SUM = {"format": None, "sha256": None}
-"""As a backup of a version without checksums."""
+SUMMED = {"sha256": "right"}
+"""With the checksum of the changed values."""
 
 
 @pytest.mark.parametrize(
@@ -195,15 +200,14 @@ NO_SUM = {"format": None, "sha256": None}
         ({"return_delay_time": 251}, "checksum"),
         ({"sha256": None}, "checksum"),
         ({"format": None}, "names no format"),
-        (NO_SUM | {"id": 300}, "id is 300, must be from 0 to 255"),
-        (NO_SUM | {"id": 253}, "must be from 0 to 252"),
-        (NO_SUM | {"baud_rate": 77}, "baud"),
-        (NO_SUM | {"homing_offset": 1 << 31}, "homing_offset is 2147483648"),
-        (NO_SUM | {"model_number": None}, "model_number is missing"),
-        (NO_SUM | {"servo_id": 1}, "it is of servo 1"),
-        (NO_SUM | {"found": {"id": "x"}}, "found.id"),
-        (NO_SUM | {"found": None}, "names no format"),
-        ({"format": "tactile-cell-servo-backup/2"}, "update tactile-cell"),
+        (SUMMED | {"id": 300}, "id is 300, must be from 0 to 255"),
+        (SUMMED | {"id": 253}, "must be from 0 to 252"),
+        (SUMMED | {"baud_rate": 77}, "baud"),
+        (SUMMED | {"homing_offset": 1 << 31}, "homing_offset is 2147483648"),
+        (SUMMED | {"model_number": None}, "model_number is missing"),
+        (SUMMED | {"servo_id": 1}, "it is of servo 1"),
+        (SUMMED | {"found": {"id": "x"}}, "found.id"),
+        (SUMMED | {"found": None}, "found: Field required"),
     ],
 )
 def test_nothing_is_written_of_a_backup_that_is_damaged(new, tmp_path, values, says) -> None:
@@ -211,7 +215,7 @@ def test_nothing_is_written_of_a_backup_that_is_damaged(new, tmp_path, values, s
     before = eeproms(new)
     altered(tmp_path / "backup-servo2.json", **values)
     begun: list[bool] = []
-    with pytest.raises(CellError, match=rf"backup-servo2\.json .*{says}"):
+    with pytest.raises(CellError, match=rf"backup-servo2\.json.*{says}"):
         restore(new.bench, Script(), PORT, begin=lambda: begun.append(True))
     assert (eeproms(new), begun) == (before, [])
 

@@ -349,8 +349,7 @@ def damage(path: Path, how: str) -> None:
         ("[" * 100_000, "not JSON"),
         ("{}", "names no format"),
         ('{"measured_s": 1e300}', "names no format"),
-        ('{"format": "tactile-cell-self-zero/9"}', "update tactile-cell"),
-        ('{"format": "tactile-cell-self-zero/1"}', "checksum"),
+        ('{"format": "tactile-cell-self-zero/2"}', "checksum"),
         ("pipe", "not a plain file"),
         ("device", "not a plain file"),
         ("huge", "too long"),
@@ -531,14 +530,3 @@ def test_a_measured_zero_keeps_the_drives_and_they_keep_the_zero(tmp_path: Path)
     # What nobody has measured is the catalogue's, and is not kept.
     both.keep_drives({1: DriveCharacteristic.catalogue(MODELS["XM430-W350"])}, {})
     assert set(kept_zeros(here, tmp_path).drives) == {2}
-
-
-def test_a_self_zero_of_version_1_is_read(tmp_path: Path) -> None:
-    here = changed_config(CellConfig(), REAL)
-    zeros = kept_zeros(here, tmp_path)
-    assert zeros.path is not None
-    first = replace(SELF_ZERO, text="tactile-cell-self-zero/1")
-    kept = {"measured_s": zeros.now_s(), "hand": zeros.hand} | asdict(ZERO)
-    write_json(zeros.path, first, kept, error=CellError)
-    read = kept_zeros(here, tmp_path)
-    assert (read.newest, read.drives, read.refused) == (ZERO, {}, "")

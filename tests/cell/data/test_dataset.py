@@ -114,7 +114,7 @@ def test_recorded_grasps_load_and_round_trip(tmp_path) -> None:
 
 
 DAMAGE: list[tuple[str, Callable[[Any], Any], str]] = [
-    ("format", lambda _: "dataset/1", "expected grasp-"),
+    ("format", lambda _: "dataset/1", "reads grasp-dataset/1"),
     ("format", lambda _: 1, "its format is"),
     ("counts", lambda _: None, "counts missing"),
     ("model", lambda _: "x", "is a model: name the data sets"),

@@ -193,7 +193,7 @@ def test_heads_that_do_not_fit_their_model_are_refused(taught, tmp_path, name, c
     changed = change(arrays.pop(name))
     arrays |= {} if changed is None else {name: changed}
     resaved(model, tmp_path / "m.npz", {EARLY_SECTION: arrays})
-    with pytest.raises(ModelError, match="does not fit this program"):
+    with pytest.raises(ModelError, match="does not fit tactile-cell"):
         TaughtModel.load(taught.config, tmp_path / "m.npz")
 
 

@@ -14,7 +14,6 @@ from cell.errors import ModelError
 from cell.learning.model import layout_hash, load_model, save_model
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Posterior
-from recognition.recognizers import make_trainer
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
 from tests.cell.conftest import plain_pads
 from tests.cell.data.test_dataset import Bomb
@@ -74,7 +73,7 @@ def test_sections_come_back_and_are_built_or_refused(taught, good, tmp_path) -> 
     assert loaded.section("memory", lambda arrays: arrays["b.c"].tolist()) == [1.0, 1.0]
     assert loaded.section("none", dict) is None
     assert load_model(good).section("memory", dict) is None
-    with pytest.raises(ModelError, match=r"does not fit this program \('b.c' is missing\)"):
+    with pytest.raises(ModelError, match=r"does not fit tactile-cell .* \('b.c' is missing\)"):
         loaded.section("other", lambda arrays: arrays["b.c"])
     for name in ("learnt", "a.b"):
         with pytest.raises(ValueError, match="not a valid name of a section"):
@@ -120,15 +119,6 @@ def rewrite(
     np.savez(path, model=np.array(json.dumps(header)), **arrays)
 
 
-def test_a_model_that_names_its_class_as_it_was_called_before_is_read(tmp_path) -> None:
-    grasps = [press("ball", height=90, width_m=8e-3, seed=s) for s in range(4)]
-    grasps += [press("box", height=200, width_m=11e-3, seed=s) for s in range(4, 8)]
-    taught = make_trainer("force_ramp").fit(grasps)
-    save_model(tmp_path / "new.npz", taught, trainer_name="force_ramp", pads=PADS)
-    rewrite(tmp_path / "new.npz", tmp_path / "m.npz", lambda h, _: h.update({"class": "ForceRamp"}))
-    assert type(load_model(tmp_path / "m.npz").recognizer) is type(taught)
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -162,7 +152,7 @@ def test_model_of_another_version_is_refused(change, taught, tmp_path, monkeypat
     arrays = {n: a for n, a in (taught.to_arrays() | change).items() if a is not None}
     monkeypatch.setattr(LevelCheckRecognizer, "to_arrays", lambda _self: arrays)
     save_model(tmp_path / "m.npz", taught, trainer_name="level_check", pads=PADS)
-    with pytest.raises(ModelError, match=r"does not fit this program.*train it again"):
+    with pytest.raises(ModelError, match=r"does not fit tactile-cell.*train it again"):
         load_model(tmp_path / "m.npz")
 
 

@@ -1,4 +1,4 @@
-"""`config init`, `config check`, `config convert`, `config schema`: config files."""
+"""`config init`, `config check`, `config schema`: config files."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,7 +7,7 @@ import typer
 
 from cell.interfaces.cli.options import FOLDER_CONFIG, TextOutOption
 
-app = typer.Typer(no_args_is_help=True, help="Config files: init, check, convert, schema.")
+app = typer.Typer(no_args_is_help=True, help="Config files: init, check, schema.")
 
 
 def _examples() -> dict[str, Path]:
@@ -74,27 +74,6 @@ def check(path: Annotated[Path, typer.Argument(help="Config file.")]) -> None:
         print_note(note)
     kind = "simulated ports" if config.simulated else "real ports"
     print_line(f"{path}: valid: {config.name}, {kind}")
-
-
-@app.command()
-def convert(path: Annotated[Path, typer.Argument(help="Config file of an older version.")]) -> None:
-    """Remove obsolete keys from a config file; a copy keeps the old file."""
-    from cell.config.file import config_file_text, converted_text
-    from cell.data.files import free_name, write_text
-    from cell.errors import ConfigError
-    from cell.interfaces.cli.terminal import print_line
-
-    before = config_file_text(path)
-    text, changes = converted_text(before, source=str(path))
-    if not changes:
-        print_line(f"{path}: no key is obsolete, the file is unchanged")
-        return
-    copy = free_name(path)
-    write_text(copy, before, error=ConfigError, what="copy")
-    write_text(path, text, error=ConfigError, what="config")
-    for change in changes:
-        print_line(f"{path}: {change}")
-    print_line(f"copy of the old file: {copy}")
 
 
 @app.command()
