@@ -118,20 +118,14 @@ class Cell:
         return None if fault is None else str(fault)
 
     @property
-    def recording_loss(self) -> str | None:
-        """Why the recording has stopped, or its gap; None if nothing is lost."""
-        gap = "" if self._recorder is None else self._recorder.gap
-        return self.recording_fault or gap or None
-
-    @property
-    def recording_short(self) -> str:
-        """Remaining space for recordings as text for the operator; empty if there is enough."""
-        return "" if self._retention is None else self._retention.short
+    def recording_problem(self) -> str:
+        """What threatens the recordings as text for the operator, e.g. little space; or empty."""
+        return "" if self._retention is None else self._retention.problem
 
     def check_recording(self) -> None:
-        """Raise RecordingError if a part of the recording is lost."""
-        if loss := self.recording_loss:
-            raise RecordingError(loss)
+        """Raise RecordingError if the recording has stopped."""
+        if fault := self.recording_fault:
+            raise RecordingError(fault)
 
     @property
     def local_hand(self) -> LocalHand:
@@ -166,7 +160,7 @@ class Cell:
             },
             "servo_bus": links["servo_bus"],
             "loop": loop_values(statistics.loop, undelivered=statistics.undelivered),
-            "recording": self.recording_loss,
+            "recording": self.recording_fault,
             "faults": {str(number): n for number, n in tuple(life.faults.items())},
         }
 
@@ -264,15 +258,12 @@ def build_cell(
         )
         retention = None
         if recorder is not None and folder is not None:
-            kept = config.recording
+            keep_gb = config.recording.keep_gb
             retention = Retention(
                 recorder,
                 folder.parent,
-                keep_s=None if kept.keep_days is None else 86_400.0 * kept.keep_days,
-                keep_bytes=None if kept.keep_gb is None else 1e9 * kept.keep_gb,
-                at_fault=lambda: controller.life.fault is not None,
+                keep_bytes=None if keep_gb is None else 1e9 * keep_gb,
                 note=note,
-                wall_s=wall_s,
             )
             retention.start()
             undo.callback(retention.close)

@@ -72,12 +72,9 @@ class RecordingConfig(Section):
     """Folder of recordings, data sets and reports; created if missing."""
     when_lost: Literal["finish", "hold"] = "finish"
     """If the recording cannot be written: finish the grasps without it, or hold (a fault)."""
-    keep_days: float | None = Field(default=90.0, ge=1.0, le=36500.0)
-    """Days after which a recording is deleted, 1 to 36500; none: never. Marked recordings
-    (`tactile-cell recordings mark`) and recordings of an open fault stay."""
     keep_gb: float | None = Field(default=100.0, ge=0.1, le=1e6)
     """Size of all recordings in GB above which the oldest are deleted, 0.1 to 1000000; none: no
-    limit. Marked recordings and recordings of an open fault stay."""
+    limit. Marked recordings (`tactile-cell recordings mark`) stay."""
 
 
 class LoopConfig(Section):

@@ -124,6 +124,7 @@ class CellController:
         gripper.errors.GripperError, tactile.errors.TactileError
             If a device is missing, differs from the config, or is touched while it is zeroed.
         """
+        self.journal.begin()
         self.life.go(Event.START)
         with self.life.latching_faults():
             self.zeroing.homing = homing_offsets(self.hand.start())
@@ -250,6 +251,7 @@ class CellController:
         PlanRefused, gripper.errors.LimitExceeded
             If the step cannot be carried out; nothing has moved, and no fault is latched.
         """
+        self.journal.begin()
         return self._grasp(step, early_checks, label=label)[0]
 
     def grip(self, force_n: float, pose: Pose | None = None) -> GraspRecord:
@@ -264,6 +266,7 @@ class CellController:
         """
         self.life.obey_cancel_between()
         self._grasper.check(GraspStep(pose=Pose(), force_n=force_n))
+        self.journal.begin()
         with self.life.executing(Event.EXECUTE):
             record = self._grasper.grip(force_n, pose)
             if record.outcome.result in NOTHING_HELD:
@@ -300,6 +303,7 @@ class CellController:
             If the plan is empty or one of its steps cannot be carried out; nothing has moved.
         """
         self.check_plan(plan)
+        self.journal.begin()
         found = grasp_and_classify(
             self._grasp,
             recognizer,

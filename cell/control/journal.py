@@ -71,6 +71,11 @@ class Journal:
         if self._recorder is not None:
             self._recorder.now(topic, values)
 
+    def begin(self) -> None:
+        """Continue a recording that has stopped or is long; call between two grasps."""
+        if self._recorder is not None and self._recorder.begin():
+            self._states = None
+
     def note(self, kind: str, text: str, fault_number: int = 0) -> None:
         """Record an event; a fault with its number."""
         number = {"fault_number": fault_number} if fault_number else {}

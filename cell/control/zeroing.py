@@ -114,6 +114,7 @@ class Zeroing:
         """
         self.zeros.check()
         self.life.obey_cancel_between()
+        self.journal.begin()
         with self.life.executing(Event.EXECUTE):
             found = self._measure(asked=True)
             self.missed = ""

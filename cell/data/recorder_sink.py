@@ -13,19 +13,19 @@ from cell.fault_catalogue import error_text
 MAX_WAITING_BYTES = 16 << 20
 """Bytes that may wait for a slow disk before the recording stops."""
 
-ROOM_BYTES = 16 << 20
-"""Free bytes of a disk at which a recording continues: seven minutes of grasping."""
+LEFT_BYTES = 1 << 20
+"""Free bytes below which the disk is nearly full: room for the end of a recording."""
+_END_SHARE = 64
+"""Bytes of a recording for each byte of its end, an index: twice the need."""
 
 
 def free_bytes(folder: Path) -> int:
     """Return the free bytes of the disk of a folder. Raises OSError if it is gone."""
-    found = os.statvfs(folder)
-    return found.f_bavail * found.f_frsize
+    return _free(os.statvfs(folder))
 
 
-def has_room(folder: Path) -> bool:
-    """Return whether the disk of a folder has `ROOM_BYTES` free. Raises OSError if it is gone."""
-    return free_bytes(folder) >= ROOM_BYTES
+def _free(disk: os.statvfs_result) -> int:
+    return disk.f_bavail * disk.f_frsize
 
 
 def in_use(path: Path) -> bool:
@@ -54,9 +54,12 @@ class DirectFile:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         self._handle = os.open(path, flags, 0o666)
         with suppress(OSError):  # a file system without locks; the lock ends with the program
-            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # `in_use` of another program may hold the lock for a moment.
+            fcntl.flock(self._handle, fcntl.LOCK_EX)
         self._length = 0
         self._open = True
+        self.nearly_full = False
+        """Whether the last write left less than the end of the file needs."""
 
     def write(self, data: bytes, /) -> int:
         """Write all bytes, or none and raise OSError."""
@@ -64,17 +67,20 @@ class DirectFile:
         try:
             while rest:
                 rest = rest[os.write(self._handle, rest) :]
+            free = _free(os.fstatvfs(self._handle))
         except OSError:
             os.ftruncate(self._handle, self._length)
             raise
         self._length += len(data)
+        self.nearly_full = free < LEFT_BYTES + self._length // _END_SHARE
         return len(data)
 
-    def tell(self) -> int:
-        """Return the number of bytes written."""
-        return self._length
+    @property
+    def busy(self) -> bool:
+        """Whether the disk has not taken all bytes yet."""
+        return False
 
-    def written_bytes(self) -> int:
+    def tell(self) -> int:
         """Return the number of bytes written."""
         return self._length
 
@@ -83,6 +89,11 @@ class DirectFile:
 
     def check(self) -> None:
         """Raise the OSError of a write that failed since the last call."""
+
+    def end(self) -> None:
+        """Close the file without waiting for a blocked disk, and without an error."""
+        with suppress(OSError):
+            self.close()
 
     def close(self) -> None:
         """Write the file to the disk and close it; a second call does nothing.
@@ -126,6 +137,11 @@ class BackgroundFile(DirectFile):
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 
+    @property
+    def busy(self) -> bool:
+        """Whether the disk has not taken all bytes yet."""
+        return self._thread.is_alive() and (self._closing or self._waiting_bytes > 0)
+
     def write(self, data: bytes, /) -> int:
         """Queue the bytes. Raises OSError if the disk has failed, or is too slow."""
         with self._changed:
@@ -150,11 +166,15 @@ class BackgroundFile(DirectFile):
         """Return the number of bytes taken."""
         return self._taken_bytes
 
-    def close(self) -> None:
-        """Wait until all is written, then close; OSError on failure or after the time-out."""
+    def end(self) -> None:
+        """Let the thread write what waits, then close the file; do not wait for it."""
         with self._changed:
             self._closing = True
             self._changed.notify()
+
+    def close(self) -> None:
+        """Wait until all is written, then close; OSError on failure or after the time-out."""
+        self.end()
         self._thread.join(self._close_timeout_s)
         if self._thread.is_alive():
             raise OSError(f"the disk did not take the rest within {self._close_timeout_s} s")

@@ -111,6 +111,8 @@ def _state(service: Service) -> Iterator[Metric]:
     yield _gauge("state", "State of the cell, a PackTags number", status.state_number)
     yield _gauge("holding", "1 while a part may be in the grip", status.holding)
     yield _gauge("fault", "Number of the latched fault; 0 for none", status.fault_number)
+    lost = bool(status.recording_fault)
+    yield _gauge("recording_lost", "1 while the recording has stopped", lost)
     if (force_n := status.live.force_n) is not None:
         yield _gauge("force_newtons", "Grip force", force_n)
 
@@ -169,8 +171,6 @@ def _health(health: Mapping[str, Any]) -> Iterator[Metric]:
         yield _gauge("drift_gain_ratio", "Gain of the pads, as a share of teaching", drift["gain"])
         meaning = "Drift of the zero of the opening since teaching, positive: reads too large"
         yield _gauge("drift_zero_metres", meaning, 1e-3 * drift["opening_mm"])
-    lost = health["recording"]["level"] != "ok"
-    yield _gauge("recording_lost", "1 while data of the recording is lost", lost)
 
 
 def _free_bytes(service: Service) -> float | None:

@@ -90,9 +90,9 @@ def _drift(grid: DriftGrid | None) -> dict[str, Any] | None:
 
 
 def _recording(cell: Cell, *, vital: bool) -> dict[str, Any]:
-    path, loss = cell.recording_path, cell.recording_loss or cell.recording_short
-    stopped = cell.recording_fault is not None
-    return _level(watch=bool(loss), bad=vital and stopped) | {
+    path, fault = cell.recording_path, cell.recording_fault
+    problem = fault or cell.recording_problem
+    return _level(watch=bool(problem), bad=vital and fault is not None) | {
         "path": None if path is None else str(path),
-        "text": loss,
+        "text": problem,
     }

@@ -129,7 +129,7 @@ class TactileCellPlugin:
         note
             Gets messages for the operator, e.g. that the recording has stopped, from any thread.
         wall_s
-            Returns the unix time in s, for the age of recordings and of the self-zero.
+            Returns the unix time in s, for the age of the self-zero.
 
         Raises
         ------

@@ -24,8 +24,8 @@ from cell.data import (
     recording_messages,
     recording_schema,
 )
-from cell.data.recorder import CONTINUES, Recorder
-from cell.data.recorder_sink import BackgroundFile, DirectFile
+from cell.data.recorder import ROOM_BYTES, Recorder
+from cell.data.recorder_sink import LEFT_BYTES, BackgroundFile, DirectFile
 from cell.data.recording_messages import RecordedMessages
 from cell.data.recording_reader import read_recording, recording_grasps
 from cell.data.recording_values import plain_fields
@@ -38,6 +38,7 @@ from recognition.grasp import Grasp, GraspCommand, SelfZero
 from recognition.recognizer import Posterior
 from tactile.source import TactileFrame
 from tests.cell.conftest import plain_pads
+from tests.cell.served import until
 from tests.fuzz.harness import Clock
 from tests.values import (
     make_cycle,
@@ -327,10 +328,13 @@ def test_what_is_no_recording_is_refused(tmp_path, monkeypatch) -> None:
         read_recording(tmp_path / "text")
 
 
-def fill_disk_after(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> list[int]:
+def fill_disk_after(
+    monkeypatch: pytest.MonkeyPatch, n_bytes: int, *, shown: bool = True
+) -> list[int]:
     """Let the disk take ``n_bytes``, half of the write that goes beyond, then nothing.
 
-    Returns the bytes that are left, for a test to change.
+    Returns the bytes that are left, for a test to change. Where they are not ``shown``, the disk
+    looks empty, as with a quota.
     """
     room = [n_bytes]
     write = os.write
@@ -342,103 +346,152 @@ def fill_disk_after(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> list[int]:
         room[0] -= len(taken)
         return write(handle, taken)
 
-    def free(_folder: Path) -> SimpleNamespace:
-        return SimpleNamespace(f_bavail=room[0], f_frsize=1)
+    def free(_place: object) -> SimpleNamespace:
+        return SimpleNamespace(f_bavail=room[0] if shown else 1 << 40, f_frsize=1)
 
     monkeypatch.setattr(recorder_sink.os, "write", limited)
     monkeypatch.setattr(recorder_sink.os, "statvfs", free)
+    monkeypatch.setattr(recorder_sink.os, "fstatvfs", free)
     return room
 
 
+def ended(recorder: Recorder) -> None:
+    """Wait until a recording has stopped, and its thread has ended."""
+    until(lambda: recorder.check() or recorder.fault)
+    thread = getattr(recorder._file._sink, "_thread", None)
+    if thread is not None:
+        thread.join(10.0)
+        assert not thread.is_alive()
+
+
 @pytest.mark.parametrize("background", [False, True])
-@pytest.mark.parametrize("room", [0, 100, 9_000, 25_000, *range(27_800, 31_400, 400)])
-def test_a_recording_that_stopped_names_the_frames_that_can_be_read(
-    room, background, tmp_path, monkeypatch
-) -> None:
-    clock, path = Clock(100.0), tmp_path / "r.mcap"
-    fill_disk_after(monkeypatch, room)
-    recorder = Recorder(path, clock, pads=PADS, background=background)
-    for i in range(12):
-        record_grasp(recorder, clock, f"{i}")
+@pytest.mark.parametrize("room", [0, 100, 9_000, 25_000, 29_000])
+def test_a_full_disk_leaves_what_was_whole_before(room, background, tmp_path, monkeypatch) -> None:
+    clock, path, notes = Clock(100.0), tmp_path / "r.mcap", list[str]()
+    fill_disk_after(monkeypatch, room, shown=False)
+    recorder = Recorder(path, clock, pads=PADS, background=background, note=notes.append)
+    grasps = [record_grasp(recorder, clock, f"{i}") for i in range(12)]
     with pytest.raises(RecordingError, match=r"No space left.*free space") as caught:
         recorder.close()
     assert recorder.fault is caught.value
+    assert notes == [str(caught.value)]
     recorder.close()
-    try:
-        readable = len(read_recording(path).frames)
-        expected = f"{readable} frames of it can be read" if readable else "No frames of it can be"
-    except RecordingError:
-        expected = "Nothing of it can be read"
-    assert expected in str(caught.value)
-    assert (expected == "Nothing of it can be read") == (room <= 100)
+    if room <= 100:
+        with pytest.raises(RecordingError, match=r"has no description|not an MCAP file"):
+            read_recording(path)
+        return
+    found = read_recording(path)
+    assert not found.complete
+    assert all(map(same, grasps, found.grasps))
+    assert bool(found.grasps) == (room > 9_000)
 
 
 @pytest.mark.parametrize("background", [False, True])
-def test_a_recording_goes_on_in_a_new_file_when_its_disk_has_room_again(
+def test_a_nearly_full_disk_ends_the_recording_with_a_note(
     background, tmp_path, monkeypatch
 ) -> None:
-    monkeypatch.setattr(recorder_module, "_LOOK_S", 1e-3)
     clock, path, notes = Clock(100.0), tmp_path / "r.mcap", list[str]()
-    room = fill_disk_after(monkeypatch, 25_000)
+    fill_disk_after(monkeypatch, LEFT_BYTES + 25_000)
     recorder = Recorder(path, clock, pads=PADS, background=background, note=notes.append)
-    Journal(recorder).states(CellState.IDLE, GraspState.IDLE)
+    for _ in range(1000):
+        record_grasp(recorder, clock, "ball")
+        if recorder.fault is not None:
+            break
+    ended(recorder)
+    found = read_recording(path)
+    assert found.complete
+    assert len(found.grasps) > 2
+    assert notes == [str(recorder.fault)] == [found.events[-1]["text"]]
+    assert found.events[-1]["kind"] == "note"
+    assert f"stopped after {len(found.frames)} frames: the disk is nearly full" in notes[0]
+    assert not recorder.begin()
+
+
+@pytest.mark.parametrize("background", [False, True])
+@pytest.mark.parametrize("shown", [False, True])
+def test_a_recording_begins_again_when_its_disk_has_room(
+    *, shown, background, tmp_path, monkeypatch
+) -> None:
+    clock, path, notes = Clock(100.0), tmp_path / "r.mcap", list[str]()
+    room = fill_disk_after(monkeypatch, 25_000 + shown * LEFT_BYTES, shown=shown)
+    recorder = Recorder(path, clock, pads=PADS, background=background, note=notes.append)
     (tmp_path / "r-2.mcap").touch()  # somebody else's
-    while recorder.fault is None:
+    assert not recorder.begin()
+    for _ in range(1000):
         record_grasp(recorder, clock, "before")
         recorder.check()
-    n_frames = recorder._n_frames
-    rng = np.random.default_rng(0)
-    recorder.frame(make_frame(clock.now_s + 0.02, rng))
-    assert "No space left" in str(recorder.fault)
-    room[0] = recorder_sink.ROOM_BYTES - 1
-    for _ in range(3):
-        clock.now_s += recorder._retry_s
-        recorder.check()
+        if recorder.fault is not None:
+            break
+    ended(recorder)
+    why = str(recorder.fault)
+    recorder.frame(make_frame(clock.now_s + 0.02, np.random.default_rng(0)))
+    room[0] = ROOM_BYTES - 1 if shown else 0
+    recorder.begin()
+    if not shown:
+        ended(recorder)  # the new file cannot be written either
     assert recorder.fault is not None
-    assert (len(notes), [file.name for file in tmp_path.glob("r-3*")]) == (1, [])
-    room[0] = 2 * recorder_sink.ROOM_BYTES
-    if background:
-        recorder._waiter.join(10.0)
-    clock.now_s += recorder._retry_s
-    recorder.check()
+    room[0] = 2 * ROOM_BYTES
+    assert recorder.begin()
     assert recorder.fault is None
     assert recorder.path == tmp_path / "r-3.mcap"
     first = record_grasp(recorder, clock, "after")
-    with pytest.raises(RecordingError, match=r"a gap of \d+ frames: r\.mcap stopped, .*r-3\.mcap"):
-        recorder.close()
-    assert "as soon as 16 MB are free" in notes[0]
-    assert notes[1:] == [f"the recording continues in {recorder.path}"]
+    recorder.close()
+    assert notes[0] == why
     new = read_recording(recorder.path)
-    assert (new.complete, new.metadata[CONTINUES]) == (True, "r.mcap")
-    assert [state["state"] for state in new.states] == ["IDLE"]
+    assert new.complete
     assert new.frames.number.tolist() == list(range(20))
-    assert len(new.grasps) == 1
-    assert same(first, new.grasps[0])
-    (gap,) = (event["text"] for event in new.events if event["kind"] == "recording")
-    n_lost = n_frames + 1 - len(read_recording(path).frames)
-    assert gap == recorder.gap
-    assert f"a gap of {n_lost} frames" in gap
+    (grasp,) = new.grasps
+    assert same(first, grasp)
+    note = new.events[0]
+    assert (note["kind"], note["text"]) == ("note", notes[-1])
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["r-2.mcap", "r-3.mcap", "r.mcap"]
 
 
-def test_a_disk_that_fails_again_and_again_is_not_littered(tmp_path, monkeypatch) -> None:
+@pytest.mark.parametrize("background", [False, True])
+def test_a_long_recording_continues_in_a_new_file_and_loses_nothing(
+    background, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "LONG_BYTES", 20_000)
     clock = Clock(100.0)
-    room = fill_disk_after(monkeypatch, 25_000)
-    monkeypatch.setattr(
-        recorder_module, "has_room", lambda _folder: True
-    )  # as where a quota is full, which the disk does not show
-    recorder = Recorder(tmp_path / "r.mcap", clock, pads=PADS)
-    while recorder.fault is None:
-        record_grasp(recorder, clock, "a")
-    for _ in range(1000):
-        clock.now_s += 4.0
-        recorder.check()
-        if recorder.fault is None:  # the description could be written, no more
-            record_grasp(recorder, clock, "b", n_frames=200)
-        else:
-            room[0] = 8_000
-    assert len(list(tmp_path.iterdir())) < 20
-    with pytest.raises(RecordingError):
-        recorder.close()
+    with Recorder(tmp_path / "r.mcap", clock, pads=PADS, background=background) as recorder:
+        journal = Journal(recorder)
+        for number in range(30):
+            journal.begin()
+            journal.states(CellState.EXECUTE, GraspState.IDLE)
+            record_grasp(recorder, clock, f"{number}")
+            until_written(recorder)
+    n_files = len(list(tmp_path.iterdir()))
+    assert n_files >= 3
+    paths = [tmp_path / "r.mcap", *(tmp_path / f"r-{n}.mcap" for n in range(2, n_files + 1))]
+    read = [read_recording(path) for path in paths]
+    assert all(one.complete and not one.n_broken_grasps for one in read)
+    grasps = [grasp.label for one in read for grasp in one.grasps]
+    assert grasps == [f"{number}" for number in range(30)]
+    assert all(one.states[0]["state"] == "EXECUTE" for one in read)
+
+
+def until_written(recorder: Recorder) -> None:
+    """Wait until the disk has taken what was recorded."""
+    sink = recorder._file._sink
+    if isinstance(sink, BackgroundFile):
+        until(lambda: not sink.busy)
+
+
+def test_a_blocked_disk_holds_up_no_beginning(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(recorder_module, "LONG_BYTES", 0)
+    go_on, write = threading.Event(), DirectFile.write
+
+    def stuck(file: DirectFile, data: bytes) -> int:
+        go_on.wait(20.0)
+        return write(file, data)
+
+    monkeypatch.setattr(DirectFile, "write", stuck)
+    recorder = Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS, background=True)
+    with monkeypatch.context() as patched:
+        patched.setattr(recorder_sink.os, "statvfs", raising(AssertionError("it would block")))
+        assert not recorder.begin()
+    go_on.set()
+    recorder.close()
 
 
 def test_fault_of_the_recording_does_not_hide_another_error(tmp_path, monkeypatch) -> None:

@@ -1,60 +1,44 @@
-"""Recordings by age, size and space: what goes, what stays, and that nothing stops the cell."""
+"""Recordings by size and space: what goes, what stays, and that nothing stops the cell."""
 
+import errno
 import os
 import subprocess
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
+from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
-from cell.control.journal import Journal
-from cell.control.states import CellState, GraspState
-from cell.data import recorder as recorder_module, recorder_sink, retention
-from cell.data.recorder import CONTINUES, Recorder
-from cell.data.recording_reader import read_recording
-from cell.data.retention import LEDGER, Retention, mark, recordings, thin, thin_beside, unmark
+from cell.data import recorder_sink, retention
+from cell.data.recorder import Recorder
+from cell.data.recorder_sink import LEFT_BYTES, DirectFile, free_bytes
+from cell.data.recording_reader import Recording, read_recording
+from cell.data.retention import LEAST_FREE_BYTES, Retention, mark, recordings, unmark
 from cell.errors import RecordingError
+from cell.plugin.goals import IdentifyGoal, TeachGoal
+from cell.plugin.plugin import TactileCellPlugin
 from cell.service.history import History
-from recognition.recognizer import Posterior
-from tests.cell.conftest import call
-from tests.cell.data.test_recording import PADS, record_grasp
+from tests.cell.conftest import call, small_config
+from tests.cell.data.test_recording import PADS
 from tests.fuzz.harness import Clock
-from tests.values import make_identification, raising
-
-DAY_S = 86_400.0
-NOW_S = 1.8e9
-"""Unix time in s at which the tests begin."""
+from tests.values import raising
 
 
 class Keeper:
-    """A recording in a folder of jobs, its retention, and the clocks and disk of both."""
+    """A recording in a folder of jobs, and its retention."""
 
     def __init__(self, folder: Path, **limits: Any) -> None:
-        self.clock, self.wall_s, self.notes = Clock(100.0), NOW_S, list[str]()
-        self.fault = False
+        self.clock, self.notes = Clock(100.0), list[str]()
         self.folder = folder
         job = folder / "serve-20270115-080000"
         job.mkdir(parents=True)
         self.recorder = Recorder(
             job / "recording.mcap", self.clock, pads=PADS, note=self.notes.append
         )
-        self.limits = limits
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin the program anew, as far as its retention goes."""
-        self.retention = Retention(
-            self.recorder,
-            self.folder,
-            at_fault=lambda: self.fault,
-            note=self.notes.append,
-            monotonic_s=self.clock.monotonic,
-            wall_s=lambda: self.wall_s,
-            **self.limits,
-        )
+        self.retention = Retention(self.recorder, folder, note=self.notes.append, **limits)
 
     def job(self, number: int, n_bytes: int = 1000) -> Path:
         """Add the recording of an earlier job."""
@@ -63,13 +47,6 @@ class Keeper:
         path.write_bytes(bytes(n_bytes))
         os.utime(path, (number, number))
         return path
-
-    def live(self, days: float, *, step_s: float = 3600.0) -> None:
-        """Let both clocks go on, with a look now and then."""
-        for _ in range(round(days * DAY_S / step_s)):
-            self.wall_s += step_s
-            self.clock.now_s += step_s
-            self.retention.enforce()
 
 
 @pytest.fixture
@@ -94,194 +71,106 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return free
 
 
-def test_recordings_go_by_age_and_size_oldest_first_and_marked_ones_stay(keep) -> None:
-    keeper = keep(keep_s=3 * DAY_S, keep_bytes=5000)
+def test_the_oldest_recordings_go_by_size_and_marked_ones_stay(keep) -> None:
+    keeper = keep(keep_bytes=5000)
     first, second, marked, newest = (keeper.job(number) for number in range(1, 5))
     mark(marked)
     (first.parent / "report.html").touch()
-    keeper.live(2.0)
+    keeper.retention.enforce()
     assert all(path.exists() for path in (first, second, marked, newest))
     late = keeper.job(5, n_bytes=3000)
-    keeper.live(1 / 24)
+    keeper.retention.enforce()
     # Together more than 5000 bytes: the oldest go, each with its folder where nothing else is.
     assert [path.exists() for path in (first, second, marked, newest, late)] == [
         False, False, True, False, True,
     ]  # fmt: skip
     assert (first.parent.exists(), second.parent.exists()) == (True, False)
-    assert "`tactile-cell recordings mark FILE` keeps a recording" in keeper.notes[-1]
-    keeper.live(3.2)
-    assert (marked.exists(), late.exists()) == (True, False)
-    assert keeper.recorder.path.exists()  # as old as these, and written to
+    (note,) = keeper.notes
+    assert note.startswith("3 of the oldest recordings are deleted")
+    assert "`tactile-cell recordings mark FILE` keeps a recording" in note
     unmark(marked)
-    keeper.live(1 / 24)
-    assert not marked.exists()
-    assert len(keeper.notes) == 3
-
-
-@pytest.mark.parametrize("leap_s", [365 * DAY_S, -20 * 365 * DAY_S])
-@pytest.mark.parametrize("stopped", [False, True])
-def test_a_clock_that_leaps_makes_no_recording_old(keep, leap_s, stopped) -> None:
-    keeper = keep(keep_s=30 * DAY_S)
-    paths = [keeper.job(number) for number in range(1, 5)]
-    keeper.live(10.0)
-    keeper.wall_s += leap_s
-    if stopped:
-        keeper.restart()
-    keeper.live(10.0)
-    assert all(path.exists() for path in paths)
-    keeper.live(11.0)
-    assert not any(path.exists() for path in paths)
-
-
-def test_two_programs_in_one_folder_count_each_day_once(keep) -> None:
-    keeper = keep(keep_s=30 * DAY_S)
-    path = keeper.job(1)
-    first = keeper.retention
-    first.enforce()
-    keeper.restart()
-    for _ in range(20):
-        keeper.live(1.0)
-        first.enforce()
-    assert 19 < recordings(keeper.folder)[0].kept.age_s / DAY_S < 21.5
-    assert path.exists()
-
-
-def test_the_recording_of_an_open_fault_stays(keep) -> None:
-    keeper = keep(keep_s=2 * DAY_S)
-    at_fault = keeper.recorder.path
-    keeper.fault = True
+    keeper.job(6)
     keeper.retention.enforce()
-    # Days later the person has not come yet, and the recording has gone on in other files.
-    for _ in range(5):
-        keeper.live(1.1)
-        keeper.recorder.check()
-        keeper.recorder.check()
-    assert keeper.recorder.path != at_fault
-    assert at_fault.exists()
-    assert not (at_fault.parent / "recording-2.mcap").exists() or keeper.fault
-    keeper.fault = False
-    keeper.live(0.1)
-    assert not at_fault.exists()
-    assert keeper.recorder.path.exists()
+    assert not marked.exists()
+    assert late.exists()
 
 
-def test_only_recordings_in_folders_of_jobs_are_looked_after(keep) -> None:
-    keeper = keep(keep_s=1 * DAY_S, keep_bytes=1)
+def test_the_oldest_recordings_go_while_the_disk_is_short_of_space(keep, disk) -> None:
+    keeper = keep()
+    first, second, third = (keeper.job(number) for number in range(1, 4))
+    disk[0] = LEAST_FREE_BYTES
+    keeper.retention.enforce()
+    assert first.exists()
+    disk[0] = LEAST_FREE_BYTES - 1500
+    keeper.retention.enforce()
+    assert [path.exists() for path in (first, second, third)] == [False, False, True]
+    assert (len(keeper.notes), keeper.retention.problem) == (1, "")
+    mark(third)
+    for _ in range(2):
+        keeper.retention.enforce()
+    assert keeper.notes[1:] == [keeper.retention.problem]
+    assert "has less than 500 MB free, and no recording can be deleted" in keeper.notes[1]
+    disk[0] = LEAST_FREE_BYTES
+    keeper.retention.enforce()
+    assert keeper.retention.problem == ""
+    assert third.exists()
+
+
+def test_the_open_recording_stays_also_where_files_have_no_locks(keep, monkeypatch) -> None:
+    monkeypatch.setattr(recorder_sink.fcntl, "flock", raising(OSError(errno.ENOLCK, "no locks")))
+    keeper = keep(keep_bytes=1)
+    other, own = keeper.job(1), keeper.recorder.path
+    os.utime(own, (0, 0))
+    keeper.retention.enforce()
+    assert (other.exists(), own.exists()) == (False, True)
+
+
+def test_the_recording_that_another_program_writes_stays(keep) -> None:
+    keeper = keep(keep_bytes=1)
+    path = keeper.job(1)
+    path.unlink()
+    with Recorder(path, keeper.clock, pads=PADS):
+        keeper.retention.enforce()
+        assert path.exists()
+    keeper.retention.enforce()
+    assert not path.exists()
+
+
+def test_only_recordings_in_folders_of_jobs_are_managed(keep) -> None:
+    keeper = keep(keep_bytes=1)
     own = [keeper.folder / "mine" / "recording.mcap", keeper.job(1).with_name("other.mcap")]
     for path in own:
         path.parent.mkdir(exist_ok=True)
         path.touch()
     (keeper.folder / "run-20270101-000000").symlink_to(own[0].parent)
-    keeper.live(3.0)
-    assert all(path.exists() for path in own)
-
-
-def test_a_long_recording_goes_on_in_a_new_file_without_a_gap(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(recorder_module, "PART_BYTES", 20_000)
-    clock, answer = Clock(100.0), make_identification(
-        Posterior(labels=("a", "b"), probability=np.array([0.99, 0.01]), unknown=0.0)
-    )  # fmt: skip
-    with Recorder(tmp_path / "recording.mcap", clock, pads=PADS, background=True) as recorder:
-        Journal(recorder).states(CellState.IDLE, GraspState.IDLE)
-        for number in range(30):
-            record_grasp(recorder, clock, f"{number}")
-            Journal(recorder).result(answer)
-            recorder._parting.join(10.0) if recorder._parting.ident else None
-    paths = sorted(tmp_path.iterdir(), key=lambda path: (len(path.name), path.name))
-    assert len(paths) >= 3
-    read = [read_recording(path) for path in paths]
-    assert all(one.complete and not one.n_broken_grasps for one in read)
-    grasps = [grasp.label for one in read for grasp in one.grasps]
-    assert grasps == [f"{number}" for number in range(30)]
-    assert [one.metadata.get(CONTINUES) for one in read[1:]] == [path.name for path in paths[:-1]]
-    assert all(one.states[0]["state"] == "IDLE" for one in read)
-
-
-def test_an_hour_of_space_is_noted_then_recordings_are_thinned_then_it_stops_and_goes_on(
-    keep, disk
-) -> None:
-    keeper = keep()
-    old = keeper.job(1)
-    old.unlink()
-    record_named_and_unknown(old)
-    keeper.live(0.02, step_s=60.0)
-    assert (keeper.notes, keeper.retention.short) == ([], "")
-    rate = retention._FIRST_RATE
-    disk[0] = retention.STOP_BYTES + int(3000 * rate)
-    keeper.live(0.02, step_s=60.0)
-    (note,) = keeper.notes
-    assert "space for 50 min of recording" in note
-    assert keeper.retention.short == "space for 50 min"
-    disk[0] = retention.STOP_BYTES + int(1000 * rate)
-    keeper.live(0.02, step_s=60.0)
-    assert keeper.notes[1:] == [f"{old} is thinned out: frames of named parts are removed"]
-    assert [one.path for one in recordings(keeper.folder) if one.kept.thinned] == [old]
-    disk[0] = retention.STOP_BYTES - 1
     keeper.retention.enforce()
-    record_grasp(keeper.recorder, keeper.clock, "last")
-    assert "stopped after 0 frames: 7 MB are free" in str(keeper.recorder.fault)
-    assert read_recording(keeper.recorder.path).complete
-    keeper.live(0.02, step_s=60.0)
-    keeper.recorder.check()
-    assert keeper.recorder.fault is not None
-    disk[0] = 100 << 30
-    keeper.live(0.02, step_s=60.0)
-    keeper.recorder.check()
-    assert keeper.recorder.fault is None
-    assert keeper.recorder.path.name == "recording-2.mcap"
-    assert keeper.retention.short == ""
-    with pytest.raises(RecordingError, match="a gap of 20 frames"):
-        keeper.recorder.close()
+    assert all(path.exists() for path in own)
+    assert len(keeper.notes) == 1
 
 
-def record_named_and_unknown(path: Path) -> None:
-    """Record a named part of two grasps, one without a name, and a taught grasp."""
-    clock = Clock(100.0)
-    with Recorder(path, clock, pads=PADS) as recorder:
-        for label, p, unknown, n in (("named", 0.999, 0.0, 2), ("strange", 0.5, 1.0, 1)):
-            likely = Posterior(labels=("a", "b"), probability=np.array([p, 1 - p]), unknown=unknown)
-            for _ in range(n):
-                record_grasp(recorder, clock, label)
-            records = (SimpleNamespace(early=None),) * n
-            Journal(recorder).result(make_identification(likely, records=records))
-        record_grasp(recorder, clock, "taught")
-
-
-def test_thinning_takes_the_frames_of_named_parts_and_leaves_a_whole_recording(tmp_path) -> None:
-    path = tmp_path / "recording.mcap"
-    record_named_and_unknown(path)
-    before = read_recording(path)
-    assert thin(path)
-    after = read_recording(path)
-    assert after.complete
-    assert after.n_broken_grasps == 0
-    assert "frames of named parts" in after.metadata[retention.THINNED]
-    assert after.results == before.results
-    assert len(after.cycles) == len(before.cycles)
-    assert [grasp.label for grasp in after.grasps] == ["strange", "taught"]
-    assert len(after.frames) == sum(grasp.n_frames for grasp in after.grasps)
-    assert not thin_beside(path)
-    path.write_bytes(b"no recording")
-    with pytest.raises(RecordingError, match="is not a recording"):
-        thin_beside(path)
+def test_a_recording_outside_a_folder_of_a_job_deletes_nothing(tmp_path) -> None:
+    keeper = Keeper(tmp_path / "out")
+    path = keeper.job(1)
+    with Recorder(tmp_path / "out" / "recording.mcap", keeper.clock, pads=PADS) as recorder:
+        Retention(recorder, tmp_path / "out", keep_bytes=1).enforce()
+    assert path.exists()
+    keeper.recorder.close()
 
 
 def test_a_share_that_disappears_is_noted_once_and_stops_nothing(keep, monkeypatch) -> None:
-    keeper = keep(keep_s=DAY_S)
+    keeper = keep()
     with monkeypatch.context() as patched:
         for name in ("statvfs", "scandir"):
             patched.setattr(os, name, raising(OSError(116, "Stale file handle")))
-        keeper.live(1.0)
+        for _ in range(3):
+            keeper.retention.enforce()
     assert len(keeper.notes) == 1
     assert "Stale file handle" in keeper.notes[0]
-    (keeper.folder / LEDGER).write_text("no list of ours")
-    keeper.live(1.0)
-    assert recordings(keeper.folder)
+    keeper.retention.enforce()
+    assert keeper.retention.problem == ""
 
 
 def test_a_disk_that_does_not_answer_holds_up_neither_start_nor_end(keep, monkeypatch) -> None:
-    import threading
-
     keeper, answers = keep(), threading.Event()
     monkeypatch.setattr(retention, "_CLOSE_TIMEOUT_S", 0.0)
     monkeypatch.setattr(retention, "free_bytes", lambda _folder: answers.wait(10.0) or 0)
@@ -293,6 +182,52 @@ def test_a_disk_that_does_not_answer_holds_up_neither_start_nor_end(keep, monkey
     assert not keeper.retention._thread.is_alive()
 
 
+def check_jobs(
+    place: Path, fill: Callable[[], object], free: Callable[[], object]
+) -> tuple[Recording, list[str]]:
+    """Check two jobs on a disk that is filled before the first, and has room before the second.
+
+    Returns the recording that stopped, and the notes for the operator.
+    """
+    folder, notes = place / "out" / "serve-20270115-080000", list[str]()
+    folder.mkdir(parents=True)
+    with TactileCellPlugin(small_config(), folder=folder, note=notes.append) as plugin:
+        for label in ("ball", "box"):
+            plugin.run(TeachGoal(label=label, grasps=3))
+        fill()
+        stopped = plugin.recording_path
+        assert plugin.run(IdentifyGoal(present="ball")).label == "ball"
+        assert "stopped after" in plugin.status().recording_fault
+        free()
+        assert plugin.run(IdentifyGoal(present="box")).label == "box"
+        assert plugin.status().recording_fault == ""
+        path = plugin.recording_path
+    found = read_recording(path)
+    assert found.complete
+    assert [row["label"] for row in found.results] == ["box"]
+    assert len(found.grasps) == found.results[0]["n_grasps"]
+    assert "stopped after" in found.events[0]["text"]
+    assert f"the recording {stopped} stopped after" in notes[-1]
+    return read_recording(stopped), notes
+
+
+def test_a_job_on_a_full_disk_has_its_answer_and_the_next_job_records_again(
+    tmp_path, monkeypatch
+) -> None:
+    write, full = DirectFile.write, list[bool]()
+
+    def limited(file: DirectFile, data: bytes) -> int:
+        if full:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(file, data)
+
+    monkeypatch.setattr(DirectFile, "write", limited)
+    stopped, notes = check_jobs(tmp_path, fill=lambda: full.append(True), free=full.clear)
+    assert len(stopped.grasps) >= 5
+    assert not stopped.complete
+    assert ["No space left" in text for text in notes] == [True]
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting needs root")
 def test_a_tmpfs_that_fills_and_empties(tmp_path) -> None:
     place = tmp_path / "disk"
@@ -300,37 +235,24 @@ def test_a_tmpfs_that_fills_and_empties(tmp_path) -> None:
     mounted = ["mount", "-t", "tmpfs", "-o", "size=40m", "none", str(place)]
     if subprocess.run(mounted, check=False).returncode:
         pytest.skip("mount is not allowed here")
-    try:
-        keeper, filling = Keeper(place / "out"), place / "filling"
-        keeper.retention.enforce()
-        assert "min of recording" in keeper.notes[0]
-        record_grasp(keeper.recorder, keeper.clock, "before")
-        filling.write_bytes(bytes(36 << 20))
-        keeper.retention.enforce()
-        keeper.recorder.check()
-        assert "stopped after 20 frames" in str(keeper.recorder.fault)
-        with filling.open("ab") as file, pytest.raises(OSError, match="No space"):
-            file.write(bytes(36 << 20))
+    filling = place / "filling"
+
+    def fill() -> None:
+        with filling.open("wb", buffering=0) as file:
+            file.truncate(0)
+            while free_bytes(place) > LEFT_BYTES + 50_000:
+                file.write(bytes(4096))
         status: Any = SimpleNamespace(n_faults=0, fault=None, fault_number=0)
-        history = History(place / "history.sqlite3", lambda: status, note=keeper.notes.append)
-        history.update()
-        assert "the history is not kept" in keeper.notes[-1]
-        keeper.live(0.1)
-        keeper.recorder.check()
-        assert keeper.recorder.fault is not None
-        filling.unlink()
+        history = History(place / "history.sqlite3", lambda: status)
         history.update()
         assert history.values()["today"]["starts"] == 1
         history._close_link()
-        keeper.clock.now_s += 1.0
-        keeper.recorder.check()
-        record_grasp(keeper.recorder, keeper.clock, "after")
-        paths = sorted(place.glob("out/serve-*/*.mcap"), key=lambda path: path.stat().st_ino)
-        with pytest.raises(RecordingError, match="a gap of 0 frames"):
-            keeper.recorder.close()
-        read = [read_recording(path) for path in paths]
-        labels = [grasp.label for one in read for grasp in one.grasps]
-        assert (labels, all(one.complete for one in read)) == (["before", "after"], True)
+
+    try:
+        stopped, notes = check_jobs(place, fill, filling.unlink)
+        assert stopped.complete
+        assert stopped.events[-1]["text"] == notes[-1]
+        assert any("less than 500 MB free" in text for text in notes)
     finally:
         subprocess.run(["umount", place], check=True)
 
@@ -338,10 +260,12 @@ def test_a_tmpfs_that_fills_and_empties(tmp_path) -> None:
 def test_recordings_are_listed_and_marked_by_commands(keep) -> None:
     keeper = keep()
     path = keeper.job(1, n_bytes=2_000_000)
+    written_s = datetime(2027, 1, 15, 8, 30).timestamp()
+    os.utime(path, (written_s, written_s))
     assert call("recordings", "mark", path) == f"{path}: marked\n"
-    keeper.live(2.0)
     listed = call("recordings", "list", keeper.folder).splitlines()
-    assert f"  {path}: MB 2.0, age / days 2.0, marked yes" in listed
+    assert f"  {path}: MB 2.0, last write 2027-01-15 08:30, marked yes" in listed
+    assert [one.marked for one in recordings(keeper.folder)] == [False, True]
     assert call("recordings", "unmark", path) == f"{path}: not marked\n"
     assert "marked yes" not in call("recordings", "list", keeper.folder)
     with pytest.raises(RecordingError, match="is not a recording"):

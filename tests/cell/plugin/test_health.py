@@ -1,7 +1,5 @@
 """Health of a cell: its levels follow the limits of the config."""
 
-import math
-
 import pytest
 
 from cell.data import retention
@@ -39,14 +37,13 @@ def test_lost_frames_are_judged_by_their_limit(make_bench) -> None:
 
 
 def test_too_little_space_for_the_recording_is_watched(make_bench, tmp_path, monkeypatch) -> None:
-    free = retention.STOP_BYTES + (10 << 20)
-    monkeypatch.setattr(retention, "free_bytes", lambda _folder: free)
+    monkeypatch.setattr(retention, "free_bytes", lambda _folder: 18_000_000)
     folder, notes = tmp_path / "run-20270115-080000", list[str]()
     folder.mkdir()
-    config = small_config(recording__keep_days=2.0, recording__keep_gb=None)
+    config = small_config(recording__keep_gb=2.0)
     cell = make_bench(config, folder=folder, note=notes.append).cell
-    until(lambda: cell.recording_short)
+    until(lambda: cell.recording_problem)
     recording = health_values(config, cell, None)["recording"]
-    assert (recording["level"], recording["text"]) == ("watch", "space for 4 min")
-    assert notes[0].startswith(f"the disk of {tmp_path} has space for 4 min of recording, 18 MB")
-    assert (cell._retention._keep_s, cell._retention._keep_bytes) == (2 * 86_400.0, math.inf)
+    assert (recording["level"], [recording["text"]]) == ("watch", notes)
+    assert notes[0].startswith(f"the disk of {tmp_path} has less than 500 MB free")
+    assert cell._retention._keep_bytes == 2e9

@@ -17,22 +17,24 @@ def list_recordings(
     ] = Path("out"),
 ) -> None:
     """List the recordings of all jobs in a folder, oldest first."""
+    from datetime import datetime
+
     from rich.table import Table
 
     from cell.data.retention import recordings
     from cell.interfaces.cli.terminal import plain_text, print_table
 
-    table = Table("recording", "MB", "age / days", "marked", "thinned out")
+    table = Table("recording", "MB", "last write", "marked")
     for one in recordings(folder):
-        marks = ("yes" if yes else "" for yes in (one.marked, one.kept.thinned))
-        size, age = f"{one.n_bytes / 1e6:.1f}", f"{one.kept.age_s / 86_400.0:.1f}"
-        table.add_row(plain_text(str(one.path)), size, age, *marks)
+        size, written = f"{one.n_bytes / 1e6:.1f}", datetime.fromtimestamp(one.written_s)
+        marked = "yes" if one.marked else ""
+        table.add_row(plain_text(str(one.path)), size, f"{written:%Y-%m-%d %H:%M}", marked)
     print_table(table)
 
 
 @app.command()
 def mark(recordings: RecordingsArgument) -> None:
-    """Mark recordings, so that they are never deleted or thinned out."""
+    """Mark recordings, so that they are never deleted."""
     from cell.data.retention import mark as mark_one
     from cell.interfaces.cli.terminal import print_line
 
