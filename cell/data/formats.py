@@ -83,11 +83,6 @@ ARCHIVE = Format(
     text="tactile-cell-archive/1",
     remedy="archive the recordings again, to a new place",
 )
-RETENTION = Format(
-    what="list of the recordings' ages",
-    text="tactile-cell-recordings/1",
-    remedy="remove it: the recordings then count as new",
-)
 
 
 def write_json(path: Path, kind: Format, content: Any, *, error: type[CellError]) -> None:

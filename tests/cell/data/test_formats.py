@@ -78,7 +78,6 @@ KINDS: list[tuple[Format, Callable[[Path, str], None], Callable[[Path], Any]]] =
     (formats.SELF_ZERO, text, self_zero),
     (formats.CELL_BACKUP, text, of(formats.CELL_BACKUP)),
     (formats.ARCHIVE, archive, lambda path: Archive(str(path))),
-    (formats.RETENTION, text, of(formats.RETENTION)),
 ]
 """A format, what writes a file of another one, and what reads the file."""
 
