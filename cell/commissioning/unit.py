@@ -3,14 +3,12 @@
 import json
 import subprocess
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
@@ -25,7 +23,7 @@ from cell.config.tactile import (
     link_settings,
     make_calibration,
 )
-from cell.errors import CellError, ConfigError
+from cell.errors import ConfigError
 from cell.hand.build import frame_source, sensor_settings
 from tactile.can.bus import CanBus, MissingBus
 from tactile.control_unit.bus_load import least_sync_period_s, message_bits
@@ -37,7 +35,6 @@ from tactile.control_unit.search import (
     read_unit,
     read_vendor,
     scan_nodes,
-    write_unit,
 )
 from tactile.control_unit.settings import ExpectedIdentity
 from tactile.errors import BusNotOpened, TactileError
@@ -106,39 +103,6 @@ def _started(bench: Bench, tactile: TactileConfig) -> Iterator[TactileSensor]:
         source = frame_source(tactile, lines)
         law, settings = make_calibration(tactile, source.layout), sensor_settings(tactile)
         yield undo.enter_context(TactileSensor(source, law, clock=bench.clock, settings=settings))
-
-
-def unit_values(bench: Bench) -> dict[str, Any]:
-    """Return identity, layout and objects of the control unit; nothing is written.
-
-    Raises TactileError if it does not answer.
-    """
-    with bench.can_bus() as bus:
-        return asdict(read_unit(bus, bench.tactile().node_id))
-
-
-def restore_unit_values(bench: Bench, kept: Mapping[str, Any], dialog: Dialog) -> str:
-    """Write the objects of the control unit as `unit_values` has returned them, once approved.
-
-    Returns what was done. Nothing is written where ValueError is raised, as ``kept`` is damaged, or
-    CellError, as it is of another unit. Raises TactileError as `write_unit`.
-    """
-    then = TypeAdapter(FoundUnit).validate_python(kept)
-    with bench.can_bus() as bus:
-        now = read_unit(bus, bench.tactile().node_id)
-        for key in ("node_id", "layout_hash"):
-            if (found := getattr(now, key)) != (wanted := getattr(then, key)):
-                raise CellError(
-                    f"the control unit has {key} {found}, the backup has {wanted}: this is another "
-                    "unit, so nothing was written; choose the backup of this unit"
-                )
-        before, after = dict(now.registers), dict(then.registers)
-        changed = [name for name in before if after.get(name, before[name]) != before[name]]
-        if not changed:
-            return "all objects of the control unit are as in the backup"
-        dialog.approve(_changes(now, {name: after[name] for name in changed}))
-        write_unit(bus, now.node_id, {name: after[name] for name in changed})
-        return f"control unit: {len(changed)} objects as in the backup, until it is switched off"
 
 
 class UnitStep(Step):
@@ -480,19 +444,13 @@ def _writes(unit: FoundUnit, tactile: TactileConfig) -> list[ProposedChange]:
         0x380 + unit.node_id,
         round(1e3 * link.force_period_s),
     )
-    names = (name for name, _ in unit.registers)
-    return _changes(unit, dict(zip(names, coming, strict=False)))
-
-
-def _changes(unit: FoundUnit, coming: Mapping[str, int]) -> list[ProposedChange]:
-    before = dict(unit.registers)
     return [
         ProposedChange(
             where=f"control unit, node {unit.node_id}",
             what=name,
-            before=str(before[name]),
+            before=str(before),
             after=str(after),
             undo="switch the unit off and on; it is not stored",
         )
-        for name, after in coming.items()
+        for (name, before), after in zip(unit.registers, coming, strict=False)
     ]

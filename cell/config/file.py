@@ -240,26 +240,6 @@ def recorded_config(text: str) -> CellConfig | None:
         return None
 
 
-def text_with_values(text: str, values: Mapping[str, Any], *, source: str) -> str:
-    """Return the text of a config with other plain values, by dotted key; comments stay.
-
-    If the text lacks a key, all keys are written again and its comments are lost. Raises
-    ConfigError if a text is not a valid config.
-    """
-    wanted = changed_config(parse_config(text, source=source), values)
-    changed = text
-    for name, value in values.items():
-        node: Node | None = _parsed(changed, source)[0]
-        for step in name.split("."):
-            pairs = node.value if isinstance(node, MappingNode) else ()
-            node = next((inner for key, inner in pairs if key.value == step), None)
-        if isinstance(node, ScalarNode):
-            start, end = node.start_mark.index, node.end_mark.index
-            changed = f"{changed[:start]}{_scalar(value)}{changed[end:]}"
-    same = parse_config(changed, source=source) == wanted
-    return changed if same else config_text(wanted)
-
-
 def config_schema() -> dict[str, Any]:
     """Return the JSON schema of the config file."""
     schema = CellConfig.model_json_schema()

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -73,11 +73,6 @@ SELF_ZERO = Format(
     text="tactile-cell-self-zero/2",
     remedy="`tactile-cell zero` measures it anew",
 )
-CELL_BACKUP = Format(
-    what="backup of a cell",
-    text="tactile-cell-backup/1",
-    remedy="use another copy of it, or the tactile-cell that wrote it",
-)
 ARCHIVE = Format(
     what="archive",
     text="tactile-cell-archive/1",
@@ -87,13 +82,9 @@ ARCHIVE = Format(
 
 def write_json(path: Path, kind: Format, content: Any, *, error: type[CellError]) -> None:
     """Write a mapping or dataclass as JSON with format and checksum; see `write_text`."""
-    write_text(path, json_text(kind, content), error=error, what=kind.what)
-
-
-def json_text(kind: Format, content: Any) -> str:
-    """Return a mapping or dataclass as JSON with format and checksum."""
     values = {"format": str(kind), **json.loads(json_bytes(content))}
-    return json.dumps(values | {_CHECKSUM: _digest(values)}, indent=2) + "\n"
+    text = json.dumps(values | {_CHECKSUM: _digest(values)}, indent=2) + "\n"
+    write_text(path, text, error=error, what=kind.what)
 
 
 def read_json(path: Path, kind: Format, *, error: type[CellError]) -> dict[str, Any] | None:
@@ -107,34 +98,19 @@ def read_json(path: Path, kind: Format, *, error: type[CellError]) -> dict[str, 
         if isinstance(refused.__cause__, FileNotFoundError):
             return None
         raise
-    return parse_json(data, kind, path, error=error)
-
-
-def parse_json(
-    data: bytes, kind: Format, source: object, *, error: type[CellError]
-) -> dict[str, Any]:
-    """Return the content of a text of `json_text`. Raises ``error`` as `read_json`."""
     try:
         values = json.loads(data)
     except (ValueError, RecursionError) as cause:
-        raise error(f"{source} is damaged, it is not JSON; {kind.remedy}") from cause
+        raise error(f"{path} is damaged, it is not JSON; {kind.remedy}") from cause
     if not isinstance(values, dict):
-        raise error(f"{source} is not a {kind.what}: it has no object; {kind.remedy}")
-    kind.check(values.get("format"), source, error)
+        raise error(f"{path} is not a {kind.what}: it has no object; {kind.remedy}")
+    kind.check(values.get("format"), path, error)
     stated = values.pop(_CHECKSUM, None)
     if stated != _digest(values):
-        raise error(f"{source} is damaged, its checksum is wrong; {kind.remedy}")
+        raise error(f"{path} is damaged, its checksum is wrong; {kind.remedy}")
     del values["format"]
     return values
 
 
-def checksum(pieces: Iterable[bytes]) -> str:
-    """Return the SHA-256 over some bytes in pieces, as hexadecimal digits."""
-    digest = hashlib.sha256()
-    for piece in pieces:
-        digest.update(piece)
-    return digest.hexdigest()
-
-
 def _digest(values: Mapping[str, Any]) -> str:
-    return checksum([json.dumps(values, sort_keys=True).encode()])
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

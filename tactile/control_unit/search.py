@@ -1,10 +1,10 @@
 """Search for a control unit: nodes that send, nodes that answer, and identity of a unit.
 
-For commissioning, while the unit is still unknown. Only `write_unit` writes to it.
+For commissioning, while the unit is still unknown. Nothing is written to it.
 """
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Self
@@ -18,7 +18,7 @@ from tactile.control_unit.commissioning import read_identity
 from tactile.control_unit.sdo import ObjectAccess
 from tactile.control_unit.session import LinkSession
 from tactile.control_unit.settings import LinkSettings, NodeIdentity
-from tactile.errors import BusOff, IdentityMismatch, NodeMissing, TactileError
+from tactile.errors import BusOff, NodeMissing, TactileError
 from tactile.layout import TaxelLayout, paper_layout
 
 _NODES = range(1, 128)
@@ -152,55 +152,26 @@ def read_unit(bus: can.BusABC, node_id: int) -> FoundUnit:
     BusOff if the CAN interface fails.
     """
     with _objects_of(bus, node_id) as objects:
-        return _read(objects, node_id)
-
-
-def _read(objects: ObjectAccess, node_id: int) -> FoundUnit:
-    identity = read_identity(objects)
-    n_taxels = objects.read_unsigned(od.LAYOUT, od.LAYOUT_TAXELS)
-    shapes = objects.read(od.PAD_SHAPES)
-    if len(shapes) % 2:
-        raise NodeMissing(
-            f"object 2102h of node {node_id} has {len(shapes)} bytes, two for each pad are "
-            "expected: the unit's firmware does not fit this software's EDS"
+        identity = read_identity(objects)
+        n_taxels = objects.read_unsigned(od.LAYOUT, od.LAYOUT_TAXELS)
+        shapes = objects.read(od.PAD_SHAPES)
+        if len(shapes) % 2:
+            raise NodeMissing(
+                f"object 2102h of node {node_id} has {len(shapes)} bytes, two for each pad are "
+                "expected: the unit's firmware does not fit this software's EDS"
+            )
+        sends_forces = objects.has(od.FORCE_MESSAGE)
+        written = _WRITTEN + (_WRITTEN_FORCES if sends_forces else ())
+        return FoundUnit(
+            node_id=node_id,
+            identity=identity,
+            layout_hash=objects.read_text(od.LAYOUT, od.LAYOUT_HASH),
+            n_taxels=n_taxels,
+            adc_max=objects.read_unsigned(od.LAYOUT, od.LAYOUT_ADC_MAX),
+            pad_shapes=tuple(zip(shapes[::2], shapes[1::2], strict=True)),
+            sends_forces=sends_forces,
+            registers=tuple((name, objects.read_unsigned(i, sub)) for name, i, sub in written),
         )
-    sends_forces = objects.has(od.FORCE_MESSAGE)
-    written = _WRITTEN + (_WRITTEN_FORCES if sends_forces else ())
-    return FoundUnit(
-        node_id=node_id,
-        identity=identity,
-        layout_hash=objects.read_text(od.LAYOUT, od.LAYOUT_HASH),
-        n_taxels=n_taxels,
-        adc_max=objects.read_unsigned(od.LAYOUT, od.LAYOUT_ADC_MAX),
-        pad_shapes=tuple(zip(shapes[::2], shapes[1::2], strict=True)),
-        sends_forces=sends_forces,
-        registers=tuple((name, objects.read_unsigned(i, sub)) for name, i, sub in written),
-    )
-
-
-def write_unit(bus: can.BusABC, node_id: int, registers: Mapping[str, int]) -> None:
-    """Write objects of a control unit, by their names in `FoundUnit.registers`; each is read back.
-
-    Raises NodeMissing if the node does not answer or refuses a value, IdentityMismatch if it does
-    not keep one. Nothing is written where a value does not fit its object: ValueError.
-    """
-    with _objects_of(bus, node_id) as objects:
-        places = [row for row in _WRITTEN + _WRITTEN_FORCES if row[0] in registers]
-        writes = []
-        for name, index, sub in places:
-            value, n_bytes = registers[name], len(objects.read(index, sub))
-            if not 0 <= value < 1 << 8 * n_bytes:
-                raise ValueError(
-                    f"{name} is {value}, an object of {n_bytes} bytes does not take it"
-                )
-            writes.append((name, index, sub, value, n_bytes))
-        for name, index, sub, value, n_bytes in writes:
-            if sub == od.PDO_COB_ID and not value & od.PDO_INVALID:
-                # It may be changed while the PDO is off only (CiA 301, 7.5.2.37).
-                objects.write_unsigned(index, sub, od.PDO_INVALID | value, n_bytes)
-            objects.write_unsigned(index, sub, value, n_bytes)
-            if (found := objects.read_unsigned(index, sub)) != value:
-                raise IdentityMismatch(f"the unit did not keep {name}: wrote {value}, is {found}")
 
 
 def read_vendor(bus: can.BusABC, node_id: int) -> tuple[int, int]:

@@ -21,13 +21,9 @@ _COLOURS = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold r
 
 
 class TerminalDialog(Dialog):
-    """Implements `cell.commissioning.engine.Dialog` on standard input and output.
+    """Implements `cell.commissioning.engine.Dialog` on standard input and output."""
 
-    With ``approved`` all writes are approved without a question.
-    """
-
-    def __init__(self, *, approved: bool = False) -> None:
-        self._approved = approved
+    def __init__(self) -> None:
         self._running = False
 
     def start_step(self, step: Step, number: int, count: int) -> None:
@@ -76,7 +72,7 @@ class TerminalDialog(Dialog):
             print_line(f"  {write.where}: {write.what}: {write.before} -> {write.after}")
         for undo in dict.fromkeys(write.undo for write in writes):
             print_line(f"  undo: {undo}")
-        while not self._approved:
+        while True:
             typed = self._typed("Do this? y, or n to leave: ").lower()
             if typed in {"y", "yes"}:
                 return

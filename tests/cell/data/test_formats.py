@@ -5,7 +5,6 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from datetime import date
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from cell.config.file import load_config
 from cell.control.self_zero import SelfZeros
 from cell.data import formats
 from cell.data.dataset import read_dataset
-from cell.data.formats import Format, read_json
+from cell.data.formats import Format
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError
 from cell.learning.model import load_model
@@ -63,11 +62,6 @@ def servo_backup(path: Path) -> None:
     since_backup(path.parent, None, 1)  # type: ignore[arg-type]  # its file is read first
 
 
-def of(kind: Format) -> Callable[[Path], Any]:
-    """Return the reader of a kind of JSON file."""
-    return partial(read_json, kind=kind, error=CellError)
-
-
 KINDS: list[tuple[Format, Callable[[Path, str], None], Callable[[Path], Any]]] = [
     (formats.CONFIG, text, load_config),
     (formats.DATASET, dataset, read_dataset),
@@ -76,7 +70,6 @@ KINDS: list[tuple[Format, Callable[[Path, str], None], Callable[[Path], Any]]] =
     (formats.COMMISSIONING, text, read_commissioned),
     (formats.SERVO_BACKUP, text, servo_backup),
     (formats.SELF_ZERO, text, self_zero),
-    (formats.CELL_BACKUP, text, of(formats.CELL_BACKUP)),
     (formats.ARCHIVE, archive, lambda path: Archive(str(path))),
 ]
 """A format, what writes a file of another one, and what reads the file."""
