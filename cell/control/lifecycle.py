@@ -55,6 +55,17 @@ ON_REQUEST = "on request"
 """Reason of a stop that a person or host requested."""
 
 
+@dataclass(frozen=True, slots=True)
+class LatchedFault:
+    """A latched fault; one value, because other threads read it."""
+
+    text: str
+    number: int
+    """Number in `cell.fault_catalogue`."""
+    since_s: float = field(default_factory=time.time)
+    """Unix time in s."""
+
+
 @dataclass
 class CellLifecycle:
     """Walks through the states of `cell.control.states`; keeps the grip on every error.
@@ -73,13 +84,12 @@ class CellLifecycle:
     """The present state; only `go` changes it."""
     result: GraspResult | None = None
     """How the last grasp ended; None before the first one and after a release."""
-    fault: str | None = None
-    fault_number: int = 0
-    """The latched fault as text, and its number in `cell.fault_catalogue`."""
+    latched: LatchedFault | None = None
+    """The latched fault."""
     state_since_s: float = field(default_factory=time.time)
     """Unix time in s of the last change of the state."""
-    fault_since_s: float | None = None
-    """Unix time in s of the latched fault; None without a fault."""
+    progressed_s: float = 0.0
+    """Monotonic time in s of the newest period of a motion, or of the newest move."""
     faults: Counter[int] = field(default_factory=Counter)
     """Faults so far, by their numbers."""
     cancelled: bool = False
@@ -95,19 +105,26 @@ class CellLifecycle:
         return self.hand.phase in _HOLDING
 
     @property
+    def fault(self) -> str | None:
+        """The latched fault as text; None without a fault."""
+        latched = self.latched
+        return None if latched is None else latched.text
+
+    @property
     def grasp_state(self) -> GraspState:
         """State of the grip."""
         return grasp_state(
             self.hand.phase,
             result=self.result,
-            fault=self.fault is not None,
+            fault=self.latched is not None,
             part_lost=self._part_lost,
         )
 
     @property
     def status(self) -> CellStatus:
         """States of cell and grip with their numbers, and faults."""
-        state, grasp = self.state, self.grasp_state
+        n_faults, state, grasp = self.faults.total(), self.state, self.grasp_state
+        latched = self.latched  # read once, and after the count that it raises
         return CellStatus(
             state=state.value,
             state_number=state.number,
@@ -115,11 +132,11 @@ class CellLifecycle:
             grasp=grasp.value,
             grasp_number=grasp.number,
             holding=self.holding,
-            fault=self.fault,
-            fault_number=self.fault_number,
+            fault=None if latched is None else latched.text,
+            fault_number=0 if latched is None else latched.number,
             since_s=self.state_since_s,
-            fault_since_s=self.fault_since_s,
-            n_faults=self.faults.total(),
+            fault_since_s=None if latched is None else latched.since_s,
+            n_faults=n_faults,
         )
 
     @property
@@ -228,12 +245,11 @@ class CellLifecycle:
             # A latched servo error needs other steps than the fault before it.
             if self.fault is None or isinstance(error, ServoFault):
                 before = "" if self.fault is None else f" (first: {self.fault})"
-                self.fault, self.fault_number = error_text(error) + before, fault_number(error)
-                self.fault_since_s = time.time()
+                self.latched = LatchedFault(error_text(error) + before, fault_number(error))
             self.go(Event.FAULT)
             self.go(Event.ABORTED)
             raise
-        self.fault, self.fault_number, self.fault_since_s = None, 0, None
+        self.latched = None
         self._part_lost = False
         self.complete()
 
@@ -278,16 +294,15 @@ class CellLifecycle:
 
     def _latch(self, error: BaseException) -> None:
         """Keep the grip and latch the fault; a second error does not hide the first."""
-        self.fault = error_text(error) + self._carried_for()
-        self.fault_number = fault_number(error)
-        self.fault_since_s = time.time()
-        self.faults[self.fault_number] += 1
+        fault = LatchedFault(error_text(error) + self._carried_for(), fault_number(error))
+        self.latched = fault
+        self.faults[fault.number] += 1
         # A kept part that slips is no longer where the host expects it.
         lost = (PartLost, PartSlipped) if self._kept else PartLost
         self._part_lost = isinstance(error, lost)
         self.go(Event.FAULT)
         try:
-            self.journal.note("fault", self.fault, self.fault_number)
+            self.journal.note("fault", fault.text, fault.number)
             self.hand.keep_grip()
         except (GripperError, HandLost) as second:
             text = f"the grip could not be confirmed: {second}"

@@ -1,5 +1,6 @@
 """Moves of the positioner: the cell is supervised meanwhile, and a stop is obeyed."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
@@ -90,4 +91,6 @@ class Moves:
         supervise()
 
     def _patiently(self, call: Callable[[], _T], supervise: Callable[[], None]) -> _T:
-        return self.patient.call(call, supervise) if self.positioner.blocks else call()
+        made = self.patient.call(call, supervise) if self.positioner.blocks else call()
+        self.life.progressed_s = time.monotonic()
+        return made

@@ -27,6 +27,7 @@ class MotionWatch:
 
     def period(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         """Record one period with its frames; obey a stop."""
+        self.life.progressed_s = time.monotonic()
         self.life.check_cancelled()
         self.journal.states(self.life.state, self.life.grasp_state)
         self.journal.cycle(cycle, frames)

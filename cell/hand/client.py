@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -58,6 +59,8 @@ class LoopProcess:
         self.lost: HandLost | None = None
         """Why the process can no longer be used; None while it can."""
         self._watchdog_ms = config.gripper.watchdog_ms
+        # A signal handler may interrupt the holder and call `stop` in the same thread.
+        self._stopping = threading.RLock()
         ours, theirs = socket.socketpair()
         stop_fd, self._stop_fd = os.pipe()
         os.set_blocking(self._stop_fd, False)
@@ -100,8 +103,8 @@ class LoopProcess:
 
     def stop(self) -> None:
         """Stop the running command; safe from any thread and in signal handlers."""
-        # A full pipe already has stop requests; a broken pipe has no process to stop.
-        with suppress(OSError):
+        # A full pipe already has stop requests; a broken or closed pipe has no process to stop.
+        with self._stopping, suppress(OSError):
             os.write(self._stop_fd, b"s")
 
     def send(self, message: HandRequest | EndRamp | Boot) -> None:
@@ -146,8 +149,11 @@ class LoopProcess:
         """End the process and wait for its end; kill it if it does not end."""
         if not self._connection.closed:
             self._connection.close()
-            os.close(self._stop_fd)
-            self._stop_fd = -1
+        # Another file may get the number of a closed descriptor at once: `stop` must not see it.
+        with self._stopping:
+            stop_fd, self._stop_fd = self._stop_fd, -1
+            if stop_fd >= 0:
+                os.close(stop_fd)
         try:
             self._process.wait(_END_S)
         except subprocess.TimeoutExpired:

@@ -303,6 +303,10 @@ class HttpServer:
         )
         self._thread.start()
 
+    def works(self) -> bool:
+        """Whether the thread of the interface runs."""
+        return self._thread.is_alive()
+
     def close(self) -> None:
         """End all connections and the thread."""
         self._server.should_exit = True

@@ -107,7 +107,7 @@ def _state(service: Service) -> Iterator[Metric]:
         GaugeMetricFamily, "info", "Version and name of the cell", list(info),
         iter([(tuple(info.values()), 1.0)]),
     )  # fmt: skip
-    yield _gauge("working", "1 while the thread of the cell works", service.plugin.working)
+    yield _gauge("working", "1 while the service works", not service.problem)
     yield _gauge("state", "State of the cell, a PackTags number", status.state_number)
     yield _gauge("holding", "1 while a part may be in the grip", status.holding)
     yield _gauge("fault", "Number of the latched fault; 0 for none", status.fault_number)

@@ -68,6 +68,7 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
                     f"cannot be opened: {error}{remedy}"
                 ) from error
             undo.callback(interface.close)
+            undo.enter_context(service.watching(f"the interface of serve.{key}", interface.works))
             found[key] = interface.port
             if key == "http_port":
                 found |= {"token": interface.token, "view_token": interface.view_token}

@@ -382,18 +382,19 @@ class WebInterface(HttpServer):
             return  # the client is gone, takes nothing, or has not named its token
 
     def healthz(self) -> JSONResponse:
-        """Whether the cell works; needs no token. 503: its thread is stuck.
+        """Whether the service works; needs no token. 503: its ``problem`` says why.
 
         With a fault the answer is 200 with the number of the fault: a restart does not help.
         """
-        status, working = self._service.status(), self._service.plugin.working
+        status, problem = self._service.status(), self._service.problem
         shown = {
-            "working": working,
+            "working": not problem,
+            "problem": problem,
             "state": status.state,
             "fault_number": status.fault_number,
             "holding": status.holding,
         }
-        return JSONResponse(shown, 200 if working else 503)
+        return JSONResponse(shown, 503 if problem else 200)
 
     def metrics(
         self,

@@ -204,6 +204,7 @@ class TactileCellPlugin:
         self._worker = CellWorker(
             idle=self._cell.idle,
             idle_period_s=1.0 / checked.gripper.loop_rate_hz if self._cell.realtime else None,
+            progressed_s=lambda: controller.life.progressed_s,
         )
         self._simulation = (
             None
@@ -259,9 +260,9 @@ class TactileCellPlugin:
 
     @property
     def working(self) -> bool:
-        """Whether the thread of the cell runs a job, or supervises the cell in each period.
+        """Whether the thread of the cell makes progress in a job, or supervises the cell.
 
-        A silent force loop ends both with a fault.
+        A silent force loop ends both with a fault. A job may make no progress for `JOB_SILENT_S`.
         """
         return self._worker.working
 

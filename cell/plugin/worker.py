@@ -27,6 +27,9 @@ The system may deliver a signal to any thread, but Python handles it only in the
 _SILENT_S = 10.0
 """Time in s without supervision after which the thread counts as stuck: twice the longest silence
 of a force loop."""
+JOB_SILENT_S = 300.0
+"""Longest time in s of a job without a report, a period of a motion or the end of a move. The
+longest computation, a training on hundreds of grasps, takes a tenth of it."""
 
 
 class JobOutcome(StrEnum):
@@ -97,7 +100,13 @@ class CellWorker:
     collected.
     """
 
-    def __init__(self, *, idle: Callable[[], None], idle_period_s: float | None) -> None:
+    def __init__(
+        self,
+        *,
+        idle: Callable[[], None],
+        idle_period_s: float | None,
+        progressed_s: Callable[[], float] = lambda: 0.0,
+    ) -> None:
         """Start the thread.
 
         Parameters
@@ -107,11 +116,13 @@ class CellWorker:
         idle_period_s
             That period in s; None for a cell whose time stands still without a job. A function that
             `between_jobs` runs can change it.
+        progressed_s
+            Returns the monotonic time in s of the newest progress of a job, beside its reports.
         """
-        self._idle = idle
+        self._idle, self._progressed_s = idle, progressed_s
         self.idle_period_s = idle_period_s
         self.looked_s = time.monotonic()
-        """Monotonic time in s of the thread's last turn."""
+        """Monotonic time in s of the thread's last turn, or of the last report of its job."""
         self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._name = uuid.uuid4().hex
         self._refusing = False
@@ -139,7 +150,7 @@ class CellWorker:
             self.check_free()
             job = Job(self._newest + 1, self._name)
             accepted(job)
-            self._newest = job.number
+            self._newest, self.looked_s = job.number, time.monotonic()
             self._status[job] = JobStatus(outcome=JobOutcome.ACCEPTED, progress={})
             if len(self._status) > KEPT_JOBS:
                 del self._status[next(iter(self._status))]
@@ -189,9 +200,11 @@ class CellWorker:
 
     @property
     def working(self) -> bool:
-        """Whether the thread runs a job, or supervises the cell in time."""
-        late = time.monotonic() - self.looked_s > _SILENT_S
-        return self.running or self.idle_period_s is None or not late
+        """Whether the thread makes progress in a job, or supervises the cell in time."""
+        silent_s = time.monotonic() - max(self.looked_s, self._progressed_s())
+        if self.running:
+            return silent_s <= JOB_SILENT_S
+        return self.idle_period_s is None or silent_s <= _SILENT_S
 
     def between_jobs(self, act: Callable[[], None]) -> None:
         """Call a function on the thread after the accepted jobs; it must not fail."""
@@ -253,7 +266,7 @@ class CellWorker:
 
     def _set(self, job: Job, status: JobStatus) -> None:
         with self._changed:
-            self._status[job] = status
+            self._status[job], self.looked_s = status, time.monotonic()
             self._changed.notify_all()
 
 

@@ -9,7 +9,8 @@ nothing resumes by itself.
 import itertools
 import threading
 import time
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from math import inf
@@ -226,6 +227,7 @@ class Service:
         self._health: tuple[float, dict[str, Any]] = (-inf, {})
         self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
         self._part: str | None = None
+        self._watched: dict[str, Callable[[], bool]] = {}
         self.lease.watch(note)
 
     # -- questions -----------------------------------------------------------------------------
@@ -320,6 +322,25 @@ class Service:
             found = self.plugin.health()
             self._health = (now_s, found)
         return found
+
+    @property
+    def problem(self) -> str:
+        """Why the service does not work as a whole, with the next step; empty while it works."""
+        for name, works in tuple(self._watched.items()):
+            if not works():
+                return f"{name} has ended; restart the program: it keeps the grip"
+        if self.plugin.working or self._poses.awaited[1] is not None:
+            return ""
+        return "the thread of the cell hangs; look at the part, then restart the program"
+
+    @contextmanager
+    def watching(self, name: str, works: Callable[[], bool]) -> Iterator[None]:
+        """Within the block the end of a part of the service is a `problem`."""
+        self._watched[name] = works
+        try:
+            yield
+        finally:
+            del self._watched[name]
 
     def frame_n(self) -> NDArray[np.float32] | None:
         """Return the newest force in N on each taxel, (n_taxels,); None without a measurement."""

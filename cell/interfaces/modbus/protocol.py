@@ -175,6 +175,10 @@ class ModbusServer:
         self._thread.start()
         self.port = started.result()
 
+    def works(self) -> bool:
+        """Whether the thread of the server runs."""
+        return self._thread.is_alive()
+
     def close(self) -> None:
         """End all connections and the thread. A second call does nothing."""
         if self._thread.is_alive():

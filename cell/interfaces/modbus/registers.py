@@ -175,7 +175,7 @@ class ModbusInterface:
             lambda host: _Client(self, host) if may_connect(host, config) else None,
             request_timeout_s=config.request_timeout_s,
         )
-        self.port = self._server.port
+        self.port, self.works = self._server.port, self._server.works
 
     def close(self) -> None:
         """End all connections and the thread."""

@@ -1,7 +1,9 @@
 """The program's side of the process of the force loop, with the process played by the test."""
 
+import os
 import signal
 import subprocess
+import threading
 import time
 from collections import deque
 from dataclasses import replace
@@ -268,3 +270,33 @@ def test_ctrl_c_while_the_process_comes_up_is_the_programs_business(monkeypatch,
     text = f"gripper: {{port: {tmp_path}/servos}}\ntactile: {line}"
     with pytest.raises(LinkFault, match="cannot be opened"):
         HandProcess(parse_config(f"{text}\npositioner: {{kind: operator}}", source="test"))
+
+
+@pytest.mark.parametrize("moment", ["while it closes", "after it has closed"])
+def test_a_stop_never_writes_into_a_descriptor_that_another_file_has(monkeypatch, moment) -> None:
+    """The number of a closed descriptor is given to the next file that is opened."""
+    (reader, writer), (other_reader, other) = os.pipe(), os.pipe()
+    loop = LoopProcess.__new__(LoopProcess)
+    loop._stopping = threading.RLock()
+    loop._stop_fd = writer
+    loop._connection = SimpleNamespace(closed=False, close=lambda: None)  # type: ignore[assignment]
+    loop._process = SimpleNamespace(wait=lambda _timeout_s: 0)  # type: ignore[assignment]
+    os_close = os.close
+
+    def close_and_reuse(number: int) -> None:
+        os_close(number)
+        if number == writer:
+            os.dup2(other, number)
+            if moment == "while it closes":
+                loop.stop()  # as a signal handler does, or another thread
+
+    with monkeypatch.context() as reused:
+        reused.setattr(client.os, "close", close_and_reuse)
+        loop.close()
+    loop.stop()
+    loop.close()
+    os.set_blocking(other_reader, False)
+    with pytest.raises(BlockingIOError):
+        os.read(other_reader, 1)
+    for number in (reader, writer, other_reader, other):
+        os.close(number)

@@ -135,13 +135,14 @@ def test_each_result_of_a_part_is_counted() -> None:
 def test_metrics_need_a_token_and_health_does_not(connect) -> None:
     served, client = connect()
     assert scraped(client, "wrong")[0] == 401
-    well = {"working": True, "state": "IDLE", "fault_number": 0, "holding": False}
+    well = {"working": True, "problem": "", "state": "IDLE", "fault_number": 0, "holding": False}
     assert client.ask("GET", "/healthz", token=None) == (200, well)
     served.plugin.fail(HeartbeatLost("no heartbeat"))
     status, found = client.ask("GET", "/healthz", token=None)
     assert (status, found["state"], found["fault_number"]) == (200, "ABORTED", 305)
     served.plugin.working = False
-    assert client.ask("GET", "/healthz", token=None)[0] == 503
+    status, found = client.ask("GET", "/healthz", token=None)
+    assert (status, found["problem"].split(";")[0]) == (503, "the thread of the cell hangs")
 
 
 def test_without_its_extra_a_scrape_says_what_to_install(connect, monkeypatch) -> None:

@@ -3,11 +3,15 @@
 import os
 import socket
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from cell.control.plan import Pose
 from cell.errors import CellError, ConfigError
+from cell.interfaces.cli.commands.serve import report_until
 from cell.interfaces.opening import open_interfaces, warnings
+from tests.waiting import LIMIT_S
 
 
 def test_interfaces_that_cannot_be_opened_say_why(serve, tmp_path: Path) -> None:
@@ -50,3 +54,49 @@ def test_a_taken_port_names_the_key_that_sets_another(serve, interface: str) -> 
         complaint = f"127.0.0.1:{port} .*set serve.{interface}_port to another port"
         with pytest.raises(CellError, match=complaint), open_interfaces(served.service):
             pass
+
+
+@pytest.mark.parametrize("interface", ["modbus", "xmlrpc", "http"])
+def test_an_interface_that_dies_is_a_problem_of_the_service(serve, interface: str) -> None:
+    service = serve("modbus", "xmlrpc", "http").service
+    assert service.problem == ""
+    (works,) = (one for name, one in service._watched.items() if f".{interface}_port" in name)
+    server = works.__self__
+    if interface == "modbus":
+        server._loop.call_soon_threadsafe(server._over.set)
+    else:
+        server._server.should_exit = True
+    server._thread.join(LIMIT_S)
+    assert service.problem.startswith(f"the interface of serve.{interface}_port has ended")
+
+
+def test_a_program_with_a_problem_stops_its_job_and_feeds_no_watchdog(serve, capsys) -> None:
+    served = serve("modbus")
+    lease = served.service.lease.acquire("host")
+    served.plugin.pause()
+    served.service.start(lease, {"task": "identify"})
+    reports: list[tuple[str, bool]] = []
+    manager = SimpleNamespace(report=lambda text, *, working: reports.append((text, working)))
+    turns = iter([True, True, False, False, True])
+
+    def wait(_time_s: float) -> bool:
+        """Have a cell that works in some turns."""
+        served.plugin.working = next(turns, None)
+        return served.plugin.working is None
+
+    report_until(SimpleNamespace(wait=wait), served.service, manager)  # type: ignore[arg-type]
+    assert [working for _, working in reports] == [True, True, False, False, True]
+    assert reports[2][0].startswith("the thread of the cell hangs")
+    assert "stopped because the thread of the cell hangs" in served.ended().error
+    said = " ".join(capsys.readouterr().err.split())
+    assert said.count("the thread of the cell hangs") == 1
+
+
+def test_a_host_may_take_its_time_for_a_pose(serve) -> None:
+    served = serve()
+    served.plugin.working = False  # the thread of the cell waits for the host
+    assert served.service.problem
+    reached = served.ask_pose(Pose())
+    assert served.service.problem == ""
+    served.service.pose_reached(served.service.lease.acquire("host"), 1)
+    assert reached.result(LIMIT_S) is True

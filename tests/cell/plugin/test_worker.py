@@ -2,13 +2,14 @@ import gc
 import signal
 import sys
 import threading
+import time
 import weakref
 from collections.abc import Iterator
 
 import pytest
 
 from cell.errors import CellStateError
-from cell.plugin.worker import CellWorker, Job, JobOutcome
+from cell.plugin.worker import JOB_SILENT_S, CellWorker, Job, JobOutcome, Report
 
 
 @pytest.fixture
@@ -88,6 +89,37 @@ def test_a_thread_that_is_stuck_between_jobs_does_not_work() -> None:
     worker.start(lambda _report: None)
     assert worker.working  # it has a job
     go_on.set()
+    worker.close(10.0)
+
+
+@pytest.mark.parametrize("way", ["report", "period"])
+def test_a_job_has_a_longest_time_without_progress(way: str) -> None:
+    go_on, over = threading.Event(), threading.Event()
+    moved_s = [0.0]
+
+    def hangs(report: Report) -> None:
+        go_on.wait(10.0)
+        report({"grasps": 1})
+        reported.set()
+        over.wait(10.0)
+
+    reported = threading.Event()
+    worker = CellWorker(idle=lambda: None, idle_period_s=None, progressed_s=lambda: moved_s[0])
+    job = worker.start(hangs)
+    while worker.status(job).outcome is not JobOutcome.EXECUTING:
+        go_on.wait(0.001)
+    worker.looked_s -= JOB_SILENT_S - 1.0
+    assert worker.working
+    worker.looked_s -= 2.0
+    assert not worker.working
+    if way == "report":
+        go_on.set()
+        assert reported.wait(10.0)
+    else:
+        moved_s[0] = time.monotonic()
+    assert worker.working
+    go_on.set()
+    over.set()
     worker.close(10.0)
 
 

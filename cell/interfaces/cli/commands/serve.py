@@ -14,6 +14,7 @@ from cell.interfaces.cli.options import ConfigOption, FaultOption, ModelOption
 
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
+    from cell.interfaces.cli.service_manager import ServiceManager
     from cell.service.service import Service
 
 SIGNAL_LOOK_S = 0.25
@@ -126,9 +127,22 @@ def serve(
             service.plugin.follow_real_time(speed)
             manager = ServiceManager()
             manager.ready()
-            while not over.wait(SIGNAL_LOOK_S):
-                manager.report(_status_line(service), working=service.plugin.working)
+            report_until(over, service, manager)
             manager.stopping()
+
+
+def report_until(over: threading.Event, service: "Service", manager: "ServiceManager") -> None:
+    """Report to the service manager until the end; a problem stops the running job."""
+    from cell.interfaces.cli.terminal import print_note
+
+    noted = ""
+    while not over.wait(SIGNAL_LOOK_S):
+        problem = service.problem
+        if problem and not noted:
+            print_note(problem)
+            service.stop(f"because {problem}")
+        noted = problem
+        manager.report(problem or _status_line(service), working=not problem)
 
 
 def _status_line(service: "Service") -> str:
