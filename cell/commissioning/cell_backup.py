@@ -122,12 +122,12 @@ def restore(path: Path, folder: Path) -> int:
             open_plain(path, error=CellError, what="backup") as file,
             tarfile.open(fileobj=file, mode="r:") as archive,
         ):
-            wrong = next((one.name for one in archive if not _is_plain(one)), None)
-            if wrong is not None or CONFIG_NAME not in archive.getnames():
-                reason = f"no {CONFIG_NAME}: it is cut off, or no backup of a cell"
-                if wrong is not None:
-                    reason = f"{wrong!r:.80}: a link, a device, or a path that leaves the folder"
-                raise CellError(f"{path} has {reason}; nothing was written, use another copy of it")
+            refused = ((one, _refusal(one)) for one in archive)
+            wrong = next((f"{one.name!r:.80} {why}" for one, why in refused if why), "")
+            if not wrong and CONFIG_NAME not in archive.getnames():
+                wrong = f"it has no {CONFIG_NAME}, so it is cut off or no backup of a cell"
+            if wrong:
+                raise CellError(f"{path}: {wrong}; nothing was written, use another copy of it")
             folder.parent.mkdir(parents=True, exist_ok=True)
             # Python before 3.11.4 has no filter; names and types are checked above.
             archive.extraction_filter = getattr(tarfile, "data_filter", None)
@@ -142,7 +142,9 @@ def restore(path: Path, folder: Path) -> int:
         raise CellError(f"cannot restore {path} to {folder}: {reason}") from error
 
 
-def _is_plain(member: tarfile.TarInfo) -> bool:
-    """Return whether a member is a file or folder inside the folder of the archive."""
+def _refusal(member: tarfile.TarInfo) -> str:
+    """Return why a member of an archive is refused; empty for a file or folder inside it."""
+    if _leaves(member.name):
+        return "leaves the folder"
     file = member.isfile() and not member.issparse() and member.size >= 0
-    return (file or member.isdir()) and not _leaves(member.name)
+    return "" if file or member.isdir() else "is a link, a device or another special file"

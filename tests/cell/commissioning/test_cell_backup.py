@@ -174,7 +174,11 @@ def test_paths_that_leave_the_folder_links_and_devices_are_refused(tmp_path, mem
         archive.addfile(member(CONFIG, size=2), io.BytesIO(b"{}"))
         for one in members:
             archive.addfile(one)
-    with pytest.raises(CellError, match="a link, a device, or a path that leaves the folder; noth"):
+    leaves = members[0].name != "x"
+    reason = "leaves the folder" if leaves else "is a link, a device or another special file"
+    with pytest.raises(
+        CellError, match=f"b.tar: '{members[0].name}' {reason}; nothing was written"
+    ):
         call("restore", path, tmp_path / "folder" / "cell")
     assert [one.name for one in tmp_path.iterdir()] == ["b.tar"]
     assert not Path("/tmp/tactile-cell-x").exists()
