@@ -27,8 +27,10 @@ self_zero      float64 (n_grasps, 8)       self-zero of the empty fingers before
 ============== =========================== ======================================================
 """
 
+import functools
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +40,6 @@ from numpy.typing import NDArray
 from cell.data.files import read_npz, savez, write_atomically
 from cell.data.formats import DATASET
 from cell.data.grasp_limits import (
-    MAX_TEXT,
     RANGES,
     beyond_range,
     openings_too_small,
@@ -46,7 +47,7 @@ from cell.data.grasp_limits import (
     text_refused,
     times_refused,
 )
-from cell.errors import DatasetError
+from cell.errors import DatasetError, raised_as
 from recognition.grasp import (
     COMMAND_COLUMNS,
     ZERO_COLUMNS,
@@ -59,22 +60,30 @@ from recognition.grasp import (
 DATASET_LIMIT_BYTES = 1 << 30
 """Default limit of the unpacked size of a data set in bytes."""
 
-_REQUIRED = (
-    "format",
-    "adc_max",
-    "pad_shape",
-    "taxel_pad",
-    "taxel_xy_mm",
-    "counts",
-    "aperture_mm",
-    "t_s",
-    "grasp_offsets",
-    "label",
-    "start_ms",
-)
-_OPTIONAL = ("force_n", "shape", "source", "thickness_mm", "pose", "self_zero")
-_MAX_TAXELS = 1 << 16
-"""Most taxels of a grasp, far more than any sensor here has."""
+_ARRAYS = {
+    "format": ("U", ""),
+    "adc_max": ("iu", ""),
+    "pad_shape": ("iu", "pads xy"),
+    "taxel_pad": ("iu", "taxels"),
+    "taxel_xy_mm": ("f", "taxels xy"),
+    "counts": ("u", "frames taxels"),
+    "aperture_mm": ("f", "frames"),
+    "t_s": ("f", "frames"),
+    "grasp_offsets": ("iu", "offsets"),
+    "label": ("U", "grasps"),
+    "start_ms": ("iu", "grasps"),
+    "force_n": ("f", "frames"),
+    "shape": ("U", "grasps"),
+    "source": ("U", "grasps"),
+    "thickness_mm": ("f", "grasps"),
+    "pose": ("f", "grasps command"),
+    "self_zero": ("f", "grasps zero"),
+}
+"""Kinds of the numpy type of each array, and its axes; arrays with the same axis have the same
+length along it."""
+_AXES = {"xy": 2, "command": len(COMMAND_COLUMNS), "zero": len(ZERO_COLUMNS)}
+"""Length of the axes that are the same in all data sets."""
+_OPTIONAL = {"force_n", "shape", "source", "thickness_mm", "pose", "self_zero"}
 
 
 def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) -> tuple[Grasp, ...]:
@@ -89,7 +98,19 @@ def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) ->
     """
     path = Path(path)
     arrays = read_npz(path, error=DatasetError, what="grasp data set", limit_bytes=limit_bytes)
-    return _Checker(path, arrays).grasps()
+    if "format" in arrays:
+        DATASET.check(str(arrays["format"]), path, DatasetError)
+    missing = [name for name in _ARRAYS if name not in arrays and name not in _OPTIONAL]
+    if missing and "model" in arrays:
+        raise DatasetError(f"{path} is a model: name the data sets that taught it")
+    if missing:
+        raise DatasetError(f"{path} is not a grasp data set: {', '.join(missing)} missing")
+    if unknown := [name for name in arrays if name not in _ARRAYS]:
+        raise DatasetError(f"{path}: unknown arrays {', '.join(map(repr, unknown))}")
+    # A signalling NaN, or differences of infinite times; both are refused.
+    with raised_as(DatasetError, ValueError, where=str(path)), np.errstate(invalid="ignore"):
+        _check_arrays(arrays)
+        return _grasps_of(arrays)
 
 
 def read_grasps(path: Path | str) -> tuple[Grasp, ...]:
@@ -171,168 +192,82 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-class _Checker:
-    """Checks each array of one file before it is used."""
-
-    def __init__(self, path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-        self._path = path
-        self._arrays = arrays
-        if "format" in arrays:
-            DATASET.check(arrays["format"].tolist(), path, DatasetError)
-        missing = [name for name in _REQUIRED if name not in arrays]
-        if missing and "model" in arrays:
-            raise DatasetError(f"{path} is a model: name the data sets that taught it")
-        if missing:
-            raise DatasetError(f"{path} is not a grasp data set: {', '.join(missing)} missing")
-        unknown = [name for name in arrays if name not in _REQUIRED + _OPTIONAL]
-        if unknown:
-            raise DatasetError(f"{path}: unknown arrays {', '.join(map(repr, unknown))}")
-
-    def _refuse(self, name: str, reason: str) -> DatasetError:
-        return DatasetError(f"{self._path}, array {name}: {reason}")
-
-    def _take(self, name: str, kinds: str, shape: tuple[int, ...]) -> NDArray[Any]:
-        array = self._arrays[name]
-        if array.dtype.kind not in kinds:
-            raise self._refuse(name, f"has the type {array.dtype}, expected kind {kinds}")
-        if array.shape != shape:
-            raise self._refuse(name, f"has the shape {array.shape}, expected {shape}")
-        return array
-
-    def _ints(self, name: str, shape: tuple[int, ...]) -> NDArray[np.int64]:
-        array = self._take(name, "iu", shape)
-        if array.size and int(array.max()) > np.iinfo(np.int64).max:
-            raise self._refuse(name, f"reaches {array.max()}, beyond 64 bits")
-        return array.astype(np.int64)
-
-    def _floats(self, name: str, shape: tuple[int, ...], *, nan: bool) -> NDArray[np.float64]:
-        with np.errstate(invalid="ignore"):  # signalling NaN; checked below
-            array = self._take(name, "f", shape).astype(np.float64)
-        bad = np.isinf(array) if nan else ~np.isfinite(array)
-        if np.any(bad):
-            where = int(np.argmax(bad.ravel()))
-            raise self._refuse(name, f"value {array.ravel()[where]} at {where} is not finite")
-        return array
-
-    def _in_range(self, name: str, shape: tuple[int, ...], *, nan: bool) -> NDArray[np.float64]:
-        array = self._floats(name, shape, nan=nan)
-        self._allow(name, beyond_range(name, array))
-        return array
-
-    def _known(self, name: str, n: int) -> NDArray[np.float64]:
-        """Return an optional array of n numbers; NaN without the array."""
-        return self._in_range(name, (n,), nan=True) if name in self._arrays else np.full(n, np.nan)
-
-    def _allow(self, name: str, wrong: str | None) -> None:
-        if wrong is not None:
-            raise self._refuse(name, wrong)
-
-    def _texts(self, name: str, n_grasps: int) -> list[str]:
-        if name not in self._arrays:
-            return [""] * n_grasps
-        array = self._take(name, "U", (n_grasps,))
-        if array.dtype.itemsize > 4 * MAX_TEXT:
-            raise self._refuse(name, f"has texts of type {array.dtype}, limit {MAX_TEXT}")
-        texts: list[str] = array.tolist()
-        for i, text in enumerate(texts):
-            if wrong := text_refused(name, text):
-                raise self._refuse(name, f"of grasp {i} {wrong}")
-        return texts
-
-    def _rows(self, name: str, columns: Sequence[str], n_grasps: int) -> list[list[float] | None]:
-        """Return an optional array with a row for each grasp; None for an unknown row."""
-        if name not in self._arrays:
-            return [None] * n_grasps
-        rows = self._floats(name, (n_grasps, len(columns)), nan=True)
+def _check_arrays(arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Raise ValueError for an array of another type or shape, or with a number beyond its range."""
+    lengths: dict[str, int] = dict(_AXES)
+    for name, (kinds, axes) in _ARRAYS.items():
+        if name not in arrays:
+            continue
+        array = arrays[name]
+        for axis, length in zip(axes.split(), array.shape, strict=False):
+            lengths.setdefault(axis, length)
+        expected = tuple(lengths.get(axis) for axis in axes.split())
+        if array.dtype.kind not in kinds or array.shape != expected:
+            raise ValueError(
+                f"array {name} has the type {array.dtype} and the shape {array.shape}, expected "
+                f"kind {kinds} and shape {expected}"
+            )
         if name in RANGES:
-            self._allow(name, beyond_range(name, rows[:, :2]))
-        unknown = np.isnan(rows)
-        if np.any(unknown.any(axis=1) != unknown.all(axis=1)):
-            raise self._refuse(name, "has a row with some NaN; write all its values, or only NaN")
-        return [None if np.isnan(row[0]) else row.tolist() for row in rows]
+            _allow(name, beyond_range(name, array[:, :2] if name == "pose" else array))
 
-    def _zeros(self, n_grasps: int) -> list[SelfZero | None]:
-        """Return the self-zeros; grasps of one session share one."""
-        known: dict[tuple[float, ...], SelfZero] = {}
-        found: list[SelfZero | None] = []
-        for row in self._rows("self_zero", ZERO_COLUMNS, n_grasps):
-            try:
-                zero = None if row is None else SelfZero.from_values(row)
-            except ValueError as error:
-                raise self._refuse("self_zero", str(error)) from error
-            found.append(None if zero is None else known.setdefault(zero.values, zero))
-        return found
 
-    def _pads(self) -> PadArray:
-        adc_max = int(self._ints("adc_max", ()))
-        if not 1 <= adc_max <= np.iinfo(np.uint16).max:
-            raise self._refuse("adc_max", f"is {adc_max}, must be from 1 to 65535")
-        n_pads = self._arrays["pad_shape"].shape[0] if self._arrays["pad_shape"].ndim else 0
-        pad_shape = self._ints("pad_shape", (n_pads, 2))
-        if not n_pads or pad_shape.min() < 1 or pad_shape.max() > _MAX_TAXELS:
-            raise self._refuse("pad_shape", f"needs rows and columns from 1 to {_MAX_TAXELS}")
-        n_taxels = self._arrays["taxel_pad"].size
-        if n_taxels > _MAX_TAXELS:
-            raise self._refuse("taxel_pad", f"has {n_taxels} taxels, limit {_MAX_TAXELS}")
-        taxel_pad = self._ints("taxel_pad", (n_taxels,))
-        if not n_taxels or taxel_pad.min() < 0 or taxel_pad.max() >= n_pads:
-            raise self._refuse("taxel_pad", f"must name pads from 0 to {n_pads - 1}")
-        xy_m = self._in_range("taxel_xy_mm", (n_taxels, 2), nan=False) * 1e-3
-        try:
-            pads = PadArray(
-                pad_shape=pad_shape, taxel_pad=taxel_pad, taxel_xy_m=xy_m, adc_max=adc_max
-            )
-        except ValueError as cause:
-            raise self._refuse("taxel_pad", str(cause)) from cause
-        self._allow("taxel_xy_mm", pads_too_small(pads))
-        return pads
+def _allow(name: str, wrong: str | None) -> None:
+    if wrong is not None:
+        raise ValueError(f"array {name} {wrong}")
 
-    def _offsets(self, n_frames: int) -> NDArray[np.int64]:
-        size = self._arrays["grasp_offsets"].size
-        offsets = self._ints("grasp_offsets", (size,))
-        if size < 2 or offsets[0] != 0 or offsets[-1] != n_frames:
-            raise self._refuse("grasp_offsets", f"must run from 0 to the {n_frames} frames")
-        if np.any(offsets[1:] <= offsets[:-1]):
-            raise self._refuse("grasp_offsets", "must rise: each grasp has at least one frame")
-        return offsets
 
-    def grasps(self) -> tuple[Grasp, ...]:
-        pads = self._pads()
-        counts = self._arrays["counts"]
-        n_frames = counts.shape[0] if counts.ndim else 0
-        if counts.dtype != np.uint16:
-            raise self._refuse("counts", f"has the type {counts.dtype}, expected uint16")
-        counts = self._take("counts", "u", (n_frames, pads.n_taxels))
-        if n_frames and int(counts.max()) > pads.adc_max:
-            raise self._refuse("counts", f"reach {counts.max()}, adc_max is {pads.adc_max}")
-        offsets = self._offsets(n_frames)
-        n_grasps = len(offsets) - 1
-        t_s = self._floats("t_s", (n_frames,), nan=False)
-        self._allow("t_s", times_refused(t_s, offsets))
-        aperture_mm = self._in_range("aperture_mm", (n_frames,), nan=True)
-        self._allow("aperture_mm", openings_too_small(aperture_mm))
-        aperture_m = aperture_mm * 1e-3
-        force_n = self._known("force_n", n_frames)
-        thickness_m = 1e-3 * self._known("thickness_mm", n_grasps)
-        start_ms = self._ints("start_ms", (n_grasps,))
-        self._allow("start_ms", beyond_range("start_ms", start_ms))
-        texts = [self._texts(name, n_grasps) for name in ("label", "shape", "source")]
-        placings = self._rows("pose", COMMAND_COLUMNS, n_grasps)
-        zeros = self._zeros(n_grasps)
-        return tuple(
-            Grasp(
-                pads=pads,
-                counts=counts[first:last],
-                t_s=t_s[first:last],
-                aperture_m=aperture_m[first:last],
-                force_n=force_n[first:last],
-                label=texts[0][i],
-                shape=texts[1][i],
-                source=texts[2][i],
-                start_ms=int(start_ms[i]),
-                thickness_m=float(thickness_m[i]),
-                command=None if (asked := placings[i]) is None else GraspCommand.from_values(asked),
-                zero=zeros[i],
-            )
-            for i, (first, last) in enumerate(itertools.pairwise(offsets))
+def _grasps_of(arrays: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
+    """Return the grasps. Raises ValueError if the arrays do not fit each other."""
+    pads = PadArray(
+        pad_shape=arrays["pad_shape"],
+        taxel_pad=arrays["taxel_pad"],
+        taxel_xy_m=1e-3 * arrays["taxel_xy_mm"].astype(np.float64),
+        adc_max=int(arrays["adc_max"]),
+    )
+    _allow("taxel_xy_mm", pads_too_small(pads))
+    offsets = arrays["grasp_offsets"].astype(np.int64)
+    n_frames, n_grasps = len(arrays["counts"]), len(arrays["label"])
+    if (
+        (n_grasps < 1 or len(offsets) != n_grasps + 1)
+        or (offsets[0] != 0 or offsets[-1] != n_frames)
+        or np.any(offsets[1:] <= offsets[:-1])
+    ):
+        raise ValueError(
+            f"array grasp_offsets must have {n_grasps + 1} numbers for {n_grasps} grasps, which "
+            f"rise from 0 to the {n_frames} frames"
         )
+    of_frames: dict[str, Any] = {"counts": arrays["counts"]}
+    for name, field, unit in (
+        ("t_s", "t_s", 1.0),
+        ("aperture_mm", "aperture_m", 1e-3),
+        ("force_n", "force_n", 1.0),
+    ):
+        if name in arrays:
+            of_frames[field] = unit * arrays[name].astype(np.float64)
+    _allow("t_s", times_refused(of_frames["t_s"], offsets))
+    _allow("aperture_mm", openings_too_small(arrays["aperture_mm"]))
+    of_grasps: dict[str, Any] = {"start_ms": arrays["start_ms"].tolist()}
+    if "thickness_mm" in arrays:
+        of_grasps["thickness_m"] = (1e-3 * arrays["thickness_mm"].astype(np.float64)).tolist()
+    for name in ("label", "shape", "source"):
+        if name in arrays:
+            of_grasps[name] = arrays[name].tolist()
+            for i, text in enumerate(of_grasps[name]):
+                _allow(f"{name} of grasp {i}", text_refused(name, text))
+    for name, field, build in (
+        ("pose", "command", GraspCommand.from_values),
+        ("self_zero", "zero", functools.cache(SelfZero.from_values)),  # a session shares one
+    ):
+        if name in arrays:
+            of_grasps[field] = [
+                None if all(map(math.isnan, row)) else build(tuple(row))
+                for row in arrays[name].tolist()
+            ]
+    return tuple(
+        Grasp(
+            pads=pads,
+            **{name: values[first:last] for name, values in of_frames.items()},
+            **{name: values[i] for name, values in of_grasps.items()},
+        )
+        for i, (first, last) in enumerate(itertools.pairwise(offsets))
+    )

@@ -1,13 +1,12 @@
 """Files: bounded reading of plain files and npz archives, atomic writing."""
 
-import ast
 import errno
 import itertools
 import os
-import re
 import secrets
 import stat
 import sys
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -20,24 +19,16 @@ from pydantic_core import to_json
 
 from cell.errors import CellError, reason_text
 
-MAX_MEMBERS = 512
-"""Most arrays of one archive."""
-
-MAX_HEADER_BYTES = 4096
-"""Longest header of one array in bytes."""
-
 _END_BYTES = 22
 """End of central directory of a zip archive without its comment; member count at offset 10."""
 _PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """Packings whose unpacked size is checked during unpacking."""
-_MAGIC = b"\x93NUMPY"
-"""First bytes of an array (numpy.lib.format)."""
 _RECORDING = b"\x89MCAP"
 """First bytes of an MCAP file."""
 _ARCHIVE = b"PK"
 """First bytes of a zip archive."""
-_PLAIN_DTYPE = re.compile(r"[<>|=]?(?:[iu][1248]|f[248]|b1|\?|[US][0-9]{1,6})\Z")
-"""Types of numbers, booleans and strings; others could hold Python objects."""
+_PLAIN_KINDS = "biufUS"
+"""Kinds of numpy types that are read: booleans, numbers and strings."""
 DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -45,6 +36,7 @@ DAMAGE = (
     RuntimeError,
     ValueError,
     SyntaxError,
+    tokenize.TokenError,
     MemoryError,
     ArithmeticError,
     TypeError,
@@ -163,7 +155,7 @@ def savez(file: IO[bytes], arrays: Mapping[str, NDArray[Any]]) -> None:
 def read_npz(
     path: Path, *, error: type[CellError], what: str, limit_bytes: int
 ) -> dict[str, NDArray[Any]]:
-    """Read all arrays of an npz archive that may be damaged or hostile.
+    """Read all arrays of an npz archive that may be damaged or hostile; they are read-only.
 
     Only numbers, booleans and strings are read; nothing in the file is ever executed. Sizes are
     compared with ``limit_bytes`` (all arrays together, unpacked) before anything is unpacked.
@@ -171,8 +163,10 @@ def read_npz(
     Raises
     ------
     CellError
-        Of the class ``error``, naming the file, the array, the value and the limit.
+        Of the class ``error``, naming the file, the array and the reason.
     """
+    arrays: dict[str, NDArray[Any]] = {}
+    where = ""
     try:
         with open_plain(path, error=error, what=what) as file:
             head = file.read(len(_RECORDING))
@@ -186,88 +180,52 @@ def read_npz(
                 raise error(f"{path} is not a {what}: it is {found}; name a {what} (.npz)")
             archive = zipfile.ZipFile(file)
             members = archive.infolist()
-            _check_directory(file, len(archive.comment), len(members))
-            _check_sizes(members, path, error, limit_bytes)
-            return {m.filename[:-4]: _read_member(archive, m, path, error) for m in members}
-    except error:
-        raise
+            total = sum(member.file_size for member in members)
+            if total > limit_bytes:
+                raise error(
+                    f"{path} unpacks to {total} bytes, the limit is {limit_bytes} bytes; write the "
+                    f"{what} in several files"
+                )
+            for member in members:
+                name = member.filename.removesuffix(".npy")
+                where = f"array {name}: "
+                arrays[name] = _read_array(archive, member)
+            where = ""
+            _check_directory(file, len(archive.comment), len(arrays))
     except OSError as cause:
         reason = cause.strerror or str(cause)
         raise error(f"cannot read {what} {path}: {reason}; check the path") from cause
     except DAMAGE as cause:
         raise error(
-            f"{path} is a damaged {what} ({reason_text(cause)}); take another copy of it"
+            f"{path} is a damaged {what} ({where}{reason_text(cause)}); take another copy of it"
         ) from cause
+    return arrays
 
 
-def _check_directory(file: BinaryIO, n_comment: int, n_members: int) -> None:
-    """Refuse a damaged list of members: zipfile skips duplicate entries."""
+def _check_directory(file: BinaryIO, n_comment: int, n_arrays: int) -> None:
+    """Refuse a damaged list of members: zipfile skips entries, and a name may be there twice."""
     file.seek(-_END_BYTES - n_comment, os.SEEK_END)
     stated = int.from_bytes(file.read(_END_BYTES)[10:12], "little")
-    if stated != n_members:
-        raise zipfile.BadZipFile(f"{n_members} arrays found, {stated} stated")
+    if stated != n_arrays:
+        raise zipfile.BadZipFile(f"{n_arrays} arrays found, {stated} stated")
 
 
-def _check_sizes(
-    members: list[zipfile.ZipInfo], path: Path, error: type[CellError], limit_bytes: int
-) -> None:
-    if len(members) > MAX_MEMBERS:
-        raise error(f"{path} has {len(members)} arrays, the limit is {MAX_MEMBERS}")
-    names = [member.filename for member in members]
-    if len(set(names)) != len(names):
-        raise error(f"{path} has an array twice: {sorted(names)}")
-    for member in members:
-        name = member.filename
-        if not name.endswith(".npy"):
-            raise error(f"{path} has {name!r}, which is not an array (.npy)")
-        if member.compress_type not in _PACKINGS:
-            # zipfile unpacks these without a bound, whatever size the archive states.
-            raise error(f"{path}, array {name}: packed by method {member.compress_type}, not zlib")
-    total = sum(member.file_size for member in members)
-    if total > limit_bytes:
-        raise error(f"{path} unpacks to {total} bytes, the limit is {limit_bytes} bytes")
-
-
-def _read_member(
-    archive: zipfile.ZipFile, member: zipfile.ZipInfo, path: Path, error: type[CellError]
-) -> NDArray[Any]:
-    name = member.filename[:-4]
+def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """Return a read-only array. Raises one of `DAMAGE` if the member has something else."""
+    if member.compress_type not in _PACKINGS:
+        # zipfile unpacks these without a bound, whatever size the archive states.
+        raise ValueError(f"packed by method {member.compress_type}, not zlib")
     with archive.open(member) as stream:
-        data = stream.read(member.file_size)  # a bounded read: the stream may hold more
-    if data[:6] != _MAGIC or len(data) < 12 or data[6] not in (1, 2, 3):
-        raise error(f"{path}, array {name}: no .npy header of version 1 to 3")
-    width = 2 if data[6] == 1 else 4
-    start = 8 + width
-    length = int.from_bytes(data[8:start], "little")
-    if length > MAX_HEADER_BYTES:
-        raise error(f"{path}, array {name}: header of {length} bytes, limit {MAX_HEADER_BYTES}")
-    body = start + length
-    try:
-        header = ast.literal_eval(data[start:body].decode("latin-1").strip())
-        descr, shape, fortran = header["descr"], header["shape"], header["fortran_order"]
-    except DAMAGE as cause:
-        raise error(f"{path}, array {name}: header cannot be read ({cause})") from cause
-    if not isinstance(descr, str) or not _PLAIN_DTYPE.match(descr):
-        raise error(
-            f"{path}, array {name}: type {descr!r} is refused; only plain numbers, booleans and "
-            "strings are read (no pickled objects)"
-        )
-    if not isinstance(shape, tuple) or not all(type(n) is int and n >= 0 for n in shape):
-        raise error(f"{path}, array {name}: shape {shape!r} is not a tuple of sizes")
-    dtype = np.dtype(descr)
-    count = 1
-    for size in shape:
-        count *= size
-    if len(shape) > 8 or count * dtype.itemsize != len(data) - body:
-        raise error(
-            f"{path}, array {name}: {len(data) - body} bytes do not fill shape {shape} of {dtype}"
-        )
-    if dtype.itemsize == 0:
-        # These texts take no byte of the file: any number of them would fit.
-        raise error(f"{path}, array {name}: type {descr!r} has no size")
-    flat = np.frombuffer(data, dtype=dtype, offset=body, count=count)
-    if dtype.kind == "U" and count:
-        codes = flat.view(np.dtype(np.uint32).newbyteorder(dtype.byteorder))
-        if int(codes.max()) > sys.maxunicode:
-            raise error(f"{path}, array {name}: has {codes.max():#x}, which is not a character")
-    return flat.reshape(shape, order="F" if fortran is True else "C")
+        # What numpy.load calls for a .npy; on other bytes numpy.load advises to allow pickles.
+        array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+        if array.dtype.kind not in _PLAIN_KINDS:
+            raise ValueError("no plain numbers, booleans or strings")
+        # Texts without a size take no byte of the file: any number of them would fit.
+        if stream.read(1) or array.size > member.file_size:
+            raise ValueError(f"shape {array.shape} does not fit {member.file_size} bytes")
+    if array.dtype.kind == "U":
+        codes = array.ravel().view(np.dtype(np.uint32).newbyteorder(array.dtype.byteorder))
+        if np.any(codes > sys.maxunicode):
+            raise ValueError("has a number that is not a character")
+    array.setflags(write=False)
+    return array

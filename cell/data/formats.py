@@ -15,7 +15,7 @@ PROGRAM = f"tactile-cell {version('tactile-cell')}"
 """Name and version of this program."""
 _CHECKSUM = "sha256"
 """Key of a JSON file with the checksum of its other keys."""
-KEPT_BYTES = 4 << 20
+_MAX_BYTES = 4 << 20
 """Largest JSON file that is read: ten times the largest file, findings of 400 taxels."""
 
 
@@ -93,7 +93,7 @@ def read_json(path: Path, kind: Format, *, error: type[CellError]) -> dict[str, 
     Raises ``error`` if it is damaged, too large, not a plain file, or of another format.
     """
     try:
-        data = read_plain(path, error=error, what=kind.what, limit_bytes=KEPT_BYTES)
+        data = read_plain(path, error=error, what=kind.what, limit_bytes=_MAX_BYTES)
     except error as refused:
         if isinstance(refused.__cause__, FileNotFoundError):
             return None

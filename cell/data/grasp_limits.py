@@ -11,6 +11,9 @@ from recognition.recognizer import UNKNOWN
 MAX_TEXT = 200
 """Most characters of a text of a grasp."""
 RANGES = {
+    "adc_max": (1, 65535, "counts have 16 bits"),
+    "pad_shape": (1, 1000, "rows and columns of a pad"),
+    "taxel_pad": (0, 255, "pads are numbered from 0"),
     "aperture_mm": (-100.0, 1000.0, "openings stand in mm"),
     "force_n": (-100.0, 10_000.0, "grip forces stand in N"),
     "taxel_xy_mm": (-1000.0, 1000.0, "places stand in mm"),

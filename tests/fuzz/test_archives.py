@@ -34,6 +34,12 @@ from tests.fuzz.harness import (
     spoilt,
 )
 
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:Reading `.npy` or `.npz` file required additional header:UserWarning",
+    "ignore:Data type alias 'a' was deprecated:DeprecationWarning",
+)
+"""A damaged header may look like one of old versions of numpy."""
+
 TRAINERS = ("level_check", "shrinkage_lda", "force_ramp")
 exploded: list[str] = []
 """What a pickle that is loaded puts here."""
@@ -313,7 +319,7 @@ def test_packings_that_unpack_without_a_bound_are_refused(tmp_path: Path, method
 
 def test_texts_without_a_size_are_refused(tmp_path: Path) -> None:
     texts = npy_with("{'descr': '<U0', 'fortran_order': False, 'shape': (300000000,), }")
-    assert "has no size" in refusal(tmp_path / "x.npz", archive_of({"label.npy": texts}))
+    assert "does not fit" in refusal(tmp_path / "x.npz", archive_of({"label.npy": texts}))
 
 
 def test_an_archive_that_lost_an_optional_array_is_refused(tmp_path: Path) -> None:
