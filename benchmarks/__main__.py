@@ -1,11 +1,14 @@
-"""Run every benchmark, or those named: python -m benchmarks [NAME ...]."""
+"""Run every benchmark, or those named: python -m benchmarks [NAME ...].
+
+`comparators` needs a data set of labelled grasps: python -m benchmarks comparators FILE.
+"""
 
 import importlib
 import sys
 
 BENCHMARKS = {
     "performance": ("archive", "force_cap", "force_ramps", "identify", "soak", "touch"),
-    "recognition": ("many_objects", "other_cell", "sensors", "shape_size"),
+    "recognition": ("comparators", "many_objects", "other_cell", "sensors", "shape_size"),
     "paper": ("reproduction",),
 }
 """Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""
@@ -23,8 +26,11 @@ def modules() -> dict[str, str]:
 
 
 def main() -> None:
-    known = modules()
-    for name in sys.argv[1:] or [one for one in known if one not in ALONE]:
+    known, arguments = modules(), sys.argv[1:]
+    if arguments[:1] == ["comparators"]:
+        importlib.import_module(known["comparators"]).main(file=next(iter(arguments[1:]), None))
+        return
+    for name in arguments or [one for one in known if one not in ALONE]:
         if name not in known:
             sys.exit(f"no benchmark is named {name!r}; there are {', '.join(known)}")
         print(f"== {name}", flush=True)

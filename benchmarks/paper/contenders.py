@@ -1,4 +1,4 @@
-"""Other recognisers on the grasps that the paper's level check is tried with."""
+"""The recognisers of the product on the grasps that the paper's level check is tried with."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,12 @@ from benchmarks.paper.grasps import PAPER_NOISE, random_grasp
 from benchmarks.paper.level_trials import LABELS
 from recognition.evaluation.metrics import confusion_matrix
 from recognition.recognizer import UNKNOWN
-from recognition.recognizers import COMPARATORS, TRAINERS, make_trainer
+from recognition.recognizers import make_trainer, trainer_names
 
 LEVEL_CHECK = "level_check"
 """The paper's own, as the cell has it: probabilities and UNKNOWN, at the common force."""
 
-_APERTURE_TOO = ("force_ramp", "shrinkage_lda", "extra_trees")
+_APERTURE_TOO = ("force_ramp", "shrinkage_lda")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,7 +56,7 @@ def try_one(match: tuple[str, bool, Effort]) -> Contender:
 
 
 def contenders(effort: Effort, spread: Spread) -> tuple[Contender, ...]:
-    """Try all recognisers that there are, by touch alone and, where they can, with the opening."""
-    matches = [(name, False, effort) for name in (*TRAINERS, *COMPARATORS)]
+    """Try each recogniser by touch alone and, where it can, with the opening."""
+    matches = [(name, False, effort) for name in trainer_names()]
     matches += [(name, True, effort) for name in _APERTURE_TOO]
     return tuple(spread(try_one, matches))

@@ -28,7 +28,7 @@ from cell.report.build import paper_table
 from cell.report.data import ConfusionTable
 from cell.report.page import confusion_view, page_template
 from recognition.evaluation.metrics import wilson_interval
-from recognition.recognizers import COMPARATORS, DEFAULT_TRAINER
+from recognition.recognizers import DEFAULT_TRAINER
 
 UNNAMED = "no surface"
 _READING = {READINGS[0]: "min |λ|", READINGS[1]: "algebraic minimum"}
@@ -136,7 +136,6 @@ def _contenders(study: PaperStudy) -> list[dict[str, Any]]:
         kind = (
             "default" if one.name == DEFAULT_TRAINER
             else "the paper's" if one.name == LEVEL_CHECK
-            else "comparator" if one.name in COMPARATORS
             else "reference"
         )  # fmt: skip
         rows.append(
@@ -169,7 +168,7 @@ def reproduce_paper(
     """Run all trials and write page and figures.
 
     Raises CellError where the folder cannot be made or written; ReportError, a kind of it, if
-    jinja2 or matplotlib are missing; if scikit-learn is missing too.
+    jinja2 or matplotlib are missing.
 
     Parameters
     ----------
@@ -191,10 +190,7 @@ def reproduce_paper(
     except OSError as error:
         raise CellError(f"{folder} cannot be made: {error}; name another folder") from error
     start_s = time.monotonic()
-    try:
-        found = study(Effort().scaled(effort), workers=workers)
-    except ValueError as error:
-        raise CellError(f"the trials cannot be run: {error}") from error
+    found = study(Effort().scaled(effort), workers=workers)
     seconds = time.monotonic() - start_s
     page = folder / PAGE
     write_text(page, template.render(page_view(found, seconds)), error=ReportError, what="page")

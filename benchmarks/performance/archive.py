@@ -36,8 +36,7 @@ from cell.jobs.evaluate import evaluate_recognizers
 from cell.jobs.parallel import workers
 from cell.jobs.selected_grasps import selected_grasps
 from cell.learning.training import train
-from recognition.features.footprint import pad_grid
-from recognition.features.groups import FeatureView, features_of
+from recognition.features.groups import features_of
 from recognition.grasp import Grasp
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest
@@ -88,8 +87,7 @@ def loop(files: Path) -> int:
     for path in sorted(files.glob("*.npz")):
         grasps = read_dataset(path)
         rest = learn_rest(grasps)
-        grids = [pad_grid(rest.pads, pad) for pad in rest.gripping]
-        features_of(load_levels(grasps, rest), grids, FeatureView.FORCE_RAMP, opening=True)
+        features_of(load_levels(grasps, rest), rest, opening=True)
         n += len({grasp_key(grasp) for grasp in grasps})
     return n
 

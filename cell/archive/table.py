@@ -17,8 +17,7 @@ from cell.data.recording_reader import Recording
 from cell.data.recording_values import to_json
 from gripper.values.state import GripperPhase
 from recognition.features.aperture import sizes_mm
-from recognition.features.footprint import pad_grid
-from recognition.features.groups import FEATURE_VERSION, FeatureView, features_of
+from recognition.features.groups import FEATURE_VERSION, features_of
 from recognition.grasp import (
     COMMAND_COLUMNS,
     ZERO_COLUMNS,
@@ -241,8 +240,7 @@ def _described(grasps: Sequence[Grasp], rest: Rest | None) -> list[dict[str, Any
     if rest is None or levels is None or not levels.touched.any():
         return found
     places, levels = np.flatnonzero(levels.touched), levels.take(levels.touched)
-    grids = [pad_grid(rest.pads, pad) for pad in rest.gripping]
-    features = features_of(levels, grids, FeatureView.FORCE_RAMP, opening=True)
+    features = features_of(levels, rest, opening=True)
     loads = np.stack([maps[:, -1].sum(axis=1) for maps in levels.maps], axis=1)
     for row, place in enumerate(places.tolist()):
         found[place] = {

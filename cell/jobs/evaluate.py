@@ -6,8 +6,7 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
-from cell.errors import CellError, MissingExtraError, raised_as
-from cell.installation import extra
+from cell.errors import CellError, raised_as
 from cell.jobs.calibrate import GAUGE_GRASPS
 from cell.jobs.common import Progress
 from cell.jobs.selected_grasps import GROUPS
@@ -139,12 +138,11 @@ def evaluate_recognizers(
         progress("evaluate", 2 * number, 2 * len(names))
         trainer = RECOGNISERS[name](use_aperture=True)
         try:
-            with extra("comparators", needed_by=f"teaching {name}"):
-                full = without = measure(trainer)
+            full = without = measure(trainer)
             progress("evaluate", 2 * number + 1, 2 * len(names))
             if trainer.uses_aperture:
                 without = measure(RECOGNISERS[name](use_aperture=False))
-        except (ValueError, MissingExtraError) as error:
+        except ValueError as error:
             left_out[name] = str(error)
             continue
         figures[name] = RecognizerFigures(full=full, without_aperture=without)

@@ -9,7 +9,6 @@ from typing import Self
 
 from cell.config.model import CellConfig
 from cell.errors import CellError, ModelError, RequestRefused, TooFewGrasps, raised_as
-from cell.installation import extra
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import Arrays, LoadedModel, made_up_grasp, rehearse
 from cell.plugins import RECOGNISERS
@@ -103,8 +102,7 @@ def train(
     """
     trainer = RECOGNISERS[name](use_aperture=use_aperture)
     try:
-        with extra("comparators", needed_by=f"teaching {name}"):
-            recognizer = trainer.fit(grasps)
+        recognizer = trainer.fit(grasps)
     except ValueError as error:
         raise TooFewGrasps(
             f"{name} cannot be trained on these {len(grasps)} grasps: {error}"

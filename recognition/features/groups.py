@@ -1,12 +1,10 @@
-"""Feature groups: the table of all features by touch, and the feature vector of each recogniser.
+"""Feature groups: the table of all features by touch, and the feature vector of the recognisers.
 
-A new group is one function and one entry in `FEATURE_GROUPS`. The entry lists the recognisers that
-use the group.
+A new group is one function and one entry in `FEATURE_GROUPS`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum, unique
 from typing import Any
 
 import numpy as np
@@ -20,23 +18,16 @@ from recognition.features.footprint import (
     growth_features,
     harmonic_features,
     pad_difference_features,
+    pad_grid,
     patch_features,
     pose_features,
     profile_features,
 )
 from recognition.ramp.levels import Levels
+from recognition.ramp.ramp import Rest
 
-FEATURE_VERSION = 11
+FEATURE_VERSION = 12
 """Version of the features and of their use in a model. Models of another version are refused."""
-
-
-@unique
-class FeatureView(StrEnum):
-    """Recognisers that take feature vectors from the table."""
-
-    FORCE_RAMP = "force_ramp"
-    SHRINKAGE_LDA = "shrinkage_lda"
-    EXTRA_TREES = "extra_trees"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,8 +39,6 @@ class FeatureGroup:
     features: Callable[[Levels, Sequence[Footprint]], NDArray[np.float64]]
     """Returns the features (n, F) float64 of n grasps, from their levels and the footprint of each
     gripping pad."""
-    views: frozenset[FeatureView] = frozenset(FeatureView)
-    """The recognisers whose vectors contain the group."""
     beside_opening: bool = True
     """Whether vectors with the opening contain it, too."""
 
@@ -58,26 +47,17 @@ FEATURE_GROUPS: tuple[FeatureGroup, ...] = (
     # Size and form of the pressed patch, unchanged when it moves or turns on the pad.
     FeatureGroup(name="patch", features=lambda _, pads: patch_features(pads)),
     # Position of the patch on the pad, and its rotation.
-    FeatureGroup(
-        name="pose",
-        features=lambda _, pads: pose_features(pads),
-        views=frozenset({FeatureView.FORCE_RAMP, FeatureView.SHRINKAGE_LDA}),
-    ),
+    FeatureGroup(name="pose", features=lambda _, pads: pose_features(pads)),
     # One pad against the other.
     FeatureGroup(name="pads", features=lambda _, pads: pad_difference_features(pads)),
     # Growth of patch and load along the ramp.
     FeatureGroup(name="growth", features=growth_features),
     # Load per row and column of taxels.
-    FeatureGroup(
-        name="profile",
-        features=lambda _, pads: profile_features(pads),
-        views=frozenset({FeatureView.FORCE_RAMP}),
-    ),
+    FeatureGroup(name="profile", features=lambda _, pads: profile_features(pads)),
     # Details of the patch. With the opening they add nothing.
     FeatureGroup(
         name="harmonics",
         features=lambda _, pads: harmonic_features(pads),
-        views=frozenset({FeatureView.FORCE_RAMP}),
         beside_opening=False,
     ),
 )
@@ -94,16 +74,11 @@ def check_version(arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def touch_features(
-    levels: Levels, grids: Sequence[PadGrid], view: FeatureView, *, opening: bool
+    levels: Levels, grids: Sequence[PadGrid], *, opening: bool
 ) -> NDArray[np.float64]:
-    """Return the features by touch of a view, (n, F) float64.
+    """Return the features by touch, (n, F) float64.
 
-    Parameters
-    ----------
-    view
-        The recogniser that uses the groups.
-    opening
-        Whether the vector also has features of the opening.
+    ``opening`` is whether the vector also has features of the opening.
     """
     footprints = [
         describe_footprint(maps, levels.noise[..., pad], grid)
@@ -113,15 +88,14 @@ def touch_features(
         [
             group.features(levels, footprints)
             for group in FEATURE_GROUPS
-            if view in group.views and (group.beside_opening or not opening)
+            if group.beside_opening or not opening
         ],
         axis=1,
     )
 
 
-def features_of(
-    levels: Levels, grids: Sequence[PadGrid], view: FeatureView, *, opening: bool
-) -> NDArray[np.float64]:
+def features_of(levels: Levels, rest: Rest, *, opening: bool) -> NDArray[np.float64]:
     """Return `touch_features`; with ``opening`` those of the opening follow, NaN if unknown."""
-    touch = touch_features(levels, grids, view, opening=opening)
+    grids = [pad_grid(rest.pads, pad) for pad in rest.gripping]
+    touch = touch_features(levels, grids, opening=opening)
     return np.concatenate([touch, aperture_features(levels)], axis=1) if opening else touch

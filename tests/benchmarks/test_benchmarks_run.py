@@ -19,8 +19,8 @@ pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to ru
 
 EFFORT = 0.01
 MODULES = command.modules()
-TESTED_ELSEWHERE = {"reproduction", "soak"}
-"""`test_paper` prints the study that it has made, which takes longest of all."""
+TESTED_ELSEWHERE = {"comparators", "reproduction", "soak"}
+"""Comparators need a file; `test_paper` prints the study that it has made."""
 
 
 @pytest.mark.long

@@ -173,7 +173,7 @@ def test_the_page_stands_alone_and_has_every_part(made):
     assert not re.search(r'(?:src|href)="(?!#)', text)
     assert "Made with few trials" in text
     assert "nan" not in re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)
-    assert len(found.contenders) == 11
+    assert len(found.contenders) == 5
     for contender in found.contenders:
         assert f"<code>{contender.name}</code>" in text
 
@@ -202,12 +202,3 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(CellError, match="name another folder"):
         job.reproduce_paper(tmp_path / "file" / "below", effort=EFFORT)
-
-
-def test_what_cannot_be_taught_is_said(tmp_path, monkeypatch):
-    def refuse(effort, workers):
-        raise ValueError("pip install 'tactile-cell[comparators]'")
-
-    monkeypatch.setattr(job, "study", refuse)
-    with pytest.raises(CellError, match="comparators"):
-        job.reproduce_paper(tmp_path, effort=EFFORT)

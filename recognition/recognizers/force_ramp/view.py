@@ -15,7 +15,7 @@ from scipy.special import expit
 
 from recognition.features.aperture import aperture_features, sizes_mm
 from recognition.features.footprint import PadGrid
-from recognition.features.groups import FeatureView, touch_features
+from recognition.features.groups import touch_features
 from recognition.ramp.levels import Levels, stack_levels
 from recognition.recognizers.force_ramp.view_settings import SETTINGS
 from recognition.statistics.calibration import kept_temperature
@@ -66,7 +66,7 @@ def describe(
         return values.reshape(n_drifts, len(levels), values.shape[1]).swapaxes(0, 1)
 
     pressed = stack_levels([levels.without_drift(gain, 0.0) for gain in log_gains])
-    touch = by_drift(touch_features(pressed, grids, FeatureView.FORCE_RAMP, opening=opening))
+    touch = by_drift(touch_features(pressed, grids, opening=opening))
     if not opening:
         none = np.zeros((len(levels), 1, 0))
         return Features(touch=touch, opening=none, sizes_mm=none, slack_mm=np.zeros(1))

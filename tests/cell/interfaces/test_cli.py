@@ -45,7 +45,7 @@ from cell.learning.model import load_model, save_model
 from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import UNKNOWN
-from recognition.recognizers import TRAINERS, make_trainer
+from recognition.recognizers import make_trainer, trainer_names
 from simulator.faults.injector import VOCABULARY
 from simulator.realtime.hands import Hands
 from simulator.realtime.requests import CellRequests
@@ -531,7 +531,7 @@ def test_evaluate_writes_the_figures_of_each_recognizer(dataset, tmp_path) -> No
     data = read_json(tmp_path / "e.json")
     assert set(data) >= {"n_train", "n_test", "labels", "seconds", "default", "recognizers"}
     assert (data["n_train"], data["n_test"], data["labels"]) == (6, 4, ["ball", "box"])
-    assert set(data["recognizers"]) == set(TRAINERS)
+    assert set(data["recognizers"]) == set(trainer_names())
     for name, figures in data["recognizers"].items():
         assert set(figures) >= EVALUATION
         assert set(figures["without_aperture"]) >= EVALUATION
@@ -791,8 +791,6 @@ def test_wrong_use_is_two_and_a_failing_job_one(fail, files, code, command, comp
     [
         ("trimesh: mesh", "teach x -o {made} --mesh {none}"),
         ("trimesh: mesh", "config check {meshed}"),
-        ("sklearn: comparators", "train {dataset} -o {made} --recognizer extra_trees"),
-        ("sklearn: comparators", "evaluate {dataset} --recognizer extra_trees --jobs 1"),
         ("distributed: cluster", "evaluate {dataset} --scheduler tcp://127.0.0.1:9"),
         ("fastapi: serve", "serve -c {config} --http 0"),
     ],
@@ -808,7 +806,7 @@ def test_a_missing_extra_is_named_with_the_command_that_adds_it(
         elif name.startswith(tuple(users)):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
-    said = fail(*command.format(**files).split(), code=1 if "--jobs" in command else 2)
+    said = fail(*command.format(**files).split(), code=2)
     assert f" needs {package}; install this project with its extra `{extra}`: pip install" in said
 
 

@@ -16,7 +16,7 @@ from cell.interfaces.cli.options import (
     SchedulerOption,
     known_recognizers,
 )
-from recognition.recognizers import TRAINERS
+from recognition.recognizers import trainer_names
 
 if TYPE_CHECKING:
     from cell.jobs.evaluate import EvaluationResult
@@ -50,7 +50,7 @@ def evaluate(
         typer.Option(
             "--recognizer",
             help="Repeat for several kinds, as doctor lists them with --plugins "
-            f"[default: {', '.join(TRAINERS)}].",
+            f"[default: {', '.join(trainer_names())}].",
             callback=known_recognizers,
         ),
     ] = None,
@@ -91,7 +91,7 @@ def evaluate(
     from cell.jobs.selected_grasps import selected_grasps
     from cell.jobs.teach import duplicate_grasps
 
-    names = recognizers or list(TRAINERS)
+    names = recognizers or trainer_names()
     selection = parse_selection(cells, days, objects)
     grasps = selected_grasps(datasets, selection, most, print_line)
     taught = None

@@ -1,1 +1,0 @@
-"""Methods that the paper names, and plain present ones, for comparison on request."""
