@@ -1,5 +1,6 @@
 """Reading recordings: all valid data of an MCAP file, as arrays and grasps."""
 
+import sys
 from array import array
 from collections import defaultdict
 from collections.abc import Iterator
@@ -119,10 +120,62 @@ def read_recording(path: Path | str) -> Recording:
     is missing.
     """
     messages = RecordedMessages(Path(path))
-    builder = _Builder()
+    frames, cycles = _Columns(_FRAME_COLUMNS), _Columns(_CYCLE_COLUMNS)
+    counts, extra, forces_n = array("H"), array("H"), array("d")
+    phases: list[str] = []
+    rows: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
     for topic, content, _ in messages:
-        builder.take(topic, content)
-    return builder.build(messages)
+        if topic == schema.FRAME:
+            frames.add(content)
+            counts.extend(content["counts"])
+            extra.extend(content.get("extra", ()))
+        elif topic == schema.CYCLE:
+            cycles.add(content)
+            phases.append(sys.intern(content["phase"]))
+            both_n = content.get("force_n", ())
+            forces_n.extend(both_n if len(both_n) == 2 else (np.nan, np.nan))
+        else:
+            rows[topic].append(content)
+    described = messages.description
+    samples = _read_only(counts).reshape(-1, described.pads.n_taxels)
+    recorded = RecordedFrames(
+        t_s=frames["t_s"],
+        **{name: frames[name].astype(np.int64) for name in _FRAME_COLUMNS[1:]},
+        counts=samples,
+        extra=_read_only(extra).reshape(*samples.shape, len(extra) // max(1, len(counts))),
+    )
+    grasps = _grasps(rows[schema.GRASP], recorded, messages)
+    n_frames = len(recorded)
+    if (
+        not messages.lost_reason
+        and schema.RECOVERED not in described.metadata
+        and np.any(recorded.number != np.arange(n_frames))
+    ):
+        messages.lose(f"its {n_frames} frames are not all that were recorded")
+    return Recording(
+        path=messages.path,
+        metadata=described.metadata,
+        pads=described.pads,
+        wall_clock_start_ns=described.wall_clock_start_ns,
+        monotonic_start_ns=described.monotonic_start_ns,
+        frames=recorded,
+        cycles=RecordedCycles(
+            **{name: cycles[name] for name in _CYCLE_COLUMNS},
+            phase=tuple(phases),
+            force_n=_read_only(forces_n).reshape(-1, 2),
+        ),
+        poses=tuple(rows[schema.POSE]),
+        events=tuple(rows[schema.EVENT]),
+        results=tuple(rows[schema.RESULT]),
+        states=tuple(rows[schema.STATE]),
+        statistics=tuple(rows[schema.LOOP]),
+        grasps=tuple(grasp for _, grasp, _ in grasps),
+        grasp_numbers=tuple(number for number, _, _ in grasps),
+        grasp_t_s=tuple(begin_s for _, _, begin_s in grasps),
+        n_broken_grasps=len(rows[schema.GRASP]) - len(grasps),
+        complete=not messages.lost_reason,
+        lost_reason=messages.lost_reason,
+    )
 
 
 def recording_grasps(path: Path | str) -> tuple[Grasp, ...]:
@@ -141,117 +194,61 @@ def recording_grasps(path: Path | str) -> tuple[Grasp, ...]:
     return recording.grasps
 
 
-class _Builder:
-    """Collects messages: frames and periods of the loop as arrays, the others unchanged."""
-
-    def __init__(self) -> None:
-        self._columns: defaultdict[str, array[float]] = defaultdict(lambda: array("d"))
-        self._numbers: defaultdict[str, array[int]] = defaultdict(lambda: array("q"))
-        self._counts, self._extra = array("H"), array("H")
-        self._phases: list[str] = []
-        self._phase_names: dict[str, str] = {}
-        self._rows: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
-
-    def take(self, topic: str, content: dict[str, Any]) -> None:
-        """Add a message that fits its schema."""
-        if topic == schema.FRAME:
-            self._columns["frame"].append(content["t_s"])
-            for name in ("number", "counter", "status"):
-                self._numbers[name].append(content[name])
-            self._counts.extend(content["counts"])
-            self._extra.extend(content.get("extra", ()))
-        elif topic == schema.CYCLE:
-            phase = content["phase"]
-            self._phases.append(self._phase_names.setdefault(phase, phase))
-            for name in _CYCLE_COLUMNS:
-                self._columns[name].append(content.get(name, np.nan))
-            forces_n = content.get("force_n", ())
-            self._columns["force_n"].extend(forces_n if len(forces_n) == 2 else (np.nan, np.nan))
-        else:
-            self._rows[topic].append(content)
-
-    def build(self, messages: RecordedMessages) -> Recording:
-        """Return the recording, after the last message."""
-        described, rows = messages.description, self._rows
-        counts = _read_only(self._counts).reshape(-1, described.pads.n_taxels)
-        frames = RecordedFrames(
-            t_s=_read_only(self._columns["frame"]),
-            **{name: _read_only(self._numbers[name]) for name in ("number", "counter", "status")},
-            counts=counts,
-            extra=_read_only(self._extra).reshape(*counts.shape, -1 if counts.size else 0),
-        )
-        cycles = RecordedCycles(
-            **{name: _read_only(self._columns[name]) for name in _CYCLE_COLUMNS},
-            phase=tuple(self._phases),
-            force_n=_read_only(self._columns["force_n"]).reshape(-1, 2),
-        )
-        grasps = self._grasps(messages, frames)
-        lost_reason = messages.lost_reason
-        return Recording(
-            path=messages.path,
-            metadata=described.metadata,
-            pads=described.pads,
-            wall_clock_start_ns=described.wall_clock_start_ns,
-            monotonic_start_ns=described.monotonic_start_ns,
-            frames=frames,
-            cycles=cycles,
-            poses=tuple(rows[schema.POSE]),
-            events=tuple(rows[schema.EVENT]),
-            results=tuple(rows[schema.RESULT]),
-            states=tuple(rows[schema.STATE]),
-            statistics=tuple(rows[schema.LOOP]),
-            grasps=tuple(grasp for _, grasp, _ in grasps),
-            grasp_numbers=tuple(number for number, _, _ in grasps),
-            grasp_t_s=tuple(begin_s for _, _, begin_s in grasps),
-            n_broken_grasps=len(rows[schema.GRASP]) - len(grasps),
-            complete=not lost_reason,
-            lost_reason=lost_reason,
-        )
-
-    def _grasps(
-        self, messages: RecordedMessages, frames: RecordedFrames
-    ) -> list[tuple[int, Grasp, float]]:
-        """Return number, grasp and time in s of the first frame, for each whole grasp."""
-        grasps: list[tuple[int, Grasp, float]] = []
-        order = np.argsort(frames.number, kind="stable")
-        numbers = frames.number[order]
-        n_left = len(frames)
-        for number, row in enumerate(self._rows[schema.GRASP]):
-            n_frames = row["n_frames"]
-            first = int(np.searchsorted(numbers, row["first_frame"]))
-            places = order[first : first + n_frames]
-            asked = row["first_frame"] + np.arange(len(places))
-            if len(places) < n_frames or np.any(frames.number[places] != asked):
-                continue  # frames of it are missing
-            try:
-                # Each frame belongs to one grasp: a few bytes of JSON must not copy it again.
-                if (n_left := n_left - n_frames) < 0:
-                    raise ValueError("its frames belong to other grasps")
-                grasp = _grasp(row, messages.description.pads, frames, places)
-            except (ValueError, OverflowError) as cause:
-                messages.lose(f"grasp {number + 1} is left out: {cause}")
-                continue
-            grasps.append((number, grasp, float(frames.t_s[places[0]])))
-        return grasps
-
-
+_FRAME_COLUMNS = ("t_s", "number", "counter", "status")
 _CYCLE_COLUMNS = (
     "t_s", "setpoint_n", "goal_current_a", "aperture_m", "current_a", "temperature_c",
 )  # fmt: skip
-"""Columns of `RecordedCycles` with one number per period."""
+"""Columns of `RecordedFrames` and `RecordedCycles` with one number each."""
 
 
-def _grasp(
-    row: dict[str, Any], pads: PadArray, frames: RecordedFrames, places: NDArray[np.int64]
-) -> Grasp:
-    """Return a grasp of the frames at these indices. Raises ValueError if it is refused."""
-    n_frames = len(places)
-    if not n_frames == len(row["frame_t_s"]):
+class _Columns:
+    """Numbers of messages as columns, which take far less memory than the messages."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._columns = {name: array("d") for name in names}
+
+    def add(self, content: dict[str, Any]) -> None:
+        """Add a message; an unknown number is NaN."""
+        for name, column in self._columns.items():
+            column.append(content.get(name, np.nan))
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        return _read_only(self._columns[name])
+
+
+def _grasps(
+    rows: list[dict[str, Any]], frames: RecordedFrames, messages: RecordedMessages
+) -> list[tuple[int, Grasp, float]]:
+    """Return number, grasp and time in s of the first frame, for each whole grasp."""
+    grasps, n_used = list[tuple[int, Grasp, float]](), 0
+    for number, row in enumerate(rows):
+        first_frame, n_frames = row["first_frame"], row["n_frames"]
+        first = int(np.searchsorted(frames.number, first_frame))
+        part = slice(first, first + n_frames)
+        try:
+            numbers = frames.number[part]
+            if len(numbers) < n_frames or np.any(numbers != first_frame + np.arange(n_frames)):
+                raise ValueError("frames of it are missing")
+            if first_frame < n_used:
+                raise ValueError("its frames belong to other grasps")
+            n_used = first_frame + n_frames
+            grasp = _grasp(row, messages.description.pads, frames, part)
+        except (ValueError, OverflowError) as cause:
+            messages.lose(f"grasp {number + 1} is left out: {cause}")
+            continue
+        grasps.append((number, grasp, float(frames.t_s[first])))
+    return grasps
+
+
+def _grasp(row: dict[str, Any], pads: PadArray, frames: RecordedFrames, part: slice) -> Grasp:
+    """Return a grasp of these frames. Raises ValueError if it is refused."""
+    n_frames = row["n_frames"]
+    if not 0 < n_frames == len(row["frame_t_s"]):
         raise ValueError(f"it has {len(row['frame_t_s'])} times for {n_frames} frames")
     unknown = [np.nan] * n_frames
     grasp = Grasp(
         pads=pads,
-        counts=frames.counts[places],
+        counts=frames.counts[part].copy(),
         t_s=np.array(row["frame_t_s"]),
         aperture_m=np.array(row.get("aperture_m", unknown)),
         force_n=np.array(row.get("force_n", unknown)),
@@ -264,7 +261,7 @@ def _grasp(
     )
     if schema.counts_crc32(grasp.counts) != row["counts_crc32"]:
         raise ValueError("the checksum of its counts is wrong")
-    since_first_s = frames.t_s[places] - frames.t_s[places[0]]
+    since_first_s = frames.t_s[part] - frames.t_s[part.start]
     if np.any(np.abs(since_first_s - grasp.t_s) > _TIME_TOLERANCE_S):
         raise ValueError("its times differ from those of its frames")
     refusals = {

@@ -1,10 +1,9 @@
 """Recovery: from a truncated or damaged recording to a whole one with all valid data."""
 
 import itertools
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
@@ -14,9 +13,6 @@ from cell.data.recording_messages import RecordedMessages
 from cell.data.recording_reader import Recording, read_recording
 from cell.data.recording_values import CHUNK_BYTES, start_recording, to_ns
 from cell.errors import RecordingError
-
-RECOVERED = "recovered"
-"""Entry of the metadata: why the recording is incomplete."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,8 +34,8 @@ class Recovered:
 def recover_recording(path: Path | str, target: Path | str) -> Recovered:
     """Write all valid data of a recording to a new one; the old one does not change.
 
-    Raises RecordingError if the old file is not a recording or has no valid data, or if the new
-    file exists or cannot be written.
+    Raises RecordingError if the old file is not a recording or has lost every message, or if the
+    new file exists or cannot be written.
     """
     path, target = Path(path), Path(target)
     if target.exists():
@@ -59,33 +55,20 @@ def recover_recording(path: Path | str, target: Path | str) -> Recovered:
 
 
 def _write(file: BinaryIO, recording: Recording) -> None:
-    entries = dict(recording.metadata)
+    entries = {key: value for key, value in recording.metadata.items() if key != "crc32"}
     if recording.lost_reason:
-        entries[RECOVERED] = f"from {recording.path.name}: {recording.lost_reason}"
-    whole, grasp_numbers = set(recording.grasp_numbers), itertools.count()
-    write_messages(
-        file,
-        recording.path,
-        entries,
-        lambda topic, _content: topic != schema.GRASP or next(grasp_numbers) in whole,
-    )
-
-
-def write_messages(
-    file: BinaryIO,
-    path: Path,
-    entries: Mapping[str, str],
-    stays: Callable[[str, Mapping[str, Any]], bool],
-) -> None:
-    """Write the messages of a recording for which ``stays`` is true to a new file."""
+        entries[schema.RECOVERED] = f"from {recording.path.name}: {recording.lost_reason}"
     writer = Writer(
         file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
     )
-    channels = start_recording(
-        writer, {key: value for key, value in entries.items() if key != "crc32"}
-    )
-    for sequence, (topic, content, data) in enumerate(RecordedMessages(path)):
-        if stays(topic, content):
+    channels, sequence = start_recording(writer, entries), itertools.count()
+    whole, n_grasps = set(recording.grasp_numbers), itertools.count()
+    for topic, content, data in RecordedMessages(recording.path):
+        if topic != schema.GRASP or next(n_grasps) in whole:
             stamp_ns = to_ns(content["t_s"])
-            writer.add_message(channels[topic], stamp_ns, data, stamp_ns, sequence=sequence)
+            writer.add_message(channels[topic], stamp_ns, data, stamp_ns, sequence=next(sequence))
+    if recording.lost_reason and not next(sequence):
+        raise RecordingError(
+            f"nothing of {recording.path} can be recovered: {recording.lost_reason}"
+        )
     writer.finish()  # type: ignore[no-untyped-call]

@@ -1,9 +1,9 @@
-"""Schema of recordings: topics of the MCAP file and the JSON schema of each message.
+"""Schema of recordings: topics of the MCAP file, and a record model for each.
 
-Messages are JSON with a schema of plain types (no unions), which Foxglove and other viewers plot
-without a plug-in. An unknown value is omitted, never written as NaN or null. Counts are plain lists
-of integers, so that a viewer can plot a single taxel (``/tactile/frame.counts[17]``); equal
-neighbours cost almost nothing after compression.
+Messages are JSON with a schema of plain types (no unions, no references), which Foxglove and other
+viewers plot without a plug-in. An unknown value is omitted, never written as NaN or null. Counts
+are plain lists of integers, so that a viewer can plot a single taxel
+(``/tactile/frame.counts[17]``); equal neighbours cost almost nothing after compression.
 
 ``log_time`` of each message is monotonic time in ns; the metadata record `METADATA` relates it to
 the wall clock and describes the pads.
@@ -11,15 +11,20 @@ the wall clock and describes the pads.
 
 import zlib
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Annotated, Any, Final, NotRequired
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, TypeAdapter, with_config
+from pydantic.json_schema import GenerateJsonSchema
+from typing_extensions import TypedDict
 
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS
 
 METADATA: Final = "tactile-cell"
 """Name of the metadata record with format, clocks and pads."""
+RECOVERED: Final = "recovered"
+"""Entry of that record in a recovered recording: what the damaged one has lost."""
 
 FRAME: Final = "/tactile/frame"
 CYCLE: Final = "/gripper/cycle"
@@ -29,7 +34,325 @@ GRASP: Final = "/sequence/grasp"
 STATE: Final = "/cell/state"
 LOOP: Final = "/loop/statistics"
 RESULT: Final = "/result"
-"""The topics: one for each kind of message; their schemas are in `SCHEMAS`."""
+"""The topics: one for each kind of message; their models are in `MODELS`."""
+
+Time = Annotated[float, Field(ge=0.0, le=1e9)]
+"""Monotonic time in s, up to that of a machine that has run for 30 years."""
+Number = Annotated[float, Field(ge=-1e15, le=1e15)]
+"""A number; a factor of 1000 overflows no float."""
+Natural = Annotated[int, Field(ge=0, le=1 << 53)]
+"""A count or number from 0; a float has it exactly."""
+Integer = Annotated[int, Field(ge=-(1 << 63), le=(1 << 63) - 1)]
+"""A number of 64 bits."""
+Sample = Annotated[int, Field(ge=0, le=0xFFFF)]
+"""A raw count of a taxel."""
+_ASKED = "pose and force asked for: " + ", ".join(COMMAND_COLUMNS)
+_SELF_ZERO = "what the empty fingers showed before: " + ", ".join(ZERO_COLUMNS)
+
+_record = with_config(
+    ConfigDict(extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
+)
+
+
+@_record
+class Frame(TypedDict):
+    """A tactile frame."""
+
+    t_s: Time
+    """monotonic time of the frame, s"""
+    number: Natural
+    """number of the frame in this recording, from 0"""
+    counter: Natural
+    """counter of the control unit, 16 bit"""
+    status: Natural
+    """status byte of the control unit"""
+    counts: list[Sample]
+    """raw counts of all taxels, pad after pad, row-major"""
+    extra: NotRequired[list[Sample]]
+    """further raw samples of each taxel, such as x and y of a uSkin; left out without any"""
+
+
+@_record
+class Cycle(TypedDict):
+    """A period of the force loop."""
+
+    t_s: Time
+    """monotonic time of the servo state, s"""
+    phase: str
+    """phase of the gripper"""
+    level: NotRequired[Natural]
+    """level of the ramp that is held; left out while the force changes"""
+    setpoint_n: NotRequired[Number]
+    """set-point of the grip force, N; 0 while no force is controlled"""
+    goal_current_a: NotRequired[Number]
+    """mean magnitude of the goal currents, A"""
+    aperture_m: NotRequired[Number]
+    """opening between the fingers, m"""
+    aperture_velocity_m_s: NotRequired[Number]
+    """its rate, m/s; negative while closing"""
+    current_a: NotRequired[Number]
+    """mean magnitude of the servo currents, A"""
+    force_from_current_n: NotRequired[Number]
+    """grip force estimated from the currents, N"""
+    temperature_c: NotRequired[Number]
+    """warmest servo, degrees Celsius"""
+    voltage_v: NotRequired[Number]
+    """lowest supply of the servos, V"""
+    force_t_s: NotRequired[Time]
+    """monotonic time of the tactile force, s"""
+    force_n: NotRequired[list[Number]]
+    """tactile force on finger 0 and on finger 1, N"""
+    force_valid: NotRequired[bool]
+    """false: not to be used for control"""
+    servos: NotRequired[list[dict[str, Any]]]
+    """state of each servo; units are in the names"""
+
+
+@_record
+class Pose(TypedDict):
+    """A pose of the positioner."""
+
+    t_s: Time
+    """monotonic time at which the pose was reached, s"""
+    x_m: NotRequired[Number]
+    """along the finger, m"""
+    y_m: NotRequired[Number]
+    """across the finger, m"""
+    rotation_rad: NotRequired[Number]
+    """about the closing axis, rad"""
+    roll_rad: NotRequired[Number]
+    """about the object's long axis, rad"""
+
+
+@_record
+class Event(TypedDict):
+    """An event, for people."""
+
+    t_s: Time
+    """monotonic time, s"""
+    kind: str
+    """kind of the event"""
+    text: str
+    """what happened, for people"""
+    fault_number: NotRequired[Natural]
+    """number in the fault catalogue; left out where there is no fault"""
+
+
+@_record
+class State(TypedDict):
+    """A change of the state of cell or grip."""
+
+    t_s: Time
+    """monotonic time at which one of the two states changed, s"""
+    state: str
+    """state of the cell (PackML)"""
+    state_number: Natural
+    """its number in PackTags (OPC 30050)"""
+    grasp: str
+    """state of the grip"""
+    grasp_number: Natural
+    """its number, 0 to 7"""
+    wall_ns: Integer
+    """wall clock, ns since 1970; for people only"""
+
+
+@_record
+class LoopStatistics(TypedDict):
+    """Counts and times of the force loop and both links."""
+
+    t_s: Time
+    """monotonic time; all counts are since the loop was made, s"""
+    cycles: Natural
+    """periods of the force loop"""
+    overruns: Natural
+    """periods whose work was not done when the next one was due"""
+    late: Natural
+    """periods that began more than half a period late"""
+    missed_reads: Natural
+    """periods without feedback"""
+    undelivered: Natural
+    """periods that did not reach the recording"""
+    worst_lateness_s: NotRequired[Number]
+    """largest lateness, s"""
+    lateness_p50_s: NotRequired[Number]
+    """how late periods began, s: 50 % at most"""
+    lateness_p99_s: NotRequired[Number]
+    """how late periods began, s: 99 % at most"""
+    lateness_p999_s: NotRequired[Number]
+    """how late periods began, s: 99.9 % at most"""
+    lateness_max_s: NotRequired[Number]
+    """how late periods began, s: the longest"""
+    transaction_p50_s: NotRequired[Number]
+    """time to read the servos, s: 50 % at most"""
+    transaction_p99_s: NotRequired[Number]
+    """time to read the servos, s: 99 % at most"""
+    transaction_p999_s: NotRequired[Number]
+    """time to read the servos, s: 99.9 % at most"""
+    transaction_max_s: NotRequired[Number]
+    """time to read the servos, s: the longest"""
+    sensor_age_p50_s: NotRequired[Number]
+    """age of the force when it was used, s: 50 % at most"""
+    sensor_age_p99_s: NotRequired[Number]
+    """age of the force when it was used, s: 99 % at most"""
+    sensor_age_p999_s: NotRequired[Number]
+    """age of the force when it was used, s: 99.9 % at most"""
+    sensor_age_max_s: NotRequired[Number]
+    """age of the force when it was used, s: the longest"""
+    tactile: NotRequired[dict[str, Integer]]
+    """frames, messages and requests of the tactile sensor since its last start"""
+    servo_bus: NotRequired[dict[str, Integer]]
+    """transactions and wrong answers of the servo bus since it was opened"""
+
+
+@_record
+class Grasp(TypedDict):
+    """A grasp: which frames are its frames, and what is known of it."""
+
+    t_s: Time
+    """monotonic time of the grasp's first frame, s"""
+    label: str
+    """what was grasped; empty where unknown"""
+    shape: str
+    """class of shape; empty where unknown"""
+    source: str
+    """where it came from"""
+    start_ms: Integer
+    """wall clock of the first frame, ms"""
+    first_frame: Natural
+    """number of the first frame"""
+    n_frames: Natural
+    """frames of the grasp, consecutive numbers"""
+    frame_t_s: list[Number]
+    """time of each frame since the first, s"""
+    aperture_m: NotRequired[list[Number]]
+    """opening at each frame, m; left out unless known for each"""
+    force_n: NotRequired[list[Number]]
+    """commanded grip force at each frame, N; left out unless known for each"""
+    asked: NotRequired[Annotated[list[Number], Field(description=_ASKED)]]
+    self_zero: NotRequired[Annotated[list[Number], Field(description=_SELF_ZERO)]]
+    counts_crc32: Natural
+    """CRC-32 over the counts of all frames as uint16, little endian"""
+
+
+@_record
+class Thickness(TypedDict, total=False):
+    """A thickness along the closing axis."""
+
+    size_m: Number
+    """thickness along the closing axis, m: the diameter of what is round"""
+    low_m: Number
+    """lower end of the interval that holds it with 90 %, m"""
+    high_m: Number
+    """upper end, m"""
+    n_grasps: Natural
+    """grasps that met it"""
+
+
+@_record
+class Shape(TypedDict, total=False):
+    """Shape and size of a part; a viewer plots its numbers."""
+
+    size_m: Number
+    """thickness along the closing axis, m: the diameter of what is round"""
+    low_m: Number
+    """lower end of the interval that holds it with 90 %, m"""
+    high_m: Number
+    """upper end, m"""
+    n_grasps: Natural
+    """grasps that met it"""
+    kind: str
+    """sphere, oval, cylinder, flat, dumbbell or unclear"""
+    probability: Number
+    """probability of the likeliest kind"""
+    thicknesses: list[Thickness]
+    """every thickness that was met"""
+    dimensions_m: dict[str, Number]
+    """dimensions of the likeliest kind by their names, m"""
+
+
+@_record
+class GraspAnswer(TypedDict, total=False):
+    """The answer to one grasp."""
+
+    probabilities: list[Number]
+    """probability of each taught label"""
+    unknown: Number
+    """probability that the object was never taught"""
+    dependence: Number
+    """how far further grasps repeat this one, 0 to 1"""
+
+
+@_record
+class Result(TypedDict):
+    """The answer of an identification."""
+
+    t_s: Time
+    """monotonic time of the decision, s"""
+    label: str
+    """the answer: a taught label, or UNKNOWN"""
+    probability: Number
+    """probability of the answer"""
+    labels: list[str]
+    """the taught labels"""
+    probabilities: list[Number]
+    """probability of each taught label"""
+    unknown: Number
+    """probability that the object was never taught"""
+    n_grasps: Natural
+    """grasps that led to the decision"""
+    n_ended_early: NotRequired[Natural]
+    """those of them whose ramp ended early, because it sufficed"""
+    held: NotRequired[str]
+    """what the positioner has brought; left out where nobody has named it"""
+    grasp_answers: NotRequired[list[GraspAnswer]]
+    """answer to each grasp by itself, in order"""
+    shape: NotRequired[Shape]
+    """shape and size after all grasps; left out where no grasp has one"""
+    grasp_shapes: NotRequired[list[Shape]]
+    """shape and size by each grasp of the sequence, in order; empty where it has none"""
+    drift_gain: NotRequired[Number]
+    """gain of the pads since teaching that the answer rests on"""
+    drift_aperture_m: NotRequired[Number]
+    """offset of the opening since teaching that it rests on, m"""
+    drift_unchanged: NotRequired[Number]
+    """probability that nothing has drifted"""
+    drift_n_grasps: NotRequired[Natural]
+    """grasps of the shift, named by nobody, that show it"""
+
+
+MODELS: Final[Mapping[str, TypeAdapter[Any]]] = {
+    FRAME: TypeAdapter(Frame),
+    CYCLE: TypeAdapter(Cycle),
+    POSE: TypeAdapter(Pose),
+    EVENT: TypeAdapter(Event),
+    STATE: TypeAdapter(State),
+    LOOP: TypeAdapter(LoopStatistics),
+    GRASP: TypeAdapter(Grasp),
+    RESULT: TypeAdapter(Result),
+}
+"""Model of the messages of each topic."""
+
+
+class _Plain(GenerateJsonSchema):
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False
+
+
+def json_schema(topic: str) -> dict[str, Any]:
+    """Return the JSON schema of the messages of a topic, without references."""
+    found = MODELS[topic].json_schema(schema_generator=_Plain)
+    parts = found.pop("$defs", {})
+
+    def inlined(value: Any) -> Any:
+        if isinstance(value, list):
+            return [inlined(item) for item in value]
+        if not isinstance(value, dict):
+            return value
+        part = parts.get(value.get("$ref", "").rpartition("/")[2], {})
+        return {key: inlined(item) for key, item in (part | value).items() if key != "$ref"}
+
+    plain: dict[str, Any] = inlined(found)
+    return plain | {"title": f"tactile_cell.{plain['title']}"}
 
 
 def counts_crc32(counts: NDArray[np.uint16]) -> int:
@@ -41,217 +364,3 @@ def metadata_crc32(entries: Mapping[str, str]) -> str:
     """Return the CRC-32 over the metadata other than ``crc32``: MCAP does not protect them."""
     lines = [f"{key}={value}\n" for key, value in sorted(entries.items()) if key != "crc32"]
     return f"{zlib.crc32(''.join(lines).encode()):08x}"
-
-
-def _number(text: str) -> dict[str, Any]:
-    return {"type": "number", "description": text}
-
-
-def _integer(text: str) -> dict[str, Any]:
-    return {"type": "integer", "minimum": 0, "description": text}
-
-
-def _text(text: str) -> dict[str, Any]:
-    return {"type": "string", "description": text}
-
-
-def _numbers(text: str, item: str = "number") -> dict[str, Any]:
-    return {"type": "array", "items": {"type": item}, "description": text}
-
-
-def _durations(name: str, text: str) -> dict[str, dict[str, Any]]:
-    """Return the schema of the four figures of a distribution of durations."""
-    shares = {"p50_s": "50 % at most", "p99_s": "99 % at most", "p999_s": "99.9 % at most"}
-    return {
-        f"{name}_{key}": _number(f"{text}, s: {share}")
-        for key, share in (shares | {"max_s": "the longest"}).items()
-    }
-
-
-def _counts(text: str) -> dict[str, Any]:
-    return {"type": "object", "additionalProperties": {"type": "integer"}, "description": text}
-
-
-def _shape(text: str) -> dict[str, Any]:
-    """Return an object of kind, thickness and dimensions; a viewer plots its numbers."""
-    size = {
-        "size_m": _number("thickness along the closing axis, m: the diameter of what is round"),
-        "low_m": _number("lower end of the interval that holds it with 90 %, m"),
-        "high_m": _number("upper end, m"),
-        "n_grasps": _integer("grasps that met it"),
-    }
-    return {
-        "type": "object",
-        "description": text,
-        "properties": {
-            "kind": _text("sphere, oval, cylinder, flat, dumbbell or unclear"),
-            "probability": _number("probability of the likeliest kind"),
-            **size,
-            "thicknesses": {"type": "array", "items": {"type": "object", "properties": size}},
-            "dimensions_m": {
-                "type": "object",
-                "additionalProperties": {"type": "number"},
-                "description": "dimensions of the likeliest kind by their names, m",
-            },
-        },
-        "additionalProperties": False,
-    }
-
-
-def _schema(title: str, required: tuple[str, ...], **properties: Any) -> dict[str, Any]:
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": title,
-        "type": "object",
-        "properties": properties,
-        "required": list(required),
-        "additionalProperties": False,
-    }
-
-
-SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
-    FRAME: _schema(
-        "tactile_cell.Frame",
-        ("t_s", "number", "counter", "status", "counts"),
-        t_s=_number("monotonic time of the frame, s"),
-        number=_integer("number of the frame in this recording, from 0"),
-        counter=_integer("counter of the control unit, 16 bit"),
-        status=_integer("status byte of the control unit"),
-        counts=_numbers("raw counts of all taxels, pad after pad, row-major", "integer"),
-        extra=_numbers(
-            "further raw samples of each taxel in the same order, such as x and y of a uSkin; left "
-            "out where the sensor has none",
-            "integer",
-        ),
-    ),
-    CYCLE: _schema(
-        "tactile_cell.Cycle",
-        ("t_s", "phase"),
-        t_s=_number("monotonic time of the servo state, s"),
-        phase=_text("phase of the gripper"),
-        level=_integer("level of the ramp that is held; left out while the force changes"),
-        setpoint_n=_number("set-point of the grip force, N; 0 while no force is controlled"),
-        goal_current_a=_number("mean magnitude of the goal currents, A"),
-        aperture_m=_number("opening between the fingers, m"),
-        aperture_velocity_m_s=_number("its rate, m/s; negative while closing"),
-        current_a=_number("mean magnitude of the servo currents, A"),
-        force_from_current_n=_number("grip force estimated from the currents, N"),
-        temperature_c=_number("warmest servo, degrees Celsius"),
-        voltage_v=_number("lowest supply of the servos, V"),
-        force_t_s=_number("monotonic time of the tactile force, s"),
-        force_n=_numbers("tactile force on finger 0 and on finger 1, N"),
-        force_valid={"type": "boolean", "description": "false: not to be used for control"},
-        servos={
-            "type": "array",
-            "items": {"type": "object"},
-            "description": "state of each servo; units are in the names",
-        },
-    ),
-    POSE: _schema(
-        "tactile_cell.Pose",
-        ("t_s",),
-        t_s=_number("monotonic time at which the pose was reached, s"),
-        x_m=_number("along the finger, m"),
-        y_m=_number("across the finger, m"),
-        rotation_rad=_number("about the closing axis, rad"),
-        roll_rad=_number("about the object's long axis, rad"),
-    ),
-    EVENT: _schema(
-        "tactile_cell.Event",
-        ("t_s", "kind", "text"),
-        t_s=_number("monotonic time, s"),
-        kind=_text("kind of the event"),
-        text=_text("what happened, for people"),
-        fault_number=_integer("number in the fault catalogue; left out where there is no fault"),
-    ),
-    STATE: _schema(
-        "tactile_cell.State",
-        ("t_s", "state", "state_number", "grasp", "grasp_number", "wall_ns"),
-        t_s=_number("monotonic time at which one of the two states changed, s"),
-        state=_text("state of the cell (PackML)"),
-        state_number=_integer("its number in PackTags (OPC 30050)"),
-        grasp=_text("state of the grip"),
-        grasp_number=_integer("its number, 0 to 7"),
-        wall_ns={"type": "integer", "description": "wall clock, ns since 1970; for people only"},
-    ),
-    LOOP: _schema(
-        "tactile_cell.LoopStatistics",
-        ("t_s", "cycles", "overruns", "late", "missed_reads", "undelivered"),
-        t_s=_number("monotonic time; all counts are since the loop was made, s"),
-        cycles=_integer("periods of the force loop"),
-        overruns=_integer("periods whose work was not done when the next one was due"),
-        late=_integer("periods that began more than half a period late"),
-        missed_reads=_integer("periods without feedback"),
-        undelivered=_integer("periods that did not reach the recording"),
-        worst_lateness_s=_number("largest lateness, s"),
-        **_durations("lateness", "how late periods began"),
-        **_durations("transaction", "time to read the servos"),
-        **_durations("sensor_age", "age of the force when it was used"),
-        tactile=_counts("frames, messages and requests of the tactile sensor since its last start"),
-        servo_bus=_counts("transactions and wrong answers of the servo bus since it was opened"),
-    ),
-    GRASP: _schema(
-        "tactile_cell.Grasp",
-        (
-            "t_s",
-            "label",
-            "shape",
-            "source",
-            "start_ms",
-            "first_frame",
-            "n_frames",
-            "frame_t_s",
-            "counts_crc32",
-        ),
-        t_s=_number("monotonic time of the grasp's first frame, s"),
-        label=_text("what was grasped; empty where unknown"),
-        shape=_text("class of shape; empty where unknown"),
-        source=_text("where it came from"),
-        start_ms={"type": "integer", "description": "wall clock of the first frame, ms"},
-        first_frame=_integer("number of the first frame"),
-        n_frames=_integer("frames of the grasp, consecutive numbers"),
-        frame_t_s=_numbers("time of each frame since the first, s"),
-        aperture_m=_numbers("opening at each frame, m; left out unless known for each"),
-        force_n=_numbers("commanded grip force at each frame, N; left out unless known for each"),
-        asked=_numbers("pose and force asked for: " + ", ".join(COMMAND_COLUMNS)),
-        self_zero=_numbers("what the empty fingers showed before: " + ", ".join(ZERO_COLUMNS)),
-        counts_crc32=_integer("CRC-32 over the counts of all frames as uint16, little endian"),
-    ),
-    RESULT: _schema(
-        "tactile_cell.Result",
-        ("t_s", "label", "probability", "labels", "probabilities", "unknown", "n_grasps"),
-        t_s=_number("monotonic time of the decision, s"),
-        label=_text("the answer: a taught label, or UNKNOWN"),
-        probability=_number("probability of the answer"),
-        labels=_numbers("the taught labels", "string"),
-        probabilities=_numbers("probability of each taught label"),
-        unknown=_number("probability that the object was never taught"),
-        n_grasps=_integer("grasps that led to the decision"),
-        n_ended_early=_integer("those of them whose ramp ended early, because it sufficed"),
-        held=_text("what the positioner has brought; left out where nobody has named it"),
-        grasp_answers={
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {
-                    "probabilities": _numbers("probability of each taught label"),
-                    "unknown": _number("probability that the object was never taught"),
-                    "dependence": _number("how far further grasps repeat this one, 0 to 1"),
-                },
-                "additionalProperties": False,
-            },
-            "description": "answer to each grasp by itself, in order",
-        },
-        shape=_shape("shape and size after all grasps; left out where no grasp has one"),
-        grasp_shapes={
-            "type": "array",
-            "items": _shape("shape and size by one grasp; empty where it has none"),
-            "description": "of each grasp of the sequence, in order",
-        },
-        drift_gain=_number("gain of the pads since teaching that the answer rests on"),
-        drift_aperture_m=_number("offset of the opening since teaching that it rests on, m"),
-        drift_unchanged=_number("probability that nothing has drifted"),
-        drift_n_grasps=_integer("grasps of the shift, named by nobody, that show it"),
-    ),
-}
-"""JSON schema of the messages of each topic."""

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cell.data.formats import RECORDING
-from cell.data.recording_schema import METADATA, SCHEMAS, counts_crc32, metadata_crc32
+from cell.data.recording_schema import (
+    METADATA,
+    MODELS,
+    counts_crc32,
+    json_schema,
+    metadata_crc32,
+)
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
@@ -140,7 +146,8 @@ def start_recording(writer: "Writer", entries: Mapping[str, str]) -> dict[str, i
     writer.start(profile="", library="tactile-cell")
     writer.add_metadata(METADATA, {**entries, "crc32": metadata_crc32(entries)})
     channels = {}
-    for topic, content in SCHEMAS.items():
+    for topic in MODELS:
+        content = json_schema(topic)
         number = writer.register_schema(content["title"], "jsonschema", to_json(content).encode())
         channels[topic] = writer.register_channel(topic, "json", number)
     return channels

@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from typing import Any
 
-from cell.data.recording_schema import SCHEMAS
+from cell.data.recording_schema import MODELS, json_schema
 
 
 def recording_page() -> str:
     """Return a table of fields for each topic; fields in bold are always there."""
-    return "\n".join(line for topic, schema in SCHEMAS.items() for line in _topic(topic, schema))
+    return "\n".join(line for topic in MODELS for line in _topic(topic, json_schema(topic)))
 
 
 def _topic(topic: str, schema: Mapping[str, Any]) -> list[str]:

@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 from cell.control.journal import Journal
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import read_recording
-from cell.data.recording_recovery import RECOVERED, recover_recording
+from cell.data.recording_recovery import recover_recording
+from cell.data.recording_schema import RECOVERED
 from cell.errors import RecordingError
 from cell.interfaces.cli.app import app
 from tactile.source import TactileFrame
