@@ -147,7 +147,7 @@ def test_what_is_torn_foreign_or_unfinished_is_named_and_left_for_the_next_run(
     left = {Path(path).name: why for path, why in done.left.items()}
     assert left.keys() == {"torn.mcap", "foreign.mcap", "foreign.npz", "open.mcap"}
     assert "not complete" in left["torn.mcap"]
-    assert "not an MCAP file" in left["foreign.mcap"]
+    assert "is not a recording" in left["foreign.mcap"]
     assert "missing" in left["foreign.npz"]
     assert "still writes" in left["open.mcap"]
     open_recording.close()
