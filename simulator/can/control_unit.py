@@ -287,7 +287,7 @@ class SimulatedControlUnit(CanopenDevice):
                 messages = messages[:fitting]
                 self._passed_over(EMCY_WINDOW)
         if self._frame_id is not None and messages and self._send is not None:
-            self._burst_end_s = self._send(now_s + self.faults.late_s, self._frame_id, messages)
+            self._burst_end_s = self._send(now_s, self._frame_id, messages)
 
     def _passed_over(self, code: int) -> None:
         """Mark the next frame, and send one EMCY for a repeated error."""

@@ -1,6 +1,5 @@
 """Fault knobs of the CAN link and of the control unit; all of them are off by default."""
 
-import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
@@ -8,7 +7,6 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.errors import SimulatorSettingsError
 from tactile.source import ForceMessage
 
 _EMPTY_MESSAGES = 50
@@ -43,25 +41,11 @@ class CanLinkFaults:
     error-passive, by an error frame; while it is bus-off no message passes."""
     unplugged: bool = False
     """The host's adapter is gone: sending and receiving fail."""
-    bitrate: int = 0
-    """Bit rate of the bus in bit/s, 0: that of the settings. A host with another bit rate has no
-    communication."""
 
     @property
     def disturbs(self) -> bool:
         """Whether messages to the host must be handled one by one."""
         return any(getattr(self, name) for name in ("drop_next", "delay_s", "bus_off", *_RATES))
-
-    def check(self) -> None:
-        """Refuse impossible values; the bus calls it while a fault is active."""
-        for name in _RATES:
-            rate = getattr(self, name)
-            if not 0.0 <= rate <= 1.0:
-                raise SimulatorSettingsError(f"fault {name} is {rate}, must be from 0 to 1")
-        for name in ("drop_next", "delay_s", "flood_hz"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise SimulatorSettingsError(f"fault {name} is {value}, must be at least 0")
 
 
 _RATES = tuple(one.name for one in fields(CanLinkFaults) if one.name.endswith("_rate"))
@@ -78,8 +62,6 @@ class ControlUnitFaults:
     """The heartbeat stops, all else goes on."""
     frozen: bool = False
     """The converter always returns its last scan; counter and checksum are valid."""
-    converter_fault: bool = False
-    """The self-test of the converter fails: a bit in the status of the frames."""
     stuck_counts: dict[int, int] = field(default_factory=dict)
     """Taxels that always read the counts given."""
     dead_taxels: set[int] = field(default_factory=set)
@@ -88,13 +70,9 @@ class ControlUnitFaults:
     """Drift that is added to all taxels."""
     gain: float = 1.0
     """Factor on all taxels before the offset."""
-    late_s: float = 0.0
-    """Delay in s of the burst of a frame after its SYNC."""
     mounted: dict[str, NDArray[np.int64]] = field(default_factory=dict)
     """Orders of the taxels (n_taxels,) by name, for pads mounted differently from the layout. Each
     element is the taxel whose sample is sent at that place."""
-    noisy_taxels: dict[int, float] = field(default_factory=dict)
-    """Standard deviation in counts of further noise on taxels."""
     pads_swapped: bool = False
     """The connectors of the two fingers are exchanged: so are the halves of a scan."""
     forces_off: bool = False
@@ -125,7 +103,6 @@ class ControlUnitFaults:
     _n_spoiled: int = 0
     _empty_pads: deque[ForceMessage] = field(default_factory=lambda: deque(maxlen=_EMPTY_MESSAGES))
     _centre_taxels: tuple[float, float] | None = None
-    _rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def apply(self, counts: NDArray[np.uint16], adc_max: int) -> NDArray[np.uint16]:
         """Return counts (n_taxels,) with these faults; IndexError for an invalid taxel index."""
@@ -136,12 +113,6 @@ class ControlUnitFaults:
         if self.offset_counts or self.gain != 1.0:
             shifted = np.rint(self.gain * counts + self.offset_counts)
             counts = np.clip(shifted, 0, adc_max).astype(np.uint16)
-        if self.noisy_taxels:
-            taxels = list(self.noisy_taxels)
-            noise = self._rng.normal(0.0, list(self.noisy_taxels.values()))
-            shaken = np.clip(np.rint(counts[taxels] + noise), 0, adc_max)
-            counts = counts.copy()
-            counts[taxels] = shaken.astype(np.uint16)
         for taxel, stuck in self.stuck_counts.items():
             counts[taxel] = stuck
         if self.dead_taxels:
@@ -183,7 +154,6 @@ class Disturber:
     def pass_on(self, t_s: float, data: bytes) -> Iterable[tuple[float, int, bytes]]:
         """Return the results of one message: any number of (arrival in s, length code, data)."""
         faults = self.faults
-        faults.check()
         if faults.bus_off:
             return
         if faults.drop_next:

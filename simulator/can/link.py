@@ -81,7 +81,6 @@ class CanLink:
         self.lost = 0
         """Number of messages lost because the adapter's memory was full."""
         self._device = device
-        self._bitrate = bitrate
         self._wire = CanWire(bitrate)
         self._disturber = Disturber(self.faults, np.random.default_rng(seed))
         self._inbox: deque[can.Message] = deque()
@@ -91,7 +90,7 @@ class CanLink:
 
     def deaf(self, bitrate: int) -> bool:
         """Return whether a host with this bit rate has no communication."""
-        return bitrate != (self.faults.bitrate or self._bitrate)
+        return bitrate != self._wire.bitrate
 
     def send(self, can_id: int, data: bytes, now_s: float, *, extended: bool = False) -> None:
         """Send a message of the host; it reaches the device before this returns."""
@@ -118,7 +117,6 @@ class CanLink:
     def advance(self, now_s: float) -> None:
         """Let device and faults act until ``now_s`` s."""
         faults = self.faults
-        self._wire.bitrate = faults.bitrate or self._bitrate
         self._device.advance(now_s)
         if faults.flood_hz:
             self._flood(now_s)
@@ -183,7 +181,6 @@ class CanLink:
                 yield can.Message(arrival_s, can_id, False, dlc=code, data=changed)
 
     def _flood(self, now_s: float) -> None:
-        self.faults.check()
         if math.isinf(self._flood_due_s):
             self._flood_due_s = now_s
         while self._flood_due_s <= now_s:

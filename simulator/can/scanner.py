@@ -90,8 +90,6 @@ class Scanner:
             status |= FrameStatus.TARED
         if self._raw is not None and int(self._raw.max()) >= self._layout.adc_max:
             status |= FrameStatus.SATURATED
-        if self._faults.converter_fault:
-            status |= FrameStatus.CONVERTER_FAULT
         if self.overrun:
             status |= FrameStatus.OVERRUN
             self.overrun = False
@@ -102,10 +100,8 @@ class Scanner:
         faults = self._faults
         if not faults.frozen or self._gripping is None:
             self._gripping = faults.apply(self._world.scan_gripping(), self._layout.adc_max)
-        status = ForceStatus.CONVERTER_FAULT if faults.converter_fault else ForceStatus(0)
-        if self.force_overrun:
-            status |= ForceStatus.OVERRUN
-            self.force_overrun = False
+        status = ForceStatus.OVERRUN if self.force_overrun else ForceStatus(0)
+        self.force_overrun = False
         gripping = self._gripping.take(self._grip)
         self.last_force = self.forces.message(gripping, status, spoil=faults.spoil)
         return self.last_force

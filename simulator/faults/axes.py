@@ -55,10 +55,6 @@ def _reboot(target: Target) -> None:
         axis.servo.core.boot(target.now_s)
 
 
-def _slip(target: Target) -> None:
-    _axis(target).slipped += target.number
-
-
 def _second_node(target: Target) -> Effect:
     bus = target.devices.axes_can_devices
     assert bus is not None, "a drive is on a bus"
@@ -95,8 +91,5 @@ AXIS = (
     knob_fault("axisN.wrong_length", FaultKind.WRONG,
                "its drive answers each read with this number of bytes", "answer_bytes",
                Number("bytes", 1, 4, default=1, whole=True), owner=_drive, check=_drive),
-    moment_fault("axisN.slip", FaultKind.WRONG,
-                 "a coupling slips by this value, which no encoder shows", _slip,
-                 Number("m or rad", -1.0, 1.0, default=0.001)),
 )
 # fmt: on

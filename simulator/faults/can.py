@@ -2,14 +2,12 @@
 
 import re
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.entry import (
     SHARE,
-    Apply,
     Effect,
     FaultEntry,
     FaultKind,
@@ -22,7 +20,6 @@ from simulator.faults.entry import (
     unplugging,
 )
 from tactile.control_unit import object_dictionary
-from tactile.layout import PadMount, taxel_order
 
 _BURST_PERIOD_S = 0.5
 """Period in s of the bursts of ``can.intermittent``: a loose contact."""
@@ -51,41 +48,29 @@ def _lose_next(target: Target) -> None:
     target.devices.faults.can.drop_next += int(target.number)
 
 
-def _share(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
-    return knob_fault(name, kind, meaning, knob, SHARE)
-
-
 def _hertz(default: float) -> Number:
     return Number("Hz", 0.1, 20_000.0, default=default)
 
 
-def _other_bit_rate(target: Target) -> Effect:
-    devices, bitrate = target.devices, int(target.number)
-    unit = devices.unit
-    slower = turned(unit, "settings", replace(unit.settings, bitrate=bitrate))
-    bus = turned(devices.faults.can, "bitrate", bitrate)
-
-    def undo() -> None:
-        slower()
-        bus()
-
-    return Effect(undo=undo)
-
-
 # fmt: off
 CAN = (
-    _share("can.loss", FaultKind.INTERMITTENT, "messages to the host are lost", "drop_rate"),
+    knob_fault("can.loss", FaultKind.INTERMITTENT, "messages to the host are lost", "drop_rate",
+               SHARE),
     FaultEntry("can.intermittent", FaultKind.INTERMITTENT,
                "all messages to the host are lost in this share of each half second", _bursts,
                "drop_rate", Number("share", 0.0, 1.0, default=0.2)),
     moment_fault("can.lose_next", FaultKind.INTERMITTENT,
                  "this number of messages to the host is lost", _lose_next,
                  Number("messages", 1, 100_000, default=1, whole=True)),
-    _share("can.duplicate", FaultKind.WRONG, "messages come twice", "duplicate_rate"),
-    _share("can.swapped", FaultKind.WRONG, "messages come after their successor", "swap_rate"),
-    _share("can.garbage", FaultKind.GARBAGE, "one bit flips after the CRC check", "corrupt_rate"),
-    _share("can.short", FaultKind.GARBAGE, "fewer bytes than the length code", "truncate_rate"),
-    _share("can.wrong_dlc", FaultKind.WRONG, "messages of another length", "wrong_dlc_rate"),
+    knob_fault("can.duplicate", FaultKind.WRONG, "messages come twice", "duplicate_rate", SHARE),
+    knob_fault("can.swapped", FaultKind.WRONG, "messages come after their successor", "swap_rate",
+               SHARE),
+    knob_fault("can.garbage", FaultKind.GARBAGE, "one bit flips after the CRC check",
+               "corrupt_rate", SHARE),
+    knob_fault("can.short", FaultKind.GARBAGE, "fewer bytes than the length code", "truncate_rate",
+               SHARE),
+    knob_fault("can.wrong_dlc", FaultKind.WRONG, "messages of another length", "wrong_dlc_rate",
+               SHARE),
     knob_fault("can.delayed", FaultKind.DELAYED, "messages to the host come late", "delay_s",
                Number("s", 0.0, 60.0, default=0.1)),
     knob_fault("can.flood", FaultKind.GARBAGE,
@@ -99,10 +84,6 @@ CAN = (
                "error_passive"),
     knob_fault("can.off", FaultKind.OFF, "the host's controller is bus-off: nothing passes",
                "bus_off"),
-    FaultEntry("can.bit_rate", FaultKind.WRONG,
-               "the control unit and its bus have this bit rate instead of the config's",
-               _other_bit_rate, "bitrate",
-               Number("bit/s", 10_000, 1_000_000, default=500_000, whole=True)),
     FaultEntry("can.unplugged", FaultKind.UNPLUGGED, "the host's adapter is unplugged",
                unplugging("can"), "can_plug"),
 )
@@ -118,7 +99,6 @@ _IDENTITY = {
     "pads": (object_dictionary.LAYOUT, object_dictionary.LAYOUT_PADS),
 }
 """Names for ``unit.wrong``, and the object of each name."""
-_LAYOUT_HASH = (object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH)
 _PAD = Number("pad", 0, 1000, default=0, whole=True)
 """Number of a pad in the layout."""
 _TAXELS = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
@@ -135,7 +115,7 @@ def _check_identity(target: Target) -> None:
         raise SimulatorSettingsError(f"unit.wrong: {number} does not fit into 32 bits")
 
 
-def _pretending(target: Target, place: tuple[int, int], value: int | str) -> Effect:
+def _pretending(target: Target, place: tuple[int, int], value: int) -> Effect:
     """Replace the value of an object of the unit's dictionary."""
     dictionary = target.devices.unit.dictionary
     before = dictionary.pretend(*place, value)
@@ -181,38 +161,6 @@ def _taxels_of_pad(target: Target) -> range:
     return range(layout.n_taxels)[layout.taxels_of(int(target.number))]
 
 
-def _noisy_pad(target: Target) -> tuple[range, int]:
-    """Return the taxels of the pad of ``taxels.noisy``, and the noise in counts."""
-    name, counts = target.setting
-    layout = target.devices.settings.layout
-    if not (name.isdecimal() and int(name) < layout.n_pads and 0 <= counts <= layout.adc_max):
-        raise SimulatorSettingsError(
-            f"taxels.noisy: pads are 0 to {layout.n_pads - 1}, counts 0 to {layout.adc_max}"
-        )
-    taxels = layout.taxels_of(int(name))
-    return range(taxels.start, taxels.stop), counts
-
-
-def _noisy(target: Target) -> Effect:
-    taxels, counts = _noisy_pad(target)
-    faults = target.devices.faults.unit
-    noisy = faults.noisy_taxels | dict.fromkeys(taxels, float(counts))
-    return Effect(undo=turned(faults, "noisy_taxels", noisy))
-
-
-def _mirrored(*, rows: bool = False, columns: bool = False) -> Apply:
-    """Return an effect that mirrors the rows, the columns or both of a pad."""
-
-    def apply(target: Target) -> Effect:
-        pad, mounted = int(target.number), target.devices.faults.unit.mounted
-        mount = PadMount(pad=pad, sent_as=pad, rows_mirrored=rows, columns_mirrored=columns)
-        name = f"{pad} {rows} {columns}"
-        mounted[name] = taxel_order(target.devices.settings.layout, (mount,))
-        return Effect(undo=lambda: mounted.pop(name, None))
-
-    return apply
-
-
 # fmt: off
 UNIT = (
     knob_fault("unit.off", FaultKind.OFF, "the control unit receives and sends nothing", "dead"),
@@ -220,11 +168,6 @@ UNIT = (
                "heartbeat_off"),
     knob_fault("unit.stuck", FaultKind.STUCK,
                "valid frames, always with the counts of the last scan", "frozen"),
-    knob_fault("unit.converter_fault", FaultKind.WRONG,
-               "the converter fails its self-test, and the status of each frame shows it",
-               "converter_fault"),
-    knob_fault("unit.slow", FaultKind.SLOW, "the burst of a frame begins late after its SYNC",
-               "late_s", Number("s", 0.0, 1.0, default=0.008)),
     moment_fault("unit.reboot", FaultKind.REBOOT, "the unit loses its supply and reboots",
                  lambda target: target.devices.unit.power_cycle()),
     moment_fault("unit.emergency", FaultKind.WRONG, "the unit reports an error (EMCY)",
@@ -237,9 +180,6 @@ UNIT = (
                "the unit differs (vendor, product, revision, serial, taxels, pads)",
                lambda target: _pretending(target, _IDENTITY[target.setting[0]], target.setting[1]),
                "identity", Setting(unit="name:number", default="serial:99"), check=_check_identity),
-    FaultEntry("unit.other_layout", FaultKind.WRONG,
-               "the unit has an unknown taxel layout (object 2100h:3)",
-               lambda target: _pretending(target, _LAYOUT_HASH, "0" * 16), "layout_hash"),
     FaultEntry("unit.second_node", FaultKind.WRONG,
                "another unit with the same node id joins the bus",
                lambda target: Effect(
@@ -295,16 +235,6 @@ TAXELS = (
     FaultEntry("taxels.saturated", FaultKind.STUCK, "all taxels of this pad read full scale",
                lambda target: _stuck(target, _taxels_of_pad(target), target.adc_max),
                "stuck_counts", _PAD, check=_taxels_of_pad),
-    FaultEntry("taxels.rows_mirrored", FaultKind.WRONG, "the rows of this pad are mirrored",
-               _mirrored(rows=True), "rows_mirrored", _PAD, check=_taxels_of_pad),
-    FaultEntry("taxels.columns_mirrored", FaultKind.WRONG,
-               "the columns of this pad are mirrored", _mirrored(columns=True),
-               "columns_mirrored", _PAD, check=_taxels_of_pad),
-    FaultEntry("taxels.turned", FaultKind.WRONG, "this pad is turned by 180 degrees",
-               _mirrored(rows=True, columns=True), "turned", _PAD, check=_taxels_of_pad),
-    FaultEntry("taxels.noisy", FaultKind.WRONG,
-               "a pad has this additional noise in counts (standard deviation)", _noisy,
-               "noisy_taxels", Setting(unit="pad:counts", default="0:30"), check=_noisy_pad),
     knob_fault("taxels.force_gain", FaultKind.WRONG,
                "factor on the force of each taxel: the law of other foam", "force_gain",
                Number("factor", 0.0, 100.0, default=0.8),

@@ -54,7 +54,7 @@ class Number:
                 factor = 1e-3 if text.endswith("ms") else 1.0
                 value = factor * float(text.removesuffix("ms").removesuffix("s"))
             else:
-                value = float(text.removesuffix(self.unit))
+                value = float(text)
         except (ValueError, OverflowError):
             pass
         if not self.low <= value <= self.high:
@@ -156,18 +156,13 @@ class FaultEntry:
     apply: Callable[[Target], Effect]
     """Begins the fault on a target."""
     knob: str = ""
-    """Faults with the same knob of a component (and servo) cannot overlap in time."""
+    """Only one fault of a knob of a device can be injected at a time; empty: any number."""
     value: Number | Setting | None = None
     """Value after ``=``; None: no value."""
     moment: bool = False
     """Whether the fault is momentary, without an end."""
     check: Callable[[Target], object] | None = None
     """Refuses values that do not fit the cell, with SimulatorSettingsError, before any change."""
-
-    def turns_knob_of(self, other: "FaultEntry") -> bool:
-        """Whether both use the same knob; ``servos`` and ``servoN`` are one component."""
-        one, two = (entry.name.partition(".")[0].rstrip("sN") for entry in (self, other))
-        return bool(self.knob) and (one, self.knob) == (two, other.knob)
 
 
 Apply = Callable[[Target], Effect]

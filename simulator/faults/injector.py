@@ -20,7 +20,7 @@ from simulator.faults.can import CAN, TAXELS, UNIT
 from simulator.faults.entry import Effect, FaultEntry, FaultValue, Plug, Target, turned
 from simulator.faults.object import OBJECT
 from simulator.faults.servos import SERVO, SERVOS
-from simulator.faults.text import FaultEvent, FaultMoment, FaultText, parse_fault
+from simulator.faults.text import FaultText, parse_fault
 
 VOCABULARY: dict[str, FaultEntry] = {
     entry.name: entry for entry in (*CAN, *UNIT, *TAXELS, *BOARD, *SERVOS, *SERVO, *AXIS, *OBJECT)
@@ -62,7 +62,7 @@ def check_fault(
         raise SimulatorSettingsError(f"fault {parsed.name}: this cell has {n_axes} axes")
     if name.startswith("servoN") and servo >= n_servos:
         raise SimulatorSettingsError(f"fault {parsed.name}: this cell has {n_servos} servos")
-    if entry.moment and parsed.end:
+    if entry.moment and parsed.end_s < math.inf:
         raise SimulatorSettingsError(f"fault {parsed.name} is momentary: leave out its end")
     if entry.value is None:
         if parsed.value is not None:
@@ -87,11 +87,10 @@ class InjectedFault:
         self.began_s: float | None = None
         self.ended_s: float | None = None
         """Time of the cell in s at which it began and ended; None before."""
-        self.window = (
-            _due(parsed.start, injected_s) if parsed.start else (None, injected_s),
-            _due(parsed.end, injected_s) if parsed.end else (None, math.inf),
-        )
-        """Start and end: an event and the time after it, or no event and a time."""
+        self.event, self.start_s, self.end_s = parsed.event, parsed.start_s, parsed.end_s
+        """Start and end in s after an event; see `simulator.faults.text.FaultText`."""
+        self.event_s = math.inf if parsed.event else injected_s
+        """Time of the event in s; infinity before."""
 
     @property
     def value(self) -> float:
@@ -102,12 +101,6 @@ class InjectedFault:
     def over(self) -> bool:
         """Whether it has ended; a momentary fault ends at once."""
         return self.ended_s is not None
-
-    @property
-    def begins_at_once(self) -> bool:
-        """Whether it began with its injection."""
-        event, due_s = self.window[0]
-        return event is None and due_s <= self._injector.now_s
 
     def clear(self) -> None:
         """End the fault, or cancel it before its start; a second call has no effect."""
@@ -120,18 +113,12 @@ class InjectedFault:
         )
 
     def meets(self, other: "InjectedFault") -> bool:
-        """Return whether both use the same knob and may overlap in time."""
-        if not self.entry.turns_knob_of(other.entry):
-            return False
-        if self.entry.name.startswith(_EACH) and other.entry.name.startswith(_EACH):
-            shared = self.entry.knob == "delay" or self.servo == other.servo
-            if not shared:
-                return False
-        (start, start_s), (end, end_s) = self.window
-        (other_start, other_start_s), (other_end, other_end_s) = other.window
-        if end is None and other_start is None and end_s <= other_start_s:
-            return False
-        return not (other_end is None and start is None and other_end_s <= start_s)
+        """Return whether both use one knob of one device; ``servos`` are each ``servoN``."""
+        names = [fault.entry.name for fault in (self, other)]
+        one, two = (name.partition(".")[0].rstrip("sN") for name in names)
+        apart = self.servo != other.servo and all(name.startswith(_EACH) for name in names)
+        knob = self.entry.knob
+        return bool(knob) and (one, knob) == (two, other.entry.knob) and not apart
 
 
 class FaultInjector:
@@ -156,7 +143,6 @@ class FaultInjector:
         }
         self._pending: list[InjectedFault] = []
         self._effects: dict[InjectedFault, Effect] = {}
-        self._seen_s: dict[InjectedFault, dict[FaultEvent, float]] = {}
         self.now_s = start_s
 
     @property
@@ -168,17 +154,16 @@ class FaultInjector:
         """Inject a fault; without a start it begins at once.
 
         Raises SimulatorSettingsError if the fault is unknown, or its value does not fit this cell.
-        Raises SimulatorStateError if another fault uses the same knob at that time.
+        Raises SimulatorStateError if another fault uses the same knob.
         """
         fault = self._checked(text)
         for other in self.faults:
             if fault.meets(other):
                 raise SimulatorStateError(
                     f"{other.text} is injected and uses the same knob as {fault.text}: "
-                    "clear it first, or give both a start and an end"
+                    "clear it first"
                 )
-        self._seen_s[fault] = {}
-        if fault.begins_at_once:
+        if not fault.event and fault.start_s == 0.0:
             self._begin(fault, self.now_s)
         else:
             self._pending.append(fault)
@@ -236,7 +221,6 @@ class FaultInjector:
         else:
             self._pending.remove(fault)
         fault.ended_s = self.now_s
-        del self._seen_s[fault]
 
     def advance(self, now_s: float) -> None:
         """Begin, continue and end the due faults at ``now_s`` s."""
@@ -244,16 +228,16 @@ class FaultInjector:
         if not self._pending and not self._effects:
             return
         for fault in self.faults:
-            seen_s = self._seen_s[fault]
-            self._look(seen_s, now_s)
+            if math.isinf(fault.event_s) and self._happens(fault.event):
+                fault.event_s = now_s
+            since_s = now_s - fault.event_s + ROUNDING_S
             if fault in self._effects:
                 act = self._effects[fault].act
                 if act is not None:
                     act(now_s)
-            elif _come(fault.window[0], now_s, seen_s):
+            elif fault.start_s <= since_s:
                 self._begin(fault, now_s)
-            begun = fault.began_s is not None and not fault.over
-            if begun and _come(fault.window[1], now_s, seen_s):
+            if fault in self._effects and fault.end_s <= since_s:
                 self.end(fault)
 
     def _begin(self, fault: InjectedFault, now_s: float) -> None:
@@ -263,31 +247,11 @@ class FaultInjector:
             self._pending.remove(fault)
         if fault.entry.moment:
             fault.ended_s = now_s
-            del self._seen_s[fault]
         else:
             self._effects[fault] = effect
 
-    def _look(self, seen_s: dict[FaultEvent, float], now_s: float) -> None:
+    def _happens(self, event: str) -> bool:
         devices = self.devices
-        if FaultEvent.CONTACT not in seen_s and min(devices.world.contact_force_n()) > CONTACT_N:
-            seen_s[FaultEvent.CONTACT] = now_s
-        if FaultEvent.MOVING not in seen_s and any(
-            abs(motor.velocity_rad_s) > MOVING_RAD_S for motor in devices.mechanics.motors
-        ):
-            seen_s[FaultEvent.MOVING] = now_s
-
-
-_Due = tuple[FaultEvent | None, float]
-"""An event and the time after it in s; without an event, the time of the cell in s."""
-
-
-def _due(when: FaultMoment, injected_s: float) -> _Due:
-    if when.event is FaultEvent.INJECTED:
-        return None, injected_s + when.offset_s
-    return when.event, when.offset_s
-
-
-def _come(due: _Due, now_s: float, seen_s: dict[FaultEvent, float]) -> bool:
-    event, after_s = due
-    since_s = 0.0 if event is None else seen_s.get(event, math.inf)
-    return since_s + after_s <= now_s + ROUNDING_S
+        if event == "contact":
+            return min(devices.world.contact_force_n()) > CONTACT_N
+        return any(abs(motor.velocity_rad_s) > MOVING_RAD_S for motor in devices.mechanics.motors)

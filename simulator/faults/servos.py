@@ -17,12 +17,10 @@ from simulator.faults.entry import (
     unplugging,
 )
 from simulator.servo.control_table import EEPROM_END
-from simulator.servo.faults import Chatter, Trigger
+from simulator.servo.faults import Chatter
 from simulator.servo.firmware import ServoCore, WatchdogStop
 from simulator.servo.motor import ServoMotor
 
-_LATE = Number("s", 0.0, 1.0, default=0.04)
-"""Delay of an answer in s."""
 _SENTENCE = b"$GPGGA,092751.000,5321.6802,N,00630.3371,W,1,8,1.03,61.7,M,55.3,M,,*75\r\n"
 """Periodic message of a GPS receiver (NMEA 0183)."""
 _REPORT = "reported_offset_raw"
@@ -39,18 +37,6 @@ def _chatter(name: str, meaning: str, data: bytes, every_s: float) -> FaultEntry
 
     value = Number("s", 1e-4, 10.0, default=every_s)
     return knob_fault(name, FaultKind.GARBAGE, meaning, "chatter", value, position=chatter)
-
-
-def _late(target: Target, servo_ids: frozenset[int] | None) -> Effect:
-    wire = target.devices.faults.servo_wire
-    time_back = turned(wire, "delay_s", target.number)
-    trigger_back = turned(wire, "delay", Trigger(probability=1.0, servo_ids=servo_ids))
-
-    def undo() -> None:
-        trigger_back()
-        time_back()
-
-    return Effect(undo=undo)
 
 
 def _silence(target: Target, servo_ids: list[int]) -> Effect:
@@ -74,11 +60,6 @@ def _core(target: Target) -> ServoCore:
 
 def _motor(target: Target) -> ServoMotor:
     return target.devices.mechanics.motors[target.servo]
-
-
-def _cool(target: Target) -> None:
-    for motor in target.devices.mechanics.motors:
-        motor.temperature_c = target.number
 
 
 def _stuck(target: Target) -> Effect:
@@ -144,34 +125,24 @@ def _wrong(target: Target) -> Effect:
 
 
 def _lose_next(target: Target) -> None:
-    target.devices.faults.servo_wire.drop.next_packets += int(target.number)
-
-
-def _share(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
-    def trigger(target: Target) -> Trigger:
-        return Trigger(probability=target.number)
-
-    return knob_fault(name, kind, meaning, knob, SHARE, position=trigger)
+    target.devices.faults.servo_wire.drop_next += int(target.number)
 
 
 # fmt: off
 SERVOS = (
-    _share("servos.loss", FaultKind.INTERMITTENT, "answers are lost", "drop"),
+    knob_fault("servos.loss", FaultKind.INTERMITTENT, "answers are lost", "drop", SHARE),
     moment_fault("servos.lose_next", FaultKind.INTERMITTENT, "this number of answers is lost",
                  _lose_next, Number("answers", 1, 100_000, default=1, whole=True)),
-    _share("servos.lost_requests", FaultKind.INTERMITTENT, "requests are lost", "lose_request"),
-    _share("servos.corrupt", FaultKind.GARBAGE, "one bit of an answer flips", "bit_flip"),
-    _share("servos.corrupt_requests", FaultKind.GARBAGE, "one bit of a request flips",
-           "corrupt_request"),
-    _share("servos.duplicate", FaultKind.WRONG, "answers come twice", "duplicate"),
-    _share("servos.garbage", FaultKind.GARBAGE, "noise comes before an answer", "garbage"),
-    _share("servos.truncated", FaultKind.GARBAGE, "answers lack their end", "truncate"),
-    _share("servos.wrong_id", FaultKind.WRONG, "answers name another servo", "wrong_id"),
-    FaultEntry("servos.delayed", FaultKind.DELAYED, "all answers come late",
-               lambda target: _late(target, None), "delay", _LATE),
-    knob_fault("servos.fragmented", FaultKind.SLOW,
-               "answers come in pieces of this size, 2 ms apart", "fragment_bytes",
-               Number("bytes", 1, 1000, default=8, whole=True)),
+    knob_fault("servos.lost_requests", FaultKind.INTERMITTENT, "requests are lost", "lose_request",
+               SHARE),
+    knob_fault("servos.corrupt", FaultKind.GARBAGE, "one bit of an answer flips", "bit_flip",
+               SHARE),
+    knob_fault("servos.garbage", FaultKind.GARBAGE, "noise comes before an answer", "garbage",
+               SHARE),
+    knob_fault("servos.truncated", FaultKind.GARBAGE, "answers lack their end", "truncate", SHARE),
+    knob_fault("servos.wrong_id", FaultKind.WRONG, "answers name another servo", "wrong_id", SHARE),
+    knob_fault("servos.delayed", FaultKind.DELAYED, "all answers come late", "delay_s",
+               Number("s", 0.0, 1.0, default=0.04)),
     knob_fault("servos.repeated", FaultKind.WRONG, "each answer comes again after this time",
                "repeat_s", Number("s", 1e-4, 1.0, default=0.0095)),
     knob_fault("servos.lagging", FaultKind.WRONG,
@@ -184,9 +155,6 @@ SERVOS = (
              _SENTENCE, 0.03),
     FaultEntry("servos.off", FaultKind.OFF, "all servos are silent", _all_silent, "silent"),
     knob_fault("servos.echo", FaultKind.WRONG, "the host receives its own bytes", "echo"),
-    moment_fault("servos.cold", FaultKind.WRONG,
-                 "all have this temperature: friction is up by 2.5 % for each K below 25 degC, "
-                 "until they have warmed up", _cool, Number("degC", -20.0, 25.0, default=5.0)),
     FaultEntry("servos.unplugged", FaultKind.UNPLUGGED, "the adapter of the servo bus is gone",
                unplugging("servos"), "servo_plug"),
 )
@@ -195,8 +163,6 @@ SERVO = (
     FaultEntry("servoN.off", FaultKind.OFF,
                "the servo receives and answers nothing; its torque stays",
                lambda target: _silence(target, [_id(target)]), "silent"),
-    FaultEntry("servoN.slow", FaultKind.SLOW, "its answers come late",
-               lambda target: _late(target, frozenset({_id(target)})), "delay", _LATE),
     moment_fault("servoN.reboot", FaultKind.REBOOT,
                  "it reboots by itself: torque off, RAM at its defaults",
                  lambda target: _core(target).boot(target.now_s)),
@@ -209,13 +175,6 @@ SERVO = (
     knob_fault("servoN.overheat", FaultKind.WRONG,
                "its internal temperature has this value, and falls slowly", "temperature_c",
                Number("degC", -20.0, 150.0, default=90.0), owner=_motor),
-    knob_fault("servoN.friction", FaultKind.WRONG, "factor on its friction without load",
-               "friction_factor", Number("times", 0.2, 5.0, default=1.5), owner=_motor),
-    knob_fault("servoN.kt", FaultKind.WRONG, "factor on torque and back-EMF of its motor",
-               "kt_factor", Number("times", 0.5, 2.0, default=0.8), owner=_motor),
-    knob_fault("servoN.wear", FaultKind.WRONG,
-               "each turn of the output adds this share to its friction; the wear stays",
-               "wear_per_turn", Number("share", 0.0, 1.0, default=0.01), owner=_motor),
     knob_fault("servoN.supply", FaultKind.WRONG, "its supply has this voltage", "voltage_v",
                Number("V", 0.0, 30.0, default=6.0), owner=_motor),
     knob_fault("servoN.error", FaultKind.WRONG,

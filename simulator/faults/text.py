@@ -1,36 +1,16 @@
 """The text form of a fault: ``COMPONENT.FAULT[=VALUE][@START[..END]]``."""
 
+import math
 import re
 from dataclasses import dataclass
-from enum import StrEnum
 
 from simulator.errors import SimulatorSettingsError
 
 FORM = "COMPONENT.FAULT[=VALUE][@START[..END]]"
 LONGEST_TEXT = 200
 """Most characters of a fault."""
-_LATEST_S = 86_400.0
-"""Longest time in s before a start or an end: a day."""
 _TIME = re.compile(r"(?:(contact|moving)\+)?(\d{1,7}(?:\.\d{1,9})?)(ms|s)|(contact|moving)")
 _NAME = re.compile(r"[a-z]+[0-9]*\.[a-z_]+")
-
-
-class FaultEvent(StrEnum):
-    """Event that a fault may wait for instead of a time."""
-
-    INJECTED = "injected"
-    CONTACT = "contact"
-    MOVING = "moving"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FaultMoment:
-    """A moment: a time after the first event of this kind since the injection."""
-
-    event: FaultEvent
-    """The event; INJECTED is the injection itself."""
-    offset_s: float
-    """Time after it in s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,9 +23,11 @@ class FaultText:
     """``component.fault``."""
     value: str | None
     """Text after ``=``; None without a value."""
-    start: FaultMoment | None
-    end: FaultMoment | None
-    """Start and end; None: at once, and never."""
+    event: str
+    """``contact`` or ``moving``; empty: the injection."""
+    start_s: float
+    end_s: float
+    """Start and end in s after the first such event since the injection; end infinity: never."""
 
 
 def parse_fault(text: str) -> FaultText:
@@ -60,19 +42,26 @@ def parse_fault(text: str) -> FaultText:
     name, equals, value = what.partition("=")
     if not _NAME.fullmatch(name):
         raise SimulatorSettingsError(f"fault {text!r} is not of the form {FORM}")
-    start_text, dots, end_text = window.partition("..")
-    start = _when(text, start_text) if at else None
-    end = _when(text, end_text) if dots else None
-    if start and end and start.event is end.event and end.offset_s <= start.offset_s:
-        raise SimulatorSettingsError(f"fault {text!r} ends before it begins")
     if equals and not value:
         raise SimulatorSettingsError(f"fault {text!r} has no value after its '='")
+    start, dots, end = window.partition("..")
+    event, start_s = _when(text, start) if at else ("", 0.0)
+    end_event, end_s = _when(text, end) if dots else (event, math.inf)
+    if event != end_event or end_s <= start_s:
+        raise SimulatorSettingsError(
+            f"fault {text!r} ends before it begins, or counts both from different events"
+        )
     return FaultText(
-        text=stripped, name=name, value=value if equals else None, start=start, end=end
+        text=stripped,
+        name=name,
+        value=value if equals else None,
+        event=event,
+        start_s=start_s,
+        end_s=end_s,
     )
 
 
-def _when(text: str, when: str) -> FaultMoment:
+def _when(text: str, when: str) -> tuple[str, float]:
     match = _TIME.fullmatch(when)
     if match is None:
         raise SimulatorSettingsError(
@@ -80,9 +69,4 @@ def _when(text: str, when: str) -> FaultMoment:
             "moving or moving+20ms"
         )
     event, number, unit, alone = match.groups()
-    if alone:
-        return FaultMoment(event=FaultEvent(alone), offset_s=0.0)
-    offset_s = float(number) * (1e-3 if unit == "ms" else 1.0)
-    if offset_s > _LATEST_S:
-        raise SimulatorSettingsError(f"fault {text!r}: {when} is later than {_LATEST_S:.0f} s")
-    return FaultMoment(event=FaultEvent(event) if event else FaultEvent.INJECTED, offset_s=offset_s)
+    return event or alone or "", float(number or 0.0) * (1e-3 if unit == "ms" else 1.0)

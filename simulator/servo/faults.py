@@ -8,40 +8,10 @@ import random
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from simulator.errors import SimulatorSettingsError
 from simulator.servo.protocol2 import crc16
 
 _ROUNDING = 1e-6
 """Share of a period by which the time of a burst may be rounded."""
-
-
-@dataclass(slots=True, kw_only=True)
-class Trigger:
-    """Choice of the packets for a fault; off by default."""
-
-    probability: float = 0.0
-    """Chance for each packet, 0 to 1."""
-    every: int = 0
-    """Applies to each n-th packet; 0: never."""
-    next_packets: int = 0
-    """Number of next packets with the fault; counts down to 0."""
-    servo_ids: frozenset[int] | None = None
-    """Only packets of these servos; None = all."""
-    _seen: int = field(default=0, init=False, repr=False)
-
-    def fires(self, servo_id: int, generator: random.Random) -> bool:
-        """Return whether this packet gets the fault; SimulatorSettingsError for a bad setting."""
-        if not 0.0 <= self.probability <= 1.0 or self.every < 0 or self.next_packets < 0:
-            raise SimulatorSettingsError(f"a trigger has a setting out of range: {self}")
-        if self.servo_ids is not None and servo_id not in self.servo_ids:
-            return False
-        if self.next_packets:
-            self.next_packets -= 1
-            return True
-        self._seen += self.every > 0
-        if self.every and self._seen % self.every == 0:
-            return True
-        return self.probability > 0.0 and generator.random() < self.probability
 
 
 class Piece(NamedTuple):
@@ -74,29 +44,31 @@ class Chatter:
         return math.floor(time_s / self.every_s + _ROUNDING)
 
 
+_GARBAGE = b"\xaa\xff\xff\xfd\x55"
+"""Bytes in front of an answer with the fault ``garbage``."""
+_TRUNCATED_BYTES = 3
+"""Number of missing bytes at the end of a truncated answer."""
+
+
 @dataclass(slots=True, kw_only=True)
 class WireFaults:
     """Knobs of the wire between host and servos."""
 
     seed: int = 0
     """Seed of all random choices."""
-    lose_request: Trigger = field(default_factory=Trigger)
-    corrupt_request: Trigger = field(default_factory=Trigger)
-    """A write of the host is lost; one bit of it flips."""
-    drop: Trigger = field(default_factory=Trigger)
-    delay: Trigger = field(default_factory=Trigger)
-    duplicate: Trigger = field(default_factory=Trigger)
-    bit_flip: Trigger = field(default_factory=Trigger)
-    truncate: Trigger = field(default_factory=Trigger)
-    garbage: Trigger = field(default_factory=Trigger)
-    wrong_id: Trigger = field(default_factory=Trigger)
-    """Faults of an answer. The other servos receive a dropped answer."""
-    delay_s: float = 0.04
-    """Delay of a delayed answer in s."""
-    truncate_bytes: int = 3
-    """Number of missing bytes at the end of a truncated answer."""
-    garbage_data: bytes = b"\xaa\xff\xff\xfd\x55"
-    """Bytes in front of an answer with the fault ``garbage``."""
+    lose_request: float = 0.0
+    """Share from 0 to 1 of the host's writes that are lost."""
+    drop: float = 0.0
+    bit_flip: float = 0.0
+    truncate: float = 0.0
+    garbage: float = 0.0
+    wrong_id: float = 0.0
+    """Share from 0 to 1 of the answers that are lost, have one bit flipped, lack their end, come
+    after other bytes, or name another servo. The other servos receive a lost answer."""
+    drop_next: int = 0
+    """Number of next answers that are lost."""
+    delay_s: float = 0.0
+    """Delay of answers in s."""
     repeat_s: float = 0.0
     """Time in s after which each answer is repeated; 0: not repeated."""
     lag: bool = False
@@ -107,9 +79,6 @@ class WireFaults:
     """Servos that receive and answer nothing; later servos of a sync read stay silent too."""
     echo: bool = False
     """The host receives its own bytes back, as on a half-duplex adapter without switching."""
-    fragment_bytes: int = 0
-    fragment_gap_s: float = 0.002
-    """Size of the pieces of answers in bytes (0: whole), and the pause between them in s."""
     unplugged: bool = False
     """The adapter is unplugged: no byte passes."""
     _generator: random.Random | None = field(default=None, init=False, repr=False)
@@ -117,52 +86,37 @@ class WireFaults:
 
     def request(self, data: bytes) -> bytes:
         """Return the bytes at the servos for one write of the host."""
-        if self.lose_request.fires(-1, self._random()):
-            return b""
-        if self.corrupt_request.fires(-1, self._random()):
-            return self._flip(data)
-        return data
+        return b"" if self._happens(self.lose_request) else data
 
     def answer(self, servo_id: int, packet: bytes) -> list[Piece]:
         """Return the pieces of one answer at the host; without faults the unchanged packet."""
-        generator = self._random()
         if self.lag:
             key = servo_id, len(packet)
             packet, self._before[key] = self._before.get(key, packet), packet
-        if self.drop.fires(servo_id, generator):
+        if self.drop_next:
+            self.drop_next -= 1
             return []
-        delay_s = self.delay_s if self.delay.fires(servo_id, generator) else 0.0
-        if self.wrong_id.fires(servo_id, generator):
+        if self._happens(self.drop):
+            return []
+        if self._happens(self.wrong_id):
             body = packet[:4] + bytes(((packet[4] + 1) % 253,)) + packet[5:-2]
             packet = body + crc16(body).to_bytes(2, "little")
-        if self.bit_flip.fires(servo_id, generator):
-            packet = self._flip(packet)
-        if self.truncate.fires(servo_id, generator):
-            packet = packet[: max(0, len(packet) - self.truncate_bytes)]
-        copies = 2 if self.duplicate.fires(servo_id, generator) else 1
-        if self.garbage.fires(servo_id, generator):
-            packet = self.garbage_data + packet
-        pieces = self._fragments(delay_s, packet * copies)
+        if self._happens(self.bit_flip):
+            bit = self._random().randrange(8 * len(packet))
+            flipped = bytearray(packet)
+            flipped[bit // 8] ^= 1 << bit % 8
+            packet = bytes(flipped)
+        if self._happens(self.truncate):
+            packet = packet[:-_TRUNCATED_BYTES]
+        if self._happens(self.garbage):
+            packet = _GARBAGE + packet
+        pieces = [Piece(self.delay_s, packet)]
         if self.repeat_s > 0.0:
-            pieces += self._fragments(delay_s + self.repeat_s, packet)
+            pieces.append(Piece(self.delay_s + self.repeat_s, packet))
         return pieces
 
-    def _fragments(self, delay_s: float, packet: bytes) -> list[Piece]:
-        size = self.fragment_bytes
-        if size <= 0:
-            return [Piece(delay_s, packet)]
-        return [
-            Piece(delay_s + i * self.fragment_gap_s, packet[start : start + size])
-            for i, start in enumerate(range(0, len(packet), size))
-        ]
-
-    def _flip(self, data: bytes) -> bytes:
-        if not data:
-            return data
-        bit = self._random().randrange(8 * len(data))
-        flipped = bytearray(data)
-        flipped[bit // 8] ^= 1 << bit % 8
-        return bytes(flipped)
+    def _happens(self, share: float) -> bool:
+        return share > 0.0 and self._random().random() < share
 
     def _random(self) -> random.Random:
         if self._generator is None:

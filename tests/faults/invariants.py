@@ -42,8 +42,8 @@ _RESTING = (GripperPhase.IDLE, GripperPhase.HOLDING, GripperPhase.HELD_AFTER_FAU
 _OPENING = (GripperPhase.OPENING, GripperPhase.RELEASING)
 _BRAKING_M = 0.001
 """How far in m fingers may open after the gripper has ended a motion: their inertia, one period."""
-_LOST_REQUESTS = ("servos.corrupt_requests", "servos.lost_requests")
-"""Faults under which a stop may be lost: then the fingers go on to the goal of their opening."""
+_LOST_REQUESTS = "servos.lost_requests"
+"""Fault under which a stop may be lost: then the fingers go on to the goal of their opening."""
 _BEYOND_M = 0.004
 """How far in m that goal lies beyond the opening, so that friction does not stop short of it."""
 _BRAKING_S = 0.1
@@ -330,7 +330,7 @@ class InvariantMonitor:
         allowed_m = _BRAKING_M
         if silent:
             allowed_m += self._open_speed_m_s * self._watchdog_s
-        if any(self._has_fault(name) for name in _LOST_REQUESTS):
+        if self._has_fault(_LOST_REQUESTS):
             allowed_m += _BEYOND_M
         if opening_m > self._stood_m + allowed_m:
             self._break(

@@ -91,9 +91,10 @@ def test_the_groups_of_the_sdk_read_over_our_port_and_handler(kind) -> None:
         port = SdkPort(*open_line(sim.servo_port, 1_000_000))
         group.port = port
         wire = sim.devices.faults.servo_wire
-        for fault, result in ((wire.drop, COMM_RX_TIMEOUT), (wire.bit_flip, COMM_RX_CORRUPT)):
-            fault.next_packets = 2
+        for knob, result in (("drop", COMM_RX_TIMEOUT), ("bit_flip", COMM_RX_CORRUPT)):
+            setattr(wire, knob, 1.0)
             assert group.txRxPacket() == result
+            setattr(wire, knob, 0.0)
             assert not group.isAvailable(2, *place)
             sim.clock.sleep(0.1)
         assert group.txRxPacket() == COMM_SUCCESS

@@ -8,6 +8,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
+from simulator.servo.faults import Piece, WireFaults
 
 
 def test_a_servo_with_another_id_is_named_in_the_table(cell) -> None:
@@ -109,19 +110,14 @@ def test_the_gain_that_the_goals_count_on_is_put_right(cell) -> None:
 
 
 def test_an_adapter_with_a_latency_of_16_ms_is_refused_with_the_remedy(cell) -> None:
-    late(cell, 0.016)
+    cell.device.faults.delay_s = 0.016
     with pytest.raises(LinkTooSlow, match=r"latency timer.*loop_rate_hz to 4\d"):
         cell.gripper.start()
     assert cell.gripper.phase is GripperPhase.OFF
 
 
-def late(cell, delay_s: float) -> None:
-    cell.device.faults.delay_s = delay_s
-    cell.device.faults.delay.probability = 1.0
-
-
 def test_a_latency_of_2_ms_only_makes_the_time_outs_longer(cell) -> None:
-    late(cell, 0.002)
+    cell.device.faults.delay_s = 0.002
     cell.gripper.start()
     outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0))
     assert outcome.result is GraspResult.FORCE_REACHED
@@ -129,7 +125,15 @@ def test_a_latency_of_2_ms_only_makes_the_time_outs_longer(cell) -> None:
 
 
 def test_a_machine_that_is_too_busy_is_refused(cell) -> None:
-    cell.device.faults.delay_s = 0.02
-    cell.device.faults.delay.every = 3
+    class Busy(WireFaults):
+        answers = 0
+
+        def answer(self, servo_id: int, packet: bytes) -> list[Piece]:
+            """Return each third answer late."""
+            self.answers += 1
+            self.delay_s = 0.02 if self.answers % 3 == 0 else 0.0
+            return super().answer(servo_id, packet)
+
+    cell.device.faults = Busy()
     with pytest.raises(LinkTooSlow, match="too busy"):
         cell.gripper.start()

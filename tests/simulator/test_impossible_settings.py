@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from simulator.clock import Pace, VirtualClock
 from simulator.errors import SimulatorSettingsError
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import SimulatedServo
-from simulator.servo.faults import Trigger
 from simulator.servo.gearing import Gearing
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
@@ -38,12 +36,6 @@ def disturb(faults: CanLinkFaults) -> None:
     list(Disturber(faults, np.random.default_rng(0)).pass_on(0.0, b""))
 
 
-def hit(**trigger: Any) -> None:
-    device = ServoBusDevice([servo()], 57600)
-    device.faults.drop = Trigger(**trigger)
-    device.faults.answer(1, b"")
-
-
 @pytest.mark.parametrize(
     ("make", "says"),
     [
@@ -52,14 +44,10 @@ def hit(**trigger: Any) -> None:
         (lambda: ControlUnitSettings(bitrate=0), "bitrate"),
         (lambda: ControlUnitSettings(boot_s=-1.0), "boot_s"),
         (lambda: CanWire(0), "bit rate"),
-        (lambda: disturb(CanLinkFaults(drop_rate=1.1)), "fault"),
-        (lambda: disturb(CanLinkFaults(delay_s=-1.0, drop_next=1)), "fault"),
         (lambda: SimulatorSettings(aperture_m=0.5), "aperture_m"),
         (lambda: SimulatedCell(SimulatorSettings(servo_baud_rate=12345)), "servo_baud_rate"),
         (lambda: ServoBusDevice([servo(), servo()], 57600), "IDs"),
         (lambda: ServoBusDevice([servo()], 0), "baudrate"),
-        (lambda: hit(probability=1.5), "probability"),
-        (lambda: hit(every=-1, probability=0.5), "every"),
         (lambda: servo(present_position=1), "present_position"),
         (lambda: servo(no_such_item=1), "no_such_item"),
         (lambda: servo(return_delay_time=255), "return_delay_time"),

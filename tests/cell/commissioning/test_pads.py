@@ -50,16 +50,16 @@ COLUMNS = [PadMount(pad=0, sent_as=0, columns_mirrored=True)]
 
 
 @pytest.mark.parametrize(
-    ("fault", "mounts", "named"),
+    ("mounts", "named"),
     [
-        ("unit.pads_swapped", EXCHANGED, "The pads of the two fingers are exchanged"),
-        ("taxels.turned=0", TURNED[:1], "finger0.inner is turned by 180 degrees"),
-        ("taxels.rows_mirrored=1", ROWS, "The rows of finger1.inner run the other way"),
-        ("taxels.columns_mirrored=0", COLUMNS, "The columns of finger0.inner run the other way"),
+        (EXCHANGED, "The pads of the two fingers are exchanged"),
+        (TURNED[:1], "finger0.inner is turned by 180 degrees"),
+        (ROWS, "The rows of finger1.inner run the other way"),
+        (COLUMNS, "The columns of finger0.inner run the other way"),
     ],
 )
-def test_pads_that_sit_otherwise_are_found_named_and_set(stand, fault, mounts, named) -> None:
-    finding = stand(fault).run(PRESSED)
+def test_pads_that_sit_otherwise_are_found_named_and_set(stand, mounts, named) -> None:
+    finding = stand(mounts=mounts).run(PRESSED)
     assert finding.status is Verdict.WARN
     assert named in "\n".join(finding.lines)
     found = [PadMount(**one) for one in finding.settings["tactile.mounting"]]
@@ -135,6 +135,25 @@ def test_a_full_scale_below_the_forces_of_the_sequence_is_a_word_to_the_operator
     assert notes.lines[0].startswith("A small part saturates finger0.inner at 3.2 N")
     judge_rest(layout, frames, rest, notes := Finding(), most_force_n=3.0, **limits)
     assert notes.lines == []
+
+
+@pytest.mark.parametrize(
+    ("force_per_count_n", "status", "named"),
+    [
+        (1e-4, Verdict.WARN, "finger1.inner is noisy: "),
+        (2e-3, Verdict.FAIL, "The force of finger1.inner at rest varies by 0."),
+    ],
+)
+def test_a_pad_that_is_noisier_than_the_other_is_named(force_per_count_n, status, named) -> None:
+    layout, generator = pinch_layout(), np.random.default_rng(0)
+    frames = generator.normal(250.0, 10.0, (30, 156)).astype(np.uint16)
+    frames[:, layout.taxels_of(1)] = generator.normal(250.0, 60.0, (30, 78)).astype(np.uint16)
+    rest = rest_of(layout, LinearCalibration(force_per_count_n, layout.adc_max), frames)
+    judge_rest(
+        layout, frames, rest, notes := Finding(),
+        limits=TareLimits(), contact_force_n=0.3, most_force_n=2.0,
+    )  # fmt: skip
+    assert (notes.status, named in "\n".join(notes.lines)) == (status, True), notes.lines
 
 
 def test_crosstalk_is_what_rows_and_columns_show_beyond_the_fingertip() -> None:

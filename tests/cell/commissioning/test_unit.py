@@ -56,7 +56,7 @@ def test_nothing_is_written_that_is_refused(one) -> None:
 
 @pytest.mark.parametrize("bitrate", [500_000, 250_000])
 def test_another_bit_rate_is_found_and_the_period_fits_it(stand: MakeStand, bitrate: int) -> None:
-    finding = stand(f"can.bit_rate={bitrate}").passes(STEP)
+    finding = stand(can_bitrate=bitrate).passes(STEP)
     assert finding.settings["tactile.bitrate"] == bitrate
     assert f"{bitrate:,} bit/s" in finding.lines[0]
     assert ("tactile.sync_period_ms" in finding.settings) == (bitrate == 250_000)
@@ -71,7 +71,7 @@ def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(stand: MakeSta
                 raise BusNotOpened(f"invalid bit rate {bitrate}")
             return super().open_can(interface, channel, bitrate)
 
-    one = stand("can.bit_rate=500000")
+    one = stand(can_bitrate=500_000)
     one.bench.lines = lines = Adapter(one.cell)
     assert one.run(STEP).settings["tactile.bitrate"] == 500_000
     lines.rates = ()
@@ -102,9 +102,8 @@ def test_the_interface_is_asked_for_only_where_there_are_several(one) -> None:
 
 @pytest.mark.long
 def test_a_unit_of_another_bit_rate_is_found_over_a_real_serial_adapter(tmp_path: Path) -> None:
-    config = changed_config(
-        CellConfig(), {"tactile.layout": "pinch", "simulator.faults": ["can.bit_rate=500000"]}
-    )
+    changes = {"tactile.layout": "pinch", "tactile.bitrate": 500_000}
+    config = changed_config(CellConfig(), changes)
     cell = CellProcess(config)
     try:
         given = {"tactile.interface": "slcan", "tactile.channel": cell.can_channel}

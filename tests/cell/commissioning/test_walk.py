@@ -24,7 +24,7 @@ from tests.cell.commissioning.script import SimulatedLines
 pytestmark = pytest.mark.long
 
 EXCHANGED = (PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0))
-PADS = ("taxels.force_gain=0.8", "unit.pads_swapped", "taxels.stuck_at=3:0", "can.bit_rate=500000")
+PADS = ("taxels.force_gain=0.8", "unit.pads_swapped", "taxels.stuck_at=3:0")
 SERVOS = ("servo1.factory", "servo2.factory", "servo2.turned", "servo1.horn=164")
 
 
@@ -40,12 +40,14 @@ def brought_up(
     leave_at: tuple[str, ...] = (),
     boards: tuple[int, int] = (1, 2),
     alone: bool = False,
+    bitrate: int = 1_000_000,
 ) -> Person:
     """Run the wizard until it is finished, as the command does; returns who did it."""
     settings = SimulatorSettings(
         layout=pinch_layout(),
         noise=NoiseModel(level=0.4),
         faults=faults,
+        can_bitrate=bitrate,
         aperture_m=0.03,
         board_serial_numbers=boards,
     )
@@ -83,7 +85,7 @@ def test_a_sound_cell_is_brought_up_without_a_warning(tmp_path) -> None:
 
 def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_path) -> None:
     leave_at = ("fingers.kind", "pads_law.1.2", "first_force.part")
-    person = brought_up(tmp_path, *PADS, *SERVOS, leave_at=leave_at)
+    person = brought_up(tmp_path, *PADS, *SERVOS, leave_at=leave_at, bitrate=500_000)
     found = person.script.findings
     said = "\n".join(line for one in found.values() for line in one.lines)
     for named in (

@@ -3,6 +3,7 @@
 import pytest
 
 from cell.checks.findings import Verdict
+from cell.commissioning.engine import Step
 from cell.commissioning.first_force import FirstForceStep
 from cell.commissioning.link_quality import LinkQualityStep
 from cell.commissioning.pads import PadsAtRestStep, PadsPressedStep
@@ -10,6 +11,8 @@ from cell.commissioning.servos import ServosStep
 from cell.commissioning.unit import UnitStep
 from cell.commissioning.walk import all_steps
 from simulator.world.taxels import NoiseModel
+from tactile.layout import inner_pads
+from tests.cell.commissioning.conftest import Stand
 
 SERVOS, UNIT, REST, FORCE = ServosStep(), UnitStep(), PadsAtRestStep(), FirstForceStep()
 PRESSED, LINES = PadsPressedStep(), LinkQualityStep(duration_s=2.5)
@@ -29,12 +32,8 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (UNIT, "unit.off", FAIL, "No CAN traffic and no reply on can0"),
         (UNIT, "unit.wrong=revision:0x00020001", FAIL, "not that of this software: major revision"),
         (UNIT, "unit.wrong=vendor:99", FAIL, "node 5 is another device: vendor 0x63"),
-        (UNIT, "unit.other_layout", FAIL, "layout is unknown (hash 0000000000000000): 156 taxels"),
         (UNIT, "can.unplugged", FAIL, "adapter is unplugged"),
         (UNIT, "unit.heartbeat_off", FAIL, "did not become operational"),
-        (UNIT, "can.bit_rate=125000", FAIL, "too long for a grip"),
-        (REST, "taxels.noisy=1:400", WARN, "finger1.inner is noisy: "),
-        (REST, "taxels.noisy=1:2000", FAIL, "The force of finger1.inner at rest varies by"),
         (REST, "taxels.stuck_at=3:0", WARN, "1 taxel is dead: finger0.inner row 0 column 3"),
         (REST, "taxels.stuck_at=80-81:777", WARN, "2 taxels are stuck: finger1.inner row 0"),
         (REST, "taxels.off=0.2", FAIL, "taxels of finger0.inner are bad, allowed are 5%"),
@@ -59,6 +58,22 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
 def test_what_is_wrong_is_named(stand, step, fault, status, named) -> None:
     one = stand(noise=NoiseModel(level=0.3)) if step is FORCE else stand()
     one.cell.inject(fault)
+    check(one, step, status, named)
+
+
+@pytest.mark.parametrize(
+    ("step", "hardware", "status", "named"),
+    [
+        (UNIT, {"layout": inner_pads("odd", 5, 4, 3e-3)}, FAIL, "layout is unknown (hash "),
+        (UNIT, {"can_bitrate": 125_000}, FAIL, "too long for a grip"),
+    ],
+)
+def test_hardware_that_does_not_do_is_named(stand, step, hardware, status, named) -> None:
+    check(stand(**hardware), step, status, named)
+
+
+def check(one: Stand, step: Step, status: Verdict, named: str) -> None:
+    """Carry out a step that finds what is wrong, and check that it moves and sets nothing."""
     finding = one.run(step)
     assert (finding.status, named in "\n".join(finding.lines)) == (status, True), finding.lines
     assert one.torques == [0, 0]

@@ -74,7 +74,7 @@ def test_a_missed_move_shows_in_the_grasp_though_no_encoder_shows_it(bench: Any)
 
     bench.ready("ball")
     before_m = centre_m(Pose())
-    bench.simulated.inject("axis1.slip=0.003")
+    bench.simulated.devices.axes["x"].slipped = 0.003
     after_m = centre_m(Pose())
     assert bench.controller.life.state is CellState.IDLE
     assert after_m - before_m == pytest.approx(3e-3, abs=1e-3)

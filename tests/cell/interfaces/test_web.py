@@ -313,7 +313,7 @@ def test_taught_objects_are_listed_shown_and_forgotten(served, host) -> None:
 def test_faults_of_a_simulated_cell_begin_and_end_on_request(connect, capsys) -> None:
     served, host = connect(cell={})
     kinds = {one["name"]: one for one in host.get("/api/simulation/faults")["kinds"]}
-    assert {"servo1.off", "servo2.off", "taxels.turned", "object.gone"} <= set(kinds)
+    assert {"servo1.off", "servo2.off", "taxels.saturated", "object.gone"} <= set(kinds)
     assert not any(name.startswith("axis") for name in kinds)
     assert kinds["can.loss"]["value"] == {
         "unit": "share", "low": 0.0, "high": 1.0, "default": 0.05, "whole": False,

@@ -70,7 +70,7 @@ def test_a_pause_before_three_lost_answers_is_no_lost_bus(cell) -> None:
     cell.hold_part(RAMP)
     cell.gripper.tick()
     cell.clock.sleep(0.09)
-    cell.device.faults.drop.next_packets = 9
+    cell.device.faults.drop_next = 9
     for _ in range(6):
         cell.gripper.tick()
     assert cell.gripper.fault is None

@@ -119,7 +119,7 @@ def test_axes_have_terminals_of_their_own_and_carry_the_object(tmp_path: Path) -
             assert received(port.fileno()).startswith(b"\xff\xff\xfd\x00\x07")
         placed = one.cell.devices.place("box")
         assert placed.x_m == pytest.approx(2e-3)
-        one.cell.injector.inject("axis1.slip=0.003")
+        one.cell.devices.axes["x"].slipped = 0.003
         one.run(0.05)
         label, pose = one.cell.devices.physical.placed or ("", None)
         assert label == "box"
