@@ -7,9 +7,13 @@ DEV := $(VENV)/.dev
 DOCS := $(VENV)/.docs
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
 PYTEST_ARGS ?=
-TESTS = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
+# Byte code is kept between runs: to compile all tests again takes seconds.
+PYTEST = env -u PYTHONDONTWRITEBYTECODE OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
+TESTS = $(PYTEST) -n auto --dist worksteal $(PYTEST_ARGS)
+# Processor time in s of all tests of a change, with a tenth to spare (tests/processor_time.py).
+BUDGET_S := 700
 
-.PHONY: run serve test test-long test-real-time coverage wheel-test check format docs docs-pages pictures bench paper campaign soak vcan clients help clean distclean
+.PHONY: run serve quick test test-long test-real-time coverage wheel-test check format docs docs-pages pictures bench paper campaign soak vcan clients help clean distclean
 
 run: $(RUN)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
@@ -17,10 +21,13 @@ run: $(RUN)  ## teach and identify the paper's five objects on the simulated cel
 serve: $(RUN)  ## the simulated cell in real time, with five taught objects; prints the address of its page
 	$(BIN)/tactile-cell serve
 
-test: $(DEV)  ## the tests of each change: minutes, on any machine
-	$(TESTS) -m "not real_time and not long"
+quick: $(DEV)  ## the tests that take less than 0.3 s each: for the loop while you write
+	$(TESTS) -m "not real_time and not long and not slow"
 
-test-long: $(DEV)  ## the long tests: each row of the campaign, benchmarks, the paper
+test: $(DEV)  ## the tests of each change: minutes, on any machine
+	$(TESTS) --processor-budget=$(BUDGET_S) -m "not real_time and not long"
+
+test-long: $(DEV)  ## the long tests: each row of the campaign, studies, the paper; PYTEST_ARGS=--days=14 runs the slice of today
 	$(TESTS) -m "long and not real_time"
 
 test-real-time: $(DEV)  ## tests that measure times of real processes, one after the other: for a quiet machine

@@ -1,4 +1,4 @@
-"""The package's own plugin, loaded after pytest-cov has started.
+"""The package's own plugin, loaded after pytest-cov has started, and the slice of long tests.
 
 Users get it as an entry point, which pytest imports before; `addopts` in pyproject.toml blocks that
 here. A run that overrides `addopts` has it already.
@@ -6,13 +6,23 @@ here. A run that overrides `addopts` has it already.
 What runs in real time asks for `free_machine`.
 """
 
+import datetime
 import os
 import sys
+import zlib
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("tests", derandomize=True, deadline=None)
+settings.load_profile("tests")
 
 _NAME = "cell.pytest_plugin"
-pytest_plugins = ["pytester", *([] if _NAME in sys.modules else [_NAME])]
+pytest_plugins = [
+    "pytester",
+    "tests.processor_time",
+    *([] if _NAME in sys.modules else [_NAME]),
+]
 
 _LOAD_BEFORE = os.getloadavg()[0]
 """Load of the machine before these tests."""
@@ -20,12 +30,29 @@ _LOAD_MARGIN = 0.5
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option of the contract tests of drives."""
+    """Add the options of the contract tests of drives and of the slice of a day."""
+    parser.addoption(
+        "--days",
+        type=int,
+        metavar="N",
+        help="run the slice of today alone: all tests have run after N days",
+    )
     parser.addoption(
         "--axes",
         action="store_true",
         help="tests/contract: the real drives of the positioner in --cell-config, too",
     )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Deselect what other days run."""
+    n_days = config.getoption("--days")
+    if not n_days:
+        return
+    today = datetime.datetime.now(datetime.UTC).toordinal() % n_days
+    rest = {item for item in items if zlib.crc32(item.nodeid.encode()) % n_days != today}
+    items[:] = [item for item in items if item not in rest]
+    config.hook.pytest_deselected(items=list(rest))
 
 
 @pytest.fixture(scope="session")

@@ -15,9 +15,10 @@ from cell.control.plan import GraspStep, Pose
 from cell.interfaces.cli.app import app
 from cell.service.history import History
 from gripper.values.outcome import GraspResult
+from tests import ROOT
 from tests.cell.conftest import small_config
 
-PAGES = Path("docs/how-to").resolve()
+PAGES = ROOT / "docs/how-to"
 
 
 def blocks(page: str, language: str) -> list[str]:

@@ -52,7 +52,7 @@ def test_through_each_interface_all_invariants_hold_too(interface: str) -> None:
 
 
 @given(fault_texts())
-@settings(derandomize=True, max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_the_machine_draws_faults_that_there_are(text: str) -> None:
     check_fault(text)
 

@@ -19,10 +19,11 @@ from cell.config.model import CellConfig
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.service_manager import ServiceManager
 from cell.interfaces.cli.system_files import UNIT_FILE, closed_to_others, system_files, usb_identity
+from tests import ROOT
 from tests.cell.conftest import REAL, small_config
 from tests.hil.supervisor import read_unit
 
-PAGE = Path("docs/how-to/run-as-a-service.md")
+PAGE = ROOT / "docs/how-to/run-as-a-service.md"
 WRITTEN = {
     "etc/udev/rules.d/99-tactile-cell.rules",
     "etc/sysusers.d/tactile-cell.conf",
@@ -242,8 +243,8 @@ def test_a_watchdog_of_another_process_and_a_manager_that_is_gone_are_left_alone
 
 
 def test_containers_are_unprivileged_and_their_commands_are_ours() -> None:
-    compose = YAML(typ="safe", pure=True).load(Path("compose.yaml"))
-    image = Path("Containerfile").read_text()
+    compose = YAML(typ="safe", pure=True).load(ROOT / "compose.yaml")
+    image = (ROOT / "Containerfile").read_text()
     assert re.findall(r"^USER (\S+)", image, re.MULTILINE) == ["10001"]
     assert all(re.search(r":\d+\.\d+\.\d+-", line) for line in re.findall(r"FROM (.*)", image))
     command: Any = get_command(app)
@@ -261,7 +262,7 @@ def test_containers_are_unprivileged_and_their_commands_are_ours() -> None:
         {"serve.listen": simulated["--listen"], "serve.allow": [simulated["--allow"]]},
     )
     sources = set(re.findall(r"^COPY (\w+) \w+$", image, re.MULTILINE))
-    ignored = Path(".containerignore").read_text()
+    ignored = (ROOT / ".containerignore").read_text()
     assert sources == {"gripper", "tactile", "motion", "recognition", "simulator", "cell", "config"}
     assert all(f"!{one}\n" in ignored for one in sources)
 

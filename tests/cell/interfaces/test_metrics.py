@@ -4,7 +4,6 @@ import json
 import re
 import sys
 from http.client import HTTPConnection
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -14,11 +13,12 @@ from cell.control.answer import Answer
 from cell.service.totals import Totals
 from recognition.recognizer import UNKNOWN
 from tactile.errors import HeartbeatLost
+from tests import ROOT
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import Served
 
-DASHBOARD = Path("docs/examples/grafana-dashboard.json")
-PAGE = Path("docs/how-to/run-as-a-service.md")
+DASHBOARD = ROOT / "docs/examples/grafana-dashboard.json"
+PAGE = ROOT / "docs/how-to/run-as-a-service.md"
 
 
 def scraped(client: Client, token: str) -> tuple[int, str]:

@@ -19,6 +19,7 @@ from cell.config.model import CellConfig
 from cell.interfaces.cli.commands import serve as serving
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.learning.model import load_model
+from tests import ROOT
 from tests.cell.interfaces.hosts import Client
 from tests.waiting import LIMIT_S, until
 
@@ -104,7 +105,7 @@ def test_a_token_that_stands_in_a_file_is_printed_nowhere(start, tmp_path) -> No
 def test_a_model_is_loaded_and_saved_and_a_second_person_gets_a_link_and_a_warning(
     start, taught, tmp_path
 ) -> None:
-    page = Path("docs/how-to/watch-and-command-in-a-browser.md").read_text("utf-8")
+    page = (ROOT / "docs/how-to/watch-and-command-in-a-browser.md").read_text("utf-8")
     (typed,) = re.findall(r"tactile-cell serve (--listen .*)", page)
     ports = ("--http", "0", "--modbus", "0", "--xml-rpc", "0")
     model = ("--model", str(taught.result.model), "--save", "parts.npz")

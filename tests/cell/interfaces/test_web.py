@@ -33,13 +33,14 @@ from cell.interfaces.web import WebInterface
 from cell.plugin.goals import TASKS, checked_goal
 from cell.service.service import RELEASE_KEY, Service
 from tactile.errors import HeartbeatLost
+from tests import ROOT
 from tests.cell.conftest import REAL
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import Served, ended
 from tests.values import raising
 from tests.waiting import until
 
-PAGE = Path("docs/how-to/use-it-over-http.md")
+PAGE = ROOT / "docs/how-to/use-it-over-http.md"
 
 
 def test_the_state_names_who_commands_and_keeps_the_last_answer(served, host) -> None:
@@ -626,6 +627,7 @@ def test_the_second_request_of_a_connection_has_its_limit_too(connect) -> None:
 
 FLOOD = """
 import socket, sys
+from tests import ROOT
 links = []
 while True:
     link = socket.create_connection(("127.0.0.1", int(sys.argv[1])))

@@ -30,6 +30,7 @@ from gripper.errors import ServoFault, VerificationFailed
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 from tactile.errors import NodeMissing
+from tests import ROOT
 from tests.cell.conftest import once, small_config
 from tests.cell.served import LIMIT_S, done, grip_n, until
 
@@ -85,7 +86,7 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> N
 
 
 def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -> None:
-    page = Path("docs/how-to/use-from-a-host-program.md").read_text("utf-8")
+    page = (ROOT / "docs/how-to/use-from-a-host-program.md").read_text("utf-8")
     (typed,) = (one for one in re.findall(r"```python\n(.*?)```", page, re.S) if "my mug" in one)
     with pytest.raises(CellStateError, match="nothing is between the fingers"):
         plugin.start(TeachGoal(label="my mug"))

@@ -44,7 +44,7 @@ def test_no_two_items_overlap() -> None:
         assert before.end <= after.address
 
 
-@settings(derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(st.sampled_from(sorted(REGISTERS)), st.data())
 def test_encoding_comes_back(name: str, data: st.DataObject) -> None:
     register = REGISTERS[name]

@@ -25,7 +25,7 @@ def ramps(draw: st.DrawFn) -> ForceRamp:
     return ForceRamp.staircase(levels, draw(RATES), draw(HOLDS))
 
 
-@settings(derandomize=True, max_examples=80)
+@settings(max_examples=80)
 @given(ramps())
 def test_monotone_bounded_rate_limited_and_ending_at_the_target(ramp: ForceRamp) -> None:
     n = 200
@@ -40,7 +40,7 @@ def test_monotone_bounded_rate_limited_and_ending_at_the_target(ramp: ForceRamp)
     assert ramp.setpoint_n(ramp.duration_s + 1.0) == ramp.final_n
 
 
-@settings(derandomize=True, max_examples=80)
+@settings(max_examples=80)
 @given(ramps(), st.floats(-1.0, 60.0))
 def test_begun_at_a_measured_force_the_setpoint_does_not_jump(ramp, now_n) -> None:
     begun = ramp.starting_from(now_n)

@@ -24,7 +24,7 @@ LINKAGES = st.one_of(
 )
 
 
-@settings(derandomize=True, max_examples=80)
+@settings(max_examples=80)
 @given(LINKAGES, st.floats(0.0, 0.03))
 def test_angle_and_aperture_come_back(linkage: Linkage, aperture_m: float) -> None:
     angles = linkage.angles_rad(aperture_m)
@@ -32,7 +32,7 @@ def test_angle_and_aperture_come_back(linkage: Linkage, aperture_m: float) -> No
     assert linkage.aperture_m(angles) == pytest.approx(aperture_m, abs=1e-12)
 
 
-@settings(derandomize=True, max_examples=80)
+@settings(max_examples=80)
 @given(LINKAGES, st.floats(0.0, 0.03))
 def test_torque_follows_from_virtual_work(linkage: Linkage, aperture_m: float) -> None:
     angle = linkage.angles_rad(aperture_m)[0]
@@ -54,7 +54,7 @@ def test_the_papers_figures_of_current_and_force() -> None:
     assert path.loading_current_a(10.0) == pytest.approx((10 * 0.06 + 0.2214) / 1.769)
 
 
-@settings(derandomize=True, max_examples=50)
+@settings(max_examples=50)
 @given(st.floats(0.0, 30.0))
 def test_currents_bound_the_band(force_n: float) -> None:
     path = Transmission(
@@ -68,7 +68,7 @@ def test_currents_bound_the_band(force_n: float) -> None:
     assert path.force_band_n(unloading_a)[1] == pytest.approx(force_n, abs=1e-9)
 
 
-@settings(derandomize=True, max_examples=50)
+@settings(max_examples=50)
 @given(st.floats(0.0, 30.0), st.floats(0.3, 1.0))
 def test_a_force_falls_at_one_drive_and_is_gone_at_the_friction(
     force_n: float, share: float

@@ -46,7 +46,7 @@ def test_the_algebraic_minimum_of_a_semidefinite_matrix_is_flagged():
     assert smallest_eigenvalue(np.diag([1.0, 2, 3, 0]), Reading.ALGEBRAIC_MINIMUM).degenerate
 
 
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(Q=symmetric, factor=st.floats(0.01, 100))
 def test_the_value_scales_with_the_matrix_whatever_its_sign(Q, factor):
     value = smallest_eigenvalue(Q).value

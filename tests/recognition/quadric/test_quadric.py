@@ -26,7 +26,7 @@ def test_paraboloid_of_the_paper_has_eigenvalues_of_order_1e_minus_3_and_1e2():
     assert np.linalg.eigvalsh(Q) == pytest.approx([-4, -4, -0.0025, 100.0025], rel=1e-4)
 
 
-@settings(derandomize=True, max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     a=st.floats(-8, -1),
     b=st.floats(-8, -1),
@@ -41,7 +41,7 @@ def test_the_feature_is_the_inverse_peak_height(a, b, g, h, k):
     assert np.linalg.det(Q) == pytest.approx(-0.25 * a * b, rel=1e-9)
 
 
-@settings(derandomize=True, max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10_000))
 def test_fit_does_not_depend_on_the_order_and_follows_motion_in_the_plane(seed):
     rng = np.random.default_rng(seed)

@@ -150,7 +150,7 @@ def test_an_object_without_a_level_is_never_named():
         find_thresholds([[1.0]], margin=1.0)
 
 
-@settings(derandomize=True, max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     bands=st.lists(st.lists(st.floats(0.1, 100), min_size=1, max_size=4), min_size=1, max_size=5),
     value=st.floats(0.01, 200),

@@ -26,7 +26,7 @@ def test_rotation_xyz_turns_about_x_first():
     assert both @ _point(1, 0, 0) == pytest.approx(_point(0, 1, 0))
 
 
-@settings(derandomize=True, max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     values=arrays(np.float64, (4, 4), elements=numbers),
     offset=arrays(np.float64, 3, elements=numbers),

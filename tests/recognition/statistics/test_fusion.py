@@ -24,7 +24,7 @@ posteriors = st.lists(
     min_size=1,
     max_size=6,
 )
-properties = settings(max_examples=60, derandomize=True, deadline=None)
+properties = settings(max_examples=60)
 
 
 @properties

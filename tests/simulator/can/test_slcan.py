@@ -113,7 +113,7 @@ def test_losing_power_closes_the_channel() -> None:
 
 
 @given(can_id=st.integers(0, 0x7FF), data=st.binary(max_size=8), lower=st.booleans())
-@settings(max_examples=100, derandomize=True, deadline=None)
+@settings(max_examples=100)
 def test_what_is_sent_in_text_arrives(can_id: int, data: bytes, lower: bool) -> None:
     line = Line(b"O")
     text = f"{can_id:03X}{len(data)}{data.hex().upper()}"

@@ -46,7 +46,7 @@ def press(mechanics, wall_m, stiffness_n_m, duration_s, dt_s=STEP_S, *, implicit
 
 @pytest.mark.parametrize("linkage", [ParallelogramLinkage(offset_m=0.005), RackLinkage()])
 @given(half_m=st.floats(0.0, 0.045))
-@settings(max_examples=40, derandomize=True)
+@settings(max_examples=40)
 def test_linkages_invert_and_differentiate(linkage, half_m: float):
     angle = linkage.angle_rad(half_m)
     assert linkage.half_opening_m(angle) == pytest.approx(half_m, abs=1e-12)

@@ -51,7 +51,7 @@ def test_impossible_formats_are_refused(n_taxels, sample_bytes) -> None:
         FrameFormat(n_taxels=n_taxels, sample_bytes=sample_bytes)
 
 
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     n_taxels=st.one_of(st.integers(1, 500), st.sampled_from([443, 444, 437])),
     sample_bytes=st.sampled_from([1, 2]),

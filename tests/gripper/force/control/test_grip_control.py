@@ -1,5 +1,6 @@
 """Goals of a grip: drifting positions, wrong stiffness, fingers that run ahead."""
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 
@@ -7,6 +8,7 @@ import pytest
 
 from benchmarks.performance._force_plant import CREEP, Rig, Truth
 from benchmarks.performance.force_ramps import PARTS
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import ForceSensorStale, GripperError, LimitExceeded
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.ramp import ForceRamp
@@ -150,6 +152,24 @@ def test_a_force_on_foam_that_creeps_stays_within_its_aim_for_a_long_hold() -> N
     assert max(quality.holding_n, quality.overshoot_n) <= 0.15
 
 
+def sticking(part: str, seed: int, rate_hz: float | None = None) -> Rig:
+    """Return a rig whose gearing sticks."""
+    truth = Truth(kt_error=0.0, friction_error=0.0, seed=seed)
+    return Rig(PARTS[part], truth, 0.2, rate_hz=rate_hz, gearing=MX_64_GEARING)
+
+
+@pytest.fixture(scope="module")
+def by_messages() -> Mapping[int, DriveCharacteristic]:
+    """Return the drives of `sticking`, measured with messages, for all parts."""
+    return sticking("cork, 5 N/mm", 103, 200.0).measure_servos()
+
+
+@pytest.fixture(scope="module")
+def by_frames() -> Mapping[int, DriveCharacteristic]:
+    """Return the drives of `sticking`, measured with frames, for all parts."""
+    return sticking("cork, 5 N/mm", 103).measure_servos()
+
+
 @pytest.mark.parametrize(
     ("part", "final_n", "rate_n_s", "seed"),
     [
@@ -158,12 +178,10 @@ def test_a_force_on_foam_that_creeps_stays_within_its_aim_for_a_long_hold() -> N
         ("foam ball, 0.2 N/mm", 4.0, 1.0, 103),  # a contact by noise, at 0.03 N
     ],
 )
-def test_a_slow_ramp_does_not_jump_where_the_gearing_sticks(part, final_n, rate_n_s, seed) -> None:
-    truth = Truth(kt_error=0.0, friction_error=0.0, seed=seed)
-    measured, rig = (
-        Rig(PARTS[part], truth, 0.2, rate_hz=200.0, gearing=MX_64_GEARING) for _ in (0, 1)
-    )
-    quality = rig.grasp(final_n, rate_n_s, measured.measure_servos())
+def test_a_slow_ramp_does_not_jump_where_the_gearing_sticks(
+    part, final_n, rate_n_s, seed, by_messages
+) -> None:
+    quality = sticking(part, seed, 200.0).grasp(final_n, rate_n_s, by_messages)
     assert not quality.lost
     assert quality.overshoot_n <= 0.2
 
@@ -178,28 +196,23 @@ def test_a_slow_ramp_does_not_jump_where_the_gearing_sticks(part, final_n, rate_
     ],
 )
 @pytest.mark.parametrize("seed", [71, 103])
-def test_frames_alone_hold_a_force_where_the_gearing_sticks(part, final_n, rate_n_s, seed) -> None:
-    truth = Truth(kt_error=0.0, friction_error=0.0, seed=seed)
-    measured, rig = (Rig(PARTS[part], truth, 0.2, gearing=MX_64_GEARING) for _ in (0, 1))
-    quality = rig.grasp(final_n, rate_n_s, measured.measure_servos())
+def test_frames_alone_hold_a_force_where_the_gearing_sticks(
+    part, final_n, rate_n_s, seed, by_frames
+) -> None:
+    quality = sticking(part, seed).grasp(final_n, rate_n_s, by_frames)
     assert not quality.lost
     assert quality.overshoot_n <= 0.3
     assert quality.holding_n <= 0.6
 
 
 def test_pads_that_show_a_force_before_they_touch_do_not_make_a_stiff_part_soft(
-    monkeypatch: pytest.MonkeyPatch,
+    by_frames, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With frames and a gearing that sticks, as the test of a stiffness that is far too small."""
-    truth = Truth(kt_error=0.0, friction_error=0.0, seed=71)
-    measured, rig = (
-        Rig(PARTS["steel ball, 200 N/mm"], truth, 0.2, gearing=MX_64_GEARING) for _ in (0, 1)
-    )
-    drives = measured.measure_servos()
     sure = property(lambda _estimate: 0.3, lambda _estimate, _value: None)
     monkeypatch.setattr(StiffnessEstimate, "stiffness_n_m", 136.0)
     monkeypatch.setattr(StiffnessEstimate, "log_sd", sure, raising=False)
-    quality = rig.grasp(6.0, 20.0, drives)
+    quality = sticking("steel ball, 200 N/mm", 71).grasp(6.0, 20.0, by_frames)
     assert not quality.lost
     assert quality.overshoot_n <= 1.0
 
