@@ -4,9 +4,9 @@
     python -m tests.mutants run mutants.json --limit 300
 
 `draw` takes the changes from cosmic-ray (a comparison, a number, an operator, a condition). `run`
-needs the coverage of each test, from `make test PYTEST_ARGS="--cov --cov-context=test"`. It puts each
-mutant into a copy of the checkout and runs the tests that execute the changed line, the quickest
-first, until one fails. A mutant that survives `--limit` s of these tests is named as that.
+needs the coverage of each test, from `make test PYTEST_ARGS="--cov --cov-context=test"`. It puts
+each mutant into a copy of the checkout and runs the tests that execute the changed line, the
+quickest first, until one fails. A mutant that survives `--limit` s of these tests is named so.
 """
 
 import argparse
@@ -38,9 +38,9 @@ PYTEST = ("-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--timeout=300",
 
 def draw(n: int, seed: int) -> list[dict[str, Any]]:
     """Return mutants, drawn without a preference for a place: file, line, operator, new code."""
-    from cosmic_ray.mutating import MutationVisitor  # noqa: PLC0415
-    from cosmic_ray.plugins import get_operator  # noqa: PLC0415
-    from parso import parse  # noqa: PLC0415
+    from cosmic_ray.mutating import MutationVisitor
+    from cosmic_ray.plugins import get_operator
+    from parso import parse
 
     places = []
     for path in sorted(file for folder in FOLDERS for file in (ROOT / folder).rglob("*.py")):
@@ -67,7 +67,7 @@ def draw(n: int, seed: int) -> list[dict[str, Any]]:
 
 def tests_of(mutant: dict[str, Any], coverage_file: Path) -> list[str]:
     """Return the tests that execute the line of a mutant, or its statement where it has more."""
-    from coverage import CoverageData  # noqa: PLC0415
+    from coverage import CoverageData
 
     data = CoverageData(str(coverage_file))
     data.read()
@@ -151,7 +151,9 @@ def main() -> None:
         ignored = shutil.ignore_patterns(".venv", ".git", "out", ".*_cache")
         shutil.copytree(ROOT, copy, ignore=ignored)
         for mutant in mutants:
-            tests = sorted(tests_of(mutant, given.coverage), key=lambda name: times_s.get(name, 1.0))
+            tests = sorted(
+                tests_of(mutant, given.coverage), key=lambda name: times_s.get(name, 1.0)
+            )
             mutant["verdict"] = verdict(mutant, tests, given.limit, copy)
             print(f"{mutant['file']}:{mutant['line']} {mutant['operator']}: {mutant['verdict']}")
             print(f"    {mutant['old']}  ->  {mutant['new']}", flush=True)

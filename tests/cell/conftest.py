@@ -1,7 +1,7 @@
 """Simulated cells that several tests of the cell share."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,16 @@ from cell.build import Cell, build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.lifecycle import CellLifecycle
+from cell.control.self_zero import zero_text
+from cell.control.zeroing import Zeroing
 from cell.data.dataset import read_dataset
 from cell.interfaces.cli.app import app
 from cell.plugin.main_job import MainResult, teach_and_identify
 from cell.plugin.plugin import TactileCellPlugin
 from cell.pytest_plugin.virtual import VirtualCell
 from gripper.values.state import GripperPhase
-from recognition.grasp import Grasp, PadArray
+from recognition.drift.self_zero import ZeroMeasurement
+from recognition.grasp import Grasp, PadArray, SelfZero
 from recognition.recognizer import Posterior
 from simulator.clock import VirtualClock
 
@@ -96,6 +99,22 @@ class Bench(VirtualCell):
     ) -> list[float]:
         """Do something once, when the gripper has been in a phase for so long; as `once`."""
         return once(self.clock, lambda: self.controller.hand.phase is phase, act, after_s)
+
+
+@pytest.fixture
+def made_up_zero(monkeypatch: pytest.MonkeyPatch) -> SelfZero:
+    """A self-zero that closes no fingers, for tests of what becomes of one; return its value."""
+    zero = SelfZero.from_values([1e-4, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
+
+    def measure(zeroing: Zeroing, *, asked: bool) -> ZeroMeasurement:
+        measured = ZeroMeasurement(zero=replace(zero), tilt_rad=(0.0, 0.0), fit=1.0, dead=())
+        zeroing.open()
+        zeroing.zeros.keep(measured.zero)
+        zeroing.journal.note("self_zero", zero_text(measured))
+        return measured
+
+    monkeypatch.setattr(Zeroing, "_measure", measure)
+    return zero
 
 
 MakeBench = Callable[..., Bench]

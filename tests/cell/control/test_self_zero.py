@@ -134,7 +134,12 @@ def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, part: 
 
 
 @pytest.mark.parametrize(
-    "part", ["sphere:diameter=9.5mm", "sphere:diameter=5mm", "cylinder:diameter=3mm,length=60mm"]
+    "part",
+    [
+        "sphere:diameter=9.5mm",
+        pytest.param("sphere:diameter=5mm", marks=pytest.mark.long),
+        pytest.param("cylinder:diameter=3mm,length=60mm", marks=pytest.mark.long),
+    ],
 )
 def test_a_daily_start_opens_again_on_a_part_and_goes_on(make_bench, tmp_path, part) -> None:
     config = small_config(self_zero="daily")
@@ -175,6 +180,7 @@ def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(make_be
     assert (bent.life.state, bent.controller.zeros.newest) == (CellState.IDLE, None)
 
 
+@pytest.mark.usefixtures("made_up_zero")
 @pytest.mark.parametrize("when", ["daily", "always"])
 def test_a_zero_that_cannot_be_written_counts_in_its_program(make_bench, tmp_path, when) -> None:
     """Nobody has asked a daily start for one, and a full disk is no fault of the hand."""
@@ -202,6 +208,7 @@ def test_a_part_that_is_lost_during_a_daily_start_is_a_note(make_bench) -> None:
     assert not bench.life.holding
 
 
+@pytest.mark.usefixtures("made_up_zero")
 def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench) -> None:
     bench = make_bench(small_config(self_zero="always")).ready()
     bench.controller.grip(3.0, Pose())
@@ -213,6 +220,7 @@ def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench) -> None
     assert bench.life.holding
 
 
+@pytest.mark.usefixtures("made_up_zero")
 def test_a_start_after_a_fault_on_the_same_day_does_not_zero_again(make_bench) -> None:
     bench = make_bench(small_config(self_zero="daily")).ready()
     taken = bench.controller.zeros.newest
@@ -253,6 +261,7 @@ def test_what_is_out_of_bounds_is_named(make_bench, changes, says) -> None:
         bench.controller.zeroing.measure()
 
 
+@pytest.mark.usefixtures("made_up_zero")
 @pytest.mark.parametrize(("when", "times"), [("always", 2), ("daily", 2), ("on_demand", 0)])
 def test_it_is_measured_at_a_start_where_it_is_due(make_bench, tmp_path, when, times) -> None:
     config = small_config(self_zero=when)
@@ -271,6 +280,7 @@ def test_it_is_measured_at_a_start_where_it_is_due(make_bench, tmp_path, when, t
         assert seen[1][0] == seen[0][1]
 
 
+@pytest.mark.usefixtures("made_up_zero")
 def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path: Path) -> None:
     said = call("zero", "--out", tmp_path, "--json", tmp_path / "zero.json")
     assert said.startswith("pads meet at ")
@@ -292,6 +302,7 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     assert bench.controller.zeros.newest == found
 
 
+@pytest.mark.usefixtures("made_up_zero")
 def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(monkeypatch, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
     call("teach", "ball", "-n", 2, "-o", "taught.npz")
@@ -401,6 +412,7 @@ def test_a_zero_of_another_cell_counts_as_none_and_is_named(tmp_path, change, na
     assert kept_zeros(changed_config(here, {"gripper.force_max_n": 12.0}), tmp_path).newest == ZERO
 
 
+@pytest.mark.usefixtures("made_up_zero")
 def test_a_zero_of_another_control_unit_counts_as_none(make_bench, tmp_path: Path) -> None:
     """Two cells whose adapters have changed places have the same config."""
     config = small_config()
@@ -425,6 +437,7 @@ def test_a_zero_of_another_control_unit_counts_as_none(make_bench, tmp_path: Pat
     assert not other.controller.zeroing.note
 
 
+@pytest.mark.long
 def test_daily_zeros_do_not_drift_away_from_the_config(make_bench, tmp_path: Path) -> None:
     """Sheets of 1.8, 3.6 and 5.4 mm, one a start, then empty fingers."""
     config, taken = small_config(self_zero="daily"), []
@@ -467,7 +480,9 @@ def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
     assert later.measured_s == 1.8e9
 
 
-@pytest.mark.parametrize("seed", [10, 38, 45])
+@pytest.mark.parametrize(
+    "seed", [10, *(pytest.param(seed, marks=pytest.mark.long) for seed in (38, 45))]
+)
 def test_pads_on_each_other_contradict_no_message_at_twice_the_noise(make_bench, seed: int) -> None:
     """A load on all taxels has a centre that their noise moves far, at the release too."""
     noisy = {"simulator__noise_level": 2.0, "tactile__tare_frames": 100}
