@@ -13,7 +13,7 @@ TESTS = $(PYTEST) -n auto --dist worksteal $(PYTEST_ARGS)
 # Processor time in s of all tests of a change, with a tenth to spare (tests/processor_time.py).
 BUDGET_S := 700
 
-.PHONY: run serve quick test test-long test-real-time coverage wheel-test check format docs docs-pages pictures bench paper campaign soak vcan clients help clean distclean
+.PHONY: run serve quick test test-long test-real-time coverage mutants wheel-test check format docs docs-pages pictures bench paper campaign soak vcan clients help clean distclean
 
 run: $(RUN)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
@@ -32,6 +32,12 @@ test-long: $(DEV)  ## the long tests: each row of the campaign, studies, the pap
 
 test-real-time: $(DEV)  ## tests that measure times of real processes, one after the other: for a quiet machine
 	$(BIN)/python -m tests.hil $(PYTEST_ARGS)
+
+mutants: $(DEV)  ## 60 random changes of the code, and which of them the tests find; N=100 for more, SEED=2 for others
+	$(INSTALL) '.[mutants]'
+	$(TESTS) -m "not real_time and not long" --cov --cov-context=test --processor-times=out/times.txt
+	$(BIN)/python -m tests.mutants draw $(or $(N),60) out/mutants.json --seed $(or $(SEED),1)
+	$(BIN)/python -m tests.mutants run out/mutants.json --times out/times.txt
 
 coverage: $(DEV)  ## line coverage of the tests without real time: less than 95 % is an error; takes three times as long
 	$(TESTS) -m "not real_time" --cov --cov-report=term:skip-covered --cov-fail-under=95
