@@ -55,6 +55,7 @@ def teaching(simulator: CellProcess, folder: Path, n: int = 50, *more: object) -
     return (*command, "-o", folder / "d.npz", "--out", folder / "out")
 
 
+@pytest.mark.long
 def test_the_program_teaches_and_identifies_over_real_ports(simulator, tmp_path) -> None:
     config = load_config(simulator.config_path)
     assert not config.simulated
@@ -182,7 +183,9 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
         pytest.param("servos.chatter", "Bus|FingerSilent", marks=pytest.mark.long),
         ("can.unplugged", "BusOff"),
         # Garbage can be a valid line of slcan too: a heartbeat of a stopped node.
-        ("can.garbage=1", "FrameTimeout|BusDisturbed|NodeStateChanged"),
+        pytest.param(
+            "can.garbage=1", "FrameTimeout|BusDisturbed|NodeStateChanged", marks=pytest.mark.long
+        ),
     ],
 )
 def test_a_line_that_fails_is_a_fault_with_the_grip_kept_until_clear_and_reset(

@@ -54,8 +54,12 @@ def faulty(
     ("how", "fault"),
     [
         ("blocks", (HandLost, "has sent nothing for 1 s")),
-        ("spins", (HandLost, "has sent nothing for 1 s")),
-        ("raises", (PluginFault, "faulty of faulty-sensor 1.0.0 failed: ZeroDivisionError: divis")),
+        pytest.param(*("spins", (HandLost, "has sent nothing for 1 s")), marks=pytest.mark.long),
+        pytest.param(
+            "raises",
+            (PluginFault, "faulty of faulty-sensor 1.0.0 failed: ZeroDivisionError: divis"),
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_code_that_goes_wrong_is_a_fault_that_keeps_the_grip(

@@ -106,7 +106,10 @@ def service(
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("killed", ["main", "hand", "both", "ended"])
+@pytest.mark.parametrize(
+    "killed",
+    ["main", "both", *(pytest.param(one, marks=pytest.mark.long) for one in ("hand", "ended"))],
+)
 def test_a_part_outlasts_the_processes_that_hold_it(service, simulator, killed) -> None:
     cell = service.cell
     lease = cell.acquire("before")
