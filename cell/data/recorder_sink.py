@@ -4,9 +4,9 @@ import errno
 import fcntl
 import os
 import threading
-from collections import deque
 from contextlib import suppress
 from pathlib import Path
+from queue import SimpleQueue
 
 from cell.fault_catalogue import error_text
 
@@ -15,7 +15,7 @@ MAX_WAITING_BYTES = 16 << 20
 
 LEFT_BYTES = 1 << 20
 """Free bytes below which the disk is nearly full: room for the end of a recording."""
-_END_SHARE = 64
+_END_SHARE = 32
 """Bytes of a recording for each byte of its end, an index: twice the need."""
 
 
@@ -128,11 +128,9 @@ class BackgroundFile(DirectFile):
         super().__init__(path)
         self._max_waiting_bytes = max_waiting_bytes
         self._close_timeout_s = close_timeout_s
-        self._queue: deque[bytes] = deque()
-        self._changed = threading.Condition()
-        self._waiting_bytes = 0
+        self._queue: SimpleQueue[bytes | None] = SimpleQueue()
         self._taken_bytes = 0
-        self._closing = False
+        self._ended = False
         self._error: OSError | None = None
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
@@ -140,21 +138,19 @@ class BackgroundFile(DirectFile):
     @property
     def busy(self) -> bool:
         """Whether the disk has not taken all bytes yet."""
-        return self._thread.is_alive() and (self._closing or self._waiting_bytes > 0)
+        return self._thread.is_alive() and (self._ended or self._taken_bytes > self._length)
 
     def write(self, data: bytes, /) -> int:
         """Queue the bytes. Raises OSError if the disk has failed, or is too slow."""
-        with self._changed:
-            self.check()
-            if self._waiting_bytes + len(data) > self._max_waiting_bytes:
-                raise OSError(
-                    f"the disk is too slow: {self._waiting_bytes} bytes wait to be written, "
-                    f"the limit is {self._max_waiting_bytes}"
-                )
-            self._queue.append(bytes(data))
-            self._waiting_bytes += len(data)
-            self._taken_bytes += len(data)
-            self._changed.notify()
+        self.check()
+        waiting_bytes = self._taken_bytes - self._length
+        if waiting_bytes + len(data) > self._max_waiting_bytes:
+            raise OSError(
+                f"the disk is too slow: {waiting_bytes} bytes wait to be written, the limit is "
+                f"{self._max_waiting_bytes}"
+            )
+        self._taken_bytes += len(data)
+        self._queue.put(bytes(data))
         return len(data)
 
     def check(self) -> None:
@@ -168,9 +164,8 @@ class BackgroundFile(DirectFile):
 
     def end(self) -> None:
         """Let the thread write what waits, then close the file; do not wait for it."""
-        with self._changed:
-            self._closing = True
-            self._changed.notify()
+        self._ended = True
+        self._queue.put(None)
 
     def close(self) -> None:
         """Wait until all is written, then close; OSError on failure or after the time-out."""
@@ -182,26 +177,13 @@ class BackgroundFile(DirectFile):
 
     def _run(self) -> None:
         try:
-            while (data := self._next()) is not None:
+            while (data := self._queue.get()) is not None:
                 super().write(data)
-                with self._changed:
-                    self._waiting_bytes -= len(data)
         except OSError as error:
-            self._fail(error)
+            self._error = error
         except Exception as error:
-            self._fail(OSError(f"the recording's thread ended: {error_text(error)}"))
-        finally:
-            try:
-                super().close()
-            except OSError as error:
-                self._fail(error)
-
-    def _next(self) -> bytes | None:
-        with self._changed:
-            self._changed.wait_for(lambda: self._queue or self._closing)
-            return self._queue.popleft() if self._queue else None
-
-    def _fail(self, error: OSError) -> None:
-        with self._changed:
-            if self._error is None:
-                self._error = error
+            self._error = OSError(f"the recording's thread ended: {error_text(error)}")
+        try:
+            super().close()
+        except OSError as error:
+            self._error = self._error or error

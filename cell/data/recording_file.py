@@ -1,6 +1,5 @@
 """One MCAP file of a recording during writing; a disk failure stops the file, not the caller."""
 
-from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -45,7 +44,6 @@ class RecordingFile:
         self.n_frames = 0
         """Frames so far."""
         self._note = note
-        self._sequence = Counter[str]()
         self._channels: dict[str, int] = {}
         try:
             self._sink = (BackgroundFile if background else DirectFile)(path)
@@ -104,13 +102,9 @@ class RecordingFile:
         if self.fault is not None:
             return
         stamp_ns, data = to_ns(t_s), to_json({"t_s": round(float(t_s), 9), **values}).encode()
-        number = self._sequence.get(topic, 0)
-        self._sequence[topic] = number + 1
         self.n_frames += topic == schema.FRAME
         self._guarded(
-            lambda: self._writer.add_message(
-                self._channels[topic], stamp_ns, data, stamp_ns, sequence=number
-            )
+            lambda: self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns)
         )
 
     def _guarded(self, act: Callable[[], object]) -> None:

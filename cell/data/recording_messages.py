@@ -7,7 +7,6 @@ import os
 import struct
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -46,18 +45,6 @@ class RecordedMessage(NamedTuple):
     """Its JSON."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Description:
-    """Description of a recording."""
-
-    metadata: dict[str, str]
-    pads: PadArray
-    """The pads of its frames."""
-    wall_clock_start_ns: int
-    monotonic_start_ns: int
-    """Both clocks at the start in ns."""
-
-
 class RecordedMessages:
     """Yields the messages of a recording in the order of the file; iterate once.
 
@@ -65,8 +52,9 @@ class RecordedMessages:
     package.
     """
 
-    description: Description
-    """The description, from the first message on."""
+    metadata: dict[str, str]
+    pads: PadArray
+    """Its metadata, and the pads of its frames; there from the first message on."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -93,7 +81,7 @@ class RecordedMessages:
                     f"{self.path}: too long; at most {MAX_FILE_BYTES} bytes are read"
                 )
             try:
-                self.description = self._description(file)
+                self._describe(file)
                 file.seek(0)
                 yield from self._messages(file)
             except OSError as cause:
@@ -101,7 +89,8 @@ class RecordedMessages:
                     f"cannot read recording {self.path}: {cause.strerror}"
                 ) from cause
 
-    def _description(self, file: BinaryIO) -> Description:
+    def _describe(self, file: BinaryIO) -> None:
+        """Read the metadata, wherever they are in the file."""
         found, why = dict[str, str](), ""
         try:
             for record in _records(file):
@@ -118,12 +107,10 @@ class RecordedMessages:
         if found.get("crc32") != schema.metadata_crc32(found):
             raise RecordingError(f"{self.path}: its description of clocks and pads is damaged")
         try:
-            return Description(
-                metadata=found,
-                pads=PadArray(**from_json(found["pads"])),
-                wall_clock_start_ns=int(found["wall_clock_start_ns"]),
-                monotonic_start_ns=int(found["monotonic_start_ns"]),
-            )
+            self.pads = PadArray(**from_json(found["pads"]))
+            self.wall_clock_start_ns = int(found["wall_clock_start_ns"])
+            self.monotonic_start_ns = int(found["monotonic_start_ns"])
+            self.metadata = found
         except _DAMAGE as cause:
             raise RecordingError(
                 f"{self.path}: its description does not fit {RECORDING} ({reason_text(cause)}); "
@@ -197,7 +184,7 @@ class RecordedMessages:
 
     def _check_frame(self, counts: list[int], extra: list[int]) -> None:
         """Raise ValueError if a frame does not fit the pads, or the frames before it."""
-        pads = self.description.pads
+        pads = self.pads
         if len(counts) != pads.n_taxels or max(counts) > pads.adc_max:
             raise ValueError(
                 f"it has {len(counts)} counts up to {max(counts, default=0)}, expected "

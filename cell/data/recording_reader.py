@@ -136,8 +136,7 @@ def read_recording(path: Path | str) -> Recording:
             forces_n.extend(both_n if len(both_n) == 2 else (np.nan, np.nan))
         else:
             rows[topic].append(content)
-    described = messages.description
-    samples = _read_only(counts).reshape(-1, described.pads.n_taxels)
+    samples = _read_only(counts).reshape(-1, messages.pads.n_taxels)
     recorded = RecordedFrames(
         t_s=frames["t_s"],
         **{name: frames[name].astype(np.int64) for name in _FRAME_COLUMNS[1:]},
@@ -148,16 +147,16 @@ def read_recording(path: Path | str) -> Recording:
     n_frames = len(recorded)
     if (
         not messages.lost_reason
-        and schema.RECOVERED not in described.metadata
+        and schema.RECOVERED not in messages.metadata
         and np.any(recorded.number != np.arange(n_frames))
     ):
         messages.lose(f"its {n_frames} frames are not all that were recorded")
     return Recording(
         path=messages.path,
-        metadata=described.metadata,
-        pads=described.pads,
-        wall_clock_start_ns=described.wall_clock_start_ns,
-        monotonic_start_ns=described.monotonic_start_ns,
+        metadata=messages.metadata,
+        pads=messages.pads,
+        wall_clock_start_ns=messages.wall_clock_start_ns,
+        monotonic_start_ns=messages.monotonic_start_ns,
         frames=recorded,
         cycles=RecordedCycles(
             **{name: cycles[name] for name in _CYCLE_COLUMNS},
@@ -232,7 +231,7 @@ def _grasps(
             if first_frame < n_used:
                 raise ValueError("its frames belong to other grasps")
             n_used = first_frame + n_frames
-            grasp = _grasp(row, messages.description.pads, frames, part)
+            grasp = _grasp(row, messages.pads, frames, part)
         except (ValueError, OverflowError) as cause:
             messages.lose(f"grasp {number + 1} is left out: {cause}")
             continue

@@ -61,13 +61,14 @@ def _write(file: BinaryIO, recording: Recording) -> None:
     writer = Writer(
         file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
     )
-    channels, sequence = start_recording(writer, entries), itertools.count()
+    channels, n_written = start_recording(writer, entries), 0
     whole, n_grasps = set(recording.grasp_numbers), itertools.count()
     for topic, content, data in RecordedMessages(recording.path):
         if topic != schema.GRASP or next(n_grasps) in whole:
             stamp_ns = to_ns(content["t_s"])
-            writer.add_message(channels[topic], stamp_ns, data, stamp_ns, sequence=next(sequence))
-    if recording.lost_reason and not next(sequence):
+            writer.add_message(channels[topic], stamp_ns, data, stamp_ns)
+            n_written += 1
+    if recording.lost_reason and not n_written:
         raise RecordingError(
             f"nothing of {recording.path} can be recovered: {recording.lost_reason}"
         )
