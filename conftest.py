@@ -17,7 +17,7 @@ from hypothesis import settings
 settings.register_profile("tests", derandomize=True, deadline=None)
 settings.load_profile("tests")
 
-_NAME = "cell.pytest_plugin"
+_NAME = "pytest_tactile_cell"
 pytest_plugins = [
     "pytester",
     "tests.processor_time",

@@ -6,8 +6,6 @@ config, `CellController` runs its sequences, a host program loads `TactileCellPl
 """
 
 from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -30,29 +28,6 @@ _FACE = {
 _HOMES = {name: home for home, names in _FACE.items() for name in names.split()}
 
 __all__ = list(_HOMES)
-
-_NEIGHBOURS = ("gripper", "tactile", "motion", "recognition", "simulator")
-"""Packages that are installed beside this one, at the top level."""
-
-
-def _refuse_shadows() -> None:
-    """Raise ImportError if another module hides a package of this project.
-
-    They have plain names: a host's own ``gripper.py`` earlier on ``sys.path`` would be imported
-    instead, and fail with "'gripper' is not a package".
-    """
-    home = Path(__file__).resolve().parents[1]
-    for name in _NEIGHBOURS:
-        spec = find_spec(name)
-        found = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
-        if found is not None and found != home / name / "__init__.py":
-            raise ImportError(
-                f"{found} hides the package {name!r} of tactile-cell in {home}: it comes first on "
-                "sys.path; rename it, or start the program in another folder"
-            )
-
-
-_refuse_shadows()
 
 if not TYPE_CHECKING:
 

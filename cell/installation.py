@@ -1,4 +1,4 @@
-"""Installation of this project: missing packages of an extra, and how to add them.
+"""Installation of this project: hidden packages, missing packages of an extra.
 
 Modules of an extra are imported within `extra`, so that all errors are the same.
 """
@@ -19,6 +19,25 @@ EXTRAS = {
     "serve": ("fastapi", "segno", "uvicorn", "websockets"),
 }
 """Modules of each extra, which `doctor` or a note names before they are needed."""
+_NEIGHBOURS = ("gripper", "tactile", "motion", "recognition", "simulator")
+"""Packages that are installed beside `cell`, at the top level."""
+
+
+def refuse_shadows() -> None:
+    """Raise ImportError if another module hides a package of this project.
+
+    They have plain names: a host's own ``gripper.py`` earlier on ``sys.path`` would be imported
+    instead, and fail with "'gripper' is not a package".
+    """
+    home = Path(__file__).resolve().parents[1]
+    for name in _NEIGHBOURS:
+        spec = find_spec(name)
+        found = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
+        if found is not None and found != home / name / "__init__.py":
+            raise ImportError(
+                f"{found} hides the package {name!r} of tactile-cell in {home}: it comes first on "
+                "sys.path; rename it, or start the program in another folder"
+            )
 
 
 @contextmanager

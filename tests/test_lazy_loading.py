@@ -15,14 +15,24 @@ def loaded(modules: str) -> set[str]:
     return set(done.stdout.split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("modules", "later"),
     [
         ("cell.plugin.plugin", ("scipy", "matplotlib", *CAN, "dynamixel_sdk")),
         ("cell.interfaces.web", ("prometheus_client",)),
         (
-            "cell.pytest_plugin",
-            ("numpy", "scipy", "pydantic", *CAN, "serial", "simulator", "gripper", "rich"),
+            "pytest_tactile_cell",
+            (
+                "numpy",
+                "pydantic",
+                "cell",
+                "gripper",
+                "tactile",
+                "motion",
+                "recognition",
+                "simulator",
+            ),
         ),
         (
             "gripper, gripper.dynamixel.control_table, gripper.force.ramp, "

@@ -2,4 +2,10 @@
 
 `model.CellConfig` is the root, `file` reads and writes YAML with errors by line, `gripper`,
 `tactile`, `sequence`, `simulator` and others are its sections.
+
+Each way to a cell imports this package first, so it refuses modules that hide packages.
 """
+
+from cell.installation import refuse_shadows
+
+refuse_shadows()

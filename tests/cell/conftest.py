@@ -20,8 +20,8 @@ from cell.data.dataset import read_dataset
 from cell.interfaces.cli.app import app
 from cell.plugin.main_job import MainResult, teach_and_identify
 from cell.plugin.plugin import TactileCellPlugin
-from cell.pytest_plugin.virtual import VirtualCell
 from gripper.values.state import GripperPhase
+from pytest_tactile_cell.virtual import VirtualCell
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import Grasp, PadArray, SelfZero
 from recognition.recognizer import Posterior

@@ -55,7 +55,7 @@ FROZEN = {
 
 REPORTS_ANOTHER = {"JobFailed"}
 """Errors with the number of their cause."""
-NOT_FOR_HOSTS = ("cell.pytest_plugin", "cell.commissioning")
+NOT_FOR_HOSTS = "cell.commissioning"
 
 
 def error_classes() -> Iterator[type[BaseException]]:

@@ -13,19 +13,32 @@ from cell import installation
 ROOT = Path(cell.__file__).parents[1]
 
 
-@pytest.mark.parametrize("name", ["gripper", "tactile", "recognition", "simulator"])
-def test_a_module_that_hides_a_package_is_named(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [
+        ("gripper", "from cell import build_cell"),
+        ("tactile", "import cell.build"),
+        ("motion", "from cell import TactileCellPlugin"),
+        ("simulator", "import cell.plugin.plugin"),
+        ("recognition", "from cell.interfaces.cli import main; main()"),
+    ],
+)
+def test_a_module_that_hides_a_package_is_named_where_a_cell_is_wanted(
+    name: str, way: str, tmp_path: Path
+) -> None:
     hiding = tmp_path / f"{name}.py"
     hiding.write_text("")
+    code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}]; import cell.errors; {way}"
+    kind = "error" if "main" in way else "ImportError"
     ended = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path[:0] = [{str(tmp_path)!r}]; import cell"],
+        [sys.executable, "-c", code],
         cwd=ROOT,
         capture_output=True,
         text=True,
         check=False,
     )
     assert ended.returncode == 1
-    assert f"ImportError: {hiding} hides the package {name!r} of tactile-cell" in ended.stderr
+    assert f"{kind}: {hiding} hides the package {name!r} of tactile-cell" in ended.stderr
 
 
 @pytest.mark.parametrize(

@@ -23,9 +23,6 @@ from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.axes import drive_axes, si_per_unit
-from cell.pytest_plugin.bench import LinkBench
-from cell.pytest_plugin.faults import FaultRegistry
-from cell.pytest_plugin.options import HardwareOptions, config_path
 from cell.simulation import simulation_of
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
@@ -36,6 +33,9 @@ from motion import object_dictionary as od
 from motion.axes import Axes
 from motion.bus import DriveBus, Watch
 from motion.drive import Cia402Drive
+from pytest_tactile_cell.bench import LinkBench
+from pytest_tactile_cell.faults import FaultRegistry
+from pytest_tactile_cell.options import HardwareOptions, config_path
 from simulator.servo.protocol2 import crc16
 from tactile.can.bus import CanBus, close_bus
 from tactile.control_unit.link import TactileLink

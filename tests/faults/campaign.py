@@ -14,8 +14,8 @@ from cell.control.plan import Pose
 from cell.control.states import CellState
 from cell.errors import CellError
 from cell.fault_catalogue import BY_NUMBER
-from cell.pytest_plugin.virtual import VirtualCell
 from gripper.errors import GripperError, fingers_left
+from pytest_tactile_cell.virtual import VirtualCell
 from tactile.errors import TactileError
 from tests.cell.conftest import Bench, once
 from tests.faults.invariants import InvariantMonitor

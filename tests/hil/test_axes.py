@@ -9,7 +9,7 @@ from cell.config.file import changed_config, load_config, parse_config
 from cell.plugin.goals import IdentifyGoal, TeachGoal
 from cell.plugin.plugin import TactileCellPlugin
 from cell.plugin.worker import JobFailed
-from cell.pytest_plugin.process import CellProcess
+from pytest_tactile_cell.process import CellProcess
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.hil.program import first
 from tests.waiting import LIMIT_S, until

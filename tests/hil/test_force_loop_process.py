@@ -18,11 +18,11 @@ from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, CellStopped, HandLost
 from cell.hand.client import HandProcess
-from cell.pytest_plugin.process import CellProcess
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
+from pytest_tactile_cell.process import CellProcess
 from tests.hil.program import first
 from tests.waiting import until
 

@@ -17,8 +17,8 @@ from cell.data.recording_reader import read_recording
 from cell.plugin.goals import GripGoal, TeachGoal
 from cell.plugin.plugin import TactileCellPlugin
 from cell.plugin.worker import JobFailed
-from cell.pytest_plugin.process import CellProcess
 from gripper.errors import PortLost, ServoFault
+from pytest_tactile_cell.process import CellProcess
 from tests.hil.program import CONFIG, LIMIT_S, end, first, hurry, run, running
 from tests.waiting import until
 

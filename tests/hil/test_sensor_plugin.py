@@ -14,7 +14,7 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
 from cell.errors import HandLost
 from cell.hand.client import HandProcess
-from cell.pytest_plugin.process import CellProcess
+from pytest_tactile_cell.process import CellProcess
 from tactile.errors import PluginFault
 from tests.cell.sensors.packages import install
 from tests.hil.program import CONFIG, first

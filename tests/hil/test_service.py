@@ -17,8 +17,8 @@ from xmlrpc.client import ServerProxy
 import pytest
 
 from cell.config.file import parse_config
-from cell.pytest_plugin.process import CellProcess
 from cell.service.service import RELEASE_KEY
+from pytest_tactile_cell.process import CellProcess
 from tests.cell.conftest import Taught, small_config, taught  # noqa: F401  a fixture
 from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, done, first
 from tests.waiting import until

@@ -9,6 +9,8 @@ import signal
 import sys
 from types import FrameType
 
+from cell.installation import refuse_shadows
+
 __all__ = ["main"]
 
 
@@ -18,6 +20,10 @@ def main() -> None:
     Ctrl-C always ends the program with exit code 1, also when it is pressed repeatedly. Without
     this, Python would end by the signal, or with an error of the module that was being loaded.
     """
+    try:
+        refuse_shadows()
+    except ImportError as error:
+        sys.exit(f"error: {error}")
     interrupted = False
 
     def on_ctrl_c(_number: int, _frame: FrameType | None) -> None:

@@ -11,7 +11,7 @@ from cell.commissioning.pads import PadsAtRestStep
 from cell.commissioning.unit import UnitStep
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.pytest_plugin.process import CellProcess
+from pytest_tactile_cell.process import CellProcess
 from simulator.can.drive import DriveMount
 from simulator.devices import SimulatedDrive
 from tactile.can.bus import CanBus

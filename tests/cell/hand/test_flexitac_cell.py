@@ -11,7 +11,7 @@ from cell.config.model import CellConfig
 from cell.data.dataset import read_grasps
 from cell.errors import ConfigError
 from cell.jobs.collection import grasps_of
-from cell.pytest_plugin.configs import simulated_config
+from pytest_tactile_cell.configs import simulated_config
 
 PRESET = load_config(Path(__file__).parents[3] / "config" / "flexitac.yaml")
 

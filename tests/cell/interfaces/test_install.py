@@ -5,6 +5,7 @@ import shlex
 import shutil
 import socket
 import subprocess
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -263,7 +264,8 @@ def test_containers_are_unprivileged_and_their_commands_are_ours() -> None:
     )
     sources = set(re.findall(r"^COPY (\w+) \w+$", image, re.MULTILINE))
     ignored = (ROOT / ".containerignore").read_text()
-    assert sources == {"gripper", "tactile", "motion", "recognition", "simulator", "cell", "config"}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert sources == {*project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"], "config"}
     assert all(f"!{one}\n" in ignored for one in sources)
 
 

@@ -29,11 +29,11 @@ from cell.interfaces.cli import main
 from cell.interfaces.cli.session import running_cell
 from cell.plugin.goals import TeachGoal
 from cell.plugin.plugin import TactileCellPlugin
-from cell.pytest_plugin.process import CellProcess
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import BUS_WATCHDOG
 from gripper.dynamixel.serial_port import SerialStream
 from gripper.errors import GripperError
+from pytest_tactile_cell.process import CellProcess
 from tests.cell.conftest import once
 from tests.faults.campaign import FaultRow, Observed, campaign_config
 

@@ -3,6 +3,7 @@
 from argparse import ArgumentTypeError
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ _HIGHEST_SERVO_ID = 252
 
 
 CONTRACTS = ("sensor", "servo_model", "recogniser")
-"""Kinds of plugins that have a contract: files of `cell.pytest_plugin.contracts`."""
+"""Kinds of plugins that have a contract: files of `pytest_tactile_cell.contracts`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +55,19 @@ def config_path(config: pytest.Config) -> Path | None:
     if not ini:
         return None
     return (config.inipath or config.rootpath / "-").parent / ini
+
+
+def refuse_shadows() -> None:
+    """Raise ImportError if a module of the tested project hides a package of tactile-cell."""
+    home, spec = Path(__file__).resolve().parents[1], find_spec("cell")
+    if spec is None or Path(spec.origin or "").resolve() != home / "cell" / "__init__.py":
+        raise ImportError(
+            f"{spec and spec.origin} hides the package 'cell' of tactile-cell in {home}: it comes "
+            "first on sys.path; rename it, or start pytest in another folder"
+        )
+    from cell.installation import refuse_shadows as refuse_others
+
+    refuse_others()
 
 
 def _servo_ids(text: str) -> tuple[int, ...]:
@@ -114,6 +128,11 @@ def pytest_configure(config: pytest.Config) -> None:
     for kind in wanted:
         if kind not in CONTRACTS:
             raise pytest.UsageError(f"no contract {kind!r}; there are {', '.join(CONTRACTS)}")
+    if wanted:
+        try:
+            refuse_shadows()
+        except ImportError as error:
+            raise pytest.UsageError(str(error)) from error
     if wanted and config.args_source is not pytest.Config.ArgsSource.ARGS:
         config.args = []
     folder = Path(__file__).with_name("contracts")

@@ -7,7 +7,7 @@ from typing import Any
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.config.section import SIMULATED
-from cell.pytest_plugin.options import HardwareOptions
+from pytest_tactile_cell.options import HardwareOptions
 
 ConfigSource = CellConfig | Path | str | None
 

@@ -3,10 +3,9 @@
 import pytest
 
 # In-process runs of pytester forget what they import; numpy does not bear being imported twice.
-import cell.build
-import cell.pytest_plugin.bench
-import cell.pytest_plugin.process
-import cell.pytest_plugin.virtual  # noqa: F401
+import pytest_tactile_cell.bench
+import pytest_tactile_cell.process
+import pytest_tactile_cell.virtual  # noqa: F401
 
 
 def run(pytester: pytest.Pytester, *arguments: str) -> pytest.RunResult:

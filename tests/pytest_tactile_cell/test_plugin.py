@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cell.pytest_plugin.runs import run
+from tests.pytest_tactile_cell.runs import run
 
 FIXTURES = (
     "cell_config",
@@ -22,8 +22,30 @@ FIXTURES = (
 
 
 def test_pytest_finds_the_plugin() -> None:
-    (entry,) = entry_points(group="pytest11", name="tactile_cell")
-    assert entry.value == "cell.pytest_plugin"
+    (entry,) = entry_points(group="pytest11", name="tactile-cell")
+    assert entry.value == "pytest_tactile_cell"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hiding", ["cell", "gripper"])
+def test_a_project_with_modules_of_our_names_runs_until_it_wants_a_cell(pytester, hiding) -> None:
+    pytester.makepyfile(**dict.fromkeys((hiding, "motion"), "VALUE = 1"))
+    pytester.makepyfile(
+        f"""
+        import motion, {hiding}
+
+        def test_own(): assert motion.VALUE == {hiding}.VALUE == 1
+        def test_ours(simulated_cell): pass
+        """
+    )
+    result = pytester.runpytest_subprocess("-p", "no:cacheprovider")
+    result.assert_outcomes(passed=1, errors=1)
+    where = pytester.path / f"{hiding}.py"
+    assert "another exception" not in result.stdout.str()
+    result.stdout.fnmatch_lines([f"{where} hides the package '{hiding}' of tactile-cell in *"])
+    contract = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--contract", "sensor")
+    assert contract.ret == pytest.ExitCode.USAGE_ERROR
+    contract.stderr.fnmatch_lines([f"*{where} hides the package '{hiding}' of tactile-cell*"])
 
 
 def test_fixtures_and_options_say_what_they_are(pytester) -> None:
@@ -129,8 +151,9 @@ def test_faults_end_with_the_test_whatever_the_order_of_fixtures(pytester) -> No
     run(pytester).assert_outcomes(passed=2, failed=1)
 
 
+@pytest.mark.slow
 def test_what_the_docs_show_works(pytester) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "how-to" / "test-your-cell.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "test-your-cell.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
     (mark,) = re.findall(r"`(pytest\.mark\.skipif\(.*?\))`", page)
     pytester.makepyfile(f"{code}\n\n@{mark}\ndef test_of_the_simulator(): pass\n")

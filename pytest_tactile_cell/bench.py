@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from cell.config.model import CellConfig
-from cell.pytest_plugin.configs import simulated_config
-from cell.pytest_plugin.faults import FaultRegistry
-from cell.pytest_plugin.options import HardwareOptions
 from cell.simulation import simulator_settings
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, open_line
+from pytest_tactile_cell.configs import simulated_config
+from pytest_tactile_cell.faults import FaultRegistry
+from pytest_tactile_cell.options import HardwareOptions
 from simulator.cell import SimulatedCell
 from tactile.can.bus import CanBus, close_bus, open_bus
 

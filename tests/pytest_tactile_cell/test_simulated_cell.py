@@ -29,6 +29,7 @@ def test_a_cell_grasps_an_object_of_the_test(simulated_cell) -> None:
     assert cell.aperture_m > 0.015
 
 
+@pytest.mark.slow
 def test_the_seed_decides_what_is_measured(simulated_cell) -> None:
     def counts(seed: int) -> Any:
         return simulated_cell(objects=PIN, seed=seed, changes=QUICK).start("pin").grasp().grasp
@@ -65,6 +66,7 @@ def test_a_recording_is_made_on_request(simulated_cell, tmp_path) -> None:
     assert len(read_recording(cell.cell.recording_path).grasps) == 1
 
 
+@pytest.mark.slow
 def test_objects_are_taught_and_told_apart(simulated_cell) -> None:
     short = QUICK | {"sequence.force_n": [2.0, 3.0], "sequence.max_grasps": 2}
     cell = simulated_cell(objects=PIN | {"ball": "sphere:diameter=9.5mm"}, changes=short).start()

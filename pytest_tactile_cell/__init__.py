@@ -1,11 +1,11 @@
 """pytest plugin for tests of cells: simulated cells, real buses, faults.
 
-pytest finds it by the entry point ``tactile_cell`` of the group ``pytest11``. Other test runs stay
-fast: simulator, drivers and numpy are imported when a test requests a fixture. Start at
-`cell.pytest_plugin.fixtures`; docs/how-to/test-your-cell.md shows how to use it.
+pytest finds it by the entry point ``tactile-cell`` of the group ``pytest11``. Other test runs stay
+fast: tactile-cell and its libraries are imported when a test requests a fixture. Start at
+`pytest_tactile_cell.fixtures`; docs/how-to/test-your-cell.md shows how to use it.
 """
 
-from cell.pytest_plugin.fixtures import (
+from pytest_tactile_cell.fixtures import (
     can_bus,
     can_clock,
     cell_bench,
@@ -18,7 +18,7 @@ from cell.pytest_plugin.fixtures import (
     servo_stream,
     simulated_cell,
 )
-from cell.pytest_plugin.options import (
+from pytest_tactile_cell.options import (
     pytest_addoption,
     pytest_configure,
     pytest_generate_tests,

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from cell.config.file import load_config
-from cell.pytest_plugin.process import CellProcessError
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import LED, TORQUE_ENABLE
 from gripper.dynamixel.serial_port import SerialStream
-from tests.cell.pytest_plugin.runs import run
+from pytest_tactile_cell.process import CellProcessError
+from tests.pytest_tactile_cell.runs import run
 
-CONTRACT = Path(__file__).parents[2] / "contract"
+CONTRACT = Path(__file__).parents[1] / "contract"
 
 
 def gone(pid: int) -> bool:
@@ -52,12 +52,13 @@ def test_a_process_serves_both_ports_and_takes_faults(cell_process, inject_fault
         bus.close()
 
 
+@pytest.mark.slow
 def test_processes_end_with_the_test_and_a_dead_one_shows_its_log(pytester) -> None:
     pytester.makepyfile(
         """
         import os, pathlib, signal, time
         import pytest
-        from cell.pytest_plugin.process import CellProcessError
+        from pytest_tactile_cell.process import CellProcessError
 
         def note(cell, name):
             pathlib.Path(name).write_text(f"{cell.pid} {cell.config_path.parent}")
@@ -107,6 +108,7 @@ def test_processes_end_with_the_test_and_a_dead_one_shows_its_log(pytester) -> N
         assert not Path(folder).exists(), name
 
 
+@pytest.mark.slow
 def test_a_process_does_not_outlive_a_test_run_that_is_killed(pytester) -> None:
     pytester.makepyfile(
         """

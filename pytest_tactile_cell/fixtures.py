@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
-from cell.pytest_plugin.faults import FaultHandle, FaultRegistry, FaultTarget
-from cell.pytest_plugin.options import HardwareOptions, config_path
+from pytest_tactile_cell.faults import FaultHandle, FaultRegistry, FaultTarget
+from pytest_tactile_cell.options import HardwareOptions, config_path, refuse_shadows
 
 if TYPE_CHECKING:
     from cell.build import Mover
     from cell.config.model import CellConfig
     from cell.control.positioner import CarryCallback
-    from cell.pytest_plugin.bench import LinkBench
-    from cell.pytest_plugin.process import CellProcess
-    from cell.pytest_plugin.virtual import VirtualCell
     from gripper.clock import Clock
     from gripper.dynamixel.bus import ServoBus
     from gripper.dynamixel.serial_port import ByteStream
+    from pytest_tactile_cell.bench import LinkBench
+    from pytest_tactile_cell.process import CellProcess
+    from pytest_tactile_cell.virtual import VirtualCell
     from tactile.can.bus import CanBus
 
 
@@ -68,8 +68,8 @@ class MakeSimulatedCell:
             If the resulting config is not valid.
         """
         from cell.build import build_cell
-        from cell.pytest_plugin.configs import given_config, simulated_config
-        from cell.pytest_plugin.virtual import VirtualCell
+        from pytest_tactile_cell.configs import given_config, simulated_config
+        from pytest_tactile_cell.virtual import VirtualCell
 
         checked = simulated_config(
             given_config(config, self.config),
@@ -111,8 +111,8 @@ class MakeCellProcess:
         cell.errors.CellError
             If the config is not valid, or the process does not start; its log is in the message.
         """
-        from cell.pytest_plugin.configs import given_config, simulated_config
-        from cell.pytest_plugin.process import CellProcess
+        from pytest_tactile_cell.configs import given_config, simulated_config
+        from pytest_tactile_cell.process import CellProcess
 
         found = given_config(config, self.config)
         cell = CellProcess(simulated_config(found, objects=objects, seed=seed, changes=changes))
@@ -138,14 +138,17 @@ def cell_config(request: pytest.FixtureRequest) -> "CellConfig":
     Without either: the built-in simulated cell. Servo IDs, rates and node of the command line
     are in it. A project can override this fixture in its conftest.py.
     """
+    try:
+        refuse_shadows()
+    except ImportError as error:
+        raise pytest.fail.Exception(str(error), pytrace=False) from None
     from cell.errors import ConfigError
-    from cell.pytest_plugin.configs import config_under_test
+    from pytest_tactile_cell.configs import config_under_test
 
     try:
         return config_under_test(config_path(request.config), HardwareOptions.of(request.config))
     except ConfigError as error:
-        complaint = str(error)
-    pytest.fail(complaint, pytrace=False)
+        raise pytest.fail.Exception(str(error), pytrace=False) from None
 
 
 @pytest.fixture
@@ -165,7 +168,7 @@ def cell_bench(
     Source of servo_bus, servo_stream and can_bus; ``cell_bench.simulated`` has the simulated
     devices.
     """
-    from cell.pytest_plugin.bench import LinkBench
+    from pytest_tactile_cell.bench import LinkBench
 
     bench = LinkBench(cell_config, HardwareOptions.of(request.config), cell_faults)
     yield bench

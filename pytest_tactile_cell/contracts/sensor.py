@@ -17,8 +17,8 @@ from cell.config.sensor import SensorConfig, SensorLines
 from cell.config.tactile import layout_from_config
 from cell.hand.build import frame_source
 from cell.plugins import SENSORS
-from cell.pytest_plugin.configs import simulated_config
 from cell.simulation import open_can_bus, simulation_of
+from pytest_tactile_cell.configs import simulated_config
 from simulator.cell import SimulatedCell
 from tactile.errors import LinkFault, LinkStateError
 from tactile.source import FrameSource, TactileFrame
