@@ -5,8 +5,9 @@ import random
 from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.drive import DriveCharacteristic
@@ -28,8 +29,10 @@ from simulator.servo.gearing import IDEAL_GEARING, Gearing
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
 
-_MESSAGE_S = 0.0015
-"""From a scan to its message in the host: scan 0.6 ms, wire 0.15 ms, a burst's message, adapter."""
+_MESSAGE_S, _FRAME_S = 0.0015, 0.025
+"""From a scan to its message in the host: scan 0.6 ms, wire 0.15 ms, a burst's message, adapter;
+and from a frame to its sample."""
+_FRAME_PERIOD_S = 0.02
 FOAM_N_M, FOAM_N_M2 = 5e3, 4e6
 """Each pad: force = FOAM_N_M d + FOAM_N_M2 d^2 for a depth d in m."""
 CREEP, CREEP_S = 0.08, 0.5
@@ -37,8 +40,7 @@ CREEP, CREEP_S = 0.08, 0.5
 first second. A standard linear solid whose springs are those of the foam; assumptions."""
 _FREE_M = 0.008
 """Way in m of open fingers to the part."""
-_HOLD_S = 1.5
-_SETTLED_S = 0.3
+_HOLD_S, _SETTLED_S = 1.5, 0.3
 _PADS_N, _PADS_N_S = 10.0, 5.0
 """Force in N, and its growth in N/s, with which a cell presses its empty pads on each other."""
 _PADS_GIVE_M = 0.004
@@ -47,8 +49,7 @@ _UNSUPERVISED_M = 0.05
 """Way in m of fingers that run ahead, longer than any here."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class Part(NamedTuple):
     """A part between two foam pads: its width in m and its own stiffness in N/m."""
 
     width_m: float
@@ -76,8 +77,7 @@ class Part:
         return force_n, slope / (2.0 + slope / self.stiffness_n_m)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Truth:
+class Truth(NamedTuple):
     """How the gripper differs from its figures: shares of torque constant and friction, seed."""
 
     kt_error: float
@@ -85,86 +85,66 @@ class Truth:
     seed: int
 
 
-class Sensor(Protocol):
-    """A sensor of the plant: takes the true force, gives samples as the gripper gets them."""
+class PadForces:
+    """Samples of the force on both pads: force messages, or frames.
+
+    Each message has one scan, and a sample is the mean of the messages since the last one, as
+    `tactile.GripForce` makes it. Frames come at 50 Hz; a sample is the mean of three.
+
+    Parameters
+    ----------
+    noise_n
+        Noise in N of a mean of three scans.
+    rate_hz
+        Force messages a second; None: frames.
+    """
+
+    def __init__(self, noise_n: float, seed: int, rate_hz: float | None) -> None:
+        self._random = random.Random(seed)
+        self._scan_sd_n = noise_n * math.sqrt(3.0)
+        self._frames, self._now_s = rate_hz is None, 0.0
+        self._period_s = 1.0 / rate_hz if rate_hz else _FRAME_PERIOD_S
+        self._due_s = self._random.uniform(0.0, self._period_s)
+        self._scans_n: deque[Any] = deque(maxlen=3 if self._frames else 1)
+        self._waiting: deque[tuple[float, ForceSample]] = deque()
+        self._latest: ForceSample | None = None
 
     def measure(self, now_s: float, force_n: float) -> None:
         """Take the force in N on each pad at a time in s."""
-
-    def latest_force(self) -> ForceSample | None:
-        """Return the newest sample; see `gripper.values.force_sensor.ForceSensor`."""
-
-
-class MessageSensor:
-    """Force messages, each of one scan: none is a mean, and none comes twice.
-
-    A sample is the mean of the messages since the last one, as `tactile.GripForce` makes it.
-    """
-
-    def __init__(self, noise_n: float, seed: int, *, rate_hz: float) -> None:
-        self._random = random.Random(seed)
-        self._scan_sd_n = noise_n * math.sqrt(3.0)
-        self._period_s = 1.0 / rate_hz
-        self._due_s = self._random.uniform(0.0, self._period_s)
-        self._waiting: deque[tuple[float, float, tuple[float, float]]] = deque()
-        self._latest: ForceSample | None = None
-        self._now_s = 0.0
-
-    def measure(self, now_s: float, force_n: float) -> None:
         self._now_s = now_s
         while self._due_s <= now_s:
             noise = [self._random.gauss(0.0, self._scan_sd_n) if force_n else 0.0 for _ in (0, 1)]
-            scan = force_n + noise[0], force_n + noise[1]
-            self._waiting.append((self._due_s + _MESSAGE_S, self._due_s, scan))
+            scan_n = np.add(force_n, noise)
+            self._scans_n.append(np.maximum(0.0, scan_n) if self._frames else scan_n)
+            t_s, late_s = (now_s, _FRAME_S) if self._frames else (self._due_s, _MESSAGE_S)
+            sample = ForceSample(t_s=t_s, force_n=_mean(self._scans_n))
+            self._waiting.append((t_s + late_s, sample))
             self._due_s += self._period_s
 
     def latest_force(self) -> ForceSample | None:
-        arrived: list[tuple[float, float, tuple[float, float]]] = []
+        """Return the newest sample; see `gripper.values.force_sensor.ForceSensor`."""
+        arrived: list[tuple[float, ForceSample]] = []
         while self._waiting and self._waiting[0][0] <= self._now_s:
             arrived.append(self._waiting.popleft())
         if arrived:
-            n = len(arrived)
-            newest_s = arrived[-1][0]
-            self._latest = ForceSample(
-                t_s=newest_s,
-                force_n=(sum(a[2][0] for a in arrived) / n, sum(a[2][1] for a in arrived) / n),
-                lag_s=newest_s - sum(a[1] for a in arrived) / n,
-                noise_n=self._scan_sd_n / math.sqrt(2.0 * n),
-            )
+            newest_s, self._latest = arrived[-1]
+            if not self._frames:
+                samples = [sample for _, sample in arrived]
+                self._latest = ForceSample(
+                    t_s=newest_s,
+                    force_n=_mean([sample.force_n for sample in samples]),
+                    lag_s=newest_s - sum(sample.t_s for sample in samples) / len(samples),
+                    noise_n=self._scan_sd_n / math.sqrt(2.0 * len(samples)),
+                )
         return self._latest
 
 
-class FrameSensor:
-    """50 Hz, mean of three frames, 25 ms late; noise of the mean in N."""
-
-    def __init__(self, noise_n: float, seed: int) -> None:
-        self._random = random.Random(seed)
-        self._raw_sd_n = noise_n * math.sqrt(3.0)
-        self._raw: deque[tuple[float, float]] = deque(maxlen=3)
-        self._due_s = self._random.uniform(0.0, 0.02)
-        self._waiting: deque[tuple[float, ForceSample]] = deque()
-        self._latest: ForceSample | None = None
-        self._now_s = 0.0
-
-    def measure(self, now_s: float, force_n: float) -> None:
-        self._now_s = now_s
-        if now_s < self._due_s:
-            return
-        self._due_s += 0.02
-        noise = [self._random.gauss(0.0, self._raw_sd_n) if force_n else 0.0 for _ in (0, 1)]
-        self._raw.append((max(0.0, force_n + noise[0]), max(0.0, force_n + noise[1])))
-        means = [sum(raw[finger] for raw in self._raw) / len(self._raw) for finger in (0, 1)]
-        sample = ForceSample(t_s=now_s, force_n=(means[0], means[1]))
-        self._waiting.append((now_s + 0.025, sample))
-
-    def latest_force(self) -> ForceSample | None:
-        while self._waiting and self._waiting[0][0] <= self._now_s:
-            self._latest = self._waiting.popleft()[1]
-        return self._latest
+def _mean(rows: Any) -> tuple[float, float]:
+    first, second = np.mean(rows, axis=0).tolist()
+    return first, second
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RampQuality:
+class RampQuality(NamedTuple):
     """Overshoot in N, time to settle after the ramp in s, largest error while holding in N.
 
     ``lost`` is True where the gripper did not find the part, took it for lost, or ended with a
@@ -179,7 +159,7 @@ class RampQuality:
     @classmethod
     def not_held(cls, final_n: float) -> "RampQuality":
         """Return the figures of a part that is not held, which should have had a force in N."""
-        return cls(overshoot_n=0.0, settling_s=_HOLD_S, holding_n=final_n, lost=True)
+        return cls(0.0, _HOLD_S, final_n, lost=True)
 
 
 class Rig:
@@ -187,10 +167,9 @@ class Rig:
 
     Parameters
     ----------
-    part, truth, noise_n
-        Part, errors of the gripper's figures, noise of the sensor in N.
-    rate_hz
-        Force messages a second; None: whole frames at 50 Hz alone.
+    part, truth, noise_n, rate_hz
+        Part, errors of the gripper's figures, noise and force messages of the sensor as for
+        `PadForces`.
     gearing, factors
         Gearing of the servos, and factors on friction and torque beside the truth.
     creep
@@ -215,9 +194,7 @@ class Rig:
         supervised: bool = True,
         **settings: Any,
     ) -> None:
-        self._part = part
-        self._creep = creep
-        self._relaxed_n = 0.0
+        self._part, self._creep, self._relaxed_n = part, creep, 0.0
         clock = VirtualClock()
         motors = [ServoMotor(XM430_W350, gearing=gearing) for _ in (0, 1)]
         for motor in motors:
@@ -233,14 +210,12 @@ class Rig:
         )
         eeprom = {"baud_rate": 3, "return_delay_time": 0}
         servos = [
-            SimulatedServo(i + 1, XM430_W350, motor, settings=eeprom)
-            for i, motor in enumerate(motors)
+            SimulatedServo(i, XM430_W350, m, settings=eeprom) for i, m in enumerate(motors, 1)
         ]
         self._device = ServoBusDevice(servos, 1_000_000)
         self._sensor = self._new_sensor(noise_n, truth.seed, rate_hz)
-        self.now_s = 0.0
+        self.now_s = self.force_n = 0.0
         self._trace: list[tuple[float, float]] = []
-        self.force_n = 0.0
         clock.on_advance.append(self._advance)
         usual: dict[str, Any] = {
             "aperture_open_m": max(0.03, open_m),
@@ -252,24 +227,17 @@ class Rig:
             **({} if supervised else {"runaway_travel_m": _UNSUPERVISED_M}),
             "force_max_n": HARD_FORCE_CAP_N,
         }
+        own = tuple(ServoSettings(servo_id=i, direction=d) for i, d in enumerate(directions, 1))
         self.gripper = Gripper(
             ServoBus(MemoryServoStream(self._device, clock), baudrate=1_000_000, clock=clock),
             ParallelLinkage(link_m=0.06),
-            GripperSettings(
-                servos=tuple(
-                    ServoSettings(servo_id=i + 1, direction=direction)
-                    for i, direction in enumerate(directions)
-                ),
-                **(usual | settings),
-            ),
+            GripperSettings(servos=own, **(usual | settings)),
             clock=clock,
             force_sensor=self._sensor,
         )
 
-    def _new_sensor(self, noise_n: float, seed: int, rate_hz: float | None) -> Sensor:
-        if rate_hz is None:
-            return FrameSensor(noise_n, seed)
-        return MessageSensor(noise_n, seed, rate_hz=rate_hz)
+    def _new_sensor(self, noise_n: float, seed: int, rate_hz: float | None) -> PadForces:
+        return PadForces(noise_n, seed, rate_hz)
 
     def _advance(self, now_s: float) -> None:
         dt_s, self.now_s = now_s - self.now_s, now_s
@@ -287,17 +255,9 @@ class Rig:
         self._trace.append((now_s, self.force_n))
 
     def measure_servos(self) -> Mapping[int, DriveCharacteristic]:
-        """Measure both servos as the self-zero of a cell does, without the part.
+        """Measure both servos as the self-zero of a cell does, without the part; by their IDs.
 
-        Returns
-        -------
-        Mapping[int, DriveCharacteristic]
-            The measured servos, by their IDs.
-
-        Raises
-        ------
-        GripperError
-            When the gripper cannot move or measure them.
+        Raises GripperError where the gripper cannot move or measure them.
         """
         self._part = Part(width_m=0.0, stiffness_n_m=math.inf)
         self.gripper.start()
@@ -334,18 +294,22 @@ class Rig:
         if contact_s is None or not ends_s:
             return RampQuality.not_held(final_n)
         tolerance_n = max(0.2, 0.05 * final_n)
-        ramped = [entry for entry in self._trace if entry[0] >= contact_s]
-        after = [(t_s - ends_s[0], n - final_n) for t_s, n in ramped if t_s >= ends_s[0]]
-        outside = [t_s for t_s, error_n in after if abs(error_n) > tolerance_n]
+        errors = [(t_s - ends_s[0], n - final_n) for t_s, n in self._trace if t_s >= contact_s]
+        after = [(t_s, error_n) for t_s, error_n in errors if t_s >= 0.0]
         return RampQuality(
-            overshoot_n=max(0.0, *(force_n - final_n for _, force_n in ramped)),
-            settling_s=max(outside, default=0.0),
+            overshoot_n=max(0.0, *(error_n for _, error_n in errors)),
+            settling_s=max((t_s for t_s, n in after if abs(n) > tolerance_n), default=0.0),
             holding_n=max(abs(error_n) for t_s, error_n in after if t_s >= _SETTLED_S),
         )
 
 
-class _PlainLaw:
-    """A law of force in the place of all modes of the gripper's own, without a model."""
+class PlainPi:
+    """Proportional-integral control of the tactile force, with the set-point fed forward.
+
+    It stands in the place of all modes of the gripper's own, without a model.
+    """
+
+    gain, integral_per_s = 0.4, 6.0
 
     def __init__(self, grip: Grip, now_s: float, *_pad: float) -> None:
         self._grip = grip
@@ -358,30 +322,18 @@ class _PlainLaw:
             return grip.quiet_n
         grip.rate_n_s = (setpoint_n - grip.asked_n) / dt_s if dt_s > 0.0 else 0.0
         grip.asked_n = setpoint_n
-        wanted_n = self._law(dt_s, setpoint_n, period.sample)
+        error_n = setpoint_n - period.sample.grip_n
+        self._integral_n += self.integral_per_s * error_n * dt_s
+        wanted_n = setpoint_n + self.gain * error_n + self._integral_n
         grip.quiet_n = min(max(wanted_n, -period.friction_n), period.drive_max_n)
         return min(grip.quiet_n, period.drive_max_n - period.inertia_n)
 
-    def _law(self, dt_s: float, setpoint_n: float, sample: ForceSample) -> float:
-        raise NotImplementedError
 
-
-class PlainPi(_PlainLaw):
-    """Proportional-integral control of the tactile force, with the set-point fed forward."""
-
-    gain = 0.4
-    integral_per_s = 6.0
-
-    def _law(self, dt_s: float, setpoint_n: float, sample: ForceSample) -> float:
-        error_n = setpoint_n - sample.grip_n
-        self._integral_n += self.integral_per_s * error_n * dt_s
-        return setpoint_n + self.gain * error_n + self._integral_n
-
-
-class PlainFeedForward(_PlainLaw):
+class PlainFeedForward(PlainPi):
     """The current that the servo's figures ask for while the force rises; no sensor."""
 
-    friction_n = XM430_W350.friction_nm / 0.06
+    gain, integral_per_s = 0.0, 0.0
 
-    def _law(self, dt_s: float, setpoint_n: float, sample: ForceSample) -> float:
-        return setpoint_n + self.friction_n
+    def __init__(self, grip: Grip, now_s: float, *_pad: float) -> None:
+        super().__init__(grip, now_s)
+        self._integral_n = XM430_W350.friction_nm / 0.06

@@ -6,11 +6,10 @@ a random share. The cap is broken where the true force is more than `ALLOWED_N` 
 is silent where the grasp ends without a fault. The limits were tuned on the seeds from 9000 on.
 """
 
-import argparse
 import random
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from contextlib import closing
+from typing import Any, NamedTuple
 
 from benchmarks._measure import line, repeats
 from cell.build import build_cell
@@ -80,8 +79,7 @@ def drawn_changes(seed: int) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CapTrial:
+class CapTrial(NamedTuple):
     """Grasp under one config."""
 
     seed: int
@@ -93,8 +91,6 @@ class CapTrial:
     """Cap of the force, and largest true force on a pad, in N."""
     phase: str = ""
     """Phase of the gripper at that force."""
-    slowed: bool = False
-    """Whether a note says that the approach is slower than asked for."""
     error: Exception | None = None
     """What ended the grasp; None where it was done."""
     refused: bool = False
@@ -117,53 +113,39 @@ def trial(seed: int, changes: Mapping[str, Any] | None = None) -> CapTrial:
     """Grasp once with a config that is drawn, and some values changed."""
     draw = random.Random(-seed)
     drawn = drawn_changes(seed) | dict(changes or {})
-    part, cap_n = draw.choice(tuple(_PARTS)), float(drawn["gripper.force_max_n"])
+    found = CapTrial(seed, draw.choice(tuple(_PARTS)), float(drawn["gripper.force_max_n"]))
     try:
         config = changed_config(CellConfig(), drawn)
     except CellError as error:
-        return CapTrial(seed=seed, part=part, cap_n=cap_n, error=error, refused=True)
-    most: tuple[float, str] = (0.0, "")
-    error: Exception | None = None
+        return found._replace(error=error, refused=True)
     with simulation_of(config) as simulated:
         for motor in simulated.devices.mechanics.motors:
             motor.kt_factor = 1.0 + draw.uniform(-_KT_ERROR, _KT_ERROR)
             motor.friction_factor = 1.0 + draw.uniform(-_FRICTION_ERROR, _FRICTION_ERROR)
-        cell = build_cell(config, simulated=simulated)
 
         def look(_now_s: float) -> None:
-            nonlocal most
-            force_n = max(simulated.world.contact_force_n())
-            if force_n > most[0]:
-                most = force_n, cell.controller.hand.phase.value
+            nonlocal found
+            if (true_n := max(simulated.world.contact_force_n())) > found.true_n:
+                found = found._replace(true_n=true_n, phase=cell.controller.hand.phase.value)
 
         simulated.clock.on_advance.append(look)
-        try:
-            cell.controller.start()
-            cell.controller.moves.present(part)
-            cell.controller.grasp(GraspStep(pose=Pose(), force_n=config.sequence.forces_n[1]))
-        except (CellError, GripperError, TactileError) as caught:
-            error = caught
-        finally:
-            cell.close()
-    return CapTrial(
-        seed=seed,
-        part=part,
-        cap_n=cap_n,
-        true_n=most[0],
-        phase=most[1],
-        slowed=bool(config.notes),
-        error=error,
-    )
+        with closing(build_cell(config, simulated=simulated)) as cell:
+            try:
+                cell.controller.start()
+                cell.controller.moves.present(found.part)
+                cell.controller.grasp(GraspStep(pose=Pose(), force_n=config.sequence.forces_n[1]))
+            except (CellError, GripperError, TactileError) as error:
+                found = found._replace(error=error)
+    return found
 
 
-def main(effort: float = 1.0, *, first_seed: int = _FIRST_SEED) -> None:
+def main(effort: float = 1.0) -> None:
     """Search and print what breaks the cap."""
     n = repeats(500, effort, least=5)
-    found = [trial(seed) for seed in range(first_seed, first_seed + n)]
+    found = [trial(_FIRST_SEED + i) for i in range(n)]
     gripped = [one for one in found if not one.refused]
     broken = sorted((one for one in gripped if one.broken), key=lambda one: one.cap_n - one.true_n)
-    line("compared", f"{n} configs from seed {first_seed} on, one grasp each")
-    line("refused", f"{n - len(gripped)}, and {sum(one.slowed for one in gripped)} slowed")
+    line("compared", f"{n} configs from seed {_FIRST_SEED} on, {n - len(gripped)} refused")
     line("not done", f"{sum(one.error is not None for one in gripped)} ended with an error")
     above = sum(isinstance(one.error, ForceAboveCap) for one in gripped)
     line("", f"{above} of them with the force above its cap")
@@ -173,11 +155,3 @@ def main(effort: float = 1.0, *, first_seed: int = _FIRST_SEED) -> None:
         line("", str(one))
     highest = max((one.true_n / one.cap_n for one in gripped), default=0.0)
     line("  ratio", f"the largest true force is {highest:.2f} of its cap")
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Random configs against the cap of the force.")
-    parser.add_argument("--effort", type=float, default=1.0, help="share of the 500 configs")
-    parser.add_argument("--seed", type=int, default=_FIRST_SEED, help="first seed")
-    given = parser.parse_args()
-    main(given.effort, first_seed=given.seed)

@@ -5,19 +5,15 @@ from typing import Any
 
 import pytest
 
-from benchmarks.performance.force_ramps import (
-    STRONG_A,
-    TRUTHS,
-    Setup,
-    measured_drives,
-    true_values,
-)
+from benchmarks.performance._force_plant import Rig, Truth
+from benchmarks.performance.force_ramps import PARTS
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import XM430_W350
 from gripper.errors import ServoFault
 from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.outcome import GraspResult
+from simulator.servo.gearing import MX_64_GEARING
 
 NEVER = (0.7, 0.15)
 """Uncertainties of servos that nobody has measured."""
@@ -191,12 +187,13 @@ def test_figures_that_somebody_has_measured_count() -> None:
 
 @pytest.mark.parametrize("factors", [(1.0, 1.0), (2.0, 0.7), (3.0, 1.0)])
 def test_the_load_of_a_gearing_that_sticks_is_measured_with_its_losses(factors) -> None:
-    setup = Setup(
-        gearing="mx64", measured=True, rate_hz=200.0, factors=factors, current_max_a=STRONG_A
-    )
-    found = measured_drives(setup, TRUTHS[0])
-    assert found is not None
-    true_a_nm = true_values("mx64")[0] / factors[1]
+    truth = Truth(kt_error=0.0, friction_error=0.0, seed=11)
+    part = PARTS["steel ball, 200 N/mm"]
+    settings = {"gearing": MX_64_GEARING, "factors": factors, "current_max_a": 1.6}
+    found = Rig(part, truth, 0.2, rate_hz=200.0, **settings).measure_servos()
+    true_drive = MX_64_GEARING.drive_of(XM430_W350)
+    law = true_drive.friction
+    true_a_nm = (1.0 + sum(law.load)) / (1.0 - sum(law.drive)) / true_drive.kt_nm_a / factors[1]
     for drive in found.values():
         assert drive.rising_a_nm == pytest.approx(true_a_nm, rel=0.15)
         assert abs(drive.rising_a_nm / true_a_nm - 1.0) <= 2.0 * drive.load_sd
