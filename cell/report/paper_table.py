@@ -17,6 +17,3 @@ The paper prints only the errors; the diagonal is the rest of each row's ten tri
 
 TABLE_1_TRIALS = 10
 """Trials of each object in Table 1."""
-
-FIGURE_2 = ((2.0, 650.0), (4.0, 250.0), (6.0, 100.0), (8.0, 50.0))
-"""Points of figure 2: force in N and resistance in kOhm."""

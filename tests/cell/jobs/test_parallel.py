@@ -9,28 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.recognition._posed_grasps import draw_placing, posed_grasp
+from benchmarks.paper.grasps import PAPER_NOISE, random_grasp
 from cell.errors import CellError
 from cell.jobs import parallel
 from cell.jobs.parallel import workers
 from recognition.evaluation.evaluation import Evaluation, evaluate
 from recognition.grasp import Grasp
 from recognition.recognizers import make_trainer
-
-SHAPES = {
-    "ball": "sphere:diameter=9.5mm",
-    "rod": "cylinder:diameter=6mm,length=20mm",
-    "oval": "ellipsoid:length=14mm,diameter=11.7mm",
-    "block": "box:length=15.9mm,width=10mm,height=10mm",
-}
+from simulator.world.shapes import PAPER_OBJECTS
 
 
 @pytest.fixture(scope="module")
 def parts() -> tuple[list[Grasp], list[Grasp]]:
     rng = np.random.default_rng(5)
     grasps = [
-        [posed_grasp(name, shape, draw_placing(rng), i) for i in range(12)]
-        for name, shape in SHAPES.items()
+        [random_grasp(label, rng, PAPER_NOISE, start_ms=i) for i in range(12)]
+        for label in PAPER_OBJECTS
     ]
     return [g for row in grasps for g in row[:6]], [g for row in grasps for g in row[6:]]
 
