@@ -24,7 +24,7 @@ def parts() -> tuple[list[Grasp], list[Grasp]]:
     rng = np.random.default_rng(5)
     grasps = [
         [random_grasp(label, rng, PAPER_NOISE, start_ms=i) for i in range(12)]
-        for label in PAPER_OBJECTS
+        for label in list(PAPER_OBJECTS)[:3]
     ]
     return [g for row in grasps for g in row[:6]], [g for row in grasps for g in row[6:]]
 
