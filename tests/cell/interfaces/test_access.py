@@ -25,7 +25,12 @@ HOLD = struct.pack(">HHHBBHH", 1, 0, 6, 1, 6, 7, 1)
 CALL = b"<methodCall><methodName>hold</methodName></methodCall>"
 HEAD = b"POST /RPC2 HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/xml\r\n"
 HEAD += b"Content-Length: %d\r\n\r\n" % len(CALL)
-INTERFACES = {"modbus": (HOLD, HOLD[:5]), "xmlrpc": (HEAD + CALL, HEAD[:40])}
+PRESS = b"POST /api/hold HTTP/1.1\r\nHost: localhost\r\n\r\n"
+INTERFACES = {
+    "modbus": (HOLD, HOLD[:5]),
+    "xmlrpc": (HEAD + CALL, HEAD[:40]),
+    "http": (PRESS, PRESS[:-2]),
+}
 """A whole request of each interface, and one that never ends."""
 
 
@@ -49,7 +54,7 @@ def answered(link: socket.socket, request: bytes) -> bytes:
     return b""
 
 
-LETS_IN = {"modbus": "modbus.registers", "xmlrpc": "http_server"}
+LETS_IN = {"modbus": "modbus.registers", "xmlrpc": "http_server", "http": "http_server"}
 """Module of each interface that asks who may connect."""
 
 
@@ -58,7 +63,7 @@ def test_other_hosts_are_refused(serve, link, monkeypatch, interface) -> None:
     port = serve(interface).interfaces[f"{interface}_port"]
     monkeypatch.setattr(f"cell.interfaces.{LETS_IN[interface]}.may_connect", lambda *_: False)
     found = answered(link(port, "127.0.0.1"), INTERFACES[interface][0])
-    assert found.startswith(b"HTTP/1.1 403 ") if interface == "xmlrpc" else not found
+    assert found.startswith(b"HTTP/1.1 403 ") if interface != "modbus" else not found
 
 
 @pytest.mark.parametrize("interface", INTERFACES)
@@ -75,7 +80,8 @@ def test_one_address_with_all_places_keeps_no_other_out(serve, link, interface) 
     assert answered(link(port, "127.0.0.3"), request)
     assert answered(quiet, request)  # has kept its place, though it never said a word
     assert answered(link(port, "127.0.0.1"), request)
-    assert answered(heard, request)  # of a crowd those that were heard stay
+    if interface != "http":  # which ends an idle connection after 5 s
+        assert answered(heard, request)  # of a crowd those that were heard stay
 
 
 @pytest.mark.parametrize("interface", INTERFACES)
@@ -90,7 +96,7 @@ def test_half_sent_requests_leave_within_their_time(serve, link, interface) -> N
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="the timers of Linux are looked at")
-@pytest.mark.parametrize("interface", [*INTERFACES, "http"])
+@pytest.mark.parametrize("interface", INTERFACES)
 def test_the_system_asks_whether_a_peer_is_still_there(serve, link, interface) -> None:
     port = serve(interface).interfaces[f"{interface}_port"]
     link(port, "127.0.0.1")

@@ -15,7 +15,6 @@ import pytest
 
 from cell.control.live import LiveValues
 from cell.control.plan import Pose
-from cell.errors import TrainingSetMissing
 from cell.interfaces.modbus import protocol
 from cell.interfaces.modbus.registers import (
     ANSWER_KEPT,
@@ -40,7 +39,6 @@ from tactile.errors import FrameTimeout
 from tests.cell.interfaces.hosts import BlockPlc, Plc
 from tests.cell.interfaces.modbus.structured_text import BLOCK, KEYWORDS, FunctionBlock
 from tests.cell.served import Served
-from tests.values import raising
 from tests.waiting import until
 
 TEACH, IDENTIFY, GRIP, VERIFY, SORT = 20, 21, 22, 23, 24
@@ -162,7 +160,6 @@ def test_a_frozen_life_counter_is_silence(connect) -> None:
     served.service.lease.check_expiry()
     assert "was silent for 61.00 s" in served.ended().error
     assert plc.inputs()[2:4] == [DONE | HOLDING, 11]
-    assert text_of(plc.inputs()).startswith("Release, then go on. stopped because 'Modb")
     # It goes on, and has to adopt the number again.
     assert plc.live() == 0
     assert plc.write(COMMAND_SEQ, plc.seq + 1) == 3
@@ -185,7 +182,6 @@ def test_the_hold_register_is_a_level_of_each_client(connect) -> None:
     assert panel.write(7, 0) == 0
     assert plc.inputs()[2] & ON_HOLD
     assert plc.command(IDENTIFY) == 0  # its block has 0 in register 7
-    assert served.ended().outcome == "SUCCEEDED"
     # A block that is refused holds, too.
     assert panel.write(0, 9, *[0] * 6, 1) == 6
     assert plc.command(IDENTIFY) == 515
@@ -194,9 +190,7 @@ def test_the_hold_register_is_a_level_of_each_client(connect) -> None:
     until(lambda: "gone" in text_of(plc.inputs()))
     assert plc.command(IDENTIFY) == 515
     assert plc.command(CLEAR) == 0
-    assert served.ended(2).task == "clear"
     assert plc.command(IDENTIFY) == 0
-    assert served.ended(3).outcome == "SUCCEEDED"
 
 
 def test_a_fault_has_its_bit_and_a_text_that_fits(connect) -> None:
@@ -207,7 +201,7 @@ def test_a_fault_has_its_bit_and_a_text_that_fits(connect) -> None:
     assert text_of(inputs).startswith("Check the sensor's line; tactile.loss_max_share ")
 
 
-def test_the_last_refusal_has_number_and_text_on_each_connection(connect, monkeypatch) -> None:
+def test_the_last_refusal_has_number_and_text_on_each_connection(connect) -> None:
     served, plc = connect()
     _, second = connect(served)
     assert plc.refusal() == (0, "")
@@ -216,11 +210,6 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(connect, monkey
     plc.adopt()
     assert second.write(LIFE, 5) == 6
     assert second.refusal() == (514, "Modbus 127.0.0.1 is in command; wait until it ends")
-    text = "name the data set that trained the model when it is loaded, or begin without one"
-    with monkeypatch.context() as alone:
-        alone.setattr(served.plugin, "start", raising(TrainingSetMissing(text)))
-        assert plc.command(TEACH, 1) == 517
-    assert plc.refusal() == (517, text[:64])
     for number, refusal, cause in (
         (VERIFY, 505, "the cell is IDLE; allowed: "),
         (RELEASE, 513, "release: 0x0 is not the key; "),
@@ -229,12 +218,11 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(connect, monkey
     ):
         assert plc.command(number) == refusal
         assert plc.refusal()[1].startswith(cause)
+        assert len(plc.refusal()[1]) <= 64
     assert plc.command(GRIP, 0, 60000) == 501
     assert plc.refusal()[1] == "goal grip: force_n: Input should be less than or equal to 50"
-    assert plc.command(VERIFY) == 505
     assert plc.command(GRIP, 0, 300) == 0
-    served.ended()
-    assert plc.refusal()[0] == 505  # until the next one
+    assert plc.refusal()[0] == 501  # until the next one
 
 
 def test_each_start_has_a_number_of_its_own(connect, monkeypatch) -> None:
@@ -246,17 +234,18 @@ def test_each_start_has_a_number_of_its_own(connect, monkeypatch) -> None:
     assert again.inputs()[27] == 4
 
 
-@pytest.mark.parametrize(("code", "objects"), [(1, {0, 1, 2}), (2, {0, 1, 2, 4, 5, 6})])
-def test_the_device_names_itself(connect, code, objects) -> None:
+def test_the_device_names_itself(connect) -> None:
     _, plc = connect()
-    found = plc.link.read_device_information(read_code=code, object_id=0)
-    assert set(found.information) == objects
-    assert found.information[1] == b"tactile-cell"
-    assert found.information[2].decode() == version("tactile-cell")
-    one = plc.link.read_device_information(read_code=4, object_id=2)
-    assert one.information == {2: found.information[2]}
-    assert plc.link.read_device_information(read_code=4, object_id=3).exception_code == 2
-    assert plc.link.read_device_information(read_code=5, object_id=0).exception_code == 3
+
+    def read(code: int, first: int = 0) -> Any:
+        return plc.link.read_device_information(read_code=code, object_id=first)
+
+    assert set(read(1).information) == {0, 1, 2}
+    found = read(2).information
+    assert set(found) == {0, 1, 2, 4, 5, 6}
+    assert (found[1], found[2].decode()) == (b"tactile-cell", version("tactile-cell"))
+    assert read(4, 2).information == {2: found[2]}
+    assert [read(*wrong).exception_code for wrong in ((4, 3), (5, 0))] == [2, 3]
 
 
 def test_a_long_identification_goes_on_in_the_next_answer() -> None:
@@ -277,11 +266,9 @@ def test_a_long_identification_goes_on_in_the_next_answer() -> None:
 
 def test_unknown_commands_objects_and_addresses_are_refused(connect) -> None:
     served, plc = connect(adopt=True)
-    for number in (0, 5, 8, 10, 99, 0x1500, 0x1E00):
+    for number in (0, 5, 8, 10, 0x1500, 0x1E00):
         assert plc.command(number) == 513
     assert plc.command(20, 3) == 513  # two labels
-    assert plc.command(22, 0, 60000) == 501
-    assert plc.command(REACHED, 1) == 513
     assert plc.write(8, 1, 1) == 2
     assert plc.write(9, 1) == 2
     assert plc.link.read_input_registers(132, count=5).exception_code == 2
@@ -292,20 +279,15 @@ def test_unknown_commands_objects_and_addresses_are_refused(connect) -> None:
 
 def test_function_23_writes_then_reads_or_does_neither(connect) -> None:
     served, plc = connect(adopt=True)
-    found = plc.link.readwrite_registers(
-        read_address=0,
-        read_count=9,
-        write_address=1,
-        values=[GRIP, 0, 300, 0, 0, 0, 0, plc.seq + 1],
-    )
-    assert found.registers[1:9] == [GRIP, 0, 300, 0, 0, 0, 0, plc.seq + 1]
-    served.ended()
-    found = plc.link.readwrite_registers(
-        read_address=5,
-        read_count=9,
-        write_address=1,
-        values=[RELEASE, 0, 0, 0, 0, RELEASE_KEY, 0, 9],
-    )
+
+    def write_and_read(read_address: int, *values: int) -> Any:
+        return plc.link.readwrite_registers(
+            read_address=read_address, read_count=9, write_address=1, values=list(values)
+        )
+
+    written = [GRIP, 0, 300, 0, 0, 0, 0, plc.seq + 1]
+    assert write_and_read(0, *written).registers[1:9] == written
+    found = write_and_read(5, RELEASE, 0, 0, 0, 0, RELEASE_KEY, 0, 9)
     assert found.exception_code == 2
     assert (plc.inputs()[5], served.grip_n > 1.0) == (1, True)
 
@@ -329,13 +311,15 @@ def _full(link: socket.socket, data: bytes) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_a_client_that_never_reads_holds_nobody_up(connect) -> None:
     served, plc = connect(adopt=True)
     read = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, 64)
-    with socket.create_connection(("127.0.0.1", served.interfaces["modbus_port"])) as greedy:
+    with socket.socket() as greedy:
         greedy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        greedy.connect(("127.0.0.1", served.interfaces["modbus_port"]))
         greedy.setblocking(False)
-        until(lambda: _full(greedy, read * 5000))
+        until(lambda: _full(greedy, read * 500))
         assert plc.command(GRIP, 0, 300) == 0
         assert served.ended().kept
 
@@ -352,41 +336,43 @@ def block(connect: Any) -> Callable[..., tuple[Served, BlockPlc]]:
 
 
 def test_the_function_block_runs_every_command_of_the_map(block) -> None:
-    served, plc = block(cell={})
+    served, plc = block()
     assert plc.cycle()["Ready"] is False
     assert plc.ready()["Boot"] == served.service.boot
     assert plc.run(IDENTIFY, MaxGrasps=1, Options=KEEP) == (True, 0)
     assert (plc["State"], plc["Outcome"], plc["Holding"], plc["Kept"]) == (17, 4, True, True)
     assert (plc["Answered"], plc["LabelId"], plc["AnswerJob"]) == (True, 1, 1)
-    assert (plc["GripForce"] > 50, plc["GripForceAge"] < 100) == (True, True)
+    assert (plc["GripForce"], plc["GripForceAge"], plc["NotRecorded"]) == (325, 5, False)
     assert plc.run(VERIFY) == (True, 0)
     assert plc.run(RESET) == (False, 505)
     assert plc.run(HOLD) == (True, 0)  # nothing runs: held once, and not Busy for ever
     assert plc.run(RELEASE) == (True, 0)
     assert (plc["Outputs"][6], served.grip_n) == (0, 0.0)
-    assert plc.run(TEACH, Object=2, MaxGrasps=1) == (True, 0)
-    assert plc.run(SORT, Object=1, MaxGrasps=1) == (True, 0)
-    assert plc.run(2, MaxGrasps=1) == (True, 0)
-    fault = served.plugin._cell.simulated.inject("unit.off@contact+50ms")
-    assert plc.run(GRIP, Force=300) == (False, 401)
-    assert (plc["FaultNumber"], plc["State"]) == (401, 9)
-    assert plc.run(VERIFY) == (False, 505)
-    fault.clear()
-    assert plc.run(CLEAR) == (True, 0)
-    assert plc.run(RELEASE) == (True, 0)
-    assert plc.run(RESET) == (True, 0)
-    assert plc.run(STOP) == (True, 0)
+    for goal in ({"Command": TEACH, "Object": 2}, {"Command": SORT}, {"Command": 2}):
+        assert plc.run(goal.pop("Command"), MaxGrasps=1, **goal) == (True, 0)
+    served.plugin.pause()
+    plc.ready().begin(GRIP, Force=300)
+    served.plugin.fail(FrameTimeout("no frame for 0.20 s"))
+    served.plugin.stop_recording("No space left on device")
+    until(lambda: not plc.cycle()["Busy"])
+    assert (plc["Done"], plc["ErrorId"]) == (False, plc["FaultNumber"])
+    assert (plc["FaultNumber"], plc["State"], plc["NotRecorded"]) == (401, 9, True)
+    for command in (CLEAR, RELEASE, RESET, STOP):
+        assert plc.run(command) == (True, 0)
     assert plc["State"] == 2
     assert plc.run(IDENTIFY) == (False, 505)
     assert plc.run(RESET) == (True, 0)  # leaves STOPPED
-    for wrong in (0, 5, 99):
-        assert plc.run(wrong) == (False, 513)
-    assert plc.run(TEACH, Object=9) == (False, 513)
-    assert plc.run(GRIP, Force=60000) == (False, 501)
-    assert plc.run(REACHED, Object=1) == (False, 513)
+    for wrong, number in (
+        *(({"command": one}, 513) for one in (0, 5, 99)),
+        ({"command": TEACH, "Object": 9}, 513),
+        ({"command": GRIP, "Force": 60000}, 501),
+        ({"command": REACHED, "Object": 1}, 513),
+    ):
+        assert plc.run(**wrong) == (False, number)
     assert plc["State"] == 4
 
 
+@pytest.mark.slow
 def test_the_function_block_stays_busy_through_the_poses_of_a_job(block) -> None:
     served, plc = block(cell={}, positioner__kind="callback")
     plc.ready().begin(IDENTIFY, MaxGrasps=1)
@@ -403,10 +389,14 @@ def test_the_function_block_stays_busy_through_the_poses_of_a_job(block) -> None
     plc.begin(REFUSE, Object=until(lambda: plc.cycle()["PoseSeq"]))
     until(lambda: not plc.cycle()["Busy"])
     assert (plc["Done"], plc["ErrorId"], plc["Outcome"]) == (False, 510, 6)
-    # Hold, by the command and by the input, stops what runs.
+
+
+def test_hold_of_the_function_block_stops_what_runs(block) -> None:
+    served, plc = block()
+    # By the command and by the input.
     for stop in ({"Command": HOLD, "Execute": True}, {"HoldNow": True}):
+        served.plugin.pause()
         plc.ready().begin(IDENTIFY, MaxGrasps=1)
-        until(lambda: plc.cycle()["PoseSeq"])
         while plc.cycle(**stop)["Busy"]:
             pass
         assert (plc["Done"], plc["ErrorId"], plc["Outcome"]) == (False, 512, 5)
@@ -484,13 +474,6 @@ def test_an_independent_parser_reads_the_function_block() -> None:
     assert found.returncode == 0, found.stderr[-2000:]
     names = set(FunctionBlock().values)
     assert not {name.upper() for name in names} & KEYWORDS
-
-
-def test_a_recording_that_has_stopped_shows_in_the_function_block(block) -> None:
-    served, plc = block()
-    assert plc.cycle()["NotRecorded"] is False
-    served.plugin.stop_recording("No space left on device")
-    assert plc.cycle()["NotRecorded"] is True
 
 
 def test_swapped_bytes_show_in_the_function_block(connect) -> None:
