@@ -168,7 +168,7 @@ def grasps_of(path: Path, data: bytes) -> tuple[Grasp, ...] | None:
         assert not exploded
 
 
-@bad_input(harm=damages(), sound={"harm": []}, examples=100)
+@bad_input(harm=damages(), sound={"harm": []})
 def test_a_damaged_data_set_is_refused_or_unchanged(tmp_path, harm):
     found = grasps_of(tmp_path / "x.npz", spoilt(good_dataset(), harm))
     right = grasps_of(tmp_path / "good.npz", good_dataset())
@@ -180,7 +180,6 @@ def test_a_damaged_data_set_is_refused_or_unchanged(tmp_path, harm):
     changes=changes,
     method=methods,
     sound={"changes": [], "method": zipfile.ZIP_STORED},
-    examples=100,
 )
 def test_a_data_set_of_other_arrays_is_refused_or_valid(tmp_path, changes, method):
     members = changed(members_of(good_dataset()), changes)
@@ -231,7 +230,7 @@ def loaded(path: Path, data: bytes, kind: str) -> str:
     kind=st.sampled_from(TRAINERS),
     harm=damages(),
     sound={"kind": TRAINERS[0], "harm": []},
-    examples=80,
+    examples=40,
     limit_s=2.0,
 )
 def test_a_damaged_model_is_refused_or_unchanged(tmp_path, kind, harm):
@@ -254,7 +253,7 @@ def forged(members: dict[str, bytes], entries: dict[str, Any]) -> dict[str, byte
     entries=st.none()
     | st.just({})
     | st.dictionaries(st.sampled_from(["format", "trainer", "class", "labels"]), json_values),
-    examples=150,
+    examples=40,
     limit_s=2.0,
 )
 def test_a_model_of_other_arrays_is_refused_or_answers(tmp_path, *, kind, changes, method, entries):

@@ -1,7 +1,6 @@
-"""Bad CAN messages: frames, features, emergencies, a link in operation, SDO at both ends."""
+"""Bad CAN messages: frames, forces, a link in operation, SDO answers."""
 
 import functools
-import struct
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from types import SimpleNamespace
@@ -20,8 +19,7 @@ from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.sdo import ObjectAccess
 from tactile.control_unit.session import LinkSession
 from tactile.control_unit.settings import LinkSettings
-from tactile.control_unit.supervision import NodeSupervisor
-from tactile.errors import NodeEmergency, NodeMissing, TactileError
+from tactile.errors import NodeMissing, TactileError
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
 from tactile.frames.force_stream import ForceStream
@@ -55,7 +53,7 @@ def assert_came(frame: TactileFrame, frame_format: FrameFormat, messages: Iterab
     steps=st.lists(st.sampled_from((1, 1, 1, 0, 2, 4)), max_size=3),
     harm=damages(),
     lengths=st.dictionaries(st.integers(0, 20), st.integers(0, 15), max_size=2),
-    examples=120,
+    examples=80,
 )
 def test_frames_are_made_of_what_came_and_never_go_back(*, size, first, steps, harm, lengths):
     counters = [first + sum(steps[:n]) for n in range(len(steps) + 1)]
@@ -98,21 +96,6 @@ def test_force_messages_are_those_that_came_each_once(sent, harm):
         (statistics.received, statistics.repeated, statistics.late, statistics.damaged)
     )
     return "all are used" if len(taken) == len(messages) else "some are dropped"
-
-
-@bad_input(data=eight | st.binary(max_size=64))
-def test_an_emergency_has_eight_bytes_and_a_text(data):
-    supervisor = NodeSupervisor("the unit", heartbeat_s=0.1)
-    if len(data) != 8 or not any(data[:2]):
-        supervisor.on_emergency(data)
-        assert supervisor.unusable == (len(data) != 8)
-        return "dropped"
-    with pytest.raises(NodeEmergency) as raised:
-        supervisor.on_emergency(data)
-    assert raised.value.code == int.from_bytes(data[:2], "little")
-    assert raised.value.register == data[2]
-    assert raised.value.text
-    return "understood"
 
 
 class QuietBus(can.BusABC):
@@ -199,43 +182,16 @@ class Unit:
         self.sent += [(can_id, data) for data in burst]
         return ready_s
 
-    def answers(self, data: bytes, can_id: int = 0x600 + NODE) -> list[bytes]:
-        """Return the SDO responses to one message."""
+    def answers(self, request: bytes) -> list[bytes]:
+        """Return the SDO responses to a request."""
         self.sent.clear()
-        self.simulated.receive(can_id, data, self.now_s)
-        assert all(len(data) <= 8 for _, data in self.sent)
+        self.simulated.receive(0x600 + NODE, request, self.now_s)
         return [data for can_id, data in self.sent if can_id == 0x580 + NODE]
 
 
 @functools.cache
 def simulated_unit():
     return CellDevices(SimulatorSettings()).unit
-
-
-COMMANDS = (0x40, 0x23, 0x2F, 0x2B, 0x21, 0x20, 0x60, 0x70, 0x00, 0x10, 0x01)
-OBJECTS = (0x1000, 0x1005, 0x1008, 0x1014, 0x1017, 0x1018, 0x1800, 0x1A00)
-
-
-requests = st.builds(
-    lambda command, index, subindex, data: struct.pack("<BHB", command, index, subindex) + data,
-    st.sampled_from(COMMANDS),
-    st.sampled_from(OBJECTS) | st.integers(0x2100, 0x2210) | st.integers(0, 0xFFFF),
-    st.integers(0, 6),
-    st.sampled_from((bytes(4), b"\x01\0\0\0")) | st.binary(min_size=4, max_size=4),
-)
-
-
-@bad_input(
-    other=st.tuples(st.binary(max_size=8), st.sampled_from((0, 0x80)) | st.integers(0, 0x7FF)),
-    requests=st.lists(requests, min_size=1, max_size=6),
-    harm=damages(at_most=2),
-)
-def test_the_simulated_unit_answers_each_request_once_or_not_at_all(other, requests, harm):
-    unit = Unit()
-    unit.answers(*other)
-    answers = [unit.answers(data[:8]) for data in disturbed(requests, harm)]
-    assert all(len(one) <= 1 and all(len(data) == 8 for data in one) for one in answers)
-    return "answered" if any(one and one[0][0] != 0x80 for one in answers) else "refused"
 
 
 def read(bus: QuietBus, index: int, subindex: int, answer: Callable[[bytes], list[bytes]]) -> bytes:
@@ -273,7 +229,7 @@ responses = st.tuples(damages(at_least=1, at_most=1), st.just([]) | st.lists(eig
 @bad_input(
     place=st.sampled_from(PLACES),
     script=st.just([]) | st.lists(responses, min_size=3, max_size=8),
-    examples=120,
+    examples=80,
 )
 def test_an_object_is_read_as_it_came_or_not_at_all(bus, place, script):
     unit, rest, came = Unit(), iter(script), []

@@ -58,7 +58,7 @@ good = (
 requests = st.builds(spoilt, good, damages(at_most=2)) | st.binary(max_size=253)
 
 
-@bad_input(request=requests, examples=400)
+@bad_input(request=requests, examples=150)
 def test_every_request_gets_an_answer_of_its_function_or_an_exception(request):
     memory = Memory()
     found = answer(request, memory)

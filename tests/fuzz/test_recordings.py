@@ -1,4 +1,4 @@
-"""Bad recordings: damaged MCAP files, moved records, and forged messages under right checksums."""
+"""Bad recordings: damaged MCAP files, and forged messages under right checksums."""
 
 import functools
 import json
@@ -152,30 +152,6 @@ def test_a_damaged_recording_is_refused_unchanged_or_salvaged(tmp_path, harm):
     return check(tmp_path, spoilt(good().data, harm))
 
 
-moves = st.tuples(
-    st.sampled_from(["lose", "double", "rename", "spoil"]),
-    st.integers(0, 99),
-    st.integers(0, 255),
-    damages(at_least=1),
-)
-
-
-@bad_input(moves=st.lists(moves, max_size=2), examples=100)
-def test_a_recording_of_other_records_is_refused_unchanged_or_salvaged(tmp_path, moves):
-    records = list(good().records)
-    for kind, number, code, harm in moves:
-        at = number % len(records)
-        if kind == "lose":
-            del records[at]
-        elif kind == "double":
-            records.insert(code % len(records), records[at])
-        elif kind == "rename":
-            records[at] = (code, records[at][1])
-        else:
-            records[at] = (records[at][0], spoilt(records[at][1], harm))
-    return check(tmp_path, file_of(records))
-
-
 Change = tuple[str, int, Any, list[Damage]]
 """Kind, place, value and damage of one change to the JSON of a message."""
 
@@ -223,7 +199,7 @@ def forged(chunk: bytes, changes: dict[int, Change]) -> bytes:
         ),
         max_size=3,
     ),
-    examples=80,
+    examples=60,
 )
 def test_a_recording_of_other_messages_is_read_and_recovered(tmp_path, changes):
     records = [

@@ -44,10 +44,6 @@ def sections() -> list[str]:
     return [section for section in whole if len(section) < 500]
 
 
-def text_of(data: bytes) -> str:
-    return data.decode("utf-8", errors="replace")
-
-
 def put_in(text: str, places: list[tuple[int, int, str]]) -> str:
     """Return the text with pieces put in, instead of some characters."""
     for place, size, piece in places:
@@ -56,21 +52,14 @@ def put_in(text: str, places: list[tuple[int, int, str]]) -> str:
     return text
 
 
-configs = (
-    st.builds(
-        put_in,
-        st.sampled_from(sections()),
-        st.lists(
-            st.tuples(st.integers(0, 999), st.integers(0, 2), st.sampled_from(YAML)), max_size=3
-        ),
-    )
-    | st.lists(st.sampled_from(YAML), min_size=1, max_size=12).map("".join)
-    | st.builds(
-        lambda s, harm: text_of(spoilt(s.encode(), harm)), st.sampled_from(sections()), damages()
-    )
-    | st.dictionaries(st.sampled_from([*CellConfig.model_fields, "x", "1"]), json_values).map(
-        json.dumps
-    )
+configs = st.builds(
+    put_in,
+    st.sampled_from(sections()),
+    st.lists(st.tuples(st.integers(0, 999), st.integers(0, 2), st.sampled_from(YAML)), max_size=3),
+) | st.builds(
+    lambda section, harm: spoilt(section.encode(), harm).decode(errors="replace"),
+    st.sampled_from(sections()),
+    damages(),
 )
 
 
@@ -139,12 +128,10 @@ def assert_heights(shape: Shape) -> None:
     places=st.lists(
         st.tuples(st.integers(0, 99), st.integers(0, 3), st.sampled_from(LENGTHS)), max_size=2
     ),
-    harm=st.just([]) | damages(at_most=2),
-    examples=120,
 )
-def test_a_shape_is_refused_or_has_heights(text, places, harm):
+def test_a_shape_is_refused_or_has_heights(text, places):
     try:
-        shape = parse_shape(text_of(spoilt(put_in(text, places).encode(), harm)))
+        shape = parse_shape(put_in(text, places))
     except SimulatorSettingsError:
         return "refused"
     assert_heights(shape)
@@ -169,7 +156,6 @@ coordinates = st.tuples(
     words=st.lists(counts | coordinates, max_size=2),
     harm=damages(),
     sound={"data": MESHES[0], "words": [], "harm": []},
-    examples=100,
     limit_s=2.0,
 )
 def test_a_mesh_is_refused_or_has_heights(tmp_path, data, words, harm):
@@ -196,30 +182,14 @@ def test_a_mesh_of_other_bytes_is_refused(tmp_path: Path, text: bytes) -> None:
 
 REQUESTS: tuple[dict[str, Any], ...] = (
     {"state": True},
-    {"remove": True},
     {"place": "ball", "pose": {"x_m": 0.001, "rotation_rad": 0.1}},
     {"inject": "can.loss=0.05@2s"},
-    {"clear": "can.loss"},
-    {"inject": "servos.delayed=0.01@contact"},
     {"inject": "taxels.stuck_at=3:5"},
-    {"inject": "servo1.overheat"},
-    {"inject": "unit.emergency=0x8110"},
-    {"play": 0},
-)
-inner = st.dictionaries(st.sampled_from(["x_m", "y_m", "-1", "²", "3"]), json_values, max_size=2)
-whole_requests = st.sampled_from(REQUESTS) | st.builds(
-    lambda request, others: request | others,
-    st.sampled_from(REQUESTS),
-    st.dictionaries(
-        st.sampled_from(["pose", "place", "inject", "clear", "play", "x"]),
-        json_values | inner,
-        max_size=1,
-    ),
 )
 requests = (
     st.builds(
         lambda request, harm: spoilt(json.dumps(request).encode(), harm),
-        whole_requests,
+        st.sampled_from(REQUESTS),
         st.just([]) | damages(),
     )
     | json_values.map(lambda value: json.dumps(value).encode())
@@ -254,16 +224,3 @@ def test_each_request_line_gets_one_reply(tmp_path, lines):
     assert len(found) == sum(bool(line.strip()) for line in data.split(b"\n"))
     assert all(isinstance(reply, dict) for reply in found)
     return "refused" if all("error" in reply for reply in found) else "carried out"
-
-
-@pytest.mark.parametrize(
-    ("data", "reason"),
-    [
-        (b'{"place": "ball", "pose": {"y_m": 1%s}}\n' % (b"0" * 400), "must be a finite number"),
-        (b'{"place": "ball", "pose": {"y_m": 1e308}}\n', "y_m is 1e+308, limit 100 m"),
-    ],
-    ids=["beyond any float", "beyond the cell"],
-)
-def test_requests_beyond_limits_are_refused(tmp_path: Path, data: bytes, reason: str) -> None:
-    (reply,) = replies(tmp_path, data)
-    assert reason in json.loads(reply)["error"]
