@@ -226,6 +226,7 @@ def loaded(path: Path, data: bytes, kind: str) -> str:
     return "unchanged" if same else "another model"
 
 
+@pytest.mark.slow
 @bad_input(
     kind=st.sampled_from(TRAINERS),
     harm=damages(),
@@ -246,6 +247,7 @@ def forged(members: dict[str, bytes], entries: dict[str, Any]) -> dict[str, byte
     return members | {"model.npy": npy_of(np.array(json.dumps(header)))}
 
 
+@pytest.mark.slow
 @bad_input(
     kind=st.sampled_from(TRAINERS),
     changes=changes,

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
 import zstandard
 from hypothesis import strategies as st
 
@@ -188,6 +189,7 @@ def forged(chunk: bytes, changes: dict[int, Change]) -> bytes:
     return start + bytes(4) + len(plain).to_bytes(8, "little") + plain
 
 
+@pytest.mark.slow
 @bad_input(
     changes=st.dictionaries(
         st.integers(0, 99),

@@ -217,7 +217,8 @@ def replies(folder: Path, data: bytes) -> list[bytes]:
     return found.splitlines()
 
 
-@bad_input(lines=st.lists(requests, min_size=1, max_size=2), limit_s=3.0)
+@pytest.mark.slow
+@bad_input(lines=st.lists(requests, min_size=1, max_size=2), examples=40, limit_s=3.0)
 def test_each_request_line_gets_one_reply(tmp_path, lines):
     data = b"\n".join(lines) + b"\n"
     found = [json.loads(reply) for reply in replies(tmp_path, data)]

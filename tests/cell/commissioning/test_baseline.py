@@ -1,6 +1,5 @@
 """Baseline of the wizard: a gauge object, and what has changed since, with the step it affects."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from cell.checks.changes import (
 )
 from cell.checks.findings import STORE_NAME, Verdict
 from cell.commissioning.baseline import BaselineStep, changed_hardware, gauge_again
+from cell.data.formats import COMMISSIONING, write_json
 from cell.errors import CellError
 from simulator.world.taxels import NoiseModel
 from tactile.layout import PadMount, pinch_layout
@@ -134,6 +134,7 @@ def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(one) -> None:
     assert changed_hardware(one.bench) == []
 
 
+@pytest.mark.slow
 def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(stand, tmp_path) -> None:
     one = stand(noise=NoiseModel(level=0.3))
     finding = one.passes(BaselineStep())
@@ -146,8 +147,8 @@ def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(stand, tm
         gauge_again(bench, bench.config, script)
     kept = {"status": "pass", "lines": [], "values": finding.values, "settings": {}}
     entry = kept | {"figures": {}, "began": "", "ended": ""}
-    store = {"version": 1, "steps": {"baseline": entry}, "approved": []}
-    (tmp_path / STORE_NAME).write_text(json.dumps(store))
+    store = {"steps": {"baseline": entry}, "approved": []}
+    write_json(tmp_path / STORE_NAME, COMMISSIONING, store, error=CellError)
     (same,) = gauge_again(bench, bench.config, script)
     assert (same.verdict, same.found) == (Verdict.PASS, "as at commissioning")
     one.cell.inject("servo1.horn=10")

@@ -79,6 +79,7 @@ def test_a_model_of_another_folder_is_in_the_backup_with_its_data_set_and_photos
     assert there(cell.parent / "new") == FILES | added | {CONFIG: (cell / CONFIG).read_bytes()}
 
 
+@pytest.mark.slow
 def test_files_that_the_config_names_elsewhere_are_found_again(
     tmp_path, taught, monkeypatch
 ) -> None:

@@ -11,6 +11,7 @@ from cell.checks.findings import STORE_NAME, Finding, Verdict
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import CONFIG_NAME, Dialog, Engine, Question, Step, WizardAborted
 from cell.config.file import changed_config, config_text, load_config
+from cell.data.formats import COMMISSIONING, write_json
 from cell.errors import CellError, ConfigError
 from gripper.errors import PortLost
 from tests.cell.commissioning.script import Script
@@ -146,12 +147,17 @@ def test_figures_are_kept_as_numbers(tmp_path: Path) -> None:
     assert Engine([step], Bench(tmp_path)).findings["pads"].figures == figures
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"version": 7}', '{"version": 1, "steps": 3}'])
-def test_a_damaged_store_is_named_and_kept(tmp_path: Path, text: str) -> None:
-    (tmp_path / STORE_NAME).write_text(text)
+@pytest.mark.parametrize("content", ["", "{}", "[1]", {"steps": 3}])
+def test_a_damaged_store_is_named_and_kept(tmp_path: Path, content: Any) -> None:
+    path = tmp_path / STORE_NAME
+    if isinstance(content, str):
+        path.write_text(content)
+    else:
+        write_json(path, COMMISSIONING, content, error=CellError)
+    text = path.read_text()
     with pytest.raises(CellError, match="move it away"):
         Engine(steps(), Bench(tmp_path))
-    assert (tmp_path / STORE_NAME).read_text() == text
+    assert path.read_text() == text
 
 
 def test_steps_stand_behind_those_they_need(tmp_path: Path) -> None:

@@ -132,6 +132,7 @@ def test_one_servo_with_a_pinion(stand) -> None:
     assert linkage["pinion_radius_mm"] == pytest.approx(20.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_directions_zero_and_linkage_of_badly_mounted_servos(limp) -> None:
     one = limp("servo2.turned", "servo1.horn=164")
     second_first = {"Open one finger": ("open 1", ""), "open the other": ("open 0", "")}
@@ -153,6 +154,7 @@ def test_directions_zero_and_linkage_of_badly_mounted_servos(limp) -> None:
     assert one.person.script.watched
 
 
+@pytest.mark.slow
 def test_a_wrong_linkage_and_opening_of_the_config_are_named(one) -> None:
     wrong = {
         "gripper.linkage": {"kind": "rack_pinion", "pinion_radius_mm": 40.0},
@@ -178,12 +180,14 @@ def test_a_person_stops_the_first_motion_while_it_runs(one) -> None:
     assert one.torques == [0, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tight", ["close", "open"])
 def test_a_first_motion_begins_with_room_on_both_sides(one, tight) -> None:
     one.passes(STEP, fingers__free=[one.does("empty", tight), one.does("half")])
     assert one.person.script.asked.count("fingers.free") == 2
 
 
+@pytest.mark.slow
 def test_stiff_servos_pass_the_first_motion(one) -> None:
     for motor in one.cell.devices.mechanics.motors:
         motor.friction_factor = 3.0
@@ -198,6 +202,7 @@ def drifting(one: Stand) -> None:
     one.cell.inject("servo1.drift=-0.2")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("happens", "named"),
     [
@@ -218,6 +223,7 @@ def test_a_finger_that_does_not_open_is_named_and_limp(one, happens, named) -> N
     assert one.torques == [0, 0]
 
 
+@pytest.mark.slow
 def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(one) -> None:
     found = one.run(STEP, fingers__opened="no")
     assert found.status is Verdict.FAIL
@@ -225,6 +231,7 @@ def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(one) -> No
     assert one.torques == [0, 0]
 
 
+@pytest.mark.slow
 def test_closed_that_was_confirmed_too_early_is_measured_again(one) -> None:
     found = one.passes(
         STEP,
@@ -243,6 +250,7 @@ def test_closed_that_was_confirmed_too_early_is_measured_again(one) -> None:
     assert script.said.count(script.said[-1]) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("replies", "named"),
     [
@@ -291,6 +299,7 @@ def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(limp) -> None
     assert decided(fit_linkages([on_parallel(m, 0.03) for m in BLOCKS_M]))
 
 
+@pytest.mark.slow
 def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(one) -> None:
     replies: dict[str, Any] = {
         "fingers.on_block2": one.does("block 30"),
@@ -306,12 +315,14 @@ def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(one) -> None
     assert "the residual is above 0.5 mm: measure the blocks again" in "\n".join(found.lines)
 
 
+@pytest.mark.slow
 def test_one_block_is_enough_and_worth_a_word(limp) -> None:
     found = limp().run(STEP, fingers__block2=0.0)
     assert found.status is Verdict.WARN
     assert found.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_leaving_at_each_question_leaves_no_torque(one) -> None:
     one.run(STEP)
     for place in [*one.person.script.asked, "approve"]:

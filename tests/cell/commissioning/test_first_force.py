@@ -1,14 +1,19 @@
 """First force of the wizard: empty, watchdog, 1 N, the cap; nothing moves before it was shown."""
 
 import re
+from collections.abc import Iterator
 
 import pytest
 
-from cell.checks.findings import Verdict
+from cell.checks.findings import Finding, Verdict
 from cell.commissioning.engine import WizardAborted
 from cell.commissioning.first_force import FirstForceStep
 from cell.control.self_zero import kept_zeros
+from gripper.dynamixel.drive import DriveCharacteristic
+from simulator.cell import SimulatedCell
+from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
+from tactile.layout import pinch_layout
 from tests.cell.commissioning.conftest import MakeStand, Stand
 
 STEP = FirstForceStep()
@@ -20,8 +25,19 @@ def one(stand: MakeStand) -> Stand:
     return stand(noise=NoiseModel(level=0.3))
 
 
-def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(one) -> None:
-    finding = one.passes(STEP)
+@pytest.fixture(scope="module")
+def grasped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stand, Finding]]:
+    """A cell after its first grasp, whose pads were checked with weights, and what was found."""
+    noise = NoiseModel(level=0.3)
+    settings = SimulatorSettings(layout=pinch_layout(), aperture_m=0.014, noise=noise)
+    with SimulatedCell(settings) as cell:
+        one = Stand(cell, tmp_path_factory.mktemp("grasped"))
+        one.bench.found["pads_law"] = {"factor": 1.0}
+        yield one, one.passes(STEP)
+
+
+def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> None:
+    one, finding = grasped
     (first, four) = finding.values["asked_held_peak_n"]
     assert first[:2] == pytest.approx([1.0, 1.0], abs=0.1)
     assert four == pytest.approx([4.0, 4.0, 4.0], abs=0.4)
@@ -32,21 +48,22 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(one) -> None:
     assert finding.figures["force"]["limits"] == {"cap": 15.0}
 
 
-@pytest.mark.parametrize("with_weights", [True, False])
-def test_what_it_measures_of_the_servos_is_kept_for_the_cell(one, with_weights) -> None:
-    if with_weights:
-        one.bench.found["pads_law"] = {"factor": 1.0}
-    one.passes(STEP)
+def kept_drives(one: Stand) -> list[DriveCharacteristic]:
+    """Return what is kept of both servos for the cell."""
     config = one.bench.config
     kept = kept_zeros(config, one.bench.folder / config.recording.directory, new_hand=False)
     assert len(kept.drives) == 2
-    for drive in kept.kept_drives(dict.fromkeys(kept.drives, 0)).values():
+    return list(kept.kept_drives(dict.fromkeys(kept.drives, 0)).values())
+
+
+def test_what_it_measures_of_the_servos_is_kept_for_the_cell(grasped) -> None:
+    for drive in kept_drives(grasped[0]):
         assert drive.measured
         assert drive.load_sd < 0.1
-        assert (drive.kt_per_back_emf is not None) is with_weights
+        assert drive.kt_per_back_emf is not None
 
 
-@pytest.mark.parametrize("watchdog_ms", [100.0, 500.0])
+@pytest.mark.parametrize("watchdog_ms", [pytest.param(100.0, marks=pytest.mark.long), 500.0])
 def test_the_self_test_of_the_watchdog_closes_no_further_than_was_shown(one, watchdog_ms) -> None:
     one.knows(gripper__watchdog_ms=watchdog_ms)
     opened_m = []
@@ -75,6 +92,8 @@ def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_t
     finding = one.run(STEP)
     assert one.person.script.asked[2] == "fingers.held"
     assert finding.status is Verdict.PASS, finding.lines
+    # Without weights on the pads the constant of the motor is not kept.
+    assert all(drive.kt_per_back_emf is None for drive in kept_drives(one))
 
 
 @pytest.mark.parametrize("moment", ["while they open", "while they grasp"])
@@ -100,6 +119,7 @@ def test_a_person_stops_a_motion_while_it_runs(one, moment) -> None:
     assert one.torques == ([1, 1] if grasps else [0, 0])
 
 
+@pytest.mark.slow
 def test_fingers_that_find_no_part_fail_the_step(one) -> None:
     finding = one.run(STEP, first_force__part=lambda: None)
     assert finding.status is Verdict.FAIL
@@ -107,6 +127,7 @@ def test_fingers_that_find_no_part_fail_the_step(one) -> None:
     assert one.torques == [0, 0]
 
 
+@pytest.mark.slow
 def test_a_gripper_without_pads_presses_by_current(one) -> None:
     one.cell.inject("unit.off")
     one.bench.found = {"unit": {"gripper_alone": True}}

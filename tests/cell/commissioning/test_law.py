@@ -45,6 +45,7 @@ def test_a_law_that_is_off_is_named_and_set_right(paper: MakeStand, felt: float)
     assert f"tactile.calibration.gain was 1, is now {gain:.3g}" in finding.lines[-1]
 
 
+@pytest.mark.slow
 def test_loads_that_were_typed_outlast_an_error_of_the_unit(paper: MakeStand) -> None:
     one = paper()
 

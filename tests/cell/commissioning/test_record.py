@@ -38,6 +38,7 @@ class Writing(Asking):
         super().run(bench, dialog, notes)
 
 
+@pytest.mark.slow
 def test_the_record_has_steps_writes_pictures_and_a_place_to_sign(tmp_path: Path) -> None:
     pads_step = Asking("pads", figures={"ramp": RAMP, "noise": NOISE})
     walk = [Writing("servos", settings=REAL), pads_step]

@@ -96,12 +96,8 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ),
         ("gripper:\n  servos:\n    - id: 1\n    - id: 1\n", ["gripper", "[1, 1] repeat"]),
         ("gripper:\n  linkage: {kind: rack_pinion}\n", ["pinion_radius_mm", "required"]),
-        ("gripper:\n  aperture_min_mm: 50\n", ["below", "aperture_open_mm"]),
         ("gripper:\n  contact_force_n: 4\n  force_max_n: 3\n", ["contact_force_n", "force_max_n"]),
-        ("gripper:\n  force_max_n: 5\n", ["sequence asks for 8 N", "force_max_n = 5 N"]),
         ("gripper:\n  force_max_n: 8.2\n", ["sequence asks for 8 N", "ramps up to 7.81 N"]),
-        ("gripper:\n  contact_force_n: 2.5\n", ["asks for 2 N", "contact_force_n = 2.5 N"]),
-        ("gripper:\n  force_max_n: 51\n", ["gripper.force_max_n", "50"]),
         (
             "gripper: {approach_speed_mm_s: 4.0, contact_timeout_s: 1.0}\n",
             [
@@ -153,7 +149,7 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ("gripper:\n  baud_rate: 1\nseed: -1\n", ["baud_rate", "\n", "cell.yaml:3:1: seed"]),
         ("name: [\n", ["not YAML"]),
         ("name: !!python/object:os.system x\n", ["not YAML"]),
-        ("name: " + "[" * 3000 + "]" * 3000 + "\n", ["not YAML", "recursion"]),
+        ("name: " + "[" * 1000 + "]" * 1000 + "\n", ["not YAML", "recursion"]),
     ],
 )
 def test_complaints_name_line_key_and_limit(text, parts) -> None:

@@ -20,7 +20,7 @@ from tactile.control_unit.object_dictionary import UnitTareResult
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
 from tactile.frames.force_message import decode_force_message
-from tactile.layout import TaxelLayout, paper_layout, pinch_layout
+from tactile.layout import TaxelLayout, paper_layout
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.opening import force_table
 from tactile.source import ForceMessage, ForceStatus, FrameStatus, TactileFrame
@@ -172,24 +172,6 @@ def test_a_reset_brings_one_boot_up_and_the_defaults_back(line, command) -> None
     assert line.frame().counter == (1 if kept else 0)
 
 
-@pytest.mark.parametrize("layout", [paper_layout(), pinch_layout()], ids=["paper", "pinch"])
-def test_each_sync_brings_one_whole_frame(layout) -> None:
-    line = Line(layout)
-    line.start()
-    line.skin.counts[:] = np.arange(layout.n_taxels) * 7 % (layout.adc_max + 1)
-    for counter in range(3):
-        frame = line.frame()
-        assert frame.counter == counter
-        assert np.array_equal(frame.counts, line.skin.counts)
-        assert frame.status == FrameStatus.SATURATED * bool(
-            line.skin.counts.max() == layout.adc_max
-        )
-    assert line.skin.scans == 3
-    samples = np.frombuffer(line.read(od.LAST_FRAME), f"<u{layout.sample_bytes}")
-    assert np.array_equal(samples, frame.counts)
-    assert line.number(od.LAST_FRAME_COUNTER) == frame.counter
-
-
 def test_frames_follow_each_nth_sync_of_the_identifier_that_is_set(line) -> None:
     with pytest.raises(canopen.SdoAbortedError, match="08000024"):
         line.read(od.LAST_FRAME)
@@ -232,13 +214,6 @@ def test_table_and_zero_need_a_right_checksum_and_can_be_read_back(line) -> None
     damaged = bytes((table[0] ^ 1,)) + table[1:]
     assert line.write(od.FORCE_TABLE, 0, damaged) == 0x0609_0030
     assert line.read(od.FORCE_TABLE) == table
-
-
-def test_the_identity_is_that_of_the_settings() -> None:
-    line = Line(settings=ControlUnitSettings(serial_number=4711, identity={1: 0xBAD}))
-    assert line.number(od.IDENTITY, od.IDENTITY_SERIAL) == 4711
-    assert line.number(od.IDENTITY, od.IDENTITY_VENDOR) == 0xBAD
-    assert line.number(od.IDENTITY, od.IDENTITY_PRODUCT) == od.PRODUCT_CODE
 
 
 def test_an_emergency_is_sent_and_remembered(line) -> None:
@@ -329,8 +304,6 @@ def test_a_touched_or_restless_skin_gives_no_zero(line, counts, result) -> None:
 @pytest.mark.parametrize(
     ("index", "sub", "value", "size", "code"),
     [
-        (0x7000, 0, 1, 4, 0x0602_0000),
-        (0x1018, 9, 1, 4, 0x0609_0011),
         (0x1017, 1, 1, 2, 0x0609_0011),
         (0x1017, 0, 1, 4, 0x0607_0010),
         (0x2130, 3, 0, 1, 0x0609_0032),
@@ -369,12 +342,10 @@ def test_the_mapping_can_be_written_again_but_not_changed(line) -> None:
 @pytest.mark.parametrize(
     ("requests", "code"),
     [
-        (["60 00 00 00 00 00 00 00"], 0x0504_0001),
         (["00 00 00 00 00 00 00 00"], 0x0504_0001),
         (["C2 17 10 00 02 00 00 00"], 0x0504_0001),
         (["40 08 10 00 00 00 00 00", "70 00 00 00 00 00 00 00"], 0x0503_0000),
         (["40 30 21 01 00 00 00 00"], 0x0601_0001),
-        (["40 17 10 01 00 00 00 00"], 0x0609_0011),
     ],
 )
 def test_wrong_sdo_requests_are_aborted_and_leave_the_server_working(line, requests, code) -> None:

@@ -7,7 +7,7 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 from motion import object_dictionary as od
-from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, State, Status
+from motion.object_dictionary import Control, HomingMethod, State, Status
 from simulator.can.drive import DriveMount, SimulatedDrive
 
 NODE = 11
@@ -172,13 +172,6 @@ def test_what_it_does_not_have_is_refused(bench, write, code) -> None:
     assert caught.value.code == code
 
 
-def test_a_stopped_node_serves_nothing(bench) -> None:
-    bench.witness.nmt.state = "STOPPED"
-    bench.seen.clear()
-    bench.drive.receive(0x600 + NODE, bytes.fromhex("4041600000000000"), bench.now_s)
-    assert bench.seen == []
-
-
 @pytest.mark.parametrize("option", [0, od.STOP_WHEN_HOST_IS_LOST])
 def test_a_node_that_is_stopped_on_its_way_brakes_where_6007h_asks_for_it(bench, option) -> None:
     sdo = enabled(bench.witness)
@@ -186,15 +179,3 @@ def test_a_node_that_is_stopped_on_its_way_brakes_where_6007h_asks_for_it(bench,
     bench.witness.nmt.send_command(2)
     braked = option == od.STOP_WHEN_HOST_IS_LOST
     assert (bench.drive.state is State.QUICK_STOP_ACTIVE) is braked
-
-
-def test_a_restart_is_seen_and_forgets_all(bench) -> None:
-    sdo = enabled(bench.witness)
-    sdo[od.HEARTBEAT_MS].raw = 100
-    bench.seen.clear()
-    bench.witness.nmt.send_command(129)
-    bench.let_pass(0.1)
-    assert (0x700 + NODE, b"\0") in bench.seen
-    assert bench.drive.state is State.SWITCH_ON_DISABLED
-    assert sdo[od.HEARTBEAT_MS].raw == 0
-    assert sdo[od.MODE].raw == ModeOfOperation.NONE

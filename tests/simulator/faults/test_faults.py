@@ -13,7 +13,7 @@ from simulator.boards.uskin import UskinBoard, UskinSettings
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
-from simulator.faults.entry import FaultKind, Setting
+from simulator.faults.entry import Setting
 from simulator.faults.injector import VOCABULARY, check_fault
 from simulator.faults.text import parse_fault
 from simulator.servo.firmware import WatchdogStop
@@ -93,21 +93,12 @@ def test_what_is_no_fault_is_refused_and_changes_nothing(cell, text, complaint) 
 
 
 @given(st.text(max_size=60) | st.from_regex(r"(can|unit|servo1)\.[a-z]+=?[0-9.@a-z+s]*"))
-@settings(max_examples=300)
+@settings(max_examples=60)
 def test_any_text_is_a_fault_or_refused(text) -> None:
     try:
         check_fault(text)
     except SimulatorSettingsError:
         return
-
-
-def test_every_entry_says_what_it_is() -> None:
-    assert {entry.kind for entry in VOCABULARY.values()} == set(FaultKind)
-    for name, entry in VOCABULARY.items():
-        assert name == entry.name
-        assert entry.meaning
-        assert entry.value is None or entry.value.text
-        assert entry.moment or entry.knob
 
 
 @pytest.mark.parametrize(

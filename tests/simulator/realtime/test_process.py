@@ -221,15 +221,6 @@ def test_a_stall_is_caught_up_in_pieces_or_left_out(stepped: Stepped) -> None:
     assert len(steps) <= round(PIECE_S / 1e-3) + 1
 
 
-def test_a_client_that_does_not_read_does_not_hold_up_the_cell(stepped: Stepped) -> None:
-    with terminal(stepped.hello["can_channel"]) as line:
-        os.write(line, b"O\rt00020105\r")
-        for _ in range(30):
-            os.write(line, b"t0800\r")
-            stepped.run(0.01)
-        assert b"t185800" in received(line)
-
-
 def test_folders_that_cannot_be_used_are_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(EndpointError, match="cannot be made"):

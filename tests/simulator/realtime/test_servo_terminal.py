@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from simulator.errors import SimulatorStateError
 from simulator.realtime.terminals import ServoPty
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.protocol2 import Instruction, encode_instruction
@@ -52,16 +51,6 @@ def drain(descriptor: int) -> bytes:
         return os.read(descriptor, 4096)
     except BlockingIOError:
         return b""
-
-
-def assert_answers(endpoint: ServoPty) -> None:
-    """Fail unless a ping of a new client is answered."""
-    descriptor = open_client(endpoint)
-    os.write(descriptor, PING)
-    endpoint.poll(1.0)
-    endpoint.poll(2.0)
-    assert len(drain(descriptor)) == 14
-    os.close(descriptor)
 
 
 def test_a_packet_that_waited_feeds_the_watchdog(endpoint, device, client):
@@ -105,25 +94,6 @@ def test_a_client_that_never_reads_does_not_block(endpoint, client):
     while drain(client):
         due_s = endpoint.poll(300.0)
     assert due_s is None
-
-
-def test_unplugging_breaks_client_and_link_and_plugging_in_mends_them(endpoint, device, client):
-    old = os.readlink(endpoint.path)
-    os.write(client, PING)
-    endpoint.poll(1.0)
-    endpoint.unplug()
-    assert not endpoint.plugged_in
-    assert not os.path.lexists(endpoint.path)
-    assert endpoint.poll(2.0) is None
-    with pytest.raises(OSError, match=os.strerror(errno.EIO)):
-        os.write(client, PING)
-    with pytest.raises(SimulatorStateError, match="unplugged"):
-        endpoint.fileno()
-    assert device.next_event_s() is None
-    assert old.startswith("/dev/")
-    endpoint.plug_in()
-    endpoint.plug_in()
-    assert_answers(endpoint)
 
 
 def test_closing_gives_everything_back(device, tmp_path):

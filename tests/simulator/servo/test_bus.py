@@ -43,18 +43,6 @@ def test_group_instructions_cut_off_are_passed_over(bench, instruction: int, par
     assert [bench.read(i, 65, 1) for i in (1, 2)] == [0, 0]
 
 
-def test_status_packets_and_unused_ids_are_passed_over(bench):
-    assert bench.exchange(encode_status(1, 0)) == b""
-    assert bench.exchange(encode_instruction(253, Instruction.PING)) == b""
-
-
-def test_a_damaged_packet(bench):
-    raw = bytearray(encode_instruction(1, Instruction.WRITE, bytes((65, 0, 1))))
-    raw[-1] ^= 0x40
-    assert bench.exchange(bytes(raw)) == encode_status(1, 3)
-    assert bench.read(1, 65, 1) == 0
-
-
 # Wire time
 
 
@@ -191,14 +179,6 @@ def test_servos_with_the_same_id_answer_at_once(bench):
 
 
 # The stream in memory
-
-
-def test_drop_input_drops_what_has_arrived_only(bench):
-    bench.stream.write(PING)
-    bench.clock.sleep(0.001)
-    bench.stream.write(encode_instruction(2, Instruction.PING))
-    bench.stream.drop_input()
-    assert bench.stream.read(64, 0.01)[4] == 2
 
 
 def test_unplugged_and_plugged_in_again(bench):

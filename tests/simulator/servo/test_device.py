@@ -27,14 +27,11 @@ def test_factory_values(servo_bench, model):
     [
         (0, 2, 1, ACCESS),
         (71, 1, 0, ACCESS),
-        (14, 1, 0, ACCESS),
         (690, 1, 0, ACCESS),
         (65000, 2, 0, ACCESS),
         (117, 1, 0, LENGTH),
-        (102, 2, 1193, 0),
         (102, 2, -1193, 0),
         (102, 2, -1194, LIMIT),
-        (100, 2, 886, LIMIT),
         (104, 4, -351, LIMIT),
         (116, 4, 4095, 0),
         (116, 4, 4096, LIMIT),
@@ -42,9 +39,7 @@ def test_factory_values(servo_bench, model):
         (9, 1, 254, 0),
         (9, 1, 255, RANGE),
         (11, 1, 2, RANGE),
-        (38, 2, 1194, RANGE),
         (98, 1, -1, RANGE),
-        (84, 2, 16384, RANGE),
         (112, 4, 32767, 0),
         (112, 4, 32768, RANGE),
     ],
@@ -106,20 +101,6 @@ def test_the_secondary_id_is_obeyed_in_silence(bench):
     raw = encode_instruction(77, Instruction.WRITE, bytes((65, 0, 1)))
     assert bench.exchange(raw) == b""
     assert bench.read(1, 65, 1) == 1
-
-
-def test_a_new_id_answers_once_under_the_old_one(bench):
-    assert bench.write(1, 7, 1, 9) == 0
-    assert bench.exchange(encode_instruction(1, Instruction.PING)) == b""
-    assert bench.ask(9, Instruction.PING)[0] == 0
-
-
-def test_a_new_baud_rate_ends_the_conversation(bench):
-    assert bench.write(1, 8, 1, 4) == 0
-    assert bench.exchange(encode_instruction(1, Instruction.PING)) == b""
-    bench.device.baudrate = 2_000_000
-    assert bench.ask(1, Instruction.PING)[0] == 0
-    assert bench.exchange(encode_instruction(2, Instruction.PING)) == b""
 
 
 def test_writing_the_mode_resets_gains_profiles_and_goals(bench):

@@ -56,20 +56,6 @@ def test_position_mode_reaches_its_goal_and_says_so(servo_bench):
     assert bench.read(1, 140, 4) == goal
 
 
-@pytest.mark.parametrize("goal", [-40, 40])
-def test_present_pwm_is_the_voltage_of_current_and_speed(servo_bench, goal: int):
-    bench = servo_bench(settings={"operating_mode": 1})
-    bench.write(1, 64, 1, 1)
-    assert bench.write(1, 104, 4, goal) == 0
-    bench.clock.sleep(0.2)
-    shown = [bench.read(1, *item, signed=True) for item in ((124, 2), (126, 2), (128, 4), (144, 2))]
-    pwm, current_a, speed_rad_s, supply_v = shown[0], 2.69e-3 * shown[1], 0.023981 * shown[2], 12.0
-    assert shown[3] == 10 * supply_v
-    voltage_v = 5.2174 * current_a + 2.3555 * speed_rad_s
-    assert abs(pwm) > 100
-    assert pwm == pytest.approx(885 * voltage_v / supply_v, abs=4)
-
-
 @pytest.mark.parametrize(
     ("mode", "goal_item", "goal", "shown_item"),
     [(0, (102, 2), -80, (126, 2)), (1, (104, 4), -40, (128, 4)), (16, (100, 2), -200, (124, 2))],

@@ -109,15 +109,6 @@ def test_a_fifth_of_the_stall_current_warms_by_15_degrees(motor):
     assert motor.load_excess_s == 0.0
 
 
-def test_heating_grows_with_the_square_of_the_current():
-    def rise_c(current_a: float) -> float:
-        motor = ServoMotor()
-        stall(motor, DriveCommand(DriveMode.CURRENT, current_a=current_a), 2.0)
-        return motor.temperature_c - AMBIENT_C
-
-    assert rise_c(1.0) == pytest.approx(4.0 * rise_c(0.5), rel=0.02)
-
-
 def test_941_ma_at_stall_overloads_after_about_5_s(motor):
     motor.drive(DriveCommand(DriveMode.CURRENT, current_a=0.941))
     elapsed_s = 0.0

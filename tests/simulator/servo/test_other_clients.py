@@ -48,12 +48,8 @@ def registers(driver: Any, servo_id: int) -> Any:
     return driver.bench.servos[servo_id - 1].core.registers
 
 
-def test_ping_and_scan(rusty: Any) -> None:
+def test_a_ping_and_sync_reads_of_bytes_like_a_header(driver: Any, rusty: Any) -> None:
     assert rusty.ping(1)
-    assert rusty.scan([1, 2]) == {1: 1020, 2: 1020}
-
-
-def test_sync_reads_of_positions_and_of_what_looks_like_a_header(driver: Any, rusty: Any) -> None:
     for block, servo_id in zip(rusty.sync_read_raw_data([1, 2], 126, 10), (1, 2), strict=True):
         assert int.from_bytes(bytes(block)[6:], "little") == present(driver, servo_id)
     assert rusty.write_raw_data_with_error(1, 116, list(LOOKS_LIKE_A_HEADER)) == 0

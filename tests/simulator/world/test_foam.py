@@ -72,23 +72,6 @@ def test_the_stiffness_is_the_slope_of_the_force() -> None:
     assert table.lookup(-1.0) == (0.0, 0.0)
 
 
-def test_an_object_is_placed_before_any_of_its_forces_is_worked_out(monkeypatch) -> None:
-    """In real time the buses wait while it is placed."""
-    depths_m: list[float] = []
-    law = Foam.pressure_pa
-
-    def counted(foam: Foam, indentation_m: np.ndarray) -> np.ndarray:
-        depths_m.append(indentation_m.max())
-        return law(foam, indentation_m)
-
-    monkeypatch.setattr(Foam, "pressure_pa", counted)
-    table = ForceTable(FOAM, np.full((10, 10), 4e-3), 1e-6)
-    assert depths_m == []
-    for _ in range(2):
-        table.lookup(0.505e-3)
-        assert depths_m == pytest.approx([0.5e-3, 0.51e-3])
-
-
 def test_a_surface_beside_the_pad_is_refused() -> None:
     with pytest.raises(SimulatorSettingsError, match="beside the pad"):
         ForceTable(FOAM, np.full((3, 3), -np.inf), 1e-6)

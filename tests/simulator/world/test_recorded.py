@@ -40,16 +40,6 @@ def test_a_frame_that_was_handed_out_is_nobody_elses() -> None:
     assert world.scan()[0] == 1
 
 
-def test_time_passes_for_the_servos() -> None:
-    fingers = HandMovedFingers()
-    world = RecordedWorld(LAYOUT, fingers, start_s=1.0)
-    world.advance_to(1.0255)
-    assert fingers.steps == [((0.0, 0.0), (0.0, 0.0))] * 25
-    world.skip_to(2.0)
-    world.advance_to(2.001)
-    assert len(fingers.steps) == 26
-
-
 @pytest.mark.parametrize(
     ("counts", "aperture_m", "message"),
     [

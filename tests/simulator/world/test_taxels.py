@@ -58,12 +58,6 @@ def test_the_grid_is_fine_and_divides_the_taxels_evenly() -> None:
     assert grid.x_m.size * step_m == pytest.approx(pad.rows * pad.pitch_x_m)
 
 
-def test_an_even_pressure_stays_even() -> None:
-    grid = PressureGrid(paper_layout().pads[0], Foam())
-    force_n = grid.taxel_force_n(np.full((grid.x_m.size, grid.y_m.size), 1e4), grid.shares(ALL))
-    assert force_n == pytest.approx(np.full(64, 1e4 * 0.055 * 0.02 / 64), rel=1e-3)
-
-
 def test_a_point_spreads_as_a_gaussian() -> None:
     pad = pinch_layout().pads[0]
     grid = PressureGrid(pad, Foam(spread_m=1.5e-3))
