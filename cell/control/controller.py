@@ -192,7 +192,7 @@ class CellController:
         self.hand.stop_sensor()
         self.journal.note("release", "on request, before the start")
         with self.life.latching_faults():
-            report = self.hand.release()
+            report = self.hand.release(self._watch.motion)
             self.life.complete()
         return report
 

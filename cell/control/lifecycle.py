@@ -94,6 +94,8 @@ class CellLifecycle:
     """Faults so far, by their numbers."""
     cancelled: bool = False
     """Whether a requested stop is pending."""
+    interrupted: bool = False
+    """Whether the program ends: each sequence is stopped."""
     stop_reason: str = ON_REQUEST
     """Who or what requested the last stop."""
     _kept: tuple[float, str] | None = None
@@ -202,9 +204,17 @@ class CellLifecycle:
         self.cancelled = True
         self.hand.request_stop()
 
+    def interrupt(self) -> None:
+        """Stop the running sequence and each later one, before the program ends.
+
+        Safe from any thread and in signal handlers.
+        """
+        self.interrupted = True
+        self.cancel()
+
     def forget_cancel(self) -> None:
         """Withdraw a pending `cancel`: the sequence that it was meant for is over."""
-        self.cancelled = False
+        self.cancelled = self.interrupted
 
     def check_cancelled(self) -> None:
         """Raise GraspStopped if a stop was requested, during a motion of the hand."""
@@ -214,7 +224,7 @@ class CellLifecycle:
     def obey_cancel(self, when: str) -> None:
         """Raise CellStopped if a stop was requested while the hand does not move."""
         if self.cancelled:
-            self.cancelled = False
+            self.forget_cancel()
             raise CellStopped(f"stopped {self.stop_reason} {when}")
 
     def obey_cancel_between(self) -> None:
@@ -278,7 +288,7 @@ class CellLifecycle:
                 self._hold()
                 raise
         except GraspStopped as stop:
-            self.cancelled = False
+            self.forget_cancel()
             raise CellStopped(f"stopped {self.stop_reason}; {self._left(stop)}") from stop
         except PositionerError as error:
             # An unreached pose is no fault of the cell: its fingers are open and empty.

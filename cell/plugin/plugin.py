@@ -12,6 +12,7 @@ import warnings
 import weakref
 from collections import deque
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, wait as wait_for
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -33,7 +34,15 @@ from cell.fault_catalogue import error_text
 from cell.plugin.goals import TASKS, GaugeGoal, Goal, TeachGoal, ZeroGoal, checked_goal
 from cell.plugin.host_status import HostStatus
 from cell.plugin.lease import Lease
-from cell.plugin.worker import CellWorker, Job, JobFailed, JobOutcome, JobStatus, Report
+from cell.plugin.worker import (
+    SIGNAL_LOOK_S,
+    CellWorker,
+    Job,
+    JobFailed,
+    JobOutcome,
+    JobStatus,
+    Report,
+)
 from gripper.errors import LinkTooSlow, ServoFault, VerificationFailed, fingers_left
 
 if TYPE_CHECKING:
@@ -55,6 +64,8 @@ _COMMANDS = dict.fromkeys(TASKS, Command.GRASP) | {"grip": Command.GRIP, "verify
 """First command of the controller in each task."""
 _NAMING = ("identify", "sort")
 """Tasks that name parts: they clear the last answer."""
+_CLOSE_S = 30.0
+"""Time in s in which a job ends after a stop; longer waits are errors."""
 _REMARKS_MAX = 1000
 """Most remarks that wait for the thread of the cell; the oldest are dropped."""
 
@@ -125,7 +136,7 @@ class TactileCellPlugin:
         capture, ask
             As `cell.build.build_cell`.
         start
-            False: `reset` verifies the devices and raises their errors.
+            False: `connect` or `reset` verifies the devices.
         note
             Gets messages for the operator, e.g. that the recording has stopped, from any thread.
         wall_s
@@ -191,16 +202,6 @@ class TactileCellPlugin:
         )
         self._remarks: deque[tuple[str, str]] = deque(maxlen=_REMARKS_MAX)
         self._last_answer: deque[Answer] = deque(maxlen=1)
-        self._interrupted = False
-        try:
-            if start:
-                self._cell.controller.start()
-        except (ServoFault, PartInGrip):
-            # The fault is latched: `clear` and `release` follow.
-            pass
-        except BaseException:
-            self._cell.close()
-            raise
         self._worker = CellWorker(
             idle=self._cell.idle,
             idle_period_s=1.0 / checked.gripper.loop_rate_hz if self._cell.realtime else None,
@@ -213,6 +214,14 @@ class TactileCellPlugin:
         )
         self._ending = threading.Lock()
         self._lease: Lease | None = None
+        if start:
+            try:
+                self.connect()
+            except BaseException:
+                self._cell.controller.life.cancel()
+                self._worker.close(_CLOSE_S)
+                self._cell.close()
+                raise
         self._closed = False
         if checked.host_timeout_s is not None:
             # A weak reference: the thread of the lease must not keep a dropped cell alive.
@@ -225,6 +234,28 @@ class TactileCellPlugin:
 
             self._lease = Lease(checked.host_timeout_s, given=lambda _name: None, lost=lost)
             self._lease.watch(warnings.warn)
+
+    def connect(self) -> None:
+        """Verify the devices and take the zero of the taxels; raises as the constructor.
+
+        Raises CellStopped after `interrupt`.
+        """
+        controller, done = self._cell.controller, Future[None]()
+
+        def start() -> None:
+            try:
+                controller.start()
+            except (ServoFault, PartInGrip):
+                done.set_result(None)  # the fault is latched: `clear` and `release` follow
+            except BaseException as error:
+                done.set_exception(error)
+            else:
+                done.set_result(None)
+
+        self._worker.between_jobs(start)
+        while not done.done():
+            wait_for((done,), SIGNAL_LOOK_S)
+        done.result()
 
     # -- questions -----------------------------------------------------------------------------
 
@@ -541,8 +572,7 @@ class TactileCellPlugin:
 
         A held part stays held. A signal handler may call it.
         """
-        self._interrupted = True
-        self._cell.controller.life.cancel()
+        self._cell.controller.life.interrupt()
 
     # -- commands ------------------------------------------------------------------------------
 
@@ -724,7 +754,7 @@ class TactileCellPlugin:
         model = self._model
         return self._accept(lambda _report: model.forget_drift(), None, "forget_drift")
 
-    def close(self, timeout_s: float = 30.0) -> None:
+    def close(self, timeout_s: float = _CLOSE_S) -> None:
         """Stop the running job and disconnect; a held part stays held. A second call does nothing.
 
         Accepted jobs end as cancelled unless they were nearly done; further jobs are refused.
@@ -801,8 +831,6 @@ class TactileCellPlugin:
             if command is not None:
                 controller.life.check(command)
             controller.life.forget_cancel()
-            if self._interrupted:
-                controller.life.cancel()
             number = job.number
             if task in _NAMING:
                 last_answer.clear()

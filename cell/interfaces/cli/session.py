@@ -120,7 +120,7 @@ def cell_of_earlier_run(config: CellConfig) -> Iterator[Cell]:
     for text in cell.missing:
         print_note(f"{text}; steps that need it are left out")
     try:
-        with stopping(cell.controller.life.cancel, end_within_s=END_WITHIN_S):
+        with stopping(cell.controller.life.interrupt, end_within_s=END_WITHIN_S):
             yield cell
     finally:
         cell.close()

@@ -2,6 +2,7 @@
 
 import re
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
 from cell.data.recording_reader import read_recording
-from cell.errors import CellStopped, NoPartFound, PlanRefused, PositionerError
+from cell.errors import CellStateError, CellStopped, NoPartFound, PlanRefused, PositionerError
 from cell.learning.shape_reading import shape_reader
 from gripper.errors import GripContradicted, GripperError, LimitExceeded
 from gripper.values.outcome import GraspResult
@@ -289,6 +290,52 @@ def test_a_cancelled_start_leaves_the_cell_stopped(bench: Any, when: str) -> Non
     assert bench.life.state is CellState.STOPPED
     bench.ready()
     assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
+
+
+MOTIONS: dict[str, Callable[[Any], object]] = {
+    "start": lambda bench: bench.controller.start(),
+    "zero": lambda bench: bench.controller.zeroing.measure(),
+    "grasp": lambda bench: bench.grasp(6.0),
+    "release": lambda bench: bench.controller.release(),
+    "release_held": lambda bench: bench.controller.release_held(),
+}
+
+
+@pytest.mark.parametrize(
+    ("motion", "phase", "after_s"),
+    [
+        ("start", OPENING, 0.0),
+        ("zero", APPROACHING, 0.3),
+        ("zero", RAMPING, 0.5),
+        ("zero", GripperPhase.HOLDING, 0.5),
+        ("zero", GripperPhase.HOLDING, 4.0),  # one finger presses and yields
+        ("zero", RELEASING, 0.1),
+        ("zero", OPENING, 9.5),  # measures friction
+        ("grasp", APPROACHING, 0.3),
+        ("grasp", RAMPING, 0.3),
+        ("release", RELEASING, 0.03),
+        ("release_held", RELEASING, 0.03),
+    ],
+)
+def test_an_interrupt_stops_each_motion_within_two_periods(bench, motion, phase, after_s) -> None:
+    if motion != "start":
+        bench.ready("nothing" if motion == "zero" else "ball")
+    if motion.startswith("release"):
+        bench.controller.grip(6.0, Pose())
+    if motion == "release_held":
+        bench.controller.shutdown()
+    at_s = bench.once_in(phase, bench.life.interrupt, after_s)
+    with pytest.raises(CellStopped):
+        MOTIONS[motion](bench)
+    period_s = bench.controller.hand.period_s
+    assert bench.clock.monotonic() - at_s[0] <= 2.0 * period_s + 1e-6
+    opening_m = bench.aperture_m
+    bench.sleep(0.5)
+    # No later motion begins, unlike after a cancel.
+    for again in MOTIONS.values():
+        with pytest.raises((CellStopped, CellStateError)):
+            again(bench)
+    assert bench.aperture_m == pytest.approx(opening_m, abs=1e-3)
 
 
 # -- faults ----------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """`tactile-cell serve` as a process: its line, its notes, and its end with the part held."""
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -14,12 +15,17 @@ from typing import Any
 from xmlrpc.client import ServerProxy
 
 import pytest
+from typer.testing import CliRunner
 
 from cell.config.model import CellConfig
+from cell.control.states import Command
+from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands import serve as serving
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.learning.model import load_model
+from cell.service.service import RELEASE_KEY
 from tests import ROOT
+from tests.cell.conftest import once
 from tests.cell.interfaces.hosts import Client
 from tests.waiting import LIMIT_S, until
 
@@ -90,6 +96,46 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
         assert cell.holding()
         said = ended(process)
     assert said[1:] == pages(line)
+
+
+@pytest.mark.parametrize("moment", ["self-zero of the start", "ramp of a job"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_first_stops_the_motion(meddle, monkeypatch, tmp_path, moment, number) -> None:
+    starts = moment == "self-zero of the start"
+    (tmp_path / "cell.yaml").write_text(
+        f"{SMALL}self_zero: {'always' if starts else 'on_demand'}\n"
+    )
+    pressed_n: list[float] = []
+
+    def arrange(made: Any) -> None:
+        def strike() -> None:
+            os.kill(os.getpid(), number)
+            until(lambda: made.controller.life.interrupted)  # the cell's time stands meanwhile
+            pressed_n.append(min(made.simulated.world.contact_force_n()))
+
+        once(
+            made.simulated.clock, lambda: min(made.simulated.world.contact_force_n()) > 2.0, strike
+        )
+
+    def command(over: threading.Event, service: Any, _manager: Any) -> None:
+        lease = service.lease.acquire("host")
+        service.start(lease, {"task": "grip", "force_n": 9.0, "present": "ball"})
+        assert over.wait(LIMIT_S)
+        until(lambda: service.job().outcome_number >= 4)
+        assert service.job().outcome == "CANCELED"
+        # What a client asks for meanwhile moves nothing.
+        service.command(lease, Command.RELEASE, key=RELEASE_KEY)
+        until(lambda: service.job().outcome_number >= 4)
+        assert service.job().outcome == "CANCELED"
+
+    monkeypatch.setattr(serving, "report_until", command)
+    built = meddle(arrange)
+    options = ("-c", str(tmp_path / "cell.yaml"), "--modbus", "0", "--xml-rpc", "0", "--speed", "0")
+    ended = CliRunner().invoke(app, ["serve", *options])
+    assert ended.exit_code == 0, ended.output
+    left_n = min(built[0].simulated.world.contact_force_n())
+    assert 2.0 < pressed_n[0] < left_n + 0.5
+    assert left_n < 4.0  # of 9 N
 
 
 def test_a_token_that_stands_in_a_file_is_printed_nowhere(start, tmp_path) -> None:

@@ -4,7 +4,7 @@ import json
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -84,6 +84,7 @@ def serve(
     line on standard output has all addresses. A part that is held at the end stays held.
     """
     from cell.config.file import changed_config
+    from cell.errors import CellStopped
     from cell.interfaces.cli.service_manager import ServiceManager
     from cell.interfaces.cli.session import cell_config, with_faults
     from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
@@ -107,18 +108,29 @@ def serve(
     )
     folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
-    with stopping(over.set, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO):
-        untaught = config is None and model is None and training_set is None
-        if untaught:
-            model = cached_model(own)
-        service = open_service(
-            checked,
-            model=model,
-            training_set=training_set,
-            save=save,
-            folder=folder,
-            note=print_note,
-        )
+    untaught = config is None and model is None and training_set is None
+    if untaught:
+        model = cached_model(own)
+    service = open_service(
+        checked,
+        model=model,
+        training_set=training_set,
+        save=save,
+        folder=folder,
+        note=print_note,
+        start=False,
+    )
+
+    def stop() -> None:
+        service.plugin.interrupt()  # first, so that each motion stops at once
+        over.set()
+
+    with (
+        stopping(stop, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO),
+        closing(service),
+        suppress(CellStopped),
+    ):
+        service.plugin.connect()
         if zero_note := service.health()["zero"]["text"]:
             print_note(zero_note)
         with _announced_interfaces(service):
@@ -159,7 +171,7 @@ def _announced_interfaces(service: "Service") -> Iterator[None]:
     from cell.interfaces.opening import open_interfaces, warnings
     from cell.interfaces.page_address import page_address, view_note
 
-    with closing(service), open_interfaces(service) as found:
+    with open_interfaces(service) as found:
         for note in warnings(service):
             print_note(note)
         config = service.config.serve
