@@ -192,7 +192,8 @@ class CellController:
         self.hand.stop_sensor()
         self.journal.note("release", "on request, before the start")
         with self.life.latching_faults():
-            report = self.hand.release(self._watch.motion)
+            # Not recorded: a recording that has failed must not keep the part.
+            report = self.hand.release(lambda *_period: self.life.check_cancelled())
             self.life.complete()
         return report
 

@@ -132,7 +132,8 @@ class TactileCellPlugin:
         save
             Model file that each teaching writes before its job succeeds, as `save` does. A write
             error aborts the job, but the taught model is in use. The write is repeated after each
-            job that leaves the grip empty, and by `close`. None: no file.
+            job that leaves the grip empty, and by `close`. None: no file. An existing file must be
+            that of ``model``.
         capture, ask
             As `cell.build.build_cell`.
         start
@@ -177,6 +178,7 @@ class TactileCellPlugin:
             if model is None
             else TaughtModel.load(checked, model, training_set=training_set, known=known)
         )
+        _check_save(save, model)
         self._file = tasks.ModelFile(self._model, None if save is None else Path(save))
         self._cell = build_cell(
             checked,
@@ -207,6 +209,14 @@ class TactileCellPlugin:
             idle_period_s=1.0 / checked.gripper.loop_rate_hz if self._cell.realtime else None,
             progressed_s=lambda: controller.life.progressed_s,
         )
+        if start:
+            try:
+                self.connect()
+            except BaseException:
+                controller.life.cancel()
+                self._worker.close(_CLOSE_S)
+                self._cell.close()
+                raise
         self._simulation = (
             None
             if self._cell.simulated is None
@@ -214,14 +224,6 @@ class TactileCellPlugin:
         )
         self._ending = threading.Lock()
         self._lease: Lease | None = None
-        if start:
-            try:
-                self.connect()
-            except BaseException:
-                self._cell.controller.life.cancel()
-                self._worker.close(_CLOSE_S)
-                self._cell.close()
-                raise
         self._closed = False
         if checked.host_timeout_s is not None:
             # A weak reference: the thread of the lease must not keep a dropped cell alive.
@@ -887,6 +889,20 @@ def cell_values(config: CellConfig, layout: "TaxelLayout") -> dict[str, Any]:
         "contact_force_n": gripper.contact_force_n,
         "levels_n": [low_n, high_n],
     }
+
+
+def _check_save(save: Path | str | None, model: Path | str | None) -> None:
+    """Raise ConfigError if a teaching would replace a file that is not the loaded model."""
+    from cell.learning.taught_model import training_set_file  # noqa: PLC0415
+
+    if save is None or (model is not None and Path(save).resolve() == Path(model).resolve()):
+        return
+    for path in (Path(save), training_set_file(Path(save))):
+        if path.exists():
+            raise ConfigError(
+                f"{path} exists, and a teaching would replace it: load it (`--model {save}`), or "
+                "save to another file"
+            )
 
 
 def _write_remarks(controller: "CellController", remarks: deque[tuple[str, str]]) -> None:

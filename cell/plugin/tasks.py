@@ -14,12 +14,12 @@ from cell.control.keeping import Keep
 from cell.control.plan import Pose
 from cell.control.records import GraspRecord
 from cell.control.self_zero import zero_text
-from cell.errors import CellError, NoPartFound
+from cell.errors import CellError, ModelError, NoPartFound, raised_as
 from cell.jobs.collection import Collection
 from cell.jobs.identify import identify
 from cell.jobs.sort import Places, Tally, sort_parts
 from cell.jobs.teach import teach
-from cell.learning.taught_model import TaughtModel
+from cell.learning.taught_model import TaughtModel, training_set_file
 from cell.plugin.goals import (
     GaugeGoal,
     GripGoal,
@@ -45,12 +45,15 @@ _SHOWN_GRASPS = 100
 
 
 class ModelFile:
-    """The file that each teaching writes, if there is one; a failed write is tried again."""
+    """The file that each teaching writes, if there is one; a failed write is tried again.
+
+    Only a model replaces it, and only `forget` removes it.
+    """
 
     def __init__(self, model: TaughtModel, path: Path | None) -> None:
         self.model = model
         self._path = path
-        self.due = False
+        self.due = self._emptied = False
 
     def write(self) -> None:
         """Write the model if it changed since the last write.
@@ -60,9 +63,11 @@ class ModelFile:
         if self._path is not None and self.due:
             if self.model.labels:
                 self.model.save(self._path)
-            else:  # all was forgotten: the next start must not find the file
-                self._path.unlink(missing_ok=True)
-        self.due = False
+            elif self._emptied:  # the next start must not find what was forgotten
+                with raised_as(ModelError, OSError, where=f"{self._path} cannot be removed"):
+                    self._path.unlink(missing_ok=True)
+                    training_set_file(self._path).unlink(missing_ok=True)
+        self.due = self._emptied = False
 
     def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> None:
         """Forget a taught object, or its newest grasp with ``last``, and write the model.
@@ -73,7 +78,7 @@ class ModelFile:
         self.model.forget(label, last=last)
         if label not in self.model.objects():
             forgotten()
-        self.due = True
+        self.due, self._emptied = True, not self.model.labels
         self.write()
 
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from xmlrpc.client import ServerProxy
@@ -19,6 +20,7 @@ from typer.testing import CliRunner
 
 from cell.config.model import CellConfig
 from cell.control.states import Command
+from cell.interfaces.access import view_token
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands import serve as serving
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
@@ -39,19 +41,20 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     """Return what starts the program on the small simulated cell: the process and its line."""
     made: list[subprocess.Popen[str]] = []
 
-    def run(*options: str, config: str | None = "") -> tuple[subprocess.Popen[str], dict[str, Any]]:
+    def run(
+        *options: str, config: str | None = "", **streams: Any
+    ) -> tuple[subprocess.Popen[str], dict[str, Any]]:
         if config is not None:
             (tmp_path / "cell.yaml").write_text(SMALL + config)
             options += ("-c", "cell.yaml")
         process = subprocess.Popen(
             [sys.executable, "-c", PROGRAM, "serve", "--speed", "0", *options],
             cwd=tmp_path,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | streams,
             text=True,
         )
         made.append(process)
-        return process, json.loads(process.stdout.readline() or "{}")
+        return process, json.loads((process.stdout and process.stdout.readline()) or "{}")
 
     yield run
     for process in made:
@@ -67,15 +70,10 @@ def ended(process: subprocess.Popen[str]) -> list[str]:
     return said.splitlines()
 
 
-def pages(line: dict[str, Any]) -> list[str]:
-    """Return what is printed of the page by the line of all addresses, at this machine alone."""
-    at = f"http://127.0.0.1:{line['http_port']}/#token="
-    return [
-        f"page: {at}{line['token']}",
-        f"view only: {at}{line['view_token']}",
-        "  only this machine reaches 127.0.0.1: set serve.listen to 0.0.0.0, and serve.allow to "
-        "the hosts that may connect",
-    ]
+def page(line: dict[str, Any]) -> str:
+    """Return what is printed of the page where no terminal is, by the line of all addresses."""
+    where = "on a terminal only; serve.token_file sets one"
+    return f"page: http://127.0.0.1:{line['http_port']}/ (its token: {where})"
 
 
 def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
@@ -95,7 +93,7 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
         until(lambda: cell.alive(lease) or cell.job_state(1) == 4)
         assert cell.holding()
         said = ended(process)
-    assert said[1:] == pages(line)
+    assert said[1:] == [page(line)]
 
 
 @pytest.mark.parametrize("moment", ["self-zero of the start", "ramp of a job"])
@@ -148,11 +146,44 @@ def test_a_token_that_stands_in_a_file_is_printed_nowhere(start, tmp_path) -> No
     assert "a-token" not in "".join(said)
 
 
+@pytest.mark.parametrize("file", [False, True])
+def test_a_terminal_shows_the_page_with_its_tokens(start, tmp_path, file: bool) -> None:
+    (tmp_path / "token").write_text("a-token-of-the-cell-1")
+    screen, terminal = os.openpty()
+    config = "  token_file: token\n" if file else ""
+    process, line = start("--http", "0", config=config, stderr=terminal)
+    os.close(terminal)
+    process.send_signal(signal.SIGTERM)
+    said = b""
+    with suppress(OSError):  # the end of a terminal
+        while more := os.read(screen, 4096):
+            said += more
+    os.close(screen)
+    token = "a-token-of-the-cell-1" if file else line["token"]
+    for one in (token, view_token(token)):
+        assert f"http://127.0.0.1:{line['http_port']}/#token={one}" in said.decode()
+
+
+@pytest.mark.parametrize("stream", ["a program", "the journal"])
+def test_a_line_in_the_journal_has_no_token(start, monkeypatch, stream: str) -> None:
+    monkeypatch.setenv("JOURNAL_STREAM", "8:1")
+    ours, theirs = socket.socketpair()
+    more = {} if stream == "a program" else {"stdout": theirs}
+    process, line = start("--http", "0", **more)
+    theirs.close()
+    if stream == "the journal":
+        with ours.makefile() as lines:
+            line = json.loads(lines.readline())
+    ours.close()
+    assert ("token" in line, "view_token" in line) == (stream == "a program",) * 2
+    assert page(line) in ended(process)
+
+
 def test_a_model_is_loaded_and_saved_and_a_second_person_gets_a_link_and_a_warning(
     start, taught, tmp_path
 ) -> None:
-    page = (ROOT / "docs/how-to/watch-and-command-in-a-browser.md").read_text("utf-8")
-    (typed,) = re.findall(r"tactile-cell serve (--listen .*)", page)
+    text = (ROOT / "docs/how-to/watch-and-command-in-a-browser.md").read_text("utf-8")
+    (typed,) = re.findall(r"tactile-cell serve (--listen .*)", text)
     ports = ("--http", "0", "--modbus", "0", "--xml-rpc", "0")
     model = ("--model", str(taught.result.model), "--save", "parts.npz")
     process, line = start(*typed.split(), *ports, *model)
@@ -164,7 +195,7 @@ def test_a_model_is_loaded_and_saved_and_a_second_person_gets_a_link_and_a_warni
         until(lambda: cell.alive(lease) or cell.job_state(job) == 4)
         assert load_model(tmp_path / "parts.npz").labels == ("ball", "box")
         said = ended(process)
-    assert f"view only: {address}" in said
+    assert f"page: {address.partition('#')[0]} (its token: on a terminal only" in " ".join(said)
     assert not re.search(r"0\.0\.0\.0|127\.0\.0\.1", address)
     assert "authenticate nobody" in " ".join(said)
 
@@ -191,7 +222,7 @@ def test_without_a_config_the_taught_cell_is_there_with_its_page(start, cache, t
     process, line = start("--modbus", "0", "--xml-rpc", "0", config=None)
     assert 8080 <= line["http_port"] < 8180
     assert Client(line).get("/api/info")["labels"] == ["ball", "box"]
-    assert ended(process)[1:] == pages(line)
+    assert ended(process)[1:] == [page(line)]
 
 
 def test_the_page_takes_the_next_port_where_its_own_is_taken(monkeypatch) -> None:

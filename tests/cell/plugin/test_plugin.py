@@ -411,6 +411,66 @@ def test_a_teaching_that_was_stopped_adds_its_grasps(make_plugin, taught, tmp_pa
         make_plugin(model=path)
 
 
+@pytest.mark.parametrize("existing", ["m.npz", "m.grasps.npz"])
+@pytest.mark.parametrize("loaded", [True, False])
+def test_a_file_that_was_not_loaded_is_never_the_one_to_save_to(
+    make_plugin: Any, taught: Any, tmp_path: Path, existing: str, loaded: bool
+) -> None:
+    (tmp_path / existing).write_bytes(b"the work of a day")
+    model = taught.result.model if loaded else None
+    with pytest.raises(ConfigError, match=rf"{existing} exists, .* load it \(`--model .*m.npz`\)"):
+        make_plugin(model=model, save=tmp_path / "m.npz")
+    assert (tmp_path / existing).read_bytes() == b"the work of a day"
+
+
+def test_the_loaded_model_is_replaced_by_each_teaching(make_plugin, taught, tmp_path) -> None:
+    plugin = make_plugin(model=taught.result.model)
+    plugin.save(tmp_path / "m.npz")
+    before = (tmp_path / "m.npz").read_bytes()
+    (tmp_path / "link").symlink_to(tmp_path)
+    again = make_plugin(model=tmp_path / "m.npz", save=tmp_path / "link" / "m.npz")
+    done(again, TeachGoal(label="ball", grasps=1))
+    assert (tmp_path / "m.npz").read_bytes() != before
+
+
+@pytest.mark.parametrize("way", ["no part", "too few grasps", "stopped", "at the end"])
+def test_a_first_teaching_that_fails_removes_no_file(make_plugin, tmp_path: Path, way: str) -> None:
+    path = tmp_path / "m.npz"
+    plugin = make_plugin(save=path)
+    # Another program writes it meanwhile: the plugin has nothing better.
+    path.write_bytes(b"a model")
+    if way == "no part":
+        absent_in(plugin, 1, 2, 3)
+    job = plugin.start(TeachGoal(label="ball", grasps=1 if way == "too few grasps" else 9))
+    if way == "stopped":
+        plugin.cancel(job)
+    if way == "at the end":
+        plugin.close()
+    else:
+        with pytest.raises(JobFailed):
+            plugin.result(job, LIMIT_S)
+    plugin.close()
+    assert path.read_bytes() == b"a model"
+
+
+def test_what_was_forgotten_is_removed_once_it_can_be(make_plugin, taught, tmp_path) -> None:
+    path, grasps = tmp_path / "m.npz", tmp_path / "m.grasps.npz"
+    plugin = make_plugin(model=taught.result.model, save=path)
+    for label in ("ball", "box"):
+        plugin.result(plugin.forget(label, last=True), LIMIT_S)
+    assert path.exists()
+    plugin.result(plugin.forget("ball"), LIMIT_S)
+    path.unlink()
+    path.mkdir()  # what cannot be removed
+    with pytest.raises(JobFailed, match="cannot be removed"):
+        plugin.result(plugin.forget("box"), LIMIT_S)
+    path.rmdir()
+    path.write_bytes(b"a model")
+    plugin.close()
+    assert not path.exists()
+    assert not grasps.exists()
+
+
 # -- grasps that find no part --------------------------------------------------------------------
 
 

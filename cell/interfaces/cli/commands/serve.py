@@ -1,7 +1,9 @@
 """`serve`: runs the cell and opens interfaces for PLCs, robot programs and other hosts."""
 
 import json
+import os
 import socket
+import stat
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -33,7 +35,11 @@ TrainingSetOption = Annotated[
     ),
 ]
 SaveOption = Annotated[
-    Path | None, typer.Option("--save", help="Model file to write after each teaching.")
+    Path | None,
+    typer.Option(
+        "--save",
+        help="Model file to write after each teaching: a new one, or that of --model.",
+    ),
 ]
 
 
@@ -80,8 +86,9 @@ def serve(
     """Run the cell for people, PLCs, robot programs and other hosts, until SIGTERM.
 
     Without a config file this is the simulated cell with five taught objects, and the page for a
-    browser is open. Its address is printed on standard error. When clients can connect, one JSON
-    line on standard output has all addresses. A part that is held at the end stays held.
+    browser is open. Its address is printed on standard error, with the token on a terminal only.
+    When clients can connect, one JSON line on standard output has all addresses for a program. A
+    part that is held at the end stays held.
     """
     from cell.config.file import changed_config
     from cell.errors import CellStopped
@@ -175,18 +182,24 @@ def _announced_interfaces(service: "Service") -> Iterator[None]:
         for note in warnings(service):
             print_note(note)
         config = service.config.serve
-        kept = ("token", "view_token") if config.token_file else ()
+        kept = ("token", "view_token") if config.token_file or _is_journal() else ()
         typer.echo(json.dumps({name: found[name] for name in found if name not in kept}))
         page, view = (page_address(found, config, which) for which in ("token", "view_token"))
-        if page and config.token_file and not err.is_terminal:
-            # Other users may read the journal: it must not contain a permanent token.
-            print_page(f"{page.partition('#')[0]} (its token: {config.token_file})")
+        if page and not err.is_terminal:
+            # Other users may read the journal or the log of a container, for months.
+            where = config.token_file or "on a terminal only; serve.token_file sets one"
+            print_page(f"{page.partition('#')[0]} (its token: {where})")
         elif page and view:
             print_page(page)
             print_view(view, view_note(config))
         elif config.http_port is None:
             print_note("the page for a browser is off: open it with --http 8080 or serve.http_port")
         yield
+
+
+def _is_journal() -> bool:
+    """Whether the standard output is that of a service of systemd, and not of a program."""
+    return "JOURNAL_STREAM" in os.environ and stat.S_ISSOCK(os.fstat(1).st_mode)
 
 
 def free_page_port(listen: str) -> int | None:
