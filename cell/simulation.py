@@ -313,6 +313,7 @@ class SimulationRequests:
         self, cell: SimulatedCell, between_jobs: Callable[[Callable[[], None]], None]
     ) -> None:
         self._cell = cell
+        self._placer = InProcessPlacer(cell)
         self._requests = CellRequests(cell.devices, cell.injector)
         self._waiting: SimpleQueue[tuple[dict[str, Any], Future[dict[str, Any]]]] = SimpleQueue()
         self._between_jobs = between_jobs
@@ -351,13 +352,31 @@ class SimulationRequests:
         if part == NOTHING:
             raise CellStateError(
                 f"{label!r:.60} cannot be grasped: nothing is between the fingers of the "
-                "simulated cell. Choose a part on the page under Simulation, or name one as "
-                "`present` (`--object`)"
+                f"simulated cell; name a part as `present` (`--object`), one of "
+                f"{', '.join(world.objects)}, or choose one on the page under Simulation"
             )
         shape = world.objects.get(part) or drawn_shape(part)
         if label not in self._cell.settings.objects:
             world.objects[label] = shape
         return part
+
+    def check_parts(self, labels: Sequence[str]) -> None:
+        """Raise ConfigError, with the known objects, if one of the labels is not an object."""
+        try:
+            for label in labels:
+                self._placer.check(label)
+        except PositionerError as error:  # its cause would only make the host's traceback longer
+            raise ConfigError(str(error)) from None
+
+    def part_here(self) -> str:
+        """Return the part between the fingers. Raises CellStateError if there is none."""
+        world = self._cell.devices.physical
+        if world.placed is None:
+            raise CellStateError(
+                "nothing is between the fingers of the simulated cell: name a part as `present`, "
+                f"one of {', '.join(world.objects)}"
+            )
+        return world.placed[0]
 
     def end_faults(self) -> None:
         """End all faults; on the thread of the cell."""
@@ -384,6 +403,12 @@ class InProcessPlacer:
 
     def __init__(self, cell: SimulatedCell) -> None:
         self._cell = cell
+
+    def check(self, label: str) -> None:
+        """Raise PositionerError, with the known objects, if there is no such object."""
+        with raised_as(PositionerError, SimulatorError):
+            if label != NOTHING:
+                self._cell.devices.physical.shape(label)
 
     def place(self, label: str, pose: Pose) -> Pose:
         """Place an object and return where it came to rest. Raises PositionerError."""

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from gripper.dynamixel.serial_port import ByteStream
     from pytest_tactile_cell.bench import LinkBench
     from pytest_tactile_cell.process import CellProcess
+    from pytest_tactile_cell.runtime import CellRuntime
     from pytest_tactile_cell.virtual import VirtualCell
     from tactile.can.bus import CanBus
 
@@ -85,6 +86,44 @@ class MakeSimulatedCell:
         made = VirtualCell(config=checked, cell=cell, simulated=cell.simulated)
         self.faults.add(made)
         return made
+
+
+@dataclass(frozen=True, slots=True)
+class MakeCellRuntime:
+    """Loads the plugin of a host program on simulated devices; ``closing`` closes it."""
+
+    config: "CellConfig"
+    faults: FaultRegistry
+    closing: ExitStack
+
+    def __call__(
+        self,
+        config: "CellConfig | Path | str | None" = None,
+        *,
+        objects: Mapping[str, str] | None = None,
+        seed: int | None = None,
+        changes: Mapping[str, Any] | None = None,
+        **options: Any,
+    ) -> "CellRuntime":
+        """Return a `TactileCellPlugin` that is ready for jobs.
+
+        ``options`` are further arguments of `TactileCellPlugin`: ``mover``, ``places``, ``model``,
+        ``save``, ``folder``. The rest is as `MakeSimulatedCell`.
+
+        Raises
+        ------
+        cell.errors.ConfigError
+            If the resulting config is not valid; else as `TactileCellPlugin`.
+        """
+        from pytest_tactile_cell.configs import given_config, simulated_config
+        from pytest_tactile_cell.runtime import CellRuntime
+
+        found = given_config(config, self.config)
+        checked = simulated_config(found, objects=objects, seed=seed, changes=changes)
+        cell = CellRuntime(checked, **options)
+        self.closing.callback(cell.close)
+        self.faults.add(cell)
+        return cell
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,6 +232,21 @@ def simulated_cell(
     """
     with ExitStack() as closing:
         yield MakeSimulatedCell(cell_config, cell_faults, closing)
+        cell_faults.clear()
+
+
+@pytest.fixture
+def cell_runtime(
+    cell_config: "CellConfig", cell_faults: FaultRegistry
+) -> Iterator[MakeCellRuntime]:
+    """Load the plugin of a host program on simulated devices: ``cell = cell_runtime(mover=move)``.
+
+    This is the TactileCellPlugin of the README, in virtual time on a thread of its own: start,
+    feedback, result, release. grip_n() is the true force. Hardware is never used. Settings: config,
+    objects, seed, changes, and the arguments of TactileCellPlugin. The end of the test closes it.
+    """
+    with ExitStack() as closing:
+        yield MakeCellRuntime(cell_config, cell_faults, closing)
         cell_faults.clear()
 
 

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from cell.config.file import config_text
 from cell.config.model import CellConfig
@@ -33,23 +33,35 @@ class CellProcessError(CellError):
     """The simulated cell did not start, ended, or refused a request; its log is in the message."""
 
 
-class ProcessFault:
-    """A fault in the cell of another process."""
+class _Asked(Protocol):
+    """A simulated cell that takes requests."""
 
-    def __init__(self, cell: "CellProcess", text: str) -> None:
+    @property
+    def running(self) -> bool: ...
+
+    def ask(self, **request: Any) -> dict[str, Any]: ...
+
+
+class RequestedFault:
+    """A fault in a cell that takes requests, in another process or thread."""
+
+    def __init__(self, cell: _Asked, text: str) -> None:
         self.text = text.strip()
-        self._cell: CellProcess | None = cell
+        self._cell: _Asked | None = cell
 
     @property
     def began_s(self) -> float | None:
-        """Monotonic time of this machine in s at which it began; None before and after."""
+        """Time in s at which it began, by the cell's clock; None before and after.
+
+        The clock of a process is the monotonic clock of this machine.
+        """
         if self._cell is None or not self._cell.running:
             return None
         began_s: float | None = self._cell.ask(state=True)["faults"].get(self.text)
         return began_s
 
     def clear(self) -> None:
-        """End the fault; the end of the process ends it too."""
+        """End the fault; the end of the cell ends it too."""
         cell, self._cell = self._cell, None
         if cell is not None and cell.running:
             cell.ask(clear=self.text)
@@ -136,10 +148,10 @@ class CellProcess:
         except PositionerError as error:
             raise CellProcessError(f"{request}: {error}. {self._state()}") from error
 
-    def inject(self, text: str) -> ProcessFault:
+    def inject(self, text: str) -> RequestedFault:
         """Inject a fault such as ``can.loss=0.05@2s``. Raises CellProcessError if refused."""
         self.ask(inject=text)
-        return ProcessFault(self, text)
+        return RequestedFault(self, text)
 
     def grip_n(self) -> float:
         """Return the true force in N on the pad with less force."""

@@ -112,6 +112,9 @@ class PatientCaller:
 class ObjectPlacer(Protocol):
     """Places objects in a simulated cell."""
 
+    def check(self, label: str) -> None:
+        """Raise PositionerError, with the known objects, if there is no such object."""
+
     def place(self, label: str, pose: Pose) -> Pose:
         """Place an object and return where it came to rest (a box settles on a face)."""
 
@@ -126,16 +129,19 @@ class SimulatedPositioner:
         self._label: str | None = None
 
     def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
-        """Choose the object of the following poses; None keeps the present one."""
+        """Choose the object of the following poses; None keeps the present one.
+
+        Raises PositionerError if there is no such object.
+        """
         if label is not None:
+            self._placer.check(label)
             self._label = label
 
     def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Place the chosen object at the pose; see `Positioner`."""
         if self._label is None:
             raise PositionerError(
-                "the simulated cell has no object to place; "
-                "name an object with --object, or call present(label) first"
+                "no object was named for the simulated cell: name one before the grasp"
             )
         return self._placer.place(self._label, pose)
 
@@ -163,6 +169,10 @@ class SocketPlacer:
                 f"no simulated cell answers at {path} ({error}); is it running?"
             ) from error
         self._received = bytearray()
+
+    def check(self, label: str) -> None:
+        """Ask the other process for an object; see `ObjectPlacer`."""
+        self.ask({"check": label})
 
     def place(self, label: str, pose: Pose) -> Pose:
         """Place an object in the other process; see `ObjectPlacer`."""
@@ -287,11 +297,12 @@ class CallbackPositioner:
         return reached if self.simulated is None else self.simulated.move_to(reached)
 
     def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
-        """Refuse: the host gave no callback for places; see `HostPlaces`."""
-        raise PositionerError(
-            f"the host gave no callback `places`, which brings {destination.label} to "
-            f"{destination.place}; the part is kept"
-        )
+        """Refuse, as the host gave no callback for places; the simulated cell needs none."""
+        if self.simulated is None:
+            raise PositionerError(
+                f"the host gave no callback `places`, which brings {destination.label} to "
+                f"{destination.place}: load the plugin with places=...; the part is kept"
+            )
 
 
 CarryCallback = Callable[[Destination], bool | None]

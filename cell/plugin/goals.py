@@ -110,7 +110,7 @@ class SortGoal(_Goal):
     """How many parts."""
     feed: tuple[str, ...] = Field(default=(), strict=False, max_length=FEED_MAX)
     """Objects to place, one for each part, repeated from the first, if the positioner can
-    (simulated cell)."""
+    (simulated cell). Empty: there each object of the config."""
     seed: int = Field(default=1, ge=0, le=2**32 - 1)
     """Seed of the poses and forces of the first part; each further one has the next."""
     max_grasps: int | None = Field(default=None, ge=1, le=100)

@@ -31,7 +31,17 @@ from cell.errors import (
     RequestRefused,
 )
 from cell.fault_catalogue import error_text
-from cell.plugin.goals import TASKS, GaugeGoal, Goal, TeachGoal, ZeroGoal, checked_goal
+from cell.plugin.goals import (
+    TASKS,
+    GaugeGoal,
+    Goal,
+    GripGoal,
+    IdentifyGoal,
+    SortGoal,
+    TeachGoal,
+    ZeroGoal,
+    checked_goal,
+)
 from cell.plugin.host_status import HostStatus
 from cell.plugin.lease import Lease
 from cell.plugin.worker import (
@@ -439,23 +449,18 @@ class TactileCellPlugin:
         ------
         ConfigError
             If the goal is of another kind, has unknown fields or values out of range, or if a
-            taught part has no place for a sort.
+            taught part has no place for a sort. If the simulated cell does not have a named part.
         CellStateError
             If another job runs, the cell is not IDLE (for a verify: not COMPLETE) or is being
             closed, or nothing was taught yet. If the training set of a loaded model is not
-            available, because teaching would lose its objects. If the simulated cell has no object
-            between the fingers and no object with the name to teach.
+            available, because teaching would lose its objects. If nothing is between the fingers of
+            the simulated cell and the goal names no part for it.
         """
         checked = checked_goal(goal)
         self._check_taught(checked.task)
-        if (
-            isinstance(checked, TeachGoal | GaugeGoal)
-            and self._config.positioner.kind != "operator"
-        ):
+        if isinstance(checked, TeachGoal | GaugeGoal):
             self._worker.check_free()
-            if self._simulation is not None:
-                part = self._simulation.part_for(checked.label, checked.present)
-                checked = checked.model_copy(update={"present": part})
+        checked = self._with_part(checked)
         if isinstance(checked, GaugeGoal):
             self._model.check_gauge(checked.label)
         if isinstance(checked, ZeroGoal):
@@ -470,6 +475,33 @@ class TactileCellPlugin:
             return task(checked, reported)
 
         return self._accept(work, _COMMANDS[checked.task], checked.task)
+
+    def _with_part(self, goal: Goal) -> Goal:
+        """Return a goal with the parts for the simulated cell, which refuses unknown ones.
+
+        A sort without a feed gets each object of the config.
+        """
+        config, simulation = self._config, self._simulation
+        if (
+            isinstance(goal, SortGoal)
+            and not goal.feed
+            and (config.simulated or config.brings_objects)
+        ):
+            feed = tuple(entry.label for entry in config.simulator.objects)
+            goal = goal.model_copy(update={"feed": feed})
+        if simulation is None or config.positioner.kind == "operator":
+            return goal
+        if isinstance(goal, TeachGoal | GaugeGoal):
+            part = simulation.part_for(goal.label, goal.present)
+            return goal.model_copy(update={"present": part})
+        if isinstance(goal, SortGoal):
+            simulation.check_parts(goal.feed)
+        elif isinstance(goal, IdentifyGoal | GripGoal) and goal.present is not None:
+            simulation.check_parts([goal.present])
+        elif isinstance(goal, IdentifyGoal) and config.positioner.kind != "axes":
+            self._worker.check_free()
+            return goal.model_copy(update={"present": simulation.part_here()})
+        return goal
 
     def check(self, task: str) -> None:
         """Raise the errors that `start` and `start_command` would raise now for any goal.

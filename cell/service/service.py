@@ -387,9 +387,8 @@ class Service:
     def _with_part(self, goal: Goal) -> Goal:
         """Return a goal with the chosen part, or the next one, for the simulated cell."""
         part = self._part
-        if isinstance(goal, SortGoal) and not goal.feed:
-            every = tuple(entry.label for entry in self.config.simulator.objects)
-            return goal.model_copy(update={"feed": every if part is None else (part,)})
+        if isinstance(goal, SortGoal) and not goal.feed and part is not None:
+            return goal.model_copy(update={"feed": (part,)})
         if getattr(goal, "present", "") is not None:
             return goal
         if part is None and isinstance(goal, IdentifyGoal | GripGoal):

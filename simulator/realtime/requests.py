@@ -32,6 +32,7 @@ class CellRequests:
     - ``{"place": label, "pose": {"x_m": ..}}``: ``{"pose": {..}}``, its resting pose; the label
       ``nothing`` removes the object. ``"offset": {"x_m": ..}`` is added to the poses of this object
       and of all later ones
+    - ``{"check": label}``: ``{"known": true}`` if it is an object, a shape as text or ``nothing``
     - ``{"define": label, "shape": text}``: ``{"objects": [..]}``, with another name for a shape
     - ``{"remove": true}``: ``{"removed": true}``
     - ``{"press": "finger0.inner", "at": ["tip", "left"], "force_n": 2.0}``: ``{"pressed": pad}``, a
@@ -55,6 +56,7 @@ class CellRequests:
         self._pressed: str | None = None
         self._requests: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
             "place": self._place,
+            "check": self._check,
             "define": self._define,
             "remove": self._remove,
             "press": self._press,
@@ -93,6 +95,12 @@ class CellRequests:
         except SimulatorError:
             devices.offset = before
             raise
+
+    def _check(self, request: dict[str, Any]) -> dict[str, Any]:
+        label = self._label(request["check"])
+        if label != NOTHING:
+            self._devices.physical.shape(label)
+        return {"known": True}
 
     def _define(self, request: dict[str, Any]) -> dict[str, Any]:
         name, shape, world = request["define"], request.get("shape"), self._devices.physical

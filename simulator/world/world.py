@@ -177,7 +177,17 @@ class PhysicalWorld:
 
     def shape(self, label: str) -> Shape:
         """Return the shape of a label or text. Raises SimulatorSettingsError for an unknown one."""
-        return self.objects.get(label) or parse_shape(label)
+        if label in self.objects:
+            return self.objects[label]
+        try:
+            return parse_shape(label)
+        except SimulatorSettingsError:
+            if ":" in label:
+                raise
+            raise SimulatorSettingsError(
+                f"there is no object {label!r:.60}; there are {', '.join(self.objects) or 'none'}; "
+                "or write a shape, for example cylinder:diameter=6mm,length=20mm"
+            ) from None
 
     def _put(self, label: str, pose: ObjectPose) -> bool:
         """Move the object in the plane of the pads; its position across the plane stays."""

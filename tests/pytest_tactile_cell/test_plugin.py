@@ -17,6 +17,7 @@ FIXTURES = (
     "can_bus",
     "can_clock",
     "cell_process",
+    "cell_runtime",
     "inject_fault",
 )
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from cell.control.plan import Pose
+from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
-from cell.errors import ConfigError
+from cell.errors import CellStateError, ConfigError, PositionerError
 from gripper.errors import BusTimeout
 from simulator.errors import SimulatorSettingsError
+from tactile.errors import FrameTimeout
 
 PIN = {"pin": "cylinder:diameter=6mm,length=20mm"}
 QUICK = {"tactile.tare_frames": 25, "gripper.approach_speed_mm_s": 20.0}
@@ -147,3 +149,49 @@ def test_the_cell_is_named_where_a_test_has_several(simulated_cell, inject_fault
     assert two.simulated.injector.faults
     with pytest.raises(pytest.fail.Exception, match="not a simulated cell of this test"):
         inject_fault("servos.unplugged", into=one.simulated)
+
+
+@pytest.mark.parametrize("label", ["washer", "cylinder:diameter=6"])
+def test_an_object_that_nobody_has_is_refused_at_once(simulated_cell, label) -> None:
+    cell = simulated_cell(objects=PIN, changes=QUICK).start()
+    expected = "'washer'; there are pin" if label == "washer" else "is not NAME=LENGTH with a unit"
+    with pytest.raises(PositionerError, match=expected):
+        cell.controller.moves.present(label)
+    assert cell.controller.life.state is CellState.IDLE
+    with pytest.raises(PositionerError, match=expected):
+        simulated_cell(objects=PIN, changes=QUICK).start(label)
+
+
+@pytest.mark.slow
+def test_a_host_program_teaches_identifies_and_sorts_on_the_runtime(
+    cell_runtime, inject_fault
+) -> None:
+    moved: list[Pose] = []
+    short = QUICK | {"sequence.force_n": [2.0, 3.0], "sequence.max_grasps": 2}
+    objects = PIN | {"ball": "sphere:diameter=9.5mm"}
+    cell = cell_runtime(objects=objects, changes=short, mover=moved.append)
+    with pytest.raises(CellStateError, match=r"as `present` \(`--object`\), one of pin, ball"):
+        cell.run({"task": "teach", "label": "nut", "grasps": 3})
+    for label in objects:
+        cell.run({"task": "teach", "label": label, "grasps": 4})
+    assert len(moved) == 8
+    with pytest.raises(ConfigError, match="'washer'; there are pin, ball; or write a shape"):
+        cell.start({"task": "identify", "present": "washer"})
+    with pytest.raises(ConfigError, match="'washer'; there are pin, ball; or write a shape"):
+        cell.start({"task": "sort", "feed": ["pin", "washer"]})
+    answer = cell.run({"task": "identify", "present": "pin", "keep": "always"})
+    assert (answer.label, cell.grip_n() > 2.0) == ("pin", True)
+    cell.release()
+    assert cell.run({"task": "identify"}).presented == "pin"  # the part that is still there
+    cell.ask(remove=True)
+    with pytest.raises(CellStateError, match="name a part as `present`, one of pin, ball"):
+        cell.start({"task": "identify"})
+    assert cell.run({"task": "sort", "parts": 2}).places == {"pin": 1, "ball": 1, "reject": 0}
+
+    lost = inject_fault("can.loss=1@contact+0.1s", into=cell)
+    assert lost.began_s is None
+    with pytest.raises(FrameTimeout):
+        cell.run({"task": "identify", "present": "ball"})
+    assert lost.began_s is not None
+    cell.close()
+    assert lost.began_s is None

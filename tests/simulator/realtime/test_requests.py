@@ -55,6 +55,9 @@ def test_objects_are_placed_and_the_reply_says_where_they_rest(requests, devices
 
 
 def test_objects_get_names_and_lie_beside_their_pose(requests, devices) -> None:
+    assert requests({"check": "nothing"}) == {"known": True}
+    with pytest.raises(SimulatorSettingsError, match="no object 'mug'; there are "):
+        requests({"check": "mug"})
     assert "mug" in requests({"define": "mug", "shape": "sphere:diameter=8mm"})["objects"]
     assert requests({"place": "mug"})["pose"]["x_m"] == 0.0
     requests({"place": "mug", "offset": {"x_m": 0.001}})

@@ -275,7 +275,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, wide
     page.click("#tab_teach")
     page.fill("#teach_name", "my cup")
     page.click("#teach_start")
-    becomes(page, "#said", "nothing is between the fingers.*Choose a part on the page")
+    becomes(page, "#said", "nothing is between the fingers.*choose one on the page")
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])

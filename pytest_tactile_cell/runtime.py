@@ -1,0 +1,34 @@
+"""The cell of a host program, for tests: the plugin that README loads, and its faults."""
+
+from typing import Any
+
+from cell.errors import CellStateError
+from cell.plugin.plugin import TactileCellPlugin
+from pytest_tactile_cell.process import RequestedFault
+
+
+class CellRuntime(TactileCellPlugin):
+    """A `TactileCellPlugin` on simulated devices that takes the faults of a test."""
+
+    @property
+    def running(self) -> bool:
+        """Whether it takes requests: false after `close`."""
+        return not self._closed
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        """Send a request to the simulated devices, for example ``state=True``; return the reply.
+
+        Raises as `simulate`.
+        """
+        if self._closed:
+            raise CellStateError("the cell is closed; load the plugin again")
+        return self.simulate(request)
+
+    def inject(self, text: str) -> RequestedFault:
+        """Inject a fault such as ``can.loss=0.05@2s``. Raises RequestRefused if refused."""
+        self.ask(inject=text)
+        return RequestedFault(self, text)
+
+    def grip_n(self) -> float:
+        """Return the true force in N on the pad with less force."""
+        return float(min(self.ask(state=True)["contact_force_n"]))
