@@ -13,7 +13,6 @@ from cell.jobs.collection import grasps_of
 from cell.learning.shape_reading import shape_reader
 from cell.learning.training import train
 from recognition.recognizer import Recognizer
-from recognition.recognizers.early_classifiers import EarlyClassifiers
 from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
 from simulator.faults.injector import InjectedFault
@@ -115,11 +114,11 @@ class VirtualCell:
         present: str,
         *,
         seed: int = 1,
-        early: EarlyClassifiers | None = None,
+        early: bool = False,
     ) -> Identification:
         """Bring an object and identify it; only the simulator uses the name ``present``.
 
-        With ``early`` (`cell.learning.training.train`) ramps end when the answer is sure enough.
+        With ``early`` ramps end when the answer is sure enough.
         """
         self.controller.moves.present(present)
         sequence = self.config.sequence

@@ -5,8 +5,9 @@ With the folder of recorded grasps in TACTILE_CELL_DATA, 36 real objects are tau
 objects. Then many labels with five grasps each.
 
 Then come the times of a start of the simulated cell. The last figures are its times from the
-command to a named part that is released or kept. Computing takes no virtual time. Its CPU time is
-added if it is longer than the motion during which a real-time cell computes.
+command to a named part that is released or kept, with ramps that end early and with whole ramps.
+Computing takes no virtual time. Its CPU time is added if it is longer than the motion during which
+a real-time cell computes.
 """
 
 import statistics
@@ -18,6 +19,7 @@ from functools import partial
 
 from benchmarks._measure import line, quantile, repeats, timed
 from benchmarks.recognition._grasps import PAPER, recorded, simulated
+from benchmarks.recognition.other_cell import NEVER_TAUGHT
 from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
@@ -61,6 +63,9 @@ def from_the_command(n_teach: int, rounds: int) -> None:
     """Print the times of a cell from the command to the end of its work, by phase."""
     config = CellConfig()
     labels = [entry.label for entry in config.simulator.objects]
+    new = [{"label": label, "shape": text} for label, text in NEVER_TAUGHT.items()]
+    objects = [entry.model_dump() for entry in config.simulator.objects] + new
+    config = changed_config(config, {"simulator.objects": objects})
     with closing(build_cell(config)) as cell:
         controller, model = cell.controller, TaughtModel(config)
         assert cell.simulated is not None
@@ -84,32 +89,45 @@ def from_the_command(n_teach: int, rounds: int) -> None:
             return took.cpu_s
 
         clock.on_advance.append(look)
-        for keep, beside in (
-            (Keep.NEVER, ("releasing",)),
-            (Keep.ALWAYS, ("backing_off", "holding")),
+        for what, keep, whole, beside in (
+            ("let go", Keep.NEVER, False, ("releasing",)),
+            ("let go, whole ramps", Keep.NEVER, True, ("releasing",)),
+            ("kept", Keep.ALWAYS, False, ("backing_off", "holding")),
         ):
-            totals_s, phases_s, n_grasps, names = [], dict[str, list[float]](), 0, Counter[str]()
-            for turn in range(rounds * len(labels)):
+            totals_s, phases_s, n_grasps = list[float](), dict[str, list[float]](), 0
+            names, of_new = Counter[str](), Counter[str]()
+            for turn, held in enumerate([*labels, *NEVER_TAUGHT] * rounds):
                 spent_s.clear()
-                held = labels[turn % len(labels)]
-                found = identify(controller, model, presented=held, seed=1000 + turn, keep=keep)
-                took_s = dict(spent_s) | {"computing": answers(found)}
-                alone_s = max(0.0, took_s["computing"] - sum(spent_s[name] for name in beside))
-                totals_s.append(sum(spent_s.values()) + alone_s)
-                for name, value_s in took_s.items():
+                found = identify(
+                    controller,
+                    model,
+                    presented=held,
+                    seed=1000 + turn,
+                    keep=keep,
+                    whole_ramps=whole,
+                )
+                motion_s = dict(spent_s)
+                if found.kept:
+                    controller.release()
+                if held in NEVER_TAUGHT:
+                    of_new[UNKNOWN if found.label == UNKNOWN else "wrong"] += 1
+                    continue
+                computing_s = answers(found)
+                alone_s = computing_s - sum(motion_s.get(name, 0.0) for name in beside)
+                totals_s.append(sum(motion_s.values()) + max(0.0, alone_s))
+                for name, value_s in (*motion_s.items(), ("computing", computing_s)):
                     phases_s.setdefault(name, []).append(value_s)
                 names[{held: "right", UNKNOWN: UNKNOWN}.get(found.label, "wrong")] += 1
                 n_grasps += len(found.records)
-                if found.kept:
-                    controller.release()
             line(
-                "kept" if keep is Keep.ALWAYS else "let go",
+                what,
                 f"from the command median {statistics.median(totals_s):.2f} s, largest "
-                f"{max(totals_s):.2f} s, n = {len(totals_s)}, {n_grasps} grasps, {dict(names)}",
+                f"{max(totals_s):.2f} s, n = {len(totals_s)}, {n_grasps} grasps, {dict(names)}; "
+                f"never taught {dict(of_new)}",
             )
             for name, values_s in phases_s.items():
                 line(f"  {name}", f"{statistics.median(values_s):.3f} s, {max(values_s):.3f} s")
-        tally, feed = Tally(places=Places(config, labels)), simulated_feed(config, 5 * rounds)
+        tally, feed = Tally(places=Places(config, labels)), simulated_feed(CellConfig(), 5 * rounds)
         started_s = clock.monotonic()
         sort_parts(controller, model, tally, n_parts=len(feed), feed=feed.__getitem__)
         part_s = (clock.monotonic() - started_s) / max(1, tally.n_parts)

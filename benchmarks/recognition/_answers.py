@@ -7,13 +7,10 @@ from typing import Self
 import numpy as np
 
 from benchmarks._measure import share
-from cell.config.sequence import SequenceConfig
 from cell.jobs.calibrate import GAUGE_GRASPS
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
-from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
-from recognition.statistics.fusion import StopRule
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,52 +23,31 @@ class JudgedAnswer:
     best: str
     name: str
     """The likeliest label, and the name that is given: that label or ``UNKNOWN``."""
-    early: bool = False
-    """Whether the name ended the ramp early."""
 
     @classmethod
-    def of(cls, truth: str, posterior: Posterior, *, early: bool = False) -> Self:
+    def of(cls, truth: str, posterior: Posterior) -> Self:
         """Return what a posterior answers."""
-        return cls(truth, truth in posterior.labels, posterior.best, posterior.name, early)
+        return cls(truth, truth in posterior.labels, posterior.best, posterior.name)
 
 
-def asked(
-    recognizer: Recognizer, grasps: Sequence[Grasp], early: EarlyClassifiers | None = None
-) -> list[JudgedAnswer]:
-    """Answer each grasp by itself; with ``early`` by as much of its ramp as a cell would take."""
-    heads = None if early is None else early.as_wary_as(recognizer)
-    answers = []
-    for grasp in grasps:
-        ended = None if heads is None else _when_sure(heads, grasp)
-        found = recognizer.posterior(grasp) if ended is None else ended
-        answers.append(JudgedAnswer.of(grasp.label, found, early=ended is not None))
-    return answers
-
-
-def _when_sure(early: EarlyClassifiers, grasp: Grasp) -> Posterior | None:
-    """Return the answer that ends the ramp of a recorded grasp; None where it is whole."""
-    rule = StopRule(error_rate=SequenceConfig().error_rate)
-    early_checks = EarlyDecider(early, (), rule)
-    any(early_checks.add_frame(counts, lambda: grasp) for counts in grasp.counts)
-    return early_checks.answer
+def asked(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[JudgedAnswer]:
+    """Answer each grasp by itself."""
+    return [JudgedAnswer.of(grasp.label, recognizer.posterior(grasp)) for grasp in grasps]
 
 
 def followed(
     recognizer: ForceRampRecognizer,
     grasps: Sequence[Grasp],
     seed: int,
-    early: EarlyClassifiers | None = None,
 ) -> tuple[list[JudgedAnswer], ForceRampRecognizer]:
     """Answer the grasps of a shift in a mixed order, each after those before it.
 
-    Ramps that ``early`` ends are not followed. Returns the answers, and the recogniser after the
-    last one.
+    Returns the answers, and the recogniser after the last one.
     """
     answers = []
     for i in np.random.default_rng(seed).permutation(len(grasps)).tolist():
-        answers += asked(recognizer, [grasps[i]], early)
-        if not answers[-1].early:
-            recognizer = recognizer.follow(grasps[i])
+        answers += asked(recognizer, [grasps[i]])
+        recognizer = recognizer.follow(grasps[i])
     return answers, recognizer
 
 
@@ -102,6 +78,4 @@ def figures(answers: Sequence[JudgedAnswer], *, times: int = 1) -> str:
     }
     texts = [f"{kind} {share(sum(hits), len(hits), times=times)}" for kind, hits in kinds.items()]
     text = f"{', '.join(texts)} of {len(known) // times}"
-    if any(one.early for one in answers):
-        text += f", {np.mean([one.early for one in answers]):.0%} of all ended early"
     return text + (f"; new UNKNOWN {share(sum(new), len(new))} of {len(new)}" if new else "")

@@ -2,10 +2,9 @@
 
 With the folder of recorded grasps in TACTILE_CELL_DATA, objects beyond the 36 recorded ones are
 copies of them: gain of each pad, offset of the opening and noise are drawn once for each copy.
-Without it, simulated grasps of the paper's objects are copied. All grasps teach whole ramps and
-ramps that end early, in a process of its own, whose peak memory includes the grasps. For the
-names, of each object the first 60 per cent of the grasps in time teach, and every sixth object is
-left out.
+Without it, simulated grasps of the paper's objects are copied. All grasps teach in a process of
+its own, whose peak memory includes the grasps. For the names, of each object the first 60 per cent
+of the grasps in time teach, and every sixth object is left out.
 """
 
 import multiprocessing
@@ -64,17 +63,11 @@ def copied(grasps: Sequence[Grasp], n_objects: int) -> list[Grasp]:
 def cost(n_objects: int, n_answers: int) -> str:
     """Return what teaching of so many objects, its file and an answer take, as text."""
     grasps = copied(_grasps(), n_objects)
-    trained, taught = timed(partial(train, grasps, DEFAULT_TRAINER, early=True))
+    trained, taught = timed(partial(train, grasps, DEFAULT_TRAINER))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.npz"
-        pads, sections = grasps[0].pads, trained.sections
-        save_model(
-            path,
-            trained.recognizer,
-            trainer_name=DEFAULT_TRAINER,
-            pads=pads,
-            sections=sections,
-        )
+        pads = grasps[0].pads
+        save_model(path, trained.recognizer, trainer_name=DEFAULT_TRAINER, pads=pads)
         n_bytes = path.stat().st_size
     some = grasps[:: max(1, len(grasps) // n_answers)]
     took = [timed(partial(trained.recognizer.posterior, grasp))[1] for grasp in some][1:]

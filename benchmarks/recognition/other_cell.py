@@ -9,9 +9,8 @@ there, too.
 Further cells are drawn at random: foam, gains and tilt of the pads, mounts of the servos. Each
 measures its own zero once.
 
-In rows of ramps that end early, each grasp ends where a cell would end it; the drift follows only
-whole ramps. The cell that taught also names grasps of slower and faster ramps. Another one is
-taught with slow ramps and names fast ones.
+The cell that taught also names grasps of slower and faster ramps. Another one is taught with slow
+ramps and names fast ones.
 """
 
 import math
@@ -26,7 +25,6 @@ from benchmarks.recognition._answers import asked, figures, followed, gauged
 from benchmarks.recognition._cell_grasps import cell_grasps
 from recognition.evaluation.splits import a_day_later
 from recognition.grasp import Grasp
-from recognition.recognizers.early_classifiers import teach_early
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 from simulator.servo.mechanics import ServoMount
 from simulator.settings import SimulatedServoSettings
@@ -82,7 +80,6 @@ def main(effort: float = 1.0) -> None:
     untold = [replace(grasp, zero=None) for grasp in zeroed]
     test, new = ([g for g in untold if (g.label in TAUGHT) is known] for known in (True, False))
     taught = ForceRampTrainer().fit(train)
-    early = teach_early(ForceRampTrainer(), train, taught.labels)
     line("compared", f"{len(taught_objects)} objects, {n} grasps each; {len(new)} grasps of others")
     line("  same cell", figures(asked(taught, same)))
     later = [a_day_later(grasp) for grasp in same]
@@ -91,10 +88,8 @@ def main(effort: float = 1.0) -> None:
     line("  same cell, a day later, untold", figures(asked(taught, bare)))
     line("  other cell, untold", figures(asked(taught, untold)))
     line("  other cell, zeroed by itself", figures(asked(taught, zeroed)))
-    line("    ended early", figures(asked(taught, zeroed, early)))
-    for what, heads in (("followed", None), ("followed, ended early", early)):
-        answers, day = followed(taught, test, 0, heads)
-        line(f"  {what}", figures(answers + asked(day, new, heads)))
+    answers, day = followed(taught, test, 0)
+    line("  followed", figures(answers + asked(day, new)))
     every = []
     for label in taught_objects:
         answers = gauged(taught, untold, [label])

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from cell.config.model import CellConfig
+from cell.control.early_end import EarlyDecider
 from cell.control.grasping import NOTHING_HELD, Grasper
 from cell.control.identification import (
     Identification,
@@ -33,7 +34,6 @@ from gripper.values.outcome import GraspResult, ReleaseReport
 from gripper.values.state import GripperPhase
 from recognition.grasp import CELL_SOURCE
 from recognition.recognizer import Recognizer
-from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
 
 _T = TypeVar("_T")
 _UNSUPERVISED = (
@@ -282,7 +282,7 @@ class CellController:
         recognizer: Recognizer,
         plan: Sequence[GraspStep],
         *,
-        early: EarlyClassifiers | None = None,
+        early: bool = False,
         read_shape: ReadShape | None = None,
         on_grasp: OnGrasp | None = None,
         keep: Keep = Keep.NEVER,

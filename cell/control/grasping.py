@@ -6,6 +6,7 @@ from math import inf
 
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
+from cell.control.early_end import EarlyDecider
 from cell.control.journal import Journal
 from cell.control.keeping import Judge, open_counts, spliced
 from cell.control.kept_part import KeptPart
@@ -21,7 +22,6 @@ from cell.hand.interface import Hand
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle
-from recognition.recognizers.early_classifiers import EarlyDecider
 from tactile.source import TactileFrame
 
 NOTHING_HELD = {
@@ -138,10 +138,10 @@ class Grasper:
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             collect(cycle, frames)
-            if early_checks is not None and any(
-                early_checks.add_frame(frame.counts, collector.grasp) for frame in frames
-            ):
-                self.hand.end_ramp()
+            if early_checks is not None and frames:
+                share = cycle.setpoint_n / step.force_n
+                if early_checks.suffices(share, collector.grasp):
+                    self.hand.end_ramp()
 
         outcome = self.hand.grasp(self._ramp(step), watch)
         self.life.result = outcome.result

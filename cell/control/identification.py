@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 from cell.control.answer import Answer
+from cell.control.early_end import EarlyDecider
 from cell.control.keeping import Judge, Keep, PartDecision
 from cell.control.plan import GraspStep
 from cell.control.records import GraspRecord
@@ -11,7 +12,6 @@ from cell.fault_catalogue import error_text
 from recognition.drift.grid import DriftFollowing
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior, Recognizer
-from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
 from recognition.shape.answer import ShapeAnswer
 from recognition.shape.fusion import fuse_shapes
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule, decide, fuse
@@ -177,7 +177,7 @@ def grasp_and_classify(
     error_rate: float,
     keep: Keep = Keep.NEVER,
     regrasps: bool = True,
-    early: EarlyClassifiers | None = None,
+    early: bool = False,
     read_shape: ReadShape | None = None,
     on_grasp: OnGrasp | None = None,
     execute: AnswerExecutor = lambda answer: answer,
@@ -201,8 +201,8 @@ def grasp_and_classify(
     read_shape
         Reads shape and size of a grasp; see `recognition.recognizer.Posterior.with_size`.
     early
-        Checks each ramp while it runs. With the earlier grasps it may decide before the ramp ends;
-        the answer of that moment then counts. None: whole ramps only.
+        Whether each ramp is checked while it runs. With the earlier grasps it may be decided before
+        its end; the answer of that moment then counts.
     execute
         How answers are computed; by default when the sequence waits for them.
     """
@@ -210,7 +210,6 @@ def grasp_and_classify(
     answers = SequenceAnswers(
         recognizer=recognizer, rule=rule, read_shape=read_shape, on_grasp=on_grasp, compute=execute
     )
-    heads = None if early is None else early.as_wary_as(recognizer)
     steps = iter(plan)
 
     def decide() -> PartDecision:
@@ -225,9 +224,7 @@ def grasp_and_classify(
     )
     kept = False
     while not (answers.records and answers.over):
-        early_checks = None
-        if heads is not None:
-            early_checks = EarlyDecider(heads, answers.posteriors, rule)
+        early_checks = EarlyDecider(recognizer, answers.posteriors, rule) if early else None
         _, kept = grasp(next(steps), early_checks, judge)
         if not judge.holds:
             answers.add()

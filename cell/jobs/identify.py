@@ -95,7 +95,7 @@ def identify(
     found = controller.identify(
         recognizer,
         plan(sequence, max_grasps or sequence.max_grasps, seed=seed),
-        early=None if whole_ramps else model.early,
+        early=model.ends_early and not whole_ramps,
         read_shape=model.shapes.reader,
         on_grasp=on_grasp,
         keep=keep,

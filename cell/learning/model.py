@@ -32,7 +32,7 @@ _REHEARSED_FORCE_N = 8.0
 """Force in N at the end of its ramp: the largest of the default sequence."""
 
 
-def made_up_grasp(pads: PadArray) -> Grasp:
+def _made_up_grasp(pads: PadArray) -> Grasp:
     """Return a round part in the middle of all pads, with growing force at a known opening."""
     share = np.linspace(0.0, 1.0, _REHEARSED_FRAMES)
     offset_m = pads.taxel_xy_m - pads.taxel_xy_m.mean(axis=0)
@@ -48,7 +48,7 @@ def made_up_grasp(pads: PadArray) -> Grasp:
     )
 
 
-def rehearse(recognizer: Recognizer, grasp: Grasp) -> None:
+def _rehearse(recognizer: Recognizer, grasp: Grasp) -> None:
     """Classify a grasp with and without its opening, so that wrong arrays fail now.
 
     A RecognitionError, with which a recogniser refuses the grasp itself, is no failure.
@@ -98,15 +98,7 @@ class LoadedModel:
     path: Path = Path()
     """The file."""
     sections: Mapping[str, Arrays] = field(default_factory=dict)
-    """Further arrays of the file by section; see `section`."""
-
-    def section(self, name: str, build: Callable[[Arrays], _T]) -> _T | None:
-        """Return the result of ``build`` for a section's arrays; None without the section.
-
-        Raises ModelError if the arrays do not fit ``build``.
-        """
-        arrays = self.sections.get(name)
-        return None if arrays is None else _built(self.path, lambda: build(arrays))
+    """Further arrays of the file by section."""
 
 
 def layout_hash(pads: PadArray) -> str:
@@ -197,7 +189,7 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
         for label in recognizer.labels:
             if wrong := text_refused("label", label):
                 raise ValueError(f"a label {wrong}")
-        rehearse(recognizer, made_up_grasp(pads))
+        _rehearse(recognizer, _made_up_grasp(pads))
         return recognizer, tuple(recognizer.labels)
 
     recognizer, labels = _built(path, rehearsed)

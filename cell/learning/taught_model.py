@@ -29,7 +29,6 @@ from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.drift.self_zero import foam_change
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
-from recognition.recognizers.early_classifiers import EarlyClassifiers
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.shape.answer import ShapeAnswer
 
@@ -37,10 +36,9 @@ from recognition.shape.answer import ShapeAnswer
 class TaughtModel:
     """A recogniser of taught objects with its data in a running cell.
 
-    These are its training set, the shapes of the taught objects, and early classifiers if the
-    config uses them. The recogniser follows the drift. One thread changes the model, others may
-    read it. Raises ModelError if the model was trained on other pads, lacks a needed part, or has
-    another training set.
+    These are its training set and the shapes of the taught objects. The recogniser follows the
+    drift. One thread changes the model, others may read it. Raises ModelError if the model was
+    trained on other pads, or has another training set.
 
     Parameters
     ----------
@@ -108,9 +106,9 @@ class TaughtModel:
         return self.check_taught().recognizer
 
     @property
-    def early(self) -> EarlyClassifiers | None:
-        """Classifiers for ramps that end early; None if the cell uses none."""
-        return self.check_taught().early
+    def ends_early(self) -> bool:
+        """Whether ramps end early. Raises RequestRefused before teaching."""
+        return self.config.decides_early and may_end_early(self.recognizer)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -160,7 +158,6 @@ class TaughtModel:
                 self.training_set,
                 wanted.recognizer,
                 use_aperture=wanted.use_aperture,
-                early=self.config.decides_early,
             ).with_caution(wanted.caution)
         except CellError as error:
             raise CellError(f"{error}; the grasps are kept for the next teaching") from error
@@ -268,8 +265,7 @@ class TaughtModel:
     def _follow(self, records: Sequence[GraspRecord]) -> str:
         """Follow the drift with whole grasps; return a remark when it becomes likely, or is gone.
 
-        Grasps whose ramp ended below its force, or that held nothing, are omitted: early
-        classifiers judge a drift differently, and both together accept more new objects.
+        Grasps whose ramp ended below its force, or that held nothing, are omitted.
         """
         recognizer = self.recognizer
         if not self.config.recognition.follow_drift or not isinstance(recognizer, DriftFollowing):
@@ -306,11 +302,6 @@ class TaughtModel:
             yield (
                 "the model was taught without a self-zero, so today's self-zero is not used and "
                 "answers allow for any drift: teach again after a self-zero, or gauge"
-            )
-        if self.config.decides_early and self.early is None and may_end_early(recognizer):
-            yield (
-                "the model has no early classifiers, so no ramp ends early: train it again, or set "
-                "sequence.decide_early to false"
             )
 
     # -- files ---------------------------------------------------------------------------------

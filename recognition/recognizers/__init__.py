@@ -1,7 +1,6 @@
 """Recognisers by name: `force_ramp` is the default, `shrinkage_lda` a plain reference.
 
-`level_check` is the paper's method. `early_classifiers` teaches recognisers that answer during the
-ramp.
+`level_check` is the paper's method.
 """
 
 from collections.abc import Mapping

@@ -121,10 +121,9 @@ class Driver:
     def identify(self, force_n: float, keep: Keep = Keep.NEVER) -> bool:
         step = GraspStep(pose=Pose(), force_n=force_n)
         witness = self.witness()
-        early = witness.early(self.controller.hand.layout)
         return self.command(
             f"identify {force_n} N, keep {keep}",
-            lambda: self.controller.identify(witness, [step], early=early, keep=keep),
+            lambda: self.controller.identify(witness, [step], early=True, keep=keep),
         )
 
     def witness(self) -> FrameWitness:

@@ -12,19 +12,15 @@ import numpy as np
 from cell.build import Cell
 from cell.config.gripper import GripperConfig
 from cell.control.controller import CellController
-from cell.control.records import pad_array
 from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError
 from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp
-from recognition.ramp.ramp import Rest
 from recognition.recognizer import Posterior
-from recognition.recognizers.early_classifiers import EarlyClassifiers
 from simulator.cell import SimulatedCell
 from simulator.faults.injector import InjectedFault
 from simulator.world.world import PhysicalWorld
-from tactile.layout import TaxelLayout
 
 CONTACT_N = 0.02
 """Force in N above which a pad touches the part."""
@@ -32,8 +28,6 @@ HELD_N = 0.3
 """Force in N that a part has felt that counts as held: half of a contact."""
 TOLERANCE = 0.01
 """Share of the cap by which the true force may exceed it."""
-_ENDING_COUNTS = 150.0
-"""Load of both inner pads in counts at which a ramp ends early: most ramps of a walk reach it."""
 _FALL_S = 0.5
 """So long after something trapped has gone, the fingers may still fall on the part, in s."""
 _ERROR = 70
@@ -389,15 +383,6 @@ class FrameWitness:
         if self._spoiled():
             raise InvariantBroken(f"a label in spite of {', '.join(self._spoiled())}")
         return Posterior(labels=self.labels, probability=np.array([0.999, 0.001]), unknown=0.001)
-
-    def early(self, layout: TaxelLayout) -> EarlyClassifiers:
-        """Return it as the classifier of a ramp, which ends as soon as its load is felt."""
-        pads = pad_array(layout)
-        counts, gripping = np.zeros(len(pads.taxel_pad)), layout.gripping_pads
-        rest = Rest(pads=pads, gripping=gripping, counts=counts, noise_counts=np.ones(2))
-        return EarlyClassifiers(
-            rest=rest, load_counts=np.array([_ENDING_COUNTS]), recognizers=(self,)
-        )
 
 
 def spoiling(faults: Sequence[InjectedFault], now_s: float) -> list[str]:

@@ -15,7 +15,6 @@ from unittest.mock import patch
 from cell.build import Cell, build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.config.tactile import layout_from_config
 from cell.control.keeping import Keep
 from cell.control.states import CellState, Command, command_effect
 from cell.errors import CellError, HeldByClient
@@ -23,7 +22,6 @@ from cell.fault_catalogue import fault_number
 from cell.interfaces.opening import open_interfaces
 from cell.service.opening import open_service
 from cell.service.service import RELEASE_KEY, JobView, Service
-from recognition.recognizers.early_classifiers import EarlyClassifiers
 from tests.cell.interfaces.hosts import HOSTS, NOT_IN_COMMAND, Request
 from tests.faults.campaign import PRODUCT_ERRORS
 from tests.faults.driver import COMMAND_BOUND_S, Driver
@@ -51,6 +49,7 @@ class WitnessModel:
     """A taught model whose recogniser looks at its frames; each grasp has the same pose."""
 
     labels, revision, drift, shapes = ("ball", "box"), 0, None, SimpleNamespace(reader=None)
+    ends_early = True
 
     def __init__(self, config: CellConfig, witness: Callable[[], FrameWitness]) -> None:
         ranges = dict.fromkeys(("x_mm", "y_mm", "rotation_deg", "roll_deg"), (0.0, 0.0))
@@ -61,10 +60,6 @@ class WitnessModel:
     @property
     def recognizer(self) -> FrameWitness:
         return self._witness()
-
-    @property
-    def early(self) -> EarlyClassifiers:
-        return self._witness().early(layout_from_config(self.config.tactile))
 
     def check_extendable(self) -> None:
         """Do nothing: its training set is at hand."""

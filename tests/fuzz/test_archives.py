@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import DatasetError, ModelError
 from cell.learning.model import _digest, load_model, save_model
-from cell.learning.training import load_early, train
+from cell.learning.training import train
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
-from recognition.ramp.running_load import load_so_far
 from tests.fuzz.harness import (
     bad_input,
     damages,
@@ -190,13 +189,11 @@ def test_a_data_set_of_other_arrays_is_refused_or_valid(tmp_path, changes, metho
 @functools.cache
 def good_model(kind: str) -> tuple[bytes, dict[str, NDArray[Any]]]:
     """Return a model file, and what was learnt."""
-    trained = train(good_grasps(), kind, early=True)
-    recognizer, sections = trained.recognizer, trained.sections
-    assert (kind == "force_ramp") == bool(sections)
+    recognizer = train(good_grasps(), kind).recognizer
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "good.npz"
         pads = good_grasps()[0].pads
-        save_model(path, recognizer, trainer_name=kind, pads=pads, sections=sections)
+        save_model(path, recognizer, trainer_name=kind, pads=pads)
         return path.read_bytes(), dict(recognizer.to_arrays())
 
 
@@ -205,13 +202,8 @@ def loaded(path: Path, data: bytes, kind: str) -> str:
     path.write_bytes(data)
     grasp = good_grasps()[0]
     try:
-        model = load_model(path, grasp.pads)
-        recognizer, early = model.recognizer, load_early(model)
+        recognizer = load_model(path, grasp.pads).recognizer
         probability = recognizer.posterior(grasp).probability
-        if early is not None:
-            load_so_far(grasp, early.rest)
-            for head in early.recognizers:
-                head.posterior(grasp)
     except ModelError:
         return "refused"
     except RecognitionError:
@@ -283,9 +275,8 @@ def test_a_model_of_other_arrays_is_refused_or_answers(tmp_path, *, kind, change
         (["force_ramp"], "learnt.touch_limit", np.array([0.0, np.nan])),
         (["force_ramp"], "learnt.both_sizes_unit_mm", np.zeros(2)),
         (["force_ramp"], "learnt.drawn_m", np.array(["x", "y"])),
-        (["force_ramp"], "early.rest.gripping", np.zeros(0, dtype=np.int64)),
-        (["force_ramp"], "early.rest.gripping", np.array([0, 7])),
-        (["force_ramp"], "early.0.touch_limit", np.zeros(3)),
+        (["force_ramp"], "learnt.gripping", np.zeros(0, dtype=np.int64)),
+        (["force_ramp"], "learnt.gripping", np.array([0, 7])),
     ],
 )
 def test_a_model_that_could_not_answer_is_refused_when_it_is_loaded(tmp_path, kinds, array, value):

@@ -120,10 +120,8 @@ def test_commands_work_on_a_selection(aged: Fleet, tmp_path: Path) -> None:
 def test_training_learns_the_spread_and_shows_what_it_gains(aged: Fleet, tmp_path: Path) -> None:
     first, second = tmp_path / "first.npz", tmp_path / "second.npz"
     days = ["--days", "2027-01-04..2027-01-05"]
-    call("train", aged.archive, "-o", first, "--no-early", "--no-spread", *days)
-    out = call(
-        "train", aged.archive, "-o", second, "--no-early", "--json", tmp_path / "a.json", *days
-    )
+    call("train", aged.archive, "-o", first, "--no-spread", *days)
+    out = call("train", aged.archive, "-o", second, "--json", tmp_path / "a.json", *days)
     assert "grasps of 2 days left out in turn: named rightly" in out
     assert "grasps of 2 cells left out in turn: named rightly" in out
     spread = json.loads((tmp_path / "a.json").read_text())["spread"]

@@ -355,12 +355,8 @@ def test_a_recording_is_identified_without_shapes(taught, config, model, tmp_pat
     assert "grasps of ball: gain" in text
 
 
-def test_ramps_end_early_but_for_a_model_taught_without(config, dataset, tmp_path) -> None:
-    early, whole = tmp_path / "early.npz", tmp_path / "whole.npz"
-    call("train", dataset, "-o", early)
-    call("train", dataset, "-o", whole, "--no-early")
-    said = call("identify", "-m", whole, "--object", "box", "-c", config)
-    assert "has no early classifiers, so no ramp ends early: train it again" in said
+def test_a_ramp_that_ends_early_is_printed(config, dataset, tmp_path) -> None:
+    call("train", dataset, "-o", early := tmp_path / "early.npz")
     # Of few taught grasps a single one is not always sure enough.
     for seed in range(4, 12):
         said = call(
@@ -515,7 +511,6 @@ def test_train_writes_a_model(dataset, tmp_path) -> None:
         "model": str(path),
         "recognizer": "level_check",
         "n_grasps": 20,
-        "early": False,
         "labels": ["ball", "box"],
     }
 

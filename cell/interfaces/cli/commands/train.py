@@ -29,13 +29,6 @@ def train(
         bool,
         typer.Option("--aperture/--no-aperture", help="Also use the opening of the fingers."),
     ] = True,
-    early: Annotated[
-        bool,
-        typer.Option(
-            "--early/--no-early",
-            help="Also train on shortened ramps, for decide_early; takes 3 times as long.",
-        ),
-    ] = True,
     spread: Annotated[
         bool | None,
         typer.Option(
@@ -76,7 +69,7 @@ def train(
         raise CellError("the data sets are of different pads; train a model for each")
     if twice := len(duplicate_grasps(grasps)):
         print_note(f"{twice} of {len(grasps)} grasps occur twice: probabilities are too high")
-    trained = train_model(grasps, recognizer, use_aperture=aperture, early=early)
+    trained = train_model(grasps, recognizer, use_aperture=aperture)
     prior, gains = None, []
     if any(map(is_archive, datasets)) if spread is None else spread:
         trained, prior = with_spread(trained, grasps)
@@ -96,7 +89,6 @@ def train(
         trained.recognizer,
         trainer_name=recognizer,
         pads=grasps[0].pads,
-        sections=trained.sections,
     )
     print_line(
         f"{len(labels)} objects taught with {len(grasps)} grasps"
@@ -124,7 +116,6 @@ def train(
             "model": str(model),
             "recognizer": recognizer,
             "n_grasps": len(grasps),
-            "early": trained.early is not None,
             "labels": list(labels),
             "teaching": summary,
         }
