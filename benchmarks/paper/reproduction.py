@@ -4,11 +4,12 @@ Prints claims and tables, which docs/explanations/paper-reproduced.md quotes, an
 the figures into out/paper/paper.html; with little effort into out/paper-small.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from html import escape
 from itertools import combinations
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,57 +186,52 @@ def claims(study: PaperStudy) -> list[Row]:
     return [(*claim, one.text, one.verdict) for claim, one in zip(CLAIMS, found, strict=True)]
 
 
-def resistance_figure() -> str:
+def svg(name: str, draw: Callable[..., None], n_panels: int = 1) -> str:
+    """Return a figure in the page's style; ``draw`` gets its panels."""
+    with drawing():
+        figure = new_figure(10.2, 4.0)
+        draw(*np.atleast_1d(figure.subplots(1, n_panels)))
+        return to_svg(figure, name, name)
+
+
+def draw_resistance(axes: Any) -> None:
     """Draw figure 2: resistance of a taxel over force."""
-    with drawing():
-        figure = new_figure(6.4, 3.8)
-        axes, force_n = figure.subplots(), np.linspace(0.0, 9.0, 181)
-        axes.plot(force_n, 1e3 * resistance_mohm(force_n), color=INK, label="equation (11)")
-        axes.plot(*zip(*FIGURE_2, strict=True), "D", mfc="none", color=colour(5), label="paper")
-        axes.set(yscale="log", xlabel="force / N", ylabel="resistance / kOhm")
-        axes.legend()
-        return to_svg(figure, "fig2", "resistance of a taxel over force")
+    force_n = np.linspace(0.0, 9.0, 181)
+    axes.plot(force_n, 1e3 * resistance_mohm(force_n), color=INK, label="equation (11)")
+    axes.plot(*zip(*FIGURE_2, strict=True), "D", mfc="none", color=colour(5), label="paper")
+    axes.set(yscale="log", xlabel="force / N", ylabel="resistance / kOhm")
+    axes.legend()
 
 
-def trajectories_figure(by_scale: NDArray[np.float64]) -> str:
-    """Draw figure 3: min abs(λ) · 10³ (objects, scales, poses) over the printed grid."""
-    with drawing():
-        figure = new_figure(10.2, 3.8)
-        whole, part = figure.subplots(1, 2)
-        for index, label in enumerate(LABELS):
-            low, high = by_scale[index].min(axis=1), by_scale[index].max(axis=1)
-            whole.fill_between(PAPER_SWEEP.scale, low, high, color=colour(index), alpha=0.4)
-            part.plot(by_scale[index, 0], color=colour(index), lw=0.7, label=label)
-        whole.set(yscale="log", xlabel="scale; area: all poses", ylabel="min abs(λ) / 10⁻³")
-        part.set(xlabel="evaluation at scale 1: translation, then rotation")
-        part.legend()
-        return to_svg(figure, "fig3", "eigenvalue trajectories of the five objects")
+def draw_trajectories(study: PaperStudy, whole: Any, part: Any) -> None:
+    """Draw figure 3: min abs(λ) of each object over the printed grid, and over scale 1 alone."""
+    for index, (label, values) in enumerate(zip(LABELS, 1e3 * study.swept[0], strict=True)):
+        poses = values.reshape(len(values), -1)
+        low, high = poses.min(axis=1), poses.max(axis=1)
+        whole.fill_between(PAPER_SWEEP.scale, low, high, color=colour(index), alpha=0.4)
+        part.plot(poses[0], color=colour(index), lw=0.7, label=label)
+    whole.set(yscale="log", xlabel="scale; area: all poses", ylabel="min abs(λ) / 10⁻³")
+    part.set(xlabel="evaluation at scale 1: translation, then rotation")
+    part.legend()
 
 
-def noise_figure(trails: NDArray[np.float64]) -> str:
+def draw_noise(study: PaperStudy, *panels: Any) -> None:
     """Draw figure 4: levels of five touches under rising noise, and thresholds (dashed)."""
-    percent = 100 * np.array(TRAIL_SHARES[:: 1 if len(trails) == len(TRAIL_SHARES) else 4])
-    with drawing():
-        figure = new_figure(10.2, 4.2)
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, view in zip(panels, ("common, one frame", "common"), strict=True):
-            levels = 1e3 * trails[:, :, :, list(VIEWS).index(view), 0]
-            for index, label in enumerate(LABELS):
-                here = np.ma.masked_invalid(levels[:, index])
-                axes.fill_between(
-                    percent, here.min(axis=1), here.max(axis=1), color=colour(index), alpha=0.2
-                )
-                middle = np.ma.median(here, axis=1)
-                axes.plot(percent, middle, color=colour(index), marker=".", label=label)
-            complete = np.isfinite(levels).any(axis=2).all(axis=1)
-            limits = np.array([find_thresholds(list(one)).threshold for one in levels[complete]])
-            axes.plot(percent[complete], limits, color=MUTED, lw=0.8, ls="--")
-            axes.axvline(100 * PAPER_NOISE, color=INK, lw=0.9, ls=":")
-            axes.set_xlabel("largest noise / % of full scale")
-            axes.set_title(view, loc="left")
-        panels[0].set(ylabel=f"min abs(λ) at {COMMON_N:g} N / 10⁻³", yscale="log")
-        panels[0].legend()
-        return to_svg(figure, "fig4", "levels of five touches under rising noise")
+    n_shares = len(study.trails)
+    percent = 100 * np.array(TRAIL_SHARES[:: 1 if n_shares == len(TRAIL_SHARES) else 4])
+    for axes, view in zip(panels, ("common, one frame", "common"), strict=True):
+        levels = 1e3 * study.trails[:, :, :, list(VIEWS).index(view), 0]
+        for index, label in enumerate(LABELS):
+            here, shade = np.ma.masked_invalid(levels[:, index]), colour(index)
+            axes.fill_between(percent, here.min(axis=1), here.max(axis=1), color=shade, alpha=0.2)
+            axes.plot(percent, np.ma.median(here, axis=1), color=shade, marker=".", label=label)
+        complete = np.isfinite(levels).any(axis=2).all(axis=1)
+        limits = np.array([find_thresholds(list(one)).threshold for one in levels[complete]])
+        axes.plot(percent[complete], limits, color=MUTED, lw=0.8, ls="--")
+        axes.axvline(100 * PAPER_NOISE, color=INK, lw=0.9, ls=":")
+        axes.set(title=view, xlabel="largest noise / % of full scale", yscale="log")
+    panels[0].set_ylabel(f"min abs(λ) at {COMMON_N:g} N / 10⁻³")
+    panels[0].legend()
 
 
 def sections(study: PaperStudy) -> list[Section]:
@@ -264,13 +260,13 @@ def sections(study: PaperStudy) -> list[Section]:
     for (name, opening), counts in study.recognizers.items():
         sees = "touch and opening" if opening else "touch alone"
         recognizers.append((name, sees, share(int(np.trace(counts)), int(counts.sum()))))
-    swept = 1e3 * study.swept[0].reshape(*study.swept.shape[1:3], -1)
+    trajectories = partial(draw_trajectories, study)
     head = ("where", "the paper", "here", "verdict")
     return [
         Section("Claims of the paper", [head, *claims(study)]),
-        Section("Figure 2: resistance of a taxel", svg=resistance_figure()),
-        Section("Figure 3: trajectories", invariance, trajectories_figure(swept)),
-        Section("Figure 4: levels under noise", svg=noise_figure(study.trails)),
+        Section("Figure 2: resistance of a taxel", svg=svg("fig2", draw_resistance)),
+        Section("Figure 3: trajectories", invariance, svg("fig3", trajectories, 2)),
+        Section("Figure 4: levels under noise", svg=svg("fig4", partial(draw_noise, study), 2)),
         Section(f"Table 1: min abs(λ) at {COMMON_N:g} N, filtered, per cent", confusion),
         Section("Other readings, filtered", readings),
         Section("Recognisers on the same kind of grasps", recognizers),

@@ -33,7 +33,6 @@ from cell.jobs.common import silent
 from cell.jobs.evaluate import evaluate_recognizers
 from cell.jobs.parallel import workers
 from cell.jobs.selected_grasps import selected_grasps
-from cell.learning.training import train
 from recognition.features.groups import features_of
 from recognition.grasp import Grasp
 from recognition.ramp.levels import load_levels
@@ -41,7 +40,7 @@ from recognition.ramp.ramp import learn_rest
 from recognition.recognizers import DEFAULT_TRAINER
 
 _GRASPS, _OF_FILE, _MOST = 4000, 250, 20
-"""Grasps at effort 1, of a data set, and of each object that train and test."""
+"""Grasps at effort 1, of a data set, and of each object that teach and test."""
 _CELLS, _DAY_MS, _FIRST_MS = 10, 86_400_000, 1_800_000_000_000
 _NOISE_COUNTS = 3.0
 """Standard deviation of the noise added to a repeated grasp."""
@@ -80,18 +79,10 @@ def reported(target: str, jobs: int) -> bytes:
         return json_bytes(ask(target, mapper=mapper).as_json())  # NaN equals NaN there
 
 
-def _selected(target: str) -> list[Grasp]:
-    return list(selected_grasps([target], EVERYTHING, _MOST, lambda _text: None))
-
-
-def trained(target: str) -> int:
-    return len(train(_selected(target), DEFAULT_TRAINER).recognizer.labels)
-
-
 def evaluated(target: str, jobs: int) -> float:
     with workers(jobs) as mapper:
         found = evaluate_recognizers(
-            _selected(target),
+            list(selected_grasps([target], EVERYTHING, _MOST, lambda _text: None)),
             split="chronological:0.6",
             names=[DEFAULT_TRAINER],
             mapper=mapper,
@@ -126,8 +117,8 @@ def main(effort: float = 1.0, n_grasps: int | None = None) -> None:
     line("compared", f"one process, two, and a plain loop over npz files, {n} grasps")
     with tempfile.TemporaryDirectory() as folder:
         grasps, n_files = recorded() or simulated(len(PAPER), 20), -(-n // _OF_FILE)
-        with multiprocessing.get_context("fork").Pool(2) as pool:
-            pool.map(partial(write_file, Path(folder), grasps, n), range(n_files))
+        for number in range(n_files):
+            write_file(Path(folder), grasps, n, number)
         files = sorted(Path(folder).glob("*.npz"))
         few, (tenth, one, two) = files[: max(1, n_files // 10)], (f"{folder}/{i}" for i in range(3))
         apart("plain loop, npz", n, loop, files)
@@ -144,7 +135,6 @@ def main(effort: float = 1.0, n_grasps: int | None = None) -> None:
         for what, work in (("report", reported), ("evaluate", evaluated)):
             found = [apart(f"{what}, {i} processes", n, work, targets[i], i) for i in targets]
             same(found[0] == found[1], f"{what}: one process and two give different figures")
-        line("", f"{apart('train', n, trained, one)} objects")
 
 
 if __name__ == "__main__":
