@@ -26,11 +26,8 @@ ALLOWED_N = 0.3
 _FIRST_SEED = 20_000
 _KT_ERROR, _FRICTION_ERROR = 0.1, 0.2
 """Largest shares by which torque constant and friction of a servo differ from its model's."""
-_PADS = [
-    {"finger": finger, "face": "inner", "rows": 11, "columns": 4}
-    | {"pitch_x_mm": 5.0, "pitch_y_mm": 5.0}
-    for finger in (0, 1)
-]
+_PAD = {"face": "inner", "rows": 11, "columns": 4, "pitch_x_mm": 5.0, "pitch_y_mm": 5.0}
+_PADS = [_PAD | {"finger": finger} for finger in (0, 1)]
 """Pads of 55 x 20 mm as the paper's, of fewer taxels: less to compute."""
 _PARTS = {
     "ball": "sphere:diameter=9.5mm",
@@ -41,10 +38,10 @@ _PARTS = {
 }
 """Parts from one that sinks in and then meets the bottom to one that presses all of the pads."""
 _MODELS = ("XM430-W350", "XM430-W350", "XM430-W210", "XC330-M288")
-_LINKAGES = (
-    *({"kind": "parallel_linkage", "link_mm": mm} for mm in (20.0, 30.0, 45.0, 60.0, 60.0, 90.0)),
-    *({"kind": "rack_pinion", "pinion_radius_mm": mm} for mm in (12.0, 20.0)),
-)
+_LINKAGES = [
+    {"kind": "parallel_linkage", "link_mm": mm} for mm in (20.0, 30.0, 45.0, 60.0, 60.0, 90.0)
+]
+_LINKAGES += [{"kind": "rack_pinion", "pinion_radius_mm": mm} for mm in (12.0, 20.0)]
 
 
 def drawn_changes(seed: int) -> dict[str, Any]:
@@ -140,15 +137,14 @@ def trial(seed: int, changes: Mapping[str, Any] | None = None) -> CapTrial:
 
 
 def main(effort: float = 1.0) -> None:
-    """Search and print what breaks the cap."""
     n = repeats(500, effort, least=5)
     found = [trial(_FIRST_SEED + i) for i in range(n)]
     gripped = [one for one in found if not one.refused]
     broken = sorted((one for one in gripped if one.broken), key=lambda one: one.cap_n - one.true_n)
+    errors = [one.error for one in gripped if one.error is not None]
+    above = sum(isinstance(error, ForceAboveCap) for error in errors)
     line("compared", f"{n} configs from seed {_FIRST_SEED} on, {n - len(gripped)} refused")
-    line("not done", f"{sum(one.error is not None for one in gripped)} ended with an error")
-    above = sum(isinstance(one.error, ForceAboveCap) for one in gripped)
-    line("", f"{above} of them with the force above its cap")
+    line("not done", f"{len(errors)} ended with an error, {above} with the force above its cap")
     silent = sum(one.error is None for one in broken)
     line("above the cap", f"{len(broken)} by more than {ALLOWED_N} N, {silent} without a fault")
     for one in broken:

@@ -13,26 +13,348 @@ the gearings of real servos, which the gripper measures once before, as in a sel
 ramps there is one run each.
 """
 
+import math
+import random
+from collections import deque
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import cache
 from typing import Any, NamedTuple
 from unittest import mock
 
+import numpy as np
+
 from benchmarks._measure import line, repeats
-from benchmarks.performance._force_plant import (
-    CREEP,
-    Part,
-    PlainFeedForward,
-    PlainPi,
-    RampQuality,
-    Rig,
-    Truth,
-)
+from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.models import XM430_W350
 from gripper.errors import GripperError
 from gripper.force.control import grip_control
-from simulator.servo.gearing import GEARINGS
+from gripper.force.control.period import Period
+from gripper.force.estimates.grip import Grip
+from gripper.force.ramp import ForceRamp
+from gripper.gripper import Gripper
+from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.settings import HARD_FORCE_CAP_N, GripperSettings, ServoSettings
+from gripper.values.force_sensor import ForceSample
+from gripper.values.outcome import GraspResult
+from gripper.values.state import Cycle, GripperPhase
+from simulator.clock import VirtualClock
+from simulator.servo.bus import MemoryServoStream, ServoBusDevice
+from simulator.servo.device import SimulatedServo
+from simulator.servo.gearing import GEARINGS, IDEAL_GEARING, Gearing
+from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
+from simulator.servo.motor import ServoMotor
+
+_MESSAGE_S, _FRAME_S = 0.0015, 0.025
+"""From a scan to its message in the host: scan 0.6 ms, wire 0.15 ms, a burst's message, adapter;
+and from a frame to its sample."""
+_FRAME_PERIOD_S = 0.02
+FOAM_N_M, FOAM_N_M2 = 5e3, 4e6
+"""Each pad: force = FOAM_N_M d + FOAM_N_M2 d^2 for a depth d in m."""
+CREEP, CREEP_S = 0.08, 0.5
+"""Share of its force that foam loses at a constant depth, and the time constant in s: 7 % in the
+first second. A standard linear solid whose springs are those of the foam; assumptions."""
+_FREE_M = 0.008
+"""Way in m of open fingers to the part."""
+_HOLD_S, _SETTLED_S = 1.5, 0.3
+_PADS_N, _PADS_N_S = 10.0, 5.0
+"""Force in N, and its growth in N/s, with which a cell presses its empty pads on each other."""
+_PADS_GIVE_M = 0.004
+"""Way in m of each finger beyond the middle, where empty pads press on each other."""
+_UNSUPERVISED_M = 0.05
+"""Way in m of fingers that run ahead, longer than any here."""
+
+
+class Part(NamedTuple):
+    """A part between two foam pads: its width in m and its own stiffness in N/m."""
+
+    width_m: float
+    stiffness_n_m: float
+
+    def press(self, opening_m: float, relaxed_n: float = 0.0) -> tuple[float, float]:
+        """Return grip force in N and its slope over the opening in N/m.
+
+        Parameters
+        ----------
+        opening_m
+            Distance between the backs of the pads' foam.
+        relaxed_n
+            Force in N that the foam of each pad has lost by creep.
+        """
+        pressed_m = self.width_m - opening_m + relaxed_n / self.stiffness_n_m
+        if pressed_m <= 0.0:
+            return 0.0, 0.0
+        a, b = FOAM_N_M2 / self.stiffness_n_m, 2.0 + FOAM_N_M / self.stiffness_n_m
+        depth_m = 2.0 * pressed_m / (b + math.sqrt(b * b + 4.0 * a * pressed_m))
+        slope = FOAM_N_M + 2.0 * FOAM_N_M2 * depth_m
+        force_n = FOAM_N_M * depth_m + FOAM_N_M2 * depth_m**2 - relaxed_n
+        if force_n <= 0.0:
+            return 0.0, 0.0
+        return force_n, slope / (2.0 + slope / self.stiffness_n_m)
+
+
+class Truth(NamedTuple):
+    """How the gripper differs from its figures: shares of torque constant and friction, seed."""
+
+    kt_error: float
+    friction_error: float
+    seed: int
+
+
+class PadForces:
+    """Samples of the force on both pads: force messages, or frames.
+
+    Each message has one scan, and a sample is the mean of the messages since the last one, as
+    `tactile.GripForce` makes it. Frames come at 50 Hz; a sample is the mean of three.
+
+    Parameters
+    ----------
+    noise_n
+        Noise in N of a mean of three scans.
+    rate_hz
+        Force messages a second; None: frames.
+    """
+
+    def __init__(self, noise_n: float, seed: int, rate_hz: float | None) -> None:
+        self._random = random.Random(seed)
+        self._scan_sd_n = noise_n * math.sqrt(3.0)
+        self._frames, self._now_s = rate_hz is None, 0.0
+        self._period_s = 1.0 / rate_hz if rate_hz else _FRAME_PERIOD_S
+        self._due_s = self._random.uniform(0.0, self._period_s)
+        self._scans_n: deque[Any] = deque(maxlen=3 if self._frames else 1)
+        self._waiting: deque[tuple[float, ForceSample]] = deque()
+        self._latest: ForceSample | None = None
+
+    def measure(self, now_s: float, force_n: float) -> None:
+        """Take the force in N on each pad at a time in s."""
+        self._now_s = now_s
+        while self._due_s <= now_s:
+            noise = [self._random.gauss(0.0, self._scan_sd_n) if force_n else 0.0 for _ in (0, 1)]
+            scan_n = np.add(force_n, noise)
+            self._scans_n.append(np.maximum(0.0, scan_n) if self._frames else scan_n)
+            t_s, late_s = (now_s, _FRAME_S) if self._frames else (self._due_s, _MESSAGE_S)
+            sample = ForceSample(t_s=t_s, force_n=_mean(self._scans_n))
+            self._waiting.append((t_s + late_s, sample))
+            self._due_s += self._period_s
+
+    def latest_force(self) -> ForceSample | None:
+        """Return the newest sample; see `gripper.values.force_sensor.ForceSensor`."""
+        arrived: list[tuple[float, ForceSample]] = []
+        while self._waiting and self._waiting[0][0] <= self._now_s:
+            arrived.append(self._waiting.popleft())
+        if arrived:
+            newest_s, self._latest = arrived[-1]
+            if not self._frames:
+                samples = [sample for _, sample in arrived]
+                self._latest = ForceSample(
+                    t_s=newest_s,
+                    force_n=_mean([sample.force_n for sample in samples]),
+                    lag_s=newest_s - sum(sample.t_s for sample in samples) / len(samples),
+                    noise_n=self._scan_sd_n / math.sqrt(2.0 * len(samples)),
+                )
+        return self._latest
+
+
+def _mean(rows: Any) -> tuple[float, float]:
+    first, second = np.mean(rows, axis=0).tolist()
+    return first, second
+
+
+class RampQuality(NamedTuple):
+    """Overshoot in N, time to settle after the ramp in s, largest error while holding in N.
+
+    ``lost`` is True where the gripper did not find the part, took it for lost, or ended with a
+    fault: then the other figures are those of a part that is not held.
+    """
+
+    overshoot_n: float
+    settling_s: float
+    holding_n: float
+    lost: bool = False
+
+    @classmethod
+    def not_held(cls, final_n: float) -> "RampQuality":
+        """Return the figures of a part that is not held, which should have had a force in N."""
+        return cls(0.0, _HOLD_S, final_n, lost=True)
+
+
+class Rig:
+    """One gripper on one part, in virtual time; the true force is known at every moment.
+
+    Parameters
+    ----------
+    part, truth, noise_n, rate_hz
+        Part, errors of the gripper's figures, noise and force messages of the sensor as for
+        `PadForces`.
+    gearing, factors
+        Gearing of the servos, and factors on friction and torque beside the truth.
+    creep
+        Share of its force that the foam loses at a constant depth.
+    supervised
+        False where the gripper does not take a part for lost because its fingers run ahead: it
+        does so under laws whose force arrives with a knee.
+    settings
+        Settings of the gripper that are others than those of the plant.
+    """
+
+    def __init__(
+        self,
+        part: Part,
+        truth: Truth,
+        noise_n: float,
+        *,
+        rate_hz: float | None = None,
+        gearing: Gearing = IDEAL_GEARING,
+        factors: tuple[float, float] = (1.0, 1.0),
+        creep: float = 0.0,
+        supervised: bool = True,
+        **settings: Any,
+    ) -> None:
+        self._part, self._creep, self._relaxed_n = part, creep, 0.0
+        clock = VirtualClock()
+        motors = [ServoMotor(XM430_W350, gearing=gearing) for _ in (0, 1)]
+        for motor in motors:
+            motor.friction_factor = factors[0] * (1.0 + truth.friction_error)
+            motor.kt_factor = factors[1] * (1.0 + truth.kt_error)
+        directions, open_m = (1, -1), part.width_m + _FREE_M
+        self._mechanics = FingerMechanics(
+            motors,
+            [ServoMount(direction=direction) for direction in directions],
+            ParallelogramLinkage(link_m=0.06),
+            aperture_m=open_m,
+            half_opening_min_m=-_PADS_GIVE_M,
+        )
+        eeprom = {"baud_rate": 3, "return_delay_time": 0}
+        servos = [
+            SimulatedServo(i, XM430_W350, m, settings=eeprom) for i, m in enumerate(motors, 1)
+        ]
+        self._device = ServoBusDevice(servos, 1_000_000)
+        self._sensor = self._new_sensor(noise_n, truth.seed, rate_hz)
+        self.now_s = self.force_n = 0.0
+        self.trace: list[tuple[float, float]] = []
+        clock.on_advance.append(self._advance)
+        usual: dict[str, Any] = {
+            "aperture_open_m": max(0.03, open_m),
+            "approach_speed_m_s": 0.012,
+            "contact_force_n": 0.6,
+            # What a law does is measured here, not what stops it.
+            "slip_drop_n": 20.0,
+            "slip_travel_m": 0.05,
+            **({} if supervised else {"runaway_travel_m": _UNSUPERVISED_M}),
+            "force_max_n": HARD_FORCE_CAP_N,
+        }
+        own = tuple(ServoSettings(servo_id=i, direction=d) for i, d in enumerate(directions, 1))
+        self.gripper = Gripper(
+            ServoBus(MemoryServoStream(self._device, clock), baudrate=1_000_000, clock=clock),
+            ParallelLinkage(link_m=0.06),
+            GripperSettings(servos=own, **(usual | settings)),
+            clock=clock,
+            force_sensor=self._sensor,
+        )
+
+    def _new_sensor(self, noise_n: float, seed: int, rate_hz: float | None) -> PadForces:
+        return PadForces(noise_n, seed, rate_hz)
+
+    def _advance(self, now_s: float) -> None:
+        dt_s, self.now_s = now_s - self.now_s, now_s
+        if dt_s <= 0.0:
+            return
+        force_n, slope_n_m = self._part.press(self._mechanics.aperture_m, self._relaxed_n)
+        self._mechanics.step(dt_s, (force_n, force_n), (slope_n_m, slope_n_m))
+        self._device.advance_to(now_s)
+        self.force_n = self._part.press(self._mechanics.aperture_m, self._relaxed_n)[0]
+        # Foam that nothing presses recovers in the same way.
+        elastic_n = self.force_n + self._relaxed_n if self.force_n > 0.0 else 0.0
+        share = 1.0 - math.exp(-dt_s / CREEP_S)
+        self._relaxed_n += (self._creep * elastic_n - self._relaxed_n) * share
+        self._sensor.measure(now_s, self.force_n)
+        self.trace.append((now_s, self.force_n))
+
+    def measure_servos(self) -> Mapping[int, DriveCharacteristic]:
+        """Measure both servos as the self-zero of a cell does, without the part; by their IDs.
+
+        Raises GripperError where the gripper cannot move or measure them.
+        """
+        self._part = Part(width_m=0.0, stiffness_n_m=math.inf)
+        self.gripper.start()
+        self.gripper.open()
+        self.gripper.press_pads_together(ForceRamp.linear(_PADS_N, _PADS_N_S))
+        self.gripper.drives.measure_load()
+        self.gripper.release()
+        self.gripper.drives.measure_friction()
+        return dict(self.gripper.drives.read().drives)
+
+    def grasp(
+        self,
+        final_n: float,
+        rate_n_s: float,
+        drives: Mapping[int, DriveCharacteristic] | None = None,
+    ) -> RampQuality:
+        """Grasp and hold, and judge the true force; ``drives``: of `measure_servos`."""
+        ends_s: list[float] = []
+
+        def observe(cycle: Cycle) -> None:
+            arrived = math.isclose(cycle.setpoint_n, final_n, rel_tol=1e-6)
+            if cycle.phase is not GripperPhase.APPROACHING and arrived:
+                ends_s.append(cycle.t_s)
+
+        contact_s: float | None = None
+        with suppress(GripperError):
+            self.gripper.start()
+            if drives is not None:
+                self.gripper.drives.use(drives)
+            outcome = self.gripper.grasp(ForceRamp.linear(final_n, rate_n_s), observe)
+            if outcome.result is not GraspResult.PART_LOST and outcome.contact_t_s is not None:
+                self.gripper.hold(_HOLD_S, observe)
+                contact_s = outcome.contact_t_s
+        if contact_s is None or not ends_s:
+            return RampQuality.not_held(final_n)
+        tolerance_n = max(0.2, 0.05 * final_n)
+        errors = [(t_s - ends_s[0], n - final_n) for t_s, n in self.trace if t_s >= contact_s]
+        after = [(t_s, error_n) for t_s, error_n in errors if t_s >= 0.0]
+        return RampQuality(
+            overshoot_n=max(0.0, *(error_n for _, error_n in errors)),
+            settling_s=max((t_s for t_s, n in after if abs(n) > tolerance_n), default=0.0),
+            holding_n=max(abs(error_n) for t_s, error_n in after if t_s >= _SETTLED_S),
+        )
+
+
+class PlainPi:
+    """Proportional-integral control of the tactile force, with the set-point fed forward.
+
+    It stands in the place of all modes of the gripper's own, without a model.
+    """
+
+    gain, integral_per_s = 0.4, 6.0
+
+    def __init__(self, grip: Grip, now_s: float, *_pad: float) -> None:
+        self._grip = grip
+        self._integral_n = grip.drive_n - grip.setpoint_n
+
+    def step(self, period: Period) -> float:
+        """Return the driving force in N of one period."""
+        grip, dt_s, setpoint_n = self._grip, period.moment.dt_s, period.setpoint_n
+        if not period.usable:
+            return grip.quiet_n
+        grip.rate_n_s = (setpoint_n - grip.asked_n) / dt_s if dt_s > 0.0 else 0.0
+        grip.asked_n = setpoint_n
+        error_n = setpoint_n - period.sample.grip_n
+        self._integral_n += self.integral_per_s * error_n * dt_s
+        wanted_n = setpoint_n + self.gain * error_n + self._integral_n
+        grip.quiet_n = min(max(wanted_n, -period.friction_n), period.drive_max_n)
+        return min(grip.quiet_n, period.drive_max_n - period.inertia_n)
+
+
+class PlainFeedForward(PlainPi):
+    """The current that the servo's figures ask for while the force rises; no sensor."""
+
+    gain, integral_per_s = 0.0, 0.0
+
+    def __init__(self, grip: Grip, now_s: float, *_pad: float) -> None:
+        super().__init__(grip, now_s)
+        self._integral_n = XM430_W350.friction_nm / 0.06
+
 
 PARTS = {
     "steel ball, 200 N/mm": Part(width_m=0.0095, stiffness_n_m=2e5),

@@ -16,8 +16,7 @@ from functools import partial
 from statistics import median
 
 from benchmarks._measure import line, repeats
-from benchmarks.performance._force_plant import PadForces, Part, Rig, Truth
-from benchmarks.performance.force_ramps import NOISE_N, PARTS
+from benchmarks.performance.force_ramps import NOISE_N, PARTS, PadForces, Part, Rig, Truth
 from gripper.errors import ForceAboveCap, GripperError, LimitExceeded, PartLost, PartSlipped
 from gripper.force.ramp import ForceRamp
 from gripper.values.force_sensor import ForceSample
@@ -84,9 +83,10 @@ class TouchRig(Rig):
         super().__init__(part, Truth(*errors, seed), NOISE_N, rate_hz=rate_hz, **(usual | settings))
 
     def _new_sensor(self, noise_n: float, seed: int, rate_hz: float | None) -> PadForces:
-        return PlacedForces(
-            lambda t_s: self.slide_m_s * max(0.0, t_s - self.begins_s), noise_n, seed, rate_hz
-        )
+        return PlacedForces(self._place_m, noise_n, seed, rate_hz)
+
+    def _place_m(self, t_s: float) -> float:
+        return self.slide_m_s * max(0.0, t_s - self.begins_s)
 
     def _advance(self, now_s: float) -> None:
         if now_s >= self.begins_s:
@@ -94,10 +94,6 @@ class TouchRig(Rig):
         super()._advance(now_s)
         if self.force_n > CAP_N:
             self.over_s = min(self.over_s, now_s)
-
-    def most_n(self, from_s: float, to_s: float) -> float:
-        """Return the largest true force in N within a time."""
-        return max(force_n for t_s, force_n in self._trace if from_s <= t_s <= to_s)
 
 
 def impact(rate_hz: float | None, seed: int, *, speed_m_s: float) -> float:
@@ -120,7 +116,7 @@ def impact(rate_hz: float | None, seed: int, *, speed_m_s: float) -> float:
         return math.inf
     if outcome.contact_t_s is None:
         raise SystemExit(f"the fingers did not find the part: {outcome}")
-    return rig.most_n(start_s, begun[0]) - CONTACT_N
+    return max(n for t_s, n in rig.trace if start_s <= t_s <= begun[0]) - CONTACT_N
 
 
 def _held(rate_hz: float | None, seed: int, force_n: float) -> TouchRig:

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.paper import reproduction
 from benchmarks.paper.grasps import PAPER_NOISE, REST_FRAMES, press, record
-from benchmarks.paper.trials import LABELS, classify, levels_of, name_by_threshold, one_frame
+from benchmarks.paper.reproduction import LABELS, classify, levels_of, name_by_threshold, one_frame
 from recognition.quadric.thresholds import find_thresholds
 from simulator.world.shapes import ObjectPose
 

@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.performance._force_plant import Rig, Truth
-from benchmarks.performance.force_ramps import PARTS
+from benchmarks.performance.force_ramps import PARTS, Rig, Truth
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import XM430_W350
 from gripper.errors import ServoFault

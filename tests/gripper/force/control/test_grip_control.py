@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.performance._force_plant import CREEP, Rig, Truth
-from benchmarks.performance.force_ramps import PARTS
+from benchmarks.performance.force_ramps import CREEP, PARTS, Rig, Truth
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import ForceSensorStale, GripperError, LimitExceeded
 from gripper.force.estimates.stiffness import StiffnessEstimate
