@@ -35,7 +35,7 @@ from benchmarks.paper.grasps import (
 from cell.data.files import write_text
 from cell.errors import ReportError
 from cell.report.page import page_template
-from cell.report.paper_table import TABLE_1_LABELS as LABELS
+from cell.report.paper_table import TABLE_1, TABLE_1_LABELS as LABELS
 from cell.report.plots import INK, MUTED, colour, drawing, new_figure, to_svg
 from recognition.errors import ContactError, QuadricError
 from recognition.evaluation.metrics import confusion_matrix, wilson_interval
@@ -486,7 +486,8 @@ def sections(study: PaperStudy) -> list[Section]:
         spans = [f"{one.min():.3f} to {one.max():.3f}" for one in high / low]
         pairs = [str(overlaps(np.array([low, high]), reading)) for reading in (0, 1)]
         invariance.append((name, spans[0], pairs[0], spans[1], pairs[1]))
-    table = study.table["common", 0].counts
+    table, paper = study.table["common", 0].counts, [("held", *LABELS)]
+    paper += [(label, *map(str, row)) for label, row in zip(LABELS, TABLE_1, strict=True)]
     confusion: list[Row] = [("held", *LABELS, "no surface", "right, 95 %")]
     for index, (label, row) in enumerate(zip(LABELS, table, strict=True)):
         shares = [f"{100 * n / row.sum():.1f}" for n in row]
@@ -511,6 +512,7 @@ def sections(study: PaperStudy) -> list[Section]:
         Section("Figure 2: resistance of a taxel", svg=svg("fig2", draw_resistance)),
         Section("Figure 3: trajectories", invariance, svg("fig3", trajectories, 2)),
         Section("Figure 4: levels under noise", svg=svg("fig4", partial(draw_noise, study), 2)),
+        Section("Table 1 of the paper, per cent", paper),
         Section(f"Table 1: min abs(λ) at {COMMON_N:g} N, filtered, per cent", confusion),
         Section("Other readings, filtered", readings),
         Section("Recognisers on the same kind of grasps", recognizers),
