@@ -74,10 +74,9 @@ def test_what_the_page_types_prints_writes_removes_and_packs(tmp_path, monkeypat
 
 
 def test_each_file_is_asked_for_and_the_end_of_the_input_is_a_no(tmp_path) -> None:
-    call("install", "--apply", "--root", tmp_path, answers="n\ny\n")
-    assert files_in(tmp_path) == {"etc/sysusers.d/tactile-cell.conf"}
-    call("install", "--remove", "--root", tmp_path, answers="n\n")
-    assert files_in(tmp_path) == {"etc/sysusers.d/tactile-cell.conf"}
+    for way, answers in (("--apply", "n\ny\n"), ("--remove", "n\n")):
+        call("install", way, "--root", tmp_path, answers=answers)
+        assert files_in(tmp_path) == {"etc/sysusers.d/tactile-cell.conf"}
     both = CliRunner().invoke(app, ["install", "--apply", "--remove"])
     assert both.exit_code == 2
 

@@ -17,8 +17,7 @@ from cell.interfaces.cli import terminal as asking
 from cell.interfaces.cli.signals import stopping
 from tests.cell.conftest import small_config
 from tests.values import raising
-
-LIMIT_S = 60.0
+from tests.waiting import LIMIT_S
 
 
 def run(program: str) -> subprocess.CompletedProcess[bytes]:
@@ -28,24 +27,17 @@ def run(program: str) -> subprocess.CompletedProcess[bytes]:
 
 
 @pytest.fixture
-def hangup_ignored() -> Iterator[None]:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+def hangup(request: pytest.FixtureRequest) -> Iterator[None]:
+    """SIGHUP as in a terminal, or ignored as under nohup, wherever the tests were started."""
+    before = signal.signal(signal.SIGHUP, request.param)
     yield
     signal.signal(signal.SIGHUP, before)
 
 
-@pytest.fixture
-def hangup_heard() -> Iterator[None]:
-    """SIGHUP as in a terminal, also where the tests were started under nohup."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    yield
-    signal.signal(signal.SIGHUP, before)
-
-
-@pytest.mark.usefixtures("hangup_heard")
+@pytest.mark.usefixtures("hangup")
+@pytest.mark.parametrize("hangup", [signal.SIG_DFL], indirect=True)
 def test_the_death_of_the_parent_stops_once(monkeypatch) -> None:
-    stopped = threading.Event()
-    calls: list[int] = []
+    stopped, calls = threading.Event(), list[int]()
 
     def stop() -> None:
         calls.append(1)
@@ -58,7 +50,8 @@ def test_the_death_of_the_parent_stops_once(monkeypatch) -> None:
     assert calls == [1]
 
 
-@pytest.mark.usefixtures("hangup_ignored")
+@pytest.mark.usefixtures("hangup")
+@pytest.mark.parametrize("hangup", [signal.SIG_IGN], indirect=True)
 def test_a_program_under_nohup_outlives_terminal_and_parent(monkeypatch) -> None:
     calls: list[int] = []
     with stopping(lambda: calls.append(1)):
@@ -73,32 +66,38 @@ def test_a_program_under_nohup_outlives_terminal_and_parent(monkeypatch) -> None
 
 @pytest.mark.parametrize("hanging", ["time.sleep(60)", "sum(range(1 << 40))"])
 def test_a_second_signal_leaves_little_time_to_close_files(hanging) -> None:
-    program = (
-        "import os, signal, time\n"
-        "from cell.interfaces.cli.signals import stopping\n"
-        "with stopping(lambda: None, end_within_s=0.05, left='; the grip is kept'):\n"
-        "    try:\n"
-        "        os.kill(os.getpid(), signal.SIGTERM)\n"
-        "        os.kill(os.getpid(), signal.SIGTERM)\n"
-        "    except KeyboardInterrupt:\n"
-        "        print('closing', flush=True)\n"
-        f"        {hanging}\n"
-    )
+    program = f"""
+import os, signal, time
+from cell.interfaces.cli.signals import stopping
+with stopping(lambda: None, end_within_s=0.05, left='; the grip is kept'):
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGTERM)
+    except KeyboardInterrupt:
+        print('closing', flush=True)
+        {hanging}
+"""
     ended = run(program)
     assert (ended.returncode, ended.stdout) == (1, b"closing\n")
     assert b"error: interrupted; the grip is kept\n" in ended.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGINT,
+        *(pytest.param(one, marks=pytest.mark.long) for one in (signal.SIGTERM, signal.SIGHUP)),
+    ],
+)
 def test_a_signal_while_the_program_ends_leaves_its_exit_code(number) -> None:
-    program = (
-        "import atexit, os, signal, sys\n"
-        "from cell.interfaces.cli import main\n"
-        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
-        f"atexit.register(lambda: os.kill(os.getpid(), {number:d}))\n"
-        "sys.argv = ['tactile-cell', 'config', 'check', '/nowhere/cell.yaml']\n"
-        "main()\n"
-    )
+    program = f"""
+import atexit, os, signal, sys
+from cell.interfaces.cli import main
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+atexit.register(lambda: os.kill(os.getpid(), {number:d}))
+sys.argv = ['tactile-cell', 'config', 'check', '/nowhere/cell.yaml']
+main()
+"""
     ended = run(program)
     assert ended.returncode == 2
     assert b"/nowhere/cell.yaml" in ended.stderr
@@ -106,40 +105,39 @@ def test_a_signal_while_the_program_ends_leaves_its_exit_code(number) -> None:
 
 
 def test_an_interrupt_that_turns_into_another_error_is_an_interrupt() -> None:
-    program = (
-        "import signal, sys, types\n"
-        "from cell.interfaces.cli import main\n"
-        # A shell that runs the tests in the background has them inherit SIGINT as ignored.
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "def run():\n"
-        "    try:\n"
-        "        signal.raise_signal(signal.SIGINT)\n"
-        "    except KeyboardInterrupt:\n"
-        "        raise ImportError('initialization failed')\n"
-        "sys.modules['cell.interfaces.cli.app'] = types.SimpleNamespace(main=run)\n"
-        "main()\n"
-    )
+    program = """
+import signal, sys, types
+from cell.interfaces.cli import main
+# A shell that runs the tests in the background has them inherit SIGINT as ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+def run():
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt:
+        raise ImportError('initialization failed')
+sys.modules['cell.interfaces.cli.app'] = types.SimpleNamespace(main=run)
+main()
+"""
     ended = run(program)
-    assert ended.returncode == 1
-    assert ended.stderr == b"error: interrupted\n"
+    assert (ended.returncode, ended.stderr) == (1, b"error: interrupted\n")
 
 
 def test_a_third_signal_does_not_cut_off_what_the_second_leaves_time_for() -> None:
-    program = (
-        "import os, signal, time\n"
-        "from cell.interfaces.cli.signals import stopping\n"
-        "try:\n"
-        "    with stopping(lambda: None, end_within_s=30.0):\n"
-        "        try:\n"
-        "            os.kill(os.getpid(), signal.SIGINT)\n"
-        "            os.kill(os.getpid(), signal.SIGINT)\n"
-        "        finally:\n"
-        "            os.kill(os.getpid(), signal.SIGTERM)\n"
-        "            print('closed', flush=True)\n"
-        "except KeyboardInterrupt:\n"
-        "    os.kill(os.getpid(), signal.SIGINT)\n"
-        "    print('told', flush=True)\n"
-    )
+    program = """
+import os, signal, time
+from cell.interfaces.cli.signals import stopping
+try:
+    with stopping(lambda: None, end_within_s=30.0):
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGINT)
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)
+            print('closed', flush=True)
+except KeyboardInterrupt:
+    os.kill(os.getpid(), signal.SIGINT)
+    print('told', flush=True)
+"""
     ended = run(program)
     assert (ended.returncode, ended.stdout) == (0, b"closed\ntold\n")
 

@@ -19,6 +19,8 @@ from tests.cell.conftest import MakeBench
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import Served
 
+pytestmark = pytest.mark.slow
+
 TOKEN, SECRET, PRINTED = "a-token-of-the-cell-1", "a-secret-of-the-cell-2", "printed-at-a-start-3"
 SECRETS = (TOKEN, SECRET, PRINTED, view_token(TOKEN), view_token(SECRET))
 JOURNAL = f"""#!/bin/sh
