@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cell.config.model import CellConfig
+from cell.data.files import name_in_file
 from cell.data.formats import SELF_ZERO, read_json, write_json
 from cell.errors import CellError, PlanRefused
 from gripper.dynamixel.drive import DriveCharacteristic
@@ -50,8 +51,7 @@ _ANOTHER_DAY_SD = 0.2
 
 def zero_file(directory: Path, cell_name: str) -> Path:
     """Return the file of a cell's self-zero, beside the folders of its jobs."""
-    name = "".join(sign if sign.isalnum() else "-" for sign in cell_name)
-    return directory / f"self-zero-{name}.json"
+    return directory / f"self-zero-{name_in_file(cell_name)}.json"
 
 
 def kept_zeros(

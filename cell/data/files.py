@@ -1,6 +1,7 @@
 """Files: bounded reading of plain files and npz archives, atomic writing."""
 
 import errno
+import hashlib
 import itertools
 import os
 import secrets
@@ -68,6 +69,12 @@ def read_plain(path: Path, *, error: type[CellError], what: str, limit_bytes: in
     if len(data) > limit_bytes:
         raise error(f"{path}: too long; a {what} has at most {limit_bytes} bytes")
     return data
+
+
+def name_in_file(name: str) -> str:
+    """Return a name as a part of a file name; names that differ in punctuation alone differ too."""
+    plain = "".join(sign if sign.isascii() and sign.isalnum() else "-" for sign in name)[:60]
+    return plain if plain == name else f"{plain}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
 def free_name(path: Path) -> Path:

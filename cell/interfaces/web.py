@@ -75,6 +75,9 @@ LONGEST_STL = 10_000_100
 """Largest STL file in bytes: 200,000 triangles as binary."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 """A number in a request."""
+Text = Annotated[str, Field(max_length=REQUEST_BYTES)]
+"""A text in a request; with a limit it is also checked for lone surrogates, which JSON answers
+cannot have."""
 
 
 JOB_EXAMPLES: dict[str, Any] = {
@@ -107,7 +110,7 @@ class LeasedBody(RequestBody):
 class AcquireBody(RequestBody):
     """Name of the new client in command; ``take``, on this machine only, takes the lease."""
 
-    name: str
+    name: Text
     take: bool = False
 
 
@@ -145,7 +148,7 @@ class CommandBody(JobBody):
 class FaultBody(RequestBody):
     """A fault of the simulated cell, as for `serve --fault`."""
 
-    fault: str
+    fault: Text
 
 
 class PoseFields(RequestBody):

@@ -405,10 +405,11 @@ class TactileCellPlugin:
         Another thread reads missing shapes; they are None until then. `taught_revision` changes
         with each.
         """
-        if not self._model.shapes_read and not (self._reading and self._reading.is_alive()):
-            read = self._model.read_shapes
-            self._reading = threading.Thread(target=read, name="taught-shapes", daemon=True)
-            self._reading.start()
+        with self._starting:
+            if not self._model.shapes_read and not (self._reading and self._reading.is_alive()):
+                read = self._model.read_shapes
+                self._reading = threading.Thread(target=read, name="taught-shapes", daemon=True)
+                self._reading.start()
         return [
             {
                 "label": label,

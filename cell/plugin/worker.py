@@ -28,8 +28,8 @@ _SILENT_S = 10.0
 """Time in s without supervision after which the thread counts as stuck: twice the longest silence
 of a force loop."""
 JOB_SILENT_S = 300.0
-"""Longest time in s of a job without a report, a period of a motion or the end of a move. The
-longest computation, a training on hundreds of grasps, takes a tenth of it."""
+"""Longest time in s of a job without a report, a period of a motion or the end of a move. Beside
+the moves of a host, a training is the longest: 8 s for 720 grasps of 36 objects."""
 
 
 class JobOutcome(StrEnum):

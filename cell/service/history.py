@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.control.answer import Answer
-from cell.data.files import free_name
+from cell.data.files import free_name, name_in_file
 from cell.data.formats import PROGRAM
 from cell.errors import CellError
 from cell.plugin.host_status import HostStatus
@@ -236,8 +236,7 @@ class History:
 
 def history_file(directory: Path, cell_name: str) -> Path:
     """Return the file of the history of a cell, beside the folders of its jobs."""
-    name = "".join(sign if sign.isalnum() else "-" for sign in cell_name)
-    return directory / f"history-{name}.sqlite3"
+    return directory / f"history-{name_in_file(cell_name)}.sqlite3"
 
 
 def read_day(path: Path, day: date) -> list[Mapping[str, Any]]:

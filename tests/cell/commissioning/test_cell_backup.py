@@ -41,7 +41,7 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (folder / "out" / "run-20270101-000000").mkdir()
     (folder / "out" / "run-20270101-000000" / "recording.mcap").touch()
     (folder / "token").write_text("secret")
-    config = changed_config(CellConfig(name="press 4"), REAL | {"serve.token_file": "token"})
+    config = changed_config(CellConfig(name="press-4"), REAL | {"serve.token_file": "token"})
     (folder / CONFIG).write_text("# our press\n" + config_text(config))
     monkeypatch.chdir(folder)
     return folder

@@ -24,6 +24,7 @@ from cell.jobs.doctor import examine
 from cell.plugin import tasks
 from cell.plugin.goals import ZeroGoal, checked_goal
 from cell.plugin.health import health_values
+from cell.service.history import history_file
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import MODELS
 from gripper.errors import MechanicsContradicted, PartBetweenFingers
@@ -545,3 +546,14 @@ def test_a_measured_zero_keeps_the_drives_and_they_keep_the_zero(tmp_path: Path)
     # What nobody has measured is the catalogue's, and is not kept.
     both.keep_drives({1: DriveCharacteristic.catalogue(MODELS["XM430-W350"])}, {})
     assert set(kept_zeros(here, tmp_path).drives) == {2}
+
+
+def test_cells_have_files_of_their_own_whatever_their_names_have_in_common() -> None:
+    names = ("cell 1", "cell-1", "cell_1", "cell/1", "cell  1", "Zelle \u00e4", "Zelle \u00f6")
+    names += ("\u00e4" * 80, "\u00f6" * 80, "x" * 80, "x" * 79)
+    for file_of in (zero_file, history_file):
+        files = [file_of(Path("out"), name) for name in names]
+        assert len(set(files)) == len(names)
+        assert all(file.parent == Path("out") for file in files)
+        assert max(len(file.name.encode()) for file in files) < 100
+    assert zero_file(Path("out"), "cell-1").name == "self-zero-cell-1.json"

@@ -132,6 +132,19 @@ def test_an_unknown_command_is_refused_with_the_names_of_all(served, host) -> No
         assert "<" not in found["error"]
 
 
+def test_a_text_that_no_answer_can_have_is_refused(served, host) -> None:
+    kind = {"Content-Type": "application/json"}
+    for path, body in (
+        ("/api/lease", '{"name": "\\ud800"}'),
+        ("/api/simulation/faults", '{"fault": "\\udfff"}'),
+        ("/api/simulation/part", '{"lease": 1, "part": "\\ud800"}'),
+        ("/api/jobs", '{"lease": 1, "goal": {"task": "teach", "label": "\\ud800"}}'),
+        ("/api/jobs", '{"lease": 1, "goal": {"task": "\\ud800"}}'),
+    ):
+        check_refusal(*host.send("POST", path, body, **kind)[:2], status=422)
+        assert host.get("/api/state")["commander"] == ""
+
+
 def test_a_label_that_looks_like_a_path_is_a_label(served, host) -> None:
     for label in ("ball/last", "ball/photo", "ball", "a?b#c%2F"):
         served.plugin.objects[label] = {"n_grasps": 5, "shape": "sphere", "size_mm": 9.5}
