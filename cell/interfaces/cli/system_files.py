@@ -53,7 +53,7 @@ SupplementaryGroups=dialout
 
 # Ready when clients can command. Before that, the first start of the built-in cell teaches objects.
 TimeoutStartSec=180
-# Fed only while the thread of the cell works. The signal ends the cell; the grip is kept.
+# Fed only while the service works, see /healthz. The signal ends the cell; the grip is kept.
 WatchdogSec=30
 WatchdogSignal=SIGTERM
 
