@@ -59,21 +59,21 @@ def missing_note(extra: str, what: str) -> str:
 def remedy(extra: str) -> str:
     """Return instructions to add an extra to this installation.
 
-    pip gets the project from its origin (PEP 610, ``direct_url.json``): a folder, a file, a
-    repository, or else the index.
+    pip gets the project from its origin (PEP 610, ``direct_url.json``): a folder, a file or a
+    repository. Without an origin that still exists it needs a checkout.
     """
-    text = f"install this project with its extra `{extra}`"
+    text = f"install this project with its extra `{extra}`: pip install"
     try:
         origin = json.loads(distribution("tactile-cell").read_text("direct_url.json") or "{}")
     except (PackageNotFoundError, ValueError):
         origin = {}
-    url, option, what = str(origin.get("url", "")), "", f"tactile-cell[{extra}]"
+    url = urlsplit(str(origin.get("url", "")))
+    path = Path(unquote(url.path))
+    if not url.scheme or (url.scheme == "file" and not path.exists()):
+        return f"{text} '.[{extra}]' in its checkout"
     if "dir_info" in origin:
-        folder = Path(unquote(urlsplit(url).path))
-        if not folder.is_dir():
-            return text
-        option, what = "-e " if origin["dir_info"].get("editable") else "", f"{folder}[{extra}]"
-    elif url:
-        kind = origin.get("vcs_info", {}).get("vcs")
-        what += f" @ {kind}+{url}" if kind else f" @ {url}"
-    return f"{text}: pip install {option}'{what}'"
+        option = "-e " if origin["dir_info"].get("editable") else ""
+        return f"{text} {option}'{path}[{extra}]'"
+    kind = origin.get("vcs_info", {}).get("vcs")
+    source = f"{kind}+{url.geturl()}" if kind else url.geturl()
+    return f"{text} 'tactile-cell[{extra}] @ {source}'"

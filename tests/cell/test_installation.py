@@ -1,7 +1,9 @@
 """What belongs together is found together: packages of one installation, extras, examples."""
 
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -46,7 +48,8 @@ def test_a_module_that_hides_a_package_is_named_where_a_cell_is_wanted(
     [
         ('{"url": "file://HERE", "dir_info": {"editable": true}}', ": pip install -e 'HERE[mesh]'"),
         ('{"url": "file://HERE", "dir_info": {}}', ": pip install 'HERE[mesh]'"),
-        ('{"url": "file:///gone", "dir_info": {}}', ""),
+        ('{"url": "file:///gone", "dir_info": {}}', ": pip install '.[mesh]' in its checkout"),
+        ('{"url": "file:///x.whl", "archive_info": {}}', ": pip install '.[mesh]' in its checkout"),
         (
             '{"url": "https://host/x.whl", "archive_info": {}}',
             ": pip install 'tactile-cell[mesh] @ https://host/x.whl'",
@@ -55,8 +58,8 @@ def test_a_module_that_hides_a_package_is_named_where_a_cell_is_wanted(
             '{"url": "https://host/x", "vcs_info": {"vcs": "git", "commit_id": "1"}}',
             ": pip install 'tactile-cell[mesh] @ git+https://host/x'",
         ),
-        ("", ": pip install 'tactile-cell[mesh]'"),
-        ("not JSON", ": pip install 'tactile-cell[mesh]'"),
+        ("", ": pip install '.[mesh]' in its checkout"),
+        ("not JSON", ": pip install '.[mesh]' in its checkout"),
     ],
 )
 def test_an_extra_is_added_to_the_installation_that_is_there(
@@ -75,3 +78,19 @@ def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "jinja2", None)
     note = installation.missing_note("report", "report page")
     assert note.startswith("no report page: jinja2 missing; install this project with its extra")
+
+
+def test_pages_install_what_exists_without_an_index() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    pages = [ROOT / "README.md", *ROOT.glob("docs/**/*.md"), *ROOT.glob("docs/**/*.toml")]
+    commands = [
+        (page.name, command.strip())
+        for page in pages
+        for command in re.findall(r"pip install ([^`#&\n]+)", page.read_text("utf-8"))
+    ]
+    assert len(commands) > 6
+    for page, command in commands:
+        what = command.split()[-1].strip("'")
+        assert what.startswith(".") or "--find-links" in command, (page, command)
+        extras = "".join(re.findall(r"\[(.*)\]", what)).split(",")
+        assert {*extras} - {""} <= {*project["optional-dependencies"]}, (page, command)
