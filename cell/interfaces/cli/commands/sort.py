@@ -41,7 +41,7 @@ def sort(
     """Identify parts and release each at its place."""
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
-    from cell.interfaces.cli.terminal import write_json
+    from cell.interfaces.cli.terminal import print_note, write_json
     from cell.jobs.sort import Places, simulated_feed
     from cell.learning.model import load_model
     from cell.plugin.goals import FEED_MAX, SortGoal
@@ -68,6 +68,9 @@ def sort(
             *(checked, "sort", out_folder), config_file=config, json_file=json_file, model=model
         ) as cell:
             if model is None:
+                print_note(
+                    f"no --model: teaches {teach_grasps} grasps each of {', '.join(objects)} first"
+                )
                 teach_objects(cell.plugin, checked, objects, teach_grasps, cell.progress)
                 cell.plugin.train()
             cell.run(goal, on_progress)
