@@ -66,6 +66,7 @@ def test_without_power_stage_it_goes_between_two_states(drive: Any) -> None:
         assert device._read(od.VELOCITY) == 0
 
 
+@pytest.mark.slow
 def test_it_goes_to_both_ends_and_stops_quickly_on_the_way(moving_drive: Any) -> None:
     drive = moving_drive
     near = abs(drive.device._settings.window / drive.axes._axes[drive.name].increments)

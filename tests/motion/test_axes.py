@@ -113,6 +113,7 @@ def bench(make_wrist: Any) -> Any:
     return make_wrist()
 
 
+@pytest.mark.slow
 def test_a_wrist_turns_between_its_limits(bench) -> None:
     for roll_rad in (0.0, math.pi, 1.0):
         assert bench.move(roll_rad) == pytest.approx(roll_rad, abs=NEAR_RAD)

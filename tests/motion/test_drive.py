@@ -31,6 +31,7 @@ def bench(make_drive: MakeDrive) -> DriveBench:
     return make_drive()
 
 
+@pytest.mark.slow
 def test_an_axis_finds_its_home_and_goes_where_it_shall(bench) -> None:
     for x_m in (0.0, 0.012, -0.02, 0.02):
         assert bench.move(x_m) == pytest.approx(x_m, abs=NEAR_M)
@@ -80,6 +81,7 @@ def test_the_limits_stand_beside_the_write_and_in_the_drive(make_drive) -> None:
     assert [bench.drive._read(od.SOFTWARE_LIMITS, end) for end in (1, 2)] == [-20_000, 20_000]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fail", "error", "words"),
     [
@@ -135,6 +137,7 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
     assert simulated.position == pytest.approx(0.005, abs=NEAR_M)
 
 
+@pytest.mark.slow
 def test_a_drive_that_another_master_stopped_is_started_by_the_next_motion(bench) -> None:
     bench.move(-0.01)
     bench.simulated.command(2)
@@ -183,6 +186,7 @@ def test_a_fault_is_reset_only_by_who_has_seen_it(bench) -> None:
     bench.move(0.0)
 
 
+@pytest.mark.slow
 def test_a_fault_between_two_motions_is_found_before_the_next(bench) -> None:
     bench.move(0.0)
     bench.simulated.fail(0x4310)
@@ -196,6 +200,7 @@ def test_a_fault_between_two_motions_is_found_before_the_next(bench) -> None:
         bench.move(0.0)
 
 
+@pytest.mark.slow
 def test_what_the_supervision_raises_stops_the_axis(make_drive) -> None:
     bench = make_drive(homing_velocity=5_000)
     bench.move(-0.02)

@@ -1,11 +1,26 @@
+"""The simulated cell, its clock, and what no cell can be made of."""
+
+import math
+import time
+from collections.abc import Callable
+
 import can
 import numpy as np
 import pytest
 
 from gripper.dynamixel.control_table import REGISTERS
+from gripper.dynamixel.models import XM430_W350
+from simulator.can.control_unit import ControlUnitSettings
+from simulator.can.faults import CanLinkFaults, Disturber
+from simulator.can.wire import CanWire
 from simulator.cell import SimulatedCell
-from simulator.clock import VirtualClock
-from simulator.errors import PortUnplugged
+from simulator.clock import Pace, VirtualClock
+from simulator.errors import PortUnplugged, SimulatorSettingsError
+from simulator.servo.bus import ServoBusDevice
+from simulator.servo.device import SimulatedServo
+from simulator.servo.gearing import Gearing
+from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
+from simulator.servo.motor import ServoMotor
 from simulator.servo.protocol2 import Instruction, encode_instruction
 from simulator.settings import SimulatorSettings
 from tactile.frames.assembler import FrameAssembler
@@ -93,3 +108,152 @@ def test_a_closed_cell_is_of_no_use() -> None:
         cell.servo_port.write(b"\0")
     with pytest.raises(can.CanOperationError):
         cell.can_bus.recv(0)
+
+
+def test_callbacks_see_each_piece_and_the_end() -> None:
+    clock = VirtualClock()
+    seen: list[float] = []
+    clock.on_advance.append(seen.append)
+    clock.sleep(0.0035)
+    assert seen == pytest.approx([0.001, 0.002, 0.003, 0.0035])
+    assert clock.monotonic() == seen[-1]
+
+
+def test_rounding_makes_no_extra_piece() -> None:
+    clock = VirtualClock(start_s=0.1)
+    seen: list[float] = []
+    clock.on_advance.append(seen.append)
+    clock.sleep(0.3)
+    assert len(seen) == 300
+    assert seen[-1] == 0.1 + 0.3
+
+
+def test_the_past_changes_nothing() -> None:
+    clock = VirtualClock(start_s=1.0)
+    clock.on_advance.append(lambda _now_s: pytest.fail("time must not move"))
+    clock.advance_to(0.5)
+    clock.sleep(0.0)
+    assert clock.monotonic() == 1.0
+
+
+def test_a_callback_cannot_move_the_clock() -> None:
+    clock = VirtualClock()
+    clock.on_advance.append(lambda now_s: clock.advance_to(now_s + 1.0))
+    with pytest.raises(RuntimeError, match="must not move"):
+        clock.sleep(0.001)
+    clock.on_advance.clear()
+    clock.sleep(0.001)
+    assert clock.monotonic() == pytest.approx(0.002)
+
+
+class Machine:
+    """A real clock that only the test moves; ``slow_s`` passes with each look at it."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.slow_s = 0.0
+        self.waits: list[float] = []
+
+    def monotonic(self) -> float:
+        self.now_s += self.slow_s
+        return self.now_s
+
+    def sleep(self, seconds: float, /) -> None:
+        self.waits.append(seconds)
+        self.now_s += seconds
+
+
+def test_a_paced_clock_has_a_speed_and_an_end() -> None:
+    clock, real = VirtualClock(), Machine()
+    pace = Pace(clock, real, speed=4.0)
+    clock.sleep(2.0)
+    assert real.now_s - 100.0 == pytest.approx(0.5, abs=0.011)
+    pace.end()
+    real.waits.clear()
+    clock.sleep(2.0)
+    assert real.waits == []
+
+
+def test_a_slow_machine_makes_virtual_time_run_later_and_catches_up_only_a_little() -> None:
+    clock, real = VirtualClock(), Machine()
+    pace = Pace(clock, real)
+    real.now_s += 0.15
+    assert pace.lag_s() == pytest.approx(0.15)
+    clock.sleep(0.15)
+    assert real.waits == []
+    real.now_s += 3600.0
+    assert pace.lag_s() == pytest.approx(0.2)
+    clock.sleep(1.2)
+    assert sum(real.waits) == pytest.approx(1.0, abs=0.011)
+    real.slow_s = 0.002
+    before_s = real.now_s
+    clock.sleep(1.0)  # each piece of 1 ms takes 2 ms of the machine: nothing is waited for
+    assert real.now_s - before_s == pytest.approx(2.0, abs=0.05)
+    assert pace.lag_s() == pytest.approx(0.2, abs=0.01)
+
+
+def servo(**settings: int) -> SimulatedServo:
+    return SimulatedServo(1, XM430_W350, ServoMotor(), settings=settings)
+
+
+def fingers(motors: int = 2, **options: float) -> FingerMechanics:
+    made = [ServoMotor() for _ in range(motors)]
+    mounts = [ServoMount() for _ in range(motors)]
+    return FingerMechanics(made, mounts, ParallelogramLinkage(), **{"aperture_m": 0.01} | options)
+
+
+def disturb(faults: CanLinkFaults) -> None:
+    list(Disturber(faults, np.random.default_rng(0)).pass_on(0.0, b""))
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: ControlUnitSettings(node_id=0), "node_id"),
+        (lambda: ControlUnitSettings(node_id=128), "node_id"),
+        (lambda: ControlUnitSettings(bitrate=0), "bitrate"),
+        (lambda: ControlUnitSettings(boot_s=-1.0), "boot_s"),
+        (lambda: CanWire(0), "bit rate"),
+        (lambda: SimulatorSettings(aperture_m=0.5), "aperture_m"),
+        (lambda: SimulatedCell(SimulatorSettings(servo_baud_rate=12345)), "servo_baud_rate"),
+        (lambda: ServoBusDevice([servo(), servo()], 57600), "IDs"),
+        (lambda: ServoBusDevice([servo()], 0), "baudrate"),
+        (lambda: servo(present_position=1), "present_position"),
+        (lambda: servo(no_such_item=1), "no_such_item"),
+        (lambda: servo(return_delay_time=255), "return_delay_time"),
+        (lambda: fingers(0), "one or two motors"),
+        (lambda: fingers(half_opening_min_m=-0.1), "half_opening_min_m"),
+        (lambda: fingers().drive_to(-1.0), "aperture -1.0 m"),
+        (lambda: fingers().drive_to(1.0), "aperture 1.0 m"),
+        (lambda: fingers().drive_to(math.nan), "aperture nan m"),
+        (lambda: ServoMount(direction=0), "direction"),
+        (lambda: ParallelogramLinkage(link_m=0.0), "link_m"),
+        (lambda: RackLinkage(travel_m=math.inf), "travel_m"),
+        (lambda: ParallelogramLinkage().angle_rad(0.07), "out of reach"),
+        (lambda: RackLinkage().angle_rad(0.06), "beyond"),
+        (lambda: Gearing(load_friction=1.0), "load_friction"),
+        (lambda: Gearing(ripple=-0.1), "ripple"),
+        (lambda: Gearing(backlash_rad=math.nan), "backlash_rad"),
+        (lambda: ServoMotor(angle_rad=math.nan), "finite"),
+    ],
+)
+def test_the_setting_is_named(make: Callable[[], object], says: str) -> None:
+    with pytest.raises(SimulatorSettingsError, match=says):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: VirtualClock(start_s=math.nan), "finite time"),
+        (lambda: VirtualClock().advance_to(math.inf), "finite time"),
+        (lambda: VirtualClock().sleep(-1e-9), "sleep takes"),
+        (lambda: VirtualClock().sleep(math.nan), "sleep takes"),
+        (lambda: VirtualClock().sleep(math.inf), "sleep takes"),
+        (lambda: Pace(VirtualClock(), time, speed=0.0), "positive speed"),
+        (lambda: Pace(VirtualClock(), time, speed=math.inf), "positive speed"),
+    ],
+)
+def test_times_that_no_clock_shows_are_refused(make: Callable[[], object], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        make()

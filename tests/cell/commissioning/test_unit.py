@@ -1,23 +1,16 @@
 """The control unit of the wizard: what is found on a bus, and what is wrong there, by name."""
 
-from pathlib import Path
-
 import pytest
 
 from cell.checks.findings import Verdict
-from cell.commissioning.bench import Bench
-from cell.commissioning.engine import WizardAborted, carry_out
-from cell.commissioning.pads import PadsAtRestStep
+from cell.commissioning.engine import WizardAborted
 from cell.commissioning.unit import UnitStep
-from cell.config.file import changed_config
-from cell.config.model import CellConfig
-from pytest_tactile_cell.process import CellProcess
 from simulator.can.drive import DriveMount
 from simulator.devices import SimulatedDrive
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
 from tests.cell.commissioning.conftest import MakeStand
-from tests.cell.commissioning.script import Script, SimulatedLines
+from tests.cell.commissioning.script import SimulatedLines
 
 STEP = UnitStep()
 
@@ -98,25 +91,3 @@ def test_the_interface_is_asked_for_only_where_there_are_several(one) -> None:
     finding = one.run(STEP, unit__none="alone")
     assert finding.status is Verdict.WARN
     assert finding.values == {"gripper_alone": True}
-
-
-@pytest.mark.long
-def test_a_unit_of_another_bit_rate_is_found_over_a_real_serial_adapter(tmp_path: Path) -> None:
-    changes = {"tactile.layout": "pinch", "tactile.bitrate": 500_000}
-    config = changed_config(CellConfig(), changes)
-    cell = CellProcess(config)
-    try:
-        given = {"tactile.interface": "slcan", "tactile.channel": cell.can_channel}
-        bench = Bench(tmp_path, given=given)
-        finding = carry_out(STEP, bench, Script())
-        assert finding.status is Verdict.PASS, finding.lines
-        assert finding.settings["tactile.bitrate"] == 500_000
-        bench.settings = finding.settings
-        cell.ask(press="finger1.inner", at=["tip", "right"])
-        finding = carry_out(PadsAtRestStep(), bench, Script())
-        assert finding.status is Verdict.FAIL
-        assert "for an untouched taxel: clear the pads" in finding.lines[-1]
-        cell.ask(lift=True)
-        assert carry_out(PadsAtRestStep(), bench, Script()).status is Verdict.PASS
-    finally:
-        cell.end()

@@ -12,7 +12,7 @@ from cell.commissioning.unit import UnitStep
 from cell.commissioning.walk import all_steps
 from simulator.world.taxels import NoiseModel
 from tactile.layout import inner_pads
-from tests.cell.commissioning.conftest import Stand
+from tests.cell.commissioning.conftest import MakeStand, Stand
 
 SERVOS, UNIT, REST, FORCE = ServosStep(), UnitStep(), PadsAtRestStep(), FirstForceStep()
 PRESSED, LINES = PadsPressedStep(), LinkQualityStep(duration_s=2.5)
@@ -88,3 +88,23 @@ def test_steps_of_the_pads_pass_by_where_there_are_none(stand, step) -> None:
     assert finding.status is WARN
     assert "has no pads" in finding.lines[0]
     assert not one.person.script.asked
+
+
+STEP = LinkQualityStep(duration_s=2.5)
+
+
+def test_sound_lines_pass(stand: MakeStand) -> None:
+    finding = stand().passes(STEP)
+    assert finding.values["periods"] == 500
+    assert finding.values["lost_frames"] == finding.values["retries"] == 0
+    assert finding.values["forces"] > 450
+    (figure,) = finding.figures.values()
+    assert len(figure["x"]) == 2
+    assert max(figure["series"]["answer of the servos"]) < 5.0
+
+
+def test_a_gripper_without_pads_has_one_line(stand: MakeStand) -> None:
+    one = stand("unit.off")
+    one.bench.found = {"unit": {"gripper_alone": True}}
+    finding = one.passes(STEP)
+    assert len(finding.lines) == 2

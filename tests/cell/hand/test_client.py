@@ -256,6 +256,7 @@ def test_a_process_that_says_nothing_between_commands_is_lost(hand, monkeypatch)
     hand.tick()
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_the_process_comes_up_is_the_programs_business(monkeypatch, tmp_path) -> None:
     """Its ports do not exist: it lives to say so."""
     start = subprocess.Popen

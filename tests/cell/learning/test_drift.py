@@ -196,6 +196,7 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(monkeypat
     assert model.drift.n_followed == 3
 
 
+@pytest.mark.slow
 def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught, tmp_path) -> None:
     plugin = TactileCellPlugin(taught.config, model=taught.result.model)
     try:
@@ -247,6 +248,7 @@ def test_a_model_that_cannot_follow_is_refused(taught, tmp_path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
     model = load_model(taught.result.model)
     drift = Drift(gains=(0.8,), aperture_offset_m=-1e-3)
@@ -262,6 +264,8 @@ def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
     assert gauged.drift.drift == before
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("made_up_zero")
 def test_a_model_that_was_taught_without_a_self_zero_is_named_once(taught, make_bench) -> None:
     bench = make_bench(small_config(self_zero="always")).ready()
     model = TaughtModel.load(bench.config, taught.result.model)

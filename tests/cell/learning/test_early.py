@@ -30,6 +30,7 @@ def posterior(share: float, unknown: float = 0.01) -> Posterior:
     return Posterior(labels=("ball", "box"), probability=probability, unknown=unknown)
 
 
+@pytest.mark.slow
 def test_a_ramp_ends_where_it_suffices_with_the_answer_of_that_moment(make_bench, tmp_path) -> None:
     bench = make_bench(folder=tmp_path).ready()
     recogniser = Scripted(UNSURE, LIKELY, UNLIKELY)
@@ -95,6 +96,7 @@ def test_the_last_grasp_is_no_reason_to_end_a_ramp() -> None:
     assert not rule.suffices(posterior(0.999, unknown=0.99))
 
 
+@pytest.mark.slow
 def test_a_check_that_fails_is_a_complaint_and_the_ramp_goes_on(bench) -> None:
     bench.ready()
     looks = iter([raising(CellError("a broken model")), bool, bool])
@@ -112,6 +114,7 @@ def test_a_check_that_fails_is_a_complaint_and_the_ramp_goes_on(bench) -> None:
     assert bench.controller.life.fault is None
 
 
+@pytest.mark.slow
 def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench) -> None:
     bench.ready()
     recogniser = Scripted(LIKELY, look=lambda: bench.simulated.inject("servo2.overload"))
@@ -123,6 +126,7 @@ def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench) -> None:
     assert bench.grip_n > 0.5
 
 
+@pytest.mark.slow
 def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(bench) -> None:
     bench.ready()
     step = GraspStep(pose=Pose(), force_n=5.0)
@@ -136,6 +140,7 @@ def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(bench
     assert bench.grip_n == pytest.approx(carry_n, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_stop_comes_before_the_end_of_the_ramp(bench) -> None:
     bench.ready()
     recogniser = Scripted(LIKELY, look=bench.controller.life.cancel)
@@ -145,20 +150,21 @@ def test_a_stop_comes_before_the_end_of_the_ramp(bench) -> None:
     assert bench.grip_n > 0.5
 
 
+@pytest.mark.slow
 def test_objects_are_named_in_less_time_and_none_wrongly(make_bench, taught) -> None:
     bench = make_bench(taught.config).ready()
     model = TaughtModel.load(taught.config, taught.result.model)
     grasp_s: dict[bool, list[float]] = {True: [], False: []}
     for whole, times_s in grasp_s.items():
         ended = 0
-        for number, label in enumerate(["ball", "box"] * 4):
+        for number, label in enumerate(["ball", "box"] * 2):
             found = identify(
                 bench.controller, model, presented=label, seed=20 + number, whole_ramps=whole
             )
             assert found.label in (label, UNKNOWN)
             times_s += [record.duration_s for record in found.records]
             ended += sum(record.early is not None for record in found.records)
-        assert ended == 0 if whole else ended >= 3
+        assert ended == 0 if whole else ended >= 1
     assert np.mean(grasp_s[False]) < np.mean(grasp_s[True])
     more = Collection(label="ball", n_planned=1)
     teach(bench.controller, model, more, seed=30, on_grasp=lambda _: None)

@@ -69,24 +69,6 @@ def test_the_foreign_package_and_our_reader_agree_frame_by_frame(profile, tmp_pa
         np.testing.assert_allclose(mine, np.mean(theirs, axis=0).ravel(), atol=1.5)
 
 
-def test_boards_send_each_at_a_rate_of_its_own() -> None:
-    all_hz = set()
-    for seed in range(3):
-        with simulated(seed=seed) as cell:
-            cell.clock.sleep(0.001)
-            for board in cell.devices.boards:
-                board.drop_pending()
-            n_bytes = [0, 0]
-            for _ in range(200):
-                cell.clock.sleep(0.01)
-                for finger, board in enumerate(cell.devices.boards):
-                    n_bytes[finger] += len(board.transmit(cell.clock.monotonic()))
-            rates_hz = [n / 386 / 2.0 for n in n_bytes]
-            assert all(88.0 < rate_hz < 112.0 for rate_hz in rates_hz)
-            all_hz.update(rates_hz)
-    assert len(all_hz) > 3
-
-
 class Pressed:
     """A world with one force on one taxel."""
 

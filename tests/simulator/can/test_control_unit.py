@@ -1,5 +1,9 @@
+"""The simulated control unit: services, frames, forces, exact vectors of its bursts."""
+
 import struct
+from binascii import crc_hqx
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import canopen
@@ -14,14 +18,16 @@ from simulator.can.control_unit import (
     SimulatedControlUnit,
 )
 from simulator.can.faults import ControlUnitFaults
+from simulator.can.messages import BurstFormat
+from simulator.can.pad_forces import PadForces
 from simulator.errors import SimulatorStateError
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.object_dictionary import UnitTareResult
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
-from tactile.frames.force_message import decode_force_message
-from tactile.layout import TaxelLayout, paper_layout
-from tactile.sensor.calibration import FoamCalibration
+from tactile.frames.force_message import decode_force_message, encode_zero
+from tactile.layout import TaxelLayout, paper_layout, pinch_layout
+from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
 from tactile.sensor.opening import force_table
 from tactile.source import ForceMessage, ForceStatus, FrameStatus, TactileFrame
 from tests.tactile.conftest import Skin
@@ -172,20 +178,6 @@ def test_a_reset_brings_one_boot_up_and_the_defaults_back(line, command) -> None
     assert line.frame().counter == (1 if kept else 0)
 
 
-def test_frames_follow_each_nth_sync_of_the_identifier_that_is_set(line) -> None:
-    with pytest.raises(canopen.SdoAbortedError, match="08000024"):
-        line.read(od.LAST_FRAME)
-    assert line.write(od.SYNC_COB_ID, 0, 0x90, 4) == 0
-    assert line.write(od.TPDO1_PARAMETER, 2, 3, 1) == 0
-    line.start()
-    assert line.tell(SYNC) == []
-    bursts = []
-    for _ in range(6):
-        bursts.append(len(line.tell(0x90)))
-        line.wait(0.02)
-    assert bursts == [0, 0, 59, 0, 0, 59]
-
-
 def forces(line: Line, seconds: float) -> list[ForceMessage]:
     line.take()
     found = []
@@ -319,12 +311,6 @@ def test_writes_that_are_not_allowed_are_refused(index, sub, value, size, code) 
     assert Line().write(index, sub, value, size) == code
 
 
-def test_the_sync_counter_is_set_before_the_period(line) -> None:
-    assert line.write(od.SYNC_OVERFLOW, 0, 240, 1) == 0
-    assert line.write(od.SYNC_PERIOD_US, 0, 20_000, 4) == 0
-    assert line.write(od.SYNC_OVERFLOW, 0, 0, 1) == 0x0800_0022
-
-
 def test_the_mapping_can_be_written_again_but_not_changed(line) -> None:
     mapping, parameter = od.TPDO1_MAPPING, od.TPDO1_PARAMETER
     assert line.write(parameter, 1, 0xC000_0185, 4) == 0
@@ -357,22 +343,163 @@ def test_wrong_sdo_requests_are_aborted_and_leave_the_server_working(line, reque
     assert line.write(od.HEARTBEAT_MS, 0, 100, 2) == 0
 
 
-def test_faults_of_the_converter_show_in_the_frames(line) -> None:
-    line.start()
-    line.faults.stuck_counts[3] = 200
-    line.faults.dead_taxels.add(4)
-    line.faults.offset_counts = 10.0
-    line.faults.gain = 2.0
-    frame = line.frame()
-    assert frame.counts[2:6].tolist() == [16, 200, 0, 16]
-    line.faults.frozen = True
-    line.skin.counts[:] = 99
-    again = line.frame()
-    assert np.array_equal(again.counts, frame.counts)
-    assert again.counter == frame.counter + 1
-
-
 def test_a_unit_that_is_on_no_bus_says_so() -> None:
     unit = SimulatedControlUnit(Skin(paper_layout()), paper_layout())
     with pytest.raises(SimulatorStateError, match="connect"):
         unit.advance(1.0)
+
+
+PAPER = BurstFormat(n_taxels=408, sample_bytes=1)
+RAMP = np.arange(408) & 0xFF
+
+
+@pytest.mark.parametrize(
+    ("counts", "counter", "status", "last"),
+    [
+        (np.zeros(408, int), 0, 0, "3A 00 00 00 00 00 74 87"),
+        (np.full(408, 255), 0xFFFF, 1, "FA FF FF FF FF 01 A4 36"),
+        (RAMP, 0x1234, 0, "3A 96 97 34 12 00 31 1D"),
+        (RAMP, 0x1235, 0, "7A 96 97 35 12 00 01 2A"),
+    ],
+)
+def test_last_message_vectors(counts: np.ndarray, counter: int, status: int, last: str) -> None:
+    assert PAPER.burst(counts, counter, status)[58] == bytes.fromhex(last)
+
+
+def test_message_vectors() -> None:
+    messages = PAPER.burst(RAMP, 0x1235, 0)
+    assert len(messages) == 59
+    assert messages[0] == bytes.fromhex("40 00 01 02 03 04 05 06")
+    assert messages[1] == bytes.fromhex("41 07 08 09 0A 0B 0C 0D")
+    assert messages[57] == bytes.fromhex("79 8F 90 91 92 93 94 95")
+
+
+def test_pinch_layout_sends_16_bit_little_endian_and_zero_padding() -> None:
+    pinch = BurstFormat(n_taxels=156, sample_bytes=2)
+    counts = np.full(156, 0x0ABC)
+    messages = pinch.burst(counts, 2, 0)
+    assert messages[0] == bytes.fromhex("80 BC 0A BC 0A BC 0A BC")
+    # 312 sample bytes + 5 of padding + 5 of trailer = 46 x 7
+    payload = b"".join(message[1:] for message in messages)
+    assert payload[312:317] == bytes(5)
+    assert payload[317:320] == bytes.fromhex("02 00 00")
+    assert int.from_bytes(payload[320:], "little") == crc_hqx(payload[:320], 0xFFFF)
+
+
+def test_long_header_is_phase_and_index_high_then_low() -> None:
+    long = BurstFormat(n_taxels=2000, sample_bytes=1)
+    messages = long.burst(np.arange(2000) % 251, 3, 0)
+    assert messages[0][:2] == bytes([0xC0, 0x00])
+    assert messages[300][:2] == bytes([0xC1, 0x2C])
+
+
+LAYOUTS = [
+    (paper_layout(), FoamCalibration(255)),
+    (pinch_layout(), LinearCalibration(force_per_count_n=0.002, adc_max=4095)),
+]
+
+
+class Unit:
+    """A unit whose pads are zeroed, and a way to press them."""
+
+    def __init__(
+        self, layout: TaxelLayout, calibration: Calibration, *, bad: tuple[int, ...] = ()
+    ) -> None:
+        self.layout = layout
+        self.calibration = calibration
+        self.n = sum(layout.pads[pad].n_taxels for pad in layout.gripping_pads)
+        self.zero = np.full(self.n, 10.0)
+        self.forces = PadForces(layout)
+        self.forces.take_table(force_table(layout, calibration))
+        dead = np.isin(np.arange(self.n), bad)
+        self.forces.take_zero(encode_zero(0.016 * layout.adc_max, self.zero, dead, layout.adc_max))
+
+    def press(self, taxel_n: dict[int, float], scans: int = 40) -> ForceMessage:
+        force_n = np.zeros(self.layout.n_taxels)
+        force_n[list(taxel_n)] = list(taxel_n.values())
+        counts = np.rint(self.calibration.counts(force_n)[: self.n] + self.zero)
+        for _ in range(scans):
+            data = self.forces.message(counts.astype(np.uint16), ForceStatus(0))
+        return decode_force_message(data, 0.0)
+
+
+@pytest.mark.parametrize(("layout", "calibration"), LAYOUTS, ids=["paper", "pinch"])
+def test_the_sum_is_the_force_though_the_counts_are_not_linear(layout, calibration) -> None:
+    unit = Unit(layout, calibration)
+    columns = layout.pads[layout.gripping_pads[0]].columns
+    n_first = layout.pads[layout.gripping_pads[0]].n_taxels
+    middle = 5 * columns + 1
+    pressed = {middle: 2.0, middle + 1: 1.0, n_first + middle: 2.5, n_first + middle + 1: 0.5}
+    found = unit.press(pressed, scans=20)
+    assert found.status == ForceStatus.ZEROED
+    assert found.force_n == pytest.approx((3.0, 3.0), abs=0.06)
+    rows = layout.pads[layout.gripping_pads[0]].rows
+    along = 5 - 0.5 * (rows - 1)
+    across = (1.0 * 4.5 + 2.0 * 1.5) / 6.0 - 0.5 * (columns - 1)
+    assert found.centre_taxels == pytest.approx((along, across), abs=0.08)
+
+
+def test_a_touch_counts_within_a_few_scans_and_ends_with_the_load() -> None:
+    unit = Unit(*LAYOUTS[0])
+    touch = dict.fromkeys((20, 21, 24, 25, 28, 29), 0.1)
+    seen_n = [unit.press(touch, scans=1).force_n[0] for _ in range(6)]
+    assert seen_n[0] == 0.0
+    assert seen_n[5] == pytest.approx(0.6, abs=0.05)
+    assert unit.press({}, scans=30).force_n == (0.0, 0.0)
+    assert unit.press({}, scans=1).centre_taxels is None
+
+
+def test_a_touch_on_both_pads_counts_sooner_than_one_on_a_single_pad() -> None:
+    one = dict.fromkeys((20, 21, 24, 25, 28, 29), 0.05)
+    n_first = Unit(*LAYOUTS[0]).n // 2
+    both = one | {n_first + taxel: force_n for taxel, force_n in one.items()}
+
+    def counts_after(touch: dict[int, float]) -> int:
+        unit = Unit(*LAYOUTS[0])
+        return next(n for n in range(1, 40) if unit.press(touch, scans=1).force_n[0] > 0.0)
+
+    assert 1 < counts_after(both) < counts_after(one)
+
+
+def test_noise_of_untouched_pads_is_no_force() -> None:
+    unit = Unit(*LAYOUTS[0])
+    rng = np.random.default_rng(3)
+    for _ in range(3000):
+        noise = np.clip(np.abs(10.0 * rng.standard_normal(unit.n)), 1.0, 20.0) - 8.0
+        counts = np.rint(unit.zero + noise).astype(np.uint16)
+        found = decode_force_message(unit.forces.message(counts, ForceStatus(0)), 0.0)
+        assert found.force_n == (0.0, 0.0)
+
+
+def test_neighbours_stand_in_for_a_taxel_that_fails() -> None:
+    whole, lame = Unit(*LAYOUTS[0]), Unit(*LAYOUTS[0], bad=(21,))
+    touch = dict.fromkeys((16, 17, 18, 20, 21, 22, 24, 25, 26), 0.5)
+    even_n = whole.press(touch).force_n[0]
+    assert lame.press(touch | {21: 0.0}).force_n[0] == pytest.approx(even_n, rel=0.1)
+
+
+def test_a_unit_without_table_or_zero_says_so_and_full_scale_too() -> None:
+    layout, calibration = LAYOUTS[0]
+    unit = Unit(layout, calibration)
+    assert unit.press({4: 60.0}).status & ForceStatus.SATURATED
+    assert not Unit(layout, calibration, bad=(4,)).press({4: 60.0}).status & ForceStatus.SATURATED
+    unit.forces.reset()
+    found = unit.press({4: 1.0})
+    assert (found.status, found.force_n) == (ForceStatus(0), (0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("knobs", "force_n", "centre"),
+    [
+        ({}, (2.0, 4.0), (1.0, 2.0)),
+        ({"force_gain": 0.5, "force_offset_n": 1.0}, (2.0, 3.0), (1.0, 2.0)),
+        ({"centre_shift_taxels": 3.0}, (2.0, 4.0), (4.0, 2.0)),
+        ({"centres_off": True}, (2.0, 4.0), None),
+    ],
+)
+def test_faults_change_force_and_centre_alone(knobs, force_n, centre) -> None:
+    sound = ForceMessage(
+        t_s=0.0, counter=3, status=ForceStatus.ZEROED, force_n=(2.0, 4.0), centre_taxels=(1.0, 2.0)
+    )
+    spoilt = ControlUnitFaults(**knobs).spoil(sound)
+    assert spoilt == replace(sound, force_n=force_n, centre_taxels=centre)

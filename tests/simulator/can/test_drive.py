@@ -155,23 +155,6 @@ def test_a_limit_switch_stops_the_axis_and_lets_it_out(bench, switch) -> None:
     assert bench.drive.position == pytest.approx(2e-3, abs=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("write", "code"),
-    [
-        (lambda sdo: sdo.download(od.MODE, 0, b"\x03"), 0x0609_0030),
-        (lambda sdo: sdo.download(od.HOMING_METHOD, 0, b"\x01"), 0x0609_0030),
-        (lambda sdo: sdo.download(od.STATUSWORD, 0, b"\0\0"), 0x0601_0002),
-        (lambda sdo: sdo.download(od.CONTROLWORD, 0, b"\0"), 0x0607_0010),
-        (lambda sdo: sdo.upload(od.CONTROLWORD, 1), 0x0609_0011),
-        (lambda sdo: sdo.upload(0x60FF, 0), 0x0602_0000),
-    ],
-)
-def test_what_it_does_not_have_is_refused(bench, write, code) -> None:
-    with pytest.raises(canopen.SdoAbortedError) as caught:
-        write(bench.witness.sdo)
-    assert caught.value.code == code
-
-
 @pytest.mark.parametrize("option", [0, od.STOP_WHEN_HOST_IS_LOST])
 def test_a_node_that_is_stopped_on_its_way_brakes_where_6007h_asks_for_it(bench, option) -> None:
     sdo = enabled(bench.witness)

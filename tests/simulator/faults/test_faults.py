@@ -13,10 +13,8 @@ from simulator.boards.uskin import UskinBoard, UskinSettings
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
-from simulator.faults.entry import Setting
 from simulator.faults.injector import VOCABULARY, check_fault
 from simulator.faults.text import parse_fault
-from simulator.servo.firmware import WatchdogStop
 from simulator.servo.wrist import WristMount
 from simulator.settings import RecordedGrasp, SimulatorSettings
 from tactile.layout import pinch_layout
@@ -254,46 +252,3 @@ def test_intermittent_loss_comes_in_bursts(cell) -> None:
         lost.append(cell.devices.faults.can.drop_rate)
     assert np.mean(lost) == pytest.approx(0.2, abs=0.03)
     assert np.count_nonzero(np.diff(lost)) == 4
-
-
-def test_the_next_messages_and_answers_are_lost(cell) -> None:
-    cell.inject("can.lose_next=3")
-    cell.inject("can.lose_next=2")
-    cell.inject("servos.lose_next=4")
-    assert cell.devices.faults.can.drop_next == 5
-    assert cell.devices.faults.servo_wire.drop_next == 4
-
-
-def test_a_part_slides_until_it_is_gone(cell) -> None:
-    cell.place("ball")
-    cell.inject("object.slips=500")
-    cell.clock.sleep(0.01)
-    placed = cell.devices.physical.placed
-    assert placed[1].x_m == pytest.approx(5e-3, abs=2e-4)
-    cell.clock.sleep(0.2)
-    assert cell.devices.physical.placed is None
-
-
-def test_the_watchdog_and_registers_of_one_servo_are_changed(cell) -> None:
-    first, second = cell.devices.servo_bus.servos
-    cell.inject("servo1.watchdog_off")
-    cell.inject("servo2.wrong=model_number:1060")
-    assert first.core.watchdog_stop is WatchdogStop.KEEPS_TURNING
-    assert second.core.watchdog_stop is WatchdogStop.HOLD
-    assert second.core.registers.get("model_number") == 1060
-    before = second.core.plant.sensed_rad
-    cell.inject("servo2.jump=-0.25")
-    assert second.core.plant.sensed_rad == pytest.approx(before - 0.25)
-    assert isinstance(VOCABULARY["servoN.wrong"].value, Setting)
-
-
-@pytest.mark.parametrize("text", ["servo1.turned", "servo1.horn=100"])
-def test_a_servo_that_sits_otherwise_leaves_its_finger_where_it_is(cell, text) -> None:
-    mechanics = cell.devices.mechanics
-    before_m = mechanics.finger_position_m
-    before_rad = mechanics.motors[0].angle_rad
-    fault = cell.inject(text)
-    assert mechanics.finger_position_m == pytest.approx(before_m)
-    assert abs(mechanics.motors[0].angle_rad - before_rad) > 0.1
-    cell.injector.end(fault)
-    assert mechanics.motors[0].angle_rad == pytest.approx(before_rad)

@@ -1,6 +1,5 @@
 """Modes, watchdog and protections: what the servo does to its motor."""
 
-import math
 from collections.abc import Callable
 
 import pytest
@@ -111,15 +110,6 @@ def test_the_profile_reaches_the_motor_but_not_in_mode_5_of_the_330_size(
     command = bench.motors[0].command
     assert command.profile_velocity_rad_s == obeyed * 40 * XM430_W350.velocity_unit_rad_s
     assert command.profile_acceleration_rad_s2 == obeyed * 20 * XM430_W350.acceleration_unit_rad_s2
-
-
-@pytest.mark.parametrize(("threshold", "moving"), [(30, 1), (300, 0)])
-def test_moving_follows_its_threshold(servo_bench, threshold: int, moving: int):
-    bench = servo_bench(settings={"operating_mode": 1, "moving_threshold": threshold})
-    bench.write(1, 64, 1, 1)
-    bench.write(1, 104, 4, -100)
-    bench.clock.sleep(0.1)
-    assert bench.read(1, 122, 1) == moving
 
 
 def test_reverse_mode_turns_the_motor_the_other_way(servo_bench):
@@ -250,14 +240,3 @@ def test_an_error_that_lasts_comes_back_after_the_reboot(bench):
     bench.ask(1, Instruction.REBOOT)
     bench.clock.sleep(0.5)
     assert bench.read(1, 70, 1) == 0x04
-
-
-def test_a_stuck_encoder_reports_one_position(bench):
-    bench.motors[0].stuck_at_rad = bench.motors[0].angle_rad
-    stuck = bench.read(1, 132, 4)
-    bench.clock.sleep(0.05)
-    assert not math.isclose(bench.motors[0].angle_rad, bench.motors[0].sensed_rad, abs_tol=0.01)
-    assert bench.read(1, 132, 4) == stuck
-    assert bench.read(1, 128, 4) == 0
-    bench.motors[0].stuck_at_rad = None
-    assert bench.read(1, 132, 4) != stuck

@@ -240,6 +240,7 @@ def test_too_many_damaged_lines_of_a_serial_adapter_are_a_fault(bench, monkeypat
         bench.run(1.0)
 
 
+@pytest.mark.slow
 def test_a_sync_that_the_unit_did_not_hear_is_forgotten_in_time(bench) -> None:
     """One a minute is noise; two in a row within seconds look like frames that come late."""
     bench.run(0.2)

@@ -14,7 +14,7 @@ N_FRAMES = 6
 N_MESSAGES = 59
 PAPER = FrameFormat(n_taxels=408, sample_bytes=1)
 SENT = BurstFormat(n_taxels=408, sample_bytes=1)
-RUNS = 120
+RUNS = 40
 
 Stream = list[bytes]
 Damage = Callable[[Stream, np.random.Generator], Stream]

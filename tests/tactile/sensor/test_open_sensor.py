@@ -37,6 +37,7 @@ def is_open(bus: can.BusABC) -> bool:
     return True
 
 
+@pytest.mark.slow
 def test_the_block_starts_the_sensor_and_leaves_a_bus_that_it_was_given_open(sim) -> None:
     with open_sensor(sim.can_bus, pinch_layout()) as sensor:
         assert sensor.running
@@ -71,6 +72,7 @@ def test_a_calibration_of_another_sensor_leaves_no_bus_open(sim, opened) -> None
     assert not is_open(sim.can_bus)
 
 
+@pytest.mark.slow
 def test_the_force_comes_in_whatever_its_reader_takes(sim) -> None:
     with open_sensor(sim.can_bus, pinch_layout()) as sensor:
         force = GripForce(sensor, dict)

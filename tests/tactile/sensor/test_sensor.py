@@ -160,6 +160,7 @@ def readings(sensor: TactileSensor, frames: Frames, n: int) -> list:
 # --- force ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", FOOTPRINTS)
 def test_force_of_a_five_taxel_footprint_under_the_papers_noise(shape) -> None:
     """Bias below 3 % and 1.5 hundredths of a newton more for the zero, spread below 0.2 N."""
