@@ -60,6 +60,7 @@ def assert_same(a: Grasp, b: Grasp) -> None:
         assert getattr(a, name) == getattr(b, name)
 
 
+@pytest.mark.slow
 def test_the_second_run_adds_nothing(fleet, archived) -> None:
     before = every(archived)
     assert len(before) == 36
@@ -156,6 +157,7 @@ def test_what_is_torn_foreign_or_unfinished_is_named_and_left_for_the_next_run(
     assert (done.n_files, done.n_grasps, len(done.left)) == (2, 6, 2)
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_where_it_was(fleet, archived, tmp_path) -> None:
     target = str(tmp_path / "archive")
 

@@ -18,6 +18,7 @@ from tests.cell.archive.fleet import ramp
 from tests.cell.conftest import call
 
 
+@pytest.mark.slow
 def test_each_question_names_the_cell_that_it_concerns(aged: Fleet) -> None:
     found = ask(aged.archive)
     assert found.n_grasps == 120
@@ -69,6 +70,7 @@ def test_day_effects_are_found_beside_objects_that_are_not_grasped_each_day() ->
     np.testing.assert_allclose(found, days - days.mean(), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_page_has_the_answers_and_no_markup_of_labels(aged: Fleet, tmp_path: Path) -> None:
     answers = ask(aged.archive)
     cells = {**answers.cells, "<script>": ()}
@@ -91,6 +93,7 @@ def test_an_archive_without_answers_says_so(tmp_path: Path, untaught: str) -> No
         call("plot", "confusion", untaught, "-o", tmp_path / "a.png")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".png", ".svg"])
 def test_pictures_are_written(aged: Fleet, tmp_path: Path, kind: str) -> None:
     table = confusion_table(ask(aged.archive))
@@ -106,6 +109,7 @@ def test_a_picture_of_another_kind_is_refused(tmp_path: Path) -> None:
         write_picture(tmp_path / "a.txt", figure)
 
 
+@pytest.mark.slow
 def test_commands_work_on_a_selection(aged: Fleet, tmp_path: Path) -> None:
     out = call("archive", "report", aged.archive, "-o", tmp_path / "a.html", "--cell", "press 1")
     assert "press 2" not in out
@@ -116,6 +120,7 @@ def test_commands_work_on_a_selection(aged: Fleet, tmp_path: Path) -> None:
         call("plot", "grasp", 900, aged.archive, "-o", tmp_path / "a.png")
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_training_learns_the_spread_and_shows_what_it_gains(aged: Fleet, tmp_path: Path) -> None:
     first, second = tmp_path / "first.npz", tmp_path / "second.npz"
@@ -133,6 +138,7 @@ def test_training_learns_the_spread_and_shows_what_it_gains(aged: Fleet, tmp_pat
         call("compare", first, second, aged.other_objects)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_evaluation_leaves_days_and_cells_out(aged: Fleet) -> None:
     few = ["--recognizer", "shrinkage_lda", "--fuse", "1"]

@@ -2,7 +2,6 @@
 
 import contextlib
 import importlib.metadata
-import json
 import re
 from collections.abc import Callable
 from functools import partial
@@ -17,6 +16,8 @@ from cell.checks.findings import CheckResult, Verdict
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
+from cell.data.formats import COMMISSIONING, write_json
+from cell.errors import CellError
 from cell.jobs.doctor import _boards, examine
 from cell.simulation import simulation_of
 from tests.cell.conftest import once, small_config
@@ -56,8 +57,8 @@ def test_the_simulated_cell_is_well() -> None:
 def test_a_cell_that_was_commissioned_is_compared_with_it(tmp_path, serial, verdict, found) -> None:
     kept = {"status": "pass", "lines": [], "settings": {}, "figures": {}, "began": "", "ended": ""}
     steps = {"unit": kept | {"values": {"serial_number": serial}}}
-    store = {"version": 1, "steps": steps, "approved": []}
-    (tmp_path / "commissioning.json").write_text(json.dumps(store))
+    store = {"steps": steps, "approved": []}
+    write_json(tmp_path / "commissioning.json", COMMISSIONING, store, error=CellError)
     everything = list(examine(CellConfig(), tmp_path / "tactile-cell.yaml"))
     assert any(f.verdict is verdict and found in f.found for f in everything)
     if verdict is Verdict.WARN:
@@ -182,18 +183,19 @@ def altered(meddle: Any) -> Callable[[Callable[[Any], None]], list[CheckResult]]
     return run
 
 
+@pytest.mark.slow
 def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     monkeypatch, tmp_path
 ) -> None:
     """With no answer of the servos too: then this is all that shows a held part."""
-    simulated = simulation_of(CellConfig())
-    with contextlib.closing(build_cell(CellConfig(), simulated=simulated)) as held:
+    simulated = simulation_of(small_config())
+    with contextlib.closing(build_cell(small_config(), simulated=simulated)) as held:
         held.controller.start()
         held.controller.moves.present("ball")
         held.controller.grip(6.0, Pose())
     monkeypatch.setattr(cell.jobs.doctor, "build_cell", partial(build_cell, simulated=simulated))
     file = tmp_path / "my cell.yaml"
-    findings = by_name(list(examine(CellConfig(), file)))
+    findings = by_name(list(examine(small_config(), file)))
     release = f"tactile-cell release --config '{file}' --confirm"
     assert release in findings["servo torque"].advice
     load = findings["pads' force"]
@@ -201,7 +203,7 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     shown_n = [float(number) for number in re.findall(r"([\d.]+) N", load.found)]
     assert shown_n == pytest.approx(simulated.world.contact_force_n(), rel=0.25)
     simulated.inject("servos.unplugged")
-    findings = by_name(list(examine(CellConfig(), file)))
+    findings = by_name(list(examine(small_config(), file)))
     assert "it is unknown whether a part is held" in findings["servo torque"].advice
     assert findings["pads' force"].verdict is Verdict.WARN
     simulated.close()
@@ -221,6 +223,7 @@ def test_lost_frames_are_a_warning(altered) -> None:
     assert "terminating resistors" in finding.advice
 
 
+@pytest.mark.slow
 def test_wrong_ports_are_named_with_what_to_do() -> None:
     findings = by_name(list(examine(small_config(**REAL))))
     assert findings["servo port"].verdict is Verdict.FAIL
@@ -234,11 +237,14 @@ def test_a_port_without_rights_and_one_with(tmp_path, monkeypatch) -> None:
     port = tmp_path / "ttyX"
     port.write_text("")
     config = small_config(**REAL | {"gripper__port": str(port)})
-    assert by_name(list(examine(config)))["servo port"].verdict is Verdict.PASS
+
+    def finding() -> CheckResult:
+        return next(one for one in examine(config) if one.what == "servo port")
+
+    assert finding().verdict is Verdict.PASS
     monkeypatch.setattr("os.access", lambda *_: False)
-    finding = by_name(list(examine(config)))["servo port"]
-    assert finding.verdict is Verdict.FAIL
-    assert re.fullmatch(r"sudo usermod -a -G \S+ \S+, then log out and in", finding.advice)
+    assert finding().verdict is Verdict.FAIL
+    assert re.fullmatch(r"sudo usermod -a -G \S+ \S+, then log out and in", finding().advice)
 
 
 def test_a_missing_extra_is_a_warning(monkeypatch) -> None:

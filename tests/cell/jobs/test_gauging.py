@@ -35,6 +35,7 @@ def drifted(taught: Any, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_evaluate_drifts_and_gauges(tmp_path) -> None:
     rng = np.random.default_rng(5)
     grasps = [ramp(label, rng, start_ms=20_000 * n) for n in range(20) for label in SIZES_MM]
@@ -56,6 +57,7 @@ def test_evaluate_drifts_and_gauges(tmp_path) -> None:
     assert figures["single_accuracy"] == 1.0
 
 
+@pytest.mark.slow
 def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp_path) -> None:
     balls = [grasp for grasp in taught.grasps if grasp.label == "ball"]
     model = TaughtModel.load(taught.config, taught.result.model)
@@ -99,6 +101,7 @@ def test_a_gauge_that_the_data_set_does_not_hold_is_named_with_those_it_does(
         )
 
 
+@pytest.mark.slow
 def test_what_cannot_be_gauged_says_why(taught, tmp_path) -> None:
     options = {"split": "chronological:0.6", "names": ["force_ramp"], "progress": silent}
     with pytest.raises(CellError, match="was not taught"):
@@ -122,6 +125,7 @@ def test_what_cannot_be_gauged_says_why(taught, tmp_path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_calibrate_writes_a_model_that_expects_the_drift(taught, drifted, tmp_path) -> None:
     new = tmp_path / "gauged.npz"
     text = call(
@@ -139,6 +143,7 @@ def test_calibrate_writes_a_model_that_expects_the_drift(taught, drifted, tmp_pa
     assert sum(named) >= 7
 
 
+@pytest.mark.slow
 def test_calibrate_follows_grasps_that_nobody_named(taught, tmp_path) -> None:
     unnamed = tmp_path / "shift.npz"
     drift = Drift(gains=(0.7,), aperture_offset_m=-3e-3)
@@ -169,6 +174,7 @@ def test_what_cannot_be_followed_says_why(taught, drifted, tmp_path) -> None:
         call("calibrate", "-m", taught.result.model, "-o", tmp_path / "m.npz")
 
 
+@pytest.mark.slow
 def test_calibrate_on_the_cell_finds_that_nothing_drifted(taught, tmp_path) -> None:
     config = tmp_path / "cell.yaml"
     changes = {"recording.directory": str(tmp_path / "out")}

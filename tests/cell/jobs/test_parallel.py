@@ -47,6 +47,7 @@ def assert_same(a: Evaluation, b: Evaluation) -> None:
             np.testing.assert_allclose(x, y)
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_same_figures(parts, alone) -> None:
     with workers(2) as mapper:
         assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
@@ -82,12 +83,14 @@ def cluster() -> Iterator[Any]:
         yield made
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(60)
 def test_a_cluster_of_two_workers_gives_the_same_figures(cluster, parts, alone) -> None:
     with workers(scheduler=cluster.scheduler_address) as mapper:
         assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["processes", "cluster"])
 def test_a_worker_that_dies_costs_its_piece_of_work_alone(kind, request, tmp_path) -> None:
     token = tmp_path / "token"
@@ -105,6 +108,7 @@ def test_a_worker_that_dies_costs_its_piece_of_work_alone(kind, request, tmp_pat
     assert not token.exists()
 
 
+@pytest.mark.slow
 def test_work_that_kills_each_process_is_an_error() -> None:
     def dies(_item: int) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -113,6 +117,7 @@ def test_work_that_kills_each_process_is_an_error() -> None:
         list(mapper(dies, [1, 2, 3]))
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(60)
 def test_a_cluster_without_workers_is_refused() -> None:
     from distributed import LocalCluster

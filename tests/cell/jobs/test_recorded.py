@@ -31,6 +31,7 @@ def play(grasps: Any, **changes: Any) -> Any:
 # -- evaluate ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_file_to_train_on_replaces_the_split(taught: Any) -> None:
     told: list[tuple[str, int, int]] = []
     result = evaluate_recognizers(
@@ -68,6 +69,7 @@ def test_what_cannot_be_evaluated_says_why(taught: Any) -> None:
 # -- replay ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_replayed_grasps_come_back_bit_for_bit_and_are_named(taught: Any, tmp_path: Path) -> None:
     told: list[tuple[str, int, int]] = []
     result = play(

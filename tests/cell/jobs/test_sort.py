@@ -59,6 +59,7 @@ def sorter(make_bench: MakeBench, taught: Any) -> Sorter:
     return Sorter(make_bench, taught)
 
 
+@pytest.mark.slow
 def test_each_part_is_held_until_it_is_at_its_place(sorter: Sorter) -> None:
     sorter.sort("ball", "box", "rod", "box")
     assert [(place, held) for place, held, _ in sorter.seen] == [
@@ -93,6 +94,7 @@ def test_a_part_in_another_bin_is_a_mistake_and_a_reject_is_none(taught: Any) ->
     }
 
 
+@pytest.mark.slow
 def test_a_part_that_changed_in_the_grip_goes_to_the_rejects(sorter: Sorter) -> None:
     def shove(destination: Destination) -> None:
         if destination.place != "reject":
@@ -107,6 +109,7 @@ def test_a_part_that_changed_in_the_grip_goes_to_the_rejects(sorter: Sorter) -> 
     assert sorter.tally.mistakes == []
 
 
+@pytest.mark.slow
 def test_a_place_that_is_refused_ends_the_sort_with_the_part_kept(sorter: Sorter) -> None:
     # True is an answer too: the part is there.
     sorter.on_place = lambda destination: destination.place != "bin 2"
@@ -117,6 +120,7 @@ def test_a_place_that_is_refused_ends_the_sort_with_the_part_kept(sorter: Sorter
     assert [part.place for part in sorter.parts] == ["bin 1"]
 
 
+@pytest.mark.slow
 def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
     verify = sorter.controller.kept.verify
 
@@ -132,6 +136,7 @@ def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
     assert sorter.bench.grip_n > 3.0
 
 
+@pytest.mark.slow
 def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
     make_bench: MakeBench, taught: Any
 ) -> None:

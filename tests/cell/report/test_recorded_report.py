@@ -26,6 +26,7 @@ def with_config(recording: Recording, text: str) -> Recording:
     return replace(recording, metadata=recording.metadata | {"config": text})
 
 
+@pytest.mark.slow
 def test_figures_tables_and_files_of_a_run(recording, taught) -> None:
     data = recorded_report(recording)
     assert "10 grasps taught, 2 identifications" in data.subtitle
@@ -62,6 +63,7 @@ def test_the_papers_method_as_recogniser_of_the_cell_has_one_table(recording) ->
     ]
 
 
+@pytest.mark.slow
 def test_a_recording_without_optional_values_shows_the_others(recording) -> None:
     def without(rows: Any, *names: str) -> Any:
         return tuple({k: v for k, v in row.items() if k not in names} for row in rows)
@@ -88,6 +90,7 @@ def test_a_recording_without_optional_values_shows_the_others(recording) -> None
     assert "config in the recording is not valid" in strange.notes[-1]
 
 
+@pytest.mark.slow
 def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(recording, tmp_path) -> None:
     cut = tmp_path / "cut.mcap"
     shutil.copyfile(recording.path, cut)

@@ -110,6 +110,7 @@ def page(run: ReportData, tmp_path_factory: pytest.TempPathFactory) -> str:
     return path.read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_page_needs_nothing_but_itself(page) -> None:
     assert len(page.encode()) < 3_000_000
     outline = Outline(page)
@@ -165,6 +166,7 @@ def test_page_shows_every_part(page, run) -> None:
 NASTY = "<script>alert('x')</script>&\"$\\frac{1}{2}$ #010110 id=\""
 
 
+@pytest.mark.slow
 def test_labels_and_paths_are_shown_not_interpreted(run) -> None:
     p = Posterior(labels=(NASTY, "b"), probability=np.array([0.7, 0.3]), unknown=0.1)
     one = replace(run.trajectories, objects=run.trajectories.objects[:1], windows=())
@@ -177,6 +179,7 @@ def test_labels_and_paths_are_shown_not_interpreted(run) -> None:
     assert sum(NASTY in text for text in outline.text) >= 14
 
 
+@pytest.mark.slow
 def test_same_data_give_the_same_page(page, run) -> None:
     assert render_report(run) == page
 
@@ -204,6 +207,7 @@ def test_levels_are_picked_by_force(run) -> None:
     np.testing.assert_allclose(highest, grasp.counts[-5:].mean(axis=0))
 
 
+@pytest.mark.slow
 def test_every_plot_colours_an_object_as_the_legend_does(run) -> None:
     turned = run.trajectories.objects[::-1]
     data = replace(run, trajectories=replace(run.trajectories, objects=turned))

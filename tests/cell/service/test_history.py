@@ -217,6 +217,7 @@ def test_a_damaged_file_is_moved_away_and_one_of_another_version_is_left(kept: K
         read_day(kept.path.with_name("none.sqlite3"), date(2027, 3, 1))
 
 
+@pytest.mark.slow
 def test_the_service_keeps_it_and_http_shows_it(tmp_path: Path, serve: Any) -> None:
     folder = tmp_path / "out" / "serve-20270301-060000"
     folder.mkdir(parents=True)
@@ -239,27 +240,28 @@ def test_the_service_keeps_it_and_http_shows_it(tmp_path: Path, serve: Any) -> N
     assert (row["label"], row["held"]) == ("box", "box")
 
 
-@pytest.mark.parametrize("number", [errno.ESTALE, errno.EIO])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [errno.ESTALE, pytest.param(errno.EIO, marks=pytest.mark.long)])
 def test_a_share_that_disappears_ends_no_sort_and_its_return_is_noticed(
     tmp_path: Path, serve: Any, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     folder, notes = tmp_path / "out" / "serve-20270301-060000", list[str]()
     folder.mkdir(parents=True)
     service = (served := serve(cell={"folder": folder, "note": notes.append})).service
-    lease, goal = service.lease.acquire("test"), {"task": "sort", "parts": 2}
+    lease, goal = service.lease.acquire("test"), {"task": "sort", "parts": 1}
     gone = raising(OSError(number, os.strerror(number)))
     with monkeypatch.context() as patched:
         for owner, name in ((DirectFile, "write"), (os, "statvfs"), (os, "scandir")):
             patched.setattr(owner, name, gone)
         patched.setattr(History, "_opened", raising(sqlite3.OperationalError("disk I/O error")))
         service.start(lease, goal)
-        assert (served.ended().outcome, service.shift.values()["parts"]) == ("SUCCEEDED", 2)
+        assert (served.ended().outcome, service.shift.values()["parts"]) == ("SUCCEEDED", 1)
         until(lambda: any("history is not kept" in text for text in notes))
         assert any(os.strerror(number).lower() in text.lower() for text in notes)
         assert len(notes) <= 4, notes
     assert service.health()["recording"]["level"] != "ok"
     assert service.status().recording_fault
-    until(lambda: service.history.values().get("today", {}).get("parts") == 2)
+    until(lambda: service.history.values().get("today", {}).get("parts") == 1)
     service.start(lease, goal)
     assert served.ended().outcome == "SUCCEEDED"
     assert not service.status().recording_fault

@@ -147,6 +147,7 @@ def test_a_person_at_the_cell_takes_the_lease_and_holds_the_job(served) -> None:
 # -- commands ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_jobs_of_a_simulated_cell_are_recorded_with_who_asked(serve: Any, tmp_path: Path) -> None:
     served = serve(cell={"folder": tmp_path})
     service, lease = served.service, served.service.lease.acquire("first")
@@ -257,6 +258,7 @@ def test_each_command_is_remarked_with_its_client(served) -> None:
 # -- the pose handshake ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_hold_while_a_pose_is_waited_for_leaves_nothing_behind(serve: Any) -> None:
     served = serve(cell={}, positioner__kind="callback")
     service, lease = served.service, served.service.lease.acquire("robot")
@@ -279,6 +281,7 @@ def test_a_hold_while_a_pose_is_waited_for_leaves_nothing_behind(serve: Any) -> 
 # -- the end -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_end_of_the_service_keeps_the_part_and_ends_all_threads(serve: Any) -> None:
     before = set(threading.enumerate())
     served = serve(cell={}, positioner__kind="callback", host_timeout_s=0.05)
