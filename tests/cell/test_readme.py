@@ -22,9 +22,9 @@ def test_readme_shows_the_example_that_is_run() -> None:
     (shown,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
     example = (ROOT / "docs/examples/host_program.py").read_text(encoding="utf-8")
     assert shown == example.split("\n\n", 1)[1]
-    assert len(shown.splitlines()) <= 30
 
 
+@pytest.mark.long
 def test_the_example_teaches_and_identifies(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(ROOT / "docs/examples/host_program.py"), run_name="__main__")
     printed = capsys.readouterr().out
@@ -108,10 +108,3 @@ def test_benchmarks_that_the_docs_name_exist() -> None:
     ]
     assert len(named) > 8
     assert not [found for found in named if found[1] not in modules()]
-
-
-def test_the_readme_begins_with_the_three_commands() -> None:
-    lines = [line for line in (ROOT / "README.md").read_text().splitlines() if line.strip()]
-    assert lines[1].split("#")[0].strip() == "make run"
-    assert lines[2].split("#")[0].strip() == "make test"
-    assert lines[3].split("#")[0].strip() == "make serve"
