@@ -1,11 +1,15 @@
 """Shared helpers: times, shares with intervals, quantiles, effort, lines of figures."""
 
+import multiprocessing
+import resource
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
+from joblib.externals.loky import get_reusable_executor
 
 from recognition.evaluation.metrics import wilson_interval
 
@@ -27,6 +31,23 @@ def timed(work: Callable[[], _Result]) -> tuple[_Result, Timed]:
     return result, Timed(wall_s=time.perf_counter() - wall_s, cpu_s=time.process_time() - cpu_s)
 
 
+def in_own_process(work: Callable[[], _Result]) -> tuple[_Result, float, list[float]]:
+    """Do the work in a process of its own.
+
+    Returns the result, seconds, and peak memory of that process and of its largest worker in GB.
+    """
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as child:
+        return child.submit(_watched, work).result()
+
+
+def _watched(work: Callable[[], _Result]) -> tuple[_Result, float, list[float]]:
+    result, took = timed(work)
+    get_reusable_executor().shutdown(wait=True)
+    who = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
+    return result, took.wall_s, [resource.getrusage(one).ru_maxrss * 1024e-9 for one in who]
+
+
 def share(n_hits: int, n: int, *, times: int = 1) -> str:
     """Return a share in per cent with Wilson's 95 % interval as text.
 
@@ -44,11 +65,6 @@ def quantile(values: Sequence[float], share: float) -> float:
 def repeats(full: int, effort: float, *, least: int = 1) -> int:
     """Return the number of repeats at the present effort: ``full`` at effort 1."""
     return max(least, round(full * effort))
-
-
-def some(things: Mapping[str, _Result], effort: float, *, least: int = 2) -> dict[str, _Result]:
-    """Return the first of some things: all at effort 1."""
-    return dict(list(things.items())[: repeats(len(things), effort, least=least)])
 
 
 def same(found: bool, what: str) -> None:

@@ -532,7 +532,6 @@ def html(parts: Sequence[Section]) -> str:
 
 
 def main(effort: float = 1.0) -> None:
-    full = effort >= 1.0
     found = study(effort)
     line("compared", f"the paper with {found.table['common', 0].trials[1]} trials of its Table 1")
     parts = sections(found)
@@ -540,7 +539,7 @@ def main(effort: float = 1.0) -> None:
         line(part.title, "")
         for row in part.rows:
             line("", " | ".join(row))
-    page = Path("out", "paper" if full else "paper-small", "paper.html")
+    page = Path("out", "paper" if effort >= 1.0 else "paper-small", "paper.html")
     page.parent.mkdir(parents=True, exist_ok=True)
     write_text(page, html(parts), error=ReportError, what="page")
     line("page", str(page))

@@ -98,13 +98,6 @@ class CapTrial(NamedTuple):
         """Whether the true force was above the cap."""
         return self.true_n > self.cap_n + ALLOWED_N
 
-    def __str__(self) -> str:
-        end = "done" if self.error is None else f"{type(self.error).__name__}: {self.error}"
-        return (
-            f"seed {self.seed}: {self.part}, cap {self.cap_n:g} N, {self.true_n:.1f} N while "
-            f"{self.phase}; {end:.100}"
-        )
-
 
 def trial(seed: int, changes: Mapping[str, Any] | None = None) -> CapTrial:
     """Grasp once with a config that is drawn, and some values changed."""

@@ -1,24 +1,15 @@
-"""Time to teach, and from the last frame of a grasp to its label.
+"""Times of the simulated cell: of a start, and from the command to a named part.
 
-With the folder of recorded grasps in TACTILE_CELL_DATA, 36 real objects are taught with the first
-60 % of each object's grasps and the others named; without it, simulated grasps of the paper's five
-objects. Then many labels with five grasps each.
-
-Then come the times of a start of the simulated cell. The last figures are its times from the
-command to a named part that is released or kept, with ramps that end early and with whole ramps.
-Computing takes no virtual time. Its CPU time is added if it is longer than the motion during which
-a real-time cell computes.
+The part is released or kept, with ramps that end early and with whole ramps. Computing takes no
+virtual time. Its CPU time is added if it is longer than the motion during which a real-time cell
+computes.
 """
 
 import statistics
 from collections import Counter
-from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import replace
-from functools import partial
 
-from benchmarks._measure import line, quantile, repeats, timed
-from benchmarks.recognition._grasps import PAPER, recorded, simulated
+from benchmarks._measure import line, repeats, timed
 from benchmarks.recognition.other_cell import NEVER_TAUGHT
 from cell.build import build_cell
 from cell.config.file import changed_config
@@ -30,30 +21,13 @@ from cell.jobs.identify import identify
 from cell.jobs.sort import Places, Tally, simulated_feed, sort_parts
 from cell.jobs.teach import teach
 from cell.learning.taught_model import TaughtModel
-from recognition.evaluation.splits import chronological_split
-from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN
-from recognition.recognizers import DEFAULT_TRAINER, make_trainer
-
-
-def one_series(train: Sequence[Grasp], test: Sequence[Grasp], rounds: int) -> None:
-    """Teach with some grasps, name the others repeatedly, and print the times."""
-    recognizer, taught = timed(partial(make_trainer(DEFAULT_TRAINER).fit, train))
-    recognizer.posterior(test[0])
-    took = [timed(partial(recognizer.posterior, grasp))[1] for grasp in list(test) * rounds]
-    p50_ms, p99_ms = (1e3 * quantile([one.wall_s for one in took], p) for p in (0.5, 0.99))
-    line(
-        f"{len(recognizer.labels)} objects",
-        f"{len(train)} grasps taught in {taught.wall_s:.2f} s, {p50_ms:.2f} ms an answer, p99 "
-        f"{p99_ms:.2f} ms",
-    )
 
 
 def starts() -> None:
     """Print the times of a start of the cell without and with a self-zero."""
     for when in ("never", "daily"):
         with closing(build_cell(changed_config(CellConfig(), {"self_zero": when}))) as cell:
-            assert cell.simulated is not None
             began_s = cell.simulated.clock.monotonic()
             cell.controller.start()
             line(f"start, self-zero {when}", f"{cell.simulated.clock.monotonic() - began_s:.1f} s")
@@ -68,7 +42,6 @@ def from_the_command(n_teach: int, rounds: int) -> None:
     config = changed_config(config, {"simulator.objects": objects})
     with closing(build_cell(config)) as cell:
         controller, model = cell.controller, TaughtModel(config)
-        assert cell.simulated is not None
         clock, spent_s = cell.simulated.clock, Counter[str]()
         controller.start()
         for seed, label in enumerate(labels):
@@ -98,14 +71,8 @@ def from_the_command(n_teach: int, rounds: int) -> None:
             names, of_new = Counter[str](), Counter[str]()
             for turn, held in enumerate([*labels, *NEVER_TAUGHT] * rounds):
                 spent_s.clear()
-                found = identify(
-                    controller,
-                    model,
-                    presented=held,
-                    seed=1000 + turn,
-                    keep=keep,
-                    whole_ramps=whole,
-                )
+                how = {"seed": 1000 + turn, "keep": keep, "whole_ramps": whole}
+                found = identify(controller, model, presented=held, **how)
                 motion_s = dict(spent_s)
                 if found.kept:
                     controller.release()
@@ -134,24 +101,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
         line("sort", f"{3600.0 / part_s:.0f} parts an hour, {part_s:.2f} s a part, n = {len(feed)}")
 
 
-def many(n_labels: int) -> None:
-    """Print the time to teach many labels, each with five of the simulated grasps."""
-    made = simulated(len(PAPER), max(1, n_labels // 10))
-    dealt = [
-        replace(made[7 * i % len(made)], label=f"label {i // 5:03d}", start_ms=i)
-        for i in range(5 * n_labels)
-    ]
-    one_series(dealt, made[:50], 1)
-
-
 def main(effort: float = 1.0) -> None:
-    grasps = recorded() or simulated(len(PAPER), repeats(12, effort, least=5))
-    taught, rest = chronological_split(grasps, 0.6)
-    if effort < 1.0:
-        few = sorted({grasp.label for grasp in taught})[:4]
-        taught, rest = (tuple(g for g in part if g.label in few) for part in (taught, rest))
-    line("compared", "grasps of one series, many labels, and the simulated cell")
-    one_series(taught, rest, repeats(3, effort))
-    many(repeats(500, effort, least=6))
+    line("compared", "times of the simulated cell")
     starts()
     from_the_command(repeats(20, effort, least=3), repeats(8, effort))

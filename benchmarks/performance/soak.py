@@ -22,7 +22,6 @@ import socket
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from multiprocessing import get_context
 from pathlib import Path
@@ -165,9 +164,6 @@ def connects(n: int) -> list[ResourceUse]:
         }
         if not _run(service, service.lease.acquire("soak"), task="grip", force_n=3.0).kept:
             raise SystemExit("nothing was gripped")
-        # An interface keeps what it makes at its first clients, such as a pool of threads.
-        with ThreadPoolExecutor(16) as clients:
-            list(clients.map(lambda port: ask(port, requests[port]), 64 * list(requests)))
         for number in range(1, n + 1):
             for port, request in requests.items():
                 n_bytes = {3: 1 + number % (len(request) - 1), 4: len(request)}.get(number % 5, 0)

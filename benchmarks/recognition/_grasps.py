@@ -1,30 +1,99 @@
-"""Grasps that recognition is measured on: recorded ones where they are at hand, else simulated."""
+"""Grasps that recognition is measured on, and how right the answers to them are as text."""
 
 import os
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
+from benchmarks._measure import share
 from benchmarks.paper.grasps import PAPER_NOISE, random_grasp
+from cell.build import build_cell
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
 from cell.data.dataset import read_dataset
+from cell.jobs.collection import grasps_of
+from cell.simulation import simulator_settings
 from recognition.grasp import Grasp
+from recognition.recognizer import UNKNOWN, Recognizer
 from simulator.world.shapes import PAPER_OBJECTS
 
-PAPER = tuple(PAPER_OBJECTS)
-"""Labels of the paper's objects."""
 
+def grasps_at_hand(n_grasps: int) -> list[Grasp]:
+    """Return `pinch36.npz` of the folder in TACTILE_CELL_DATA.
 
-def recorded() -> list[Grasp] | None:
-    """Return `pinch36.npz` of the folder in TACTILE_CELL_DATA; None where it is not at hand."""
+    Without it, simulated grasps of the paper's objects in random poses, ``n_grasps`` of each.
+    """
     path = Path(os.environ.get("TACTILE_CELL_DATA", "no folder"), "pinch36.npz")
-    return list(read_dataset(path)) if path.exists() else None
+    if path.exists():
+        return list(read_dataset(path))
+    rng, numbers = np.random.default_rng(0), range(n_grasps)
+    return [random_grasp(x, rng, PAPER_NOISE, start_ms=i) for x in PAPER_OBJECTS for i in numbers]
 
 
-def simulated(n_objects: int, n_grasps: int) -> list[Grasp]:
-    """Return simulated grasps of the paper's objects in random poses."""
-    rng = np.random.default_rng(0)
-    return [
-        random_grasp(label, rng, PAPER_NOISE, start_ms=1000 * k + i)
-        for k, label in enumerate(PAPER[:n_objects])
-        for i in range(n_grasps)
-    ]
+def cell_grasps(
+    objects: Mapping[str, str],
+    n_grasps: int,
+    *,
+    seed: int,
+    changes: Mapping[str, Any] | None = None,
+    **differs: Any,
+) -> list[Grasp]:
+    """Have a simulated cell grasp each object (label -> shape) ``n_grasps`` times.
+
+    It is in virtual time, through servos, buses and force loop. ``changes`` of the built-in config
+    come by key. Fields of the simulator's settings in which it differs from its config may be
+    given.
+    """
+    entries = [{"label": label, "shape": text} for label, text in objects.items()]
+    usual = {"simulator.objects": entries, "seed": seed, "self_zero": "never"}
+    config = changed_config(CellConfig(), usual | dict(changes or {}))
+
+    def settings(config: CellConfig, **others):
+        return replace(simulator_settings(config, **others), **differs)
+
+    with patch("cell.simulation.simulator_settings", settings):
+        cell = build_cell(config)
+    with closing(cell):
+        cell.controller.start()
+        labels = list(objects)
+        return grasps_of(cell.controller, config.sequence, labels, n_grasps, seed=1000 * seed)
+
+
+class JudgedAnswer(NamedTuple):
+    """The answer to one grasp, and the truth."""
+
+    truth: str
+    taught: bool
+    """What was grasped, and whether the recogniser was taught it."""
+    best: str
+    name: str
+    """The likeliest label, and the name that is given: that label or ``UNKNOWN``."""
+
+
+def asked(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[JudgedAnswer]:
+    """Answer each grasp by itself."""
+    posteriors = [(grasp.label, recognizer.posterior(grasp)) for grasp in grasps]
+    return [JudgedAnswer(truth, truth in p.labels, p.best, p.name) for truth, p in posteriors]
+
+
+def figures(answers: Sequence[JudgedAnswer], *, times: int = 1) -> str:
+    """Return the shares of right, wrong and missing names, of taught objects and of new ones.
+
+    Each grasp was answered several ``times``: for the intervals it counts as one.
+    """
+    known = [one for one in answers if one.taught]
+    new = [one.name == UNKNOWN for one in answers if not one.taught]
+    kinds = {
+        "likeliest right": [one.best == one.truth for one in known],
+        "named right": [one.name == one.truth for one in known],
+        "wrong": [one.name not in (one.truth, UNKNOWN) for one in known],
+        "UNKNOWN": [one.name == UNKNOWN for one in known],
+    }
+    texts = [f"{kind} {share(sum(hits), len(hits), times=times)}" for kind, hits in kinds.items()]
+    text = f"{', '.join(texts)} of {len(known) // times}"
+    return text + (f"; new UNKNOWN {share(sum(new), len(new))} of {len(new)}" if new else "")

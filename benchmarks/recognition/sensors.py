@@ -33,24 +33,18 @@ CASES = (DEFAULT, "flexitac", "uskin", "open-parallel-gripper", "rh-p12-rn")
 """Example configs in the comparison."""
 _N_TEACH, _N_NAMED = 20, 10
 """Grasps to teach each object, and number of times each object is named."""
-
-
-def config_of(case: str) -> CellConfig:
-    """Return the config of a case, with a seed that was not used for tuning."""
-    folder = Path(__file__).resolve().parents[2] / "config"
-    config = CellConfig() if case == DEFAULT else load_config(folder / f"{case}.yaml")
-    return config.model_copy(update={"seed": 7000})
+_SEED = 7000
+"""Seed that was not used for tuning."""
 
 
 def row(case: str, effort: float) -> str:
     """Return the figures of one case as a row of the table in the docs."""
-    config = config_of(case)
-    labels = [entry.label for entry in config.simulator.objects]
-    if effort < 1.0:
-        labels = labels[:2]
+    path = Path(__file__).resolve().parents[2] / "config" / f"{case}.yaml"
+    config = CellConfig() if case == DEFAULT else load_config(path)
+    config = config.model_copy(update={"seed": _SEED})
+    labels = [entry.label for entry in config.simulator.objects][: None if effort >= 1.0 else 2]
     with closing(build_cell(config)) as cell:
         controller, model = cell.controller, TaughtModel(config)
-        assert cell.simulated is not None
         clock, world = cell.simulated.clock, cell.simulated.world
         errors_n, touches_n = list[float](), list[float]()
         before, held_n = GripperPhase.OFF, 0.0
@@ -92,11 +86,10 @@ def row(case: str, effort: float) -> str:
 
 
 def main(effort: float = 1.0, cases: Sequence[str] = CASES) -> None:
-    line(
-        "compared",
-        "right | wrong | UNKNOWN | error of the held force, median and 95 % | first touch, median "
-        "and largest | time to a name, median and 95 % | lost frames",
+    head = (
+        "right | wrong | UNKNOWN | error of the held force, median and 95 % | first touch, median"
     )
+    line("compared", f"{head} and largest | time to a name, median and 95 % | lost frames")
     for case in cases if effort == 1.0 else CASES[:2]:
         line(case, row(case, effort))
 
