@@ -21,6 +21,7 @@ PRINTED = (
 FACES = ("gripper", "tactile", "motion", "recognition", "simulator", "cell")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("example", "printed"), list(zip(EXAMPLES, PRINTED, strict=True)))
 def test_the_examples_run_as_they_are_printed(example, printed, capsys) -> None:
     exec(compile(example, PAGE.name, "exec"), {})

@@ -42,6 +42,7 @@ def test_its_trainer_has_its_name(plugin_name: str) -> None:
     assert not RECOGNISERS[plugin_name](use_aperture=False).uses_aperture
 
 
+@pytest.mark.slow
 def test_it_answers_for_the_objects_that_were_taught(
     taught: Recognizer, grasps: list[Grasp]
 ) -> None:

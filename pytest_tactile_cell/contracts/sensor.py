@@ -92,6 +92,7 @@ def test_its_section_is_checked_and_goes_to_other_processes(plugin_name: str) ->
         section.model_validate({"kind": plugin_name, "no_such_key": 1})
 
 
+@pytest.mark.slow
 def test_a_config_loads_no_driver_of_it(plugin_name: str) -> None:
     code = (
         "import sys; from cell.plugins import SENSORS; "

@@ -93,6 +93,7 @@ def test_an_ellipse_has_its_two_invariants_from_any_points(t):
     assert conic == pytest.approx((a**2 + b**2) / (a * b) ** (4 / 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", comparators.METHODS)
 def test_a_comparator_is_an_estimator_that_names_grasps(name):
     method = clone(comparators.METHODS[name])

@@ -26,10 +26,17 @@ def positioner(bench: Any) -> Any:
     return bench.controller.moves.positioner
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
-        {"gripper__servos": [{"id": 3}], **SLOW_RACK},
+        pytest.param(
+            {"gripper__servos": [{"id": 3}], **SLOW_RACK},
+            marks=pytest.mark.xfail(
+                reason="depends on 0.1 ms of the start: in some phases of the loop against the "
+                "servo's clock, one servo that was never measured breaks loose too late"
+            ),
+        ),
         # Friction of 28 N at each finger: no lower cap is sure to stop fingers that overcome it.
         SLOW_RACK | {"gripper__force_max_n": 25.0},
         {"gripper__servos": [{"id": 1, "direction": -1}, {"id": 2, "zero_pulse": 1800}]},
@@ -68,6 +75,7 @@ def test_a_socket_is_used_where_one_is_named(make_bench, tmp_path) -> None:
         make_bench(small_config(positioner__socket=str(tmp_path / "s")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "error", "name"),
     [
@@ -82,6 +90,7 @@ def test_wrong_ports_are_named_and_nothing_stays_open(tmp_path, change, error, n
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_health_counts_what_the_links_did(make_bench, tmp_path) -> None:
     bench = make_bench(folder=tmp_path).ready()
     bench.grasp()
@@ -101,6 +110,7 @@ def paced(cell: Cell, real: Clock, real_s: float) -> None:
         cell.idle()
 
 
+@pytest.mark.slow
 def test_a_paced_cell_lives_on_while_no_command_runs(make_bench) -> None:
     bench, real = make_bench().ready(), Clock()
     cell, clock = bench.cell, bench.simulated.clock
@@ -126,6 +136,7 @@ def test_a_paced_cell_lives_on_while_no_command_runs(make_bench) -> None:
     assert clock.monotonic() - began_s < 0.2
 
 
+@pytest.mark.slow
 def test_a_paced_cell_keeps_a_part_and_its_fault_and_is_ready_again(make_bench) -> None:
     bench, real = make_bench().ready(), Clock()
     cell, controller, clock = bench.cell, bench.controller, bench.simulated.clock

@@ -50,6 +50,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
     return Path.cwd()
 
 
+@pytest.mark.slow
 def test_the_page_on_updates_can_be_typed(here) -> None:
     Path("commissioning.html").write_text("signed")
     printed = list(typed("update.md"))
@@ -97,6 +98,7 @@ class STATE:
     fault = None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "page", ["open-parallel-gripper", "rh-p12-rn", "connect-flexitac", "connect-uskin"]
 )

@@ -24,6 +24,7 @@ def test_readme_shows_the_example_that_is_run() -> None:
     assert shown == example.split("\n\n", 1)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_the_example_teaches_and_identifies(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(ROOT / "docs/examples/host_program.py"), run_name="__main__")

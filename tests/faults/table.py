@@ -714,7 +714,6 @@ BAD_CONFIGS = (
     ("wrong type", "gripper:\n  force_max_n: '5'\n", "gripper.force_max_n"),
     ("nothing stops below the cap", "gripper:\n  force_max_n: 2.0\n"
      "sequence:\n  force_n: [1.8, 1.8]\n  carry_force_n: 1.0\n", "Raise force_max_n"),
-    ("alias bomb", "a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n", "aliases"),
 )
 BAD_MODELS: tuple[tuple[str, Callable[[Path], bytes]], ...] = (
     ("corrupt", lambda _marker: files.flipped(files.model_file(), 0x01)),

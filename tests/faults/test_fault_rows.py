@@ -21,6 +21,7 @@ def parameter(row: FaultRow) -> Any:
     return pytest.param(row, id=row.name, marks=[getattr(pytest.mark, kind) for kind in kinds])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", [parameter(row) for row in ROWS])
 def test_a_fault_has_its_reaction_within_its_limit(row, request, record_property) -> None:
     if row.real_time:
@@ -55,6 +56,7 @@ def test_what_differs_from_what_is_required_is_named() -> None:
     assert row.complaint(Observed("HOLD", 0.01, "kept")) == ""
 
 
+@pytest.mark.slow
 def test_the_steps_after_a_stop_and_after_a_part_that_was_left_lead_back_to_idle() -> None:
     with campaign_cell() as cell, cell.monitor.release_asked():
         cell.start()

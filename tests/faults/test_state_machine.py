@@ -39,18 +39,21 @@ CAN_OFF = "can.off@contact+100ms"
 LONG_WALKS = [pytest.param(seed, STEPS, marks=pytest.mark.long) for seed in range(2, PIECES + 1)]
 
 
+@pytest.mark.slow
 @pytest.mark.no_cover  # to count lines takes as long again as to run them
 @pytest.mark.parametrize(("seed", "steps"), [*WALKS, *LONG_WALKS])
 def test_whatever_is_asked_and_whatever_fails_all_invariants_hold(seed: int, steps: int) -> None:
     assert run_machine(steps, seed_of_run(seed)) >= steps
 
 
+@pytest.mark.slow
 @pytest.mark.no_cover
 @pytest.mark.parametrize("interface", INTERFACES)
 def test_through_each_interface_all_invariants_hold_too(interface: str) -> None:
     assert run_machine(WIRE_STEPS, seed_of_run(1), interface=interface) >= WIRE_STEPS
 
 
+@pytest.mark.slow
 @given(fault_texts())
 @settings(max_examples=200)
 def test_the_machine_draws_faults_that_there_are(text: str) -> None:
@@ -74,6 +77,7 @@ def drive(*, fault: str = CAN_OFF) -> None:
         cell.close()
 
 
+@pytest.mark.slow
 def test_nothing_is_broken_as_it_is() -> None:
     drive()
 
@@ -114,6 +118,7 @@ def test_a_grip_that_a_fault_opens_and_torque_that_comes_by_itself_are_found(
         drive(fault=fault)
 
 
+@pytest.mark.slow
 def test_a_part_that_the_cell_lets_go_by_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     fault = "unit.force_gain=0@contact+80ms"
     drive(fault=fault)
@@ -123,6 +128,7 @@ def test_a_part_that_the_cell_lets_go_by_itself_is_found(monkeypatch: pytest.Mon
         drive(fault=fault)
 
 
+@pytest.mark.slow
 def test_fingers_that_a_cancel_does_not_stop_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def letting_go() -> None:
         cell = Driver(self_test=False)
@@ -161,6 +167,7 @@ def test_a_label_from_spoiled_taxels_is_found(cell, monkeypatch) -> None:
         cell.identify(3.0)
 
 
+@pytest.mark.slow
 def test_a_force_above_the_cap_is_found(cell: Driver) -> None:
     cell.grasp(0.0, 3.0, 0.0)
     cell.monitor._force_max_n = 2.0
@@ -168,6 +175,7 @@ def test_a_force_above_the_cap_is_found(cell: Driver) -> None:
         cell.grasp(0.0, 3.0, 0.0)
 
 
+@pytest.mark.slow
 def test_frames_that_nobody_scanned_are_found(cell: Driver) -> None:
     cell._watch_scans = lambda _now_s: None  # type: ignore[method-assign]
     cell._scanned.clear()
@@ -176,6 +184,7 @@ def test_frames_that_nobody_scanned_are_found(cell: Driver) -> None:
         cell.identify(3.0)
 
 
+@pytest.mark.slow
 def test_an_error_without_a_type_and_a_command_without_an_end_are_found(cell: Driver) -> None:
     def fail() -> None:
         raise KeyError("nobody expects it")
@@ -189,6 +198,7 @@ def test_an_error_without_a_type_and_a_command_without_an_end_are_found(cell: Dr
             cell.command("x", call)
 
 
+@pytest.mark.slow
 def test_a_defect_is_reported_with_its_seed_and_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(driver.Driver, "wait", lambda self, _s: self.monitor.broken.append("so"))
     # What does not happen a second time is in a group.
@@ -225,6 +235,7 @@ def drive_through(interface: str) -> None:
         cell.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interface", INTERFACES)
 def test_nothing_is_broken_behind_a_interface(interface: str) -> None:
     drive_through(interface)
@@ -279,6 +290,7 @@ DEFECTS = {
 """Defects behind an interface, and how each is found."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("defect", DEFECTS, ids=lambda defect: defect.__name__)
 @pytest.mark.parametrize("interface", INTERFACES)
 def test_a_defect_behind_a_interface_is_found(interface, defect, monkeypatch) -> None:
@@ -287,12 +299,14 @@ def test_a_defect_behind_a_interface_is_found(interface, defect, monkeypatch) ->
         drive_through(interface)
 
 
+@pytest.mark.slow
 def test_a_interface_that_shows_another_fault_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Calls, "fault_number", lambda _calls: 500)
     with pytest.raises(InvariantBroken, match=r"the interface shows .*'fault': 500"):
         drive_through("xmlrpc")
 
 
+@pytest.mark.slow
 def test_a_command_without_an_end_behind_a_interface_is_found(monkeypatch) -> None:
     def hang(kept: KeptPart) -> None:
         while True:

@@ -296,6 +296,7 @@ def refusal(path: Path, data: bytes) -> str:
     return str(refused.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_packings_that_unpack_without_a_bound_are_refused(tmp_path: Path, method: int) -> None:
     data = bytearray(archive_of({"counts.npy": bytes(30 << 20)}, method))

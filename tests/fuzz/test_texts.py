@@ -84,6 +84,7 @@ def test_a_kept_file_is_refused_or_read_as_it_was_written(harm, kept):
     return "read"
 
 
+@pytest.mark.slow
 @bad_input(text=configs, examples=120)
 def test_a_config_is_refused_or_of_plain_numbers(text):
     try:

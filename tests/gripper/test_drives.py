@@ -27,6 +27,7 @@ def true_friction_a(motor: Any) -> float:
     return float(motor.friction_nm() / motor.kt_nm_a)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [(0.5, 0.5), (3.0, 3.0), (3.0, 1.0), (1.0, 0.5)])
 def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
     make_started, friction
@@ -62,6 +63,7 @@ def test_stiff_or_unlike_servos_that_nobody_measured_open_at_their_start(
         assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1)
 
 
+@pytest.mark.slow
 def test_one_finger_after_the_other_shows_its_torque(make_started) -> None:
     cell = make_started(drive_sds=NEVER)
     for motor, factor in zip(cell.motors, (0.75, 1.2), strict=True):
@@ -81,6 +83,7 @@ def test_one_finger_after_the_other_shows_its_torque(make_started) -> None:
             assert drive.kt_nm_a == pytest.approx(motor.kt_nm_a, rel=0.1)
 
 
+@pytest.mark.slow
 def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_started) -> None:
     cell = make_started(drive_sds=NEVER, present=False)
     for motor, factor in zip(cell.motors, (0.75, 1.25), strict=True):
@@ -95,6 +98,7 @@ def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_started) 
         assert drive.temperature_c == pytest.approx(motor.temperature_c, abs=1.0)
 
 
+@pytest.mark.slow
 def test_ordinary_grasps_follow_grease_that_warms(make_started) -> None:
     """The travel of a grasp is short and accelerates throughout."""
     cell = make_started(noise_n=0.02, rate_hz=200.0)
@@ -108,6 +112,7 @@ def test_ordinary_grasps_follow_grease_that_warms(make_started) -> None:
     assert not cell.gripper.drives.read().notes
 
 
+@pytest.mark.slow
 def test_free_motions_show_the_inertia_of_each_servo(make_started) -> None:
     """Half the torque of a motor: twice the current accelerates it, and its speed overshoots."""
     cell = make_started(drive_sds=NEVER, present=False)
@@ -120,6 +125,7 @@ def test_free_motions_show_the_inertia_of_each_servo(make_started) -> None:
     assert [round(drive.inertia_sd, 2) for drive in drives(cell)] == [0.5, 0.2]
 
 
+@pytest.mark.slow
 def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_started) -> None:
     cell = make_started(present=False)
     cell.gripper.open()
@@ -133,6 +139,7 @@ def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_started)
     assert drives(cell)[1].breakaway_a == pytest.approx(true_friction_a(cell.motors[1]), rel=0.1)
 
 
+@pytest.mark.slow
 def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_started) -> None:
     cell = make_started(present=False, current_max_a=1.2)
     cell.gripper.open()
@@ -151,6 +158,7 @@ def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_started
     assert drives(cell)[0].breakaway_a == pytest.approx(true_friction_a(cell.motors[0]), rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [0.6, 0.8])
 def test_pads_that_read_too_little_are_noted_once_the_back_emf_is_known(make_started, gain) -> None:
     cell = make_started(drive_sds=NEVER, force_max_n=12.0)
@@ -184,6 +192,7 @@ def test_figures_that_somebody_has_measured_count() -> None:
     assert unknown == replace(DriveCharacteristic.catalogue(XM430_W350))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factors", [(1.0, 1.0), (2.0, 0.7), (3.0, 1.0)])
 def test_the_load_of_a_gearing_that_sticks_is_measured_with_its_losses(factors) -> None:
     truth = Truth(kt_error=0.0, friction_error=0.0, seed=11)

@@ -59,6 +59,7 @@ def test_another_model_is_named_and_nothing_of_it_is_rewritten(make_cell) -> Non
     assert cell.register(0, "operating_mode") == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_servos", [1, 2])
 def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
     cell = make_cell(n_servos=n_servos)
@@ -93,6 +94,7 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
     assert gripper.statistics.late == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness_n_m", [5e3, 2e4, 5e4])
 @pytest.mark.parametrize("rate_n_s", [1.0, 3.0, 10.0])
 def test_the_ramp_ends_without_overshoot_and_settles(make_started, stiffness_n_m, rate_n_s) -> None:
@@ -108,6 +110,7 @@ def test_the_ramp_ends_without_overshoot_and_settles(make_started, stiffness_n_m
     assert all(abs(force_n - 8.0) <= tolerance_n for force_n in held[60:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kt_error", "friction_error"), [(0.1, -0.2), (0.1, 0.2), (-0.1, -0.2), (-0.1, 0.2)]
 )
@@ -121,6 +124,7 @@ def test_wrong_torque_figures_are_made_up_for_by_the_sensor(
     assert cell.peak_n <= 8.5
 
 
+@pytest.mark.slow
 def test_the_loop_keeps_its_rate_and_the_observer_sees_what_was_written(started) -> None:
     started.gripper.open()
     cycles: list[Cycle] = []
@@ -139,6 +143,7 @@ def test_the_loop_keeps_its_rate_and_the_observer_sees_what_was_written(started)
             assert raw == round(cycle.goal_current_a / 0.00269)
 
 
+@pytest.mark.slow
 def test_holding_does_not_hunt_and_gives_back_current(cell) -> None:
     cell.hold_part(RAMP)
     cell.peak_n, cell.least_n = 0.0, 99.0
@@ -156,6 +161,7 @@ def ticks(cell, seconds: float, creep_m_s: float = 0.0) -> None:
         cell.gripper.tick()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force_n", [4.0, 10.0])
 def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None:
     cell.hold_part(RAMP)
@@ -173,6 +179,7 @@ def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None
     assert cell.gripper.release().opened == (1, 2)
 
 
+@pytest.mark.slow
 def test_a_request_to_stop_does_not_end_a_carry(cell) -> None:
     cell.hold_part(RAMP)
     cell.gripper.hold_at(4.0)
@@ -181,6 +188,7 @@ def test_a_request_to_stop_does_not_end_a_carry(cell) -> None:
     assert cell.force_n == pytest.approx(4.0, abs=0.6)
 
 
+@pytest.mark.slow
 def test_a_part_is_squeezed_again_in_the_same_grip(started) -> None:
     with pytest.raises(GripperStateError):
         started.gripper.squeeze(RAMP)
@@ -250,6 +258,7 @@ def test_the_largest_ramp_is_the_last_one_that_is_allowed(make_cell, current_max
         cell.gripper.check_ramp(ForceRamp.linear(1.001 * most_n, 5.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [1.0, 0.3])
 @pytest.mark.parametrize("friction_error", [0.0, -0.2])
 def test_the_drive_alone_keeps_the_true_force_below_the_cap(
@@ -267,6 +276,7 @@ def test_an_old_request_to_stop_does_not_end_a_new_command(started) -> None:
     started.gripper.open()
 
 
+@pytest.mark.slow
 def test_commands_out_of_turn_are_refused(started) -> None:
     with pytest.raises(GripperStateError, match="hold is not possible in the state OFF"):
         started.gripper.hold(1.0)
@@ -310,6 +320,7 @@ def test_ticks_feed_the_watchdog_between_commands(started) -> None:
     )
 
 
+@pytest.mark.slow
 def test_without_ticks_and_without_a_part_the_next_command_restarts_the_watchdog(started) -> None:
     started.gripper.open()
     started.clock.sleep(1.0)
@@ -339,6 +350,7 @@ def test_settings_and_linkage_must_agree(cell) -> None:
         )
 
 
+@pytest.mark.slow
 def test_zero_position_near_the_end_of_a_turn_does_not_matter(make_started) -> None:
     cell = make_started(zero_raw=10)
     cell.gripper.open()

@@ -42,6 +42,7 @@ def test_pads_are_watched_while_the_servos_are_not_understood(
     assert cell.gripper.statistics.missed_reads > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", (PATTERNS | SLOW).values(), ids=PATTERNS | SLOW)
 def test_each_transaction_ends_whatever_chatters(cell, pattern) -> None:
     cell.device.faults.silent.update({1, 2})

@@ -21,6 +21,7 @@ def gripped_n(sim: SimulatedCell) -> float:
     return min(sim.world.contact_force_n())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [None, KeyError])
 def test_leaving_the_block_closes_the_port_and_keeps_the_part(error) -> None:
     with simulated_cell("box") as sim:

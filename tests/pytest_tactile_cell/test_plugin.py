@@ -130,6 +130,7 @@ def test_hardware_is_named_in_the_header_and_takes_no_faults(pytester) -> None:
     assert "REAL HARDWARE" not in run(pytester, "--collect-only").stdout.str()
 
 
+@pytest.mark.slow
 def test_faults_end_with_the_test_whatever_the_order_of_fixtures(pytester) -> None:
     pytester.makepyfile(
         """

@@ -22,6 +22,7 @@ positioner: {kind: operator}
 """
 
 
+@pytest.mark.slow
 def test_a_cell_grasps_an_object_of_the_test(simulated_cell) -> None:
     cell = simulated_cell(objects=PIN, changes=QUICK)
     assert cell.controller.life.state.value == "STOPPED"
@@ -54,6 +55,7 @@ def test_a_config_of_a_real_cell_is_simulated_with_its_own_ids_and_limits(
     assert cell.start().cell.controller.hand.statistics.source.frames.complete > 0
 
 
+@pytest.mark.slow
 def test_a_mover_takes_the_place_of_the_positioner(simulated_cell) -> None:
     moved: list[Pose] = []
     cell = simulated_cell(objects=PIN, mover=moved.append, changes=QUICK)
@@ -61,6 +63,7 @@ def test_a_mover_takes_the_place_of_the_positioner(simulated_cell) -> None:
     assert moved == [Pose(x_m=1e-3)]
 
 
+@pytest.mark.slow
 def test_a_recording_is_made_on_request(simulated_cell, tmp_path) -> None:
     cell = simulated_cell(objects=PIN, changes=QUICK, folder=tmp_path)
     cell.start("pin").grasp()

@@ -13,6 +13,7 @@ from tests.cell.test_operation_pages import blocks, typed
 PAGE = "archive-a-fleet.md"
 
 
+@pytest.mark.slow
 @pytest.mark.long
 @pytest.mark.timeout(400)
 def test_the_page_can_be_typed(tmp_path, monkeypatch, capsys) -> None:

@@ -194,6 +194,7 @@ def test_a_folder_with_files_is_refused_and_stays(cell) -> None:
     assert there(cell) == before
 
 
+@pytest.mark.slow
 def test_a_damaged_backup_leaves_nothing_behind(cell) -> None:
     call("backup", "../b.tar")
     path, new, random_ = cell.parent / "b.tar", cell.parent / "new", random.Random(7)

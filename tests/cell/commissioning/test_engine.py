@@ -59,6 +59,7 @@ def steps() -> list[Asking]:
     ]
 
 
+@pytest.mark.slow
 def test_leaving_keeps_what_was_found_and_the_next_run_goes_on_there(tmp_path: Path) -> None:
     first = Script(leave_at=["unit.q"])
     with pytest.raises(WizardAborted):
@@ -107,6 +108,7 @@ def test_what_was_wrong_is_one_list_of_all_steps(tmp_path: Path) -> None:
     assert engine.corrected == ["ports was wrong"]
 
 
+@pytest.mark.slow
 def test_redo_forgets_a_step_and_all_that_need_it(tmp_path: Path) -> None:
     engine = Engine(steps(), Bench(tmp_path))
     engine.run(Script())
@@ -176,6 +178,7 @@ def test_the_store_is_written_after_each_step(tmp_path: Path) -> None:
     assert list(json.loads((tmp_path / STORE_NAME).read_text())["steps"]) == ["ports"]
 
 
+@pytest.mark.slow
 def test_what_users_wrote_into_the_config_stays(tmp_path: Path) -> None:
     Engine(steps(), Bench(tmp_path)).run(Script())
     path = tmp_path / CONFIG_NAME

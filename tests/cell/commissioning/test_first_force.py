@@ -36,6 +36,7 @@ def grasped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stand, F
         yield one, one.passes(STEP)
 
 
+@pytest.mark.slow
 def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> None:
     one, finding = grasped
     (first, four) = finding.values["asked_held_peak_n"]
@@ -63,6 +64,7 @@ def test_what_it_measures_of_the_servos_is_kept_for_the_cell(grasped) -> None:
         assert drive.kt_per_back_emf is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("watchdog_ms", [pytest.param(100.0, marks=pytest.mark.long), 500.0])
 def test_the_self_test_of_the_watchdog_closes_no_further_than_was_shown(one, watchdog_ms) -> None:
     one.knows(gripper__watchdog_ms=watchdog_ms)

@@ -28,12 +28,14 @@ def paper(stand: MakeStand) -> MakeStand:
     return make
 
 
+@pytest.mark.slow
 def test_a_law_that_is_right_passes_and_changes_nothing(paper: MakeStand) -> None:
     finding = paper().passes(STEP)
     assert finding.settings == {}
     assert finding.values["factor"] == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("felt", [0.8, 1.25])
 def test_a_law_that_is_off_is_named_and_set_right(paper: MakeStand, felt: float) -> None:
     finding = paper(f"taxels.force_gain={felt}").run(STEP)
@@ -67,6 +69,7 @@ def test_loads_that_were_typed_outlast_an_error_of_the_unit(paper: MakeStand) ->
     assert len(one.person.script.asked) == 7
 
 
+@pytest.mark.slow
 def test_a_linear_law_is_set_by_its_force_of_a_count(stand: MakeStand) -> None:
     one = stand(law=SensorLaw(full_scale_n=0.0012 * 4095))
     law = {"kind": "linear", "force_per_count_n": 0.001}

@@ -187,6 +187,7 @@ def test_a_port_that_leads_elsewhere_is_left_alone(tmp_path, cell) -> None:
     assert finding.values == {"axes": []}
 
 
+@pytest.mark.slow
 def test_a_wrist_without_supply_or_with_too_little_is_named(tmp_path, cell) -> None:
     wrist = LinesWithAxes(cell).wrist
     wrist.servo.core.plant.voltage_v = 6.0

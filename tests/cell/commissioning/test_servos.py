@@ -35,6 +35,7 @@ def eeproms(one: Stand) -> list[bytes]:
     return [bytes(s.core.table.data[:64]) for s in one.cell.devices.servo_bus.servos]
 
 
+@pytest.mark.slow
 def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
     found = new.passes(STEP)
     script = new.person.script
@@ -90,6 +91,7 @@ def test_servos_in_protocol_1_are_named_with_the_register(one, rate: int) -> Non
     assert any("Protocol 1.0 come from servo 1, 2" in line for line in finding.lines)
 
 
+@pytest.mark.slow
 def test_a_step_that_goes_on_knows_that_two_servos_answered(new) -> None:
     engine = Engine([PortsStep(), STEP], new.bench)
     for leave_at in (["servos.connect_next"], []):
@@ -143,6 +145,7 @@ def killed_after(n_writes: int) -> Iterator[list[Register]]:
         yield written
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "n_writes",
     [pytest.param(n, marks=[] if n in (2, 6) else pytest.mark.long) for n in range(1, 8)],
@@ -219,6 +222,7 @@ def test_wrong_registers_are_shown_then_set_and_read_back(stand) -> None:
     assert one.registers("homing_offset") == one.registers("drive_mode") == [0, 0]
 
 
+@pytest.mark.slow
 def test_torque_that_holds_a_part_is_not_switched_off_unasked(stand) -> None:
     one = stand("servo1.wrong=homing_offset:100")
     for servo in one.cell.devices.servo_bus.servos:

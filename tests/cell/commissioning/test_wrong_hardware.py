@@ -19,6 +19,7 @@ PRESSED, LINES = PadsPressedStep(), LinkQualityStep(duration_s=2.5)
 WARN, FAIL = Verdict.WARN, Verdict.FAIL
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("step", "fault", "status", "named"),
     [
@@ -93,6 +94,7 @@ def test_steps_of_the_pads_pass_by_where_there_are_none(stand, step) -> None:
 STEP = LinkQualityStep(duration_s=2.5)
 
 
+@pytest.mark.slow
 def test_sound_lines_pass(stand: MakeStand) -> None:
     finding = stand().passes(STEP)
     assert finding.values["periods"] == 500

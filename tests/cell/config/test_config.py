@@ -32,6 +32,7 @@ def test_without_a_file_it_is_the_simulated_cell() -> None:
     assert CellConfig().simulated
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["flexitac", "paper-gripper", "pinch-13x6", "two-axes-and-wrist", "uskin"]
 )
@@ -73,6 +74,7 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
     assert "# host_timeout_s:" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "parts"),
     [

@@ -53,6 +53,7 @@ def test_a_host_that_brings_parts_to_their_places_leaves_the_axes_to_be_seen(
     assert make_bench(config, places=lambda _destination: None).cell.axes is not None
 
 
+@pytest.mark.slow
 def test_an_object_that_is_taken_off_the_axes_does_not_come_back(bench: Any) -> None:
     cell = bench.simulated
     for y_m in (0.0, 0.2):  # between the pads, and beside them
@@ -64,6 +65,7 @@ def test_an_object_that_is_taken_off_the_axes_does_not_come_back(bench: Any) -> 
         assert cell.world.placed is None
 
 
+@pytest.mark.slow
 def test_a_missed_move_shows_in_the_grasp_though_no_encoder_shows_it(bench: Any) -> None:
     def centre_m(pose: Pose) -> float:
         grasp = bench.grasp(4.0, pose).grasp
@@ -80,6 +82,7 @@ def test_a_missed_move_shows_in_the_grasp_though_no_encoder_shows_it(bench: Any)
     assert after_m - before_m == pytest.approx(3e-3, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_object_is_carried_out_of_the_pads_and_back(bench: Any) -> None:
     bench.ready("ball")
     devices = bench.simulated.devices
@@ -96,6 +99,7 @@ def test_the_object_is_carried_out_of_the_pads_and_back(bench: Any) -> None:
     assert devices.physical.placed is None  # somebody has taken it: it does not come back
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pose", "words"),
     [
@@ -113,6 +117,7 @@ def test_a_pose_that_no_axis_reaches_is_refused_and_nothing_moves(bench, pose, w
     bench.grasp(3.0, Pose())
 
 
+@pytest.mark.slow
 def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
     bench.ready()
     positioner = bench.controller.moves.positioner
@@ -132,6 +137,7 @@ def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
         assert true_pose(bench) == before
 
 
+@pytest.mark.slow
 def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
     there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3, roll_rad=1.0))
     bench.ready()
@@ -157,6 +163,7 @@ def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
     assert placed.rotation_rad == pytest.approx(POSE.rotation_rad, abs=NEAR_RAD)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "number"),
     [
@@ -188,6 +195,7 @@ def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(
     assert not any(axis.moving for axis in bench.simulated.devices.axes.values())
 
 
+@pytest.mark.slow
 def test_a_cancel_stops_the_axes_on_their_way(bench: Any) -> None:
     bench.ready().grasp(3.0, Pose(x_m=-5e-3))
     axes = bench.simulated.devices.axes
@@ -214,6 +222,7 @@ def test_a_person_brings_the_object_where_nothing_is_simulated() -> None:
     assert (asked, looked) == (["ball"], [True])
 
 
+@pytest.mark.slow
 def test_the_fingers_are_supervised_while_the_axes_move(bench: Any) -> None:
     """A servo of the gripper that falls silent on the way stops the axes as well."""
     bench.ready().grasp(3.0, Pose(x_m=-5e-3))

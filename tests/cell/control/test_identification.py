@@ -58,6 +58,7 @@ def test_identifying_ends_as_soon_as_it_is_sure_or_with_its_plan(record: GraspRe
     assert found.decision.kind is not DecisionKind.CONTINUE
 
 
+@pytest.mark.slow
 def test_shape_and_size_are_fused_over_the_grasps(record: GraspRecord) -> None:
     told: list[Any] = []
     found = identified(
@@ -74,6 +75,7 @@ def test_shape_and_size_are_fused_over_the_grasps(record: GraspRecord) -> None:
     assert f"{found.shape.kind} of {1e3 * found.shape.size_m:.1f} mm" in in_words(found.shape)
 
 
+@pytest.mark.slow
 def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecord) -> None:
     read = shape_reader(small_config())
     assert read is not None
@@ -92,6 +94,7 @@ def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecor
     assert identified(record, read_shape=lambda _grasp: None).shapes == (None, None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])
 def test_a_felt_size_far_from_the_drawn_ones_is_of_no_taught_object(record, drawn_m, label) -> None:
     told: list[Posterior] = []

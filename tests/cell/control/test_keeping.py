@@ -46,6 +46,7 @@ def identify(bench: Any, recognizer: Scripted, keep: Keep, steps: Any = STEPS[:1
 # -- what is kept ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(bench: Any) -> None:
     bench.idle(0.05)
     live = bench.controller.live
@@ -69,6 +70,7 @@ def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(bench:
     assert np.any(bench.controller.live.counts != counts)
 
 
+@pytest.mark.slow
 def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None:
     identify(bench, Scripted(SURE), Keep.ALWAYS)
     bench.sleep(2.0)  # nobody ticks
@@ -84,6 +86,7 @@ def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None
     assert bench.controller.live == LiveValues()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("keep", "kept"), [(Keep.WHEN_NAMED, False), (Keep.ALWAYS, True)])
 def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, kept: bool) -> None:
     found = identify(bench, Scripted(STRANGE), keep)
@@ -93,6 +96,7 @@ def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, k
     assert bench.life.state is (CellState.COMPLETE if kept else CellState.IDLE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keep", Keep)
 def test_the_part_is_held_while_it_is_named_where_it_may_be_kept(bench: Any, keep: Keep) -> None:
     recognizer = Scripted(UNSURE, SURE, look=lambda: bench.grip_n)
@@ -110,6 +114,7 @@ def until(bench: Any, happens: Callable[[], bool]) -> Callable[[], bool]:
     return lambda: happened.wait(20.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("keep", "phase"),
     [(Keep.NEVER, GripperPhase.RELEASING), (Keep.ALWAYS, GripperPhase.BACKING_OFF)],
@@ -126,6 +131,7 @@ def test_a_hand_in_a_process_of_its_own_moves_on_while_the_answer_is_computed(
     assert (bench.grip_n > 1.0) is found.kept
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stopped", [True, False])
 def test_neither_a_stop_nor_a_fault_waits_for_the_answer_and_the_part_is_kept(
     bench: Any, monkeypatch: pytest.MonkeyPatch, stopped: bool
@@ -142,6 +148,7 @@ def test_neither_a_stop_nor_a_fault_waits_for_the_answer_and_the_part_is_kept(
     assert bench.grip_n > 1.0
 
 
+@pytest.mark.slow
 def test_a_stop_while_it_is_named_holds_the_part(bench: Any) -> None:
     with pytest.raises(CellStopped, match="the grip is kept"):
         identify(bench, Scripted(SURE, look=bench.life.cancel), Keep.ALWAYS)
@@ -149,6 +156,7 @@ def test_a_stop_while_it_is_named_holds_the_part(bench: Any) -> None:
     assert bench.grip_n > 1.0
 
 
+@pytest.mark.slow
 def test_an_error_while_it_is_named_is_a_fault_with_the_part_kept(bench: Any) -> None:
     with pytest.raises(IndexError):
         identify(bench, Scripted(), Keep.ALWAYS)
@@ -159,6 +167,7 @@ def test_an_error_while_it_is_named_is_a_fault_with_the_part_kept(bench: Any) ->
 # -- one grip --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(make_bench, taught) -> None:
     bench = make_bench(small_config(sequence__regrasp="none"))
     bench.ready("box")
@@ -212,6 +221,7 @@ def test_forces_of_the_config_that_could_not_hold_a_part_are_refused() -> None:
 # -- faults of a carry -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "limit_s"), [("object.gone", 0.15), ("object.slips=20", 0.25)])
 def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(bench, fault, limit_s) -> None:
     identify(bench, Scripted(SURE), Keep.ALWAYS)
@@ -239,6 +249,7 @@ def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(bench, fault, limi
 # -- the same part? --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_look_at_a_kept_part_finds_it_unchanged(make_bench: MakeBench, tmp_path: Any) -> None:
     bench = make_bench(folder=tmp_path)
     bench.ready()
@@ -271,6 +282,7 @@ def test_noise_of_the_taxels_makes_no_part_another_one() -> None:
     assert not compared(other, part()).same
 
 
+@pytest.mark.slow
 def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
     bench.controller.grip(4.0, Pose())
     # Between two looks of the slip detector: what is seen is where the part is now.
@@ -283,6 +295,7 @@ def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
     assert bench.grip_n > 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gone_ms", [0, 5, 10, 20])
 def test_a_part_that_goes_at_the_moment_of_a_look_is_lost(bench: Any, gone_ms: int) -> None:
     bench.idle(0.01)
@@ -296,6 +309,7 @@ def test_a_part_that_goes_at_the_moment_of_a_look_is_lost(bench: Any, gone_ms: i
     assert bench.life.grasp_state is GraspState.PART_LOST
 
 
+@pytest.mark.slow
 def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
     bench.controller.grip(4.0, Pose())
     for step in range(1, 41):
@@ -312,6 +326,7 @@ def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
 TO_BIN = Destination(label="ball", place="bin 1")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("answer", [False, "there"])
 def test_a_place_that_is_refused_leaves_the_part_in_the_grip(make_bench, answer) -> None:
     bench = make_bench(places=lambda _destination: answer)
@@ -324,6 +339,7 @@ def test_a_place_that_is_refused_leaves_the_part_in_the_grip(make_bench, answer)
     assert bench.grip_n > 1.0
 
 
+@pytest.mark.slow
 def test_a_stop_on_the_way_ends_the_way_and_keeps_the_part(make_bench: MakeBench) -> None:
     bench = make_bench(places=lambda _destination: bench.life.cancel())
     bench.ready()
@@ -334,6 +350,7 @@ def test_a_stop_on_the_way_ends_the_way_and_keeps_the_part(make_bench: MakeBench
     assert bench.grip_n > 1.0
 
 
+@pytest.mark.slow
 def test_a_part_that_is_lost_on_the_way_ends_it_at_once(bench: Any) -> None:
     arrived = threading.Event()
 

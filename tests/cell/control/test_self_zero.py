@@ -65,6 +65,7 @@ def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
     assert there.controller.grasp(step).grasp.zero == found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "hand",
     [
@@ -109,6 +110,7 @@ def test_it_is_measured_on_other_hands(make_bench, hand: dict[str, Any]) -> None
     assert bench.controller.zeros.newest.opening_m * 1e3 == pytest.approx(0.0, abs=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "part",
     [
@@ -134,6 +136,7 @@ def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, part: 
     assert abs(bench.controller.zeroing.measure().zero.opening_m) < 2e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "part",
     [
@@ -169,6 +172,7 @@ def test_a_daily_start_opens_again_on_a_part_and_goes_on(make_bench, tmp_path, p
     assert json.loads(zero_file(tmp_path, config.name).read_text())["zero"]
 
 
+@pytest.mark.slow
 def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(make_bench) -> None:
     flat = make_bench(small_config(self_zero="daily"))
     flat.simulated.place("box:length=80mm,width=40mm,height=3mm")
@@ -198,6 +202,7 @@ def test_a_zero_that_cannot_be_written_counts_in_its_program(make_bench, tmp_pat
     )
 
 
+@pytest.mark.slow
 def test_a_part_that_is_lost_during_a_daily_start_is_a_note(make_bench) -> None:
     bench = make_bench(small_config(self_zero="daily"))
     bench.simulated.place("ball")
@@ -209,6 +214,7 @@ def test_a_part_that_is_lost_during_a_daily_start_is_a_note(make_bench) -> None:
     assert not bench.life.holding
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("made_up_zero")
 def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench) -> None:
     bench = make_bench(small_config(self_zero="always")).ready()
@@ -236,6 +242,7 @@ def test_a_start_after_a_fault_on_the_same_day_does_not_zero_again(make_bench) -
     assert bench.controller.zeros.newest is taken
 
 
+@pytest.mark.slow
 def test_a_start_does_not_zero_on_a_part(make_bench) -> None:
     bench = make_bench(small_config(self_zero="always"))
     bench.simulated.place("ball")
@@ -246,6 +253,7 @@ def test_a_start_does_not_zero_on_a_part(make_bench) -> None:
     assert bench.grip_n > 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -281,6 +289,7 @@ def test_it_is_measured_at_a_start_where_it_is_due(make_bench, tmp_path, when, t
         assert seen[1][0] == seen[0][1]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("made_up_zero")
 def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path: Path) -> None:
     said = call("zero", "--out", tmp_path, "--json", tmp_path / "zero.json")
@@ -303,6 +312,7 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     assert bench.controller.zeros.newest == found
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("made_up_zero")
 def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(monkeypatch, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
@@ -322,6 +332,7 @@ def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(monkeypatch,
     assert (CellConfig().self_zero, faulty.self_zero) == ("daily", "on_demand")
 
 
+@pytest.mark.slow
 def test_fingers_that_cannot_meet_are_gauged(make_bench) -> None:
     bench = make_bench(small_config(gripper__pads_meet=False)).ready()
     with pytest.raises(PlanRefused, match="calibrate --gauge"):
@@ -413,6 +424,7 @@ def test_a_zero_of_another_cell_counts_as_none_and_is_named(tmp_path, change, na
     assert kept_zeros(changed_config(here, {"gripper.force_max_n": 12.0}), tmp_path).newest == ZERO
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("made_up_zero")
 def test_a_zero_of_another_control_unit_counts_as_none(make_bench, tmp_path: Path) -> None:
     """Two cells whose adapters have changed places have the same config."""
@@ -481,6 +493,7 @@ def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
     assert later.measured_s == 1.8e9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "seed", [10, *(pytest.param(seed, marks=pytest.mark.long) for seed in (38, 45))]
 )
@@ -492,6 +505,7 @@ def test_pads_on_each_other_contradict_no_message_at_twice_the_noise(make_bench,
     assert bench.controller.zeros.newest is not None
 
 
+@pytest.mark.slow
 def test_pads_on_each_other_stay_far_below_the_cap_where_one_motor_is_stronger(make_bench) -> None:
     """The set-point ends at 10 N, the cap is 15 N, and no servo was ever measured."""
     unlike = {"simulator__servos__friction": [0.5, 1.0], "simulator__servos__kt": [1.3, 1.0]}

@@ -199,6 +199,7 @@ def test_the_page_names_each_state_and_each_accepted_command() -> None:
 # -- the cell does as the table says ---------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("state", CellState)
 def test_a_refused_command_changes_nothing(state: CellState, make_bench: MakeBench) -> None:
     walk = Walk(make_bench())
@@ -221,6 +222,7 @@ def test_a_refused_command_changes_nothing(state: CellState, make_bench: MakeBen
 ACCEPTED = [(s, c) for s in CellState for c in Command if command_effect(s, c).accepted]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("state", "command"), ACCEPTED)
 def test_an_accepted_command_goes_the_way_of_the_table(
     state: CellState, command: Command, make_bench: MakeBench, tmp_path: Path
@@ -248,6 +250,7 @@ def test_an_accepted_command_goes_the_way_of_the_table(
 # -- the grip --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_state_of_the_grip_follows_a_grasp(bench: Any) -> None:
     bench.ready()
     seen: list[GraspState] = []

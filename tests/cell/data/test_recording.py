@@ -276,6 +276,7 @@ def test_values_of_any_kind_become_plain_ones() -> None:
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_recording_cut_anywhere_gives_every_whole_chunk(whole, tmp_path) -> None:
     path, grasps = whole
     data = path.read_bytes()

@@ -213,6 +213,7 @@ def line() -> Iterator[Line]:
     one.close()
 
 
+@pytest.mark.slow
 def test_requests_are_answered_in_order_with_value_error_and_statistics(line) -> None:
     line.ask(grasp={"ramp": RAMP}, inspect={}, tare={"n_frames": 3})
     events = line.serve()
@@ -243,6 +244,7 @@ def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost(
     line.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["grasp", "press_pads_together"])
 def test_the_end_of_a_ramp_counts_for_its_own_grasp_only(line, name) -> None:
     line.hand.cycles = 3
@@ -260,6 +262,7 @@ def test_the_end_of_a_ramp_counts_for_its_own_grasp_only(line, name) -> None:
     assert line.hand.ended_at == [1.0]
 
 
+@pytest.mark.slow
 def test_between_commands_the_process_ticks_and_tells_once_what_it_found(line) -> None:
     line.hand.tick_error = BusTimeout("cable out")
     line.server._supervise()
@@ -298,6 +301,7 @@ def test_the_end_freezes_keeps_and_says_why(line, cause, monkeypatch) -> None:
     assert line.hand.calls[-2:] == ["shutdown", "close"]
 
 
+@pytest.mark.slow
 def test_sigterm_leaves_the_program_time_to_end_the_cell_in_order(line, monkeypatch) -> None:
     monkeypatch.setattr(server, "_PROGRAM_ENDS_S", 1e6)
     line.server.terminate(signal.SIGTERM, None)

@@ -5,6 +5,8 @@ from contextlib import closing
 from typing import Any
 from xmlrpc.client import ServerProxy
 
+import pytest
+
 from cell.control.answer import Answer
 from recognition.recognizer import UNKNOWN
 from tests.cell.interfaces.hosts import BlockPlc, Client, Plc
@@ -14,6 +16,7 @@ from tests.waiting import LIMIT_S
 PLACES = ("ball", "box", "reject")
 
 
+@pytest.mark.slow
 def test_each_part_reaches_plc_robot_and_program_once(serve) -> None:
     served = serve("modbus", "xmlrpc", "http", serve__objects=["box", "ball"])
     plc = BlockPlc(Plc(served.interfaces["modbus_port"])).ready()

@@ -82,6 +82,7 @@ with stopping(lambda: None, end_within_s=0.05, left='; the grip is kept'):
     assert b"error: interrupted; the grip is kept\n" in ended.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "number",
     [

@@ -214,7 +214,7 @@ def test_a_fault_has_its_remedy_and_steps(served, host) -> None:
 
 @pytest.mark.slow
 def test_a_simulated_cell_shows_pads_shift_grasps_and_health(connect) -> None:
-    served, host = connect(cell={})
+    served, host = connect(cell={}, sequence__decide_early=False)
     info = host.get("/api/info")
     assert (info["mode"], info["simulated"]) == ("cell", True)
     assert info["version"] == version("tactile-cell")
@@ -579,6 +579,7 @@ def test_the_token_comes_as_subprotocol_or_first_message(host) -> None:
                 link.recv(timeout=20)
 
 
+@pytest.mark.slow
 def test_a_socket_that_takes_nothing_is_cut(serve, monkeypatch) -> None:
     for name in ("_PEER_IDLE_S", "_PEER_ASKED_S", "_PEER_ASKED_MAX"):
         monkeypatch.setattr(f"cell.interfaces.access.{name}", 1)

@@ -145,6 +145,7 @@ def places(robot: Robot) -> list[int]:
     return [known.index(move) for move in robot.moves if move in known]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "cell", "n_parts"),
     [("simulated", None, 2), pytest.param("callback", {}, 1, marks=pytest.mark.slow)],

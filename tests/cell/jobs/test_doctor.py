@@ -233,6 +233,7 @@ def test_wrong_ports_are_named_with_what_to_do() -> None:
     assert "can-that-is-not-there" in findings["links"].found
 
 
+@pytest.mark.slow
 def test_a_port_without_rights_and_one_with(tmp_path, monkeypatch) -> None:
     port = tmp_path / "ttyX"
     port.write_text("")

@@ -275,6 +275,7 @@ def test_an_object_beside_the_pads_is_refused() -> None:
         teach_drawing(config.model_copy(update={"sequence": sequence}), "b", drawn_shape(BALL), 1)
 
 
+@pytest.mark.slow
 def test_what_a_gauge_must_be(taught) -> None:
     config, ball = taught.config, drawn_shape(BALL)
     pads = taught.grasps[0].pads

@@ -171,6 +171,7 @@ def test_objects_are_named_in_less_time_and_none_wrongly(make_bench, taught) -> 
     assert all(one.cycles[-1].setpoint_n == one.step.force_n for one in more.records)
 
 
+@pytest.mark.slow
 def test_by_touch_alone_and_for_other_kinds_ramps_are_whole(taught) -> None:
     for name, use_aperture in (("force_ramp", True), ("level_check", True), ("force_ramp", False)):
         recognition = {"recognizer": name, "use_aperture": use_aperture}

@@ -42,6 +42,7 @@ def test_a_silence_is_told_once_and_again_after_the_host_was_heard() -> None:
     assert look(23_601.0) == ["3601.00", "3601.00"]
 
 
+@pytest.mark.slow
 def test_nothing_is_stopped_where_no_job_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     with TactileCellPlugin(small_config(host_timeout_s=0.2)) as plugin:
         stopped: list[str] = []
@@ -54,6 +55,7 @@ def test_nothing_is_stopped_where_no_job_runs(monkeypatch: pytest.MonkeyPatch) -
         assert plugin.result(job, LIMIT_S) == 3
 
 
+@pytest.mark.slow
 def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read() -> None:
     with TactileCellPlugin(small_config(host_timeout_s=0.2)) as plugin:
         controller = plugin._cell.controller
@@ -78,6 +80,7 @@ def test_each_call_of_the_host_is_heard() -> None:
             assert plugin._lease._heard_s > 0.0, call
 
 
+@pytest.mark.slow
 def test_a_lost_recording_holds_the_grasp_where_the_config_says_so_until_there_is_room(
     make_bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

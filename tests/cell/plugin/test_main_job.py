@@ -117,6 +117,7 @@ def test_nothing_asked_is_no_accuracy() -> None:
 # -- teaching ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_one(
     make_bench: MakeBench, taught
 ) -> None:

@@ -50,6 +50,7 @@ def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n
     )
 
 
+@pytest.mark.slow
 def test_a_gauge_says_under_which_foam_shapes_are_read(make_plugin, taught, tmp_path) -> None:
     gauge = tmp_path / "gauge.npz"
     balls = [replace(grasp, label="master") for grasp in taught.grasps if grasp.label == "ball"]
@@ -74,6 +75,7 @@ def test_a_gauge_says_under_which_foam_shapes_are_read(make_plugin, taught, tmp_
 # -- jobs --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> None:
     with pytest.raises(
         JobFailed, match=r"ABORTED: .*at least 3.*kept for the next teaching"
@@ -85,6 +87,7 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> N
     assert plugin.labels == ("ball", "box", "pin")
 
 
+@pytest.mark.slow
 def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -> None:
     page = (ROOT / "docs/how-to/use-from-a-host-program.md").read_text("utf-8")
     (typed,) = (one for one in re.findall(r"```python\n(.*?)```", page, re.S) if "my mug" in one)
@@ -100,6 +103,7 @@ def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -
     assert plugin.simulate({"state": True})["placed"] == "my mug"
 
 
+@pytest.mark.slow
 def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(plugin) -> None:
     for fault in (None, "servo1.off", "can.unplugged"):
         assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
@@ -113,6 +117,7 @@ def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(p
         assert plugin.simulate({"state": True})["faults"] == {}
 
 
+@pytest.mark.slow
 def test_teach_then_identify(make_plugin: Any) -> None:
     plugin = make_plugin()
     for label in ("ball", "box"):
@@ -163,6 +168,7 @@ def test_teach_then_identify(make_plugin: Any) -> None:
 # -- cancelling --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
     pressing, go_on = threading.Event(), threading.Event()
 
@@ -218,6 +224,7 @@ def test_a_job_that_is_cancelled_as_soon_as_it_is_accepted_is_cancelled(plugin: 
         assert plugin.state() == "IDLE"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("host_timeout_s", [None, 1000.0])
 def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
     plugin_class: Any, taught: Any, host_timeout_s: float | None
@@ -252,6 +259,7 @@ def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
 # -- faults ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_servo_at_fault_is_latched_at_loading_and_mended_by_clear(make_plugin: Any) -> None:
     plugin = make_plugin(small_config(simulator__faults=["servo1.overload"]))
     assert plugin.state() == "ABORTED"
@@ -286,6 +294,7 @@ def test_a_device_that_is_missing_at_the_start_is_an_error_of_the_constructor(
 # -- who moves ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_host_moves_and_may_veto(make_plugin: Any, taught: Any) -> None:
     asked: list[Pose] = []
     answers: list[Any] = [Pose(x_m=5e-4), False]
@@ -310,6 +319,7 @@ def test_the_host_moves_and_may_veto(make_plugin: Any, taught: Any) -> None:
     assert done(plugin, IdentifyGoal(max_grasps=1)).n_grasps == 1
 
 
+@pytest.mark.slow
 def test_teaching_beside_a_loaded_model_needs_the_grasps_that_trained_it(
     make_plugin: Any, taught: Any, tmp_path: Path
 ) -> None:
@@ -333,6 +343,7 @@ def test_teaching_beside_a_loaded_model_needs_the_grasps_that_trained_it(
 # -- the file that each teaching renews --------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_each_teaching_is_saved_before_its_job_succeeds(
     make_plugin: Any, taught: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -351,6 +362,7 @@ def test_each_teaching_is_saved_before_its_job_succeeds(
     assert make_plugin(model=path).labels == ("ball", "box")
 
 
+@pytest.mark.slow
 def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again(
     make_plugin: Any, taught: Any, tmp_path: Path
 ) -> None:
@@ -370,6 +382,7 @@ def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again(
     assert make_plugin(model=path).labels == ("ball", "box")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mended", [True, False])
 def test_what_was_taught_is_written_at_the_end_or_the_end_says_why(
     make_plugin: Any, taught: Any, tmp_path: Path, mended: bool
@@ -388,6 +401,7 @@ def test_what_was_taught_is_written_at_the_end_or_the_end_says_why(
     plugin.close()
 
 
+@pytest.mark.slow
 def test_a_teaching_that_was_stopped_adds_its_grasps(make_plugin, taught, tmp_path) -> None:
     path, file = tmp_path / "new.npz", tmp_path / "new.grasps.npz"
     plugin = make_plugin(model=taught.result.model, save=path)
@@ -423,6 +437,7 @@ def test_a_file_that_was_not_loaded_is_never_the_one_to_save_to(
     assert (tmp_path / existing).read_bytes() == b"the work of a day"
 
 
+@pytest.mark.slow
 def test_the_loaded_model_is_replaced_by_each_teaching(make_plugin, taught, tmp_path) -> None:
     plugin = make_plugin(model=taught.result.model)
     plugin.save(tmp_path / "m.npz")
@@ -433,6 +448,7 @@ def test_the_loaded_model_is_replaced_by_each_teaching(make_plugin, taught, tmp_
     assert (tmp_path / "m.npz").read_bytes() != before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["no part", "too few grasps", "stopped", "at the end"])
 def test_a_first_teaching_that_fails_removes_no_file(make_plugin, tmp_path: Path, way: str) -> None:
     path = tmp_path / "m.npz"
@@ -453,6 +469,7 @@ def test_a_first_teaching_that_fails_removes_no_file(make_plugin, tmp_path: Path
     assert path.read_bytes() == b"a model"
 
 
+@pytest.mark.slow
 def test_what_was_forgotten_is_removed_once_it_can_be(make_plugin, taught, tmp_path) -> None:
     path, grasps = tmp_path / "m.npz", tmp_path / "m.grasps.npz"
     plugin = make_plugin(model=taught.result.model, save=path)
@@ -489,6 +506,7 @@ def absent_in(plugin: Any, *numbers: int) -> None:
     plugin._cell.controller.moves.positioner.move_to = move_to
 
 
+@pytest.mark.slow
 def test_an_absent_object_ends_teaching_and_the_grasps_before_it_are_kept(make_plugin: Any) -> None:
     plugin = make_plugin()
     absent_in(plugin, 3, 4, 5)
@@ -551,6 +569,7 @@ def test_a_model_of_other_pads_is_refused_before_the_cell_is_touched(
     assert touched == []
 
 
+@pytest.mark.slow
 def test_config_files_and_the_context_manager(plugin_class: Any, tmp_path: Path) -> None:
     path = tmp_path / "cell.yaml"
     path.write_text("name: from a file\ntactile: {tare_frames: 10}\n")

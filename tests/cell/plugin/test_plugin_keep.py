@@ -21,6 +21,7 @@ def standing(plugin: TactileCellPlugin) -> tuple[Any, ...]:
     return status.state, status.state_number, status.needs_reset, status.holding
 
 
+@pytest.mark.slow
 def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(plugin) -> None:
     job = plugin.start({"task": "grip", "force_n": 3.0, "present": "box"})
     found = plugin.result(job, LIMIT_S)
@@ -36,6 +37,7 @@ def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(plugi
     assert grip_n(plugin) > 3.0
 
 
+@pytest.mark.slow
 def test_the_force_of_the_grasps_is_the_hosts(plugin: TactileCellPlugin) -> None:
     job = plugin.start(IdentifyGoal(present="box", force_n=3.5, seed=9))
     plugin.result(job, LIMIT_S)
@@ -47,6 +49,7 @@ def test_the_force_of_the_grasps_is_the_hosts(plugin: TactileCellPlugin) -> None
     assert plugin.fault() is None
 
 
+@pytest.mark.slow
 def test_the_host_brings_named_parts_to_their_places(make_plugin: Any, taught: Any) -> None:
     brought: list[Destination] = []
     plugin = make_plugin(model=taught.result.model, places=brought.append)
@@ -64,6 +67,7 @@ def test_the_host_brings_named_parts_to_their_places(make_plugin: Any, taught: A
     assert standing(plugin) == ("IDLE", 4, False, False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("aperture_open_mm", [10.4, 10.7])
 def test_fingers_that_open_little_beyond_the_part_show_no_drift_of_the_zero(
     aperture_open_mm: float,

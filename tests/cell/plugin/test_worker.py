@@ -123,6 +123,7 @@ def test_a_job_has_a_longest_time_without_progress(way: str) -> None:
     worker.close(10.0)
 
 
+@pytest.mark.slow
 def test_a_worker_that_nobody_uses_is_collected_and_its_thread_ends() -> None:
     worker = CellWorker(idle=lambda: None, idle_period_s=0.001)
     worker.wait(worker.start(lambda _report: None), 10.0)

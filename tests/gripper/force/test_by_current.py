@@ -42,6 +42,7 @@ def closed(
     return gripper, gripper.grasp(ForceRamp.linear(force_n, rate_n_s, 0.5), watch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_n_s", [5.0, 20.0])
 @pytest.mark.parametrize(
     ("wrong", "within_n"),
@@ -65,6 +66,7 @@ def test_five_newtons_by_current_are_five_newtons_but_for_the_torque_constant(
     assert cell.force_n == 0.0
 
 
+@pytest.mark.slow
 def test_the_samples_carry_what_the_torque_figures_leave_open(make_cell) -> None:
     cell = make_cell(kt_error=0.1)
     samples = []
@@ -74,6 +76,7 @@ def test_the_samples_carry_what_the_torque_figures_leave_open(make_cell) -> None
     assert abs(samples[-1].grip_n - cell.force_n) < 2.0 * samples[-1].noise_n
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_n_s", [5.0, 20.0])
 def test_a_soft_part_is_gripped_too(make_cell: Callable[..., Any], rate_n_s: float) -> None:
     cell = make_cell(stiffness_n_m=1000.0)
@@ -87,12 +90,14 @@ def test_fingers_that_start_on_the_part_find_it(make_cell: Callable[..., Any]) -
     assert cell.force_n == pytest.approx(5.0, abs=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction_error", [-0.5, 0.0, 0.3, 0.5])
 def test_friction_is_no_part(make_cell: Callable[..., Any], friction_error: float) -> None:
     cell = make_cell(present=False, friction_error=friction_error)
     assert closed(cell)[1].result is GraspResult.NO_CONTACT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness_n_m", [3000.0, 20_000.0])
 def test_a_part_that_is_taken_away_is_lost(make_cell, stiffness_n_m) -> None:
     cell = make_cell(stiffness_n_m=stiffness_n_m)
@@ -105,6 +110,7 @@ def test_a_part_that_is_taken_away_is_lost(make_cell, stiffness_n_m) -> None:
         gripper.hold(1.0, take)
 
 
+@pytest.mark.slow
 def test_the_true_force_keeps_its_cap_where_the_torque_constant_is_wrong(make_cell) -> None:
     cell = make_cell(kt_error=0.1, friction_error=-0.2, force_max_n=15.0)
     gripper = by_current(cell)

@@ -67,6 +67,7 @@ def test_the_set_point_stays_and_the_force_does_not_rise_any_more(make_started, 
     assert outcome.overshoot_n <= 0.4
 
 
+@pytest.mark.slow
 def test_an_ended_ramp_takes_less_time_and_ends_at_the_level_that_was_next(make_cell) -> None:
     lasted: list[int] = []
     for at_n in (3.0, 99.0):
@@ -80,6 +81,7 @@ def test_an_ended_ramp_takes_less_time_and_ends_at_the_level_that_was_next(make_
     assert lasted[0] < lasted[1] - 100
 
 
+@pytest.mark.slow
 def test_a_request_between_grasps_or_after_the_ramp_is_not_kept(started) -> None:
     started.gripper.end_ramp()
     settling: list[float] = []
@@ -196,6 +198,7 @@ def test_requests_count_during_a_grasp_only() -> None:
     assert not end.requested
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise_n", [0.02, 0.2])
 def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_bears(
     make_cell, noise_n: float
@@ -222,6 +225,7 @@ def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_be
     assert gripper.phase is GripperPhase.IDLE
 
 
+@pytest.mark.slow
 def test_a_smaller_opening_while_pressing_lets_a_small_part_sink_deeper(make_started) -> None:
     cell = make_started(
         width_m=0.005, stiffness_n_m=6000.0, aperture_min_m=0.003, aperture_pressed_m=0.001

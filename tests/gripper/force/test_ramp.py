@@ -25,6 +25,7 @@ def ramps(draw: st.DrawFn) -> ForceRamp:
     return ForceRamp.staircase(levels, draw(RATES), draw(HOLDS))
 
 
+@pytest.mark.slow
 @settings(max_examples=80)
 @given(ramps())
 def test_monotone_bounded_rate_limited_and_ending_at_the_target(ramp: ForceRamp) -> None:

@@ -107,6 +107,7 @@ def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
         )
 
 
+@pytest.mark.slow
 def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone() -> None:
     as_asked = mock.patch.object(
         approach,

@@ -82,6 +82,7 @@ def test_levels_with_a_drift_undone_are_those_of_the_taught_sensor(train, fresh)
     assert aperture_features(undone) == pytest.approx(aperture_features(plain), abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_drift_that_was_not_gauged_costs_little(taught, train, fresh):
     drifted = [Drift(gains=(0.7,), aperture_offset_m=-1.5e-3).apply(g) for g in fresh]
     assert accuracy(taught, fresh) >= 0.96
@@ -89,6 +90,7 @@ def test_a_drift_that_was_not_gauged_costs_little(taught, train, fresh):
     assert accuracy(taught, drifted) >= max(0.84, plain)
 
 
+@pytest.mark.slow
 def test_a_gauge_object_shows_the_drift_and_the_rest_is_as_before(taught, fresh):
     gauge = [DRIFT.apply(g) for g in fresh if g.label == "egg"][:3]
     corrected = taught.gauge("egg", gauge)

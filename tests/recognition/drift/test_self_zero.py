@@ -219,6 +219,7 @@ def named(taught: Any, grasps: Sequence[Grasp]) -> float:
     return float(np.mean([taught.posterior(g).name == g.label for g in grasps]))
 
 
+@pytest.mark.slow
 def test_two_self_zeros_undo_what_has_changed_for_each_grasp(train, fresh) -> None:
     drift, none = Drift(gains=(0.7, 0.9), aperture_offset_m=-4e-3), Drift(gains=(1.0, 1.0))
     taught = make_trainer("force_ramp").fit([replace(g, zero=zero_of(none)) for g in train])
@@ -242,6 +243,7 @@ def test_two_self_zeros_undo_what_has_changed_for_each_grasp(train, fresh) -> No
     )
 
 
+@pytest.mark.slow
 def test_grasps_of_several_sessions_teach_as_of_one(train, fresh) -> None:
     drift, none = Drift(gains=(0.8, 0.9), aperture_offset_m=2e-3), Drift(gains=(1.0, 1.0))
     half = [
@@ -253,6 +255,7 @@ def test_grasps_of_several_sessions_teach_as_of_one(train, fresh) -> None:
     assert named(taught, told) > 0.8
 
 
+@pytest.mark.slow
 def test_a_self_zero_ties_the_opening_of_what_was_taught_from_drawings(train, fresh) -> None:
     nominal_m = zero_of(Drift(gains=(1.0, 1.0))).opening_m
     drawn = [replace(g, zero=drawn_zero(nominal_m), thickness_m=8e-3) for g in train]
@@ -271,6 +274,7 @@ def test_a_self_zero_ties_the_opening_of_what_was_taught_from_drawings(train, fr
     assert taught.posterior(told[0]).drawn_m == pytest.approx((5e-3,), abs=2e-4)
 
 
+@pytest.mark.slow
 def test_within_the_hour_nothing_has_changed_since_one_self_zero(train, fresh) -> None:
     zero = zero_of(Drift(gains=(1.0, 1.0)))
     soon = [replace(g, start_ms=train[0].start_ms) for g in fresh]
@@ -282,6 +286,7 @@ def test_within_the_hour_nothing_has_changed_since_one_self_zero(train, fresh) -
         assert found.unknown == pytest.approx(expected.unknown, abs=0.05)
 
 
+@pytest.mark.slow
 def test_what_was_taught_without_a_self_zero_leaves_all_without(train, fresh) -> None:
     zeroed = [replace(g, zero=zero_of(Drift(gains=(1.0, 1.0)))) for g in train]
     measured = zeroed[0].zero

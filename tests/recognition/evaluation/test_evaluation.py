@@ -18,6 +18,7 @@ def found(train, fresh):
     return evaluate([(train, fresh)], make_trainer("shrinkage_lda"), unknown_groups=5)
 
 
+@pytest.mark.slow
 def test_figures_fit_each_other(found, fresh):
     assert found.n == len(fresh)
     assert found.n_untaught == 0
@@ -56,6 +57,7 @@ def test_few_labels_are_not_left_out(train, fresh):
     assert np.isnan(found.unknown_auroc)
 
 
+@pytest.mark.slow
 def test_the_answers_of_all_parts_count_together(train, fresh):
     trainer = make_trainer("shrinkage_lda")
     half = len(fresh) // 2

@@ -55,6 +55,7 @@ def test_each_entry_makes_the_trainer_of_its_name():
         assert make_trainer(name).name == name
 
 
+@pytest.mark.slow
 def test_no_feature_of_the_default_has_a_unit_that_taught_grasps_hardly_show(teach):
     taught = teach("force_ramp")
     for view in (taught.touch, taught.both):
@@ -93,6 +94,7 @@ def test_fresh_grasps_are_named_and_known(taught, fresh):
     assert np.mean([taught.posterior(g).unknown > 0.5 for g in fresh]) <= 0.3
 
 
+@pytest.mark.slow
 def test_touch_alone_names_most(name, train, fresh):
     assert accuracy(make_trainer(name, use_aperture=False).fit(train), fresh) >= 0.8
 
@@ -103,6 +105,7 @@ def test_opening_is_not_looked_at_where_it_is_not_to_be_used(name, train, fresh)
     assert np.array_equal(blind.posterior(moved).probability, blind.posterior(fresh[0]).probability)
 
 
+@pytest.mark.slow
 def test_most_familiar_grasps_are_known_and_an_untaught_object_is_not(name, train, fresh):
     recognizer = make_trainer(name).fit([g for g in train if g.label != "egg"])
     unknown = {True: [], False: []}
@@ -112,6 +115,7 @@ def test_most_familiar_grasps_are_known_and_an_untaught_object_is_not(name, trai
     assert np.median(unknown[True]) > max(0.5, float(np.median(unknown[False])))
 
 
+@pytest.mark.slow
 def test_8_bit_pads_among_others_with_one_sided_noise(name, factory):
     pads = factory.pads(shapes=((12, 4), (12, 4), (6, 2), (12, 4)), adc_max=255)
     options = {"pads": pads, "gripping": (0, 3), "noise_counts": 20.0, "n_ramp": 60}
@@ -119,6 +123,7 @@ def test_8_bit_pads_among_others_with_one_sided_noise(name, factory):
     assert accuracy(recognizer, factory.many(4, seed=6, **options)) >= 0.95
 
 
+@pytest.mark.slow
 def test_a_hand_of_five_fingers_of_which_an_object_presses_two(name, factory):
     pads = factory.pads(shapes=((4, 3),) * 5)
     bar, block, *_ = factory.things
@@ -181,12 +186,14 @@ def test_odd_frames_get_an_answer(taught, fresh):
         assert taught.posterior(one).probability.sum() == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_without_an_opening_touch_alone_answers(train, fresh):
     taught = make_trainer("force_ramp").fit(train)
     blind = [dataclasses.replace(g, aperture_m=np.full_like(g.aperture_m, np.nan)) for g in fresh]
     assert accuracy(taught, blind) >= 0.8
 
 
+@pytest.mark.slow
 def test_taught_without_an_opening_it_answers_with_and_without(name, train, fresh):
     blind = [dataclasses.replace(g, aperture_m=np.full_like(g.aperture_m, np.nan)) for g in train]
     assert accuracy(make_trainer(name).fit(blind), fresh) >= 0.8
@@ -205,6 +212,7 @@ def test_too_few_grasps_of_an_object_are_refused(train):
         make_trainer("force_ramp").fit(train[::8])
 
 
+@pytest.mark.slow
 def test_one_object_alone_is_told_from_all_others(train, fresh):
     recognizer = make_trainer("force_ramp").fit([g for g in train if g.label == "pin"])
     assert recognizer.labels == ("pin",)
@@ -217,12 +225,14 @@ def test_one_object_alone_is_told_from_all_others(train, fresh):
     assert np.mean(answers[False]) >= 0.75
 
 
+@pytest.mark.slow
 def test_two_objects_suffice(name, train, fresh):
     few = [g for g in train if g.label in ("bar", "egg")]
     tested = [g for g in fresh if g.label in ("bar", "egg")]
     assert accuracy(make_trainer(name).fit(few), tested) == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("taught", [("pin",), ("block", "pin"), ("bar", "pin")])
 def test_few_grasps_of_few_objects_name_no_other_one(factory, pads, fresh, taught):
     few = [g for g in factory.many(6, seed=3, pads=pads) if g.label in taught]
@@ -232,6 +242,7 @@ def test_few_grasps_of_few_objects_name_no_other_one(factory, pads, fresh, taugh
     assert np.mean([name != UNKNOWN for label, name in names if label not in taught]) <= 0.1
 
 
+@pytest.mark.slow
 def test_grasps_that_missed_teach_nothing(train, fresh):
     missed = dataclasses.replace(train[0], counts=np.zeros_like(train[0].counts))
     recognizer = make_trainer("force_ramp").fit([missed, *train])
@@ -245,6 +256,7 @@ def test_an_object_whose_grasps_all_missed_is_named(name, train):
         make_trainer(name).fit([*train, *lost])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("use_aperture", [True, False])
 def test_recogniser_comes_back_from_its_arrays(name, train, fresh, use_aperture):
     taught = make_trainer(name, use_aperture=use_aperture).fit(train)
@@ -265,11 +277,13 @@ def test_recogniser_comes_back_from_its_arrays(name, train, fresh, use_aperture)
         type(taught).from_arrays(arrays | {"feature_version": np.array(0)})
 
 
+@pytest.mark.slow
 def test_teaching_twice_gives_the_same(name, train, fresh):
     a, b = (make_trainer(name).fit(train).posterior(fresh[7]) for _ in range(2))
     assert np.array_equal(a.probability, b.probability)
 
 
+@pytest.mark.slow
 def test_within_an_hour_on_the_cell_that_taught_nothing_has_drifted(train, fresh):
     def taken(grasps, source):
         return [dataclasses.replace(g, source=source) for g in grasps]
@@ -288,6 +302,7 @@ def test_within_an_hour_on_the_cell_that_taught_nothing_has_drifted(train, fresh
     assert told.posterior(here).unknown < 0.5
 
 
+@pytest.mark.slow
 def test_objects_that_only_their_size_tells_apart_have_no_name_on_another_day(factory, pads):
     _, _, disc, egg, pin = factory.things
     things = (disc, dataclasses.replace(disc, label="thicker", opening_mm=23.0), egg, pin)
@@ -306,6 +321,7 @@ def test_objects_that_only_their_size_tells_apart_have_no_name_on_another_day(fa
     assert all(taught.posterior(grasp).name == grasp.label for grasp in grasps)
 
 
+@pytest.mark.slow
 def test_a_size_between_two_taught_ones_is_no_taught_object(train, fresh):
     few = [g for label in ("egg", "pin") for g in [g for g in train if g.label == label][:6]]
     taught = make_trainer("force_ramp").fit(few)
@@ -315,6 +331,7 @@ def test_a_size_between_two_taught_ones_is_no_taught_object(train, fresh):
     assert all(taught.posterior(g).name == UNKNOWN for g in moved)
 
 
+@pytest.mark.slow
 def test_two_objects_with_three_grasps_are_named_and_the_others_are_unknown(train, fresh):
     labels = ("bar", "disc")
     few = [g for label in labels for g in [g for g in train if g.label == label][:3]]
@@ -324,6 +341,7 @@ def test_two_objects_with_three_grasps_are_named_and_the_others_are_unknown(trai
     assert {name for label, name in named if label not in labels} == {UNKNOWN}
 
 
+@pytest.mark.slow
 def test_the_fewer_objects_are_taught_the_farther_off_their_own_grasps_are_expected(train):
     few = [grasp for group in by_label(train).values() for grasp in group[:6]]
     five, two = (
@@ -333,6 +351,7 @@ def test_the_fewer_objects_are_taught_the_farther_off_their_own_grasps_are_expec
     assert two > five + 0.35
 
 
+@pytest.mark.slow
 def test_the_farther_off_in_touch_the_less_of_size_makes_an_object_new(train, fresh):
     taught = make_trainer("force_ramp").fit(train)
     levels = load_levels(fresh, taught.rest)
@@ -352,6 +371,7 @@ def test_the_farther_off_in_touch_the_less_of_size_makes_an_object_new(train, fr
     assert needed[far].mean() < needed[near].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("opening", [True, False])
 def test_likely_objects_have_the_scores_that_they_have_among_all(train, fresh, opening):
     taught = make_trainer("force_ramp").fit(train)
@@ -375,6 +395,7 @@ def test_of_mtaught_grasps_as_many_of_each_object_are_kept():
     assert np.array_equal(even_in_time(classes, 120), np.arange(52))
 
 
+@pytest.mark.slow
 def test_caution_calls_more_objects_unknown(train, fresh):
     taught = make_trainer("force_ramp").fit([g for g in train if g.label != "egg"])
     named = [

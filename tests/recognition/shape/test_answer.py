@@ -117,6 +117,7 @@ def test_a_length_is_found_too(pads: PadArray) -> None:
     assert 1e3 * answer.dimensions_m["length"] == pytest.approx(17.5, abs=1.0)
 
 
+@pytest.mark.slow
 def test_the_interval_holds_the_size_as_often_as_it_says(pads: PadArray) -> None:
     rng = np.random.default_rng(3)
     held = 0
@@ -130,6 +131,7 @@ def test_the_interval_holds_the_size_as_often_as_it_says(pads: PadArray) -> None
     assert held >= 18
 
 
+@pytest.mark.slow
 def test_without_opening_the_interval_is_wider(pads: PadArray) -> None:
     grasp = pressed(pads, Body("sphere", 9.0), seed=1, noise=0.04)
     blind = replace(grasp, aperture_m=np.full(grasp.n_frames, np.nan))
@@ -193,6 +195,7 @@ def test_pads_that_show_no_shape_are_refused(factory, shapes, why) -> None:
         shape_of(grasp)
 
 
+@pytest.mark.slow
 def test_a_gauge_finds_stiffness_and_gain_of_a_linear_sensor(pads: PadArray) -> None:
     true = FoamModel(modulus_pa=220e3, gain=0.8, full_scale_n=4.0)
     body = Body("sphere", 9.0)
@@ -204,6 +207,7 @@ def test_a_gauge_finds_stiffness_and_gain_of_a_linear_sensor(pads: PadArray) -> 
     assert abs(fit_foam(grasps, body).foam.modulus_pa / 220e3 - 1.0) > 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sphere", "cylinder"])
 def test_a_gauge_finds_stiffness_gain_and_zero(pads: PadArray, kind: str) -> None:
     true = FoamModel(modulus_pa=220e3, gain=0.8, spread_m=1.3e-3, aperture_offset_m=0.6e-3)
@@ -218,6 +222,7 @@ def test_a_gauge_finds_stiffness_gain_and_zero(pads: PadArray, kind: str) -> Non
     assert fit.n_grasps == 8
 
 
+@pytest.mark.slow
 def test_a_gauge_reads_its_own_size_where_openings_slip_and_taxels_differ(pads: PadArray) -> None:
     body, rng = Body("sphere", 9.0), np.random.default_rng(5)
     taxels = 1.0 + 0.25 * rng.standard_normal(pads.n_taxels)

@@ -153,6 +153,7 @@ def test_noise_averages_out_and_the_zero_of_the_opening_does_not() -> None:
     assert width_mm(many) < width_mm(careful) < 1.02 * width_mm(one)
 
 
+@pytest.mark.slow
 def test_the_interval_holds_as_often_as_it_says_whatever_the_grasps_share() -> None:
     rng = np.random.default_rng(4)
     for n_grasps in (1, 2, 5):

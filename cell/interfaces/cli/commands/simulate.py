@@ -32,7 +32,7 @@ def simulate(
             "close, open, half, block, part, press, load, lift, empty, disconnect, connect. "
             "Examples: 'open finger 0', 'block 10', 'press finger0.inner tip left'; 'help' "
             "explains them. '-' asks for them line by line. Programs send JSON, for example "
-            """'{"state": true}': place, define, remove, """
+            """'{"state": true}': check, place, define, remove, """
             "press, lift, play, hand, state, kinds, inject, clear.",
         ),
     ] = None,

@@ -59,6 +59,7 @@ def press(page: Any, selector: str, seconds: float) -> None:
     page.mouse.up()
 
 
+@pytest.mark.slow
 def test_the_page_shows_today_yesterday_the_week_and_what_is_confused(open_page, cell) -> None:
     sums = {"parts": 400, "rejected": 3, "missed": 0, "faults": 1}
     pairs = [
@@ -75,6 +76,7 @@ def test_the_page_shows_today_yesterday_the_week_and_what_is_confused(open_page,
     assert fits(page)
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_state_and_commands_once(page, cell) -> None:
     becomes(page, "#state", "Ready")
     becomes(page, "#held_name", "^nut$")
@@ -210,6 +212,7 @@ def test_the_cell_is_gauged_with_a_taught_object(open_page, cell) -> None:
     assert at == pytest.approx([152.6, 74.6])
 
 
+@pytest.mark.slow
 def test_it_is_taught_with_a_photograph(open_page, cell) -> None:
     page = open_page(command=True)
     page.click("#tab_teach")
@@ -291,6 +294,7 @@ def test_health_is_one_line_until_something_is_not_well(page, cell) -> None:
     becomes(page, "#health", "No figures")
 
 
+@pytest.mark.slow
 def test_what_is_not_measured_is_a_dash_and_an_old_frame_is_not_shown(open_page, cell) -> None:
     cell.working()
     page = open_page()

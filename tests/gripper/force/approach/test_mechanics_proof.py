@@ -134,6 +134,7 @@ def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(
     assert stop.most_n < 8.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("link_m", [0.03, 0.08])
 def test_a_wrong_length_without_an_offset_is_not_told_by_motion(make_started, link_m) -> None:
     cell = make_started(link_m=link_m, present=False)
@@ -142,6 +143,7 @@ def test_a_wrong_length_without_an_offset_is_not_told_by_motion(make_started, li
     assert cell.mechanics.aperture_m == pytest.approx(0.0, abs=5e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset_m", [0.004, -0.004])
 def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_started, offset_m) -> None:
     cell = make_started(offset_m=offset_m, present=False)
@@ -153,6 +155,7 @@ def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_started, offset_m)
         cell.gripper.grasp(RAMP)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction_error", [LONG(-0.3), 0.0, 0.3, LONG(0.6)])
 @pytest.mark.parametrize("aperture_m", [0.0, 0.004, 0.018])
 def test_the_proof_costs_a_right_gripper_little_time(
@@ -195,6 +198,7 @@ def test_a_release_after_it_goes_limp_again(make_cell, aperture_m, most_n) -> No
     assert stop.most_n < most_n
 
 
+@pytest.mark.slow
 def test_a_time_that_ends_before_the_empty_fingers_meet_is_told_as_that(make_started) -> None:
     slow = {"approach_speed_m_s": 0.004, "contact_timeout_s": 1.0}
     cell = make_started(present=False, **slow)

@@ -76,6 +76,7 @@ def ramp(rate_n_s: float, end_n: float, hold_s: float, start_n: float = 1.0) -> 
     return rise + [end_n] * round(hold_s / PERIOD_S)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_n_s", [1.0, 3.0, 10.0])
 @pytest.mark.parametrize("gain", [0.9, 1.0, 1.1])
 @pytest.mark.parametrize("friction_share", [0.8, 1.0, 1.2])

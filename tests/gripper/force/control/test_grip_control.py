@@ -30,6 +30,7 @@ def test_a_stiffness_that_is_far_too_small_drives_no_force_beyond_the_ramp(
     assert cell.peak_n < 7.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.5, 2.0])
 def test_pads_that_report_too_much_do_not_open_the_fingers_beyond_the_touch(
     make_started, factor
@@ -51,6 +52,7 @@ def test_pads_that_report_too_much_do_not_open_the_fingers_beyond_the_touch(
     assert min(least_n) > 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loop_rate_hz", [100.0, 200.0])
 @pytest.mark.parametrize("stiffness_n_m", [3e3, 1e4, 5e4])
 @pytest.mark.parametrize("wrong", [(5.3, False), (13.5, True), (13.9, True)])
@@ -91,6 +93,7 @@ LIES = {
 """Samples that show too little force, made of the newest one and of the first wrong one."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_n_s", [3.0, 10.0, 40.0])
 @pytest.mark.parametrize("lie", LIES)
 def test_no_wrong_sample_makes_far_more_force_than_is_asked_for(
@@ -126,6 +129,7 @@ RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_quiet_hold_with_a_noisy_sensor_shows_no_slip(make_cell, seed) -> None:
     cell = make_cell(noise_n=0.3, seed=seed)
@@ -134,6 +138,7 @@ def test_a_quiet_hold_with_a_noisy_sensor_shows_no_slip(make_cell, seed) -> None
     assert cell.force_n == pytest.approx(4.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_a_force_on_foam_that_creeps_stays_within_its_aim_for_a_long_hold() -> None:
     """Friction keeps small errors; after 1 s of a hold its drive is given back beside."""
     truth = Truth(kt_error=0.1, friction_error=-0.15, seed=103)
@@ -169,6 +174,7 @@ def by_frames() -> Mapping[int, DriveCharacteristic]:
     return sticking("cork, 5 N/mm", 103).measure_servos()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "final_n", "rate_n_s", "seed"),
     [
@@ -185,6 +191,7 @@ def test_a_slow_ramp_does_not_jump_where_the_gearing_sticks(
     assert quality.overshoot_n <= 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "final_n", "rate_n_s"),
     [
@@ -204,6 +211,7 @@ def test_frames_alone_hold_a_force_where_the_gearing_sticks(
     assert quality.holding_n <= 0.6
 
 
+@pytest.mark.slow
 def test_pads_that_show_a_force_before_they_touch_do_not_make_a_stiff_part_soft(
     by_frames, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -216,6 +224,7 @@ def test_pads_that_show_a_force_before_they_touch_do_not_make_a_stiff_part_soft(
     assert quality.overshoot_n <= 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factors", [(0.5, 1.3), (2.0, 0.7)])
 def test_a_slow_ramp_of_servos_that_were_never_measured_stays_below_its_set_point(factors) -> None:
     truth = Truth(kt_error=0.0, friction_error=0.0, seed=501)
@@ -226,6 +235,7 @@ def test_a_slow_ramp_of_servos_that_were_never_measured_stays_below_its_set_poin
     assert quality.overshoot_n <= 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2, 5])
 def test_a_correction_downwards_does_not_shoot_beyond_where_friction_is_less_than_known(
     make_cell, seed

@@ -13,6 +13,7 @@ from gripper.values.outcome import GraspResult
 from tests.gripper.force.pads import WrongPads
 
 
+@pytest.mark.slow
 def test_friction_that_breaks_on_a_short_lever_is_no_jump_of_the_zero(make_started) -> None:
     cell = make_started(
         linkage="rack", stiffness_n_m=3000.0, rate_hz=200.0, noise_n=0.05, delay_s=0.005

@@ -158,6 +158,7 @@ def test_each_stage_can_be_reached() -> None:
     assert {target for _, _, target in TRANSITIONS} == {Sure, Suspected, Doubted}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [None, 500.0])
 @pytest.mark.parametrize("final_n", [1.0, 4.0, 8.0])
 @pytest.mark.parametrize("moment", ["ramp", "hold"])
@@ -220,6 +221,7 @@ def test_a_soft_part_that_yields_fast_is_not_lost(make_started, monkeypatch, bel
     assert cell.force_n == pytest.approx(4.0, abs=0.5)
 
 
+@pytest.mark.slow
 def test_a_soft_part_that_noise_shows_early_is_not_lost_before_it_is_held() -> None:
     """The approach ends at 0.07 N; the pads are empty for the first tenth of a second."""
     rig = TouchRig(PARTS["foam ball, 0.2 N/mm"], 200.0, 5033, approach_speed_m_s=0.012)
@@ -259,6 +261,7 @@ def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(started) -> 
     assert stopped_m - started.mechanics.aperture_m < 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("final_n", [3.0, 8.0])
 def test_fast_force_shows_a_part_taken_away_at_once(make_cell, final_n) -> None:
     took_s = []
@@ -274,6 +277,7 @@ def test_fast_force_shows_a_part_taken_away_at_once(make_cell, final_n) -> None:
     assert max(took_s) < 0.025
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force_n", [0.7, 1.5])
 def test_a_light_part_is_not_lost_in_the_noise_of_single_scans(make_started, force_n) -> None:
     cell = make_started(rate_hz=333.0, noise_n=0.35, slip_drop_n=20.0)
@@ -281,6 +285,7 @@ def test_a_light_part_is_not_lost_in_the_noise_of_single_scans(make_started, for
     cell.gripper.hold(5.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stalls_s", [0.05, 0.15, 0.2])
 def test_a_part_is_not_lost_because_the_loop_stalls(make_started, stalls_s) -> None:
     # A force that overshoots in a stall comes back at once: that is no slip.

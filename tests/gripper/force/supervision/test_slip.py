@@ -74,6 +74,7 @@ def test_a_slow_slide_is_reported_at_the_largest_way_that_is_allowed() -> None:
     assert 0.0014 < slid_m(0.02, 0.0001, speed_m_s=0.001) < 0.0017
 
 
+@pytest.mark.slow
 def test_a_long_hold_at_a_level_of_the_ramp_is_watched_too(started) -> None:
 
     def slip(cycle) -> None:
