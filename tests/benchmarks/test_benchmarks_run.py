@@ -6,11 +6,9 @@ alternatives do not give the same.
 
 import importlib
 import sys
-from pathlib import Path
 
 import pytest
 
-import benchmarks
 from benchmarks import __main__ as command
 from benchmarks._measure import same, share
 from benchmarks.performance import soak
@@ -19,19 +17,20 @@ pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to ru
 
 EFFORT = 0.01
 MODULES = command.modules()
-TESTED_ELSEWHERE = {"comparators", "reproduction", "soak"}
-"""Comparators need a file; `test_paper` prints the study that it has made."""
+OTHERWISE = {"comparators", "soak"}
+"""Comparators need a file, and the soak is run for a moment."""
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", sorted(MODULES.keys() - TESTED_ELSEWHERE))
-def test_it_prints_its_figures(name, capsys, monkeypatch) -> None:
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", sorted(MODULES.keys() - OTHERWISE))
+def test_it_prints_its_figures(name, capsys, monkeypatch, tmp_path) -> None:
     monkeypatch.delenv("TACTILE_CELL_DATA", raising=False)
-    monkeypatch.chdir(Path(benchmarks.__file__).resolve().parent.parent)
+    monkeypatch.chdir(tmp_path)
     importlib.import_module(MODULES[name]).main(EFFORT)
     printed = capsys.readouterr().out
     assert printed.startswith("compared")
-    assert len(printed.splitlines()) > 2
+    assert len(printed.splitlines()) > 1
     assert "nan" not in printed
 
 
