@@ -59,7 +59,6 @@ def test_the_quick_start_does_what_its_comments_say(tmp_path: Path) -> None:
             env=env,
             text=True,
             capture_output=True,
-            timeout=100,
         )
         assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
         return done.stdout
