@@ -26,11 +26,11 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def cell(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeCell]:
+def cell(serve: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeCell]:
     """A server whose state the test writes."""
-    made = FakeCell(monkeypatch)
+    made = FakeCell(serve("http"), monkeypatch)
     yield made
-    made.close()
+    made.sends.set()
 
 
 @pytest.fixture

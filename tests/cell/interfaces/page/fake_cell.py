@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 
 from cell.config.model import CellConfig
-from cell.interfaces.web import WebInterface
 from cell.plugin.goals import Goal
 from cell.plugin.plugin import cell_values
 from cell.service.service import Service
@@ -14,10 +13,8 @@ from cell.service.state import state_values
 from gripper.errors import PartSlipped
 from recognition.recognizer import UNKNOWN
 from tactile.layout import paper_layout
-from tests.cell.conftest import small_config
-from tests.cell.stub_plugin import StubPlugin
+from tests.cell.served import Served
 
-PORTS = {"serve__modbus_port": None, "serve__xmlrpc_port": None, "serve__http_port": 0}
 BEFORE = ("nut", "bolt", "nut", UNKNOWN, "bolt", "nut", "pin", "nut", "nut", "bolt", "nut", "nut")
 """Parts that were named before a test begins."""
 TEACHING: dict[str, Any] = {
@@ -31,21 +28,28 @@ SORTING: dict[str, Any] = {
 }  # fmt: skip
 
 
-class FakeCell:
-    """A service behind its web interface, on a stub."""
+def address(served: Served, port: int = 0) -> str:
+    """Return the address of the page as `serve` prints it."""
+    found = served.interfaces
+    return f"http://127.0.0.1:{port or found['http_port']}/#token={found['token']}"
 
-    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+
+class FakeCell:
+    """A served stub that is brought into any state."""
+
+    def __init__(self, served: Served, patch: pytest.MonkeyPatch) -> None:
         self.changes: dict[str, Any] = {}
         """What is shown in the place of the state's own values."""
         self.holds: list[str] = []
-        """Who has held; nothing is."""
+        """Who has held."""
         self.sends = threading.Event()
         self.sends.set()
         self.n_messages = 0
         self.info = cell_values(CellConfig(), paper_layout()) | {
             "name": "Cell 3", "places": ["tray A", "tray B", "box", "rejects"],
         }  # fmt: skip
-        self.plugin: Any = StubPlugin()
+        self.served = served
+        self.plugin: Any = served.plugin
         self.plugin.info = lambda: self.info
         self.plugin.objects = {
             label: {"n_grasps": 20, "shape": shape, "size_mm": 6.4}
@@ -57,17 +61,12 @@ class FakeCell:
             "drift": {"level": "ok", "gain": 1.01, "opening_mm": 0.02},
             "recording": {"level": "ok", "path": "out/serve/recording.mcap", "text": ""},
         }
-        self.service: Any = Service(self.plugin, small_config(**PORTS))
-        self.service.stop = self._hold
+        self.service: Any = served.service
+        self._stop, self.service.stop = self.service.stop, self._hold
         patch.setattr("cell.interfaces.web.state_values", self._shown)
         for label in BEFORE:
             self._name(label)
-        self.interface = WebInterface(self.service)
-
-    @property
-    def url(self) -> str:
-        """Address as `serve` prints it."""
-        return f"http://127.0.0.1:{self.interface.port}/#token={self.interface.token}"
+        self.url = address(served)
 
     @property
     def state(self) -> dict[str, Any]:
@@ -85,11 +84,6 @@ class FakeCell:
     def given(self, task: str) -> list[Any]:
         """Return what was given with each job of a task or command."""
         return [given for one, given in self.asked if one == task]
-
-    def close(self) -> None:
-        self.sends.set()
-        self.interface.close()
-        self.service.close()
 
     # -- states ----------------------------------------------------------------------------------
 
@@ -153,3 +147,4 @@ class FakeCell:
     def _hold(self, reason: str) -> None:
         if reason.startswith("by "):  # a client's; the end of a lease is none
             self.holds.append(reason)
+        self._stop(reason)

@@ -8,10 +8,10 @@ import segno
 
 from cell.control.states import Command
 from gripper.errors import PartSlipped
+from tests.cell.interfaces.page.fake_cell import address
 from tests.cell.interfaces.page.line import Line
 from tests.cell.interfaces.page.test_page import becomes, click, fits, press
 from tests.cell.interfaces.test_web import stl
-from tests.cell.served import Served
 from tests.waiting import until
 
 pytestmark = pytest.mark.long
@@ -31,11 +31,6 @@ def line() -> Iterator[Callable[[int], Line]]:
     yield make
     for one in made:
         one.close()
-
-
-def address(served: Served, port: int = 0) -> str:
-    found = served.interfaces
-    return f"http://127.0.0.1:{port or found['http_port']}/#token={found['token']}"
 
 
 def test_a_part_is_named_kept_verified_and_let_go(served, open_page) -> None:
