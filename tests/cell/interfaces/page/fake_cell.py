@@ -145,6 +145,6 @@ class FakeCell:
         return self.state
 
     def _hold(self, reason: str) -> None:
-        if reason.startswith("by "):  # a client's; the end of a lease is none
+        if reason.startswith("by "):  # a client's: the end of the lease of a job here stops none
             self.holds.append(reason)
-        self._stop(reason)
+            self._stop(reason)

@@ -292,7 +292,7 @@ def test_health_is_one_line_until_something_is_not_well(page, cell) -> None:
     cell.faulted()
     becomes(page, "#health", "^Servos")  # a fault is not well, whatever else is
     cell.changes = {"health": None}
-    becomes(page, "#health", "No figures")
+    becomes(page, "#health", "sends no health values")
 
 
 @pytest.mark.slow
