@@ -96,16 +96,16 @@ class Journal:
         self._states = now
 
     def cycle(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
-        """Record one period of the loop and the frames that came in it.
-
-        Raises RecordingError if the recording has stopped and the config makes this a fault.
-        """
+        """Record one period of the loop and the frames that came in it."""
         if self._recorder is not None:
             self._recorder.cycle(cycle)
             for frame in frames:
                 self._recorder.frame(frame)
-            if self._recorder.vital and self._recorder.fault is not None:
-                raise self._recorder.fault
+
+    def check(self) -> None:
+        """Raise RecordingError if the recording has stopped and the config makes this a fault."""
+        if self._recorder is not None and self._recorder.vital and self._recorder.fault is not None:
+            raise self._recorder.fault
 
     def pose(self, pose: Pose) -> None:
         """Record the pose that was reached."""

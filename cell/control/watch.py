@@ -26,15 +26,19 @@ class MotionWatch:
     _last_start_ms: int = 0
 
     def period(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-        """Record one period with its frames; obey a stop."""
+        """Record one period with its frames; obey a stop. A lost recording may be a fault."""
+        self._record(cycle, frames)
+        self.journal.check()
+
+    def motion(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
+        """Record one period without its frames; obey a stop. A lost recording ends no release."""
+        self._record(cycle, ())
+
+    def _record(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         self.life.progressed_s = time.monotonic()
         self.life.check_cancelled()
         self.journal.states(self.life.state, self.life.grasp_state)
         self.journal.cycle(cycle, frames)
-
-    def motion(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
-        """Record one period without its frames; obey a stop."""
-        self.period(cycle, ())
 
     def collecting(self, zero: SelfZero | None = None) -> tuple[GraspCollector, OnPeriod]:
         """Return a collector for a motion that begins now, and the callback that fills it."""

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from cell.control.positioner import Destination, HostPlaces, OperatorPositioner
 from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
 from cell.data.recording_reader import read_recording
-from cell.errors import CellStopped, ConfigError, PositionerError
+from cell.errors import CellStopped, ConfigError, PositionerError, RecordingError
 from cell.hand.local import LocalHand
 from cell.learning.model import load_model
 from gripper.errors import PartLost, PartSlipped
@@ -94,6 +95,20 @@ def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, k
     assert found.kept is kept
     assert (bench.grip_n > 0.0) is kept
     assert bench.life.state is (CellState.COMPLETE if kept else CellState.IDLE)
+
+
+@pytest.mark.slow
+def test_a_lost_recording_that_is_a_fault_of_grasps_does_not_keep_a_part(
+    make_bench: MakeBench, tmp_path: Path
+) -> None:
+    bench = make_bench(small_config(recording__when_lost="hold"), folder=tmp_path).ready()
+    identify(bench, Scripted(SURE), Keep.ALWAYS)
+    recorder = bench.cell._recorder
+    assert recorder is not None
+    recorder._file.fault = RecordingError("No space left")
+    bench.controller.release()
+    recorder._file.fault = None
+    assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
 
 
 @pytest.mark.slow
