@@ -229,6 +229,7 @@ class LoopRunner:
         sample = self._sensor.latest_force()
         if sample is not None and sample.valid:
             running.fresh_s = max(running.fresh_s, sample.t_s)
+        if sample is not None and (sample.valid or sample.at_least):
             self.servos.guard.note_force(sample)
         if running.needs_force:
             now_s = self._clock.monotonic() if state is None else state.t_s

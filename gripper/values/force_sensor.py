@@ -14,6 +14,8 @@ class ForceSample:
     """Normal force on finger 0 and on finger 1 in N."""
     valid: bool = True
     """False when the value must not be used for control (saturated pad, too many bad taxels)."""
+    at_least: bool = False
+    """True if it is not valid because taxels are at full scale: the force is at least this one."""
     reason: str = ""
     """Why it is not valid, or empty."""
     centre_m: tuple[float, float] | None = None

@@ -20,6 +20,7 @@ _QUIET_FRAME_N = 0.1
 """Largest noise in N of the grip force in one frame that needs no mean over frames. A mean is older
 by a frame, and heavy fingers run too far meanwhile. FlexiTac has 0.04 N, the control unit 0.2 N.
 [chosen]"""
+_SATURATED = "a taxel of a gripping pad is saturated"
 _LEAST_FORCE_N = 0.1
 """Least grip force in N for this noise, so that it stays finite."""
 
@@ -38,7 +39,8 @@ class GripForce(Generic[Sample]):
     sample
         Maker of the samples, for example `gripper.ForceSample`, from keyword arguments. These are
         ``t_s``, monotonic time in s; ``force_n``, force on finger 0 and finger 1 in N; ``valid``,
-        and ``reason`` if it is not; ``centre_m``, centre of the force along and across the
+        and ``reason`` if it is not; ``at_least``, whether it is not only because taxels are at full
+        scale; ``centre_m``, centre of the force along and across the
         fingers in m, or None; ``centre_noise_m``, its standard deviation; ``lag_s``, age of the
         force at ``t_s``; ``noise_n``, the standard deviation of the mean of both forces. Only
         samples of force messages also have the newest complete frame: ``frame_s``, monotonic time
@@ -86,6 +88,7 @@ class GripForce(Generic[Sample]):
             **{"force_n": (left, right), **alone},
             t_s=frame.t_s,
             valid=reading.ok,
+            at_least=reading.at_least,
             reason=reading.reason,
             centre_m=self._centres.of(reading.force_n),
             centre_noise_m=_FRAME_CENTRE_N_M / max(0.5 * (left + right), _LEAST_FORCE_N),
@@ -93,9 +96,11 @@ class GripForce(Generic[Sample]):
 
     def _from_messages(self, messages: Sequence[ForceMessage], reading: TactileReading) -> Sample:
         n, newest = len(messages), messages[-1]
-        reason = reading.reason
-        for message in messages:
-            reason = reason or _objection(message.status)
+        objections = [text for one in messages if (text := _objection(one.status))]
+        reason = reading.reason or next(iter(objections), "")
+        at_least = (reading.ok or reading.at_least) and all(
+            text == _SATURATED for text in objections
+        )
         first_n = sum(message.force_n[0] for message in messages) / n
         second_n = sum(message.force_n[1] for message in messages) / n
         grip_n = max(0.5 * (first_n + second_n), _LEAST_FORCE_N)
@@ -103,6 +108,7 @@ class GripForce(Generic[Sample]):
             t_s=newest.t_s,
             force_n=(first_n, second_n),
             valid=not reason,
+            at_least=bool(reason) and at_least,
             reason=reason,
             centre_m=self._centre_m(messages),
             centre_noise_m=_MESSAGE_CENTRE_N_M / grip_n / sqrt(n),
@@ -134,4 +140,4 @@ def _objection(status: ForceStatus) -> str:
         return "the control unit has no table or zero for its force messages"
     if status & ForceStatus.CONVERTER_FAULT:
         return "the unit's converter failed its self-test"
-    return "a taxel of a gripping pad is saturated" if status & ForceStatus.SATURATED else ""
+    return _SATURATED if status & ForceStatus.SATURATED else ""

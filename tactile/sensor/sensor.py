@@ -117,6 +117,9 @@ class TactileReading:
     measure: dead, stuck or constantly at full scale, filled from their neighbours."""
     ok: bool
     """Whether the finger forces may be used for control."""
+    at_least: bool
+    """Whether they may not only because taxels of a gripping pad are at full scale: the true forces
+    are at least these."""
     reason: str
     """Reason if not; empty if ok."""
 
@@ -418,6 +421,7 @@ class TactileSensor:
             saturated=saturated,
             bad=bad,
             ok=not reason,
+            at_least=bool(reason) and reason == self._full_scale(saturated & ~bad),
             reason=reason,
         )
 
@@ -492,14 +496,17 @@ class TactileSensor:
             return "the unit has taken or dropped a zero of its own since the tare"
         if not self._mean.full:
             return "too few frames since the tare or the last gap"
-        grip = self._grip_objection(saturated, bad)
+        grip = self._full_scale(saturated) or self._too_many_bad(bad)
         return grip or self._quality.drift_beside(tared, bad | saturated)
 
-    def _grip_objection(self, saturated: NDArray[np.bool_], bad: NDArray[np.bool_]) -> str:
+    def _full_scale(self, saturated: NDArray[np.bool_]) -> str:
         for finger, taxels in enumerate(self._grips):
-            if saturated[taxels].any():
-                n_full = np.count_nonzero(saturated[taxels])
+            if n_full := np.count_nonzero(saturated[taxels]):
                 return f"{n_full} taxels of finger {finger} saturated: press with less force"
+        return ""
+
+    def _too_many_bad(self, bad: NDArray[np.bool_]) -> str:
+        for finger, taxels in enumerate(self._grips):
             n_bad = int(np.count_nonzero(bad[taxels]))
             if too_many_bad(n_bad, taxels.stop - taxels.start, self._settings.bad_share):
                 return f"{np.count_nonzero(bad[taxels])} taxels of finger {finger} bad"

@@ -143,6 +143,7 @@ class SampledForce:
         self.known = {} if rate_hz is None else {"lag_s": 0.0015, "noise_n": 0.7 * noise_n}
         self.dead = False
         self.valid = True
+        self.at_least = False
         self.gain = 1.0
         self._random = random.Random(seed)
         self._due_s = 0.0
@@ -159,7 +160,11 @@ class SampledForce:
             )
             t_s = now_s + self.known.get("lag_s", 0.0)
             sample = ForceSample(
-                t_s=t_s, force_n=(noisy[0], noisy[1]), valid=self.valid, **self.known
+                t_s=t_s,
+                force_n=(noisy[0], noisy[1]),
+                valid=self.valid,
+                at_least=self.at_least,
+                **self.known,
             )
             self._waiting.append((now_s + self.delay_s, sample))
 

@@ -8,7 +8,7 @@ import pytest
 
 from gripper.dynamixel.control_table import GOAL_CURRENT
 from gripper.dynamixel.drive import DriveCharacteristic, Drives
-from gripper.errors import ForceAboveCap, LimitExceeded
+from gripper.errors import ForceAboveCap, ForceSensorStale, LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.impact import SLOWEST_M_S, impact_limit
 from gripper.mechanics.kinematics import ParallelLinkage
@@ -79,6 +79,24 @@ def test_a_force_above_the_cap_counts_while_it_is_young(started) -> None:
         guard.check(goals, state, state.t_s)
     late = replace(state, t_s=state.t_s + 2.0 * started.settings.force_stale_s)
     guard.check(goals, late, late.t_s)
+
+
+@pytest.mark.parametrize("at_least", [True, False])
+@pytest.mark.parametrize("shown_n", [35.0, 8.5, 5.0])
+def test_a_force_of_taxels_at_full_scale_is_a_lower_bound(make_cell, shown_n, at_least) -> None:
+    """Above the cap it is a fault, although no sample of it is used for control."""
+    cell = make_cell(force_max_n=6.0, rate_hz=200.0, noise_n=0.1)
+    cell.hold_part(RAMP)
+
+    def fill() -> None:
+        cell.sensor.valid, cell.sensor.at_least = False, at_least
+        cell.sensor.gain = shown_n / cell.force_n
+
+    above = at_least and shown_n > 6.0
+    with pytest.raises(ForceAboveCap if above else ForceSensorStale):
+        cell.gripper.hold(1.0, cell.once(fill))
+    assert cell.clock.monotonic() - cell.acted_s[0] < (0.02 if above else 0.15)
+    assert cell.force_n > 1.0
 
 
 def test_a_current_that_makes_more_than_the_cap_is_refused(make_started) -> None:

@@ -36,6 +36,7 @@ class Forces(Frames):
         self.force_n = (0.0, 0.0)
         self.zeros: list[PadZero] = []
         self.due_s = 0.0
+        self.status = ForceStatus.ZEROED
 
     def set_zero(self, zero: PadZero) -> None:
         self.zeros.append(zero)
@@ -51,7 +52,8 @@ class Forces(Frames):
         found = []
         while self.due_s <= self.now_s:
             shown = message(self.due_s, *self.force_n)
-            found.append(replace(shown, centre_taxels=self.centre_taxels()))
+            centre = self.centre_taxels()
+            found.append(replace(shown, status=self.status, centre_taxels=centre))
             self.due_s += 0.003
         return tuple(found)
 
@@ -129,6 +131,41 @@ def test_the_force_of_quiet_frames_is_that_of_one_frame_and_of_noisy_ones_the_me
     if alone:
         assert sample.noise_n == sensor.scan_noise_n < 0.02
         assert sample.lag_s == reading.frame.t_s - reading.frame.scanned_s
+
+
+@pytest.mark.parametrize(
+    ("status", "at_least"),
+    [
+        (ForceStatus.ZEROED, False),
+        (ForceStatus.ZEROED | ForceStatus.SATURATED, True),
+        (ForceStatus.ZEROED | ForceStatus.SATURATED | ForceStatus.CONVERTER_FAULT, False),
+        (ForceStatus.SATURATED, False),
+    ],
+)
+def test_messages_of_a_taxel_at_full_scale_are_a_lower_bound(status, at_least) -> None:
+    sensor, link = tared()
+    force = GripForce(sensor, ForceSample)
+    link.status = status
+    readings(sensor, link, 5)
+    sample = force.latest_force()
+    assert (sample.valid, sample.at_least) == (status == ForceStatus.ZEROED, at_least)
+
+
+@pytest.mark.parametrize("full", [True, False])
+def test_a_frame_of_a_taxel_at_full_scale_is_a_lower_bound(full: bool) -> None:
+    link = Frames()
+    sensor = TactileSensor(link, CALIBRATION, clock=link)
+    force = GripForce(sensor, ForceSample)
+    sensor.start()
+    sensor.tare()
+    sensor.refresh()
+    forces = np.zeros(408)
+    forces[33], forces[[29, 32, 34, 37]] = 20.0 if full else 1.5, 1.0
+    link.base = CALIBRATION.counts(forces)
+    readings(sensor, link, 4)
+    sample = force.latest_force()
+    assert (sample.valid, sample.at_least) == (not full, full)
+    assert sample.force_n[0] > 4.0
 
 
 def test_messages_that_differ_from_the_frames_are_a_fault_with_both_numbers() -> None:
