@@ -85,7 +85,8 @@ def bus_lock(interface: str, channel: str) -> Iterator[None]:
         yield
         return
     # The lock is for the device, not for a link to it, as for servo ports.
-    name = os.path.realpath(channel, strict=True) if interface == "slcan" else channel
+    is_port = interface == "slcan"
+    name = os.path.realpath(channel, strict=True) if is_port else f"{interface} {channel}"
     digest = hashlib.sha256(name.encode()).hexdigest()[:16]
     handle = _open_lock_file(Path(tempfile.gettempdir()) / f"serial-port-{digest}.lock")
     try:
@@ -237,12 +238,6 @@ class BulkSlcanBus(slcanBus):
         super().send(msg, _SEND_TIMEOUT_S if timeout is None else timeout)
 
 
-_NOT_OPENED = (
-    can.CanError, OSError, ValueError, NotImplementedError, ImportError, TypeError, NameError
-)  # fmt: skip
-"""Errors of python-can's drivers; NameError and TypeError where their library or options lack."""
-
-
 def open_bus(
     interface: str,
     channel: str,
@@ -288,11 +283,14 @@ def open_bus(
             f"CAN interface {interface!r}, channel {channel!r}, is used by another program of this "
             "kind: end that program first"
         ) from error
-    except _NOT_OPENED as error:
-        cause = error.__cause__ or error
+    except Exception as error:
+        # A driver without its library or its options raises errors of any kind.
+        cause: object = error.__cause__ or error
+        if isinstance(error, NameError):
+            cause = "the library of its driver is missing"
         raise BusNotOpened(
             f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {cause}. "
-            f"{_ADVICE.get(interface, 'Check the names of interface and channel')}"
+            f"{_ADVICE.get(interface, _CHECK_NAMES)}"
         ) from error
 
 
@@ -304,10 +302,23 @@ def _open(interface: str, channel: str, *, bitrate: int, tty_baudrate: int) -> c
         # Without this interface the driver would leave a socket open.
         socket.if_nametoindex(channel)
         options = {}
-    return can.Bus(channel, interface=interface, ignore_config=True, **options)
+    # Drivers that number their adapters compare numbers with the channel.
+    place = int(channel) if channel.isdecimal() else channel
+    return can.Bus(place, interface=interface, ignore_config=True, **options)
 
 
+_CHECK_NAMES = "Check the names of interface and channel, and that the driver is installed"
 _ADVICE = {
+    interface: f"Check that the adapter is plugged in and its driver is installed: {driver}"
+    for interface, driver in {
+        "gs_usb": "`pip install 'python-can[gs-usb]'` and libusb; the channel is its number from 0",
+        "canalystii": "`pip install 'python-can[canalystii]'`",
+        "cantact": "`pip install 'python-can[cantact]'`",
+        "neovi": "`pip install 'python-can[neovi]'`",
+        "kvaser": "the package linuxcan of Kvaser, with libcanlib.so",
+        "pcan": "the package PCAN-Basic of PEAK, with libpcanbasic.so",
+    }.items()
+} | {
     "slcan": "Check that the adapter is plugged in, that the port is its port, that no other "
     "program has it open, and that you may read and write it (group dialout)",
     "socketcan": "Check `ip link`: the interface must exist and be up, with the bit rate set "

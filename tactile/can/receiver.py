@@ -1,4 +1,7 @@
-"""Sources of received CAN messages: a directly polled bus, or one supervised thread."""
+"""Sources of received CAN messages: a directly polled bus, or one supervised thread.
+
+Some adapters also return the messages that the host sent; the sources drop them.
+"""
 
 import threading
 from collections import deque
@@ -62,7 +65,9 @@ class PolledSource:
             messages = self._recv_all(self._limit)
         except (can.CanError, OSError) as error:
             raise interface_failed(error) from error
-        return [(m.timestamp if 0.0 < m.timestamp <= now_s else now_s, m) for m in messages]
+        return [
+            (m.timestamp if 0.0 < m.timestamp <= now_s else now_s, m) for m in messages if m.is_rx
+        ]
 
     def _recv_each(self, limit: int) -> list[can.Message]:
         return list(islice(iter(partial(self._bus.recv, 0), None), limit))
@@ -120,7 +125,7 @@ class ThreadedReceiver:
             while not self._stop.is_set():
                 message = self._bus.recv(_RECEIVE_S)
                 self._alive_s = self._clock.monotonic()
-                if message is None:
+                if message is None or not message.is_rx:
                     continue
                 if len(self._queue) >= self._limit:
                     self._overrun = True

@@ -10,6 +10,8 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
+from types import ModuleType, SimpleNamespace
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -56,15 +58,16 @@ def bus() -> Iterator[QueueBus]:
     queue_bus.shutdown()
 
 
-def message(number: int) -> can.Message:
-    return can.Message(arbitration_id=number, is_extended_id=False)
+def message(number: int, *, is_rx: bool = True) -> can.Message:
+    return can.Message(arbitration_id=number, is_extended_id=False, is_rx=is_rx)
 
 
-def test_thread_stamps_and_queues_in_order(bus) -> None:
+def test_thread_stamps_and_queues_in_order_without_echoes(bus) -> None:
     bus.queue.put(message(99))
     receiver = ThreadedReceiver(bus, time)
     receiver.start()
     before_s = time.monotonic()
+    bus.queue.put(message(99, is_rx=False))
     for number in range(50):
         bus.queue.put(message(number))
     bus.settle()
@@ -264,7 +267,8 @@ def test_an_adapter_that_does_not_know_its_flags_is_left_in_peace(adapter) -> No
         ("slcan", "", "serial port"),
         ("socketcan", "nocan7", "nocan7.*ip link"),
         ("no-such-interface", "x", "Check the names"),
-        ("kvaser", "0", "Check the names"),
+        ("kvaser", "0", "library of its driver is missing.*package linuxcan of Kvaser"),
+        ("gs_usb", "0", r"python-can\[gs-usb\]"),
     ],
 )
 def test_a_bus_that_cannot_be_opened_says_what_to_check(interface, channel, says) -> None:
@@ -272,9 +276,60 @@ def test_a_bus_that_cannot_be_opened_says_what_to_check(interface, channel, says
         open_bus(interface, channel)
 
 
-def test_other_interfaces_are_opened_by_python_can() -> None:
-    bus = open_bus("virtual", "tactile-test")
-    bus.shutdown()
+class GsUsbFrame(SimpleNamespace):
+    """A frame of the library gs_usb."""
+
+    echo_id = timestamp = 0
+    is_extended_id = is_remote_frame = is_error_frame = False
+    arbitration_id = property(lambda self: self.can_id)
+
+
+class GsUsb:
+    """The library's adapter: it returns each frame that it sent, and an answer."""
+
+    device_capability = SimpleNamespace(fclk_can=48_000_000)
+
+    def __init__(self) -> None:
+        self.frames: list[GsUsbFrame] = []
+
+    @classmethod
+    def scan(cls) -> "list[GsUsb]":
+        return [cls()]
+
+    def set_timing(self, **_timing: int) -> None: ...
+
+    set_bitrate = start = stop = Mock()
+
+    def send(self, frame: GsUsbFrame) -> None:
+        answer = GsUsbFrame(can_id=0x705, can_dlc=1, data=[5] * 8, echo_id=0xFFFFFFFF)
+        self.frames += [frame, answer]
+
+    def read(self, frame: GsUsbFrame, timeout_ms: int) -> bool:
+        if not self.frames:
+            return False
+        vars(frame).update(vars(self.frames.pop(0)))
+        return True
+
+
+def test_gs_usb_is_opened_by_its_number_and_its_echoes_are_dropped(monkeypatch) -> None:
+    constants = dict.fromkeys(("CAN_EFF_FLAG", "CAN_ERR_FLAG", "CAN_RTR_FLAG"), 0)
+    for name, values in {
+        "usb": {"core": SimpleNamespace(USBError=OSError)},
+        "gs_usb": {},
+        "gs_usb.constants": constants | {"CAN_MAX_DLC": 8},
+        "gs_usb.gs_usb": {"GsUsb": GsUsb},
+        "gs_usb.gs_usb_frame": {"GsUsbFrame": GsUsbFrame, "GS_USB_NONE_ECHO_ID": 0xFFFFFFFF},
+    }.items():
+        module = ModuleType(name)
+        vars(module).update(values)
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.delitem(sys.modules, "can.interfaces.gs_usb", raising=False)
+    with pytest.raises(BusNotOpened, match="Cannot find device 1"):
+        open_bus("gs_usb", "1")
+    bus = open_bus("gs_usb", "0")
+    bus.send(message(0x80))
+    assert [m.arbitration_id for _, m in PolledSource(bus, time).drain()] == [0x705]
+    close_bus(bus)
 
 
 HOLD = """
