@@ -99,9 +99,10 @@ class DriveBus:
             self.beat()
         try:
             for _, message in self._source.drain():
-                handler = self._handlers.get(message.arbitration_id)
-                usable = not (message.is_error_frame or message.is_remote_frame)
-                if handler is not None and usable and len(message.data) == message.dlc:
+                foreign = message.is_remote_frame or message.is_extended_id
+                if foreign or message.is_error_frame or len(message.data) != message.dlc:
+                    continue
+                if handler := self._handlers.get(message.arbitration_id):
                     handler(bytes(message.data))
         except LinkFault as error:
             raise _lost(error) from error

@@ -520,10 +520,10 @@ class Cia402Drive:
         ) from failure
 
     def _on_heartbeat(self, data: bytes) -> None:
-        if len(data) == 1:
-            self._heard_s = self._bus.clock.monotonic()
-            self._nmt_state = data[0] & _STATE_BITS
-            self._booted = self._booted or self._nmt_state == _BOOT_UP
+        self._heard_s = self._bus.clock.monotonic()
+        # Some drives send a boot-up without data.
+        self._nmt_state = data[0] & _STATE_BITS if data else _BOOT_UP
+        self._booted = self._booted or self._nmt_state == _BOOT_UP
 
     def _on_emergency(self, data: bytes) -> None:
         if len(data) == _EMCY_BYTES:

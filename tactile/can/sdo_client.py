@@ -12,6 +12,8 @@ from tactile.clock import Clock
 _ABORTED = 0x80
 """First byte of an abort response (CiA 301, 7.2.4.3.17)."""
 _SDO_BYTES = 8
+_SEGMENT, _SEGMENT_DONE, _UPLOAD, _DONE = range(4)
+"""Answers by the top three bits of their first byte (CiA 301, 7.2.4.3)."""
 _ABORT_OUT_OF_MEMORY = 0x0504_0005
 """Abort code of a client that accepts no more data."""
 _SEGMENT_BYTES = 7
@@ -26,6 +28,16 @@ COB_SDO_REQUEST = 0x600
 
 # Each request that is repeated because its answer was lost is an error there.
 logging.getLogger(SdoClient.__module__).setLevel(logging.CRITICAL)
+
+
+def _used_bytes(first: int) -> int:
+    """Return the length of an answer without its unused bytes, by its first byte."""
+    kind = first >> 5
+    if kind == _SEGMENT:
+        return _SDO_BYTES - (first >> 1 & 7)
+    if kind == _UPLOAD and first & 3 == 3:  # expedited, with its size
+        return _SDO_BYTES - (first >> 2 & 3)
+    return {_SEGMENT_DONE: 1, _DONE: 4}.get(kind, _SDO_BYTES)
 
 
 class SdoNotAnswered(SdoCommunicationError):
@@ -98,13 +110,14 @@ class PolledSdoClient(SdoClient):
         return bytes(data[: len(variable) // 8])
 
     def on_response(self, can_id: int, data: bytes | bytearray, timestamp: float) -> None:
-        """Process a message of the SDO server; only messages of 8 bytes are responses."""
-        if len(data) == _SDO_BYTES:
-            self._answers += 1
-            super().on_response(can_id, data, timestamp)  # type: ignore[no-untyped-call]
+        """Process a message of the SDO server; some servers leave out the unused bytes."""
+        self._answers += 1
+        if data and len(data) >= _used_bytes(data[0]):
+            data = bytes(data).ljust(_SDO_BYTES, b"\0")
+        super().on_response(can_id, data, timestamp)  # type: ignore[no-untyped-call]
 
     def read_response(self) -> bytes:
-        """Wait for a response; SdoNotAnswered after the time-out."""
+        """Wait for a response; SdoNotAnswered after the time-out; a short one is refused."""
         deadline_s = self._clock.monotonic() + self._timeout_s
         self._service()
         while self.responses.empty():
@@ -114,6 +127,10 @@ class PolledSdoClient(SdoClient):
             self._wait(left_s)
             self._service()
         response: bytes = self.responses.get_nowait()
+        if len(response) != _SDO_BYTES:
+            raise SdoCommunicationError(
+                f"the answer [{response.hex(' ')}] has {len(response)} bytes, expected 8"
+            )
         if response[0] == _ABORTED:
             raise SdoAbortedError(int.from_bytes(response[4:8], "little"))
         return response

@@ -89,7 +89,6 @@ PAD_SHAPES = 0x2102
 """Domain: rows and columns of each pad, one byte each."""
 BOARDS = 0x2103
 """U32 each: serial number of the pads' board of finger 0 (:01) and finger 1 (:02), 0 for none."""
-FRAME_MESSAGE = 0x2110
 THRESHOLDS = 0x2120
 THRESHOLD_TOUCH = 1
 """U16, counts above which a taxel is touched and the unit's own tare is refused."""

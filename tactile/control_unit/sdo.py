@@ -7,7 +7,7 @@ import can
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from tactile.can.receiver import interface_failed
-from tactile.can.sdo_client import PolledSdoClient
+from tactile.can.sdo_client import PolledSdoClient, SdoNotAnswered
 from tactile.errors import NodeMissing
 
 _NO_OBJECT = 0x0602_0000
@@ -76,6 +76,6 @@ class ObjectAccess:
                 ) from error
             except (can.CanError, OSError) as error:
                 raise interface_failed(error) from error
-        raise NodeMissing(
-            f"{what} failed {_ATTEMPTS} times: {failure}; check supply, CAN cable and node-ID"
-        ) from failure
+        silent = isinstance(failure, SdoNotAnswered)
+        advice = "check supply, CAN cable and node-ID" if silent else "update the unit's firmware"
+        raise NodeMissing(f"{what} failed {_ATTEMPTS} times: {failure}; {advice}") from failure

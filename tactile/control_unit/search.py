@@ -70,7 +70,8 @@ class _Listener:
                 self._messages += 1
                 node = message.arbitration_id & od.NODE_BITS
                 kind = message.arbitration_id & od.FUNCTION_BITS
-                if node and kind in (od.COB_HEARTBEAT, od.COB_SDO_RESPONSE):
+                foreign = message.is_remote_frame or message.is_extended_id
+                if node and kind in (od.COB_HEARTBEAT, od.COB_SDO_RESPONSE) and not foreign:
                     self._nodes.add(node)
             if (left_s := end_s - self.clock.monotonic()) <= 0.0:
                 return

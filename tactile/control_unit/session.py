@@ -197,7 +197,7 @@ class LinkSession:
             if message.is_error_frame:
                 self.supervisor.on_error_frame(message.arbitration_id, message.data, t_s)
             elif message.is_remote_frame or message.is_extended_id:
-                self._malformed += 1
+                self._add_foreign(t_s)
             elif message.arbitration_id == frame_id:
                 n_frame_messages += 1
                 frame = push(message.data, message.dlc, t_s)
@@ -246,12 +246,15 @@ class LinkSession:
             self._nodes_heard.add(cob_id & od.NODE_BITS)
         handler = self._handlers.get(cob_id)
         if handler is None:
-            self._foreign += 1
-            self._foreign_limit.add(t_s)
+            self._add_foreign(t_s)
         elif len(message.data) != message.dlc:
             self._malformed += 1
         else:
             handler(bytes(message.data), t_s)
+
+    def _add_foreign(self, t_s: float) -> None:
+        self._foreign += 1
+        self._foreign_limit.add(t_s)
 
     def _unusable_now(self) -> int:
         """Return the number of unusable messages without damaged frame messages."""

@@ -173,8 +173,8 @@ class NodeSupervisor:
             self._passive_since_s += late_s
 
     def on_heartbeat(self, data: bytes, t_s: float) -> None:
-        """Process a message of COB-ID 0x700 + node."""
-        state = data[0] & _STATE_BITS if len(data) == 1 else None
+        """Process a message of COB-ID 0x700 + node; some units send a boot-up without data."""
+        state = data[0] & _STATE_BITS if data else BOOT_UP
         if state != BOOT_UP and state not in NMT_STATES:
             # This state does not exist: a bit was flipped on the bus.
             self.unusable += 1

@@ -89,6 +89,7 @@ def test_the_limits_stand_beside_the_write_and_in_the_drive(make_drive) -> None:
         ("block", AxisFault, "error 8611h: following error"),
         ("switch", LimitSwitchReached, "stopped by its positive limit switch at"),
         ("dead", AxisSilent, r"no heartbeat from axis x \(drive 11\) for 0.1"),
+        ("empty boot-up", AxisRestarted, "has booted"),
         ("reboot", AxisRestarted, "has booted: its position is lost"),
         ("shut", AxisFault, "left OPERATION ENABLED for READY TO SWITCH ON"),
         ("stopped", AxisNotOperational, "NMT state stopped, .* another CANopen master"),
@@ -108,6 +109,7 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
         "switch": lambda: setattr(simulated, "forced_switch", 1),
         "dead": lambda: setattr(simulated, "dead", True),
         "reboot": simulated.power_cycle,
+        "empty boot-up": lambda: put(bench, arbitration_id=0x700 + NODE),
         "shut": lambda: simulated._command(od.Control.SHUTDOWN),
         "stopped": lambda: simulated.command(2),
         "pre-operational": lambda: simulated.command(128),
@@ -275,19 +277,23 @@ def test_lost_and_damaged_messages_cost_time_not_the_motion(bench, rate) -> None
         assert bench.move(x_m) == pytest.approx(x_m, abs=NEAR_M)
 
 
+def put(bench: DriveBench, **frame: object) -> None:
+    """Let the host receive a message now."""
+    bench.bus._link._inbox.appendleft(can.Message(**{"is_extended_id": False} | frame))  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     "frame",
     [
         {"arbitration_id": 0x80 + NODE, "data": b"\x10\x81\x01"},
-        {"arbitration_id": 0x700 + NODE, "data": b""},
         {"arbitration_id": 0x700 + NODE, "data": b"\x00", "is_error_frame": True},
+        {"arbitration_id": 0x700 + NODE, "data": b"\x00", "is_extended_id": True},
         {"arbitration_id": 0x580 + NODE, "data": b"\xff" * 3},
     ],
 )
 def test_messages_that_are_none_are_passed_over(bench, frame) -> None:
     bench.move(0.0)
-    message = can.Message(is_extended_id=False, **frame)
-    bench.once_moving(lambda: bench.bus._link._inbox.appendleft(message))
+    bench.once_moving(lambda: put(bench, **frame))
     assert bench.move(0.01) == pytest.approx(0.01, abs=NEAR_M)
 
 

@@ -112,12 +112,37 @@ def test_a_node_that_never_appears_is_missing_and_the_message_says_who_is_there(
         ),
         (lambda bench: double(bench, 0x700 + NODE, times=1), "same node-ID"),
         (lambda bench: mute(bench, 0x580 + NODE), "failed 3 times: no SDO response within 0.3 s"),
+        (
+            lambda bench: bench.alter(0x580 + NODE, lambda burst: [data[:3] for data in burst]),
+            r"answer \[43 18 10\] has 3 bytes, expected 8; update the unit's firmware",
+        ),
     ],
 )
 def test_a_unit_that_does_not_come_up_alone_is_a_missing_node(idle, spoil, says) -> None:
     spoil(idle)
     with pytest.raises(NodeMissing, match=says):
         idle.link.start()
+
+
+def lean(data: bytes) -> bytes:
+    """Return an SDO answer without its unused bytes."""
+    expedited = {0x4F: 5, 0x4B: 6, 0x60: 4, 0x20: 1, 0x30: 1}
+    return data[: expedited.get(data[0], 8 - (data[0] >> 1 & 7) if data[0] < 0x20 else 8)]
+
+
+@pytest.mark.parametrize(
+    ("cob_id", "shorter"),
+    [(0x580 + NODE, lean), (0x700 + NODE, lambda data: data.lstrip(b"\0"))],
+    ids=["SDO answers", "boot-up"],
+)
+def test_messages_without_their_unused_bytes_are_used(idle, cob_id, shorter) -> None:
+    idle.alter(cob_id, lambda burst: [shorter(data) for data in burst])
+    assert idle.link.start().name == "Tactile control unit"
+    idle.run(0.2)
+    assert idle.link.statistics.malformed == 0
+    idle.unit.power_cycle()
+    with pytest.raises(NodeRebooted, match="sent a boot-up message"):
+        idle.run(0.2)
 
 
 def test_a_unit_that_boots_late_is_waited_for(idle) -> None:
@@ -226,10 +251,22 @@ def test_foreign_remote_extended_and_damaged_messages_are_counted(bench) -> None
     bench.put(0x180 + NODE, bytes(8), is_extended_id=True)
     bench.put(0x80 + NODE, b"\1\2\3", dlc=8)
     bench.put(0x180 + NODE, b"\1\2\3", dlc=8)
-    bench.put(0x700 + NODE, b"")
     assert len(bench.run(0.1)) == 5
     statistics = bench.link.statistics
-    assert (statistics.foreign, statistics.malformed, statistics.frames.short) == (1, 4, 1)
+    assert (statistics.foreign, statistics.malformed, statistics.frames.short) == (3, 1, 1)
+
+
+@pytest.mark.parametrize("kind", ["is_extended_id", "is_remote_frame"])
+def test_messages_of_another_kind_are_limited_as_foreign_ones(make_bench, kind) -> None:
+    bench = make_bench(max_foreign_hz=1000.0)
+    bench.link.start()
+    for _ in range(50):
+        bench.put(0x700 + NODE, b"", **{kind: True})
+    bench.run(0.1)
+    for _ in range(51):
+        bench.put(0x700 + NODE, b"", **{kind: True})
+    with pytest.raises(BusDisturbed, match=r"51 messages of other nodes.* raise tactile\.foreign"):
+        bench.run(0.1)
 
 
 def test_too_many_damaged_lines_of_a_serial_adapter_are_a_fault(bench, monkeypatch) -> None:
