@@ -6,6 +6,7 @@ before its use.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pkgutil import resolve_name
@@ -91,9 +92,11 @@ class Plugins:
             raise ConfigError(f"{self.what} {name!r} is in {packages}: uninstall one of them")
         if not entries:
             known = ", ".join(self) or f"none: install {OWN_PACKAGE} again"
+            near = get_close_matches(name.upper(), [one.upper() for one in self], n=1)
+            meant = "".join(f"did you mean {one}? " for one in self if one.upper() in near)
             raise ConfigError(
-                f"no {self.what} {name!r} is installed; installed are {known}. Install the package "
-                "that brings it, then look at `tactile-cell doctor --plugins`"
+                f"no {self.what} {name!r} is installed; {meant}installed are {known}. Install the "
+                "package that brings it, then look at `tactile-cell doctor --plugins`"
             )
         return entries[0]
 

@@ -14,15 +14,14 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
-from ruamel.yaml.reader import ReaderError
 
 from cell.config.model import CellConfig
-from cell.config.section import Installed, OneOf, sections_in
+from cell.config.section import Installed, OneOf, sections_in, unit_of
+from cell.config.yaml_text import place_of, read_yaml
 from cell.data.files import read_plain
 from cell.data.formats import CONFIG
-from cell.errors import ConfigError, raised_as
+from cell.errors import ConfigError
 
 _Section = TypeVar("_Section", bound=BaseModel)
 
@@ -171,8 +170,8 @@ def load_config(path: Path | None) -> CellConfig:
     Raises
     ------
     ConfigError
-        If the file cannot be read, is cut off within its last line, is not YAML 1.2, has unknown
-        or repeated keys, or values out of range. One message lists all errors.
+        If the file cannot be read, is not YAML 1.2, has unknown or repeated keys, or values out of
+        range. One message lists all errors.
     """
     return CellConfig() if path is None else parse_config(config_file_text(path), source=str(path))
 
@@ -180,15 +179,11 @@ def load_config(path: Path | None) -> CellConfig:
 def config_file_text(path: Path) -> str:
     """Return the unchecked text of a config file. Raises ConfigError as `load_config`."""
     data = read_plain(path, error=ConfigError, what="config", limit_bytes=MAX_BYTES)
-    with raised_as(ConfigError, UnicodeDecodeError, where=f"{path}: cannot be read"):
-        text = data.decode("utf-8")
-    if text and not text.endswith("\n"):
-        line, column = text.count("\n") + 1, len(text) - text.rfind("\n")
-        raise ConfigError(
-            f"{path}:{line}:{column}: the last line has no line break, so the file may be cut off; "
-            "complete it and add a line break"
-        )
-    return text
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ConfigError(f"{path}:{line}: not UTF-8 text; save the file as UTF-8") from error
 
 
 def parse_config(text: str, *, source: str) -> CellConfig:
@@ -196,11 +191,7 @@ def parse_config(text: str, *, source: str) -> CellConfig:
 
     Raises ConfigError as `load_config`.
     """
-    try:
-        root = YAML(typ="safe", pure=True).compose(text)
-        data = YAML(typ="safe", pure=True).load(text)
-    except (YAMLError, ValueError, RecursionError) as error:
-        raise ConfigError(_not_yaml(error, text, source)) from error
+    root, data = read_yaml(text, source)
     if not isinstance(data, dict | None):
         raise ConfigError(f"{source}:1:1: a config is a mapping with sections such as `gripper:`")
     if data and "format" in data:
@@ -221,35 +212,12 @@ def recorded_config(text: str) -> CellConfig | None:
         return None
 
 
-def config_schema() -> dict[str, Any]:
-    """Return the JSON schema of the config file."""
+def schema_text() -> str:
+    """Return the JSON schema of the config file, as text."""
     schema = CellConfig.model_json_schema()
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     schema["title"] = "tactile-cell configuration"
-    return schema
-
-
-def schema_text() -> str:
-    """Return the JSON schema as the text of a file."""
-    return json.dumps(config_schema(), indent=2, ensure_ascii=False) + "\n"
-
-
-def _not_yaml(error: Exception, text: str, source: str) -> str:
-    if isinstance(error, MarkedYAMLError):
-        mark = error.problem_mark or error.context_mark
-        said = ": ".join(str(part) for part in (error.context, error.problem) if part)
-        if "'\\t' that cannot start any token" in said:
-            said = "the indent has a tab; use spaces"
-        return f"{source}:{_place(mark)}: not YAML 1.2: {said}" if mark else f"{source}: {said}"
-    if isinstance(error, ReaderError):
-        before = text[: error.position]
-        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
-        return f"{source}:{line}:{column}: not YAML 1.2: this character is not allowed"
-    return f"{source}: not YAML 1.2: {error}"
-
-
-def _place(mark: StreamMark) -> str:
-    return f"{mark.line + 1}:{mark.column + 1}"
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
 def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
@@ -272,6 +240,11 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
             message = f"unknown key; {_meant(item['loc'])}`tactile-cell config schema` lists all"
         elif item["type"] == "missing":
             shown = ""
+        elif item["type"] == "bool_type":
+            message = "write true or false"
+        elif "_than" in item["type"]:
+            named = [step for step in item["loc"] if isinstance(step, str)]
+            message = f"{message} {unit_of(named[-1])}".rstrip()
         lines.append(f"{source}:{place}: {key or 'config'}: {message}{shown}")
     if len(found) > len(lines):
         lines.append(f"{source}: {len(found) - len(lines)} more errors")
@@ -332,17 +305,17 @@ def _all_sections(
 def _locate(root: Node | None, loc: tuple[int | str, ...]) -> tuple[str, str]:
     """Return place and key of a pydantic location; steps that are not in the file are skipped."""
     node, key = root, []
-    place = "1:1" if root is None else _place(root.start_mark)
+    place = "1:1" if root is None else place_of(root.start_mark)
     for step in loc:
         if isinstance(node, MappingNode):
             found = [(k, v) for k, v in node.value if k.value == str(step)]
             if found:
-                place, node = _place(found[0][0].start_mark), found[0][1]
+                place, node = place_of(found[0][0].start_mark), found[0][1]
                 key.append(str(step))
             elif step == loc[-1]:
                 key.append(str(step))
         elif isinstance(node, SequenceNode) and isinstance(step, int) and step < len(node.value):
             node = node.value[step]
-            place = _place(node.start_mark)
+            place = place_of(node.start_mark)
             key.append(str(step))
     return place, ".".join(key)

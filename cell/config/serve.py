@@ -79,6 +79,12 @@ class ServeConfig(Section):
             )
         if bool(self.tls_certificate) != bool(self.tls_key):
             raise ValueError("set both serve.tls_certificate and serve.tls_key, or neither")
+        ports = [port for port in (self.modbus_port, self.xmlrpc_port, self.http_port) if port]
+        if len(set(ports)) != len(ports):
+            raise ValueError(
+                f"serve.modbus_port, xmlrpc_port and http_port are {', '.join(map(str, ports))}: "
+                "write another port for each"
+            )
         if len(set(self.objects)) != len(self.objects):
             raise ValueError("serve.objects has a label twice; remove one: each label has one id")
         return self

@@ -10,13 +10,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from cell.config.model import CellConfig
-from cell.config.section import sections_in
-
-UNITS = {
-    "mm_s": "mm/s", "n_s": "N/s", "n_mm": "N/mm", "nm_a": "Nm/A", "mm": "mm", "ms": "ms",
-    "deg": "degrees", "hz": "Hz", "n": "N", "s": "s", "a": "A", "c": "°C", "share": "share",
-}  # fmt: skip
-"""Unit by the end of a key, the longest first."""
+from cell.config.section import sections_in, unit_of
 
 
 def config_page() -> str:
@@ -50,7 +44,7 @@ def _path(path: str, name: str, field: FieldInfo, inner: type[BaseModel], n_mode
 
 
 def _type(name: str, field: FieldInfo) -> str:
-    unit = next((unit for end, unit in UNITS.items() if name.endswith(f"_{end}")), "")
+    unit = unit_of(name)
     written = _written(field.annotation)
     return f"{written}, {unit}" if unit else written
 

@@ -705,7 +705,7 @@ DISK_AND_PORTS = (
 BAD_CONFIGS = (
     # Variant, text of the file, word of the cause in the refusal.
     ("corrupt", "gripper: {force_max_n: [\n", "not YAML"),
-    ("partial", "gripper:\n  force_max_n: 1", "cut off"),
+    ("partial", 'gripper:\n  port: "/dev/tty', "closing quote"),
     ("duplicate key", "gripper:\n  force_max_n: 5\n  force_max_n: 50\n", "force_max_n"),
     ("NaN", "gripper:\n  force_max_n: .nan\n", "gripper.force_max_n"),
     ("out of range", "gripper:\n  force_max_n: 51.0\n", "gripper.force_max_n"),
