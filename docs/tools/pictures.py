@@ -32,6 +32,7 @@ CUTS = {
 """What each picture shows of the report, as a CSS selector."""
 _BROWSER = "chromium"
 _WIDTH_PX, _HEIGHT_PX = 1200, 2400
+_TOKEN = "the-token-of-the-pictures"
 _NAMED_BEFORE = 6
 """Parts that the operator's page shows as named before the one in the grip."""
 _WAIT_MS = 300_000
@@ -87,9 +88,9 @@ def draw(report: Path) -> None:
 
 def draw_page() -> None:
     """Write the picture of the operator's page, of a cell that has named parts and holds one."""
-    ports = ["--http", "0", "--modbus", "0", "--xml-rpc", "0"]
     with (
-        subprocess.Popen([_program(), "serve", *ports], stdout=subprocess.PIPE, text=True) as cell,
+        tempfile.TemporaryDirectory() as folder,
+        _served(Path(folder, "token")) as cell,
         sync_playwright() as playwright,
     ):
         try:
@@ -102,7 +103,7 @@ def draw_page() -> None:
                 viewport={"width": 1400, "height": 900}, locale="en-GB", reduced_motion="reduce"
             )
             page.set_default_timeout(_WAIT_MS)
-            page.goto(f"http://127.0.0.1:{interface['http_port']}/#token={interface['token']}")
+            page.goto(f"http://127.0.0.1:{interface['http_port']}/#token={_TOKEN}")
             page.get_by_text("Nobody is in command").wait_for()
             page.click("#command")
             for number in range(_NAMED_BEFORE + 1):
@@ -119,6 +120,13 @@ def draw_page() -> None:
             browser.close()
         finally:
             cell.terminate()
+
+
+def _served(token: Path) -> "subprocess.Popen[str]":
+    """Return `tactile-cell serve` at free ports; its token is written to a file."""
+    token.write_text(_TOKEN, encoding="utf-8")
+    options = ["--http", "0", "--modbus", "0", "--xml-rpc", "0", "--token-file", token]
+    return subprocess.Popen([_program(), "serve", *options], stdout=subprocess.PIPE, text=True)
 
 
 def today(text: str) -> str:

@@ -76,7 +76,7 @@ RestartPreventExitStatus=2
 LimitRTPRIO=99
 LimitMEMLOCK=infinity
 
-# The line with all addresses and the token is for programs; people read the journal.
+# The line with all ports is for programs; people read the journal.
 StandardOutput=null
 StandardError=journal
 SyslogIdentifier={name}

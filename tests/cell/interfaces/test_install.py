@@ -255,6 +255,8 @@ def test_containers_are_unprivileged_and_their_commands_are_ours() -> None:
         name, *options = service["command"]
         given = command.commands[name].make_context(name, list(options)).params
         assert given["http_port"] == 8080
+        # What a terminal of a container shows is in its log.
+        assert (given["token_file"], "tty" in service) == ("/run/secrets/token", False)
     assert compose["services"]["real"]["ulimits"] == {"rtprio": 99, "memlock": -1}
     simulated = dict(zip(*[iter(compose["services"]["simulated"]["command"][1:])] * 2, strict=True))
     changed_config(

@@ -35,7 +35,7 @@ SMALL = """
 self_zero: {zero}
 tactile: {{tare_frames: 25}}
 positioner: {{kind: {kind}}}
-serve: {{lease_timeout_s: 20, token_file: {token}}}
+serve: {{lease_timeout_s: 20}}
 """
 
 
@@ -46,9 +46,9 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     (tmp_path / "token").write_text(TOKEN)
 
     def run(
-        *options: str, kind: str = "simulated", token: str = "''", **streams: Any
+        *options: str, kind: str = "simulated", **streams: Any
     ) -> tuple[subprocess.Popen[str], dict[str, Any]]:
-        config = SMALL.format(zero="on_demand", kind=kind, token=token)
+        config = SMALL.format(zero="on_demand", kind=kind)
         (tmp_path / "cell.yaml").write_text(config)
         process = subprocess.Popen(
             [*PROGRAM, "serve", "--speed", "0", "-c", "cell.yaml", *PORTS, *options],
@@ -73,15 +73,9 @@ def ended(process: subprocess.Popen[str]) -> list[str]:
     return said.splitlines()
 
 
-def page(line: dict[str, Any]) -> str:
-    """Return what is printed of the page where no terminal is, by the line of all addresses."""
-    where = "on a terminal only; serve.token_file sets one"
-    return f"page: http://127.0.0.1:{line['http_port']}/ (its token: {where})"
-
-
 @pytest.mark.slow
 def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(start) -> None:
-    process, line = start(kind="callback", token="token")
+    process, line = start("--token-file", "token", kind="callback")
     assert set(line) == {"listen", "modbus_port", "xmlrpc_port", "http_port"}
     with ServerProxy(f"http://127.0.0.1:{line['xmlrpc_port']}") as cell:
         lease = cell.acquire("robot")
@@ -100,7 +94,7 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(s
 def test_a_signal_first_stops_the_motion(meddle, monkeypatch, tmp_path, moment, number) -> None:
     starts = moment == "self-zero of the start"
     zero = "always" if starts else "on_demand"
-    (tmp_path / "cell.yaml").write_text(SMALL.format(zero=zero, kind="simulated", token="''"))
+    (tmp_path / "cell.yaml").write_text(SMALL.format(zero=zero, kind="simulated"))
     pressed_n: list[float] = []
 
     def arrange(made: Any) -> None:
@@ -135,9 +129,9 @@ def test_a_signal_first_stops_the_motion(meddle, monkeypatch, tmp_path, moment, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", [pytest.param(False, marks=pytest.mark.long), True])
-def test_a_terminal_shows_the_page_with_its_tokens(start, file: bool) -> None:
+def test_a_terminal_alone_shows_the_tokens_of_the_page(start, file: bool) -> None:
     screen, terminal = os.openpty()
-    process, line = start(token="token" if file else "''", stderr=terminal)
+    process, line = start(*("--token-file", "token") * file, stderr=terminal)
     os.close(terminal)
     process.send_signal(signal.SIGTERM)
     said = b""
@@ -145,27 +139,10 @@ def test_a_terminal_shows_the_page_with_its_tokens(start, file: bool) -> None:
         while more := os.read(screen, 4096):
             said += more
     os.close(screen)
-    token = TOKEN if file else line["token"]
-    for one in (token, view_token(token)):
-        assert f"http://127.0.0.1:{line['http_port']}/#token={one}" in said.decode()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "stream", [pytest.param("a program", marks=pytest.mark.long), "the journal"]
-)
-def test_a_line_in_the_journal_has_no_token(start, monkeypatch, stream: str) -> None:
-    monkeypatch.setenv("JOURNAL_STREAM", "8:1")
-    ours, theirs = socket.socketpair()
-    more = {} if stream == "a program" else {"stdout": theirs}
-    process, line = start(**more)
-    theirs.close()
-    if stream == "the journal":
-        with ours.makefile() as lines:
-            line = json.loads(lines.readline())
-    ours.close()
-    assert ("token" in line, "view_token" in line) == (stream == "a program",) * 2
-    assert page(line) in ended(process)
+    tokens = re.findall(rf"http://127.0.0.1:{line['http_port']}/#token=(\S+)", said.decode())
+    assert tokens[1] == view_token(tokens[0])
+    assert set(line) == {"listen", "modbus_port", "xmlrpc_port", "http_port"}
+    assert not file or tokens[0] == TOKEN
 
 
 @pytest.fixture
@@ -200,7 +177,7 @@ def test_without_a_config_the_taught_cell_is_there_and_others_are_warned_of(
     assert (ended.exit_code, seen) == (0, [("ball", "box")])
     line, said = json.loads(ended.stdout), " ".join(ended.stderr.split())
     assert line["listen"] == "0.0.0.0"
-    assert line["token"] not in said
+    assert set(line) == {"listen", "modbus_port", "xmlrpc_port", "http_port"}
     (link,) = re.findall(r"page: (\S+) \(its token: on a terminal only", said)
     assert not re.search(r"0\.0\.0\.0|127\.0\.0\.1", link)
     assert "authenticate nobody" in said

@@ -1,9 +1,7 @@
 """`serve`: runs the cell and opens interfaces for PLCs, robot programs and other hosts."""
 
 import json
-import os
 import socket
-import stat
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -67,6 +65,10 @@ def serve(
     modbus_port: Annotated[int | None, _port("--modbus", "Modbus TCP", "modbus_port")] = None,
     xmlrpc_port: Annotated[int | None, _port("--xml-rpc", "XML-RPC", "xmlrpc_port")] = None,
     http_port: Annotated[int | None, _port("--http", "HTTP", "http_port")] = None,
+    token_file: Annotated[
+        str | None,
+        typer.Option("--token-file", help="File with HTTP's token [default: serve.token_file]."),
+    ] = None,
     out_folder: Annotated[
         Path | None,
         typer.Option("--out", help="Folder for the recording; without it, nothing is recorded."),
@@ -87,7 +89,7 @@ def serve(
 
     Without a config file this is the simulated cell with five taught objects, and the page for a
     browser is open. Its address is printed on standard error, with the token on a terminal only.
-    When clients can connect, one JSON line on standard output has all addresses for a program. A
+    When clients can connect, one JSON line on standard output has all ports for a program. A
     part that is held at the end stays held.
     """
     from cell.config.file import changed_config
@@ -109,6 +111,7 @@ def serve(
         "serve.modbus_port": modbus_port,
         "serve.xmlrpc_port": xmlrpc_port,
         "serve.http_port": http_port,
+        "serve.token_file": token_file,
     }
     checked = changed_config(
         with_faults(own, faults), {key: value for key, value in given.items() if value is not None}
@@ -182,12 +185,12 @@ def _announced_interfaces(service: "Service") -> Iterator[None]:
         for note in warnings(service):
             print_note(note)
         config = service.config.serve
-        kept = ("token", "view_token") if config.token_file or _is_journal() else ()
-        typer.echo(json.dumps({name: found[name] for name in found if name not in kept}))
-        page, view = (page_address(found, config, which) for which in ("token", "view_token"))
+        # Other users may read the journal or the log of a container, for months.
+        secret = ("token", "view_token")
+        typer.echo(json.dumps({name: found[name] for name in found if name not in secret}))
+        page, view = (page_address(found, config, which) for which in secret)
         if page and not err.is_terminal:
-            # Other users may read the journal or the log of a container, for months.
-            where = config.token_file or "on a terminal only; serve.token_file sets one"
+            where = config.token_file or "on a terminal only; --token-file sets one"
             print_page(f"{page.partition('#')[0]} (its token: {where})")
         elif page and view:
             print_page(page)
@@ -195,11 +198,6 @@ def _announced_interfaces(service: "Service") -> Iterator[None]:
         elif config.http_port is None:
             print_note("the page for a browser is off: open it with --http 8080 or serve.http_port")
         yield
-
-
-def _is_journal() -> bool:
-    """Whether the standard output is that of a service of systemd, and not of a program."""
-    return "JOURNAL_STREAM" in os.environ and stat.S_ISSOCK(os.fstat(1).st_mode)
 
 
 def free_page_port(listen: str) -> int | None:
