@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from tests.faults.campaign import FaultRow
-from tests.faults.table import GROUPS, REACTIONS, ROWS
+from tests.faults.table import EACH_CHANGE, GROUPS, REACTIONS, ROWS
 
 
 def campaign_page() -> str:
@@ -14,7 +14,7 @@ def campaign_page() -> str:
         f"these {sum(row.real_time for row in ROWS)} run between real processes in real time, and "
         f"{sum(row.limit_s is not None for row in ROWS)} have a time limit for the detection. "
         "`make campaign` runs all of them, `make test` "
-        f"{sum(not row.long and not row.real_time for row in ROWS)}; both run random "
+        f"{len(EACH_CHANGE)}; both run random "
         "commands and faults. After each fault of a grasp the steps of the "
         "[fault catalogue](fault-numbers.md) lead back to IDLE.\n",
         "| what fails | kinds | variants | required reactions |\n|---|---|--:|---|",

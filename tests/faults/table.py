@@ -804,3 +804,12 @@ ROWS: tuple[FaultRow, ...] = tuple(
     )
 )
 """All rows, in the order of the page."""
+
+EACH_CHANGE: tuple[FaultRow, ...] = tuple(
+    {
+        (row.row, row.reaction, row.number): row
+        for row in reversed(ROWS)
+        if not (row.long or row.real_time)
+    }.values()
+)
+"""The rows of each change: the first of each kind, reaction and number. The others are long."""

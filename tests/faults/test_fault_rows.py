@@ -13,12 +13,14 @@ from cell.control.states import CellState
 from cell.errors import CellStopped, PartInGrip
 from tests.faults.campaign import FaultRow, Observed, campaign_cell, take_steps
 from tests.faults.invariants import link_counters
-from tests.faults.table import REACTIONS, ROWS
+from tests.faults.table import EACH_CHANGE, REACTIONS, ROWS
 
 
 def parameter(row: FaultRow) -> Any:
-    kinds = [kind for kind in ("real_time", "long") if getattr(row, kind)]
-    return pytest.param(row, id=row.name, marks=[getattr(pytest.mark, kind) for kind in kinds])
+    long = row not in EACH_CHANGE and (row.long or not row.real_time)
+    kinds = {"real_time": row.real_time, "long": long}
+    marks = [getattr(pytest.mark, kind) for kind, holds in kinds.items() if holds]
+    return pytest.param(row, id=row.name, marks=marks)
 
 
 @pytest.mark.slow
