@@ -1,0 +1,5 @@
+from .axes import Axes as Axes, Axis as Axis, AxisDevice as AxisDevice
+from .bus import DriveBus as DriveBus, Watch as Watch
+from .drive import Cia402Drive as Cia402Drive, DriveSettings as DriveSettings
+from .errors import MotionError as MotionError
+from .servo import ServoAxis as ServoAxis, ServoAxisSettings as ServoAxisSettings
