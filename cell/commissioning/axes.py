@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from cell.checks.findings import Finding
+from cell.checks.ports import lasting_name
 from cell.commissioning.backup import read_control_table
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step
-from cell.commissioning.ports import by_id
 from cell.commissioning.servos import Scan, check_supply, scan_servos
 from cell.commissioning.unit import network_interfaces
 from gripper.dynamixel.models import MODELS, model_name
@@ -36,7 +36,9 @@ class AxesStep(Step):
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Look for both kinds of axes."""
         axes: list[dict[str, Any]] = []
-        for port in bench.ports_beside(bench.gripper().port, bench.tactile().channel):
+        tactile = bench.tactile()
+        used = bench.gripper().port, tactile.channel, *tactile.serial_ports
+        for port in bench.ports_beside(*used):
             if _leads_to_a_servo(port, dialog):
                 try:
                     axes += _servo_axis(bench, dialog, port, notes)
@@ -68,7 +70,7 @@ def _leads_to_a_servo(port: str, dialog: Dialog) -> bool:
     """Ask the person before sending bytes to a port of an unknown device."""
     answer = dialog.choose(
         "axes.port",
-        f"Does the serial port {by_id(port)} lead to the servo of an axis? Then it is scanned.",
+        f"Does the port {lasting_name(port)} lead to the servo of an axis? Then it is scanned.",
         {"no": "no, or another device: leave it alone", "yes": "yes, scan it"},
         "no",
     )
@@ -83,7 +85,7 @@ def _servo_axis(bench: Bench, dialog: Dialog, port: str, notes: Finding) -> list
         return []
     (servo,) = found.servos
     servo_id, name = servo.identity.servo_id, model_name(servo.identity.model_number)
-    notes.fact(f"servo {name}, ID {servo_id} at {servo.baud_rate} bit/s on {by_id(port)}")
+    notes.fact(f"servo {name}, ID {servo_id} at {servo.baud_rate} bit/s on {lasting_name(port)}")
     model = MODELS.get(name)
     if model is None:
         notes.fail(f"the cell cannot drive {name}; use one of {', '.join(MODELS)}")
@@ -93,7 +95,7 @@ def _servo_axis(bench: Bench, dialog: Dialog, port: str, notes: Finding) -> list
     return [
         {
             "kind": "dynamixel",
-            "port": by_id(port),
+            "port": lasting_name(port),
             "baud_rate": servo.baud_rate,
             "id": servo_id,
             "model": name,

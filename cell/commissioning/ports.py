@@ -5,14 +5,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cell.checks.findings import Finding
-from cell.checks.ports import LATENCY_MS, latency_command, rights_command, udev_rule
+from cell.checks.ports import (
+    LATENCY_MS,
+    lasting_name,
+    latency_command,
+    rights_command,
+    udev_rule,
+)
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step
 from gripper.dynamixel.serial_port import latency_timer_ms
 from gripper.errors import PortLost
 
-BY_ID = Path("/dev/serial/by-id")
-"""Folder in which udev names each adapter by its maker and serial number, at any port."""
 _WAIT_S = 30.0
 """Longest time in s until an adapter disappears or comes back on request."""
 _LOOK_S = 0.5
@@ -46,13 +50,6 @@ class PortsStep(Step):
             )
         for obstacle in _obstacles(bench, port):
             notes.fail(obstacle)
-
-
-def by_id(port: str, folder: Path = BY_ID) -> str:
-    """Return the name of a port below /dev/serial/by-id, or the port itself."""
-    device = os.path.realpath(port)
-    names = sorted(folder.iterdir()) if folder.is_dir() else []
-    return next((str(name) for name in names if os.path.realpath(name) == device), port)
 
 
 def users_of(port: str, processes: Path = Path("/proc")) -> tuple[str, ...]:
@@ -91,10 +88,10 @@ def _found(bench: Bench, dialog: Dialog) -> str:
         )
         ports = _changed(bench, ports)
     if len(ports) == 1:
-        return by_id(ports[0])
+        return lasting_name(ports[0])
     gone: set[str] = set()
     while len(gone) != 1:
-        dialog.say(f"Serial ports: {', '.join(map(by_id, ports))}")
+        dialog.say(f"Serial ports: {', '.join(map(lasting_name, ports))}")
         dialog.confirm(
             "ports.unplug",
             "Which one leads to the servos? Pull the USB plug of their adapter.",
@@ -113,7 +110,7 @@ def _found(bench: Bench, dialog: Dialog) -> str:
         dialog.confirm("ports.plug_back", "Plug it in again.", "it is plugged in")
         # It may come back under another name.
         back = set(_changed(bench, left)) - set(left)
-    return by_id(back.pop())
+    return lasting_name(back.pop())
 
 
 def _changed(bench: Bench, before: tuple[str, ...]) -> tuple[str, ...]:

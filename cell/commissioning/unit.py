@@ -11,9 +11,9 @@ from typing import Any, get_args
 import numpy as np
 
 from cell.checks.findings import Finding, ProposedChange
+from cell.checks.ports import lasting_name
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
-from cell.commissioning.ports import by_id
 from cell.config.file import changed_config
 from cell.config.section import SIMULATED
 from cell.config.sensor import SensorLines
@@ -194,8 +194,10 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
                 f"sensor needs {len(tactile.serial_ports)}. Plug in the boards alone, or write "
                 "tactile.sensor.ports into the config."
             )
-        sensor["ports"] = [by_id(port) for port in ports]
+        sensor["ports"] = [lasting_name(port) for port in ports]
         notes.settings["tactile.sensor"] = sensor
+        if any("/by-path/" in port for port in sensor["ports"]):
+            notes.fact("Boards without serial numbers are named by their USB sockets: leave them.")
     found = {key.removeprefix("tactile."): value for key, value in notes.settings.items()}
     tactile = bench.tactile(**found)
     with _started(bench, tactile) as boards:
@@ -226,7 +228,7 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
         return interface, channel
     servos = str(bench.given.get("gripper.port", bench.gripper().port))
     places = [("socketcan", name) for name in network_interfaces()]
-    places += [("slcan", port) for port in bench.ports_beside(servos)]
+    places += [("slcan", lasting_name(port)) for port in bench.ports_beside(servos)]
     if not places:
         answer = dialog.choose(
             "unit.none",

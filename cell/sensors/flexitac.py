@@ -25,7 +25,8 @@ class FlexiTacConfig(SensorConfig):
     kind: Literal["flexitac"]
     """Kind of the device that reads the pads."""
     ports: tuple[str, str] = (SIMULATED, SIMULATED)
-    """Serial ports of the boards on finger 0 and 1, preferably below /dev/serial/by-id."""
+    """Serial ports of the boards on finger 0 and 1, preferably below /dev/serial/by-id; boards
+    without serial numbers: below /dev/serial/by-path."""
     profile: Annotated[str, OneOf(tuple(PROFILES))] = "12x32"
     """Rows and columns that the boards send."""
     rows_along: bool = False

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from stat import S_IROTH, S_IXOTH
 
-from cell.checks.ports import udev_rule
+from cell.checks.ports import udev_rule, usb_identity
 from cell.config.model import CellConfig
-from cell.config.positioner import ServoAxisConfig
+from cell.config.positioner import AxesCanConfig, ServoAxisConfig
+from cell.config.section import SIMULATED
+from cell.config.tactile import TactileConfig
 
 NAME = "tactile-cell"
 """Name of the service, its user and its folder in /var/lib."""
@@ -137,45 +139,43 @@ def _rules(config: CellConfig) -> Iterator[str]:
             yield f"# {key}: {port} is no connected USB adapter; it gets no name."
         else:
             match = ", ".join(f'ENV{{{name}}}=="{value}"' for name, value in identity.items())
-            yield f"# {key}: always /dev/{NAME}/{role}."
+            by = "in this USB socket" if "DEVPATH" in identity else "in any USB socket"
+            yield f"# {key}: this adapter {by} is /dev/{NAME}/{role}, and no modem."
             yield f'SUBSYSTEM=="tty", {match}, SYMLINK+="{NAME}/{role}"'
+            yield (
+                'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", '
+                f'ATTR{{idVendor}}=="{identity["ID_VENDOR_ID"]}", '
+                f'ATTR{{idProduct}}=="{identity["ID_MODEL_ID"]}", ENV{{ID_MM_DEVICE_IGNORE}}="1"'
+            )
 
 
 def _serial_ports(config: CellConfig) -> Iterator[tuple[str, str, str]]:
     """Yield the role, key and name of each serial port of a cell."""
-    if not config.simulated:
-        yield "servos", "gripper.port", config.gripper.port
-    if config.tactile.interface == "slcan":
-        yield "can", "tactile.channel", config.tactile.channel
-    for axis in config.positioner.axes:
-        if isinstance(axis, ServoAxisConfig) and axis.port.startswith("/"):
-            yield axis.moves, f"port of the axis {axis.moves}", axis.port
+    tactile, positioner = config.tactile, config.positioner
+    ports = [("servos", "gripper.port", config.gripper.port)]
+    ports += [
+        (role, f"{key}.channel", can.channel)
+        for role, key, can in _can_buses(config)
+        if can.interface == "slcan"
+    ]
+    ports += [
+        (f"sensor{number}", f"tactile.sensor.ports[{number}]", port)
+        for number, port in enumerate(tactile.serial_ports)
+    ]
+    ports += [
+        (axis.moves, f"port of the axis {axis.moves}", axis.port)
+        for axis in positioner.axes
+        if isinstance(axis, ServoAxisConfig)
+    ]
+    return ((role, key, port) for role, key, port in ports if port != SIMULATED)
 
 
-def usb_identity(port: str, sys_folder: Path = Path("/sys")) -> dict[str, str] | None:
-    """Return the udev properties that identify a USB adapter; None for any other port.
-
-    An adapter without serial number is identified by its USB socket.
-    """
-    tty = Path(port).resolve().name
-    device = (sys_folder / "class/tty" / tty / "device").resolve()
-    folders = (device, *device.parents)
-    usb = next((one for one in folders if (one / "idVendor").is_file()), None)
-    if usb is None:
-        return None
-
-    def value(folder: Path, name: str) -> str:
-        return (folder / name).read_text("utf-8").strip()
-
-    found = {"ID_VENDOR_ID": value(usb, "idVendor"), "ID_MODEL_ID": value(usb, "idProduct")}
-    interface = next((one for one in folders if (one / "bInterfaceNumber").is_file()), None)
-    if interface is not None:
-        found["ID_USB_INTERFACE_NUM"] = value(interface, "bInterfaceNumber")
-    if not (usb / "serial").is_file():
-        return found | {"DEVPATH": f"*/{usb.name}/*"}
-    # As udev writes it: other characters become underscores.
-    serial = "".join(s if s.isalnum() or s in "#+-.:=@_" else "_" for s in value(usb, "serial"))
-    return found | {"ID_SERIAL_SHORT": serial}
+def _can_buses(config: CellConfig) -> Iterator[tuple[str, str, TactileConfig | AxesCanConfig]]:
+    """Yield the role, key and settings of each CAN bus of a cell."""
+    if config.tactile.sensor.on_can:
+        yield "can", "tactile", config.tactile
+    if config.positioner.drives:
+        yield "axes", "positioner.can", config.positioner.can
 
 
 # -- systemd -----------------------------------------------------------------------------------
@@ -221,11 +221,11 @@ def closed_to_others(path: Path) -> Path | None:
 
 
 def _can_commands(config: CellConfig) -> Iterator[list[str]]:
-    """Yield the commands that bring a SocketCAN interface up, as root; it may be up already."""
-    if config.tactile.interface == "socketcan":
-        link = [shutil.which("ip") or "/usr/sbin/ip", "link", "set", config.tactile.channel]
-        bitrate = str(config.tactile.bitrate)
-        yield [*link, "type", "can", "bitrate", bitrate, "restart-ms", "100"]
+    """Yield the commands that bring SocketCAN interfaces up, as root; they may be up already."""
+    buses = [can for _, _, can in _can_buses(config) if can.interface == "socketcan"]
+    for channel, bitrate in {can.channel: can.bitrate for can in buses}.items():
+        link = [shutil.which("ip") or "/usr/sbin/ip", "link", "set", channel]
+        yield [*link, "type", "can", "bitrate", str(bitrate), "restart-ms", "100"]
         yield [*link, "up"]
 
 

@@ -1,6 +1,8 @@
 """Ports of the servos and of the axes: found by their plugs, named, and left alone."""
 
+import grp
 import os
+import pwd
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -9,11 +11,12 @@ from pathlib import Path
 import pytest
 
 from cell.checks.findings import Finding, Verdict
+from cell.checks.ports import lasting_name, usb_identity
 from cell.commissioning import axes, ports
 from cell.commissioning.axes import AxesStep
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import carry_out
-from cell.commissioning.ports import PortsStep, by_id, users_of
+from cell.commissioning.ports import PortsStep, users_of
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.simulation import simulation_of
@@ -76,14 +79,20 @@ def test_a_slow_latency_timer_is_named_with_the_command_that_mends_it(
     assert 'ATTR{latency_timer}="1"' in advice
 
 
-def test_a_port_of_another_group_is_named_with_the_command(tmp_path, monkeypatch) -> None:
+@pytest.mark.parametrize("named", [True, False])
+def test_a_port_of_another_group_is_named_with_the_command(tmp_path, monkeypatch, named) -> None:
     device = tmp_path / "tty"
     device.touch(mode=0o600)
     monkeypatch.setattr(ports.os, "access", lambda *_: False)
+    # A container may have no list of users.
+    entries = {grp: "staff", pwd: "robot"} if named else {}
+    monkeypatch.setattr(grp, "getgrgid", lambda _number: (entries[grp],))
+    monkeypatch.setattr(pwd, "getpwuid", lambda _number: (entries[pwd],))
     bench = Bench(tmp_path, given={"gripper.port": str(device)})
     found = carry_out(PortsStep(), bench, Script())
     assert found.status is Verdict.FAIL
-    assert "sudo usermod -a -G" in found.lines[-1]
+    group, user = ("staff", "robot") if named else (str(device.stat().st_gid), str(os.getuid()))
+    assert f"sudo usermod -a -G {group} {user}, " in found.lines[-1]
 
 
 def test_a_port_that_is_taken_or_gone_is_named(tmp_path, lines) -> None:
@@ -111,14 +120,55 @@ def test_programs_that_have_a_port_open_are_named(tmp_path) -> None:
     assert os.path.exists(device)
 
 
-def test_ports_are_named_by_the_serial_number_of_their_adapter(tmp_path) -> None:
-    device, names = tmp_path / "ttyUSB0", tmp_path / "by-id"
-    device.touch()
-    names.mkdir()
-    (names / "usb-FTDI_U2D2_FT123").symlink_to(device)
-    assert by_id(str(device), names) == str(names / "usb-FTDI_U2D2_FT123")
-    assert by_id("/dev/ttyUSB9", names) == "/dev/ttyUSB9"
-    assert by_id(str(device), tmp_path / "missing") == str(device)
+@pytest.fixture
+def machine(tmp_path: Path) -> Path:
+    """Folders sys and dev: adapters with a serial number, without one, and with the same one."""
+    for usb, serial, tty, number in (
+        ("1-1", "FT 1/9", "ttyUSB0", "00"),
+        ("1-1", "FT 1/9", "ttyUSB1", "01"),
+        ("1-2", "", "ttyUSB2", "00"),
+        ("1-3", "0001", "ttyUSB3", "00"),
+        ("1-4.1", "0001", "ttyUSB4", "00"),
+    ):
+        folder = tmp_path / "sys/devices/0000:00:14.0/usb1" / usb
+        port = folder / f"{usb}:1.{int(number)}" / tty
+        port.mkdir(parents=True)
+        (folder / "idVendor").write_text("0403\n")
+        (folder / "idProduct").write_text("6010\n")
+        if serial:
+            (folder / "serial").write_text(serial + "\n")
+        (port.parent / "bInterfaceNumber").write_text(number + "\n")
+        (tmp_path / "sys/class/tty" / tty).mkdir(parents=True)
+        (tmp_path / "sys/class/tty" / tty / "device").symlink_to(port)
+        for name in (f"by-id/{serial[:4]}-if{number}", f"by-path/{usb}:1.{number}"):
+            link = tmp_path / "dev/serial" / name
+            link.parent.mkdir(parents=True, exist_ok=True)
+            link.unlink(missing_ok=True)  # the last one of the same name has it
+            link.symlink_to(tmp_path / "dev" / tty)
+    (tmp_path / "sys/class/tty/ttyS0").mkdir()
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("port", "number", "identity", "name"),
+    [
+        ("ttyUSB0", "00", {"ID_SERIAL_SHORT": "FT_1_9"}, "serial/by-id/FT 1-if00"),
+        ("ttyUSB1", "01", {"ID_SERIAL_SHORT": "FT_1_9"}, "serial/by-id/FT 1-if01"),
+        ("ttyUSB2", "00", {"DEVPATH": "*/0000:00:14.0/usb*/*-2/*"}, "serial/by-path/1-2:1.00"),
+        ("ttyUSB3", "00", {"DEVPATH": "*/0000:00:14.0/usb*/*-3/*"}, "serial/by-path/1-3:1.00"),
+        ("ttyUSB4", "00", {"DEVPATH": "*/0000:00:14.0/usb*/*-4.1/*"}, "serial/by-path/1-4.1:1.00"),
+        ("ttyS0", "", None, "ttyS0"),
+        ("nothing", "", None, "nothing"),
+    ],
+)
+def test_an_adapter_is_named_by_its_own_serial_number_or_else_by_its_socket(
+    machine, port, number, identity, name
+) -> None:
+    dev, sys_folder = machine / "dev", machine / "sys"
+    common = {"ID_VENDOR_ID": "0403", "ID_MODEL_ID": "6010", "ID_USB_INTERFACE_NUM": number}
+    found = usb_identity(str(dev / port), sys_folder)
+    assert found == (None if identity is None else common | identity)
+    assert lasting_name(str(dev / port), dev, sys_folder) == str(dev / name)
 
 
 GRIPPER, WRIST = "/dev/ttyUSB0", "/dev/ttyUSB1"

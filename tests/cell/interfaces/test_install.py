@@ -19,9 +19,10 @@ from cell.config.file import changed_config, load_config, parse_config
 from cell.config.model import CellConfig
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.service_manager import ServiceManager
-from cell.interfaces.cli.system_files import UNIT_FILE, closed_to_others, system_files, usb_identity
+from cell.interfaces.cli.system_files import UNIT_FILE, closed_to_others, system_files
 from tests import ROOT
 from tests.cell.conftest import REAL, small_config
+from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.hil.supervisor import read_unit
 
 PAGE = ROOT / "docs/how-to/run-as-a-service.md"
@@ -81,6 +82,12 @@ def test_each_file_is_asked_for_and_the_end_of_the_input_is_a_no(tmp_path) -> No
     assert both.exit_code == 2
 
 
+def with_axes(can: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys of a real cell with drives on a CAN bus, and a wrist on a serial port."""
+    axes = [X_AXIS, ROTATION_AXIS, WRIST | {"port": "/dev/ttyUSB4"}]
+    return REAL | CHANGES | {"positioner": {"kind": "axes", "can": can, "axes": axes}}
+
+
 def unit_of(config: CellConfig, file: Path | None = None, *options: str) -> str:
     (text,) = (one.text for one in system_files(config, file, options) if one.path == UNIT_FILE)
     return text
@@ -119,7 +126,10 @@ def test_the_unit_serves_the_config_and_brings_the_can_up(tmp_path) -> None:
         f"{tmp_path}/cell.yaml"
     )
     assert unit["ReadWritePaths"] == "-/srv/recordings"
-    assert "link set can0 type can bitrate 1000000" in text
+    assert text.count("link set can0 type can bitrate 1000000") == 1
+    drives = {"interface": "socketcan", "channel": "can1", "bitrate": 500_000}
+    text = unit_of(small_config(**with_axes(drives)))
+    assert "link set can1 type can bitrate 500000" in text
     assert "ExecStartPre" not in unit_of(small_config())
 
 
@@ -139,54 +149,33 @@ def test_what_the_service_user_cannot_read_is_named(tmp_path) -> None:
 # -- udev --------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def sys_folder(tmp_path: Path) -> Path:
-    """A /sys with one adapter of two ports, and one without serial number."""
-    for usb, serial, tty, number in (
-        ("1-1", "FT 1/9", "ttyUSB0", "00"),
-        ("1-1", "FT 1/9", "ttyUSB1", "01"),
-        ("1-2", "", "ttyUSB2", "00"),
-    ):
-        folder = tmp_path / "devices" / usb
-        port = folder / f"{usb}:1.{int(number)}" / tty
-        port.mkdir(parents=True)
-        (folder / "idVendor").write_text("0403\n")
-        (folder / "idProduct").write_text("6010\n")
-        if serial:
-            (folder / "serial").write_text(serial + "\n")
-        (port.parent / "bInterfaceNumber").write_text(number + "\n")
-        (tmp_path / "class/tty" / tty).mkdir(parents=True)
-        (tmp_path / "class/tty" / tty / "device").symlink_to(port)
-    (tmp_path / "class/tty/ttyS0").mkdir()
-    return tmp_path
-
-
-def test_an_adapter_is_identified_by_serial_number_or_else_by_its_socket(sys_folder) -> None:
-    chip = {"ID_VENDOR_ID": "0403", "ID_MODEL_ID": "6010"}
-    for port, number in (("/dev/ttyUSB0", "00"), ("/dev/ttyUSB1", "01")):
-        found = usb_identity(port, sys_folder)
-        assert found == chip | {"ID_USB_INTERFACE_NUM": number, "ID_SERIAL_SHORT": "FT_1_9"}
-    assert usb_identity("/dev/ttyUSB2", sys_folder) == chip | {
-        "ID_USB_INTERFACE_NUM": "00",
-        "DEVPATH": "*/1-2/*",
-    }
-    assert usb_identity("/dev/ttyS0", sys_folder) is None
-    assert usb_identity("/dev/nothing", sys_folder) is None
-
-
-def test_the_rules_name_each_serial_port_of_the_cell(monkeypatch) -> None:
+def test_the_rules_name_each_serial_port_of_the_cell_and_keep_modem_manager_away(
+    monkeypatch,
+) -> None:
+    chip = {"ID_VENDOR_ID": "1a86", "ID_MODEL_ID": "7523"}
     monkeypatch.setattr(
         "cell.interfaces.cli.system_files.usb_identity",
-        lambda port: {"ID_SERIAL_SHORT": "A1"} if port == "/dev/ttyUSB0" else None,
+        lambda port: None if port == "/dev/ttyACM3" else chip | {"DEVPATH": f"*-{port[-1]}/*"},
     )
-    config = small_config(
-        **REAL | {"tactile.interface": "slcan", "tactile.channel": "/dev/ttyACM3"}
-    )
-    rules = system_files(config, None)[0].text
-    assert 'ENV{ID_SERIAL_SHORT}=="A1", SYMLINK+="tactile-cell/servos"' in rules
-    assert "# tactile.channel: /dev/ttyACM3 is no connected USB adapter" in rules
-    assert 'ATTR{latency_timer}="1"' in rules
-    assert 'ENV{SYSTEMD_WANTS}=""' in rules  # of brltty
+    boards = {"kind": "flexitac", "ports": ("/dev/ttyUSB1", "/dev/ttyUSB2")}
+    for changes, lines in (
+        (
+            {"tactile.layout": "flexitac_12x32", "tactile.sensor": boards},
+            {"sensor0": 1, "sensor1": 2},
+        ),
+        ({"tactile.interface": "slcan", "tactile.channel": "/dev/ttyUSB1"}, {"can": 1}),
+    ):
+        config = small_config(
+            **with_axes({"interface": "slcan", "channel": "/dev/ttyACM3"}) | changes
+        )
+        rules = system_files(config, None)[0].text
+        for role, number in (lines | {"servos": 0, "roll": 4}).items():
+            assert f'ENV{{DEVPATH}}=="*-{number}/*", SYMLINK+="tactile-cell/{role}"' in rules
+        modem = 'ATTR{idProduct}=="7523", ENV{ID_MM_DEVICE_IGNORE}="1"'
+        assert rules.count(modem) == 2 + len(lines)
+        assert "# positioner.can.channel: /dev/ttyACM3 is no connected USB adapter" in rules
+        assert 'ATTR{latency_timer}="1"' in rules
+        assert 'ENV{SYSTEMD_WANTS}=""' in rules  # of brltty
 
 
 # -- sd_notify ---------------------------------------------------------------------------------
