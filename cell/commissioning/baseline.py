@@ -3,7 +3,7 @@
 `tactile-cell doctor` compares with it. Each difference names the steps to repeat.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 
@@ -27,15 +27,20 @@ from cell.commissioning.motion import look_after, watched_hand
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
 from cell.config.tactile import layout_from_config, make_calibration
+from cell.control.records import GraspCollector, pad_array
 from cell.errors import CellError
 from cell.hand.interface import Hand
+from cell.learning.shape_reading import in_words, shape_reader
 from gripper.clock import Clock
 from gripper.dynamixel.models import model_name
 from gripper.errors import GripperError
 from gripper.values.outcome import GraspResult
+from gripper.values.state import Cycle
+from recognition.shape.answer import UNCLEAR
 from tactile.control_unit.search import read_unit
 from tactile.errors import TactileError
 from tactile.sensor.taxel_forces import TaxelForces
+from tactile.source import TactileFrame
 
 _HOLD_S = 0.5
 """Time in s for which the gauge object is held and measured."""
@@ -104,7 +109,7 @@ def measure_gauge(
     WizardAborted
         When the person leaves; a held part stays held.
     StepFailed
-        When nothing is held.
+        When nothing is held, or a part without parallel faces.
     CellError, GripperError, TactileError
         As the hand raises them.
     """
@@ -119,6 +124,7 @@ def measure_gauge(
                 )
             )
         )
+    layout = layout_from_config(config.tactile)
     force_n = round(float(np.mean(config.sequence.forces_n)), 2)
     opening = f"{config.gripper.aperture_open_mm:g} mm open"
     dialog.approve(
@@ -142,7 +148,13 @@ def measure_gauge(
             f"Hold {gauge} in the middle between the pads, until the fingers hold it.",
             watch=lambda: look_after(hand, bench.clock),
         )
-        outcome = hand.grasp(ramp_from_config(config.sequence.ramp, force_n), motion)
+        collected = GraspCollector(pad_array(layout), source=gauge, start_ms=0)
+
+        def watch(cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
+            motion(cycle, frames)
+            collected.add(cycle, frames)
+
+        outcome = hand.grasp(ramp_from_config(config.sequence.ramp, force_n), watch)
         if outcome.result is not GraspResult.FORCE_REACHED:
             if outcome.result is GraspResult.FORCE_NOT_REACHED:
                 _let_go(hand, bench.clock, dialog)
@@ -154,7 +166,13 @@ def measure_gauge(
         hand.hold_at(force_n, _HOLD_S, motion)
         held, frames = motion.cycles[since[0] :], motion.frames[since[1] :]
         _let_go(hand, bench.clock, dialog)
-    layout = layout_from_config(config.tactile)
+    read_shape = shape_reader(config)
+    shape = read_shape(collected.grasp()) if read_shape else None
+    if shape is not None and shape.kind not in ("flat", UNCLEAR):
+        raise StepFailed(
+            f"The pads show {in_words(shape)}, but the gauge needs parallel faces: take a block, "
+            "hold it with two of its faces on the pads, and run the step again"
+        )
     forces = TaxelForces(layout, make_calibration(config.tactile, layout), zero)
     force_on_taxels_n = np.mean([forces.of(frame.counts) for frame in frames], axis=0)
     touched = [

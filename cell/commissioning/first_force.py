@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from math import floor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +114,8 @@ class FirstForceStep(Step):
         cap_n = config.gripper.force_max_n
         if alone:
             cap_n = cap_by_current_n(config.gripper_settings, config.linkage)
-        most_n = _asked(dialog, round(largest_setpoint_n(cap_n), 1))
+        limit_n = floor(10.0 * largest_setpoint_n(cap_n)) / 10.0
+        most_n = _asked(dialog, limit_n, min(limit_n, max(config.sequence.forces_n)))
         dialog.approve(_motions(config, most_n, alone=alone))
         dialog.confirm(
             "first_force.empty",
@@ -148,15 +150,15 @@ def _proves_watchdog(config: CellConfig) -> bool:
     return all(one.servo_model.profile_in_current_mode for one in config.gripper_settings.servos)
 
 
-def _asked(dialog: Dialog, limit_n: float) -> float:
-    """Return the largest force for the soft part in N."""
+def _asked(dialog: Dialog, limit_n: float, usual_n: float) -> float:
+    """Return the largest force for the soft part in N; by default the largest of the sequence."""
     answer = dialog.ask(
         Question(
             key="first_force.most",
             text="Choose a soft part of 10 to 20 mm, for example a piece of foam or rubber. With "
             f"which force may it be pressed? The cap of the config allows {limit_n:g} N.",
             number=NumberRange(lowest=FIRST_FORCE_N, highest=limit_n, unit="N"),
-            default=limit_n,
+            default=usual_n,
         )
     )
     return float(answer)

@@ -186,7 +186,7 @@ def _numbered(
             _demand_answers(bench, dialog, port, found)
             placed = _placed(bench, dialog, port, rate, found)
             found = Scan(servos=tuple(Found(rate, one) for one in placed))
-            n_wanted = n_wanted or _count(dialog, placed)
+            n_wanted = n_wanted or _count(bench, dialog, placed)
             notes.values[_COUNT] = n_wanted
             if len(placed) >= n_wanted or not _connected(dialog, placed[-1]):
                 return placed
@@ -247,9 +247,9 @@ def _ask_for_one_alone(dialog: Dialog, found: Scan) -> None:
     )
 
 
-def _count(dialog: Dialog, placed: Sequence[ServoIdentity]) -> int:
-    """Return the number of servos of the gripper; ask only if a single one answers."""
-    if len(placed) > 1:
+def _count(bench: Bench, dialog: Dialog, placed: Sequence[ServoIdentity]) -> int:
+    """Return the number of servos of the gripper; ask if one answers and the config has two."""
+    if len(placed) > 1 or len(bench.base.gripper.servos) == 1:
         return len(placed)
     answer = dialog.choose(
         "servos.count",

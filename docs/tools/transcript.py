@@ -100,7 +100,7 @@ def transcript() -> str:
         lines = SimulatedLines(cell, ports=(base.gripper.port,))
         bench = Bench(Path(folder) / "my-cell", lines, given=given, base=base)
         engine = Engine(all_steps(), bench, finish=write_record)
-        dialog = _Typing(Person(cell))
+        dialog = _Typing(Person(cell, {r"With which force may it be": ("", "")}))
         dialog.finished(engine, engine.run(dialog))
         text = printed.getvalue().replace(f"{folder}/", "")
     return text

@@ -154,3 +154,11 @@ def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(stand, tm
     one.cell.inject("servo1.horn=10")
     changed = gauge_again(bench, bench.config, script)
     assert any("--redo fingers" in one.advice for one in changed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["ball", "cylinder"])
+def test_a_gauge_without_parallel_faces_is_refused(one, part) -> None:
+    finding = one.run(BaselineStep(), baseline__place=one.does(f"part {part}"))
+    assert finding.status is Verdict.FAIL
+    assert "but the gauge needs parallel faces: take a block" in finding.lines[-1]

@@ -10,6 +10,7 @@ from cell.commissioning.engine import WizardAborted
 from cell.commissioning.first_force import FirstForceStep
 from cell.control.self_zero import kept_zeros
 from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.settings import largest_setpoint_n
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
@@ -47,6 +48,13 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> N
     assert len(one.person.script.writes) == 4
     assert abs(finding.values["meet_mm"]) < 1.0
     assert finding.figures["force"]["limits"] == {"cap": 15.0}
+
+
+@pytest.mark.slow
+def test_enter_takes_a_force_that_the_step_reaches(one) -> None:
+    one.passes(STEP, first_force__most=lambda: None)
+    asked = next(q for q in one.person.script.questions if q.key == "first_force.most")
+    assert asked.default < asked.number.highest <= largest_setpoint_n(15.0)
 
 
 def kept_drives(one: Stand) -> list[DriveCharacteristic]:

@@ -150,10 +150,7 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path) -
     else:
         given |= {"tactile.interface": "socketcan", "tactile.channel": "can0"}
     with SimulatedCell(settings) as cell:
-        person = Person(
-            cell,
-            {r"Does it drive both fingers": ("", "1"), r"With which force may it be": ("", "8")},
-        )
+        person = Person(cell, {r"With which force may it be": ("", "")})
         bench = Bench(tmp_path, SimulatedLines(cell, ports), given=given, base=base)
         Engine(brisk_steps(), bench).run(person.script)
         (servo,) = cell.devices.servo_bus.servos

@@ -966,5 +966,5 @@ def test_sort_prints_how_many_parts_lie_where(config, model, tmp_path) -> None:
 def test_a_sort_without_a_model_announces_what_it_teaches(config) -> None:
     arguments = ["sort", "--config", str(config), "--teach", "3", "--parts", "1"]
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)
-    assert "NOTE: no --model: teaches 3 grasps each of ball, box first" in result.stderr
+    assert "NOTE: no --model: first teaches 3 grasps each of ball, box, about half" in result.stderr
     assert "1 parts sorted" in result.stdout

@@ -69,7 +69,8 @@ def sort(
         ) as cell:
             if model is None:
                 print_note(
-                    f"no --model: teaches {teach_grasps} grasps each of {', '.join(objects)} first"
+                    f"no --model: first teaches {teach_grasps} grasps each of "
+                    f"{', '.join(objects)}, about half a second each"
                 )
                 teach_objects(cell.plugin, checked, objects, teach_grasps, cell.progress)
                 cell.plugin.train()
