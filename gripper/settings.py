@@ -176,6 +176,19 @@ class ServoSettings:
         if not 0 <= self.zero_raw <= most_raw:
             raise LimitExceeded(f"zero_raw is {self.zero_raw}, must be from 0 to {most_raw}")
 
+    def turns(self, position_raw: int) -> int:
+        """Return how many whole turns a position is off that of the linkage, -90 to 270 degrees.
+
+        A count over several turns may be off by whole ones.
+        """
+        turn_raw = self.servo_model.pulses_per_turn
+        return round((position_raw - self.zero_raw) / turn_raw - 0.25 * self.direction)
+
+    def angle_rad(self, position_raw: int, turns: int) -> float:
+        """Return the angle of the linkage in rad at a position that is off by some turns."""
+        turned_raw = position_raw - self.zero_raw - turns * self.servo_model.pulses_per_turn
+        return turned_raw * self.servo_model.rad_per_pulse * self.direction
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperSettings:

@@ -142,18 +142,12 @@ class Feedback:
 
     def _servo_state(self, servo: ServoSettings, raw: dict[str, int]) -> ServoState:
         model, position_raw = servo.servo_model, raw[PRESENT_POSITION.name]
-        turned_raw = position_raw - servo.zero_raw
-        # A multi-turn count may be off by whole turns; linkages turn by -90 to 270 degrees. Under
-        # torque it cannot lose or gain a turn: a change of a turn is an error and must be found.
-        middle_raw = servo.direction * model.pulses_per_turn // 4
-        turns = self._turns.setdefault(
-            servo.servo_id, round((turned_raw - middle_raw) / model.pulses_per_turn)
-        )
-        turned_rad = (turned_raw - turns * model.pulses_per_turn) * model.rad_per_pulse
+        # Under torque a servo cannot lose or gain a turn: a change is an error and must be found.
+        turns = self._turns.setdefault(servo.servo_id, servo.turns(position_raw))
         velocity_rad_s = raw[PRESENT_VELOCITY.name] * model.velocity_unit_rad_s
         return ServoState(
             servo_id=servo.servo_id,
-            angle_rad=turned_rad * servo.direction,
+            angle_rad=servo.angle_rad(position_raw, turns),
             velocity_rad_s=velocity_rad_s * servo.direction,
             current_a=model.current_a(raw[PRESENT_CURRENT.name]) * servo.direction,
             pwm_share=raw[PRESENT_PWM.name] / model.whole_pwm_raw * servo.direction,
@@ -380,7 +374,7 @@ class FeedbackCheck:
             self._check_link(servo)
 
     def _check_turn(self, servo: ServoState) -> None:
-        if abs(servo.angle_rad) > pi:
+        if not -0.5 * pi <= servo.angle_rad <= 1.5 * pi:
             raise FeedbackImplausible(
                 f"servo {servo.servo_id}: the count of its position ({servo.position_raw}) is off "
                 f"by {abs(servo.angle_rad) / (2.0 * pi):.2f} turns, which no motion makes while "

@@ -208,6 +208,7 @@ class Cell:
         drive_sds: tuple[float, float] = (0.1, 0.02),
         zero_off: tuple[int, int] = (0, 0),
         link_m: float = 0.06,
+        pinion_radius_m: float = 0.012,
         offset_m: float = 0.0,
         **settings: Any,
     ) -> None:
@@ -231,8 +232,8 @@ class Cell:
             theirs: Any = ParallelogramLinkage(link_m=0.06)
             own = ParallelLinkage(link_m=link_m, offset_m=offset_m, n_servos=n_servos)
         else:
-            theirs = RackLinkage(pinion_radius_m=0.012)
-            own = RackPinion(pinion_radius_m=0.012, n_servos=n_servos)
+            theirs = RackLinkage(pinion_radius_m=pinion_radius_m)
+            own = RackPinion(pinion_radius_m=pinion_radius_m, n_servos=n_servos)
         self.mechanics = FingerMechanics(self.motors, mounts, theirs, aperture_m=aperture_m)
         eeprom = {"baud_rate": 3, "return_delay_time": 0}
         self.servos = [

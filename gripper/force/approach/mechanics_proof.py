@@ -78,7 +78,7 @@ REACHED_PULSES = 2.0
 _STILL_COUNTS = 2.5
 """Speed in counts of its velocity below which a finger stands: two, and some noise. [tuned]"""
 PATIENCE_S = 2.0
-"""Time in s beyond that of the motion after which the fingers have not arrived. [chosen]"""
+"""Time in s after which fingers without progress have not arrived. [chosen]"""
 _BLOCKED_S = 0.05
 """Time in s for which a finger stands at the limit of its current before it counts as blocked.
 [chosen]"""
@@ -136,11 +136,7 @@ def standing_rows(
     """
     halves_m: list[float | None] = []
     for index, (servo, raw) in enumerate(zip(settings.servos, positions_raw, strict=True)):
-        model = servo.servo_model
-        half = model.pulses_per_turn // 2
-        turn = (raw - servo.zero_raw + half) % model.pulses_per_turn
-        angle_rad = (turn - half) * model.rad_per_pulse * servo.direction
-        halves_m.append(_half_m(linkage, index, angle_rad))
+        halves_m.append(_half_m(linkage, index, servo.angle_rad(raw, servo.turns(raw))))
     opening_m = sum(half_m for half_m in halves_m if half_m is not None) * (2.0 / len(halves_m))
     closed = opening_m < -BEYOND_CLOSED_M
     rows = []
@@ -261,8 +257,7 @@ class FirstMotion:
                 strict=True,
             )
         ]
-        travel_m = abs(linkage.aperture_m(target_rad) - state.aperture_m)
-        self._deadline_s = state.t_s + travel_m / speed_m_s + PATIENCE_S
+        self._deadline_s = state.t_s + PATIENCE_S
         self._back: _Finger | None = None
         self._stands_m = state.aperture_m
         self._rise = ForceRise()
@@ -284,6 +279,9 @@ class FirstMotion:
             drive = self._settings.drives.of(settings.servo_id, settings.drive)
             finger.overrun_rad = overrun_rad(settings.servo_model, drive)
             finger.moved |= finger.has_run(servo)
+            # The least current moves a finger as slowly as its friction allows.
+            if finger.comes_nearer(servo):
+                self._deadline_s = moment.now_s + PATIENCE_S
             if self._back is not None and finger is not self._back:
                 finger.begin_at(servo)
                 goals_rad.append(servo.angle_rad)
@@ -358,6 +356,7 @@ class _Finger:
         self._from_rad = start_rad
         self._goal_rad = start_rad + 0.5 * self._sign * _LEAD_RAD
         self._rate_rad_s = rate_rad_s
+        self._nearest_rad = start_rad
         self._still_s = 0.0
         self.there = False
         self.moved = False
@@ -382,6 +381,13 @@ class _Finger:
     def has_run(self, servo: ServoState) -> bool:
         """Return whether it has moved on its way since `begin_at`."""
         return self._sign * (servo.angle_rad - self._from_rad) >= _RUN_RAD
+
+    def comes_nearer(self, servo: ServoState) -> bool:
+        """Return whether it is nearer to its target than ever, by more than pads yield."""
+        nearer = self._sign * (servo.angle_rad - self._nearest_rad) >= _RUN_RAD
+        if nearer:
+            self._nearest_rad = servo.angle_rad
+        return nearer
 
     def has_gone_back(self, servo: ServoState) -> bool:
         """Return whether it has gone back since `begin_at`."""

@@ -4,6 +4,7 @@ from functools import partial
 
 import pytest
 
+from gripper.dynamixel.models import XL330_M288
 from gripper.errors import (
     GripContradicted,
     LimitExceeded,
@@ -153,6 +154,23 @@ def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_started, offset_m)
         error, told = (MechanicsContradicted, "found nothing")
     with pytest.raises(error, match=told):
         cell.gripper.grasp(RAMP)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("aperture_m", [0.0, 0.03, 0.052, 0.065])
+def test_a_pinion_opens_from_each_part_of_its_turn_and_grips_wide_parts(
+    make_started, aperture_m
+) -> None:
+    cell = make_started(
+        **{"n_servos": 1, "linkage": "rack", "pinion_radius_m": 0.008, "model": XL330_M288},
+        **{"zero_raw": 700, "aperture_open_m": 0.065, "force_max_n": 15.0, "loop_rate_hz": 100.0},
+        aperture_m=aperture_m,
+        width_m=0.06,
+        present=False,
+    )
+    assert cell.gripper.open().aperture_m == pytest.approx(0.065, abs=2e-4)
+    cell.part.present = True
+    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
 
 
 @pytest.mark.slow
