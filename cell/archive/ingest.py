@@ -1,11 +1,12 @@
 """Ingestion: recordings and data sets are added to an archive, each file once."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile, ZipFile
 
 from cell.archive.store import Archive, StagedFile
@@ -13,7 +14,7 @@ from cell.archive.table import Row, dataset_rows, recording_rows, tables
 from cell.data.dataset import read_dataset
 from cell.data.recorder_sink import in_use
 from cell.data.recording_reader import read_recording
-from cell.errors import ArchiveError, CellError
+from cell.errors import ArchiveError, CellError, reason_text
 from cell.learning.blas import one_blas_thread
 from recognition.evaluation.evaluation import Mapper, one_by_one
 
@@ -110,7 +111,12 @@ def ingest(
             elif piece.there or archive.has_source(piece.sha256):  # or a copy of it, meanwhile
                 done.n_there += 1
             else:
-                new, before = archive.add(piece.sha256, str(piece.source), piece.staged)
+                try:
+                    new, before = archive.add(piece.sha256, str(piece.source), piece.staged)
+                except ArchiveError as why:
+                    Archive(target)  # raises where the whole archive is out of reach
+                    done.left[str(piece.source)] = str(why)
+                    continue
                 done.n_files += 1
                 done.n_grasps, done.n_before = done.n_grasps + new, done.n_before + before
     archive.clear_staged()
@@ -128,12 +134,22 @@ def read_piece(target: str, cell: str, path: Path) -> Piece:
         archive = Archive(target)
         if archive.has_source(sha256):
             return Piece(source=path, sha256=sha256, there=True)
-        staged = archive.stage(sha256, tables(_rows(path, cell), str(path), sha256))
+        staged = archive.stage(sha256, _tables(path, cell, sha256))
     except ArchiveError:
         raise
     except (CellError, OSError) as why:
         return Piece(source=path, left=str(why))
     return Piece(source=path, sha256=sha256, staged=tuple(staged))
+
+
+def _tables(path: Path, cell: str, sha256: str) -> Iterator[tuple[str, str, Any]]:
+    """Yield the tables of a file; CellError for any content that does not fit."""
+    try:
+        yield from tables(_rows(path, cell), str(path), sha256)
+    except CellError:
+        raise
+    except Exception as why:
+        raise CellError(f"its content does not fit an archive: {reason_text(why)}") from why
 
 
 def _rows(path: Path, cell: str) -> list[Row]:

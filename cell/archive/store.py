@@ -22,13 +22,15 @@ import pyarrow.parquet as pq
 from cell.archive.selection import EVERYTHING, HEAD, Selection
 from cell.archive.table import SCHEMA, grasps_of
 from cell.data.formats import ARCHIVE
-from cell.errors import ArchiveError
+from cell.errors import ArchiveError, CellError
 from recognition.grasp import Grasp
 
 SOURCES, STAGED = "_sources", "_staged"
 """Folders of the notes, and of staged files."""
 _BATCH = 64
 """Rows in one read."""
+_NAME_BYTES = 255
+"""Longest name of a folder in bytes (NAME_MAX of Linux)."""
 _KEPT_DAYS = 32
 """Days of cells whose keys are kept while grasps are added."""
 
@@ -87,7 +89,7 @@ class Archive:
             else:
                 self._fs.makedirs(self._root, exist_ok=True)
                 self._fs.pipe_file(head, json.dumps({"format": str(ARCHIVE)}).encode())
-        self._keys: OrderedDict[tuple[str, str], set[str]] = OrderedDict()
+        self._keys: OrderedDict[tuple[str, str], dict[str, set[str]]] = OrderedDict()
 
     # Reading
 
@@ -209,6 +211,7 @@ class Archive:
             try:
                 for cell, day, table in tables:
                     if not staged or (staged[-1].cell, staged[-1].day) != (cell, day):
+                        _check_name(cell)
                         _close(writer, file)
                         path = f"{self._root}/{STAGED}/{token}-{len(staged)}"
                         self._fs.makedirs(f"{self._root}/{STAGED}", exist_ok=True)
@@ -223,22 +226,25 @@ class Archive:
     def add(self, sha256: str, source: str, staged: Sequence[StagedFile]) -> tuple[int, int]:
         """Move staged files to their place; return the number of new and of known grasps.
 
-        One program at a time may add to an archive.
+        One program at a time may add to an archive. A file of the same source is replaced, so its
+        grasps are not known ones.
         """
+        name = f"{sha256[:32]}.parquet"
         new = before = 0
         with _named(self.target):
             for one in staged:
-                folder = f"{self._root}/cell={quote(one.cell, safe=' ')}/day={one.day}"
-                known = self._known(one.cell, one.day, folder)
-                fresh, n_rows = self._fresh(one.path, known)
+                folder = f"{self._root}/{_folder(one.cell)}/day={one.day}"
+                files = self._known(one.cell, one.day, folder)
+                others = (keys for file, keys in files.items() if file != name)
+                fresh, n_rows = self._fresh(one.path, set().union(*others))
                 if len(fresh) < n_rows and fresh:
                     self._keep(one.path, fresh)
                 if fresh:
                     self._fs.makedirs(folder, exist_ok=True)
-                    self._fs.mv(one.path, f"{folder}/{sha256[:32]}.parquet")
+                    self._fs.mv(one.path, f"{folder}/{name}")
+                    fresh, files[name] = fresh - files.get(name, set()), fresh
                 else:
                     self._fs.rm_file(one.path)
-                known |= fresh
                 new, before = new + len(fresh), before + n_rows - len(fresh)
             note = {"source": source, "sha256": sha256, "grasps": new, "before": before}
             self._fs.makedirs(f"{self._root}/{SOURCES}", exist_ok=True)
@@ -254,14 +260,11 @@ class Archive:
     def _note(self, sha256: str) -> str:
         return f"{self._root}/{SOURCES}/{sha256}.json"
 
-    def _known(self, cell: str, day: str, folder: str) -> set[str]:
-        """Return the keys of a cell and day."""
+    def _known(self, cell: str, day: str, folder: str) -> dict[str, set[str]]:
+        """Return the keys in each file of a cell and day."""
         if (cell, day) not in self._keys:
             self._keys[cell, day] = {
-                key
-                for path in self._files(folder)
-                for batch in self._batches(path, ["key"])
-                for key in _keys(batch)
+                path.rpartition("/")[2]: set(self._keys_in(path)) for path in self._files(folder)
             }
             if len(self._keys) > _KEPT_DAYS:
                 self._keys.popitem(last=False)
@@ -270,8 +273,11 @@ class Archive:
 
     def _fresh(self, path: str, known: set[str]) -> tuple[set[str], int]:
         """Return the unknown keys of a staged file, and its number of rows."""
-        every = [key for batch in self._batches(path, ["key"]) for key in _keys(batch)]
+        every = self._keys_in(path)
         return set(every) - known, len(every)
+
+    def _keys_in(self, path: str) -> list[str]:
+        return [key for batch in self._batches(path, ["key"]) for key in _keys(batch)]
 
     def _keep(self, path: str, fresh: set[str]) -> None:
         """Write a staged file again with only the first row of each of these keys."""
@@ -292,6 +298,21 @@ class Archive:
 def nothing_selected(target: str) -> ArchiveError:
     """Return the error for a selection without grasps."""
     return ArchiveError(f"no grasp of {target} is selected: look at its folders for cells and days")
+
+
+def _folder(cell: str) -> str:
+    """Return the folder of a cell: its name with ASCII punctuation as in URLs."""
+    return "cell=" + "".join(quote(sign, safe=" ") if sign.isascii() else sign for sign in cell)
+
+
+def _check_name(cell: str) -> None:
+    """Raise CellError for a cell whose folder cannot be made."""
+    n_bytes = len(_folder(cell).encode(errors="surrogatepass"))
+    if n_bytes > _NAME_BYTES:
+        raise CellError(
+            f"its cell {cell!r:.40} makes a folder name of {n_bytes} bytes, at most {_NAME_BYTES} "
+            "are possible: give the cell a shorter name"
+        )
 
 
 def _keys(batch: pa.RecordBatch | pa.Table) -> list[str]:

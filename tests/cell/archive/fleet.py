@@ -59,6 +59,7 @@ def record(
     answers: Sequence[str | None] = (),
     closing_a: float = 0.13,
     hold_a: float = 0.33,
+    n_grasps: int = 1,
     closed: bool = True,
 ) -> Path:
     """Write a recording of grasps; one with an answer is an identification of its label."""
@@ -87,7 +88,7 @@ def record(
             recorder.now(
                 RESULT,
                 {"label": answer, "held": grasp.label, "probability": 0.7, "unknown": 0.1}
-                | {"n_grasps": 1, "drift_gain": 0.9, "drift_aperture_m": 1e-4, **chances}
+                | {"n_grasps": n_grasps, "drift_gain": 0.9, "drift_aperture_m": 1e-4, **chances}
                 | {"grasp_answers": [{"probabilities": [0.2, 0.7, 0.1], "unknown": 0.1}]}
                 | {"shape": {"kind": "sphere", "size_m": 0.03, "low_m": 0.029, "high_m": 0.031}},
             )

@@ -1,5 +1,6 @@
 """An archive has each grasp once, as it was recorded, whatever is archived how often."""
 
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -25,7 +26,7 @@ from cell.errors import ArchiveError, ConfigError
 from cell.jobs.common import silent
 from cell.jobs.parallel import workers
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
-from tests.cell.archive.fleet import PADS, SIZES_MM, ramp, record_fleet
+from tests.cell.archive.fleet import PADS, SIZES_MM, ramp, record, record_fleet
 from tests.fuzz.harness import Clock
 
 add = partial(ingest, progress=silent)
@@ -207,13 +208,49 @@ def test_other_places_are_refused(tmp_path) -> None:
         Archive("nothing://here", create=True)
 
 
-def test_a_damaged_file_is_named(archived, tmp_path) -> None:
+def test_the_repair_of_a_damaged_file_loses_no_grasp(tmp_path) -> None:
+    rng = np.random.default_rng(4)
+    first, second, third = (ramp("pen", rng, start_ms=number) for number in range(3))
+    for name, grasps in {"b": (first, second), "a": (second, third)}.items():
+        write_dataset(tmp_path / f"{name}.npz", grasps)
     target = tmp_path / "archive"
-    shutil.copytree(archived, target)
-    file = next(target.glob("cell=*/*/*.parquet"))
-    file.write_bytes(file.read_bytes()[:100])
-    with pytest.raises(ArchiveError, match=file.name):
+    add(str(target), [tmp_path / "b.npz"])
+    (damaged,) = target.glob("cell=*/*/*.parquet")
+    add(str(target), [tmp_path / "a.npz"])
+    keys = [row["key"] for row in every(str(target))]
+    assert len(keys) == 3
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    with pytest.raises(ArchiveError, match=damaged.name) as named:
         every(str(target))
+    write_dataset(tmp_path / "c.npz", [first])
+    done = add(str(target), [tmp_path / "c.npz"])
+    assert (done.n_files, *done.left.values()) == (0, str(named.value))
+    assert "remove it and _sources of the archive, and archive its recording" in str(named.value)
+    damaged.unlink()
+    shutil.rmtree(target / "_sources")
+    add(str(target), sources([tmp_path]))
+    assert [row["key"] for row in every(str(target))] == keys
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"n_grasps": 2**40}, "does not fit an archive: .*1099511627776"),
+        ({"cell": 150 * "ü"}, "makes a folder name of 305 bytes, at most 255 are possible"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_named_and_the_others_are_archived(
+    tmp_path, changes, why
+) -> None:
+    for name, values in {"a": changes, "b": {"cell": 80 * "ü"}}.items():
+        cell = values.get("cell", "press")
+        grasps = [ramp("pen", np.random.default_rng(5), cell=cell)]
+        record(tmp_path / f"{name}.mcap", grasps, answers=["pen"], **values)
+    done = add(str(tmp_path / "archive"), sources([tmp_path]))
+    assert (done.n_files, done.n_grasps, list(done.left)) == (1, 1, [str(tmp_path / "a.mcap")])
+    assert re.search(why, done.left[str(tmp_path / "a.mcap")])
+    (partition,) = Archive(str(tmp_path / "archive")).partitions()
+    assert partition.cell == 80 * "ü"
 
 
 def test_a_selection_reads_only_its_cells_days_and_objects(archived) -> None:
