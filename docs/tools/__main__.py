@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from docs.tools.api_page import names_page
+from docs.tools.api_page import directives_page, names_page
 from docs.tools.archive_page import archive_page
 from docs.tools.campaign_page import campaign_page
 from docs.tools.catalogue_page import catalogue_page
@@ -34,6 +34,8 @@ MAKERS: dict[str, Callable[[], str]] = {
     "modbus commands": commands_page,
     "modbus registers": registers_page,
     "names of gripper": lambda: names_page("gripper"),
+    "names of plugin.md": lambda: directives_page("plugin.md"),
+    "names of pytest-plugin.md": lambda: directives_page("pytest-plugin.md"),
     "names of recognition": lambda: names_page("recognition"),
     "names of tactile": lambda: names_page("tactile"),
     "recording": recording_page,

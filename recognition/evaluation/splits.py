@@ -86,7 +86,8 @@ def left_out_parts(
             parts.append((part[0], part[1]))
     if not parts:
         raise ValueError(
-            f"{len(set(groups))} groups of grasps have no object in common: none can be left out"
+            f"no object has {least} grasps outside of one group, of {len(set(groups))} such as a "
+            "day or a cell: none can be left out; add grasps of the same objects of another group"
         )
     return parts
 
