@@ -2,7 +2,8 @@
 
 A pytest plugin, loaded by the root's conftest. It measures processor time, not wall time, so a busy
 machine fails no test. A slower processor gets more: each limit is multiplied by the time of a
-reference loop over its time on the processor for which the limits were set.
+reference loop over its time on the processor for which the limits were set. The loop is repeated
+during a run, because a processor with other work is slower.
 """
 
 import os
@@ -18,7 +19,9 @@ EXEMPT = ("slow", "long", "real_time")
 """Markers of tests that may take longer."""
 REFERENCE_LOOP_S = 0.010
 """Processor time of `loop_s` on the processor for which the limits were set, in s."""
-_OWN, _SHARED = "processor_s", "shared_fixtures_s"
+LOOP_EVERY = 50
+"""Tests of a process from one reference loop to the next."""
+_OWN, _SHARED, _LOOP = "processor_s", "shared_fixtures_s", "reference_loop_s"
 
 
 def loop_s() -> float:
@@ -31,9 +34,9 @@ def loop_s() -> float:
     return min(times_s)
 
 
-def slowness() -> float:
-    """Return how much slower this processor is now than the reference; at least 1."""
-    return max(1.0, loop_s() / REFERENCE_LOOP_S)
+def slowness(loops_s: list[float]) -> float:
+    """Return how much slower this processor is than the reference; at least 1."""
+    return max(1.0, sum(loops_s) / len(loops_s) / REFERENCE_LOOP_S)
 
 
 def _used_s() -> float:
@@ -44,13 +47,16 @@ def _used_s() -> float:
 class ProcessorTime:
     """Measures each test, fails one above the limit, and compares the sum with the budget."""
 
-    def __init__(self, budget_s: float | None, list_path: str | None) -> None:
+    def __init__(self, test_limit_s: float, budget_s: float | None, list_path: str | None) -> None:
+        self._test_limit_s = test_limit_s
         self._budget_s = budget_s
         self._list_path = list_path
         self._start_s = 0.0
         self._shared_s = 0.0
         self._shared_depth = 0
-        self._tests: dict[str, dict[str, float]] = {}
+        self._n_measured = 0
+        self._loops_s: list[float] = []
+        self._tests: dict[str, float] = {}
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self) -> Generator[None, object, object]:
@@ -78,12 +84,9 @@ class ProcessorTime:
         """Fail a test that has passed and took too long."""
         result = yield
         own_s = _used_s() - self._start_s - self._shared_s
-        if (
-            self._budget_s
-            and own_s > TEST_LIMIT_S
-            and not any(item.get_closest_marker(name) for name in EXEMPT)
-        ):
-            limit_s = TEST_LIMIT_S * slowness()
+        exempt = any(item.get_closest_marker(name) for name in EXEMPT)
+        if own_s > self._test_limit_s and not exempt:
+            limit_s = self._test_limit_s * slowness([loop_s()])
             if own_s > limit_s:
                 pytest.fail(
                     f"it took {own_s:.2f} s of processor, the limit is {limit_s:.2f} s; simulate "
@@ -100,12 +103,17 @@ class ProcessorTime:
         finally:
             own_s = _used_s() - self._start_s - self._shared_s
             item.user_properties += [(_OWN, own_s), (_SHARED, self._shared_s)]
+            if self._n_measured % LOOP_EVERY == 0:
+                item.user_properties.append((_LOOP, loop_s()))
+            self._n_measured += 1
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Collect the times, also from workers of xdist."""
         if report.when == "teardown":
-            times_s = {name: value for name, value in report.user_properties if name in _NAMES}
-            self._tests[report.nodeid] = times_s
+            values = dict(report.user_properties)
+            self._tests[report.nodeid] = float(values[_OWN]) + float(values[_SHARED])
+            if _LOOP in values:
+                self._loops_s.append(float(values[_LOOP]))
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
@@ -113,29 +121,36 @@ class ProcessorTime:
         if hasattr(session.config, "workerinput"):
             return
         if self._list_path is not None:
-            lines = [f"{sum(one.values()):.3f} {name}" for name, one in self._tests.items()]
+            lines = [f"{took_s:.3f} {name}" for name, took_s in self._tests.items()]
             Path(self._list_path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-        if self._budget_s is not None and self._total_s() > self._budget_s * slowness():
+        limit_s = self._limit_s()
+        if limit_s is not None and sum(self._tests.values()) > limit_s:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Print the sum, with the budget where there is one."""
-        total_s = self._total_s()
+        total_s, limit_s = sum(self._tests.values()), self._limit_s()
         text = f"{total_s:.0f} s of processor in {len(self._tests)} tests"
-        if self._budget_s is not None:
-            limit_s = self._budget_s * slowness()
+        if limit_s is not None:
             text += f", {'ABOVE ' if total_s > limit_s else ''}the budget of {limit_s:.0f} s"
         terminalreporter.write_line(text)
 
-    def _total_s(self) -> float:
-        return sum(sum(one.values()) for one in self._tests.values())
-
-
-_NAMES = (_OWN, _SHARED)
+    def _limit_s(self) -> float | None:
+        """Return the budget on this processor, in s; None without a budget or a test."""
+        if self._budget_s is None or not self._loops_s:
+            return None
+        return self._budget_s * slowness(self._loops_s)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the options for the budget and for the list."""
+    """Add the options for the limit of a test, for the budget of a run, and for the list."""
+    parser.addoption(
+        "--processor-limit",
+        type=float,
+        metavar="S",
+        default=TEST_LIMIT_S,
+        help="fail an unmarked test that takes more",
+    )
     parser.addoption(
         "--processor-budget", type=float, metavar="S", help="fail a run that takes more in all"
     )
@@ -146,9 +161,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Load the plugin, in each worker too."""
-    config.pluginmanager.register(
-        ProcessorTime(
-            config.getoption("--processor-budget"), config.getoption("--processor-times")
-        ),
-        "processor_time",
-    )
+    options = ("--processor-limit", "--processor-budget", "--processor-times")
+    plugin = ProcessorTime(*(config.getoption(one) for one in options))
+    config.pluginmanager.register(plugin, "processor_time")

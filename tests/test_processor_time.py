@@ -1,0 +1,41 @@
+"""The limits of processor time: for one test, and for a run."""
+
+import pytest
+
+
+def run(pytester: pytest.Pytester, *options: str) -> pytest.RunResult:
+    pytester.makepyfile(
+        """
+        import pytest
+
+        def test_unmarked():
+            sum(range(200_000))
+
+        @pytest.mark.slow
+        def test_slow():
+            sum(range(200_000))
+        """
+    )
+    pytester.makeini("[pytest]\nmarkers = slow")
+    plugins = ["-p", "no:tactile-cell", "-p", "no:cacheprovider", "-p", "tests.processor_time"]
+    return pytester.runpytest_inprocess(*plugins, *options)
+
+
+def test_an_unmarked_test_above_the_limit_fails_and_a_marked_one_passes(pytester) -> None:
+    result = run(pytester, "--processor-limit=1e-5")
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(["*simulate less, or mark it `slow`*", "FAILED *::test_unmarked*"])
+
+
+@pytest.mark.parametrize(("budget", "code", "text"), [("1e-5", 1, "ABOVE "), ("60", 0, "")])
+def test_a_run_above_its_budget_fails(pytester, budget, code, text) -> None:
+    result = run(pytester, f"--processor-budget={budget}")
+    assert result.ret == code
+    result.stdout.fnmatch_lines([f"* s of processor in 2 tests, {text}the budget of *"])
+
+
+def test_the_list_has_the_time_of_each_test(pytester) -> None:
+    run(pytester, "--processor-times=times.txt")
+    lines = (pytester.path / "times.txt").read_text("utf-8").splitlines()
+    assert [line.rpartition("::")[2] for line in lines] == ["test_unmarked", "test_slow"]
+    assert all(0.0 < float(line.split()[0]) < 1.0 for line in lines)
