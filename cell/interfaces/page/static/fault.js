@@ -33,7 +33,7 @@ export function renderFault(view) {
   setText(byId("fault_title"), faultText(fault));
   setText(byId("fault_cause"), native(fault.cause));
   setText(byId("fault_grip"), native(fault.grip) || (state.status.holding ? t("fault.may_hold") : t("fault.holds_nothing")));
-  setText(byId("fault_detail"), fault.detail ?? fault.text ?? "");
+  setText(byId("fault_detail"), native(fault.detail ?? fault.text));
   const recording = fault.recording ?? state.health?.recording?.path ?? "";
   setText(byId("fault_recording"), recording ? t("fault.keep", { path: recording }) : t("fault.no_recording"));
 

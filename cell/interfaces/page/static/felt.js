@@ -1,6 +1,7 @@
 // Measured values: forces of all taxels in the pads' true geometry, and the last ten seconds.
 
 import { byId, colour, setText, show, sized } from "./dom.js";
+import { runs } from "./band.js";
 import { has, millimetres, newtons, number, t } from "./words.js";
 
 const WINDOW_S = 10;
@@ -15,7 +16,7 @@ let scale_n = 0.2;
 let peaks = [];
 const history = [];
 
-// A frame follows its state. Without a frame nothing is measured, and no older frame is shown.
+// A frame follows its state. Without a frame nothing is measured.
 let framed = false;
 export function takeFrame(values) {
   frame = values;
@@ -126,7 +127,7 @@ export function drawPads(canvas, pads, values, { full_n, note = "" }) {
   const { context, width, height } = found;
   const inner = pads.filter((pad) => pad.inner);
   const LABEL = 24;
-  const LEGEND = 22;
+  const LEGEND = note ? 44 : 22;
   const GAP = 18;
   const others = inner.map((one) => pads.filter((pad) => !pad.inner && pad.finger === one.finger));
   const most = (list, value) => Math.max(0, ...list.map(value));
@@ -171,10 +172,7 @@ export function drawPads(canvas, pads, values, { full_n, note = "" }) {
   context.font = `13px ${FONT}`;
   context.textAlign = "left";
   context.fillText(t("felt.scale", { full: full_n }), x0 + bar + 8, top + 4);
-  if (note) {
-    context.textAlign = "right";
-    context.fillText(note, x0 + k * wide, top + 4);
-  }
+  if (note) context.fillText(note, x0, top + 26);
 }
 
 // -- the last seconds -----------------------------------------------------------------------------
@@ -294,9 +292,25 @@ export function drawChart(canvas, series, { begin_s, end_s, levels_n = [], cap_n
   context.restore();
 }
 
+// With empty fingers: the pads at the highest force of the last answer.
+let shown = { number: null, frame: null };
+function lastFrame({ state, link, changed }) {
+  const its = state.shift?.answers?.at(-1)?.number ?? null;
+  if (its !== shown.number) {
+    shown = { number: its, frame: null };
+    link.call("GET", `api/grasps/${encodeURIComponent(its)}`, { timeout_ms: 5000 }).then((grasp) => {
+      if (its !== shown.number || !grasp.frame) return;
+      shown = { number: its, frame: Float32Array.from(grasp.frame) };
+      changed();
+    }).catch(() => {}); // the pads stay empty
+  }
+  return runs(state.job) || state.status.holding || state.fault ? null : shown.frame;
+}
+
 let described_s = 0;
 
-export function renderFelt({ state, info, link }) {
+export function renderFelt(view) {
+  const { state, info, link } = view;
   if (!state) return;
   const old = link.stale;
   const { live, status } = state;
@@ -306,13 +320,14 @@ export function renderFelt({ state, info, link }) {
   setText(byId("felt_opening"), value(millimetres(live.opening_mm)));
   setText(byId("felt_grip"), value(has(`grip.${status.grasp}`) ? t(`grip.${status.grasp}`) : status.grasp));
   const pads = info?.pads;
-  const seen = Boolean(pads?.length) && frame !== null && !old;
+  const values = frame ?? lastFrame(view);
+  const seen = Boolean(pads?.length) && values !== null && !old;
   show(byId("pads_none"), !seen);
   setText(byId("pads_none"), old ? t("felt.not_now") : t("felt.no_frames"));
   show(byId("pads"), Boolean(pads?.length) && (seen || old));
   if (seen) {
-    scale_n = calmScale(Math.max(...frame));
-    drawPads(byId("pads"), pads, frame, { full_n: scale_n });
+    scale_n = calmScale(Math.max(...values));
+    drawPads(byId("pads"), pads, values, { full_n: scale_n, note: frame ? "" : t("felt.last") });
   } else sized(byId("pads"));
   const end_s = history.at(-1)?.t_s ?? 0;
   if (old) sized(byId("chart"));

@@ -102,14 +102,15 @@ export function renderHeld({ state, info, taught, photo, link }) {
   }) : "");
 
   const object = found?.label ? taught.find((one) => one.label === found.label) : null;
-  // The named object with the measured size; a line reports a shape that differs.
+  // The named object with the measured size. A line reports another shape whose size differs too: kinds are often similar.
   const clear = (shape) => shape !== "unclear" && has(`shape.${shape}`);
   const kind = clear(object?.shape) ? object.shape : found?.shape;
   const drawn = kind && size_mm ? shapeWord(kind, size_mm) : "";
   drawShape(byId("held_shape"), found?.tentative ? null : kind, size_mm, found?.interval_mm);
   const size = drawn && found.interval_mm
     ? t("held.size", { shape: drawn, low: number(found.interval_mm[0], 1), high: millimetres(found.interval_mm[1]) }) : drawn;
-  const disagree = feels && clear(found.shape) && found.shape !== kind;
+  const [low_mm, high_mm] = found?.interval_mm ?? [-Infinity, Infinity];
+  const disagree = feels && clear(found.shape) && found.shape !== kind && (object.size_mm < low_mm || object.size_mm > high_mm);
   setText(byId("held_size"), disagree ? `${size}\n${t("held.disagree", { shape: feels })}` : size);
 
   const picture = object?.photo ? photo(object) : null;

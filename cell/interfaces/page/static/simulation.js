@@ -31,6 +31,17 @@ function slider(name, unit, min, max, value) {
 
 const options = (pairs) => pairs.map(([value, word]) => make("option", { value }, word));
 
+// The faults in words, one group for each device.
+function faultGroups(kinds) {
+  const groups = new Map();
+  for (const kind of kinds) {
+    const [device] = kind.name.split(".");
+    if (!groups.has(device)) groups.set(device, make("optgroup", { label: device }));
+    groups.get(device).append(make("option", { value: kind.name }, faultMeaning(kind)));
+  }
+  return [...groups.values()];
+}
+
 const values = (id) => [...byId(id).querySelectorAll("input")].map((one) => [one.name, one.valueAsNumber]);
 
 function chosen() {
@@ -123,13 +134,13 @@ export function renderSimulation(view) {
   byId("sim_stl").disabled = Boolean(reason);
   allow(byId("sim_reset"), t("sim.reset"), t("sim.reset_hint"), reason || (runs(state.job) ? t("why.state.EXECUTE") : ""));
 
-  renew(byId("sim_fault"), faults.kinds.map((one) => one.name), () => options(faults.kinds.map(({ name }) => [name, name])));
+  renew(byId("sim_fault"), faults.kinds.map((one) => one.name), () => faultGroups(faults.kinds));
   const kind = faults.kinds.find((one) => one.name === byId("sim_fault").value);
   const value = kind?.value;
   show(byId("sim_value").parentNode, Boolean(value));
   setText(byId("sim_unit"), value?.unit ?? "");
   byId("sim_value").placeholder = value?.default ?? "";
-  setText(byId("sim_meaning"), kind ? faultMeaning(kind) : "");
+  setText(byId("sim_meaning"), kind?.name ?? "");
   allow(byId("sim_begin"), t("sim.begin"), t("sim.begin_hint"), watches);
   renew(byId("sim_running"), [faults.running, watches], () => faults.running.map(({ fault, begun }) => {
     const end = make("button", { type: "button", class: "plain" }, t("sim.end"));

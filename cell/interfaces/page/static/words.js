@@ -34,10 +34,13 @@ export const has = (key) => key in texts;
 
 // A fixed text of the server, for example a cause or a remedy: the server sends English, which is
 // the key of the translation.
-export const native = (text) => exact[text] ?? text ?? "";
+export const native = (text) => plain(exact[text] ?? text ?? "");
+
+// Text without the marks of commands and keys: `zero`.
+const plain = (text) => text.replaceAll("`", "");
 
 // Text of a fault by its number; without a translation its English text.
-export const faultText = ({ number: its, text = "" }) => faults[its] ?? text;
+export const faultText = ({ number: its, text = "" }) => plain(faults[its] ?? text);
 
 // Meaning of a fault of the simulation; servos share texts, and so do axes.
 export const faultMeaning = ({ name, meaning }) => simulated[name.replace(/^(servo|axis)\d+/, "$1N")] ?? meaning;
@@ -51,14 +54,12 @@ function format(options) {
 
 export function number(value, digits) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
-  return format({ minimumFractionDigits: digits, maximumFractionDigits: digits ?? 1 }).format(value);
+  // Values rounded to zero have no sign.
+  return format({ minimumFractionDigits: digits, maximumFractionDigits: digits ?? 1, signDisplay: "negative" }).format(value);
 }
 
-// Values rounded to zero have no sign.
-export const newtons = (value) =>
-  (value == null ? "–" : `${number(Math.abs(value) < 0.05 ? 0 : value, 1)}\u00a0N`);
-export const millimetres = (value, digits = 1) =>
-  (value == null ? "–" : `${number(Math.abs(value) < 0.5 / 10 ** digits ? 0 : value, digits)}\u00a0mm`);
+export const newtons = (value) => (value == null ? "–" : `${number(value, 1)}\u00a0N`);
+export const millimetres = (value, digits = 1) => (value == null ? "–" : `${number(value, digits)}\u00a0mm`);
 
 export function percent(share) {
   if (share === null || share === undefined) return "–";

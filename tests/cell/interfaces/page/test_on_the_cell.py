@@ -198,7 +198,8 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, tmp_
     assert served.ended(served.service.start(served.service.lease.number, grip)).held
     becomes(page, "#sim_put", "a part is held: release it first")
     page.select_option("#sim_fault", "servo1.overheat")
-    becomes(page, "#sim_meaning", "its internal temperature has this value")
+    becomes(page, "#sim_fault option:checked", "its internal temperature has this value")
+    becomes(page, "#sim_meaning", r"^servo1\.overheat$")
     page.select_option("#sim_fault", "servo1.off")
     click(page, "#sim_begin", "#sim_running li span", "servo1.off")
     page.click("#sim_running button")

@@ -51,6 +51,60 @@ def fits(page: Any) -> bool:
     return bool(page.evaluate("document.documentElement.scrollWidth <= innerWidth"))
 
 
+WIDTHS = (360, 412, 600, 768, 999, 1000, 1024, 1100, 1200, 1280, 1366, 1600, 1920, 2560)
+OVERFLOW = """() => {
+  const seen = [...document.querySelectorAll("body *:not(.unseen)")]
+    .filter((one) => one.clientWidth && !one.closest("svg"));
+  const cut = ({ overflowX, display }) => overflowX !== "visible" || display === "inline";
+  const box = (one) => one.getBoundingClientRect();
+  const meet = (p, q) => Math.min(p.right, q.right) - Math.max(p.left, q.left) > 1
+    && Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top) > 1;
+  const cards = seen.filter((one) => one.matches("main > *"));
+  return seen.filter((one) => box(one).right > innerWidth + 1
+    || (one.scrollWidth > one.clientWidth + 1 && !cut(getComputedStyle(one)))
+    || (cards.includes(one) && cards.some((other) => !one.contains(other) && !other.contains(one)
+      && meet(box(one), box(other))))).map((one) => `${one.tagName} ${one.id} ${one.className}`);
+}"""
+"""Elements that are wider than their place, outside of the window, or on another card."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
+def test_nothing_overflows_at_any_width(open_page, cell, locale) -> None:
+    page = open_page(locale=locale)
+    for name in ("idle", "named", "faulted", "teaching"):
+        show(page, cell, name)
+        for width in WIDTHS:
+            page.set_viewport_size({"width": width, "height": 900})
+            assert not page.evaluate(OVERFLOW), (name, width)
+    page.evaluate("document.querySelector('#left').style.width = '2000px'")
+    assert page.evaluate(OVERFLOW)
+
+
+@pytest.mark.slow
+def test_a_narrow_page_shows_hold_and_the_answer_first(open_page, cell) -> None:
+    cell.named()
+    page = open_page(wide=False)
+    becomes(page, "#held_name", "nut")
+    hold, name, identify = (
+        page.locator(one).bounding_box() for one in ("#hold", "#held_sure", "#do_identify")
+    )
+    assert hold["y"] < name["y"] < 500 < identify["y"]
+
+
+@pytest.mark.slow
+def test_another_shape_is_remarked_only_with_another_size(open_page, cell) -> None:
+    for taught in cell.plugin.objects.values():
+        taught |= {"shape": "oval", "size_mm": 9.6}
+    cell.named()
+    page = open_page()
+    becomes(page, "#held_size", r"^an oval of 9\.5 mm\s9\.0 to 10\.0 mm$")
+    for taught in cell.plugin.objects.values():
+        taught["size_mm"] = 6.4
+    cell.plugin.taught_revision += 1
+    becomes(page, "#held_size", "The pads measure a sphere of 9.5 mm: name and shape do not match")
+
+
 def press(page: Any, selector: str, seconds: float) -> None:
     """Press a button for so long; the time is that of a person."""
     page.hover(selector)
@@ -305,6 +359,10 @@ def test_what_is_not_measured_is_a_dash_and_an_old_frame_is_not_shown(open_page,
     becomes(page, "#felt_force", "–")
     page.wait_for_selector("#pads_none", state="visible")
     becomes(page, "#pads_none", "No frames of the pads")
+    # With empty fingers the pads of the last answer stay.
+    cell.idle()
+    cell.plugin.show_live(LiveValues())
+    page.wait_for_selector("#pads", state="visible")
 
 
 @pytest.mark.long
