@@ -339,7 +339,7 @@ class SimulationRequests:
             raise CellStateError(f"the cell was busy for {_REPLY_S:g} s: try again") from error
 
     def part_for(self, label: str, present: str | None) -> str:
-        """Return the object to place for a label, which then is a name of this object.
+        """Return the object to place for a label; `name` makes the label a name of this object.
 
         It is ``present``, else the object of the label, else the part between the fingers. Raises
         CellStateError if there is no part, ConfigError if ``present`` is not an object.
@@ -355,10 +355,18 @@ class SimulationRequests:
                 f"simulated cell; name a part as `present` (`--object`), one of "
                 f"{', '.join(world.objects)}, or choose one on the page under Simulation"
             )
-        shape = world.objects.get(part) or drawn_shape(part)
-        if label not in self._cell.settings.objects:
-            world.objects[label] = shape
+        if part not in world.objects:
+            drawn_shape(part)
         return part
+
+    def name(self, label: str, part: str | None) -> None:
+        """Make a label a name of an object, also of its shape as text; on the thread of the cell.
+
+        A job does so at its start: a refused request leaves each name as it is.
+        """
+        objects = self._cell.devices.physical.objects
+        if part is not None and label not in self._cell.settings.objects:
+            objects[label] = objects.get(part) or drawn_shape(part)
 
     def check_parts(self, labels: Sequence[str]) -> None:
         """Raise ConfigError, with the known objects, if one of the labels is not an object."""

@@ -63,8 +63,7 @@ class TaughtModel:
         self.config = config
         self.training_set = tuple(training_set)
         self.shapes = TaughtShapes(config, known)
-        self.revision = 0
-        """Number of changes of the taught objects."""
+        self._n_trained = 0
         self._pads = pad_array(layout_from_config(config.tactile))
         self._trained: Trained | None = None
         self._written: tuple[tuple[Grasp, ...], Path] = ((), Path())
@@ -164,7 +163,7 @@ class TaughtModel:
         if grid is not None and isinstance(trained.recognizer, DriftFollowing):
             trained = replace(trained, recognizer=trained.recognizer.with_grid(grid))
         self._trained = trained
-        self.revision += 1
+        self._n_trained += 1
 
     def forget(self, label: str, *, last: bool = False) -> None:
         """Forget an object, or with ``last`` only its newest grasp, and train without it.
@@ -181,7 +180,7 @@ class TaughtModel:
         self.training_set = tuple(g for index, g in enumerate(before) if index not in gone)
         if not self.training_set:
             self._trained = None
-            self.revision += 1
+            self._n_trained += 1
             return
         try:
             self.train()
@@ -218,8 +217,12 @@ class TaughtModel:
 
     def read_shapes(self) -> None:
         """Read the missing shapes of `objects`: some tenths of a second for each."""
-        for _label in self.shapes.read_newest(self._newest):
-            self.revision += 1
+        self.shapes.read_newest(self._newest)
+
+    @property
+    def revision(self) -> int:
+        """Number of changes of the taught objects; each summand is counted by one thread."""
+        return self._n_trained + self.shapes.n_read
 
     @property
     def _newest(self) -> dict[str, Grasp]:

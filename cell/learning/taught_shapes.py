@@ -1,6 +1,6 @@
 """Shapes of the taught objects: read once from the newest grasp of each."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from cell.config.model import CellConfig
 from cell.learning.pad_knowledge import PadKnowledge
@@ -25,6 +25,8 @@ class TaughtShapes:
         self.reader = shape_reader(config, known)
         """Reads shape and size from a grasp; None if the config has them off."""
         self._read: dict[str, tuple[Grasp, ShapeAnswer | None]] = {}
+        self.n_read = 0
+        """Number of shapes read so far."""
 
     def read(self, grasp: Grasp) -> ShapeAnswer | None:
         """Return shape and size from one grasp; None if it does not show them."""
@@ -42,8 +44,8 @@ class TaughtShapes:
         """Return the objects whose newest grasps were not read yet."""
         return [one for one in newest if self._read.get(one, (None,))[0] is not newest[one]]
 
-    def read_newest(self, newest: Mapping[str, Grasp]) -> Iterator[str]:
-        """Read the missing shapes, some tenths of a second for each; yield their labels."""
+    def read_newest(self, newest: Mapping[str, Grasp]) -> None:
+        """Read the missing shapes, some tenths of a second for each."""
         for label in self.unread(newest):
             self._read[label] = (newest[label], self.read(newest[label]))
-            yield label
+            self.n_read += 1

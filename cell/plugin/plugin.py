@@ -466,13 +466,15 @@ class TactileCellPlugin:
             self._model.check_gauge(checked.label)
         if isinstance(checked, ZeroGoal):
             self._cell.controller.zeros.check()
-        task = getattr(self._tasks, checked.task)
+        task, simulation = getattr(self._tasks, checked.task), self._simulation
 
         def work(report: Report) -> Any:
             def reported(progress: dict[str, Any]) -> None:
                 report(progress)
                 on_progress(progress)
 
+            if simulation is not None and isinstance(checked, TeachGoal | GaugeGoal):
+                simulation.name(checked.label, checked.present)
             return task(checked, reported)
 
         return self._accept(work, _COMMANDS[checked.task], checked.task)
@@ -503,6 +505,10 @@ class TactileCellPlugin:
             self._worker.check_free()
             return goal.model_copy(update={"present": simulation.part_here()})
         return goal
+
+    def check_free(self) -> None:
+        """Raise CellStateError while a job runs, or if the cell is being closed."""
+        self._worker.check_free()
 
     def check(self, task: str) -> None:
         """Raise the errors that `start` and `start_command` would raise now for any goal.

@@ -6,7 +6,6 @@ button is pressed. If the lease is lost while a job runs, the job is stopped: th
 nothing resumes by itself.
 """
 
-import itertools
 import threading
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
@@ -225,8 +224,8 @@ class Service:
         self._jobs: dict[int, tuple[Job, str, int, float]] = {}
         self._newest = self._gripped_by = 0
         self._health: tuple[float, dict[str, Any]] = (-inf, {})
-        self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
         self._part: str | None = None
+        self._n_in_turn = 0
         self._watched: dict[str, Callable[[], bool]] = {}
         self.lease.watch(note)
 
@@ -378,22 +377,32 @@ class Service:
             Number that the job shall have, to repeat a request after a lost answer. If the newest
             job has this number, it is returned, and nothing is done twice. 0: not checked.
         """
-        checked: Goal = checked_goal(goal)
-        if self.config.simulated or self.config.positioner.kind == "simulated":
-            checked = self._with_part(checked)
-        given = checked.model_dump(exclude_defaults=True)
-        return self._begin(lease, checked.task, given, number, lambda: self.plugin.start(checked))
+        checked, in_turn = self._with_part(checked_goal(goal))
 
-    def _with_part(self, goal: Goal) -> Goal:
-        """Return a goal with the chosen part, or the next one, for the simulated cell."""
-        part = self._part
+        def begin() -> Job:
+            job = self.plugin.start(checked)
+            self._n_in_turn += in_turn  # a refused or repeated request takes no turn
+            return job
+
+        given = checked.model_dump(exclude_defaults=True)
+        return self._begin(lease, checked.task, given, number, begin)
+
+    def _with_part(self, goal: Goal) -> tuple[Goal, bool]:
+        """Return a goal with the chosen part, or the next one, for the simulated cell.
+
+        The second value is whether the part is the next one.
+        """
+        part, in_turn = self._part, False
+        if not (self.config.simulated or self.config.positioner.kind == "simulated"):
+            return goal, False
         if isinstance(goal, SortGoal) and not goal.feed and part is not None:
-            return goal.model_copy(update={"feed": (part,)})
+            return goal.model_copy(update={"feed": (part,)}), False
         if getattr(goal, "present", "") is not None:
-            return goal
+            return goal, False
         if part is None and isinstance(goal, IdentifyGoal | GripGoal):
-            part = next(self._parts)
-        return goal.model_copy(update={"present": part})
+            objects, in_turn = self.config.simulator.objects, True
+            part = objects[self._n_in_turn % len(objects)].label
+        return goal.model_copy(update={"present": part}), in_turn
 
     def command(
         self, lease: int, command: Command, *, key: int = 0, reboot: bool = False, number: int = 0
@@ -534,7 +543,8 @@ class Service:
     def choose_part(self, lease: int, part: str | None, pose: Pose) -> None:
         """Put a part between the fingers of the simulated cell, for all later jobs.
 
-        Raises NotInCommand as `Lease.alive`, and as `TactileCellPlugin.simulate`.
+        Raises NotInCommand as `Lease.alive`, CellStateError while a job runs, which would grasp it
+        under the name of another part, and as `TactileCellPlugin.simulate`.
 
         Parameters
         ----------
@@ -544,6 +554,7 @@ class Service:
             Offset from the pose that a job asks for.
         """
         self.lease.alive(lease)
+        self.plugin.check_free()
         placed = self.plugin.simulate({"state": True})["placed"] if part is None else part
         self.plugin.simulate({"place": placed or "nothing", "offset": asdict(pose)})
         self._part = part

@@ -103,6 +103,13 @@ def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -
     assert plugin.simulate({"state": True})["placed"] == "my mug"
 
 
+def test_a_refused_teaching_gives_no_part_a_name(plugin: Any) -> None:
+    assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
+    with pytest.raises(CellStateError, match="not allowed"):
+        plugin.start(TeachGoal(label="my mug", grasps=3))
+    assert plugin.simulate({"state": True})["objects"] == ["ball", "box"]
+
+
 @pytest.mark.slow
 def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(plugin) -> None:
     for fault in (None, "servo1.off", "can.unplugged"):

@@ -7,14 +7,16 @@ from typing import Any
 
 import pytest
 
+from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.data.recording_reader import read_recording
-from cell.errors import CellStateError, ConfigError, HeldByClient, RequestRefused
+from cell.errors import CellError, CellStateError, ConfigError, HeldByClient, RequestRefused
 from cell.plugin import worker
 from cell.service import service as service_module
 from cell.service.service import RELEASE_KEY
+from gripper.values.state import GripperPhase
 from tactile.errors import FrameTimeout
-from tests.cell.conftest import small_config
+from tests.cell.conftest import once, small_config
 from tests.cell.served import LEASE_S, until
 
 IDENTIFY = {"task": "identify", "max_grasps": 1, "present": "ball"}
@@ -24,6 +26,16 @@ KEEP = IDENTIFY | {"keep": "always"}
 @pytest.fixture
 def served(serve: Any) -> Any:
     return serve()
+
+
+def test_a_request_that_starts_no_job_takes_no_part_in_turn(served) -> None:
+    service, lease = served.service, served.service.lease.acquire("first")
+    goal = {"task": "identify", "max_grasps": 1}
+    for number in (1, 1, 2):  # the second one repeats the first one, whose answer was lost
+        with pytest.raises(CellError):
+            service.start(lease + 1, goal)
+        assert service.start(lease, goal, number=number) == number
+    assert [asked.present for asked in served.plugin.asked] == ["ball", "box"]
 
 
 # -- the lease ---------------------------------------------------------------------------------
@@ -344,3 +356,30 @@ def test_the_watch_notices_a_silent_client_by_itself_and_outlives_what_goes_wron
     served.service.stop()
     assert served.ended().outcome == "CANCELED"
     assert served.state == "HELD"
+
+
+@pytest.mark.slow
+def test_no_part_is_exchanged_while_a_job_closes_on_it(serve: Any) -> None:
+    served = serve(cell={})
+    service, hand = served.service, served.plugin._cell.controller.hand
+    lease = service.lease.acquire("trainer")
+    refused: list[str] = []
+
+    def exchange() -> None:
+        with pytest.raises(CellStateError) as error:
+            service.choose_part(lease, "box", Pose())
+        refused.append(str(error.value))
+
+    once(
+        served.plugin._cell.simulated.clock,
+        lambda: hand.phase is GripperPhase.APPROACHING,
+        exchange,
+    )
+    service.start(lease, IDENTIFY)
+    assert (served.ended().label, refused) == (
+        "ball",
+        ["job 1 is not over; wait for its result or cancel it"],
+    )
+    service.choose_part(lease, "box", Pose())
+    service.start(lease, {"task": "identify", "max_grasps": 1})
+    assert served.ended().label == "box"
