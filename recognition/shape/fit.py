@@ -141,9 +141,9 @@ class ShapeFit:
     """(n,) float64: parameters: log of the half thickness in mm, the model's own, then pose,
     depths, foam."""
     normal: Array
-    """(n, n) float64: """
+    """(n, n) float64: J^T J of the data alone, with the Jacobian J of the scaled residuals r."""
     gradient: Array
-    """(n,) float64: J^T J and J^T r of the data alone."""
+    """(n,) float64: J^T r of the data alone."""
     prior_mean: Array
     prior_sd: Array
     """(n,) float64: the prior."""

@@ -53,10 +53,10 @@ class PressedPads:
     bed: PadBed
     """The pad, cropped to the area that can be pressed."""
     along: NDArray[np.float32]
-    """(S, rows, n_x) float32: """
+    """(S, rows, n_x) float32: `along` of `bed` for S spreads of the pressure, from
+    e^(-`SPREAD_STEPS` `SPREAD_STEP`) to e^(`SPREAD_STEPS` `SPREAD_STEP`) times as wide."""
     across: NDArray[np.float32]
-    """(S, columns, n_y) float32: those of `bed` for spreads of the pressure from e^(-`SPREAD_STEPS`
-    `SPREAD_STEP`) to e^(`SPREAD_STEPS` `SPREAD_STEP`) times as wide."""
+    """(S, columns, n_y) float32: `across` of `bed` for the same spreads."""
     share: NDArray[np.float64]
     """(K, n_taxels) float64: mean rise of both pads' taxels as a share of the full scale."""
     sd: NDArray[np.float64]

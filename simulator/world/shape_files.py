@@ -51,12 +51,15 @@ _FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute"
 _NUMBER = rb"[+-]?(?:[0-9]{1,20}(?:\.[0-9]{0,30})?|\.[0-9]{1,30})(?:[eE][+-]?[0-9]{1,3})?"
 _VERTEX = re.compile(rb"(?i)vertex[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % (_NUMBER, _NUMBER, _NUMBER))
 _CORNER = rb"\s+vertex(?:[ \t]+%b){3}" % _NUMBER
-_TEXT = re.compile(
-    rb"(?i)(?:\xef\xbb\xbf)?\s*solid[^\r\n]*"
-    rb"(?:\s+facet\s+normal(?:[ \t]+%b){3}\s+outer\s+loop(?:%b){3}"
-    rb"\s+endloop\s+endfacet)+\s+endsolid[^\r\n]*\s*" % (_NUMBER, _CORNER)
+_BEGIN = rb"(?i)(?:\xef\xbb\xbf)?\s*solid"
+_FACET = (
+    rb"\s+facet\s+normal(?:[ \t]+\S+){3}\s+outer\s+loop(?:%b){3}\s+endloop\s+endfacet" % _CORNER
 )
-"""An STL text file as its format is defined: one solid of triangles."""
+_SOLID = rb"[^\r\n]*(?:%b)*\s+end[ \t]*solid[^\r\n]*\s*" % _FACET
+_TEXT = re.compile(rb"%b%b(?:solid%b)*" % (_BEGIN, _SOLID, _SOLID))
+"""An STL text file: solids of triangles. Their normals are not used."""
+_TEXT_BEGUN = re.compile(rb"%b(?:%bsolid)*[^\r\n]*(?:%b)*" % (_BEGIN, _SOLID, _FACET))
+"""The first lines of a text file, as far as they are right."""
 _UNIT_M = 1e-3
 """Length of one unit of a file in m; STL has none, mm is what most programs write."""
 
@@ -251,6 +254,12 @@ def _triangles(data: bytes, path: str) -> NDArray[np.float64]:
     elif _TEXT.fullmatch(data):
         numbers = [float(number) for line in _VERTEX.findall(data) for number in line]
         corners = np.array(numbers, dtype=np.float64).reshape(-1, 3, 3)
+    elif b"\0" not in data and (begun := _TEXT_BEGUN.match(data)):
+        n_lines = len(begun[0].splitlines())
+        raise SimulatorSettingsError(
+            f"{path} is a text STL whose line {n_lines + 1} is neither a whole triangle with "
+            "finite corners nor `endsolid`; export it again, as binary STL"
+        )
     else:
         expected = _HEAD_BYTES + n_faces * _FACE.itemsize
         raise SimulatorSettingsError(

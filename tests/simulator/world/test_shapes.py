@@ -204,16 +204,28 @@ def test_a_mesh_is_the_same_whole_and_in_pieces(ball_file, monkeypatch) -> None:
     assert np.array_equal(mesh.heights(*GRID, 0.3), whole)
 
 
-def test_a_mesh_as_programs_export_it_is_read(trimesh, tmp_path) -> None:
-    """Keywords in capitals, a byte order mark, and a triangle that has shrunk to a line."""
+SHRUNK = (
+    "facet normal 0 0 0\nouter loop\nvertex 8 5 3\nvertex 8 5 3\nvertex -8 5 3\n"
+    "endloop\nendfacet\nendsolid"
+)
+"""A triangle that has shrunk to a line, at the end of a solid."""
+
+
+@pytest.mark.parametrize(
+    "export",
+    [
+        lambda text: "\ufeff" + text.replace("endsolid", SHRUNK).upper(),
+        lambda text: text.replace("normal -1.0", "normal nan").replace("0.0", "-nan(ind)", 2),
+        lambda text: text.replace("endfacet\n", "endfacet\nendsolid a\nsolid b\n", 1),
+        lambda text: text.replace("endsolid", "end solid"),
+    ],
+    ids=["capitals, byte order mark", "normals", "two solids", "end solid"],
+)
+def test_a_mesh_as_programs_export_it_is_read(trimesh, tmp_path, export) -> None:
     path = tmp_path / "box.stl"
     text = trimesh.creation.box(extents=(16.0, 10.0, 6.0)).export(file_type="stl_ascii")
-    line = (
-        "facet normal 0 0 0\nouter loop\nvertex 8 5 3\nvertex 8 5 3\nvertex -8 5 3\n"
-        "endloop\nendfacet\nendsolid"
-    )
-    text = text.replace("endsolid", line)
-    path.write_text("\ufeff" + text.upper(), encoding="utf-8")
+    assert export(text) != text
+    path.write_text(export(text), encoding="utf-8")
     low, high = load_mesh(path).heights(np.zeros(1), np.zeros(1), 0.0)
     assert low[0] + high[0] == pytest.approx(6e-3)
 
@@ -229,6 +241,20 @@ def test_a_mesh_in_another_unit_is_refused_with_its_size(trimesh, tmp_path, size
         load_mesh(path)
     path.write_bytes(path.read_bytes()[:-7])
     with pytest.raises(SimulatorSettingsError, match=r"677 bytes, but its 12 .* need 684"):
+        load_mesh(path)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "line"),
+    [("vertex", "vertex nan", 2), ("endsolid", "", 86), ("endfacet", "end facet", 2)],
+)
+def test_a_text_mesh_with_a_wrong_line_is_refused_with_its_number(
+    trimesh, tmp_path, right, wrong, line
+) -> None:
+    path = tmp_path / "box.stl"
+    text = trimesh.creation.box(extents=(16.0, 10.0, 6.0)).export(file_type="stl_ascii")
+    path.write_text(text.replace(right, wrong, 1))
+    with pytest.raises(SimulatorSettingsError, match=rf"text STL whose line {line} is neither"):
         load_mesh(path)
 
 

@@ -104,6 +104,7 @@ def commission(
         print_note("left; the results are kept. The same command continues there")
         raise typer.Exit(1) from None
     except WizardAborted as left:
-        print_note(str(left))
+        refused = "left: nothing was written; the same command shows the changes again"
+        print_note(refused if restore else str(left))
         raise typer.Exit(1) from None
     dialog.finished(engine, files)
