@@ -1,12 +1,15 @@
 """A small generator of grasps: soft patches of known size on two pads, pressed along a ramp."""
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
 
 from recognition.grasp import Grasp, PadArray
+from recognition.recognizers import make_trainer
 
 
 @dataclass(frozen=True)
@@ -131,3 +134,15 @@ def train(pads) -> list[Grasp]:
 @pytest.fixture(scope="session")
 def fresh(pads) -> list[Grasp]:
     return make_grasps(5, seed=2, pads=pads)
+
+
+@pytest.fixture(scope="session")
+def teach(train: list[Grasp]) -> Callable[..., Any]:
+    """Return what teaches a recogniser some objects, or all; each is taught once."""
+
+    @functools.cache
+    def taught(name: str, *labels: str, use_aperture: bool = True) -> Any:
+        some = [grasp for grasp in train if grasp.label in labels or not labels]
+        return make_trainer(name, use_aperture=use_aperture).fit(some)
+
+    return taught

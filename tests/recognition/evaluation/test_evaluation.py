@@ -1,4 +1,4 @@
-"""The evaluation on made grasps, and the default recogniser on recorded ones."""
+"""Splits and figures of merit against hand-made numbers."""
 
 import dataclasses
 import os
@@ -9,8 +9,140 @@ import pytest
 
 from cell.data.dataset import read_dataset
 from recognition.evaluation.evaluation import evaluate
-from recognition.evaluation.splits import chronological_split
+from recognition.evaluation.metrics import (
+    auroc,
+    confusion_matrix,
+    expected_calibration_error,
+    paired_difference,
+    wilson_interval,
+)
+from recognition.evaluation.splits import (
+    a_day_later,
+    chronological_split,
+    left_out_parts,
+    parse_split,
+    series_parts,
+    shuffled_split,
+)
+from recognition.grasp import by_label
 from recognition.recognizers import make_trainer
+from tests.cell.conftest import plain_grasp
+
+
+def test_chronological_split_teaches_with_the_earlier_part(train):
+    first, last = chronological_split(train[::-1], 0.6)
+    assert len(first) + len(last) == len(train)
+    for label, members in by_label(train).items():
+        early = [g.start_ms for g in first if g.label == label]
+        late = [g.start_ms for g in last if g.label == label]
+        assert len(early) == round(0.6 * len(members))
+        assert max(early) < min(late)
+
+
+def test_shuffled_split_is_seeded_and_mixes_the_times(train):
+    a, b = shuffled_split(train, 0.5, 1)
+    assert [id(g) for g in a] == [id(g) for g in shuffled_split(train, 0.5, 1)[0]]
+    assert [id(g) for g in a] != [id(g) for g in shuffled_split(train, 0.5, 2)[0]]
+    assert not {id(g) for g in a} & {id(g) for g in b}
+    assert max(g.start_ms for g in a) > min(g.start_ms for g in b)
+
+
+@pytest.mark.parametrize("fraction", [0.05, 0.95])
+def test_both_parts_get_something(train, fraction):
+    first, last = chronological_split(train, fraction)
+    assert {g.label for g in first} == {g.label for g in last} == {g.label for g in train}
+
+
+def test_split_text(train):
+    assert parse_split("chronological:0.6")(train) == chronological_split(train, 0.6)
+    assert parse_split("shuffled:0.8", seed=3)(train) == shuffled_split(train, 0.8, 3)
+
+
+@pytest.mark.parametrize("text", ["", "random:0.5", "chronological", "shuffled:2", "shuffled:nan"])
+def test_split_text_that_is_not_understood_is_refused(text):
+    with pytest.raises(ValueError, match="chronological:FRACTION"):
+        parse_split(text)
+
+
+def test_each_series_of_an_object_with_several_is_left_out_once(train):
+    bars = [g for g in train if g.label == "bar"]
+    grasps = [*train, *map(a_day_later, bars[:3])]
+    parts = series_parts(grasps)
+    assert [len(test) for _, test in parts] == [len(bars), 3]
+    for taught, test in parts:
+        assert {g.label for g in test} == {"bar"}
+        assert len(taught) + len(test) == len(grasps)
+        assert not {id(g) for g in taught} & {id(g) for g in test}
+
+
+def test_without_a_second_series_there_is_nothing_to_leave_out(train):
+    with pytest.raises(ValueError, match="another day"):
+        series_parts(train)
+
+
+def test_a_grasp_without_label_and_a_wrong_fraction_are_refused(train):
+    with pytest.raises(ValueError, match="no label"):
+        chronological_split([dataclasses.replace(train[0], label="")], 0.5)
+    with pytest.raises(ValueError, match="fraction"):
+        chronological_split(train, 1.0)
+
+
+def test_confusion_counts_truth_by_answer():
+    table = confusion_matrix(["a", "a", "b"], ["a", "b", "b"], ("a", "b"))
+    assert table.tolist() == [[1, 1], [0, 1]]
+    with pytest.raises(ValueError, match="not listed"):
+        confusion_matrix(["c"], ["a"], ("a", "b"))
+    with pytest.raises(ValueError, match="answers"):
+        confusion_matrix(["a"], [], ("a", "b"))
+
+
+def test_wilson_interval_of_known_cases():
+    assert wilson_interval(9, 10) == pytest.approx((0.5958, 0.9821), abs=1e-4)
+    assert wilson_interval(0, 10) == pytest.approx((0.0, 0.2775), abs=1e-4)
+    assert wilson_interval(0, 0) == (0.0, 1.0)
+    with pytest.raises(ValueError, match="no proportion"):
+        wilson_interval(3, 2)
+
+
+def test_calibration_error_of_known_cases():
+    assert expected_calibration_error([0.95, 0.95], [1, 1]) == pytest.approx(0.05)
+    assert expected_calibration_error([0.75] * 4, [1, 1, 1, 0]) == pytest.approx(0.0)
+    assert expected_calibration_error([1.0, 0.2], [0, 1]) == pytest.approx(0.9)
+    with pytest.raises(ValueError, match="equal"):
+        expected_calibration_error([0.5], [1, 0])
+
+
+def test_auroc_counts_pairs_in_order():
+    assert auroc([0, 1], [2, 3]) == 1.0
+    assert auroc([0, 2], [1, 3]) == 0.75
+    assert auroc([1, 1], [1, 1]) == 0.5
+    assert np.isnan(auroc([], [1]))
+
+
+def test_a_paired_difference_has_the_interval_of_agresti_and_min():
+    first = [True] * 30 + [True] * 2 + [False] * 8 + [False] * 10
+    second = [True] * 30 + [False] * 2 + [True] * 8 + [False] * 10
+    difference, (low, high) = paired_difference(first, second)
+    assert difference == pytest.approx(0.12)
+    # 6 / 52 -+ 1.959964 * sqrt(2.5 + 8.5 - 6**2 / 52) / 52
+    assert (low, high) == pytest.approx((-0.005627, 0.236396), abs=1e-6)
+    assert paired_difference(first, first)[0] == 0.0
+    assert paired_difference([False], [True])[1][1] <= 1.0
+    with pytest.raises(ValueError, match="no answers to the same grasps"):
+        paired_difference([True], [True, False])
+
+
+def test_each_group_is_left_out_in_turn_without_what_nothing_else_teaches():
+    grasps = [plain_grasp(name) for name in ["ball"] * 6 + ["box"] * 6 + ["cup"] * 2]
+    groups = ["a"] * 3 + ["b"] * 3 + ["a"] * 3 + ["b"] * 3 + ["b"] * 2
+    parts = left_out_parts(grasps, groups)
+    assert [(len(taught), len(test)) for taught, test in parts] == [(6, 6), (6, 6)]
+    assert {g.label for part in parts for some in part for g in some} == {"ball", "box"}
+    with pytest.raises(ValueError, match="none can be left out"):
+        left_out_parts(grasps, ["a"] * len(grasps))
+
+
+# -- The evaluation on made grasps, and the default recogniser on recorded ones --------------------
 
 
 @pytest.fixture(scope="module")

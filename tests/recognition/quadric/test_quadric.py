@@ -1,10 +1,221 @@
+""""""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from hypothesis.extra.numpy import arrays
 
-from recognition.errors import QuadricError
-from recognition.quadric.eigen import smallest_eigenvalue
+from recognition.errors import ContactError, QuadricError, TrajectoryError, TransformError
+from recognition.grasp import Grasp
+from recognition.quadric import quadric
+from recognition.quadric.contact import estimate_baseline, main_patch, noise_threshold, robust_noise
+from recognition.quadric.eigen import Reading, smallest_eigenvalue
 from recognition.quadric.quadric import fit_height_field, height_field_matrix
+from recognition.quadric.thresholds import check_level, find_thresholds, with_noise
+from recognition.quadric.trajectory import PAPER_SWEEP, SweepSettings, sweep
+from tests.recognition.conftest import make_pads
+
+
+def _grasp(pads, counts):
+    n = len(counts)
+    nothing = np.full(n, np.nan)
+    return Grasp(
+        pads=pads, counts=counts, t_s=np.arange(n) * 0.02, aperture_m=nothing, force_n=nothing
+    )
+
+
+def _ramp(pads, rng, *, n_quiet, n_frames=30, offset=0.0, noise=3.0):
+    """A bump on pad 0 that grows after n_quiet frames; pad 1 stays untouched."""
+    bump = np.zeros(pads.n_taxels)
+    bump[: 16 * 4] = 150.0 * np.exp(-np.sum((pads.taxel_xy_m[:64] / 0.006) ** 2, axis=1))
+    load = np.clip((np.arange(n_frames) - n_quiet + 1) / (n_frames - n_quiet), 0, 1)
+    counts = offset + load[:, None] * bump + rng.normal(scale=noise, size=(n_frames, pads.n_taxels))
+    return _grasp(pads, np.clip(np.round(counts), 0, 255))
+
+
+PADS = make_pads(shapes=((16, 4), (16, 4)), adc_max=255, pitch_m=4e-3)
+
+
+def test_baseline_is_the_mean_of_each_taxel_before_contact():
+    rng = np.random.default_rng(0)
+    offset = rng.uniform(20, 60, PADS.n_taxels)
+    found = estimate_baseline(_ramp(PADS, rng, n_quiet=12, offset=offset))
+    assert 9 <= found.quiet_frames[0] <= 13
+    assert found.quiet_frames[1] == 30
+    # twelve frames of noise 3 leave a standard deviation of 0.9
+    assert np.abs(found.counts - offset).max() < 4.0
+    assert np.abs(found.counts - offset).mean() < 1.0
+    assert found.noise_counts == pytest.approx([3.0, 3.0], rel=0.15)
+
+
+def test_baseline_of_a_grasp_that_begins_in_contact_is_the_pads_median():
+    rng = np.random.default_rng(1)
+    grasp = _ramp(PADS, rng, n_quiet=0, n_frames=12, offset=30.0)
+    found = estimate_baseline(grasp)
+    assert found.quiet_frames.tolist() == [0, 12]
+    assert np.ptp(found.counts[:64]) == 0.0
+    assert found.counts[0] == pytest.approx(30.0, abs=2.0)
+
+
+def test_baseline_of_one_frame():
+    counts = np.full((1, PADS.n_taxels), 7)
+    counts[0, 20:23] = 90
+    found = estimate_baseline(_grasp(PADS, counts))
+    assert found.counts == pytest.approx(np.full(PADS.n_taxels, 7.0))
+    assert found.quiet_frames.tolist() == [0, 0]
+
+
+def test_noise_of_the_paper_is_found_with_its_one_sided_offset():
+    rng = np.random.default_rng(2)
+    noise = np.clip(np.abs(rng.normal(scale=10, size=(40, PADS.n_taxels))), 1, 20)
+    found = estimate_baseline(_grasp(PADS, np.round(noise)))
+    assert found.counts.mean() == pytest.approx(noise.mean(), abs=0.3)
+    assert found.noise_counts == pytest.approx([noise.std()] * 2, rel=0.2)
+
+
+def test_robust_noise_ignores_outliers_and_never_falls_below_rounding():
+    rng = np.random.default_rng(3)
+    values = rng.normal(scale=5.0, size=5000)
+    values[:200] = 1e4
+    assert robust_noise(values) == pytest.approx(5.0, rel=0.1)
+    assert robust_noise(np.zeros(100)) == pytest.approx(1 / np.sqrt(12), rel=0.01)
+    assert robust_noise([]) == robust_noise(np.zeros(3))
+
+
+def test_threshold_falls_with_averaging_down_to_one_count_of_255():
+    assert noise_threshold(5.0, 1, 255) == pytest.approx(20.0)
+    assert noise_threshold(5.0, 4, 255) == pytest.approx(10.0)
+    assert noise_threshold(0.3, 100, 255) == pytest.approx(1.02)
+
+
+def heights(*loaded):
+    """Heights of all taxels: counts by pad, row and column, 0 elsewhere."""
+    grid = np.zeros((2, 16, 4))
+    for pad, row, column, counts in loaded:
+        grid[pad, row, column] = counts
+    return grid.ravel()
+
+
+def test_the_most_loaded_patch_joins_over_corners():
+    touching_over_a_corner = ((1, 2, 1, 50.0), (1, 3, 2, 60.0))
+    height = heights(*touching_over_a_corner, (1, 10, 0, 20.0), (1, 11, 0, 20.0), (0, 5, 1, 255.0))
+    assert main_patch(height, PADS, 1, 2.0).tolist() == [64 + 9, 64 + 14]
+    assert main_patch(height, PADS, 0, 2.0).tolist() == [5 * 4 + 1]
+
+
+def test_the_rim_takes_unloaded_neighbours_along_and_leaves_other_patches():
+    height = heights((0, 5, 1, 80.0), (0, 7, 1, 30.0))  # two rows apart: two patches
+    patch = main_patch(height, PADS, 0, 2.0, rim=1)
+    assert len(patch) == 9
+    assert sorted(height[patch])[-2:] == [0.0, 80.0]
+    assert 7 * 4 + 1 not in main_patch(height, PADS, 0, 2.0, rim=2)
+    assert len(main_patch(heights((0, 0, 0, 9.0)), PADS, 0, 2.0, rim=1)) == 4
+
+
+def test_an_untouched_pad_is_refused_with_its_largest_height():
+    message = "pad 0 is not touched: largest height 1 counts, threshold 2"
+    with pytest.raises(ContactError, match=message):
+        main_patch(heights((0, 3, 3, 1.0), (1, 3, 3, 9.0)), PADS, 0, 2.0)
+
+
+# --  ----------------------------------------------------------------------------------------------
+
+
+numbers = st.floats(-3.0, 3.0)
+
+
+def _point(x, y, z):
+    return np.array([x, y, z, 1.0])
+
+
+def test_each_rotation_turns_right_handed():
+    quarter = np.pi / 2
+    assert quadric.rotation_xyz([quarter, 0, 0]) @ _point(0, 1, 0) == pytest.approx(_point(0, 0, 1))
+    assert quadric.rotation_xyz([0, quarter, 0]) @ _point(0, 0, 1) == pytest.approx(_point(1, 0, 0))
+    assert quadric.rotation_xyz([0, 0, quarter]) @ _point(1, 0, 0) == pytest.approx(_point(0, 1, 0))
+
+
+def test_rotation_xyz_turns_about_x_first():
+    both = quadric.rotation_xyz([np.pi / 2, 0.0, np.pi / 2])
+    assert both @ _point(0, 1, 0) == pytest.approx(_point(0, 0, 1))
+    assert both @ _point(1, 0, 0) == pytest.approx(_point(0, 1, 0))
+
+
+@settings(max_examples=50)
+@given(
+    values=arrays(np.float64, (4, 4), elements=numbers),
+    offset=arrays(np.float64, 3, elements=numbers),
+    angle=arrays(np.float64, 3, elements=numbers),
+    scale=st.floats(0.25, 4.0),
+    point=arrays(np.float64, 3, elements=numbers),
+)
+def test_congruence_keeps_the_value_at_the_moved_point(values, offset, angle, scale, point):
+    Q = values + values.T
+    M = quadric.translation(offset) @ quadric.rotation_xyz(angle) @ quadric.scaling(scale)
+    P = np.append(point, 1.0)
+    moved = quadric.by_inverse(Q, np.linalg.inv(M))
+    assert np.array_equal(moved, moved.T)
+    assert (M @ P) @ moved @ (M @ P) == pytest.approx(P @ Q @ P, abs=1e-8)
+    assert quadric.by_inverse(moved, M) == pytest.approx(Q, abs=1e-8)
+
+
+def test_a_scale_of_nothing_is_refused():
+    with pytest.raises(TransformError, match="scale factor is 0"):
+        quadric.scaling([1.0, 0.0])
+
+
+# --  ----------------------------------------------------------------------------------------------
+
+
+GRADED = np.array([-1e2, -3.0, 1e-3, 40.0])
+symmetric = arrays(np.float64, (4, 4), elements=st.floats(-10, 10)).map(lambda a: a + a.T)
+
+
+def _rotated(values, rng):
+    n = len(values)
+    basis, _ = np.linalg.qr(rng.normal(size=(n, n)))
+    Q = basis @ np.diag(values) @ basis.T
+    return 0.5 * (Q + Q.T)
+
+
+def test_the_two_readings_of_smallest():
+    Q = np.diag(GRADED)
+    assert smallest_eigenvalue(Q).value == pytest.approx(1e-3, rel=1e-12)
+    assert smallest_eigenvalue(Q, Reading.ALGEBRAIC_MINIMUM).value == pytest.approx(-1e2)
+
+
+def test_graded_spectrum_keeps_ten_digits():
+    rng = np.random.default_rng(2)
+    batch = np.stack([_rotated(GRADED, rng) for _ in range(500)]).reshape(2, 250, 4, 4)
+    found = smallest_eigenvalue(batch)
+    assert found.value.shape == (2, 250)
+    # eps * |lambda|max / |lambda|min is 2.2e-11; forming the matrices costs as much again
+    assert np.abs(found.value / 1e-3 - 1.0).max() < 3e-10
+    assert not found.degenerate.any()
+
+
+def test_a_singular_matrix_is_flagged_and_stands_at_the_floor():
+    cylinder = np.diag([1.0 / 9.0, 1.0 / 9.0, 0.0, -1.0])
+    rng = np.random.default_rng(4)
+    basis, _ = np.linalg.qr(rng.normal(size=(4, 4)))
+    turned = basis @ cylinder @ basis.T
+    found = smallest_eigenvalue(0.5 * (turned + turned.T))
+    assert found.degenerate
+    assert found.value == pytest.approx(4 * np.finfo(float).eps, rel=1e-6)
+
+
+def test_the_algebraic_minimum_of_a_semidefinite_matrix_is_flagged():
+    assert smallest_eigenvalue(np.diag([1.0, 2, 3, 0]), Reading.ALGEBRAIC_MINIMUM).degenerate
+
+
+@settings(max_examples=60)
+@given(Q=symmetric, factor=st.floats(0.01, 100))
+def test_the_value_scales_with_the_matrix_whatever_its_sign(Q, factor):
+    value = smallest_eigenvalue(Q).value
+    assert smallest_eigenvalue(-factor * Q).value == pytest.approx(factor * value, abs=1e-11)
+
+
+# --  ----------------------------------------------------------------------------------------------
 
 
 def _grid(n=7, pitch_m=0.002):
@@ -69,3 +280,182 @@ def test_fit_does_not_depend_on_the_order_and_follows_motion_in_the_plane(seed):
 def test_degenerate_points_are_refused(xy, message):
     with pytest.raises(QuadricError, match=message):
         fit_height_field(xy, np.zeros(len(xy)))
+
+
+# --  ----------------------------------------------------------------------------------------------
+
+
+# the paper's objects as full quadrics in mm, k = -1
+PAPER_OBJECTS = np.array(
+    [
+        np.diag([1 / 7.0**2, 1 / 7.0**2, 1 / 5.85**2, -1.0]),
+        np.diag([1 / 3.0**2, 1 / 3.0**2, 0.0, -1.0]),
+        np.diag([1 / 5.0**2, 1 / 7.95**2, 1 / 5.0**2, -1.0]),
+        np.diag([1 / 4.75**2, 1 / 4.75**2, 1 / 4.75**2, -1.0]),
+        np.diag([1 / 5.0**2, 1 / 5.0**2, -1 / 6.5**2, -1.0]),
+    ]
+)
+CAPS = np.array([height_field_matrix(a=-4.0, b=-4.0, k=peak) for peak in (50.0, 100.0, 200.0)])
+
+
+def _plain_loops(Q, grid, reading):
+    """Algorithm 1's training loops as printed, one matrix at a time."""
+    values = []
+    for scale in grid.scale:
+        for shift in grid.translation:
+            for angle in grid.angle_rad:
+                M = (
+                    quadric.translation([shift, shift, 0.0])
+                    @ quadric.rotation_xyz([0.0, 0.0, angle])
+                    @ quadric.rotation_xyz([0.0, angle, 0.0])
+                    @ quadric.rotation_xyz([angle, 0.0, 0.0])
+                    @ quadric.scaling(scale)
+                )
+                inverse = np.linalg.inv(M)
+                eigenvalues = np.linalg.eigvalsh(inverse.T @ Q @ inverse)
+                values.append(
+                    np.abs(eigenvalues).min()
+                    if reading is Reading.SMALLEST_MAGNITUDE
+                    else eigenvalues[0]
+                )
+    return np.array(values)
+
+
+def test_the_printed_grid_has_21607_points_an_object():
+    assert PAPER_SWEEP.n_evaluations == 21_607
+    assert PAPER_SWEEP.scale == pytest.approx(np.arange(31) * 0.1 + 1)
+    assert PAPER_SWEEP.translation == pytest.approx(np.arange(41) * 0.1 - 2)
+    assert PAPER_SWEEP.angle_rad == pytest.approx(np.arange(17) * np.pi / 8)
+
+
+@pytest.mark.parametrize("reading", [Reading.SMALLEST_MAGNITUDE, Reading.ALGEBRAIC_MINIMUM])
+def test_the_sweep_is_the_printed_loops(reading):
+    grid = SweepSettings(
+        scale=np.array([1.0, 1.7, 4.0]),
+        translation=np.linspace(-2, 2, 5),
+        angle_rad=np.linspace(0, 2 * np.pi, 9),
+        reading=reading,
+    )
+    found = sweep(PAPER_OBJECTS[[0, 2, 4]], grid)
+    for index, Q in enumerate(PAPER_OBJECTS[[0, 2, 4]]):
+        assert found.value[index] == pytest.approx(_plain_loops(Q, grid, reading), rel=1e-9)
+
+
+def test_full_quadrics_are_not_invariant_over_the_printed_grid():
+    magnitude = sweep(PAPER_OBJECTS)
+    expected = [(1.3e-3, 2.0e-2), None, (9.9e-4, 1.8e-2), (2.8e-3, 4.4e-2), (1.5e-3, 2.4e-2)]
+    for index, band in enumerate(expected):
+        if band is not None:
+            assert magnitude.spread[index] == pytest.approx(band, rel=0.05)
+    lowest = sweep(PAPER_OBJECTS, SweepSettings(reading=Reading.ALGEBRAIC_MINIMUM))
+    expected_lowest = [-0.776, -0.333, -0.698, -0.668, -0.697]
+    assert lowest.spread[:, 1] == pytest.approx(expected_lowest, abs=2e-3)
+    assert lowest.spread[:, 0] == pytest.approx([-1, -1, -1, -1, -1.182], abs=1e-3)
+    levels = find_thresholds([magnitude.value[i] for i in (0, 2, 3, 4)])
+    assert len(levels.closed) == 3  # no two neighbours can be told apart
+
+
+def test_scale_alone_moves_the_smallest_eigenvalue_by_sixteen():
+    still = SweepSettings(translation=np.zeros(1), angle_rad=np.zeros(1))
+    value = sweep(PAPER_OBJECTS[3:4], still).value[0]
+    assert value == pytest.approx(value[0] / still.scale**2, rel=1e-9)
+    assert value[0] / value[-1] == pytest.approx(16.0)
+    caps = sweep(CAPS, still).value
+    assert caps[:, 0] / caps[:, -1] == pytest.approx([16.0] * 3, rel=0.05)
+
+
+def test_caps_in_counts_hardly_feel_translation_and_rotation():
+    def relative_range(**grid):
+        value = sweep(CAPS, SweepSettings(scale=np.ones(1), **grid)).value
+        return np.ptp(value, axis=1) / value[:, len(value[0]) // 2]
+
+    assert np.all(relative_range(angle_rad=np.zeros(1)) < 1e-3)
+    both = relative_range()
+    assert both == pytest.approx([0.12, 0.06, 0.03], rel=0.4)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda: sweep(np.eye(4)), TrajectoryError, r"shape \(4, 4\)"),
+        (lambda: sweep(np.zeros((2, 5, 5))), TrajectoryError, "expected"),
+        (lambda: SweepSettings(scale=np.array([])), TrajectoryError, "scale must be"),
+        (lambda: SweepSettings(angle_rad=np.array([np.inf])), TrajectoryError, "angle_rad"),
+    ],
+)
+def test_refusals_name_the_cause(call, error, message):
+    with pytest.raises(error, match=message):
+        call()
+
+
+def test_a_trajectory_is_read_only():
+    found = sweep(CAPS, SweepSettings(scale=np.ones(1), translation=np.zeros(1)))
+    with pytest.raises(ValueError, match="read-only"):
+        found.value[0, 0] = 1.0
+
+
+# --- thresholds -----------------------------------------------------------------------------
+
+
+def test_thresholds_are_the_middles_between_neighbouring_bands():
+    levels = find_thresholds([[5.0, 6.0], [1.0, 2.0], [8.0, 9.0]], margin=0.2)
+    assert levels.order.tolist() == [1, 0, 2]
+    assert levels.threshold == pytest.approx([3.5, 7.0])
+    assert levels.window == pytest.approx([3.0, 2.0])
+    assert levels.closed == ()
+    # inside the bands, on either side of the threshold 7, beyond the reach of every band
+    expected = {1.5: 1, 5.5: 0, 8.5: 2, 6.9: 0, 7.1: 2, 7.0: None, 3.5: None, 2.3: 1, 11.0: None}
+    assert {value: check_level(levels, value) for value in expected} == expected
+
+
+def test_nothing_is_told_in_a_closed_window():
+    levels = find_thresholds([[1.0, 4.0], [3.0, 6.0]])
+    assert levels.window == pytest.approx([-1.0])
+    assert levels.closed == ((0, 1),)
+    assert [check_level(levels, value) for value in (2.0, 3.5, 5.0)] == [0, None, 1]
+
+
+def test_an_object_without_a_level_is_never_named():
+    levels = find_thresholds([[np.nan], [1.0, 2.0], []])
+    assert levels.order.tolist() == [1]
+    assert check_level(levels, 1.5) == 1
+    assert check_level(levels, 100.0) is None
+    with pytest.raises(TrajectoryError, match="no object of 2"):
+        find_thresholds([[np.nan], []])
+    with pytest.raises(TrajectoryError, match="margin is 1"):
+        find_thresholds([[1.0]], margin=1.0)
+
+
+@settings(max_examples=80)
+@given(
+    bands=st.lists(st.lists(st.floats(0.1, 100), min_size=1, max_size=4), min_size=1, max_size=5),
+    value=st.floats(0.01, 200),
+)
+def test_a_named_value_lies_in_reach_and_in_no_second_band(bands, value):
+    levels = find_thresholds(bands)
+    named = check_level(levels, value)
+    inside = [i for i, band in enumerate(bands) if min(band) <= value <= max(band)]
+    if len(inside) == 1:
+        assert named == inside[0]
+    elif len(inside) > 1:
+        assert named is None
+    elif named is not None:
+        low, high = levels.reach()
+        assert low[named] <= value <= high[named]
+        assert levels.distance(value)[named] == np.min(levels.distance(value))
+
+
+def test_windows_narrow_with_the_noise_seen_until_they_close():
+    levels = find_thresholds([[1.0, 1.1], [1.3, 1.4], [3.0, 3.3]])
+    assert with_noise(levels, 0.0).window == pytest.approx(levels.window)
+    a_little = with_noise(levels, 0.05)
+    assert a_little.window == pytest.approx([1.3 * 0.95 - 1.1 * 1.05, 3.0 * 0.95 - 1.4 * 1.05])
+    assert a_little.closed == ()
+    assert check_level(a_little, 1.14) == 0
+    much = with_noise(levels, 0.2)
+    assert much.closed == ((0, 1),)
+    # a value that both may have caused names none, the other object is still named
+    assert [check_level(levels, value) for value in (1.15, 3.1)] == [0, 2]
+    assert [check_level(much, value) for value in (1.15, 3.1)] == [None, 2]
+    with pytest.raises(TrajectoryError, match="noise_share is 1"):
+        with_noise(levels, 1.0)

@@ -1,0 +1,456 @@
+"""The discriminant against what is known of Gaussians, and the calibration of its answers."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from recognition.recognizer import UNKNOWN, Posterior
+from recognition.statistics.calibration import (
+    UNIFORM_SHARE,
+    blocked_folds,
+    fit_temperature,
+    to_probability,
+)
+from recognition.statistics.class_spread import ClassSpread, fit_class_spread
+from recognition.statistics.fusion import (
+    MAX_UNKNOWN,
+    DecisionKind,
+    StopRule,
+    decide,
+    evidence,
+    fuse,
+    independent_share,
+)
+from recognition.statistics.lda import LinearDiscriminant, fit_lda
+from recognition.statistics.taught_sizes import TaughtSizes, fit_sizes
+
+
+def gaussians(rng, n=60, shift=3.0, n_features=6):
+    centres = np.eye(3, n_features) * shift
+    classes = np.repeat([0, 1, 2], n)
+    return centres[classes] + rng.normal(size=(3 * n, n_features)), classes
+
+
+def test_nearest_class_is_the_right_one():
+    rng = np.random.default_rng(0)
+    x, y = gaussians(rng, shift=6.0)
+    lda = fit_lda(x, y, 3)
+    assert np.array_equal(lda.distances(x).argmin(axis=1), y)
+    assert lda.centres.shape == (3, 2)
+
+
+def test_the_axes_that_separate_best_are_kept():
+    x, y = gaussians(np.random.default_rng(0), shift=6.0)
+    x[y == 2] += 12.0
+    every, one = fit_lda(x, y, 3), fit_lda(x, y, 3, most_axes=1)
+    assert one.centres == pytest.approx(every.centres[:, :1])
+    assert (one.distances(x).argmin(axis=1) == y)[y == 2].all()
+
+
+def test_distances_are_in_standard_deviations():
+    rng = np.random.default_rng(1)
+    x, y = gaussians(rng, n=2000, shift=5.0)
+    lda = fit_lda(x, y, 3)
+    own = lda.distances(x)[np.arange(len(y)), y]
+    assert own.mean() == pytest.approx(2.0, rel=0.05)
+    apart = ((lda.centres[0] - lda.centres[1]) ** 2).sum()
+    assert apart == pytest.approx(2 * 25.0, rel=0.1)
+
+
+def test_scale_and_offset_of_a_feature_do_not_matter():
+    rng = np.random.default_rng(2)
+    x, y = gaussians(rng)
+    moved = x * np.array([1e3, 1, 1e-3, 5, 1, 1]) + 7.0
+    assert fit_lda(moved, y, 3).distances(moved) == pytest.approx(
+        fit_lda(x, y, 3).distances(x), rel=1e-6
+    )
+
+
+def test_more_features_than_rows_and_constant_features_are_no_trouble():
+    rng = np.random.default_rng(3)
+    x, y = gaussians(rng, n=4, shift=8.0, n_features=50)
+    x[:, 10:20] = 1.0
+    lda = fit_lda(x, y, 3)
+    assert np.array_equal(lda.distances(x).argmin(axis=1), y)
+    assert np.all(np.isfinite(lda.distances(rng.normal(size=(5, 50)))))
+
+
+def test_what_few_rows_hardly_show_to_vary_has_the_least_unit():
+    x, y = gaussians(np.random.default_rng(3))
+    x = np.column_stack([x, np.zeros(len(x))])
+    once = np.eye(1, 7, k=6)
+
+    def off(least_unit):
+        lda = fit_lda(x, y, 3, nuisance=1e-8 * once, least_unit=least_unit)
+        return np.linalg.norm(0.02 * once / lda.scale @ lda.whitening)
+
+    assert off(0.0) > 1e5
+    assert off(0.02) < 1e2
+
+
+def test_full_shrinkage_leaves_plain_scaled_distance():
+    rng = np.random.default_rng(4)
+    x, y = gaussians(rng)
+    lda = fit_lda(x, y, 3, min_shrinkage=1.0)
+    means = np.stack([x[y == k].mean(axis=0) for k in range(3)])
+    scaled = (((means[0] - means[1]) / lda.scale) ** 2).sum()
+    found = ((lda.centres[0] - lda.centres[1]) ** 2).sum()
+    assert found == pytest.approx(scaled, rel=0.02)
+
+
+def test_what_no_class_has_shown_lies_beside_them_all():
+    rng = np.random.default_rng(8)
+    x, y = gaussians(rng, n=2000, shift=5.0)
+    lda = fit_lda(x, y, 3)
+    again = LinearDiscriminant.from_arrays(lda.to_arrays("a_"), "a_")
+
+    def beside(rows):
+        every = ((rows - lda.mean) / lda.scale @ again.whitening) ** 2
+        return (every.sum(axis=1) - (lda.project(rows) ** 2).sum(axis=1)).mean()
+
+    assert beside(x) == pytest.approx(6 - 2, rel=0.05)
+    strange = x + np.eye(1, 6, k=4) * 10.0
+    assert beside(strange) - beside(x) == pytest.approx(100.0, rel=0.1)
+    assert lda.distances(strange) == pytest.approx(lda.distances(x), rel=0.2, abs=3.0)
+
+
+def test_too_few_rows_are_refused():
+    with pytest.raises(ValueError, match="at least three times"):
+        fit_lda(np.eye(3), np.arange(3), 3)
+    with pytest.raises(ValueError, match="at least three times"):
+        fit_lda(np.eye(4), np.array([0, 0, 1, 1]), 3)
+
+
+def test_discriminant_comes_back_from_its_arrays():
+    x, y = gaussians(np.random.default_rng(5))
+    lda = fit_lda(x, y, 3)
+    again = LinearDiscriminant.from_arrays(lda.to_arrays("a_"), "a_")
+    assert np.array_equal(again.distances(x), lda.distances(x))
+
+
+def test_folds_are_runs_in_time_that_leave_each_class_something():
+    classes = np.array([0] * 7 + [1] * 2 + [2])
+    folds = blocked_folds(classes, 3)
+    assert sum(f.astype(int) for f in folds).tolist() == [1] * 9 + [0]
+    for fold in folds:
+        assert set(classes[~fold]) == {0, 1, 2}
+        rows = np.flatnonzero(fold & (classes == 0))
+        assert np.array_equal(rows, np.arange(rows[0], rows[-1] + 1))
+
+
+@pytest.mark.parametrize("truth", [0.5, 1.0, 4.0])
+def test_temperature_is_found_again(truth):
+    rng = np.random.default_rng(6)
+    scores = rng.normal(0, 3, (6000, 4))
+    p = np.exp(scores / truth)
+    p /= p.sum(axis=1, keepdims=True)
+    classes = np.array([rng.choice(4, p=row) for row in p])
+    assert fit_temperature(scores, classes) == pytest.approx(truth, rel=0.1)
+
+
+def test_few_grasps_all_right_make_no_answer_certain():
+    scores = np.array([[0.0, -8.0], [-8.0, 0.0]] * 3)
+    assert 1.0 < fit_temperature(scores, np.array([0, 1] * 3)) < 2.0
+
+
+def test_a_feature_with_a_small_target_outweighs_many_that_repeat_each_other():
+    rng = np.random.default_rng(8)
+    classes = np.repeat([0, 1], 5)
+    repeated = rng.normal(0, 1, (10, 1)) + rng.normal(0, 0.3, (10, 60))
+    x = np.column_stack([repeated, rng.normal(0, 1, 10) + 4.0 * classes])
+    target = np.append(np.ones(60), 0.1)
+    axes = [fit_lda(x, classes, 2, target=t).projection[:, 0] for t in (None, target)]
+    plain, weighted = (abs(axis[-1]) / np.linalg.norm(axis) for axis in axes)
+    assert weighted > 1.1 * plain
+
+
+def test_no_taught_object_is_impossible():
+    p = to_probability(np.array([[1000.0, 0.0, -1000.0]]), 1.0)
+    assert p.sum() == pytest.approx(1.0)
+    assert p.min() >= UNIFORM_SHARE / 3
+
+
+# -- Covariances of classes ------------------------------------------------------------------------
+
+
+CENTRES = np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def spread():
+    rng = np.random.default_rng(0)
+    long = rng.normal(0.0, (0.5, 4.0, 0.5), (60, 3)) + CENTRES[0]
+    round_ = rng.normal(0.0, 0.5, (60, 3)) + CENTRES[1]
+    return fit_class_spread(np.concatenate([long, round_]), np.repeat([0, 1], 60), CENTRES)
+
+
+def plain(z):
+    return ((z[:, None] - CENTRES) ** 2).sum(axis=-1)
+
+
+def test_the_long_class_is_near_along_its_axis_only(spread):
+    along, across = np.array([[3.0, 5.0, 0.0]]), np.array([[3.0, 0.0, 5.0]])
+    near, far = (spread.distances(z, plain(z))[0] for z in (along, across))
+    assert near[0] < near[1]
+    assert near[0] < plain(along)[0, 0] < far[0]
+
+
+def test_a_class_that_varies_more_has_the_larger_volume(spread):
+    assert spread.log_volume[0] > spread.log_volume[1]
+
+
+def test_distances_are_those_of_the_covariance(spread):
+    z = np.random.default_rng(1).normal(0, 3, (5, 3))
+    for c, centre in enumerate(CENTRES):
+        expected = [(p - centre) @ spread.precision[c] @ (p - centre) for p in z]
+        assert spread.distances(z, plain(z))[:, c] == pytest.approx(expected)
+
+
+def test_it_comes_back_from_its_arrays(spread):
+    again = ClassSpread.from_arrays(spread.to_arrays("s_"), "s_")
+    assert np.array_equal(again.precision, spread.precision)
+
+
+# -- Sizes of the taught grasps --------------------------------------------------------------------
+
+
+CLASSES = np.repeat([0, 1], 6)
+
+
+def sizes(spread_mm: float) -> np.ndarray:
+    """Return two sizes of six grasps each of objects of 10 and 30 mm."""
+    off_mm = np.linspace(-2.5, 2.5, 6) * spread_mm
+    return (np.repeat([10.0, 30.0], 6) + np.tile(off_mm, 2))[:, None] + np.array([0.0, 2.0])
+
+
+def novelty(found: TaughtSizes, sizes_mm: list[list[float]], slack_mm: float = 0.0) -> np.ndarray:
+    """Return the squared distances to the first object."""
+    objects = np.zeros((len(sizes_mm), 1, 1), dtype=np.int64)
+    return found.distances(np.array(sizes_mm)[:, None], np.array([slack_mm]), objects)[:, 0, 0]
+
+
+def test_a_size_between_the_taught_ones_is_new_and_theirs_is_not():
+    found = fit_sizes(sizes(0.2), CLASSES)
+    taught, between, of_the_other = novelty(found, [[10.1, 12.1], [20.0, 22.0], [30.0, 32.0]])
+    assert taught < 0.5
+    assert of_the_other > between > 400.0
+    assert novelty(found, [[20.0, 22.0]], slack_mm=10.0) < 3.0
+
+
+def test_both_faces_of_an_object_are_taught_sizes():
+    two_faces = np.where(np.arange(12) % 2, 10.0, 16.0)[:, None] + np.array([0.0, 2.0])
+    found = fit_sizes(two_faces, np.zeros(12, dtype=np.int64))
+    thin, middle, thick = novelty(found, [[10.0, 12.0], [13.0, 15.0], [16.0, 18.0]])
+    assert thin == thick == 0.0
+    assert middle > 50.0
+
+
+def test_grasps_that_vary_more_widen_the_unit():
+    tight, wide = fit_sizes(sizes(0.2), CLASSES), fit_sizes(sizes(2.0), CLASSES)
+    assert np.all(wide.unit_mm > 2.0 * tight.unit_mm)
+
+
+def test_few_grasps_keep_the_unit_near_the_expected_one():
+    same = np.full((40, 2), 10.0)
+    few = fit_sizes(same[:3], np.zeros(3, dtype=np.int64))
+    many = fit_sizes(same, np.zeros(40, dtype=np.int64))
+    assert np.all(few.unit_mm > 0.7 * np.array([0.5, 0.2]))
+    assert np.all(many.unit_mm < 0.5 * few.unit_mm)
+
+
+def test_the_only_grasp_on_another_side_hides_no_other_object():
+    of_two = np.array([10.0, 10.1, 15.9, 6.0, 6.1, 6.2])[:, None] + np.array([0.0, 2.0])
+    found = fit_sizes(of_two, np.repeat([0, 1], 3))
+    on_a_side, on_the_other, other_object = novelty(found, [[10.05, 12.05], [15.9, 17.9], [8, 10]])
+    assert max(on_a_side, on_the_other) < 0.5
+    assert other_object > 50.0
+
+
+def test_a_lonely_one_of_many_grasps_teaches_no_size():
+    many = np.append(np.linspace(9.5, 10.5, 59), 14.0)[:, None] + np.array([0.0, 2.0])
+    (at_the_lonely,) = novelty(fit_sizes(many, np.zeros(60, dtype=np.int64)), [many[-1].tolist()])
+    assert at_the_lonely > 6.0
+
+
+def test_sizes_come_back_from_their_arrays():
+    found = fit_sizes(sizes(0.2), CLASSES)
+    again = TaughtSizes.from_arrays(found.to_arrays("s_"), "s_")
+    assert np.array_equal(again.mm, found.mm)
+    assert np.array_equal(again.unit_mm, found.unit_mm)
+
+
+# -- Fusing grasps: what must hold for any posteriors, and when to stop ----------------------------
+
+
+LABELS = ("a", "b", "c", "d")
+
+
+def posterior(*weights: float, unknown: float = 0.05) -> Posterior:
+    p = np.array(weights, dtype=float)
+    return Posterior(labels=LABELS[: len(p)], probability=p / p.sum(), unknown=unknown)
+
+
+posteriors = st.lists(
+    st.builds(
+        lambda w, u: posterior(*w, unknown=u),
+        st.lists(st.floats(1e-6, 1.0), min_size=4, max_size=4),
+        st.floats(0.0, 1.0),
+    ),
+    min_size=1,
+    max_size=6,
+)
+properties = settings(max_examples=60)
+
+
+@properties
+@given(posteriors, st.randoms(use_true_random=False))
+def test_order_of_the_grasps_does_not_matter(ps, random):
+    shuffled = list(ps)
+    random.shuffle(shuffled)
+    a, b = fuse(ps), fuse(shuffled)
+    assert a.probability == pytest.approx(b.probability, rel=1e-9)
+    assert a.unknown == pytest.approx(b.unknown, rel=1e-9)
+
+
+@properties
+@given(posteriors)
+def test_order_of_the_labels_does_not_matter(ps):
+    turned = [
+        Posterior(labels=p.labels[::-1], probability=p.probability[::-1], unknown=p.unknown)
+        for p in ps
+    ]
+    assert fuse(turned).probability == pytest.approx(fuse(ps).probability[::-1], rel=1e-9)
+
+
+@properties
+@given(posteriors)
+def test_fused_is_a_posterior_that_is_never_certain(ps):
+    fused = fuse(ps)
+    assert fused.probability.sum() == pytest.approx(1.0)
+    assert np.all(fused.probability > 0)
+    assert 0.0 < fused.unknown < 1.0
+
+
+@properties
+@given(posteriors)
+def test_a_grasp_that_tells_nothing_does_not_change_the_order(ps):
+    even = posterior(1, 1, 1, 1)
+    before, after = fuse(ps).probability, fuse([*ps, even]).probability
+    assert np.array_equal(np.argsort(before, kind="stable"), np.argsort(after, kind="stable"))
+
+
+@properties
+@given(posteriors)
+def test_fully_dependent_grasps_tell_no_more_than_one_of_them(ps):
+    def odds(p):
+        return np.log(p.probability[:, None] / p.probability)
+
+    alone = np.stack([odds(fuse([p])) for p in ps])
+    whole = odds(fuse(ps, dependence=1.0))
+    assert np.all(whole <= alone.max(axis=0) + 1e-9)
+    assert np.all(whole >= alone.min(axis=0) - 1e-9)
+
+
+def test_one_grasp_keeps_its_answer():
+    p = posterior(0.6, 0.2, 0.15, 0.05)
+    assert fuse([p]).probability == pytest.approx(p.probability, abs=0.005)
+    assert fuse([p]).unknown == pytest.approx(p.unknown, abs=1e-6)
+
+
+def test_agreeing_grasps_grow_surer_but_less_than_independent_ones():
+    p = posterior(0.6, 0.4)
+    two = fuse([p, p]).probability[0]
+    assert 0.6 < two < 0.36 / (0.36 + 0.16)
+
+
+def test_grasps_that_contradict_each_other_speak_for_an_untaught_object():
+    a, b = posterior(1, 1e-4, 1e-4, 1e-4), posterior(1e-4, 1, 1e-4, 1e-4)
+    assert fuse([a, b]).unknown > 5 * fuse([a, a]).unknown
+
+
+def test_fuse_refuses_what_does_not_belong_together():
+    with pytest.raises(ValueError, match="grasp at least once"):
+        fuse([])
+    with pytest.raises(ValueError, match="different labels"):
+        fuse([posterior(1, 1), posterior(1, 1, 1)])
+    with pytest.raises(ValueError, match="dependence"):
+        fuse([posterior(1, 1)], dependence=1.5)
+
+
+def test_a_sure_grasp_decides_at_once():
+    decision = decide([posterior(1.0, 1e-5, 1e-5)], StopRule(error_rate=0.02))
+    assert decision.kind is DecisionKind.DECIDED
+    assert decision.label == "a"
+    assert decision.probability > 0.98
+
+
+def test_an_unsure_grasp_calls_for_another_until_the_last():
+    rule, p = StopRule(error_rate=0.01, max_grasps=3), posterior(0.6, 0.4)
+    assert decide([p], rule).kind is DecisionKind.CONTINUE
+    assert decide([p, p], rule).kind is DecisionKind.CONTINUE
+    last = decide([p, p, p], rule)
+    assert last.kind is DecisionKind.DECIDED
+    assert 0.6 < last.probability < 0.99
+
+
+def test_an_untaught_object_ends_the_search():
+    strange = posterior(0.9, 0.1, unknown=0.9)
+    rule = StopRule(max_grasps=4)
+    assert decide([strange], rule).kind is DecisionKind.CONTINUE
+    found = decide([strange] * 3, rule)
+    assert found.kind is DecisionKind.UNKNOWN
+    assert found.label == UNKNOWN
+    assert found.probability >= 0.95
+
+
+def test_after_the_last_grasp_an_unlikely_label_is_unknown():
+    even = posterior(1, 1, 1, 1)
+    decision = decide([even], StopRule(max_grasps=1))
+    assert decision.kind is DecisionKind.UNKNOWN
+    assert decision.probability == pytest.approx(1.0 - 0.95 * 0.25)
+
+
+@pytest.mark.parametrize("share", [0.4, 0.6, 0.9, 1.0])
+@pytest.mark.parametrize("unknown", [0.0, 0.3, 0.45, 0.6])
+def test_a_name_needs_its_probability_and_its_novelty(share, unknown):
+    one = posterior(share, 1.0 - share, unknown=unknown)
+    named = (1.0 - unknown) * max(share, 1.0 - share)
+    assert (one.name != UNKNOWN) == (unknown <= 0.5)
+    assert posterior(1, 1, 1, unknown=unknown).name == UNKNOWN
+    assert one.name_probability == pytest.approx(1.0 - named if one.name == UNKNOWN else named)
+    assert decide([one], StopRule(max_grasps=1)).label == fuse([one]).name
+
+
+def test_a_sure_name_of_what_may_be_new_calls_for_another_grasp():
+    sure, rule = posterior(1.0, 1e-6, unknown=2.0 * MAX_UNKNOWN), StopRule(max_grasps=2)
+    assert decide([sure], rule).kind is DecisionKind.CONTINUE
+    assert decide([sure, sure], rule).label == "a"
+
+
+@pytest.mark.parametrize("wrong", [{"error_rate": 0.0}, {"error_rate": 1.0}, {"max_grasps": 0}])
+def test_stop_rule_refuses_what_cannot_be(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        StopRule(**wrong)
+
+
+# -- Dependence of grasps: what repeats another grasp counts less ----------------------------------
+
+
+def test_fusion_goes_by_the_dependence_that_posteriors_carry():
+    p = np.array([0.7, 0.2, 0.1])
+
+    def both(dependence: float) -> Posterior:
+        one = Posterior(labels=("a", "b", "c"), probability=p, unknown=0.1, dependence=dependence)
+        return fuse([one, one])
+
+    assert both(1.0).probability == pytest.approx(p, abs=0.005)
+    assert both(0.0).probability[0] > both(0.5).probability[0] > both(1.0).probability[0]
+    assert both(0.3).dependence == pytest.approx(0.3)
+    with pytest.raises(ValueError, match="dependence"):
+        both(1.2)
+
+
+def test_evidence_is_even_where_a_grasp_tells_nothing():
+    assert evidence(np.full((1, 4), 0.25)) == pytest.approx(np.zeros((1, 4)))
+    assert independent_share(1, 0.7) == 1.0
+    assert 5 * independent_share(5, 0.25) == pytest.approx(2.5)
