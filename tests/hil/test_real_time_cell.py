@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import re
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -14,10 +13,9 @@ import pytest
 
 from cell.config.file import changed_config, load_config, parse_config
 from cell.data.recording_reader import read_recording
-from cell.plugin.goals import GripGoal, IdentifyGoal, TeachGoal
+from cell.plugin.goals import IdentifyGoal, TeachGoal
 from cell.plugin.plugin import TactileCellPlugin
-from cell.plugin.worker import JobFailed
-from gripper.errors import PortLost, ServoFault
+from gripper.errors import ServoFault
 from pytest_tactile_cell.process import CellProcess
 from recognition.recognizer import UNKNOWN
 from tests.hil.program import CONFIG, LIMIT_S, end, first, hurry, run, running
@@ -192,42 +190,6 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     simulator.inject("can.unplugged")
     assert "the fingers are open" in run("release", "--confirm", *config)
     assert simulator.grip_n() == 0.0
-
-
-@pytest.mark.parametrize(
-    ("fault", "errors"),
-    [
-        ("servos.unplugged", "PortLost|BusTimeout"),
-        pytest.param("servos.corrupt=1", "BusCorrupt|BusTimeout", marks=pytest.mark.long),
-        pytest.param("servos.lagging", "Bus", marks=pytest.mark.long),
-        pytest.param("servos.chatter", "Bus|FingerSilent", marks=pytest.mark.long),
-        ("can.unplugged", "BusOff"),
-        # Garbage can be a valid line of slcan too: a heartbeat of a stopped node.
-        pytest.param(
-            "can.garbage=1", "FrameTimeout|BusDisturbed|NodeStateChanged", marks=pytest.mark.long
-        ),
-    ],
-)
-def test_a_line_that_fails_is_a_fault_with_the_grip_kept_until_clear_and_reset(
-    simulator, fault, errors
-) -> None:
-    with TactileCellPlugin(simulator.config_path) as plugin:
-        failing = simulator.inject(f"{fault}@contact+0.3s")
-        with pytest.raises(JobFailed, match="ABORTED") as failed:
-            plugin.result(plugin.start(TeachGoal(label="box", grasps=2)), LIMIT_S)
-        assert re.match(errors, type(failed.value.__cause__).__name__)
-        assert simulator.grip_n() > 0.5
-        if fault == "servos.unplugged":
-            with pytest.raises(PortLost, match="cannot open serial port"):
-                plugin.clear(LIMIT_S)
-        failing.clear()
-        assert plugin.state() == "ABORTED"
-        plugin.clear(LIMIT_S)
-        plugin.release(LIMIT_S)
-        plugin.reset(LIMIT_S)
-        assert plugin.state() == "IDLE"
-        assert plugin.result(plugin.start(GripGoal(force_n=3.0)), LIMIT_S).held
-        plugin.release(LIMIT_S)
 
 
 def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(simulator, tmp_path) -> None:
