@@ -39,7 +39,8 @@ DIALOGUES = [
      {(1, "goal_position"): 150, (2, "goal_position"): 170}),
     ("sync write of currents", {}, "FE 0D00 83 6600 0200 01 6400 02 9CFF E1DB", "",
      {(1, "goal_current"): 100, (2, "goal_current"): -100}),
-    ("bulk write", {}, "FE 1000 93 01 2000 0200 A000 02 1F00 0100 50 B768", "",
+    ("bulk write", {1: {"max_voltage_limit": 150}, 2: {"temperature_limit": 61}},
+     "FE 1000 93 01 2000 0200 A000 02 1F00 0100 50 B768", "",
      {(1, "max_voltage_limit"): 160, (2, "temperature_limit"): 80}),
 ]
 # fmt: on

@@ -1,16 +1,303 @@
-"""Fingers: statics against the motor's figures, stiction, stability, end stops, recorded motion."""
+"""Motor and gearing: torque figures of the data sheet, loops, heat, and the friction law."""
 
 import math
 
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from gripper.dynamixel.models import XL330_M288, XM430_W350
-from simulator.servo.gearing import GEARINGS, IDEAL_GEARING, XM430_W350_GEARING, Gearing
+from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350
+from simulator.servo.gearing import (
+    GEARINGS,
+    IDEAL_GEARING,
+    MX_64_GEARING,
+    MX_106_GEARING,
+    XM430_W350_GEARING,
+    Drive,
+    Friction,
+    Gearing,
+)
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
-from simulator.servo.motor import DriveCommand, DriveMode, ServoMotor
+from simulator.servo.motor import (
+    AMBIENT_C,
+    COLD_FRICTION_PER_K,
+    OVERLOAD_BUDGET_S,
+    DriveCommand,
+    DriveMode,
+    ServoMotor,
+)
 
 STEP_S = 1e-3
+
+
+@pytest.fixture
+def motor() -> ServoMotor:
+    return ServoMotor()
+
+
+def stall(motor: ServoMotor, command: DriveCommand, duration_s: float = 0.1) -> float:
+    """Return the torque in N.m after the motor was held still for some time."""
+    motor.drive(command)
+    torque_nm = 0.0
+    for _ in range(round(duration_s / STEP_S)):
+        torque_nm = motor.torque_nm(STEP_S)
+    return torque_nm
+
+
+@pytest.mark.parametrize(("current_a", "torque_nm"), [(1.2, 1.90), (0.3, 0.309), (0.46, 0.592)])
+def test_torque_with_rising_load_follows_the_fit(current_a: float, torque_nm: float):
+    motor = ServoMotor(XM430_W350)
+    made_nm = stall(motor, DriveCommand(DriveMode.CURRENT, current_a=current_a))
+    assert made_nm - motor.friction_nm() == pytest.approx(torque_nm, abs=0.005)
+
+
+def test_the_torque_ripples_over_a_turn_and_keeps_its_mean():
+    gearing = Gearing(ripple=0.02, ripple_per_turn=100.0)
+    torques_nm = []
+    for step in range(50):
+        motor = ServoMotor(angle_rad=math.tau * step / 5000.0, gearing=gearing)
+        torques_nm.append(stall(motor, DriveCommand(DriveMode.CURRENT, current_a=1.0)))
+    mean_nm = sum(torques_nm) / 50
+    assert mean_nm == pytest.approx(XM430_W350.kt_nm_a, rel=1e-3)
+    assert max(torques_nm) - min(torques_nm) == pytest.approx(0.04 * mean_nm, rel=0.01)
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=lambda m: m.name)
+def test_full_voltage_gives_stall_current_and_no_load_speed(model):
+    motor = ServoMotor(model)
+    stall(motor, DriveCommand(DriveMode.PWM, duty=1.0))
+    assert motor.current_a == pytest.approx(model.stall_current_a, rel=1e-3)
+    assert motor.duty == pytest.approx(1.0, abs=1e-3)
+    motor.velocity_rad_s = model.no_load_rad_s
+    stall(motor, DriveCommand(DriveMode.PWM, duty=1.0))
+    assert motor.current_a * model.kt_nm_a == pytest.approx(model.friction_nm, rel=0.01)
+
+
+def test_the_current_loop_settles_within_a_few_ms(motor):
+    motor.drive(DriveCommand(DriveMode.CURRENT, current_a=1.0))
+    motor.torque_nm(STEP_S)
+    assert 0.2 < motor.current_a < 0.4
+    for _ in range(14):
+        motor.torque_nm(STEP_S)
+    assert motor.current_a == pytest.approx(1.0, abs=0.02)
+
+
+def test_the_pwm_limit_bounds_the_current(motor):
+    stall(motor, DriveCommand(DriveMode.CURRENT, current_a=2.0, duty=0.1))
+    assert motor.current_a == pytest.approx(0.23, abs=0.005)
+
+
+def test_the_velocity_loop_does_not_wind_up_beyond_the_stall_current(motor):
+    stall(motor, DriveCommand(DriveMode.VELOCITY, velocity_rad_s=2.0), 2.0)
+    assert motor.current_a == pytest.approx(XM430_W350.stall_current_a, rel=0.01)
+    motor.velocity_rad_s = 2.5
+    stall(motor, motor.command, 0.5)
+    assert motor.current_a < XM430_W350.stall_current_a / 2
+
+
+def test_the_d_gain_brakes():
+    def current_a(d_gain: int) -> float:
+        motor = ServoMotor(angle_rad=1.0)
+        motor.velocity_rad_s = 1.0
+        stall(motor, DriveCommand(DriveMode.POSITION, position_rad=1.0, d_gain=d_gain))
+        return motor.current_a
+
+    assert current_a(1000) < current_a(0) < 0.0
+
+
+def test_a_fifth_of_the_stall_current_warms_by_15_degrees(motor):
+    command = DriveCommand(DriveMode.CURRENT, current_a=0.2 * XM430_W350.stall_current_a)
+    motor.drive(command)
+    for _ in range(40_000):
+        motor.torque_nm(0.05)
+    assert motor.temperature_c == pytest.approx(AMBIENT_C + 15.0, abs=0.3)
+    assert motor.load_excess_s == 0.0
+
+
+def test_941_ma_at_stall_overloads_after_about_5_s(motor):
+    motor.drive(DriveCommand(DriveMode.CURRENT, current_a=0.941))
+    elapsed_s = 0.0
+    while motor.load_excess_s <= OVERLOAD_BUDGET_S:
+        motor.torque_nm(STEP_S)
+        elapsed_s += STEP_S
+    assert elapsed_s == pytest.approx(5.0, abs=0.5)
+    stall(motor, DriveCommand(), 3.0)
+    assert motor.load_excess_s == 0.0
+
+
+@pytest.mark.parametrize("acceleration", [0.0, 5.0])
+def test_the_profile_ends_on_the_goal_from_both_sides(acceleration: float):
+    motor = ServoMotor(angle_rad=1.0)
+    for goal_rad in (2.0, 0.5):
+        motor.drive(
+            DriveCommand(
+                DriveMode.POSITION,
+                position_rad=goal_rad,
+                p_gain=800,
+                profile_velocity_rad_s=2.0,
+                profile_acceleration_rad_s2=acceleration,
+            )
+        )
+        fastest = 0.0
+        for _ in range(2000):
+            motor.torque_nm(STEP_S)
+            fastest = max(fastest, abs(motor.reference_velocity_rad_s))
+        assert motor.reference_rad == goal_rad
+        assert motor.reference_velocity_rad_s == 0.0
+        assert fastest <= 2.0
+
+
+def test_a_profile_turned_round_starts_slowly_again():
+    motor = ServoMotor(angle_rad=1.0)
+    command = DriveCommand(
+        DriveMode.POSITION,
+        position_rad=2.0,
+        profile_velocity_rad_s=2.0,
+        profile_acceleration_rad_s2=5.0,
+    )
+    stall(motor, command, 0.3)
+    assert motor.reference_velocity_rad_s > 1.0
+    stall(motor, command._replace(position_rad=0.0), STEP_S)
+    assert -0.01 < motor.reference_velocity_rad_s < 0.0
+
+
+def test_the_duty_is_the_voltage_of_winding_and_back_emf(motor):
+    # R = 12 V / 2.3 A; k_e = (12 V - 0.2214 / 1.769 A x R) / 46 rev/min = 2.3555 V s/rad.
+    motor.velocity_rad_s = 0.8
+    stall(motor, DriveCommand(DriveMode.CURRENT, current_a=0.5))
+    assert motor.duty == pytest.approx((0.5 * 5.2174 + 0.8 * 2.3555) / 12.0, rel=1e-4)
+    motor.kt_factor = 1.2
+    stall(motor, motor.command)
+    assert motor.duty == pytest.approx((0.5 * 5.2174 + 0.8 * 1.2 * 2.3555) / 12.0, rel=1e-4)
+    motor.velocity_rad_s, motor.voltage_v = 1.0, 3.0
+    motor.torque_nm(STEP_S)
+    assert motor.duty == 1.0
+
+
+def test_factors_change_torque_and_friction(motor):
+    motor.kt_factor, motor.friction_factor = 0.8, 1.5
+    made_nm = stall(motor, DriveCommand(DriveMode.CURRENT, current_a=1.0))
+    assert made_nm == pytest.approx(0.8 * 1.769, rel=1e-3)
+    assert motor.friction_nm() == pytest.approx(1.5 * 0.2214)
+    assert motor.viscous_nm_s == pytest.approx(1.5 * ServoMotor().viscous_nm_s)
+
+
+def test_a_cold_servo_has_more_friction_until_it_is_warm(motor):
+    motor.temperature_c = 5.0
+    assert motor.no_load_factor == pytest.approx(1.0 + 20.0 * COLD_FRICTION_PER_K)
+    for _ in range(300):
+        motor.torque_nm(1.0)
+    assert motor.no_load_factor - 1.0 == pytest.approx(
+        20.0 * COLD_FRICTION_PER_K / math.e, rel=0.01
+    )
+    motor.temperature_c = 60.0
+    assert motor.no_load_factor == 1.0
+
+
+def test_turns_wear_a_servo_and_rest_does_not(motor):
+    motor.wear_per_turn = 0.01
+    motor.velocity_rad_s = -2.0
+    stall(motor, DriveCommand(DriveMode.CURRENT), math.tau)
+    assert motor.no_load_factor == pytest.approx(1.02, rel=1e-4)
+    motor.velocity_rad_s = 0.0
+    stall(motor, DriveCommand(DriveMode.CURRENT), 1.0)
+    motor.wear_per_turn = 0.0
+    assert motor.no_load_factor == pytest.approx(1.02, rel=1e-4)
+
+
+IDENTIFIED = [name for name, gearing in GEARINGS.items() if gearing.identified is not None]
+LAW = Friction(
+    base_nm=(0.1, 0.05),
+    drive=(0.3, 0.1),
+    load=(0.02, 0.2),
+    drive_quadratic_per_nm=0.01,
+    load_quadratic_per_nm=0.005,
+    stribeck_rad_s=2.0,
+    stribeck_exponent=2.0,
+    viscous_nm_s=0.03,
+)
+
+
+def figures(name: str) -> Drive:
+    return GEARINGS[name].identified
+
+
+@pytest.mark.parametrize(
+    ("driving_nm", "load_nm", "speed_rad_s", "friction_nm"),
+    [
+        (0.0, 0.0, 0.0, 0.15),
+        (0.0, 0.0, 2.0, 0.1 + 0.05 * math.exp(-1.0)),
+        # At rest: 0.15 + |0.02 Te - 0.3 Tm| + |0.2 Te - 0.1 Tm| + q of the weaker one.
+        (2.0, -1.0, 0.0, 0.15 + 0.62 + 0.4 + 0.005),
+        (1.0, -2.0, 0.0, 0.15 + 0.34 + 0.5 + 0.01),
+        (-1.0, 2.0, 0.0, 0.15 + 0.34 + 0.5 + 0.01),
+        # Both in one direction: the shares work against each other, and there is no square.
+        (1.0, 1.0, 0.0, 0.15 + 0.28 + 0.1),
+        (2.0, -1.0, 1e3, 0.1 + 0.62),
+    ],
+)
+def test_the_law_is_its_formula(driving_nm, load_nm, speed_rad_s, friction_nm) -> None:
+    assert LAW.torque_nm(driving_nm, load_nm, speed_rad_s) == pytest.approx(friction_nm)
+    more_nm = LAW.torque_nm(driving_nm, load_nm, speed_rad_s, base_factor=3.0)
+    bare_nm = 0.1 + 0.05 * LAW.fading(speed_rad_s)
+    assert more_nm - friction_nm == pytest.approx(2.0 * bare_nm)
+
+
+@pytest.mark.parametrize("friction", [LAW, *(figures(name).friction for name in IDENTIFIED)])
+@pytest.mark.parametrize("speed_rad_s", [0.0, 0.3, 3.0])
+def test_what_drives_forward_is_the_motor_less_its_friction(friction, speed_rad_s) -> None:
+    driving_nm = 1.5
+    forward_nm = friction.forward_nm(driving_nm, speed_rad_s)
+    lost_nm = friction.torque_nm(driving_nm, -forward_nm, speed_rad_s)
+    lost_nm += friction.viscous_nm_s * speed_rad_s
+    assert 0.0 < forward_nm == pytest.approx(driving_nm - lost_nm)
+    assert friction.forward_nm(0.0, speed_rad_s) == 0.0
+
+
+@pytest.mark.parametrize("name", IDENTIFIED)
+def test_scaled_torques_have_scaled_friction(name) -> None:
+    friction = figures(name).friction
+    torques_nm = [-0.8, -0.1, 0.0, 0.2, 1.3]
+    for driving_nm, load_nm in [(a, b) for a in torques_nm for b in torques_nm]:
+        alone_nm = friction.torque_nm(driving_nm, load_nm, 0.4)
+        twice_nm = friction.scaled(2.0).torque_nm(2.0 * driving_nm, 2.0 * load_nm, 0.4)
+        assert twice_nm == pytest.approx(2.0 * alone_nm)
+
+
+def test_behind_another_motor_the_drive_meets_the_graph_in_its_middle() -> None:
+    current_a, speed_rad_s = 0.5 * 2.3, 0.5 * XM430_W350.no_load_rad_s
+    for name in IDENTIFIED:
+        drive = GEARINGS[name].drive_of(XM430_W350)
+        made_nm = drive.friction.forward_nm(drive.kt_nm_a * current_a, speed_rad_s)
+        assert made_nm == pytest.approx(1.769 * current_a - 0.2214)
+        factor = drive.kt_nm_a / figures(name).kt_nm_a
+        assert drive.inertia_kg_m2 == pytest.approx(factor * figures(name).inertia_kg_m2)
+        assert drive.back_emf_v_s == drive.kt_nm_a
+    for gearing in (MX_64_GEARING, MX_106_GEARING):
+        drive = gearing.drive_of(XM430_W350)
+        slow_nm = drive.friction.forward_nm(drive.kt_nm_a * current_a, 0.0)
+        assert 0.7 < slow_nm / (1.769 * current_a - 0.2214) < 0.8
+
+
+def test_a_servo_of_the_identified_model_has_its_figures() -> None:
+    assert GEARINGS["xl330"].drive_of(XL330_M288) is GEARINGS["xl330"].identified
+    # At 0.4 A a quarter less than the catalogue says.
+    drive = GEARINGS["xl330"].drive_of(XL330_M288)
+    catalogue_nm = XL330_M288.kt_nm_a * 0.4 - XL330_M288.friction_nm
+    forward_nm = drive.friction.forward_nm(drive.kt_nm_a * 0.4, 0.0)
+    assert forward_nm / catalogue_nm == pytest.approx(0.75, abs=0.05)
+
+
+@pytest.mark.parametrize("name", ["ideal", "xm430_assumed"])
+def test_an_assumed_gearing_drives_forward_as_the_catalogue_says(name) -> None:
+    drive = GEARINGS[name].drive_of(XM430_W350)
+    for current_a in (0.3, 1.2):
+        forward_nm = drive.friction.forward_nm(drive.kt_nm_a * current_a, 0.0)
+        assert forward_nm == pytest.approx(1.769 * current_a - 0.2214, rel=1e-9)
+
+
+# -- Fingers ---------------------------------------------------------------------------------------
+
+
 MOUNTS = (ServoMount(direction=1), ServoMount(direction=-1))
 
 
@@ -128,22 +415,26 @@ def test_below_the_friction_band_nothing_moves():
 
 
 @pytest.mark.parametrize(
-    ("model", "linkage", "stiffness_n_m", "implicit"),
+    ("hand", "stiffness_n_m", "implicit"),
     [
-        (XM430_W350, ParallelogramLinkage(), 500.0, True),
-        (XM430_W350, ParallelogramLinkage(), 50_000.0, False),
-        (XM430_W350, RackLinkage(), 5_000.0, False),
-        (XL330_M288, ParallelogramLinkage(), 5_000.0, True),
-        (XL330_M288, RackLinkage(), 500.0, False),
-        (XL330_M288, RackLinkage(), 50_000.0, True),
+        ({}, 500.0, True),
+        ({}, 50_000.0, False),
+        ({"linkage": RackLinkage()}, 5_000.0, False),
+        ({"model": XL330_M288}, 5_000.0, True),
+        ({"model": XL330_M288, "linkage": RackLinkage()}, 500.0, False),
+        ({"model": XL330_M288, "linkage": RackLinkage()}, 50_000.0, True),
+        *(({"gearing": XM430_W350_GEARING}, stiffness, True) for stiffness in (500.0, 5e3, 5e4)),
     ],
 )
-def test_contact_comes_to_rest_at_any_stiffness(model, linkage, stiffness_n_m, implicit):
-    mechanics = fingers(model=model, linkage=linkage)
+def test_contact_comes_to_rest_at_any_stiffness_and_stays(hand, stiffness_n_m, implicit):
+    mechanics = fingers(**hand)
     push(mechanics, 0.5)
     press(mechanics, 0.018, stiffness_n_m, 3.0, implicit=implicit)
     assert [motor.velocity_rad_s for motor in mechanics.motors] == [0.0, 0.0]
-    assert all(x < 0.018 for x in mechanics.finger_position_m)
+    held = mechanics.finger_position_m
+    press(mechanics, 0.018, stiffness_n_m, 1.0, implicit=implicit)
+    assert mechanics.finger_position_m == held
+    assert max(held) < 0.018
 
 
 def test_long_steps_are_taken_in_pieces():
@@ -193,17 +484,6 @@ def test_a_light_force_moves_a_finger_through_the_backlash_and_no_further():
     assert motor.rotor_velocity_rad_s > 0.1
     press(mechanics, 0.0, 0.0, 0.05)
     assert mechanics.aperture_m > stood_m + way_m
-
-
-@pytest.mark.parametrize("stiffness_n_m", [500.0, 5_000.0, 50_000.0])
-def test_contact_comes_to_rest_with_all_that_a_gearing_does(stiffness_n_m: float):
-    mechanics = fingers(gearing=XM430_W350_GEARING)
-    push(mechanics, 0.5)
-    press(mechanics, 0.018, stiffness_n_m, 3.0)
-    held = mechanics.finger_position_m
-    force_n = press(mechanics, 0.018, stiffness_n_m, 1.0)
-    assert mechanics.finger_position_m == held
-    assert min(force_n) > 5.0
 
 
 def test_a_record_moves_the_fingers_exactly():

@@ -1,19 +1,15 @@
 """Clients written by others talk to the simulated servos over a real pseudo-terminal.
 
-rustypot, the vendor's own package, and dxl2 (dynamixel-python), which has the bulk reads.
+rustypot and the vendor's own package; `test_manual_dialogue` has a third encoder of packets.
 """
 
 import time
 from collections.abc import Iterator
-from functools import partial
 from typing import Any
 
 import dynamixel_sdk
 import pytest
 import rustypot
-from dxl2 import v2 as dxl2
-
-from gripper.dynamixel.models import XM430_W350
 
 TIMEOUT_S = 10.0
 """Patience in s with an answer: other tests run beside this one."""
@@ -30,14 +26,6 @@ def rusty(driver: Any) -> Iterator[Any]:
     controller = rustypot.Xl430PyController(driver.endpoint.path, 1_000_000, TIMEOUT_S)
     yield controller
     controller.close()
-
-
-@pytest.fixture
-def bus(driver: Any) -> Iterator[dxl2.MotorBus]:
-    opened = dxl2.MotorBus(driver.endpoint.path, 1_000_000, TIMEOUT_S)
-    opened.connect()
-    yield opened
-    opened.disconnect()
 
 
 def present(driver: Any, servo_id: int) -> int:
@@ -87,33 +75,3 @@ def test_the_vendors_package_reads_and_writes(driver: Any, monkeypatch: pytest.M
     assert places.txRxPacket() == 0
     assert [places.getData(i, 132, 4) for i in (1, 2)] == [present(driver, i) for i in (1, 2)]
     port.closePort()
-
-
-# dxl2
-
-
-def good(response: Any) -> Any:
-    assert response.ok, response
-    return response.data
-
-
-def test_ping_one_and_all(bus: dxl2.MotorBus) -> None:
-    identity = {"model_number": XM430_W350.number, "firmware_version": 48}
-    assert good(bus.ping(2)) == identity
-    # It would wait for a third answer, as long as for the first: one is found by the next ping.
-    bus.conn.stream_packets = partial(bus.conn.stream_packets, 2)
-    assert good(bus.broadcast_ping()) == {1: identity, 2: identity}
-    bus.conn.serial.timeout = 0.25  # four times of it pass
-    assert bus.ping(9).timeout
-
-
-def test_bulk_reads_and_a_bulk_write(driver: Any, bus: dxl2.MotorBus) -> None:
-    wanted = dxl2.BulkParams()
-    wanted.add_value(1, 112, 4, 55)
-    wanted.add_value(2, 102, 2, -33, True)
-    bus.bulk_write(wanted)
-    asked = dxl2.BulkParams()
-    asked.add_address(2, 102, 2, True)
-    asked.add_address(1, 112, 4, True)
-    assert good(bus.bulk_read(asked)) == [-33, 55]
-    assert registers(driver, 1).get("profile_velocity") == 55

@@ -1,0 +1,385 @@
+"""What servos, control unit and drives do on their lines, simulated or real."""
+
+import struct
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from gripper.dynamixel.control_table import (
+    BUS_WATCHDOG,
+    CURRENT_LIMIT,
+    FIRMWARE_VERSION,
+    GOAL_CURRENT,
+    LED,
+    MODEL_NUMBER,
+    MOVING_THRESHOLD,
+    PRESENT_CURRENT,
+    PRESENT_POSITION,
+    PROFILE_ACCELERATION,
+    PROFILE_VELOCITY,
+    TORQUE_ENABLE,
+    WATCHDOG_TRIPPED_RAW,
+    RegisterBlock,
+)
+from gripper.dynamixel.models import MODELS
+from gripper.errors import BusTimeout, ServoRejected
+from motion import object_dictionary as motion_od
+from motion.errors import AxisMissing, AxisNotOperational
+from motion.object_dictionary import Control, ModeOfOperation, State
+from tactile.control_unit import object_dictionary as od
+
+READ, WRITE = 0x02, 0x03
+UNKNOWN_INSTRUCTION = 0x77
+RESULT_INSTRUCTION, RESULT_CRC, RESULT_RANGE = 2, 3, 4
+RESULT_LENGTH, RESULT_LIMIT, RESULT_ACCESS = 5, 6, 7
+LED_ON = b"\x41\x00\x01"
+"""Address 65 and the value 1."""
+
+
+def error_of(answer: bytes | None) -> int:
+    """Error number of a status packet, without the Alert bit."""
+    assert answer is not None
+    assert answer[:4] == b"\xff\xff\xfd\x00"
+    assert answer[7] == 0x55
+    return answer[8] & 0x7F
+
+
+def refusal(servos: Any, register: Any, raw: int) -> int:
+    """Error number with which a write is refused."""
+    with pytest.raises(ServoRejected) as caught:
+        servos.bus.write(servos.one, register, raw)
+    return caught.value.code
+
+
+def test_ping_tells_model_and_firmware_as_the_registers_do(servos: Any) -> None:
+    for servo_id in servos.ids:
+        found = servos.bus.ping(servo_id)
+        assert found.model_number in {model.number for model in MODELS.values()}
+        assert found.model_number == servos.bus.read(servo_id, MODEL_NUMBER)
+        assert found.firmware == servos.bus.read(servo_id, FIRMWARE_VERSION)
+
+
+def test_nobody_answers_for_an_absent_servo(servos: Any) -> None:
+    with pytest.raises(BusTimeout, match=str(servos.nobody)):
+        servos.bus.ping(servos.nobody)
+    servos.bus.ping(servos.one)
+
+
+def test_what_is_written_is_read_back(servos: Any) -> None:
+    with servos.restoring(LED, PROFILE_VELOCITY):
+        for raw in (0, 1):
+            servos.bus.write(servos.one, LED, raw)
+            assert servos.bus.read(servos.one, LED) == raw
+        for raw in (1, 255, 256, 32767):
+            servos.bus.write(servos.one, PROFILE_VELOCITY, raw)
+            assert servos.bus.read(servos.one, PROFILE_VELOCITY) == raw
+
+
+def test_a_sync_read_tells_what_single_reads_tell(servos: Any) -> None:
+    with servos.restoring(PROFILE_ACCELERATION, PROFILE_VELOCITY):
+        for servo_id in servos.ids:
+            servos.bus.write(servo_id, PROFILE_VELOCITY, 100 + servo_id)
+        found = servos.bus.sync_read(
+            servos.ids, RegisterBlock(PROFILE_ACCELERATION, PROFILE_VELOCITY)
+        )
+        assert list(found) == list(servos.ids)
+        for servo_id in servos.ids:
+            assert found[servo_id]["profile_velocity"] == 100 + servo_id
+
+
+def test_present_values_are_plausible_at_rest(servos: Any) -> None:
+    found = servos.bus.sync_read(
+        servos.ids, RegisterBlock.between(PRESENT_CURRENT, PRESENT_POSITION)
+    )
+    for values in found.values():
+        assert abs(values["present_current"]) < 20
+        assert abs(values["present_velocity"]) < 5
+
+
+def test_a_sync_read_with_an_absent_servo_gives_nothing(servos: Any) -> None:
+    with pytest.raises(BusTimeout, match=str(servos.nobody)):
+        servos.bus.sync_read((servos.nobody, servos.one), RegisterBlock(LED))
+    assert servos.bus.sync_read((servos.one,), RegisterBlock(LED))
+
+
+def test_a_sync_write_reaches_all(servos: Any) -> None:
+    with servos.restoring(PROFILE_ACCELERATION, PROFILE_VELOCITY):
+        wanted = {servo_id: (servo_id, 200 + servo_id) for servo_id in servos.ids}
+        servos.bus.sync_write(wanted, RegisterBlock(PROFILE_ACCELERATION, PROFILE_VELOCITY))
+        for servo_id, (acceleration, velocity) in wanted.items():
+            assert servos.bus.read(servo_id, PROFILE_ACCELERATION) == acceleration
+            assert servos.bus.read(servo_id, PROFILE_VELOCITY) == velocity
+
+
+def test_a_damaged_packet_is_refused_or_ignored_and_never_carried_out(servos: Any) -> None:
+    with servos.restoring(LED):
+        servos.bus.write(servos.one, LED, 0)
+        for damage in (0x0001, 0x8000, 0xFFFF):
+            answer = servos.exchange(WRITE, LED_ON, damage=damage)
+            if answer is not None:
+                assert error_of(answer) == RESULT_CRC
+            assert servos.bus.read(servos.one, LED) == 0
+        assert error_of(servos.exchange(WRITE, LED_ON)) == 0
+        assert servos.bus.read(servos.one, LED) == 1
+
+
+def test_stuffed_parameters_are_understood(servos: Any) -> None:
+    # A read of 00FD bytes from address FFFF: its parameters FF FF FD 00 travel as FF FF FD FD 00.
+    # A servo that did not remove the stuffing would read from elsewhere, or stay silent.
+    answer = servos.exchange(READ, b"\xff\xff\xfd\xfd\x00")
+    assert error_of(answer) != 0
+    assert servos.bus.read(servos.one, MODEL_NUMBER)
+
+
+def test_an_unknown_instruction_is_refused(servos: Any) -> None:
+    assert error_of(servos.exchange(UNKNOWN_INSTRUCTION, b"")) == RESULT_INSTRUCTION
+
+
+def test_values_out_of_range_are_refused_and_change_nothing(servos: Any) -> None:
+    with servos.restoring(LED):
+        servos.bus.write(servos.one, LED, 0)
+        assert refusal(servos, LED, 2) == RESULT_RANGE
+        assert servos.bus.read(servos.one, LED) == 0
+
+
+def test_goals_beyond_a_limit_of_the_servo_are_refused(servos: Any) -> None:
+    limit = servos.bus.read(servos.one, CURRENT_LIMIT)
+    before = servos.bus.read(servos.one, GOAL_CURRENT)
+    assert refusal(servos, GOAL_CURRENT, limit + 1) == RESULT_LIMIT
+    assert servos.bus.read(servos.one, GOAL_CURRENT) == before
+
+
+def test_read_only_items_are_refused(servos: Any) -> None:
+    assert refusal(servos, replace(PRESENT_POSITION, writable=True), 0) == RESULT_ACCESS
+
+
+def test_a_value_shorter_than_its_item_is_refused(servos: Any) -> None:
+    before = servos.bus.read(servos.one, PROFILE_VELOCITY)
+    assert refusal(servos, replace(PROFILE_VELOCITY, size=1), 1) == RESULT_LENGTH
+    assert servos.bus.read(servos.one, PROFILE_VELOCITY) == before
+
+
+def test_the_watchdog_of_a_servo_without_torque_does_not_trip(servos: Any) -> None:
+    with servos.restoring(BUS_WATCHDOG):
+        servos.bus.write(servos.one, BUS_WATCHDOG, 5)
+        servos.clock.sleep(0.3)
+        assert servos.bus.read(servos.one, BUS_WATCHDOG) == 5
+
+
+def test_the_watchdog_trips_with_torque_and_refuses_goals_until_it_is_cleared(
+    moving_servos: Any,
+) -> None:
+    servos = moving_servos
+    goal = servos.bus.read(servos.one, GOAL_CURRENT)
+    servos.bus.write(servos.one, TORQUE_ENABLE, 1)
+    servos.bus.write(servos.one, BUS_WATCHDOG, 5)
+    servos.clock.sleep(0.3)
+    assert servos.bus.read(servos.one, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW
+    assert refusal(servos, GOAL_CURRENT, goal) == RESULT_RANGE
+    servos.bus.write(servos.one, BUS_WATCHDOG, 0)
+    servos.bus.write(servos.one, GOAL_CURRENT, goal)
+    assert servos.bus.read(servos.one, BUS_WATCHDOG) == 0
+
+
+def test_eeprom_is_writable_without_torque_only(moving_servos: Any) -> None:
+    servos = moving_servos
+    before = servos.bus.read(servos.one, MOVING_THRESHOLD)
+    servos.bus.write(servos.one, MOVING_THRESHOLD, before)
+    servos.bus.write(servos.one, TORQUE_ENABLE, 1)
+    assert refusal(servos, MOVING_THRESHOLD, before) == RESULT_ACCESS
+    servos.bus.write(servos.one, TORQUE_ENABLE, 0)
+    servos.bus.write(servos.one, MOVING_THRESHOLD, before)
+
+
+# -- What the tactile control unit does on its bus, simulated or real (its EDS, CiA 301) -----------
+
+
+PRE_OPERATIONAL, OPERATIONAL = 127, 5
+ABORT = 0x80
+READ_OBJECT = 0x40
+WRITE_2, WRITE_4, WRITTEN = 0x2B, 0x23, 0x60
+
+NO_SUCH_OBJECT = 0x0602_0000
+NO_SUCH_SUBINDEX = 0x0609_0011
+READ_ONLY = 0x0601_0002
+UNKNOWN_COMMAND = 0x0504_0001
+
+
+def request(command: int, index: int, subindex: int, value: int = 0) -> bytes:
+    return struct.pack("<BHBL", command, index, subindex, value)
+
+
+def test_the_unit_is_what_its_eds_says(unit) -> None:
+    identity = unit.link.start()  # compares layout, formats and mapping, or raises
+    assert (identity.vendor_id, identity.product_code) == (od.VENDOR_ID, od.PRODUCT_CODE)
+    assert identity.revision >> 16 == od.REVISION >> 16
+    assert identity.name
+
+
+def test_each_sync_gives_one_whole_frame(unit) -> None:
+    unit.link.start()
+    frames = unit.frames(20 * unit.link.settings.sync_period_s)
+    assert 18 <= len(frames) <= 21
+    assert all((b.counter - a.counter) & 0xFFFF == 1 for a, b in pairwise(frames))
+    layout = unit.link.layout
+    for frame in frames:
+        assert frame.counts.shape == (layout.n_taxels,)
+        assert frame.counts.max() <= layout.adc_max
+    found = unit.link.statistics
+    assert len(frames) <= found.requests
+    counts = found.frames
+    assert (counts.lost, counts.torn, counts.short, counts.corrupt) == (0, 0, 0, 0)
+
+
+def test_without_sync_no_frame_comes(unit) -> None:
+    unit.link.start()
+    unit.frames(0.1)
+    unit.link.stop()
+    end_s = unit.clock.monotonic() + 0.05
+    while unit.clock.monotonic() < end_s:
+        unit.receive(0x180 + unit.node_id, 0.01)  # what was on its way
+    assert unit.receive(0x180 + unit.node_id, 0.2) is None
+
+
+def test_the_last_frame_can_be_read_by_sdo_too(unit) -> None:
+    unit.link.start()
+    frames = unit.frames(0.1)
+    samples = unit.link._session.objects.read(od.LAST_FRAME)
+    counter = unit.link._session.objects.read_unsigned(od.LAST_FRAME_COUNTER)
+    frames += unit.frames(0.1)
+    (same,) = [frame for frame in frames if frame.counter == counter]
+    assert same.counts.astype(f"<u{unit.link.layout.sample_bytes}").tobytes() == samples
+
+
+def test_a_reset_is_told_by_a_boot_up_and_ends_pre_operational(unit) -> None:
+    unit.send(0, bytes((1, unit.node_id)))
+    unit.reset()  # fails without a boot-up
+    answer = unit.sdo(request(WRITE_2, od.HEARTBEAT_MS, 0, 50))
+    assert answer[0] == WRITTEN
+    assert unit.receive(0x700 + unit.node_id)[1] == bytes([PRE_OPERATIONAL])
+
+
+def test_the_heartbeat_comes_as_often_as_it_is_set(unit) -> None:
+    node, period_s = unit.node_id, 0.1
+    answer = unit.sdo(request(WRITE_2, od.HEARTBEAT_MS, 0, round(1000 * period_s)))
+    assert answer[0] == WRITTEN
+    beats = [unit.receive(0x700 + node, 2.0) for _ in range(6)]
+    assert all(beat is not None for beat in beats)
+    gaps_s = [b[0] - a[0] for a, b in pairwise(beats[1:])]
+    assert all(gap_s == pytest.approx(period_s, rel=0.5) for gap_s in gaps_s), gaps_s
+    assert sum(gaps_s) == pytest.approx(len(gaps_s) * period_s, rel=0.2)
+    assert all(beat[1] == bytes([PRE_OPERATIONAL]) for beat in beats[1:])
+    unit.send(0, bytes((1, node)))
+    states = [unit.receive(0x700 + node, 2.0)[1][0] for _ in range(3)]
+    assert states[-1] == OPERATIONAL
+
+
+@pytest.mark.parametrize(
+    ("asked", "code"),
+    [
+        (request(READ_OBJECT, 0x5FFF, 0), NO_SUCH_OBJECT),
+        (request(READ_OBJECT, od.IDENTITY, 9), NO_SUCH_SUBINDEX),
+        (request(WRITE_4, od.IDENTITY, od.IDENTITY_VENDOR, 1), READ_ONLY),
+        (request(0xE0, od.IDENTITY, 1), UNKNOWN_COMMAND),
+    ],
+    ids=["no object", "no sub-index", "read only", "no command"],
+)
+def test_what_cannot_be_done_is_aborted_with_its_code(unit, asked: bytes, code: int) -> None:
+    answer = unit.sdo(asked)
+    assert answer[0] == ABORT
+    assert answer[1:4] == asked[1:4]
+    assert int.from_bytes(answer[4:], "little") == code
+    # and the server still serves
+    vendor = unit.sdo(request(READ_OBJECT, od.IDENTITY, od.IDENTITY_VENDOR))
+    assert int.from_bytes(vendor[4:], "little") == od.VENDOR_ID
+
+
+def test_a_stray_write_takes_no_zero(unit) -> None:
+    answer = unit.sdo(request(WRITE_4, od.TARE, od.TARE_COMMAND, 1))
+    assert answer[0] == ABORT
+
+
+# -- What a CiA 402 drive does on its bus, simulated or real, as far as the axes rely on it --------
+
+
+READY = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON)
+
+
+@pytest.fixture
+def moving_drive(drive: Any) -> Any:
+    if not drive.may_move:
+        pytest.skip("needs motion: --allow-motion")
+    return drive
+
+
+def test_it_is_a_drive_with_the_modes_that_are_needed(drive: Any) -> None:
+    assert drive.device._read(motion_od.DEVICE_TYPE) & 0xFFFF == 402
+    modes = drive.device._read(motion_od.SUPPORTED_MODES)
+    assert modes >> (ModeOfOperation.PROFILE_POSITION - 1) & 1
+    assert State.of(drive.device._status()).words in drive.device.identify()
+
+
+def test_its_heartbeat_comes_as_often_as_it_shall(drive: Any) -> None:
+    drive.device._write(motion_od.HEARTBEAT_MS, 0, 50)
+    beats = drive.heard(motion_od.COB_HEARTBEAT + drive.node_id, 1.0)
+    assert 15 <= len(beats) <= 25
+    assert all(len(data) == 1 and data[0] & 0x7F in (4, 5, 127) for _, data in beats)
+
+
+def test_a_stopped_drive_beats_on_and_answers_no_sdo(drive: Any) -> None:
+    drive.device._write(motion_od.HEARTBEAT_MS, 0, 50)
+    drive.device._command("STOPPED")
+    with pytest.raises(AxisNotOperational, match="NMT state stopped"):
+        drive.device.identify()
+    drive.device.clear_fault(reboot=False)
+    beats = drive.heard(motion_od.COB_HEARTBEAT + drive.node_id, 0.5)
+    assert {data[0] & 0x7F for _, data in beats[1:]} == {5}
+
+
+def test_what_is_set_up_is_read_back(drive: Any) -> None:
+    drive.device._set_up()
+    wanted = drive.device._settings
+    assert drive.device._read(motion_od.SOFTWARE_LIMITS, 1) == wanted.low
+    assert drive.device._read(motion_od.PROFILE_VELOCITY) == wanted.velocity
+    assert drive.device._read(motion_od.QUICK_STOP_OPTION) == motion_od.STAY_IN_QUICK_STOP
+
+
+def test_an_object_that_is_not_there_is_refused_with_its_name(drive: Any) -> None:
+    with pytest.raises(AxisMissing, match=r"refused to read 1018h:9"):
+        drive.device._transfer("read", 0x1018, 9, drive.device._client.upload)
+
+
+def test_without_power_stage_it_goes_between_two_states(drive: Any) -> None:
+    device = drive.device
+    device._write(motion_od.CONTROLWORD, 0, Control.DISABLE_VOLTAGE)
+    for control, state in zip(
+        (Control.SHUTDOWN, Control.DISABLE_VOLTAGE), READY[::-1], strict=True
+    ):
+        device._write(motion_od.CONTROLWORD, 0, control)
+        device._until(lambda state=state: device._state() is state, 2.0, "does not follow")
+        assert device._read(motion_od.VELOCITY) == 0
+
+
+@pytest.mark.slow
+def test_it_goes_to_both_ends_and_stops_quickly_on_the_way(moving_drive: Any) -> None:
+    drive = moving_drive
+    near = abs(drive.device._settings.window / drive.axes._axes[drive.name].increments)
+    middle, way = 0.5 * (drive.low + drive.high), 0.4 * (drive.high - drive.low)
+    for target in (middle - way, middle + way):
+        reached = drive.axes.move({drive.name: target})[drive.name]
+        assert reached == pytest.approx(target, abs=near)
+
+    axis = drive.axes._axes[drive.name]
+    half_s = way / axis.velocity
+    began_s = drive.clock.monotonic()
+
+    def stop() -> None:
+        if drive.clock.monotonic() - began_s > half_s:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        drive.axes.move({drive.name: middle - way}, stop)
+    assert drive.device._state() is State.QUICK_STOP_ACTIVE
+    assert middle - way + near < axis.position < middle + way
