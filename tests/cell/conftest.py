@@ -49,6 +49,24 @@ def small_config(**changes: Any) -> CellConfig:
     return changed_config(CellConfig(), small | wanted)
 
 
+COARSE_PADS = {
+    "name": "coarse",
+    "adc_max": 255,
+    "pads": [
+        {"finger": finger, "face": "inner", "rows": 6, "columns": 3}
+        | {"pitch_x_mm": 5.0, "pitch_y_mm": 5.0}
+        for finger in (0, 1)
+    ],
+}
+"""One pad of 6 x 3 taxels on each finger: frames of six messages."""
+
+
+def quick_config(**changes: Any) -> CellConfig:
+    """Coarse pads and a short way, for tests that need no taught model; else as `small_config`."""
+    quick = {"tactile.layout": COARSE_PADS, "gripper.aperture_open_mm": 12.0}
+    return small_config(**quick | changes)
+
+
 REAL = {
     "gripper.port": "/dev/ttyUSB0",
     "tactile.interface": "socketcan",
@@ -123,11 +141,11 @@ MakeBench = Callable[..., Bench]
 
 @pytest.fixture
 def make_bench() -> Iterator[MakeBench]:
-    """Return the maker; what it has made is closed at the end."""
+    """Return the maker, of quick cells by default; what it has made is closed at the end."""
     cells: list[Cell] = []
 
     def make(config: CellConfig | None = None, **options: Any) -> Bench:
-        chosen = config or small_config()
+        chosen = config or quick_config()
         cells.append(build_cell(chosen, **options))
         return Bench(config=chosen, cell=cells[-1], simulated=cells[-1].simulated)
 

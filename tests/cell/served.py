@@ -17,7 +17,7 @@ from cell.interfaces.opening import open_interfaces
 from cell.plugin.plugin import TactileCellPlugin
 from cell.service.opening import open_service
 from cell.service.service import JobView, Service
-from tests.cell.conftest import small_config
+from tests.cell.conftest import quick_config, small_config
 from tests.cell.stub_plugin import GRIP_N, StubPlugin
 from tests.fuzz.harness import Clock
 from tests.waiting import LIMIT_S, until
@@ -138,11 +138,12 @@ def tls(tmp_path: Path) -> dict[str, str]:
 
 @pytest.fixture
 def make_plugin() -> Iterator[Callable[..., Any]]:
-    """Return the maker of plugins on small simulated cells."""
+    """Return the maker of plugins on simulated cells: small ones with a model, else quick ones."""
     made: list[Any] = []
 
     def make(config: CellConfig | None = None, **options: Any) -> Any:
-        made.append(TactileCellPlugin(config or small_config(), **options))
+        usual = small_config if options.get("model") else quick_config
+        made.append(TactileCellPlugin(config or usual(), **options))
         return made[-1]
 
     yield make

@@ -20,16 +20,6 @@ from tactile.errors import TactileError
 from tests.cell.conftest import Bench, once
 from tests.faults.invariants import InvariantMonitor
 
-COARSE_PADS = {
-    "name": "coarse",
-    "adc_max": 255,
-    "pads": [
-        {"finger": finger, "face": "inner", "rows": 6, "columns": 3}
-        | {"pitch_x_mm": 5.0, "pitch_y_mm": 5.0}
-        for finger in (0, 1)
-    ],
-}
-"""One pad of 6 x 3 taxels on each finger: frames of six messages."""
 JOB_BOUND_S = 60.0
 """Every job has to be over within so many s of simulated time; the longest takes 15 s."""
 LATER_S = 1.0

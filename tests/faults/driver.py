@@ -13,7 +13,8 @@ from cell.control.keeping import Keep
 from cell.control.plan import GraspStep, Pose
 from cell.simulation import simulation_of
 from simulator.errors import SimulatorError
-from tests.faults.campaign import COARSE_PADS, PRODUCT_ERRORS, campaign_config
+from tests.cell.conftest import COARSE_PADS
+from tests.faults.campaign import PRODUCT_ERRORS, campaign_config
 from tests.faults.invariants import (
     FrameWitness,
     InvariantBroken,

@@ -52,7 +52,7 @@ def test_a_process_serves_both_ports_and_takes_faults(cell_process, inject_fault
         bus.close()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_processes_end_with_the_test_and_a_dead_one_shows_its_log(pytester) -> None:
     pytester.makepyfile(
         """

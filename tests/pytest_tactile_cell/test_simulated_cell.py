@@ -12,9 +12,12 @@ from cell.errors import CellStateError, ConfigError, PositionerError
 from gripper.errors import BusTimeout
 from simulator.errors import SimulatorSettingsError
 from tactile.errors import FrameTimeout
+from tests.cell.conftest import COARSE_PADS
 
 PIN = {"pin": "cylinder:diameter=6mm,length=20mm"}
 QUICK = {"tactile.tare_frames": 25, "gripper.approach_speed_mm_s": 20.0}
+SHORT = QUICK | {"sequence.force_n": [2.0, 3.0], "sequence.max_grasps": 2}
+SHORT["tactile.layout"] = COARSE_PADS
 REAL = """
 gripper: {port: /dev/ttyUSB7, servos: [{id: 11}, {id: 12}], force_max_n: 9.0}
 tactile: {interface: socketcan, channel: can7, node_id: 9}
@@ -73,9 +76,8 @@ def test_a_recording_is_made_on_request(simulated_cell, tmp_path) -> None:
 
 @pytest.mark.slow
 def test_objects_are_taught_and_told_apart(simulated_cell) -> None:
-    short = QUICK | {"sequence.force_n": [2.0, 3.0], "sequence.max_grasps": 2}
-    cell = simulated_cell(objects=PIN | {"ball": "sphere:diameter=9.5mm"}, changes=short).start()
-    recognizer = cell.teach(["pin", "ball"], grasps=10)
+    cell = simulated_cell(objects=PIN | {"ball": "sphere:diameter=9.5mm"}, changes=SHORT).start()
+    recognizer = cell.teach(["pin", "ball"], grasps=5)
     assert cell.identify(recognizer, "pin").label == "pin"
     assert cell.identify(recognizer, "ball").label == "ball"
 
@@ -170,9 +172,8 @@ def test_a_host_program_teaches_identifies_and_sorts_on_the_runtime(
     cell_runtime, inject_fault
 ) -> None:
     moved: list[Pose] = []
-    short = QUICK | {"sequence.force_n": [2.0, 3.0], "sequence.max_grasps": 2}
     objects = PIN | {"ball": "sphere:diameter=9.5mm"}
-    cell = cell_runtime(objects=objects, changes=short, mover=moved.append)
+    cell = cell_runtime(objects=objects, changes=SHORT, mover=moved.append)
     with pytest.raises(CellStateError, match=r"as `present` \(`--object`\), one of pin, ball"):
         cell.run({"task": "teach", "label": "nut", "grasps": 3})
     for label in objects:

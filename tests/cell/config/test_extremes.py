@@ -18,7 +18,8 @@ from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.errors import ConfigError
 from cell.simulation import simulation_of
-from tests.faults.campaign import COARSE_PADS, campaign_config
+from tests.cell.conftest import COARSE_PADS
+from tests.faults.campaign import campaign_config
 
 _ELSEWHERE = ("serve.", "positioner.", "sort.", "recognition.", "loop.", "seed", "host_timeout_s")
 """Keys of no effect on a grasp in virtual time; their ends are still read."""

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
@@ -19,12 +18,12 @@ from cell.learning.shape_reading import shape_reader
 from gripper.errors import GripContradicted, GripperError, LimitExceeded
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
-from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, small_config
+from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, quick_config
 from tests.values import raising
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
 APPROACHING, RELEASING = GripperPhase.APPROACHING, GripperPhase.RELEASING
-OPEN_M = CellConfig().gripper.aperture_open_mm * 1e-3
+OPEN_M = quick_config().gripper.aperture_open_mm * 1e-3
 
 
 # -- grasps ----------------------------------------------------------------------------------
@@ -101,7 +100,6 @@ def test_an_empty_gripper_is_no_part_and_no_fault(make_bench: MakeBench, tmp_pat
     ("shape", "closed_mm", "reached"),
     [
         ("sphere:diameter=5mm", 0.5, False),
-        ("cylinder:diameter=2mm,length=20mm", 0.5, False),
         ("cylinder:diameter=3mm,length=20mm", 0.0, False),
         ("cylinder:diameter=2mm,length=20mm", -4.0, True),
     ],
@@ -109,7 +107,7 @@ def test_an_empty_gripper_is_no_part_and_no_fault(make_bench: MakeBench, tmp_pat
 def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(
     make_bench: MakeBench, tmp_path: Path, shape: str, closed_mm: float, reached: bool
 ) -> None:
-    small = small_config(
+    small = quick_config(
         gripper__aperture_min_mm=closed_mm, simulator__objects=[{"label": "a", "shape": shape}]
     )
     bench = make_bench(small, folder=tmp_path).ready("a")
@@ -243,19 +241,9 @@ def test_cancelling_between_two_grasps_leaves_the_fingers_open(bench: Any) -> No
     bench.grasp()
     bench.life.cancel()
     with pytest.raises(CellStopped, match="between two grasps; the fingers are open"):
-        bench.grasp()
+        bench.controller.identify(Scripted(SURE), [GraspStep(pose=Pose(), force_n=3.0)])
     assert bench.life.state is CellState.IDLE
     assert bench.grip_n == 0.0
-    bench.grasp()
-
-
-@pytest.mark.slow
-def test_a_cancel_between_two_parts_of_a_job_is_not_lost(bench: Any) -> None:
-    bench.ready()
-    bench.grasp()
-    bench.life.cancel()
-    with pytest.raises(CellStopped):
-        bench.controller.identify(Scripted(SURE), [GraspStep(pose=Pose(), force_n=3.0)])
     bench.life.cancel()
     bench.life.forget_cancel()
     bench.grasp()
@@ -320,11 +308,10 @@ MOTIONS: dict[str, Callable[[Any], object]] = {
         ("start", OPENING, 0.0),
         ("zero", APPROACHING, 0.3),
         ("zero", RAMPING, 0.5),
-        ("zero", GripperPhase.HOLDING, 0.5),
         ("zero", GripperPhase.HOLDING, 4.0),  # one finger presses and yields
-        ("zero", RELEASING, 0.1),
+        pytest.param("zero", RELEASING, 0.1, marks=pytest.mark.long),
         ("zero", OPENING, 9.5),  # measures friction
-        ("grasp", APPROACHING, 0.3),
+        ("grasp", APPROACHING, 0.1),
         ("grasp", RAMPING, 0.3),
         ("release", RELEASING, 0.03),
         ("release_held", RELEASING, 0.03),
@@ -404,7 +391,7 @@ def test_the_cell_is_supervised_while_a_person_moves_the_object(make_bench: Make
         assert moving.wait(10.0)
         return ""
 
-    bench = make_bench(small_config(positioner__kind="operator"), ask=ask)
+    bench = make_bench(quick_config(positioner__kind="operator"), ask=ask)
     bench.controller.start()
     before_s = bench.simulated.clock.monotonic()
     bench.simulated.clock.on_advance.append(
@@ -424,7 +411,7 @@ def test_the_cell_is_supervised_while_a_person_moves_the_object(make_bench: Make
 def test_a_frame_that_shows_the_part_stands_against_messages_that_show_none(make_bench) -> None:
     slow = {"kind": "linear", "rate_n_s": 5.0, "hold_s": 0.3}
     # With some noise the sensor's own comparison of messages and frames is the first to find it.
-    bench = make_bench(small_config(sequence__ramp=slow, seed=2)).ready()
+    bench = make_bench(quick_config(sequence__ramp=slow, seed=2)).ready()
     bench.simulated.inject("unit.force_gain=0@contact+0.25s")
     with pytest.raises(GripContradicted, match="a frame scanned since then shows"):
         bench.controller.grasp(GraspStep(pose=Pose(), force_n=5.0))

@@ -1,21 +1,158 @@
-"""Identification without a cell: when a sequence ends, what is fused, what cannot spoil it."""
+"""A sequence without a cell: its plan, one grasp, and when an identification ends."""
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from cell.config.sequence import (
+    LinearRampConfig,
+    SCurveRampConfig,
+    SequenceConfig,
+    StaircaseRampConfig,
+    ramp_from_config,
+)
+from cell.control.controller import CellController
+from cell.control.grasping import Grasper
 from cell.control.identification import Identification, grasp_and_classify
 from cell.control.keeping import Judge
+from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import GraspRecord
-from cell.errors import CellError, ConfigError
+from cell.errors import CellError, ConfigError, NoPartFound
 from cell.learning.pad_knowledge import PadKnowledge
 from cell.learning.shape_reading import in_words, shape_reader
+from gripper.force.ramp import ForceRamp
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.shape.foam import FoamModel
 from recognition.statistics.fusion import DecisionKind
+from tactile.layout import paper_layout
 from tests.cell.conftest import SURE, UNSURE, Scripted, small_config
+from tests.fuzz.harness import Clock
 from tests.values import raising
+
+
+def distinct_poses(steps: tuple[GraspStep, ...]) -> int:
+    return len({step.pose for step in steps})
+
+
+def test_random_plan_stays_in_its_ranges_and_repeats_with_its_seed() -> None:
+    config = SequenceConfig()
+    steps = plan(config, 200, seed=3)
+    assert steps == plan(config, 200, seed=3)
+    assert steps != plan(config, 200, seed=4)
+    for step in steps:
+        assert abs(step.pose.x_m) <= 2e-3
+        assert abs(step.pose.y_m) <= 2e-3
+        assert 0.0 <= step.pose.rotation_rad <= 2 * math.pi
+        assert 2.0 <= step.force_n <= 8.0
+    assert distinct_poses(steps) == 200
+
+
+def test_grid_visits_each_point_once_before_it_repeats() -> None:
+    config = SequenceConfig(
+        kind="grid", x_mm=(-1.0, 1.0), y_mm=(0.0, 0.0), roll_deg=(0.0, 0.0), force_n=(4.0, 4.0)
+    )
+    steps = plan(config, 18, seed=0)
+    assert distinct_poses(steps) == 9
+    assert steps[:9] == steps[9:]
+    assert {step.pose.x_m for step in steps} == {-1e-3, 0.0, 1e-3}
+
+
+def test_list_is_taken_in_order_and_anew() -> None:
+    config = SequenceConfig(
+        kind="list",
+        poses=({"x_mm": 1.0, "force_n": 3.0}, {"rotation_deg": 90.0}),  # type: ignore[arg-type]
+    )
+    steps = plan(config, 3, seed=0)
+    assert steps[0].pose == Pose(x_m=1e-3)
+    assert steps[0].force_n == 3.0
+    assert steps[1].pose.rotation_rad == pytest.approx(math.pi / 2)
+    assert steps[2] == steps[0]
+
+
+def test_empty_plan_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least 1"):
+        plan(SequenceConfig(), 0, seed=0)
+
+
+def test_pose_refuses_what_is_not_finite_and_reads_well() -> None:
+    with pytest.raises(ValueError, match="x_m"):
+        Pose(x_m=math.nan)
+    assert str(Pose(x_m=1e-3, rotation_rad=math.pi)).startswith(
+        "x +1.0 mm, y +0.0 mm, rotation 180"
+    )
+
+
+@pytest.mark.parametrize(
+    "config",
+    [LinearRampConfig(), StaircaseRampConfig(kind="staircase"), SCurveRampConfig(kind="s_curve")],
+)
+def test_ramps_of_the_config_end_at_the_wanted_force(config) -> None:
+    ramp = ramp_from_config(config, 5.0)
+    assert ramp.final_n == 5.0
+    assert ramp.setpoint_n(ramp.duration_s) == pytest.approx(5.0)
+
+
+# -- One grasp without a cell ----------------------------------------------------------------------
+
+
+@pytest.fixture
+def grasper() -> Grasper:
+    """A grasper whose hand finds nothing, and whose sensor sends no frame."""
+    released: list[Callable[..., Any]] = []
+    hand: Any = SimpleNamespace(
+        layout=paper_layout(),
+        period_s=0.005,
+        phase=GripperPhase.IDLE,
+        largest_ramp_n=12.0,
+        check_ramp=lambda _ramp: None,
+        open=lambda _watch: None,
+        grasp=lambda _ramp, _watch: SimpleNamespace(result=GraspResult.NO_CONTACT),
+        release=released.append,
+        released=released,
+    )
+    positioner: Any = SimpleNamespace(blocks=False, move_to=lambda pose, *_: pose)
+    return CellController(small_config(), hand, positioner, clock=Clock())._grasper
+
+
+def test_fingers_that_close_before_a_frame_comes_open_again(grasper: Grasper) -> None:
+    with pytest.raises(NoPartFound, match="had closed before a frame of the taxels came"):
+        grasper.grasp(GraspStep(pose=Pose(), force_n=3.0), "")
+    assert len(grasper.hand.released) == 1  # type: ignore[attr-defined]
+    assert grasper.life.result is GraspResult.NO_CONTACT
+
+
+def test_servos_that_carry_less_than_asked_for_end_the_ramp_there_with_one_note(
+    grasper: Grasper, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hand: Any = grasper.hand
+    finals_n, notes = [], []
+    monkeypatch.setattr(grasper.journal, "note", lambda _kind, text: notes.append(text))
+
+    def grasp(ramp: ForceRamp, _watch: object) -> Any:
+        finals_n.append(ramp.final_n)
+        return SimpleNamespace(result=GraspResult.NO_CONTACT)
+
+    hand.grasp, hand.largest_ramp_n = grasp, 4.0
+    for force_n in (3.0, 6.0, 6.0):
+        with pytest.raises(NoPartFound):
+            grasper.grasp(GraspStep(pose=Pose(), force_n=force_n), "")
+    assert finals_n == pytest.approx([3.0, 3.6, 3.6])
+    (note,) = notes
+    assert "grasps end at 3.6 N, 6.0 N were asked for" in note
+    assert "current_max_a" in note
+    # What the config itself does not allow is refused as ever.
+    hand.check_ramp = lambda ramp: finals_n.append(ramp.final_n)
+    grasper.check(GraspStep(pose=Pose(), force_n=40.0))
+    assert finals_n[-1] == 40.0
+
+
+# -- Identification without a cell: when a sequence ends, what is fused, what cannot spoil it ------
 
 
 @pytest.fixture

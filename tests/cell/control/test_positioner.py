@@ -1,20 +1,33 @@
+"""Who moves the object: the simulation, an operator, the host, or axes that really move."""
+
 import json
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
+from math import radians
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
-from cell.control.plan import Pose
+from cell.config.model import CellConfig
+from cell.control.axes import AxesPositioner
+from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import (
     CallbackPositioner,
+    Destination,
     OperatorPositioner,
     SimulatedPositioner,
     SocketPlacer,
 )
-from cell.errors import PositionerError
+from cell.control.states import CellState
+from cell.errors import CellStateError, CellStopped, PositionerError, PositionerFault
+from gripper.values.state import GripperPhase
+from simulator.world.shapes import ObjectPose
+from tests.cell.conftest import MakeBench, once, quick_config
+from tests.faults.scenarios.axes import CHANGES
 from tests.values import raising
 
 POSE = Pose(x_m=1e-3, rotation_rad=1.0)
@@ -160,3 +173,215 @@ def test_a_reply_that_does_not_end_is_not_waited_for(tmp_path: Path) -> None:
             for _ in range(2):
                 with pytest.raises(PositionerError, match="is lost"):
                     placer.place("ball", POSE)
+
+
+# -- The positioner with axes: a sequence on axes that really move, and what it refuses ------------
+
+
+NEAR_M, NEAR_RAD = 1e-4, radians(1.0)
+AWAY = Pose(x_m=2e-3, rotation_rad=radians(30.0), roll_rad=radians(40.0))
+
+
+@pytest.fixture
+def config() -> CellConfig:
+    return quick_config(**{path.replace(".", "__"): value for path, value in CHANGES.items()})
+
+
+@pytest.fixture
+def bench(make_bench: MakeBench, config: CellConfig) -> Any:
+    return make_bench(config)
+
+
+def true_pose(bench: Any) -> Pose:
+    """Where the axes really are."""
+    axes = bench.simulated.devices.axes
+    return Pose(
+        x_m=axes["x"].position,
+        rotation_rad=axes["rotation"].position,
+        roll_rad=axes["roll"].position,
+    )
+
+
+def near(one: Pose, other: Pose) -> bool:
+    turns = max(abs(one.rotation_rad - other.rotation_rad), abs(one.roll_rad - other.roll_rad))
+    return abs(one.x_m - other.x_m) < NEAR_M and one.y_m == other.y_m and turns < NEAR_RAD
+
+
+def test_a_host_that_brings_parts_to_their_places_leaves_the_axes_to_be_seen(
+    make_bench: MakeBench, config: CellConfig
+) -> None:
+    assert make_bench(config, places=lambda _destination: None).cell.axes is not None
+
+
+@pytest.mark.slow
+def test_an_object_that_is_taken_off_the_axes_does_not_come_back(bench: Any) -> None:
+    cell = bench.simulated
+    for y_m in (0.0, 0.2):  # between the pads, and beside them
+        cell.place("ball", ObjectPose(y_m=y_m))
+        assert (cell.world.placed is None) is (y_m > 0.0)
+        cell.place("nothing")
+        assert cell.devices.stage._carried is None
+        bench.controller.moves.positioner.move_to(AWAY)
+        assert cell.world.placed is None
+
+
+@pytest.mark.slow
+def test_a_missed_move_shows_in_the_grasp_though_no_encoder_shows_it(bench: Any) -> None:
+    def centre_m(pose: Pose) -> float:
+        grasp = bench.grasp(4.0, pose).grasp
+        last = grasp.counts[-20:].mean(axis=0) - grasp.counts[:5].mean(axis=0)
+        pad = grasp.pads.taxels_of(bench.controller.hand.layout.gripping_pads[0])
+        weights = np.clip(last[pad], 0.0, None)
+        return float(weights @ grasp.pads.taxel_xy_m[pad, 0] / weights.sum())
+
+    bench.ready("ball")
+    before_m = centre_m(Pose())
+    bench.simulated.devices.axes["x"].slipped = 0.003
+    after_m = centre_m(Pose())
+    assert bench.controller.life.state is CellState.IDLE
+    assert after_m - before_m == pytest.approx(3e-3, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_the_object_is_carried_out_of_the_pads_and_back(bench: Any) -> None:
+    bench.ready("ball")
+    devices = bench.simulated.devices
+    bench.grasp(3.0, Pose())
+    devices.axes["x"].slipped = 0.5
+    bench.sleep(0.1)
+    assert devices.physical.placed is None
+    devices.axes["x"].slipped = 0.0
+    bench.sleep(0.1)
+    assert devices.physical.placed is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        (Pose(y_m=1e-3), "asks for y, which no axis moves; nothing has moved"),
+        (Pose(x_m=7e-3), "axis x was asked for 7.00 mm, its limits are -6.00 mm to 6.00 mm"),
+    ],
+)
+def test_a_pose_that_no_axis_reaches_is_refused_and_nothing_moves(bench, pose, words) -> None:
+    bench.ready().grasp(3.0, Pose())
+    before = true_pose(bench)
+    with pytest.raises(PositionerError, match=words):
+        bench.grasp(3.0, pose)
+    assert true_pose(bench) == before
+    assert bench.controller.life.state is CellState.IDLE
+    bench.grasp(3.0, Pose())
+
+
+@pytest.mark.slow
+def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
+    bench.ready()
+    positioner = bench.controller.moves.positioner
+    assert isinstance(positioner, AxesPositioner)
+    there = Destination(label="ball", place="bin", pose=AWAY)
+    for phase in GripperPhase:
+        positioner.phase = lambda phase=phase: phase
+        if phase in (GripperPhase.OFF, GripperPhase.IDLE):
+            positioner.move_to(Pose())
+            continue
+        before = true_pose(bench)
+        with pytest.raises(PositionerError, match=f"the fingers are {phase.value}: axes move only"):
+            positioner.move_to(AWAY)
+        if phase is not GripperPhase.HOLDING:
+            with pytest.raises(PositionerError, match="axes move only while the fingers rest"):
+                positioner.carry_to(there)
+        assert true_pose(bench) == before
+
+
+@pytest.mark.slow
+def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
+    there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3, roll_rad=1.0))
+    bench.ready()
+    with pytest.raises(CellStateError):
+        bench.controller.moves.carry_to(there)
+    bench.controller.grip(3.0, Pose(x_m=1e-3))
+    held = bench.grip_n
+    assert held > 1.0
+    bench.controller.moves.carry_to(there)
+    assert true_pose(bench).x_m == pytest.approx(5e-3, abs=NEAR_M)
+    assert bench.grip_n == pytest.approx(held, abs=0.3)
+    with pytest.raises(PositionerError, match="the place bin of ball has no pose"):
+        bench.controller.moves.carry_to(Destination(label="ball", place="bin"))
+    with pytest.raises(PositionerError, match=r"its limits are -6.00 mm"):
+        bench.controller.moves.carry_to(Destination(label="ball", place="far", pose=Pose(x_m=0.1)))
+    assert bench.grip_n == pytest.approx(held, abs=0.3)
+    bench.controller.release()
+    bench.controller.moves.present("box")
+    assert near(bench.grasp(3.0, AWAY).reached, AWAY)
+    assert near(true_pose(bench), AWAY)
+    label, placed = bench.simulated.world.placed
+    assert (label, placed.x_m) == ("box", pytest.approx(AWAY.x_m, abs=NEAR_M))
+    assert placed.rotation_rad == pytest.approx(AWAY.rotation_rad, abs=NEAR_RAD)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "number"),
+    [("axis2.fault", 606), ("a defect of the program", 599)],
+)
+def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(
+    bench: Any, monkeypatch: pytest.MonkeyPatch, fault: str, number: int
+) -> None:
+    bench.ready()
+    bench.controller.grip(3.0, Pose())
+    if number == 599:
+        axes = bench.controller.moves.positioner.axes
+        monkeypatch.setattr(axes, "_move", lambda *_args: {}["defect"])
+    else:
+        bench.simulated.inject(fault)
+    there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3))
+    with pytest.raises((PositionerFault, KeyError), match=r"drive 12|defect"):
+        bench.controller.moves.carry_to(there)
+    assert bench.controller.life.state is CellState.ABORTED
+    assert bench.controller.life.status.fault_number == number
+    bench.sleep(1.0)
+    assert bench.grip_n > 1.0
+    assert not any(axis.moving for axis in bench.simulated.devices.axes.values())
+
+
+@pytest.mark.slow
+def test_a_cancel_stops_the_axes_on_their_way(bench: Any) -> None:
+    bench.ready().grasp(3.0, Pose(x_m=-5e-3))
+    axes = bench.simulated.devices.axes
+    once(bench.clock, lambda: axes["x"].moving, bench.controller.life.cancel)
+    with pytest.raises(CellStopped):
+        bench.grasp(3.0, Pose(x_m=5e-3))
+    assert not any(axis.moving for axis in axes.values())
+    assert axes["x"].position < 0.0
+    assert bench.controller.life.state is CellState.HELD
+    bench.controller.release()
+    assert bench.grasp(3.0, Pose(x_m=5e-3)).reached.x_m == pytest.approx(5e-3, abs=NEAR_M)
+
+
+def test_a_person_brings_the_object_where_nothing_is_simulated() -> None:
+    asked: list[str | None] = []
+
+    def bring(label: str | None, supervise: Callable[[], None]) -> None:
+        supervise()
+        asked.append(label)
+
+    looked: list[bool] = []
+    positioner = AxesPositioner(axes=None, moved=(), bring=bring, phase=lambda: GripperPhase.IDLE)  # type: ignore[arg-type]
+    positioner.present("ball", lambda: looked.append(True))
+    assert (asked, looked) == (["ball"], [True])
+
+
+@pytest.mark.slow
+def test_the_fingers_are_supervised_while_the_axes_move(bench: Any) -> None:
+    """A servo of the gripper that falls silent on the way stops the axes as well."""
+    bench.ready().grasp(3.0, Pose(x_m=-5e-3))
+    axes = bench.simulated.devices.axes
+    once(bench.clock, lambda: axes["x"].moving, lambda: bench.inject("servo2.off"))
+    with pytest.raises(Exception, match="servo"):
+        bench.controller.grasp(GraspStep(pose=Pose(x_m=5e-3), force_n=3.0))
+    assert bench.controller.life.state is CellState.ABORTED
+    stood_m = axes["x"].position
+    assert stood_m < 4e-3
+    bench.simulated.clock.sleep(0.3)
+    assert axes["x"].position == pytest.approx(stood_m, abs=1e-5)
+    assert not any(axis.moving for axis in axes.values())

@@ -3,10 +3,14 @@
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from cell.control import lifecycle
+from cell.control.journal import Journal
+from cell.control.lifecycle import CellLifecycle, LatchedFault
 from cell.control.plan import Pose
 from cell.control.states import (
     COMPLETIONS,
@@ -21,13 +25,15 @@ from cell.control.states import (
     next_state,
 )
 from cell.data.recording_reader import read_recording
-from cell.errors import CellStateError, CellStopped
+from cell.errors import CellStateError, CellStopped, PositionerError
 from docs.tools.states_page import DOES, GRASP_DOES, states_page
+from gripper.errors import BusTimeout, ServoFault
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from tactile.errors import BusOff
 from tests.cell.conftest import MakeBench, once
-from tests.values import command_of
+from tests.fuzz.harness import Clock
+from tests.values import command_of, raising
 
 IDLE = (CellState.STARTING, CellState.IDLE)
 HELD = (*IDLE, CellState.EXECUTE, CellState.HOLDING, CellState.HELD)
@@ -287,3 +293,83 @@ def test_what_a_failed_grasp_leaves_is_shown_while_the_fingers_rest() -> None:
 def test_a_fault_shows_in_the_state_of_the_grip(lost: bool, state: str) -> None:
     for phase in GripperPhase:
         assert grasp_state(phase, result=None, fault=True, part_lost=lost).value == state
+
+
+# -- The lifecycle without a cell ------------------------------------------------------------------
+
+
+def life_of(state: CellState, phase: GripperPhase, **hand: Any) -> CellLifecycle:
+    return CellLifecycle(
+        SimpleNamespace(phase=phase, **hand),  # type: ignore[arg-type]
+        Journal(None),
+        Clock(),
+        0.2,
+        state=state,
+    )
+
+
+@pytest.mark.parametrize(
+    ("phase", "state", "kept"),
+    [(GripperPhase.IDLE, CellState.IDLE, []), (GripperPhase.HOLDING, CellState.ABORTED, ["kept"])],
+)
+def test_a_pose_that_is_not_reached_is_a_fault_beside_a_part_alone(phase, state, kept) -> None:
+    calls: list[str] = []
+    life = life_of(CellState.EXECUTE, phase, keep_grip=lambda: calls.append("kept"))
+    with pytest.raises(PositionerError), life.latching_faults():
+        raise PositionerError("the arm stands")
+    assert (life.state, calls, life.faults.total()) == (state, kept, len(kept))
+
+
+def test_a_grip_that_cannot_be_confirmed_does_not_hide_the_fault() -> None:
+    unplugged = raising(BusTimeout("the cable is out"))
+    life = life_of(CellState.EXECUTE, GripperPhase.RAMPING, keep_grip=unplugged)
+    with pytest.raises(ServoFault), life.latching_faults():
+        raise ServoFault(1, 0x20, "overload")
+    assert (life.state, life.status.fault_number) == (CellState.ABORTED, 109)
+
+
+def test_a_clear_that_fails_keeps_the_first_fault_or_names_it_beside_that_of_a_servo() -> None:
+    life = life_of(CellState.ABORTED, GripperPhase.HELD_AFTER_FAULT)
+    life.latched = LatchedFault("no frame for 0.2 s", 401)
+    for error, number in ((BusTimeout("the cable is out"), 401), (ServoFault(1, 32, "hot"), 109)):
+        life.hand.clear_fault = raising(error)  # type: ignore[method-assign]
+        with pytest.raises(type(error)):
+            life.clear(reboot=False)
+        assert (life.state, life.status.fault_number) == (CellState.ABORTED, number)
+    assert str(life.fault).endswith("(first: no frame for 0.2 s)")
+
+
+@pytest.mark.parametrize("way", ["fault", "clear that fails", "clear"])
+def test_text_number_and_time_of_a_fault_are_one_value_for_other_threads(way, monkeypatch) -> None:
+    seen: list[tuple[bool, bool, bool]] = []
+
+    def reading(name: str) -> Any:
+        real = getattr(lifecycle, name)
+
+        def read(*given: Any) -> Any:
+            now = life.status
+            seen.append((now.fault is None, now.fault_number == 0, now.fault_since_s is None))
+            return real(*given)
+
+        return read
+
+    latched = way != "fault"
+    life = life_of(
+        CellState.ABORTED if latched else CellState.EXECUTE,
+        GripperPhase.HELD_AFTER_FAULT,
+        keep_grip=lambda: None,
+        clear_fault=(lambda **_: None) if way == "clear" else raising(ServoFault(1, 32, "hot")),
+    )
+    if latched:
+        life.latched = LatchedFault("no frame for 0.2 s", 401)
+    for name in ("error_text", "fault_number", "next_state"):
+        monkeypatch.setattr(lifecycle, name, reading(name))
+    with suppress(ServoFault):
+        if latched:
+            life.clear()
+        else:
+            with life.latching_faults():
+                raise ServoFault(1, 32, "hot")
+    assert len(seen) >= 2
+    assert all(len(set(one)) == 1 for one in seen), seen
+    assert life.faults.total() == life.status.n_faults

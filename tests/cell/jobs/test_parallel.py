@@ -47,12 +47,6 @@ def assert_same(a: Evaluation, b: Evaluation) -> None:
             np.testing.assert_allclose(x, y)
 
 
-@pytest.mark.slow
-def test_two_processes_give_the_same_figures(parts, alone) -> None:
-    with workers(2) as mapper:
-        assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
-
-
 def test_one_process_works_here() -> None:
     seen: list[int] = []
     with workers(1) as mapper:
@@ -83,16 +77,22 @@ def cluster() -> Iterator[Any]:
         yield made
 
 
+@pytest.fixture(params=["processes", "cluster"])
+def scheduler(request: pytest.FixtureRequest) -> str | None:
+    """Address of the cluster, or None for processes."""
+    on_cluster = request.param == "cluster"
+    return request.getfixturevalue("cluster").scheduler_address if on_cluster else None
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(60)
-def test_a_cluster_of_two_workers_gives_the_same_figures(cluster, parts, alone) -> None:
-    with workers(scheduler=cluster.scheduler_address) as mapper:
+def test_two_workers_give_the_same_figures(scheduler, parts, alone) -> None:
+    with workers(2, scheduler=scheduler) as mapper:
         assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["processes", "cluster"])
-def test_a_worker_that_dies_costs_its_piece_of_work_alone(kind, request, tmp_path) -> None:
+def test_a_worker_that_dies_costs_its_piece_of_work_alone(scheduler, tmp_path) -> None:
     token = tmp_path / "token"
     token.touch()
 
@@ -102,8 +102,7 @@ def test_a_worker_that_dies_costs_its_piece_of_work_alone(kind, request, tmp_pat
             os.kill(os.getpid(), signal.SIGKILL)
         return number
 
-    cluster = request.getfixturevalue("cluster") if kind == "cluster" else None
-    with workers(2, scheduler=cluster and cluster.scheduler_address) as mapper:
+    with workers(2, scheduler=scheduler) as mapper:
         assert list(mapper(work, range(6))) == [*range(6)]
     assert not token.exists()
 

@@ -42,13 +42,13 @@ def test_a_captured_sequence_is_canopen_to_tshark(tmp_path: Path) -> None:
             plugin,
             config,
             labels=["ball", "box"],
-            n_teach=4,
+            n_teach=3,
             n_trials=1,
             folder=tmp_path,
             progress=silent,
         )
         statistics = plugin._cell.controller.hand.statistics.source
-    assert (result.n_taught, len(result.trials)) == (8, 2)
+    assert (result.n_taught, len(result.trials)) == (6, 2)
     assert statistics.frames.lost == statistics.frames.torn == statistics.error_frames == 0
 
     assert decode(capture, "-Y", "_ws.malformed") == []

@@ -10,7 +10,7 @@ from cell.data.dataset import read_grasps, write_dataset
 from cell.data.files import json_bytes
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, NoPartFound
-from cell.jobs.collection import grasps_of
+from cell.jobs.collection import Collection, grasps_of
 from cell.jobs.common import job_folder
 from cell.jobs.teach import name_recorded, read_labelled_grasps
 from cell.learning.model import load_model
@@ -19,7 +19,6 @@ from cell.plugin.main_job import baseline
 from cell.report.build import BASELINE, score, score_tables
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
-from tests.cell.conftest import MakeBench
 
 
 def test_the_papers_check_names_the_likeliest_also_in_doubt() -> None:
@@ -118,21 +117,16 @@ def test_nothing_asked_is_no_accuracy() -> None:
 
 
 @pytest.mark.slow
-def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_one(
-    make_bench: MakeBench, taught
-) -> None:
-    bench = make_bench(taught.config)
+def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_one(bench) -> None:
     bench.controller.start()
     bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
     told: list[tuple[int, int]] = []
-    cell = bench.controller, taught.config.sequence
-    (found,) = grasps_of(
-        *cell,
-        ["box"],
-        2,
-        seed=1,
-        on_grasp=lambda now: told.append((len(now.records), now.n_missed)),
-    )
+    cell = bench.controller, bench.config.sequence
+
+    def tell(now: Collection) -> None:
+        told.append((len(now.records), now.n_missed))
+
+    (found,) = grasps_of(*cell, ["box"], 2, seed=1, on_grasp=tell)
     assert found.label == "box"
     assert told == [(0, 1), (1, 1)]
     bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)

@@ -41,7 +41,7 @@ def test_the_layout_on_the_page_has_the_pads_of_the_sensor() -> None:
     assert layout == inner_pads("dfrobot_6x6", 6, 6, 3e-3, adc_max=4095)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_the_package_passes_what_the_page_prints(tmp_path: Path) -> None:
     target = tmp_path / "target"

@@ -30,8 +30,8 @@ from recognition.recognizers import make_trainer
 from tactile.can.bus import close_bus, open_bus
 from tactile.errors import BusNotOpened
 from tactile.layout import paper_layout
+from tests.cell.conftest import COARSE_PADS
 from tests.faults.campaign import (
-    COARSE_PADS,
     CampaignCell,
     FaultRow,
     Observed,
