@@ -276,33 +276,6 @@ def test_values_of_any_kind_become_plain_ones() -> None:
     }  # fmt: skip
 
 
-@pytest.mark.slow
-def test_recording_cut_anywhere_gives_every_whole_chunk(whole, tmp_path) -> None:
-    path, grasps = whole
-    data = path.read_bytes()
-    cut = tmp_path / "cut.mcap"
-    n_frames, refused = [], []
-    for length in [*range(0, len(data), 997), len(data) - 1]:
-        cut.write_bytes(data[:length])
-        try:
-            recording = read_recording(cut)
-        except RecordingError:
-            refused.append(length)
-            continue
-        assert not recording.complete
-        assert recording.lost_reason
-        n_frames.append(len(recording.frames))
-        assert all(map(same, grasps, recording.grasps))
-        complete_grasps = len(recording.grasps) + recording.n_broken_grasps
-        assert complete_grasps <= len(recording.poses)
-        with pytest.raises(RecordingError, match=r"not complete.*saves its \d+ whole grasps"):
-            recording_grasps(cut)
-    assert max(refused) < 3000
-    assert n_frames == sorted(n_frames)
-    assert n_frames[-1] == 120
-    assert len(set(n_frames)) > 4
-
-
 def test_killed_program_leaves_a_readable_recording(tmp_path) -> None:
     clock = Clock(100.0)
     recorder = Recorder(tmp_path / "r.mcap", clock, pads=PADS)

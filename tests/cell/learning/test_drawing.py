@@ -175,17 +175,6 @@ def test_simulated_and_virtual_pads_read_as_the_config_says(tactile) -> None:
     assert layout.adc_max * usual_foam(config).response(force_n) == pytest.approx(counts)
 
 
-def test_a_gauge_keeps_the_law_of_the_config() -> None:
-    config, ball = linear_config(), drawn_shape(BALL)
-    true = PadKnowledge(foam=replace(usual_foam(config), gain=0.85), **EXACT)
-    grasps = teach_drawing(config, "b", ball, 8, known=true)
-    foam = calibrate_on_gauge(
-        grasps, ball, pad_array(layout_from_config(config.tactile)), usual_foam(config)
-    ).foam
-    assert foam.full_scale_n == pytest.approx(4.095)
-    assert foam.gain == pytest.approx(0.85, abs=0.09)
-
-
 def test_virtual_grasps_follow_a_linear_sensor() -> None:
     config = linear_config()
     known = PadKnowledge(foam=usual_foam(config), **EXACT)
