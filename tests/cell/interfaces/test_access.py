@@ -1,16 +1,23 @@
-"""Connections of all interfaces: no address keeps another one out, and dead peers leave."""
+"""Opening the interfaces, who may connect, and the address that a browser opens."""
 
+import asyncio
+import os
 import socket
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
 
 import pytest
 
+from cell.config.model import CellConfig
+from cell.config.serve import ServeConfig
+from cell.control.plan import Pose
+from cell.errors import CellError, ConfigError
 from cell.interfaces.access import (
     BUSY_MAX,
     ConnectionPlaces,
@@ -18,8 +25,12 @@ from cell.interfaces.access import (
     may_connect,
     same_secret,
 )
+from cell.interfaces.cli.commands.serve import report_until
+from cell.interfaces.http_server import REQUEST_BYTES, Gate
+from cell.interfaces.opening import open_interfaces, warnings
+from cell.interfaces.page_address import page_address, view_note
 from tests.cell.conftest import small_config
-from tests.waiting import until
+from tests.waiting import LIMIT_S, until
 
 HOLD = struct.pack(">HHHBBHH", 1, 0, 6, 1, 6, 7, 1)
 CALL = b"<methodCall><methodName>hold</methodName></methodCall>"
@@ -187,3 +198,189 @@ def test_requests_name_this_machine(host, may) -> None:
 def test_no_other_text_is_the_secret(given: str) -> None:
     assert not same_secret(given, "secret")
     assert same_secret("secret", "secret")
+
+
+# -- Opening the interfaces: what keeps one from it, and what is warned of -------------------------
+
+
+def test_interfaces_that_cannot_be_opened_say_why(serve, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no interface is open"), open_interfaces(serve().service):
+        pass
+    with pytest.raises(CellError, match=r"cannot read token or secret .*missing"):
+        serve("http", serve__token_file=str(tmp_path / "missing"))
+    os.mkfifo(tmp_path / "pipe")
+    keys = {"secret_file": "modbus", "token_file": "http", "tls_key": "http"}
+    for key, interface in keys.items():
+        files = {"serve__tls_certificate": str(tmp_path / "missing")} if key == "tls_key" else {}
+        with pytest.raises(ConfigError, match="pipe: not a plain file"):
+            serve(interface, **files, **{f"serve__{key}": str(tmp_path / "pipe")})
+    (tmp_path / "bad").write_bytes(b"\xff" * 20)
+    with pytest.raises(ConfigError, match="needs ASCII characters"):
+        serve("xmlrpc", serve__secret_file=str(tmp_path / "bad"))
+    (tmp_path / "long").write_text("x" * 65)
+    with pytest.raises(ConfigError, match="at most 64 characters"):
+        serve("modbus", serve__secret_file=str(tmp_path / "long"))
+    (tmp_path / "short").write_text("short")
+    with pytest.raises(ConfigError, match="at least 16 characters"):
+        serve("http", serve__token_file=str(tmp_path / "short"))
+
+
+def test_an_address_for_others_is_warned_of(serve) -> None:
+    assert warnings(serve("modbus", "xmlrpc", "http").service) == ()
+    others = {"serve__listen": "0.0.0.0", "serve__allow": ["192.0.2.1"]}
+    modbus, http = warnings(serve(serve__modbus_port=0, serve__http_port=0, **others).service)
+    assert "Modbus and XML-RPC authenticate nobody: any program on 192.0.2.1" in modbus
+    assert "without TLS" in http
+    assert warnings(serve(**others).service) == ()
+
+
+@pytest.mark.parametrize("interface", ["modbus", "xmlrpc", "http"])
+def test_a_taken_port_names_the_key_that_sets_another(serve, interface: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port, key = taken.getsockname()[1], f"serve__{interface}_port"
+        ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http")}
+        served = serve(**ports | {key: port})
+        complaint = f"127.0.0.1:{port} .*set serve.{interface}_port to another port"
+        with pytest.raises(CellError, match=complaint), open_interfaces(served.service):
+            pass
+
+
+@pytest.mark.parametrize("interface", ["modbus", "xmlrpc", "http"])
+def test_an_interface_that_dies_is_a_problem_of_the_service(serve, interface: str) -> None:
+    service = serve("modbus", "xmlrpc", "http").service
+    assert service.problem == ""
+    (works,) = (one for name, one in service._watched.items() if f".{interface}_port" in name)
+    server = works.__self__
+    if interface == "modbus":
+        server._loop.call_soon_threadsafe(server._over.set)
+    else:
+        server._server.should_exit = True
+    server._thread.join(LIMIT_S)
+    assert service.problem.startswith(f"the interface of serve.{interface}_port has ended")
+
+
+def test_a_program_with_a_problem_stops_its_job_and_feeds_no_watchdog(serve, capsys) -> None:
+    served = serve("modbus")
+    lease = served.service.lease.acquire("host")
+    served.plugin.pause()
+    served.service.start(lease, {"task": "identify"})
+    reports: list[tuple[str, bool]] = []
+    manager = SimpleNamespace(report=lambda text, *, working: reports.append((text, working)))
+    turns = iter([True, True, False, False, True])
+
+    def wait(_time_s: float) -> bool:
+        """Have a cell that works in some turns."""
+        served.plugin.working = next(turns, None)
+        return served.plugin.working is None
+
+    report_until(SimpleNamespace(wait=wait), served.service, manager)  # type: ignore[arg-type]
+    assert [working for _, working in reports] == [True, True, False, False, True]
+    assert reports[2][0].startswith("the thread of the cell hangs")
+    assert "stopped because the thread of the cell hangs" in served.ended().error
+    said = " ".join(capsys.readouterr().err.split())
+    assert said.count("the thread of the cell hangs") == 1
+
+
+def test_a_host_may_take_its_time_for_a_pose(serve) -> None:
+    served = serve()
+    served.plugin.working = False  # the thread of the cell waits for the host
+    assert served.service.problem
+    reached = served.ask_pose(Pose())
+    assert served.service.problem == ""
+    served.service.pose_reached(served.service.lease.acquire("host"), 1)
+    assert reached.result(LIMIT_S) is True
+
+
+# -- The address of the page: one that a browser opens, here and elsewhere -------------------------
+
+
+TLS = {"tls_certificate": "c", "tls_key": "k"}
+
+
+@pytest.mark.parametrize(
+    ("listen", "allow", "more", "address", "note"),
+    [
+        ("127.0.0.1", (), {}, "http://127.0.0.1:7", "set serve.listen"),
+        ("::1", (), TLS, "https://[::1]:7", "set serve.listen"),
+        ("10.0.0.3", ("10.0.0.0/8",), {}, "http://10.0.0.3:7", ""),
+        ("0.0.0.0", ("10.0.0.0/8",), {"hosts": ("cell3.lan",)}, "http://cell3.lan:7", ""),
+        ("0.0.0.0", ("127.0.0.1",), {}, f"http://{socket.gethostname()}:7", "set serve.hosts"),
+    ],
+)
+def test_the_address_of_the_page_suits_a_browser(*, listen, allow, more, address, note) -> None:
+    config = CellConfig(serve={"listen": listen, "allow": allow} | more).serve
+    assert page_address({"http_port": 7, "token": "t"}, config) == f"{address}/#token=t"
+    assert page_address({"modbus_port": 7}, config) is None
+    assert note in view_note(config)
+    assert bool(note) is bool(view_note(config))
+
+
+def test_the_address_for_others_is_that_of_this_machine_on_their_way(monkeypatch) -> None:
+    asked = []
+
+    class Link(socket.socket):
+        def connect(self, address: Any) -> None:
+            asked.append(address[0])
+            if address[0].startswith("10."):
+                raise OSError("no route")
+
+        def getsockname(self) -> Any:
+            return ("192.168.7.3", 40000)
+
+    monkeypatch.setattr(socket, "socket", Link)
+    config = CellConfig(
+        serve={"listen": "0.0.0.0", "allow": ("10.0.0.0/8", "192.168.7.0/24")}
+    ).serve
+    found = page_address({"http_port": 7, "view_token": "v"}, config, "view_token")
+    assert (found, view_note(config)) == ("http://192.168.7.3:7/#token=v", "")
+    assert asked[:2] == ["10.128.0.0", "192.168.7.128"]
+
+
+# -- The gate before every HTTP application: what it refuses, and when it answers ------------------
+
+
+def order_of(length: int, host: bytes) -> tuple[list[str], int]:
+    """Return what happens to a request whose body comes in two pieces, and its status."""
+    order: list[str] = []
+    status: list[int] = []
+    pieces = iter([True, False])
+
+    async def receive() -> dict[str, Any]:
+        order.append("read")
+        return {"type": "http.request", "body": b"x", "more_body": next(pieces)}
+
+    async def send(message: dict[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            order.append("answered")
+            status.append(message["status"])
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        raise AssertionError("the request has passed")
+
+    gate = Gate(
+        app=app,
+        config=ServeConfig(),
+        longest=lambda _: REQUEST_BYTES,
+        pages=False,
+        whole=lambda _: None,
+    )
+    scope = {
+        "type": "http",
+        "headers": [(b"host", host), (b"content-length", str(length).encode())],
+        "client": ("127.0.0.1", 1),
+        "server": ("127.0.0.1", 2),
+    }
+    asyncio.run(gate(scope, receive, send))
+    return order, status[0]
+
+
+@pytest.mark.parametrize(
+    ("length", "host", "wanted"),
+    [
+        (2, b"evil.example", (["read", "read", "answered"], 403)),
+        (0, b"evil.example", (["answered"], 403)),
+        (REQUEST_BYTES + 1, b"127.0.0.1", (["answered"], 413)),
+    ],
+)
+def test_a_refusal_follows_the_body_unless_it_is_too_long(length, host, wanted) -> None:
+    assert order_of(length, host) == wanted

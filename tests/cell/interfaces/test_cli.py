@@ -200,10 +200,6 @@ def test_teach_extends_a_data_set_with_other_poses(config, tmp_path) -> None:
     assert "2 were there" in text
     grasps = read_dataset(path)
     assert [grasp.label for grasp in grasps] == ["ball", "ball", "part_7"]
-    sunk = tmp_path / "sunk.yaml"
-    sunk.write_text("gripper:\n  aperture_min_mm: 9.0\nself_zero: never\n")
-    text = call("teach", "box", "-n", 1, "-o", path, "-c", sunk)
-    assert "1 of 1 ramps ended early: the part is too small or too soft for" in text
 
 
 def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
@@ -262,18 +258,7 @@ def test_identify_on_the_cell(config, model, tmp_path, monkeypatch) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "answer"),
-    [
-        ("identify -m {model} --object box -c {config} --json {json}", "answer: box"),
-        *(
-            pytest.param(*one, marks=pytest.mark.long)
-            for one in (
-                ("run -c {config} --json {json}", "One grasp takes"),
-                ("teach ball -n 3 -o {out}/b.npz -c {config}", "3 grasps of ball added"),
-                ("sort --parts 1 -m {model} -c {config} --json {json}", "1 parts sorted"),
-                ("calibrate --gauge ball -n 1 -m {model} -o {out}/c.npz -c {config}", "1 grasps"),
-            )
-        ),
-    ],
+    [("identify -m {} --object box", "answer: box"), ("run", "One grasp takes")],
 )
 @pytest.mark.usefixtures("run_at_once")
 def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
@@ -281,14 +266,12 @@ def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
 ) -> None:
     monkeypatch.setattr(DirectFile, "close", raising(OSError(28, "No space left on device")))
     found = tmp_path / "found.json"
-    names = {"model": model, "config": config, "out": tmp_path, "json": found}
-    result = RUNNER.invoke(app, [part.format(**names) for part in command.split()])
+    arguments = [*command.format(model).split(), "-c", str(config), "--json", str(found)]
+    result = RUNNER.invoke(app, arguments)
     assert answer in result.stdout
     assert isinstance(result.exception, RecordingError)
     assert "stopped after" in str(result.exception)
-    assert "No space left" in str(result.exception)
-    if found.exists():
-        assert "No space left" in read_json(found)["health"]["recording"]
+    assert "No space left" in read_json(found)["health"]["recording"]
 
 
 @pytest.mark.slow
@@ -441,9 +424,7 @@ def test_release_and_doctor_need_nobody_who_moves(config) -> None:
     config.write_text(text.replace("kind: simulated", "kind: callback"), encoding="utf-8")
     assert load_config(config).positioner.kind == "callback"
     call("release", "-c", config, "--confirm")
-    text = call("doctor", "-c", config)
-    assert text.count("pass") >= 10
-    assert "fail" not in text
+    assert "fail" not in call("doctor", "-c", config)
 
 
 # -- commands over records -------------------------------------------------------------------------
@@ -647,7 +628,6 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
     placed = operated.replace("places: []", "places:\n  - {label: ball, place: left}")
     texts = {
         "config": small_text.replace("FOLDER", str(folder / "out")),
-        "pinch": "tactile: {layout: pinch}\n",
         "meshed": "simulator: {objects: [{label: a, shape: 'mesh:file=a.stl'}]}\n",
         "undrawn": "simulator: {objects: [{label: a, shape: 'sphere:diameter=9'}]}\n",
         "operated": operated,
@@ -690,7 +670,6 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (1, "train {nameless} -o {made}", "its 1 grasps have no label"),
         (1, "train {empty} -o {made}", "has no whole grasp"),
         (1, "replay {empty}", "has no whole grasp"),
-        (1, "run -m {model} -c {pinch}", "teach again on these pads"),
         (1, "doctor --plugins --json {config}/x", "cannot be written"),
         (1, "run -c {config} --out {config}", "cannot be made"),
     ],
@@ -962,7 +941,7 @@ def test_sort_prints_how_many_parts_lie_where(config, model, tmp_path) -> None:
     assert "released at: box" in page_of(written["recording"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_sort_without_a_model_announces_what_it_teaches(config) -> None:
     arguments = ["sort", "--config", str(config), "--teach", "3", "--parts", "1"]
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)

@@ -1,18 +1,27 @@
-"""What every interface promises its hosts: lease, hold, refusals, kept part, answer, poses."""
+"""What every interface promises its hosts: lease, hold, refusals, kept part, parts, poses."""
 
+import json
+import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from typing import Any
+from xmlrpc.client import ServerProxy
 
+import numpy as np
 import pytest
 
+from cell.control.answer import Answer
 from cell.control.keeping import Keep
 from cell.control.plan import Pose
 from cell.control.states import Command
+from cell.interfaces.host_calls import COMMANDS
+from cell.interfaces.host_values import VALUES, ur_pose
 from cell.service.service import RELEASE_KEY
 from gripper.errors import ServoFault
-from tests.cell.interfaces.hosts import HOSTS, NOT_IN_COMMAND, Host, Request
+from recognition.recognizer import UNKNOWN
+from tests.cell.interfaces.hosts import HOSTS, NOT_IN_COMMAND, BlockPlc, Client, Host, Plc, Request
 from tests.cell.served import Served
+from tests.cell.stub_plugin import ROUND
 from tests.waiting import LIMIT_S
 
 IDENTIFY = Request(task="identify", max_grasps=2, force_n=6.0, keep=Keep.ALWAYS)
@@ -196,3 +205,92 @@ def test_poses_are_reached_or_refused(connect: Connect) -> None:
         assert found.result(LIMIT_S) is ok
         assert host.reached(number, ok=ok) == -REFUSED  # twice is not two poses
         check_shown(host, pose_seq=0)
+
+
+# -- Each part as hosts see it: once, and with all it has ------------------------------------------
+
+
+PLACES = ("ball", "box", "reject")
+
+
+@pytest.mark.slow
+def test_each_part_reaches_plc_robot_and_program_once(serve) -> None:
+    served = serve("modbus", "xmlrpc", "http", serve__objects=["box", "ball"])
+    plc = BlockPlc(Plc(served.interfaces["modbus_port"])).ready()
+    cell = ServerProxy(f"http://127.0.0.1:{served.interfaces['xmlrpc_port']}/RPC2")
+    host = Client(served.interfaces)
+    sent: list[dict[str, Any]] = []
+    with cell, host.live("&parts_after=0") as link, closing(plc.plc.link):
+        for number, (label, label_id, place_id) in enumerate(
+            (("ball", 2, 1), ("box", 1, 2), (UNKNOWN, 0, 3)), start=1
+        ):
+            place, probability = PLACES[place_id - 1], 0.9 - 0.01 * number
+            part = Answer(
+                task="sort",
+                label=label,
+                probabilities={label: probability},
+                shape=ROUND,
+                place=place,
+                place_id=place_id,
+                rejected=place == "reject",
+            )
+            served.plugin.on_part(part, None)
+            plc.cycle()
+            names = {"label": label, "label_id": label_id, "place": place, "place_id": place_id}
+            assert cell.part() == number
+            for name, value in (names | {"probability": probability, "size": 9.5}).items():
+                assert getattr(cell, f"part_{name}")(number) == value
+            while len(sent) < number:
+                message = json.loads(link.recv(LIMIT_S))
+                if message.get("event") == "part":
+                    sent.append(message["part"])
+                else:  # the event comes first
+                    assert len(message["shift"]["answers"]) <= len(sent)
+            shown = names | {"number": number, "probability": probability, "size_mm": 9.5}
+            assert {name: sent[-1][name] for name in shown} == shown
+            assert plc.cycle()["NewPart"] is False
+            assert plc.parts[number - 1 :] == [
+                {
+                    "Number": number,
+                    "LabelId": label_id,
+                    "Probability": round(1e4 * probability),
+                    "Size": 950,
+                    "Place": place_id,
+                    "Label": label,
+                    "PlaceName": place,
+                }
+            ]
+        assert sent == host.get("/api/state")["shift"]["answers"]
+
+
+# -- The tables of what hosts read and call, and a pose as URScript has it -------------------------
+
+
+def test_no_two_values_or_commands_share_a_place_at_an_interface() -> None:
+    numbers = [number for one in COMMANDS for number in one.numbers]
+    methods, registers = (
+        [getattr(one, column) for one in VALUES if getattr(one, column)]
+        for column in ("method", "register")
+    )
+    for places in ([*methods, *(one.name for one in COMMANDS)], registers, numbers):
+        assert len(places) == len(set(places))
+    # Registers and commands of their own making.
+    assert not set(registers) & {0, 1, 2, 5, 6, 7, 17, 18, 19, 20, 25, 26, 27, *range(32, 96)}
+    assert not set(numbers) & {4, 40, 41}
+
+
+@pytest.mark.parametrize(
+    ("rotation", "roll"), [(0.0, 0.0), (0.4, 0.0), (0.0, -2.0), (3.0, 1.0), (-3.1, 3.1)]
+)
+def test_a_rotation_vector_rolls_first_then_turns(rotation: float, roll: float) -> None:
+    found = ur_pose(Pose(x_m=0.001, y_m=-0.002, rotation_rad=rotation, roll_rad=roll))
+    assert (found["x"], found["y"], found["z"]) == (0.001, -0.002, 0.0)
+    vector = np.array([found["rx"], found["ry"], found["rz"]])
+    angle = float(np.linalg.norm(vector))
+    axis = vector / angle if angle else vector
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    turned = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+    c, s, cr, sr = math.cos(rotation), math.sin(rotation), math.cos(roll), math.sin(roll)
+    about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    np.testing.assert_allclose(turned, about_z @ about_x, atol=1e-12)

@@ -212,7 +212,6 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(connect) -> Non
     assert second.refusal() == (514, "Modbus 127.0.0.1 is in command; wait until it ends")
     for number, refusal, cause in (
         (VERIFY, 505, "the cell is IDLE; allowed: "),
-        (RELEASE, 513, "release: 0x0 is not the key; "),
         (99, 513, "command 99 is not one of ["),
         (TEACH, 513, "object 0 has no label; serve.objects names it"),
     ):
