@@ -52,33 +52,58 @@ def fits(page: Any) -> bool:
 
 
 WIDTHS = (360, 412, 600, 768, 999, 1000, 1024, 1100, 1200, 1280, 1366, 1600, 1920, 2560)
-OVERFLOW = """() => {
-  const seen = [...document.querySelectorAll("body *:not(.unseen)")]
-    .filter((one) => one.clientWidth && !one.closest("svg"));
-  const cut = ({ overflowX, display }) => overflowX !== "visible" || display === "inline";
-  const box = (one) => one.getBoundingClientRect();
-  const meet = (p, q) => Math.min(p.right, q.right) - Math.max(p.left, q.left) > 1
-    && Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top) > 1;
-  const cards = seen.filter((one) => one.matches("main > *"));
-  return seen.filter((one) => box(one).right > innerWidth + 1
-    || (one.scrollWidth > one.clientWidth + 1 && !cut(getComputedStyle(one)))
-    || (cards.includes(one) && cards.some((other) => !one.contains(other) && !other.contains(one)
-      && meet(box(one), box(other))))).map((one) => `${one.tagName} ${one.id} ${one.className}`);
+WRONG = """() => {
+  const wrong = [];
+  const name = (one) => one.id || one.className || one.tagName;
+  const shown = (one) => one.checkVisibility() && !one.closest(".unseen");
+  const { scrollWidth } = document.documentElement;
+  if (scrollWidth > innerWidth) wrong.push(`the page is ${scrollWidth} px wide`);
+  for (const parent of ["#band", "#main", ".commands", ".values"]) {
+    const boxes = [...document.querySelector(parent).children].filter(shown)
+      .map((one) => [name(one), one.getBoundingClientRect()]);
+    boxes.forEach(([a, p], i) => boxes.slice(i + 1).forEach(([b, q]) => {
+      const x = Math.min(p.right, q.right) - Math.max(p.left, q.left);
+      const y = Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top);
+      if (x > 1 && y > 1) wrong.push(`${a} and ${b} overlap`);
+    }));
+  }
+  const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (texts.nextNode()) {
+    const { currentNode: node } = texts;
+    const { parentElement: owner } = node;
+    const found = (text) => wrong.push(`${name(owner)}: ${text}`);
+    if (!shown(owner) || owner.closest("option, svg, dialog:not([open])")) continue;
+    for (const word of node.data.matchAll(/[^\\s-]+/g)) {
+      const range = document.createRange();
+      range.setStart(node, word.index);
+      range.setEnd(node, word.index + word[0].length);
+      const rects = [...range.getClientRects()];
+      if (rects.some((one) => one.top > rects[0].bottom - 2)) found(`${word[0]} is broken`);
+      // A long name of the strip ends in dots.
+      const outer = owner.closest(".strip") ?? owner.closest(".card, .band, button, .health");
+      const right = outer?.getBoundingClientRect().right ?? Infinity;
+      if (rects.some((one) => one.right > right + 1)) found(`${word[0]} stands out`);
+    }
+  }
+  return [...new Set(wrong)];
 }"""
-"""Elements that are wider than their place, outside of the window, or on another card."""
+"""Texts for what overlaps, stands out, or is broken within a word."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
-def test_nothing_overflows_at_any_width(open_page, cell, locale) -> None:
-    page = open_page(locale=locale)
-    for name in ("idle", "named", "faulted", "teaching"):
+@pytest.mark.parametrize("token", ["token", "view_token"])
+def test_nothing_overlaps_or_breaks_at_any_width(open_page, cell, locale, token) -> None:
+    url = cell.url.partition("token=")[0] + f"token={cell.served.interfaces[token]}"
+    page = open_page(url, locale=locale, command=token == "token")
+    becomes(page, "#cell", "Cell 3")
+    for name in STATES:
         show(page, cell, name)
         for width in WIDTHS:
             page.set_viewport_size({"width": width, "height": 900})
-            assert not page.evaluate(OVERFLOW), (name, width)
+            assert not page.evaluate(WRONG), (name, width)
     page.evaluate("document.querySelector('#left').style.width = '2000px'")
-    assert page.evaluate(OVERFLOW)
+    assert page.evaluate(WRONG)
 
 
 @pytest.mark.slow
@@ -337,8 +362,25 @@ def test_what_is_not_allowed_is_grey_with_its_reason(open_page, cell) -> None:
 
 
 @pytest.mark.long
+def test_a_fault_reads_as_text_and_only_a_held_part_is_verified(open_page, cell) -> None:
+    page = open_page()
+    becomes(page, "#state", "Ready")
+    assert not page.is_visible("#do_verify")
+    show(page, cell, "named")
+    assert page.is_visible("#do_verify")
+    cell.faulted()
+    named = {"number": 999, "text": "use `a`", "cause": "`b`", "grip": "`c`", "detail": "`d`"}
+    cell.changes = {"fault": cell.state["fault"] | named}
+    becomes(page, "#fault_title", "use a")
+    steps = page.locator("#fault_steps p").all_text_contents()
+    assert len([step for step in steps if "upport" in step]) == 1
+    assert "`" not in page.inner_text("body") + page.text_content("#fault_detail")
+
+
+@pytest.mark.long
 def test_health_is_one_line_until_something_is_not_well(page, cell) -> None:
-    becomes(page, "#health", "All is well")
+    cell.plugin.levels["drift"] |= {"opening_mm": -0.001}
+    becomes(page, "#health", r"All is well.* 0\.00 mm")
     assert page.locator("#health").bounding_box()["height"] < 45
     cell.plugin.levels["servos"] |= {"level": "watch", "temperature_c": [64.0, 41.0]}
     becomes(page, "#health span >> nth=0", "Attention – Servos: 64 °C")
