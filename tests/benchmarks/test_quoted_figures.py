@@ -67,19 +67,28 @@ def test_a_figure_that_is_printed_no_more_is_named() -> None:
 @pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(
-    ("command", "options", "n_cells"),
+    ("page", "command", "options", "n_cells"),
     [
-        ("`make run`", (), 4),
+        ("README.md", "`make run`", "", 4),
+        ("README.md", "`tactile-cell run -c config/papers-ramp.yaml`", "-c papers-ramp", 1),
         (
-            "`tactile-cell run -c config/papers-ramp.yaml`",
-            ("-c", ROOT / "config" / "papers-ramp.yaml"),
-            1,
+            "docs/how-to/open-parallel-gripper.md",
+            "`tactile-cell run",
+            "-c open-parallel-gripper",
+            4,
+        ),
+        (
+            "docs/how-to/connect-uskin.md",
+            "`tactile-cell run",
+            "-c uskin --teach 10 --trials 4",
+            2,
         ),
     ],
 )
-def test_the_run_of_today_prints_what_is_quoted(command, options, n_cells, tmp_path) -> None:
-    text = printed("run", *options, "--out", tmp_path)
-    cells = quoted((ROOT / "README.md").read_text(encoding="utf-8"), command)
+def test_the_run_of_today_prints_what_is_quoted(page, command, options, n_cells, tmp_path) -> None:
+    given = re.sub(r"-c (\S+)", rf"-c {ROOT}/config/\1.yaml", options).split()
+    text = printed("run", *given, "--out", tmp_path)
+    cells = quoted((ROOT / page).read_text(encoding="utf-8"), command)
     assert len(cells) == n_cells
     assert differing(cells, text) == []
 
