@@ -50,15 +50,17 @@ _PAIRS = 500_000
 _FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _NUMBER = rb"[+-]?(?:[0-9]{1,20}(?:\.[0-9]{0,30})?|\.[0-9]{1,30})(?:[eE][+-]?[0-9]{1,3})?"
 _VERTEX = re.compile(rb"(?i)vertex[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % (_NUMBER, _NUMBER, _NUMBER))
-_CORNER = rb"\s+vertex(?:[ \t]+%b){3}" % _NUMBER
-_BEGIN = rb"(?i)(?:\xef\xbb\xbf)?\s*solid"
+_CORNER = rb"\s++vertex(?:[ \t]++%b){3}" % _NUMBER
 _FACET = (
-    rb"\s+facet\s+normal(?:[ \t]+\S+){3}\s+outer\s+loop(?:%b){3}\s+endloop\s+endfacet" % _CORNER
-)
-_SOLID = rb"[^\r\n]*(?:%b)*\s+end[ \t]*solid[^\r\n]*\s*" % _FACET
-_TEXT = re.compile(rb"%b%b(?:solid%b)*" % (_BEGIN, _SOLID, _SOLID))
+    rb"\s*+facet\s++normal(?:[ \t]++\S++){3}\s++outer\s++loop(?:%b){3}"
+    rb"\s++endloop\s++endfacet"
+) % _CORNER
+_SOLID = rb"solid[^\r\n]*+(?:%b)*+" % _FACET
+_WHOLE = rb"(?:%b\s*+end[ \t]*+solid[^\r\n]*+\s*+)" % _SOLID
+_BEGIN = rb"(?i)(?:\xef\xbb\xbf)?\s*+"
+_TEXT = re.compile(rb"%b%b++" % (_BEGIN, _WHOLE))
 """An STL text file: solids of triangles. Their normals are not used."""
-_TEXT_BEGUN = re.compile(rb"%b(?:%bsolid)*[^\r\n]*(?:%b)*" % (_BEGIN, _SOLID, _FACET))
+_TEXT_BEGUN = re.compile(rb"%b(?=solid)%b*+(?:%b)?" % (_BEGIN, _WHOLE, _SOLID))
 """The first lines of a text file, as far as they are right."""
 _UNIT_M = 1e-3
 """Length of one unit of a file in m; STL has none, mm is what most programs write."""

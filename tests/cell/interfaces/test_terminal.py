@@ -12,14 +12,16 @@ from dataclasses import replace
 
 import pytest
 from rich.console import Console
+from typer.testing import CliRunner
 
 from cell.checks.findings import Finding, ProposedChange, Verdict
-from cell.commissioning.engine import Choice, NumberRange, Question, WizardAborted
+from cell.commissioning.engine import Choice, NumberRange, Question, WizardAborted, leave
 from cell.commissioning.ports import PortsStep
 from cell.control.positioner import PatientCaller
 from cell.control.states import CellState
 from cell.errors import CellStopped, PositionerError
 from cell.interfaces.cli import dialog, terminal, terminal as asking
+from cell.interfaces.cli.app import app
 from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.signals import stopping
 from tests.cell.conftest import small_config
@@ -58,6 +60,17 @@ def test_choices_are_taken_by_number_name_or_enter(typed, lines, answer, capsys)
 def test_numbers_have_a_range_and_either_point(typed, lines, answer) -> None:
     question = Question(key="q", text="?", number=NumberRange(lowest=1, highest=100, unit="mm"))
     assert typed(*lines).ask(question) == answer
+
+
+def test_a_refused_restore_names_the_command_that_asks_again(tmp_path, monkeypatch) -> None:
+    def refused(*_bench: object, **_begin: object) -> None:
+        leave("refused")
+
+    monkeypatch.setattr("cell.commissioning.backup.restore", refused)
+    options = ["--restore", "--servo-port", "/dev/ttyUSB0"]
+    ended = CliRunner().invoke(app, ["commission", str(tmp_path), *options])
+    assert ended.exit_code == 1
+    assert "left: nothing was written; the same command shows the changes again" in ended.stderr
 
 
 def test_texts_are_taken_as_they_are(typed) -> None:

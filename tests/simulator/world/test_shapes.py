@@ -246,7 +246,12 @@ def test_a_mesh_in_another_unit_is_refused_with_its_size(trimesh, tmp_path, size
 
 @pytest.mark.parametrize(
     ("right", "wrong", "line"),
-    [("vertex", "vertex nan", 2), ("endsolid", "", 86), ("endfacet", "end facet", 2)],
+    [
+        ("vertex", "vertex nan", 2),
+        ("endsolid", "", 86),
+        ("endfacet", "end facet", 2),
+        ("endsolid", "endsolid\nx", 88),
+    ],
 )
 def test_a_text_mesh_with_a_wrong_line_is_refused_with_its_number(
     trimesh, tmp_path, right, wrong, line
