@@ -114,9 +114,6 @@ MOST_GRASPS = 400
 JobsOption = Annotated[
     int, typer.Option("--jobs", min=0, help="Processes that share the work, 0: one for each core.")
 ]
-SchedulerOption = Annotated[
-    str | None, typer.Option("--scheduler", help="Address of a Dask scheduler to use.")
-]
 SplitOption = Annotated[
     str, typer.Option("--split", help="chronological:FRACTION or shuffled:FRACTION to train on.")
 ]

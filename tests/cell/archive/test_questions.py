@@ -1,4 +1,4 @@
-"""The questions to an archive are answered by its recordings, on a cluster in the same way."""
+"""The questions to an archive are answered by its recordings."""
 
 import json
 from dataclasses import replace

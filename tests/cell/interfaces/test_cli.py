@@ -684,7 +684,6 @@ def test_wrong_use_is_two_and_a_failing_job_one(fail, files, code, command, comp
     [
         ("trimesh: mesh", "teach x -o {made} --mesh {none}"),
         ("trimesh: mesh", "config check {meshed}"),
-        ("distributed: cluster", "evaluate {dataset} --scheduler tcp://127.0.0.1:9"),
         ("fastapi: serve", "serve -c {config} --http 0"),
     ],
 )

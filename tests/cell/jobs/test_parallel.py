@@ -1,17 +1,14 @@
-"""Evaluation spread over processes and over a Dask cluster gives what one process gives."""
+"""Evaluation spread over processes gives what one process gives."""
 
 import os
 import signal
-from collections.abc import Iterator
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.paper.grasps import PAPER_NOISE, random_grasp
 from cell.errors import CellError
-from cell.jobs import parallel
 from cell.jobs.parallel import workers
 from recognition.evaluation.evaluation import Evaluation, evaluate
 from recognition.grasp import Grasp
@@ -59,40 +56,15 @@ def test_a_number_of_processes_below_none_is_refused() -> None:
         pass
 
 
-@pytest.mark.parametrize("address", ["nowhere", "tcp://127.0.0.1:9"])
-def test_a_scheduler_that_does_not_answer_is_named(address, monkeypatch) -> None:
-    monkeypatch.setattr(parallel, "CONNECT_TIMEOUT_S", 0.3)
-    complaint = f"no Dask scheduler answers at {address}"
-    with pytest.raises(CellError, match=complaint), workers(scheduler=address):
-        pass
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
-    from distributed import LocalCluster
-
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
-    ) as made:
-        yield made
-
-
-@pytest.fixture(params=["processes", "cluster"])
-def scheduler(request: pytest.FixtureRequest) -> str | None:
-    """Address of the cluster, or None for processes."""
-    on_cluster = request.param == "cluster"
-    return request.getfixturevalue("cluster").scheduler_address if on_cluster else None
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(60)
-def test_two_workers_give_the_same_figures(scheduler, parts, alone) -> None:
-    with workers(2, scheduler=scheduler) as mapper:
+def test_two_workers_give_the_same_figures(parts, alone) -> None:
+    with workers(2) as mapper:
         assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
 
 
 @pytest.mark.slow
-def test_a_worker_that_dies_costs_its_piece_of_work_alone(scheduler, tmp_path) -> None:
+def test_a_worker_that_dies_costs_its_piece_of_work_alone(tmp_path) -> None:
     token = tmp_path / "token"
     token.touch()
 
@@ -102,7 +74,7 @@ def test_a_worker_that_dies_costs_its_piece_of_work_alone(scheduler, tmp_path) -
             os.kill(os.getpid(), signal.SIGKILL)
         return number
 
-    with workers(2, scheduler=scheduler) as mapper:
+    with workers(2) as mapper:
         assert list(mapper(work, range(6))) == [*range(6)]
     assert not token.exists()
 
@@ -114,16 +86,3 @@ def test_work_that_kills_each_process_is_an_error() -> None:
 
     with workers(2) as mapper, pytest.raises(CellError, match="ended at the same work"):
         list(mapper(dies, [1, 2, 3]))
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(60)
-def test_a_cluster_without_workers_is_refused() -> None:
-    from distributed import LocalCluster
-
-    with (
-        LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as empty,
-        pytest.raises(CellError, match="has no workers"),
-        workers(scheduler=empty.scheduler_address),
-    ):
-        pass

@@ -12,7 +12,6 @@ from cell.interfaces.cli.options import (
     JobsOption,
     JsonOption,
     ObjectsOption,
-    SchedulerOption,
 )
 
 
@@ -43,12 +42,11 @@ def add(
     target: Annotated[str, typer.Option("--to", help="Folder or URL (fsspec) of the archive.")],
     cell: Annotated[str, typer.Option("--cell", help="Cell of the grasps that name none.")] = "",
     jobs: JobsOption = 1,
-    scheduler: SchedulerOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Add recordings and data sets to an archive; what is in it already is not added again.
 
-    Needs the extra `archive`. Workers of a Dask cluster need the same paths.
+    Needs the extra `archive`.
     """
     from cell.installation import extra
     from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
@@ -58,7 +56,7 @@ def add(
         from cell.archive.ingest import ingest, sources
 
     paths = sources(places)
-    with workers(jobs, scheduler=scheduler) as mapper, progress_bar() as progress:
+    with workers(jobs) as mapper, progress_bar() as progress:
         done = ingest(target, paths, cell=cell, mapper=mapper, progress=progress)
     for path, why in done.left.items():
         named = why if path in why else f"{path}: {why}"
@@ -103,7 +101,6 @@ def report(
     days: DaysOption = None,
     objects: ObjectsOption = None,
     jobs: JobsOption = 1,
-    scheduler: SchedulerOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Answer what is confused, drifts, ages or needs grasps: a page with plots, and JSON.
@@ -120,7 +117,7 @@ def report(
         from cell.archive.questions import ask
 
     selection = parse_selection(cells, days, objects)
-    with workers(jobs, scheduler=scheduler) as mapper, progress_bar() as progress:
+    with workers(jobs) as mapper, progress_bar() as progress:
         answers = ask(archive, selection, mapper=mapper, progress=progress)
     write_page(output, answers, archive)
     for line in lines(answers):

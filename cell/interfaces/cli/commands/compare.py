@@ -13,7 +13,6 @@ from cell.interfaces.cli.options import (
     JsonOption,
     MostOption,
     ObjectsOption,
-    SchedulerOption,
 )
 
 
@@ -28,7 +27,6 @@ def compare(
     objects: ObjectsOption = None,
     most: MostOption = MOST_GRASPS,
     jobs: JobsOption = 1,
-    scheduler: SchedulerOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Compare two models on the same grasps: paired, with an interval of 95 %."""
@@ -42,7 +40,7 @@ def compare(
     models = load_model(first), load_model(second)
     selection = parse_selection(cells, days, objects)
     grasps = selected_grasps(datasets, selection, most, print_line)
-    with workers(jobs, scheduler=scheduler) as mapper:
+    with workers(jobs) as mapper:
         found = compare_models(*models, grasps, mapper)
     only = (found.only_first, found.only_second)
     for path, right, wrong, alone in zip(

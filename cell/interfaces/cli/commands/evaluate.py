@@ -13,7 +13,6 @@ from cell.interfaces.cli.options import (
     JsonOption,
     MostOption,
     ObjectsOption,
-    SchedulerOption,
     known_recognizers,
 )
 from recognition.recognizers import trainer_names
@@ -73,7 +72,6 @@ def evaluate(
             help="Processes, 0: one for each core [default: 0 from 1000 grasps, else 1].",
         ),
     ] = None,
-    scheduler: SchedulerOption = None,
     cells: CellsOption = None,
     days: DaysOption = None,
     objects: ObjectsOption = None,
@@ -101,7 +99,7 @@ def evaluate(
         print_note(f"{twice} tested grasps were taught or occur twice: the accuracy is too high")
     if jobs is None:
         jobs = 0 if len(grasps) >= _MANY_GRASPS else 1
-    with workers(jobs, scheduler=scheduler) as mapper, progress_bar() as progress:
+    with workers(jobs) as mapper, progress_bar() as progress:
         result = evaluate_recognizers(
             grasps,
             split=split,

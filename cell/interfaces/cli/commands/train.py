@@ -14,7 +14,6 @@ from cell.interfaces.cli.options import (
     MostOption,
     ObjectsOption,
     RecognizerOption,
-    SchedulerOption,
 )
 from recognition.recognizers import DEFAULT_TRAINER
 
@@ -42,7 +41,6 @@ def train(
     objects: ObjectsOption = None,
     most: MostOption = MOST_GRASPS,
     jobs: JobsOption = 1,
-    scheduler: SchedulerOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Train a recogniser on data sets and write a model file."""
@@ -74,7 +72,7 @@ def train(
     if any(map(is_archive, datasets)) if spread is None else spread:
         trained, prior = with_spread(trained, grasps)
     if prior is not None:
-        with workers(jobs, scheduler=scheduler) as mapper, progress_bar() as progress:
+        with workers(jobs) as mapper, progress_bar() as progress:
             gains = spread_gains(
                 grasps, recognizer, use_aperture=aperture, mapper=mapper, progress=progress
             )
