@@ -118,7 +118,7 @@ class MechanicsContradicted(FeedbackImplausible):
 
 
 class PositionContradicted(GripperError):
-    """The pads contradict the position that a servo reports; goals are frozen, the grip kept."""
+    """Pads or motor contradict the position that a servo reports; the grip is kept."""
 
 
 class GripContradicted(GripperError):

@@ -84,7 +84,7 @@ class Fingers:
     def conditions(self) -> tuple[ServoCondition, ...]:
         """Read torque and errors of each servo; reads only."""
         return tuple(
-            replace(one, strayed=self.servos.feedback.strayed.get(one.servo_id, ""))
+            replace(one, strayed=self.servos.feedback.check.strayed.get(one.servo_id, ""))
             for one in self.health.conditions()
         )
 
@@ -132,13 +132,15 @@ class Fingers:
             if left:
                 return self._open_one(left[0], observer)
         with self.life.command("release", observer):
-            was_limp = self.make_ready(releasing=True)
-            # The force of a part that a stop leaves half held cannot be controlled.
-            self.life.controlled = False
-            wider = self._wider_open()
+            self.servos.feedback.check.letting_go = True
             try:
+                was_limp = self.make_ready(releasing=True)
+                # The force of a part that a stop leaves half held cannot be controlled.
+                self.life.controlled = False
+                wider = self._wider_open()
                 state = self.move_to(self.settings.aperture_open_m, only_open=True, first=was_limp)
             finally:
+                self.servos.feedback.check.letting_go = False
                 self.health.end_release()
             self.life.part_possible = False
         return ReleaseReport(state=state, opened=tuple(self._ids), wider=wider)

@@ -148,7 +148,7 @@ class Gripper:
         self._health.require_present()
         if STATUS_RETURN_LEVEL.name in self.settings.corrected_registers:
             self._health.demand_answers()
-        for servo_id, seen in self._servos.feedback.strayed.items():
+        for servo_id, seen in self._servos.feedback.check.strayed.items():
             raise FeedbackImplausible(
                 f"servo {servo_id}: {seen}, and it was not restarted since then: the position of "
                 f"its finger is unknown, and nothing is moved. Check encoder, horn and linkage, "

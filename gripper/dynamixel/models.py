@@ -115,6 +115,12 @@ class ServoModel:
         return self.nominal_voltage_v / self.stall_current_a
 
     @property
+    def back_emf_v_s(self) -> float:
+        """Voltage in V that the motor makes for each rad/s of the output, by its no-load speed."""
+        idle_v = self.winding_ohm * self.friction_nm / self.kt_nm_a
+        return (self.nominal_voltage_v - idle_v) / self.no_load_rad_s
+
+    @property
     def slow_rad_s(self) -> float:
         """Speed in rad/s that counts as rest: a count of the X series, or of the model."""
         return max(self.velocity_unit_rad_s, _SLOW_RAD_S)

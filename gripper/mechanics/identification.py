@@ -39,7 +39,7 @@ differ by 0.04 to 0.15 (arXiv 2410.08650). [vendor]"""
 _WEIGHED_SD = 0.05
 """Uncertainty of a motor constant measured by weights on the pads: scale, friction that grows with
 the load. [assumed]"""
-_VOLTAGE_SD_V, _RESISTANCE_SD = 0.02, 0.15
+VOLTAGE_SD_V, RESISTANCE_SD = 0.02, 0.15
 """Error of a voltage in V, and spread of the winding's resistance as a share: 50 K add 20 %.
 [assumed]"""
 _BLOCKS, _LEAST_BLOCKS = 30, 6
@@ -240,11 +240,11 @@ def fit_back_emf(points: Sequence[FreePoint], model: ServoModel) -> float | None
     speeds = [abs(point.speed_rad_s) for point in known]
     if len(known) < 3 or max(speeds) < _LEAST_SPAN * min(speeds):
         return None
-    sd_v = [hypot(_VOLTAGE_SD_V, model.winding_ohm * point.sd_a) for point in known]
+    sd_v = [hypot(VOLTAGE_SD_V, model.winding_ohm * point.sd_a) for point in known]
     rows = [(point.current_a, point.speed_rad_s, point.voltage_v) for point in known]
     # The known resistance is a row too.
     rows.append((1.0, 0.0, model.winding_ohm))
-    sd_v.append(_RESISTANCE_SD * model.winding_ohm)
+    sd_v.append(RESISTANCE_SD * model.winding_ohm)
     whole = np.array(rows, dtype=np.float64) / np.array(sd_v)[:, None]
     found = np.linalg.lstsq(whole[:, :2], whole[:, 2], rcond=None)[0]
     return float(found[1]) if min(found) > 0.0 else None
@@ -261,9 +261,7 @@ def anchored(
     """
     ratio, sd = drive.kt_per_back_emf, _WEIGHED_SD
     if ratio is None:
-        idle_v = model.winding_ohm * model.friction_nm / model.kt_nm_a
-        expected_v_s = (model.nominal_voltage_v - idle_v) / model.no_load_rad_s
-        ratio, sd = model.kt_nm_a / expected_v_s, model.back_emf_sd
+        ratio, sd = model.kt_nm_a / model.back_emf_v_s, model.back_emf_sd
         # Ratio of a motor with equal torque and back-EMF constants.
         kept = _kept_share(drive)
         if kept < ratio:

@@ -1,6 +1,5 @@
 """Feedback of the servos of one gripper in SI units, checked to be new and possible."""
 
-from math import pi
 from typing import NamedTuple
 
 from gripper.clock import Clock
@@ -16,9 +15,10 @@ from gripper.dynamixel.control_table import (
     REALTIME_TICK,
     TICK_MODULO,
 )
-from gripper.errors import BusCorrupt, FeedbackImplausible, LimitExceeded
+from gripper.errors import BusCorrupt
 from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.health import ServoHealth
+from gripper.servos.plausibility import FeedbackCheck
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.state import ServoFeedback, ServoState
 
@@ -41,27 +41,6 @@ _TICK_LONGEST_S = 10.0
 """Pause in s after which ticks are not compared. It is shorter than the modulo of 32.8 s."""
 _TICK_LATEST_S = 0.5
 """Limit in s for a tick that goes back: less is an old answer, more is a restarted servo."""
-
-_SPEED_RESERVE = 1.5
-"""Fastest motion of a finger in multiples of the no-load speed: higher supply voltage, backlash."""
-_LEAP_RAD = 0.05
-"""Possible motion in rad in addition to it: noise of the encoder, time of the reading."""
-_LEAP_LONGEST_S = 0.5
-"""Pause in s after which two positions are not compared: a person may have moved a finger."""
-_BEYOND_CLOSED_RAD, BEYOND_CLOSED_M = 0.08, 0.004
-"""Limit for a finger beyond closed, in rad, or in m of the opening if that is more. Pads give,
-fingers bend, and the zero is set by hand."""
-_BEYOND_OPEN_RAD = 0.5
-"""Limit in rad for a finger beyond its widest opening: a person may have moved it."""
-_CURRENT_RESERVE = 1.5
-"""Largest possible current in multiples of its cap and of the stall current: regulation, noise."""
-_CURRENT_MORE_A = 0.3
-"""Current in A added to the multiple of the cap: at a low cap the regulation overshoots by more."""
-
-_ADVICE = (
-    "where the finger is, is unknown, so the torque is switched off and a held part possibly "
-    "dropped. Check encoder, horn and linkage before clearing the fault"
-)
 
 
 class Feedback:
@@ -91,27 +70,27 @@ class Feedback:
         self._ids = [servo.servo_id for servo in settings.servos]
         self._turns: dict[int, int] = {}
         self._ticks = TickWatch()
-        self._plausible = FeedbackCheck(settings, linkage)
-        self.strayed = self._plausible.strayed
-        """Servos whose position has leapt or left its range, with the reason. Where their fingers
-        are is unknown until they are restarted."""
+        self.check = FeedbackCheck(settings, linkage)
+        """Comparison with possible motion."""
 
     @property
     def off_by_turns(self) -> bool:
         """Whether a servo counts in another turn than its zero; False without a reading."""
         return any(self._turns.values())
 
-    def read(self, *, under_torque: bool) -> ServoFeedback:
+    def read(self, *, under_torque: bool, loaded: bool) -> ServoFeedback:
         """Read the feedback of all servos in one transaction.
 
         Raises BusTimeout or BusCorrupt when an answer is missing, damaged or older than the
         request. Raises ServoFault when a servo has restarted under torque. Raises
-        FeedbackImplausible when a servo under torque reports impossible values.
+        FeedbackImplausible or PositionContradicted as `FeedbackCheck.check`.
 
         Parameters
         ----------
         under_torque
             True while goals are in force: then the feedback must be possible.
+        loaded
+            Whether the pads may hold a part.
         """
         sent_s = self._clock.monotonic()
         raws = self._bus.sync_read(self._ids, PRESENT_BLOCK)
@@ -130,7 +109,7 @@ class Feedback:
             self._turns.clear()
         servos = tuple(self._servo_state(s, raws[s.servo_id]) for s in self._settings.servos)
         if under_torque:
-            self._plausible.check(servos, now_s)
+            self.check.check(servos, now_s, loaded=loaded)
         self.last = self._gripper_state(servos, now_s)
         return self.last
 
@@ -138,22 +117,27 @@ class Feedback:
         """Compare the next feedback with no earlier one: servos were restarted or switched off."""
         self._turns.clear()
         self._ticks.forget()
-        self._plausible.forget()
+        self.check.forget()
 
     def _servo_state(self, servo: ServoSettings, raw: dict[str, int]) -> ServoState:
         model, position_raw = servo.servo_model, raw[PRESENT_POSITION.name]
         # Under torque a servo cannot lose or gain a turn: a change is an error and must be found.
         turns = self._turns.setdefault(servo.servo_id, servo.turns(position_raw))
         velocity_rad_s = raw[PRESENT_VELOCITY.name] * model.velocity_unit_rad_s
+        current_a = model.current_a(raw[PRESENT_CURRENT.name]) * servo.direction
+        voltage_v = raw[PRESENT_INPUT_VOLTAGE.name] * model.voltage_unit_v
+        pwm_share = raw[PRESENT_PWM.name] / model.whole_pwm_raw * servo.direction
+        motor = self.check.motors[servo.servo_id]
         return ServoState(
             servo_id=servo.servo_id,
             angle_rad=servo.angle_rad(position_raw, turns),
             velocity_rad_s=velocity_rad_s * servo.direction,
-            current_a=model.current_a(raw[PRESENT_CURRENT.name]) * servo.direction,
-            pwm_share=raw[PRESENT_PWM.name] / model.whole_pwm_raw * servo.direction,
+            current_a=current_a,
+            pwm_share=pwm_share,
+            motor_rad_s=motor.least_rad_s(pwm_share * voltage_v, current_a),
             position_raw=position_raw,
             temperature_c=float(raw[PRESENT_TEMPERATURE.name]),
-            voltage_v=raw[PRESENT_INPUT_VOLTAGE.name] * model.voltage_unit_v,
+            voltage_v=voltage_v,
             tick_ms=raw[REALTIME_TICK.name],
             alert=self._bus.alert(servo.servo_id),
         )
@@ -315,98 +299,3 @@ class TickMark(NamedTuple):
         if ticks_s <= 0.0:
             return _LARGEST_RATE
         return min(_LARGEST_RATE, max(_LEAST_RATE, host_s / ticks_s))
-
-
-class FeedbackCheck:
-    """Comparison of the feedback of servos under torque with possible motion of fingers."""
-
-    def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
-        self.strayed: dict[int, str] = {}
-        self._settings = settings
-        self._linkage = linkage
-        self._lowest_rad = tuple(
-            angle - max(_BEYOND_CLOSED_RAD, BEYOND_CLOSED_M / linkage.opening_per_rad_m(angle))
-            for angle in linkage.angles_rad(0.0)
-        )
-        self._highest_rad = tuple(
-            angle + _BEYOND_OPEN_RAD for angle in linkage.angles_rad(settings.aperture_open_m)
-        )
-        self._last: dict[int, tuple[float, float]] = {}
-
-    def forget(self) -> None:
-        """Compare the next feedback with no earlier one."""
-        self._last.clear()
-
-    def check(self, servos: tuple[ServoState, ...], now_s: float) -> None:
-        """Check the feedback of one transaction.
-
-        Raises FeedbackImplausible where a finger has leapt, or its position or current is
-        impossible.
-
-        Parameters
-        ----------
-        servos
-            Feedback of the servos, whose torque is on.
-        now_s
-            Monotonic time after the answer in s.
-        """
-        for index, servo in enumerate(servos):
-            self._check_current(index, servo)
-            last = self._last.get(servo.servo_id)
-            self._last[servo.servo_id] = (now_s, servo.angle_rad)
-            self._check_turn(servo)
-            if last is None:
-                self._check_link(servo)
-                continue
-            last_s, last_rad = last
-            model = self._settings.servos[index].servo_model
-            passed_s = now_s - last_s
-            farthest_rad = _SPEED_RESERVE * model.no_load_rad_s * passed_s + _LEAP_RAD
-            leapt_rad = servo.angle_rad - last_rad
-            if passed_s < _LEAP_LONGEST_S and abs(leapt_rad) > farthest_rad:
-                self.strayed[servo.servo_id] = f"its position leapt by {leapt_rad:+.3f} rad"
-                raise FeedbackImplausible(
-                    f"servo {servo.servo_id}: {self.strayed[servo.servo_id]} within "
-                    f"{passed_s * 1e3:.0f} ms, at most {farthest_rad:.3f} rad are possible: "
-                    f"{_ADVICE}"
-                )
-            self._check_range(index, servo, last_rad)
-            self._check_link(servo)
-
-    def _check_turn(self, servo: ServoState) -> None:
-        if not -0.5 * pi <= servo.angle_rad <= 1.5 * pi:
-            raise FeedbackImplausible(
-                f"servo {servo.servo_id}: the count of its position ({servo.position_raw}) is off "
-                f"by {abs(servo.angle_rad) / (2.0 * pi):.2f} turns, which no motion makes while "
-                f"its torque is on: {_ADVICE}"
-            )
-
-    def _check_current(self, index: int, servo: ServoState) -> None:
-        settings = self._settings
-        model = settings.servos[index].servo_model
-        most_a = min(
-            _CURRENT_RESERVE * settings.current_max_a + _CURRENT_MORE_A,
-            _CURRENT_RESERVE * model.stall_current_a,
-        )
-        if abs(servo.current_a) > most_a:
-            raise FeedbackImplausible(
-                f"servo {servo.servo_id}: it reports {servo.current_a:.2f} A, at most "
-                f"{most_a:.2f} A are possible with current_max_a = {settings.current_max_a} A: "
-                f"{_ADVICE}"
-            )
-
-    def _check_range(self, index: int, servo: ServoState, last_rad: float) -> None:
-        low_rad, high_rad = self._lowest_rad[index], self._highest_rad[index]
-        # Fingers that a person left outside may be brought back in.
-        if low_rad <= last_rad <= high_rad and not low_rad <= servo.angle_rad <= high_rad:
-            self.strayed[servo.servo_id] = f"its finger stands at {servo.angle_rad:.3f} rad"
-            raise FeedbackImplausible(
-                f"servo {servo.servo_id}: {self.strayed[servo.servo_id]}, it can be from "
-                f"{low_rad:.3f} to {high_rad:.3f} rad: {_ADVICE}"
-            )
-
-    def _check_link(self, servo: ServoState) -> None:
-        try:
-            self._linkage.opening_per_rad_m(servo.angle_rad)
-        except LimitExceeded as error:
-            raise FeedbackImplausible(f"servo {servo.servo_id}: {error}. {_ADVICE}") from None

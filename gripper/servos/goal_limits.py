@@ -145,7 +145,8 @@ class GoalGuard:
         """Return the goal of a finger that closes, with its current and its speed bounded."""
         model = servo.servo_model
         empty = force_n < self._settings.contact_force_n
-        if empty and abs(state.velocity_rad_s) <= model.slow_rad_s:
+        closing_rad_s = -min(state.velocity_rad_s, state.motor_rad_s)
+        if empty and max(abs(state.velocity_rad_s), abs(state.motor_rad_s)) <= model.slow_rad_s:
             stood_a = self._stood_a.get(state.servo_id, 0.0)
             self._stood_a[state.servo_id] = max(stood_a, -state.current_a)
         most_a = min(goal.current_a, self._most_a(state.servo_id, goal, path))
@@ -159,7 +160,7 @@ class GoalGuard:
                 fastest_m_s, pressing_speed_m_s(self._settings, impact, goal.setpoint_n)
             )
         fastest_rad_s = fastest_m_s / reach_m
-        over_rad_s = -state.velocity_rad_s - fastest_rad_s
+        over_rad_s = closing_rad_s - fastest_rad_s
         if over_rad_s > model.slow_rad_s:
             # Only the excess momentum is removed, or the finger would swing. Friction does a part.
             drive_n = force_n + path.drive.least_breakaway_a * path.n_per_a
@@ -216,7 +217,7 @@ class GoalGuard:
             for goal, before_a in zip(goals, self._previous_a, strict=True)
         )
         for index, (goal, now) in enumerate(zip(goals, state.servos, strict=True)):
-            self._check_goal(index, goal, now.angle_rad)
+            self._check_goal(index, goal, now.angle_rad, _positions(state))
         opening = all(
             goal.angle_rad >= servo.angle_rad - _EQUAL
             for goal, servo in zip(goals, state.servos, strict=True)
@@ -228,7 +229,8 @@ class GoalGuard:
                 if least_n > settings.force_max_n:
                     raise LimitExceeded(
                         f"goal current {goal.current_a:.3f} A of servo {servo.servo_id} makes at "
-                        f"least {least_n:.1f} N, force_max_n is {settings.force_max_n} N"
+                        f"least {least_n:.1f} N, force_max_n is {settings.force_max_n} N "
+                        f"({_positions(state)})"
                     )
             if state.temperature_c > settings.temperature_max_c:
                 raise LimitExceeded(
@@ -257,7 +259,7 @@ class GoalGuard:
             most_n = max(most_n, max(first_n, second_n) / n - times * settings.force_noise_n)
         return most_n - settings.force_max_n
 
-    def _check_goal(self, index: int, goal: ServoGoal, angle_rad: float) -> None:
+    def _check_goal(self, index: int, goal: ServoGoal, angle_rad: float, positions: str) -> None:
         settings = self._settings
         servo = settings.servos[index]
         if not 0.0 <= goal.current_a <= settings.current_max_a + _ROUNDING_A:
@@ -274,8 +276,14 @@ class GoalGuard:
         if not lowest_rad <= goal.angle_rad <= max(high_rad, angle_rad) + _EQUAL_ANGLE_RAD:
             raise LimitExceeded(
                 f"goal angle {goal.angle_rad:.4f} rad of servo {servo.servo_id} is not from "
-                f"{low_rad:.4f} to {high_rad:.4f} rad (closed to aperture_open_m)"
+                f"{low_rad:.4f} to {high_rad:.4f} rad (closed to aperture_open_m; {positions})"
             )
+
+
+def _positions(state: ServoFeedback) -> str:
+    """Return the reported positions of all servos: a goal of one follows from those of both."""
+    found = (f"servo {one.servo_id} at {one.angle_rad:.4f} rad" for one in state.servos)
+    return f"by the positions that all report: {', '.join(found)}; check encoders and horns"
 
 
 def pressing_speed_m_s(settings: GripperSettings, impact: ImpactLimit, setpoint_n: float) -> float:

@@ -79,7 +79,10 @@ class ServoGroup:
 
     def read(self) -> ServoFeedback:
         """Read the feedback of all servos in one transaction; errors as in `Feedback.read`."""
-        return self.feedback.read(under_torque=bool(self.goals.last))
+        sample = self.fresh_force
+        # A load that is unknown may be one.
+        loaded = sample is None or max(sample.force_n) >= self._settings.contact_force_n
+        return self.feedback.read(under_torque=bool(self.goals.last), loaded=loaded)
 
     def read_patiently(self) -> ServoFeedback:
         """Read as `read` does, again where an answer was lost or old; for use between commands."""
@@ -268,7 +271,7 @@ class ServoGroup:
         for servo_id in ids:
             with suppress(BusTimeout, BusCorrupt):  # a late answer is lost in the restart
                 self._bus.reboot(servo_id)
-            self.feedback.strayed.pop(servo_id, None)
+            self.feedback.check.strayed.pop(servo_id, None)
             self._clock.sleep(_BOOT_S)
             deadline_s = self._clock.monotonic() + _BOOT_TIMEOUT_S
             while True:

@@ -64,6 +64,8 @@ class ServoState:
     """Realtime Tick: the servo's own time, modulo 32768 ms; recordings keep it."""
     pwm_share: float = 0.0
     """Present PWM in the same direction, as a share of the supply."""
+    motor_rad_s: float = 0.0
+    """Least certain velocity by voltage and current of the motor, without the encoder."""
     alert: bool
     """True while Hardware Error Status (register 70) is not zero."""
 

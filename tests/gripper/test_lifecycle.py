@@ -13,6 +13,8 @@ from gripper.errors import (
     GraspStopped,
     GripperStateError,
     LimitExceeded,
+    PartSlipped,
+    PositionContradicted,
     ServoFault,
     copy_fingers,
     fingers_left,
@@ -25,17 +27,20 @@ from gripper.values.state import GripperPhase
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
 
-def test_a_finger_that_creeps_out_of_its_range_ends_in_limp_fingers(cell) -> None:
+def test_a_held_part_is_kept_where_a_report_creeps_out_of_its_range(cell) -> None:
     cell.hold_part(RAMP)
-    motor = cell.motors[0]
+    held_n, since_s = cell.force_n, cell.clock.monotonic()
 
-    def creep(_) -> None:
-        stuck = motor.stuck_at_rad
-        motor.stuck_at_rad = (motor.angle_rad if stuck is None else stuck) - 0.02
+    def creep(now_s: float) -> None:
+        # So slowly that the motor does not contradict it.
+        counts = round(-0.03 * (now_s - since_s) / cell.motors[0].model.rad_per_pulse)
+        cell.knobs[0].offset_report(counts)
 
-    with pytest.raises(FeedbackImplausible, match="it can be from"):
-        cell.gripper.hold(2.0, creep)
-    assert cell.torques == [0, 0]
+    cell.clock.on_advance.append(creep)
+    with pytest.raises((PositionContradicted, PartSlipped)):
+        cell.gripper.hold(20.0)
+    assert cell.torques == [1, 1]
+    assert cell.force_n == pytest.approx(held_n, abs=0.5)
 
 
 def test_a_current_that_cannot_be_ends_in_limp_fingers(cell, monkeypatch) -> None:

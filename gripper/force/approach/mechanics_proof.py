@@ -52,13 +52,13 @@ from gripper.mechanics.kinematics import (
     motion_currents_a,
     transmissions,
 )
-from gripper.servos.feedback import BEYOND_CLOSED_M
 from gripper.servos.goal_limits import (
     ServoGoal,
     closing_margin_rad,
     most_closed_rad,
     overrun_rad,
 )
+from gripper.servos.plausibility import BEYOND_CLOSED_M
 from gripper.settings import GripperSettings
 from gripper.values.recent import FRAME_S, LEAST_SAMPLES, RecentForce
 from gripper.values.servo_checks import VerificationRow

@@ -1,0 +1,107 @@
+"""Position, voltage and current of a servo against each other, with values of a servo as input."""
+
+import random
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from gripper.errors import FeedbackImplausible, PositionContradicted
+from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.servos.plausibility import FeedbackCheck, MotorTravel
+from gripper.settings import GripperSettings
+from gripper.values.state import ServoState
+from tests.values import make_servo
+
+MODEL = GripperSettings().servos[0].servo_model
+PERIOD_S, UNSEEN_RAD = 0.005, 0.01
+OHM, BACK_EMF_V_S = 1.15 * MODEL.winding_ohm, 0.9 * MODEL.back_emf_v_s
+"""Motor of a servo that is warm, with a weak magnet."""
+
+
+def moving(
+    speeds_rad_s: list[float], *, at_rad: float = 0.2, reported: float = 1.0, seed: int = 1
+) -> Iterator[ServoState]:
+    """Give the feedback of a servo at some speeds; its position shows a share of them."""
+    draw, count_rad = random.Random(seed), MODEL.rad_per_pulse
+    for speed_rad_s in speeds_rad_s:
+        at_rad += reported * speed_rad_s * PERIOD_S
+        current_a = (0.13 if speed_rad_s > 0.0 else -0.13 if speed_rad_s else -0.4) + draw.gauss(
+            0.0, 0.004
+        )
+        voltage_v = OHM * current_a + BACK_EMF_V_S * speed_rad_s
+        yield replace(
+            make_servo(servo_id=1, voltage_v=12.0, velocity_rad_s=0.0),
+            angle_rad=count_rad * round(at_rad / count_rad),
+            current_a=2.69e-3 * round(current_a / 2.69e-3),
+            pwm_share=round(885 * voltage_v / 12.0) / 885,
+        )
+
+
+SWEEPS = [w for _ in range(4) for w in [0.15] * 60 + [-0.5] * 40 + [0.0] * 40 + [0.5] * 40]
+"""Motions to and fro at two speeds, and rest on a part."""
+
+
+def pushed(motor: MotorTravel, servos: Iterator[ServoState], from_s: float = 0.0) -> float:
+    """Add a feedback in each period; return the largest travel that the position did not show."""
+    most_rad = 0.0
+    for period, servo in enumerate(servos):
+        motor.push(servo, from_s + period * PERIOD_S, loaded=True)
+        most_rad = max(most_rad, motor.unseen_rad)
+    return most_rad
+
+
+@pytest.fixture
+def motor() -> MotorTravel:
+    settings = GripperSettings()
+    return MotorTravel(settings, settings.servos[0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_motor_agrees_with_its_position_and_has_no_more_than_its_speed(motor, seed) -> None:
+    assert pushed(motor, moving(SWEEPS, seed=seed)) == 0.0
+    for speed_rad_s in (-0.5, 0.0, 0.3):
+        (servo,) = moving([speed_rad_s])
+        least_rad_s = motor.least_rad_s(servo.voltage_v * servo.pwm_share, servo.current_a)
+        assert 0.5 * abs(speed_rad_s) <= abs(least_rad_s) <= abs(speed_rad_s)
+        assert least_rad_s * speed_rad_s >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("speed_rad_s", "reported", "within_s"),
+    [(-0.125, 0.0, 0.5), (-0.5, 0.0, 0.1), (-1.5, 0.0, 0.04), (0.5, 0.0, 0.1), (-0.5, -1.0, 0.1),
+     (-0.5, 3.0, 0.15)],
+)  # fmt: skip
+def test_a_position_that_does_not_follow_is_found(motor, speed_rad_s, reported, within_s) -> None:
+    pushed(motor, moving(SWEEPS))
+    steps = moving([speed_rad_s] * round(within_s / PERIOD_S), reported=reported)
+    assert pushed(motor, steps, len(SWEEPS) * PERIOD_S) > UNSEEN_RAD
+
+
+def test_a_pause_between_two_readings_is_no_travel(motor) -> None:
+    pushed(motor, moving([-0.5] * 40))
+    assert pushed(motor, moving([0.0] * 40), 5.0) == 0.0
+
+
+def checked(check: FeedbackCheck, rad_s: float, *, loaded: bool, at_rad: float = 0.0) -> None:
+    """Let servo 1 move steadily, with its motor, for 4 s."""
+    speeds = [rad_s] * 800
+    still = moving([0.0] * len(speeds))
+    for period, (servo, other) in enumerate(zip(moving(speeds, at_rad=at_rad), still, strict=True)):
+        check.check((servo, replace(other, servo_id=2)), period * PERIOD_S, loaded=loaded)
+
+
+@pytest.mark.parametrize("loaded", [True, False])
+def test_a_steady_motion_out_of_the_range_keeps_what_the_pads_hold(loaded: bool) -> None:
+    check = FeedbackCheck(GripperSettings(), ParallelLinkage(link_m=0.06))
+    kind = PositionContradicted if loaded else FeedbackImplausible
+    with pytest.raises(kind, match=r"finger stands at -0\.08\d rad, it can be from -0\.080"):
+        checked(check, -0.05, loaded=loaded)
+    assert bool(check.strayed) != loaded
+
+
+@pytest.mark.parametrize("loaded", [True, False])
+def test_a_leap_ends_limp_whatever_the_pads_show(loaded: bool) -> None:
+    check = FeedbackCheck(GripperSettings(), ParallelLinkage(link_m=0.06))
+    with pytest.raises(FeedbackImplausible, match="leapt"):
+        checked(check, -25.0, loaded=loaded, at_rad=0.3)
