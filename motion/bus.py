@@ -1,7 +1,8 @@
 """Bus of the drives: dispatch of messages and waits, in the caller's thread."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import can
 import canopen
@@ -80,10 +81,8 @@ class DriveBus:
 
     def send(self, cob_id: int, data: bytes) -> None:
         """Send a message. Raises AxisSilent when the interface fails."""
-        try:
+        with _failures_named():
             self.network.send_message(cob_id, data)
-        except (can.CanError, OSError) as error:
-            raise _lost(error) from error
 
     def beat(self) -> None:
         """Start the host's heartbeat, for drives that stop without it."""
@@ -97,22 +96,19 @@ class DriveBus:
         """
         if self.clock.monotonic() >= self._beat_due_s:
             self.beat()
-        try:
-            for _, message in self._source.drain():
-                foreign = message.is_remote_frame or message.is_extended_id
-                if foreign or message.is_error_frame or len(message.data) != message.dlc:
-                    continue
-                if handler := self._handlers.get(message.arbitration_id):
-                    handler(bytes(message.data))
-        except LinkFault as error:
-            raise _lost(error) from error
+        with _failures_named():
+            messages = self._source.drain()
+        for _, message in messages:
+            foreign = message.is_remote_frame or message.is_extended_id
+            if foreign or message.is_error_frame or len(message.data) != message.dlc:
+                continue
+            if handler := self._handlers.get(message.arbitration_id):
+                handler(bytes(message.data))
 
     def drop_old(self) -> None:
         """Drop messages from the time without polls."""
-        try:
+        with _failures_named():
             self._source.start()
-        except LinkFault as error:
-            raise _lost(error) from error
 
     def wait(self, most_s: float) -> None:
         """Wait for at most ``most_s`` s under supervision."""
@@ -120,8 +116,12 @@ class DriveBus:
         self.watch.look()
 
 
-def _lost(error: Exception) -> AxisSilent:
-    return AxisSilent(
-        f"the CAN interface of the axes failed: {error}; the axes cannot be stopped over it. "
-        "Check the adapter, use the emergency stop where an axis still moves"
-    )
+@contextmanager
+def _failures_named() -> Iterator[None]:
+    try:
+        yield
+    except (can.CanError, OSError, LinkFault) as error:
+        raise AxisSilent(
+            f"the CAN interface of the axes failed: {error}; the axes cannot be stopped over it. "
+            "Check the adapter, use the emergency stop where an axis still moves"
+        ) from error

@@ -236,7 +236,8 @@ class Archive:
                 folder = f"{self._root}/{_folder(one.cell)}/day={one.day}"
                 files = self._known(one.cell, one.day, folder)
                 others = (keys for file, keys in files.items() if file != name)
-                fresh, n_rows = self._fresh(one.path, set().union(*others))
+                rows = self._keys_in(one.path)
+                fresh, n_rows = set(rows).difference(*others), len(rows)
                 if len(fresh) < n_rows and fresh:
                     self._keep(one.path, fresh)
                 if fresh:
@@ -270,11 +271,6 @@ class Archive:
                 self._keys.popitem(last=False)
         self._keys.move_to_end((cell, day))
         return self._keys[cell, day]
-
-    def _fresh(self, path: str, known: set[str]) -> tuple[set[str], int]:
-        """Return the unknown keys of a staged file, and its number of rows."""
-        every = self._keys_in(path)
-        return set(every) - known, len(every)
 
     def _keys_in(self, path: str) -> list[str]:
         return [key for batch in self._batches(path, ["key"]) for key in _keys(batch)]

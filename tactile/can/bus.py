@@ -58,6 +58,7 @@ class MissingBus(can.BusABC):
 
     def __init__(self) -> None:
         super().__init__(channel="missing")
+        self._is_shutdown = True  # nothing is left open
 
     def send(self, msg: can.Message, timeout: float | None = None) -> NoReturn:
         """Raise CanOperationError."""

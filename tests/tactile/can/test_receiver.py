@@ -1,6 +1,7 @@
 """Buses and receivers: slcan over a pseudo-terminal, the receive thread, one program on a bus."""
 
 import fcntl
+import gc
 import os
 import pty
 import queue
@@ -16,7 +17,7 @@ from unittest.mock import Mock
 import can
 import pytest
 
-from tactile.can.bus import BulkSlcanBus, bus_lock, close_bus, open_bus
+from tactile.can.bus import BulkSlcanBus, MissingBus, bus_lock, close_bus, open_bus
 from tactile.can.receiver import PolledSource, ThreadedReceiver
 from tactile.errors import BusNotOpened, BusOff, ReceiveLoopDead
 
@@ -332,6 +333,19 @@ def test_gs_usb_is_opened_by_its_number_and_its_echoes_are_dropped(monkeypatch) 
     close_bus(bus)
 
 
+def test_other_interfaces_are_opened_by_python_can_and_shared_within_a_program() -> None:
+    for bus in [open_bus("virtual", "tactile-test") for _ in range(2)]:
+        bus.shutdown()
+
+
+def test_a_missing_bus_sends_nothing_and_leaves_nothing_open(caplog) -> None:
+    for call in (lambda: MissingBus().recv(0), lambda: MissingBus().send(message(1))):
+        with pytest.raises(can.CanOperationError, match="could not be opened"):
+            call()
+    gc.collect()
+    assert caplog.text == ""
+
+
 HOLD = """
 import sys
 from tactile.can.bus import bus_lock
@@ -396,11 +410,6 @@ def test_a_lock_file_of_another_user_is_used(tmp_path, monkeypatch) -> None:
     file.chmod(0o444)
     with bus_lock("socketcan", "can79"), file.open() as other, pytest.raises(BlockingIOError):
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def test_buses_within_a_program_are_shared() -> None:
-    with bus_lock("virtual", "a"), bus_lock("virtual", "a"):
-        pass
 
 
 def test_a_bit_rate_that_an_adapter_lacks_leaves_its_port_free(port) -> None:
