@@ -48,7 +48,7 @@ from simulator.servo.wrist import WristMount
 from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
 from simulator.world.press import PadPair
 from simulator.world.shape_files import MeshShape, parse_shape, read_mesh
-from simulator.world.shapes import ObjectPose, Shape
+from simulator.world.shapes import ObjectPose, Shape, thicknesses_m
 from simulator.world.taxels import NoiseModel, SensorLaw
 from simulator.world.world import NOTHING
 from tactile.can.bus import CanBus
@@ -256,6 +256,20 @@ def simulated_objects(config: CellConfig) -> dict[str, Shape]:
     for entry in config.simulator.objects:
         objects[entry.label] = _shape(entry.shape, f"simulator.objects: {entry.label}")
     return objects
+
+
+def true_sizes(config: CellConfig) -> dict[str, str]:
+    """Return the true thicknesses of the simulated objects as text by label; empty on real ports.
+
+    A config of another machine may name a mesh file that is not here: then it is empty too.
+    """
+    with suppress(ConfigError):
+        if config.simulated:
+            return {
+                label: f"true {' and '.join(f'{1e3 * m:.1f}' for m in thicknesses_m(shape))} mm"
+                for label, shape in simulated_objects(config).items()
+            }
+    return {}
 
 
 def drawn_shape(text: str) -> Shape:

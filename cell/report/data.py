@@ -3,7 +3,8 @@
 The page escapes all texts: markup in a label has no effect.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -192,6 +193,8 @@ class ReportData:
     """The paper's method, if it was taught."""
     sequences: tuple[Answered, ...] = ()
     """All identifications."""
+    true_sizes: Mapping[str, str] = field(default_factory=dict)
+    """True thicknesses of the simulated objects as text, by label."""
     confusions: tuple[ConfusionTable, ...] = ()
     """One table for each recogniser; `build.paper_table` gives the paper's."""
     health: tuple[HealthGroup, ...] = ()

@@ -238,7 +238,8 @@ def page_view(data: ReportData) -> dict[str, Any]:
     order = label_order(data)
     colours = {label: place for place, label in enumerate(order)}
     shown = drawn_sequences(data)
-    shapes = shapes_view([(one.presented, one.label, one.shape) for one in data.sequences])
+    rows = [(one.presented, one.label, one.shape) for one in data.sequences]
+    shapes = shapes_view(rows, data.true_sizes)
     sections = {
         "result": "Confusion" if data.confusions else "",
         "shapes": "Shape and size" if shapes is not None else "",

@@ -44,6 +44,7 @@ from cell.report.data import (
     ShownGrasp,
     Trajectories,
 )
+from cell.simulation import true_sizes
 from recognition.errors import ContactError, QuadricError
 from recognition.grasp import Grasp
 from recognition.quadric.level import grip_surfaces, ramp_levels
@@ -109,6 +110,7 @@ class _Story:
             examples=examples,
             trajectories=_trajectories(self.baseline, examples),
             sequences=tuple(self.answers),
+            true_sizes=true_sizes(config) if config else {},
             confusions=(paper, *tables) if set(paper.labels) == known else tables,
             health=_health(recording),
             files=(

@@ -1,7 +1,8 @@
 """The part of a report with shape and size of the held parts, on one scale in mm."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,13 @@ _TICKS = 6
 """Most ticks of the scale."""
 
 
-def shapes_view(rows: Sequence[Felt]) -> dict[str, Any] | None:
-    """Return a group for each object, the scale, and the unknown objects; None without shapes."""
+def shapes_view(
+    rows: Sequence[Felt], true_sizes: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, Any] | None:
+    """Return a group for each object, the scale, and the unknown objects; None without shapes.
+
+    ``true_sizes`` are texts by label, for objects of a simulated cell.
+    """
     felt = [(truth, label, shape) for truth, label, shape in rows if shape is not None]
     if not felt:
         return None
@@ -54,7 +60,7 @@ def shapes_view(rows: Sequence[Felt]) -> dict[str, Any] | None:
                     }
                     for shape in shapes[:MAX_BARS]
                 ],
-                "text": _sizes(shapes),
+                "text": "; ".join(filter(None, (_sizes(shapes), true_sizes.get(name)))),
             }
         )
     strangers = [(truth, shape) for truth, label, shape in felt if label == UNKNOWN]

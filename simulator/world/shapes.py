@@ -21,6 +21,9 @@ _UPRIGHT = 1e-9
 _WAIST_DIAMETER_SHARE, _WAIST_LENGTH_SHARE = 0.6, 6.0 / 13.0
 """Default waist of a dumbbell over its diameter and length; the paper has no values."""
 
+_REACH_M, _POINTS = 0.03, 241
+"""Half width in m of the field in which a thickness is looked for, and points on each side."""
+
 Heights = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Reach in m towards finger 0 and towards finger 1, -inf beside the object."""
 
@@ -93,6 +96,14 @@ def resting_pose(shape: Shape, pose: ObjectPose) -> ObjectPose:
     if not step_rad:
         return pose
     return replace(pose, roll_rad=step_rad * round(pose.roll_rad / step_rad))
+
+
+def thicknesses_m(shape: Shape) -> tuple[float, ...]:
+    """Return the thickness along the closing axis in m on each side it rests on, to 0.1 mm."""
+    x_m, y_m = np.meshgrid(*2 * [np.linspace(-_REACH_M, _REACH_M, _POINTS)])
+    rolls_rad = (0.0, shape.roll_step_rad)
+    sums_m = (np.max(np.add(*shape.heights(x_m, y_m, roll_rad))) for roll_rad in rolls_rad)
+    return tuple(sorted({round(float(sum_m), 4) for sum_m in sums_m}))
 
 
 def _inside(reach_m: NDArray[np.float64], inside: NDArray[np.bool_]) -> NDArray[np.float64]:

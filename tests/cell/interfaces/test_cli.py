@@ -178,7 +178,7 @@ def test_the_paper_is_put_beside_its_five_objects(capsys) -> None:
         model=None,
         recording=None,
     )
-    print_result(result)
+    print_result(result, {})
     lines = capsys.readouterr().out.splitlines()
     assert "its Table 1): 48 of 50 right" in lines[0]
     assert "  ball: ball 90, cylinder 10" in lines
@@ -780,7 +780,9 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
     monkeypatch.setattr(
         "cell.report.page.write_report", raising(ReportError("cannot write report: no space left"))
     )
-    monkeypatch.setattr("cell.interfaces.cli.commands.run.print_result", printed.append)
+    monkeypatch.setattr(
+        "cell.interfaces.cli.commands.run.print_result", lambda *given: printed.append(given)
+    )
     said = fail("run", "-c", config)
     assert said.endswith("error: cannot write report: no space left")
     assert len(printed) == 1

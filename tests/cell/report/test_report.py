@@ -345,11 +345,11 @@ def test_all_shapes_are_drawn_on_one_scale() -> None:
         felt("pin", None),
         felt("bar", make_shape("flat", 10.0, 15.9), UNKNOWN),
     )
-    view = shapes_view(rows)
+    view = shapes_view(rows, {"pin": "true 6.0 mm"})
     pin, bar = view["groups"]
     assert pin["label"] == "pin"
     assert pin["kinds"] == "cylinder 1 of 3, oval 1 of 3, without shape 1 of 3"
-    assert pin["text"] == "median 6.1 mm, intervals 0.6 mm wide"
+    assert pin["text"] == "median 6.1 mm, intervals 0.6 mm wide; true 6.0 mm"
     assert bar["kinds"] == "flat 1 of 1"
     assert bar["text"] == "10.0 mm (9.7 to 10.3) and 15.9 mm (15.6 to 16.2)"
     (both,) = bar["bars"]

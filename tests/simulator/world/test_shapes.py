@@ -17,6 +17,7 @@ from simulator.world.shapes import (
     ellipsoid,
     posed_heights,
     resting_pose,
+    thicknesses_m,
 )
 
 AXIS_M = np.linspace(-15e-3, 15e-3, 121)
@@ -306,3 +307,16 @@ def test_meshes_that_are_no_solid_are_refused(trimesh, tmp_path) -> None:
         MeshShape(triangles_m=np.full((1, 3, 3), np.nan))
     with pytest.raises(SimulatorSettingsError, match="limit"):
         MeshShape(triangles_m=np.zeros((200_001, 3, 3)))
+
+
+@pytest.mark.parametrize(
+    ("text", "sizes_mm"),
+    [
+        ("ball", [9.5]),
+        ("dumbbell", [10.0]),
+        ("cylinder:diameter=6mm,length=20mm", [6.0]),
+        ("box:length=16mm,width=10mm,height=12mm", [10.0, 12.0]),
+    ],
+)
+def test_a_thickness_is_that_of_each_side_it_rests_on(text, sizes_mm) -> None:
+    assert thicknesses_m(parse_shape(text)) == pytest.approx([1e-3 * mm for mm in sizes_mm])

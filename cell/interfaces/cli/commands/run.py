@@ -1,6 +1,6 @@
 """`run`: the main job, teaches objects and identifies each of them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -55,6 +55,7 @@ def run(
     from cell.plugin.main_job import teach_and_identify
     from cell.report.page import write_report
     from cell.report.recorded import recorded_report
+    from cell.simulation import true_sizes
 
     checked = cell_config(config, seed=seed, faults=faults)
     taught = () if model is None else load_model(model, pads_of(checked)).labels
@@ -90,7 +91,7 @@ def run(
             failed = error
     if config is None and seed is None and not faults:
         _keep_for_serve(result, checked)
-    print_result(result)
+    print_result(result, true_sizes(checked))
     if no_report:
         print_note(no_report)
     result.extra = {"health": cell.plugin.counters()}
@@ -143,8 +144,11 @@ def _labels(
     return labels
 
 
-def print_result(result: "MainResult") -> None:
-    """Print confusion tables, shapes, times and files of a run, and the paper's table."""
+def print_result(result: "MainResult", true_sizes: Mapping[str, str]) -> None:
+    """Print confusion tables, shapes, times and files of a run, and the paper's table.
+
+    ``true_sizes`` are those of simulated objects, texts by label.
+    """
     from cell.interfaces.cli.terminal import percent, print_line, print_table
     from cell.report.build import paper_table
     from cell.report.paper_table import TABLE_1, TABLE_1_LABELS
@@ -168,7 +172,9 @@ def print_result(result: "MainResult") -> None:
     print_line(f"One grasp takes {result.grasp_s:.1f} s of the cell's time.")
     for remark in result.remarks:
         print_line(remark)
-    shapes = shapes_view([(one.presented, one.label, one.shape) for one in result.trials])
+    shapes = shapes_view(
+        [(one.presented, one.label, one.shape) for one in result.trials], true_sizes
+    )
     for group in [] if shapes is None else shapes["groups"]:
         sizes = f"; {group['text']}" if group["text"] else ""
         print_line(f"{group['label']} feels like: {group['kinds']}{sizes}")
