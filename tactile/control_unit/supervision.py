@@ -72,20 +72,10 @@ _ACTIVE = 0x40
 """State of the controller in data byte 1 of an error frame: passive in receiving or sending."""
 
 
-def _state_name(state: int) -> str:
-    """Return the name of an NMT state in a heartbeat."""
-    if state == BOOT_UP:
-        return "boot-up"
-    return NMT_STATES.get(state, f"unknown state {state}").lower()
-
-
 def emergency_text(code: int) -> str:
     """Return the meaning of an emergency code, or of its group if it has no own meaning."""
-    exact = _EMERGENCY_TEXTS.get(code)
-    if exact is not None:
-        return exact
     group: str = EmcyError(code, 0, b"", 0.0).get_desc()
-    return group.lower() or "unknown code"
+    return _EMERGENCY_TEXTS.get(code) or group.lower() or "unknown code"
 
 
 class TrafficLimit:
@@ -191,7 +181,7 @@ class NodeSupervisor:
                 )
         elif self._in_operation and self.state != OPERATIONAL:
             raise NodeStateChanged(
-                f"{self._name} is {_state_name(self.state)}, expected operational: check for "
+                f"{self._name} is {NMT_STATES[state].lower()}, expected operational: check for "
                 "another NMT master and an error of the unit (1029h), then start the link again"
             )
         elif self._in_operation:

@@ -312,7 +312,7 @@ class GsUsb:
         return True
 
 
-def test_gs_usb_is_opened_by_its_number_and_its_echoes_are_dropped(monkeypatch) -> None:
+def test_gs_usb_is_opened_by_its_number_and_its_echoes_are_dropped(monkeypatch, caplog) -> None:
     constants = dict.fromkeys(("CAN_EFF_FLAG", "CAN_ERR_FLAG", "CAN_RTR_FLAG"), 0)
     for name, values in {
         "usb": {"core": SimpleNamespace(USBError=OSError)},
@@ -327,6 +327,8 @@ def test_gs_usb_is_opened_by_its_number_and_its_echoes_are_dropped(monkeypatch) 
     monkeypatch.delitem(sys.modules, "can.interfaces.gs_usb", raising=False)
     with pytest.raises(BusNotOpened, match="Cannot find device 1"):
         open_bus("gs_usb", "1")
+    gc.collect()
+    assert caplog.text == ""
     bus = open_bus("gs_usb", "0")
     bus.send(message(0x80))
     assert [m.arbitration_id for _, m in PolledSource(bus, time).drain()] == [0x705]

@@ -11,6 +11,7 @@ import pytest
 from simulator.can.control_unit import ControlUnitSettings
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.link import TactileLink
+from tactile.control_unit.search import listen
 from tactile.control_unit.settings import ExpectedIdentity, LinkSettings
 from tactile.errors import (
     BusDisturbed,
@@ -28,6 +29,8 @@ from tactile.layout import paper_layout, pinch_layout
 
 NODE = 5
 FRAMES = 0x180 + NODE
+FOREIGN = ({"is_extended_id": True}, {"is_remote_frame": True})
+"""Frames that CANopen does not use."""
 
 
 def written(bench) -> dict[tuple[int, int], int]:
@@ -212,6 +215,12 @@ def test_a_zero_held_by_the_unit_is_cleared(idle) -> None:
     assert written(idle)[od.TARE, od.TARE_COMMAND] == od.TARE_CLEAR_SIGNATURE
 
 
+@pytest.mark.parametrize(("kind", "nodes"), [({}, (6,)), (FOREIGN[0], ()), (FOREIGN[1], ())])
+def test_a_search_finds_the_nodes_of_plain_messages_alone(idle, kind, nodes) -> None:
+    idle.clock.on_advance.append(lambda _now_s: idle.put(0x706, b"", **kind))
+    assert listen(idle.bus, 0.05).nodes == nodes
+
+
 # --- faults in operation -------------------------------------------------------------------------
 
 
@@ -256,15 +265,15 @@ def test_foreign_remote_extended_and_damaged_messages_are_counted(bench) -> None
     assert (statistics.foreign, statistics.malformed, statistics.frames.short) == (3, 1, 1)
 
 
-@pytest.mark.parametrize("kind", ["is_extended_id", "is_remote_frame"])
+@pytest.mark.parametrize("kind", FOREIGN)
 def test_messages_of_another_kind_are_limited_as_foreign_ones(make_bench, kind) -> None:
     bench = make_bench(max_foreign_hz=1000.0)
     bench.link.start()
     for _ in range(50):
-        bench.put(0x700 + NODE, b"", **{kind: True})
+        bench.put(0x700 + NODE, b"", **kind)
     bench.run(0.1)
     for _ in range(51):
-        bench.put(0x700 + NODE, b"", **{kind: True})
+        bench.put(0x700 + NODE, b"", **kind)
     with pytest.raises(BusDisturbed, match=r"51 messages of other nodes.* raise tactile\.foreign"):
         bench.run(0.1)
 
