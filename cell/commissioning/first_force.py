@@ -115,7 +115,17 @@ class FirstForceStep(Step):
         if alone:
             cap_n = cap_by_current_n(config.gripper_settings, config.linkage)
         limit_n = floor(10.0 * largest_setpoint_n(cap_n)) / 10.0
-        most_n = _asked(dialog, limit_n, min(limit_n, max(config.sequence.forces_n)))
+        answer = dialog.ask(
+            Question(
+                key="first_force.most",
+                text="Choose a soft part of 10 to 20 mm, for example a piece of foam or rubber. "
+                "With which force may it be pressed? The cap of the config allows "
+                f"{limit_n:g} N.",
+                number=NumberRange(lowest=FIRST_FORCE_N, highest=limit_n, unit="N"),
+                default=min(limit_n, max(config.sequence.forces_n)),
+            )
+        )
+        most_n = float(answer)
         dialog.approve(_motions(config, most_n, alone=alone))
         dialog.confirm(
             "first_force.empty",
@@ -148,20 +158,6 @@ class FirstForceStep(Step):
 def _proves_watchdog(config: CellConfig) -> bool:
     """Return whether the servos can make the slow motion of the watchdog's self-test."""
     return all(one.servo_model.profile_in_current_mode for one in config.gripper_settings.servos)
-
-
-def _asked(dialog: Dialog, limit_n: float, usual_n: float) -> float:
-    """Return the largest force for the soft part in N; by default the largest of the sequence."""
-    answer = dialog.ask(
-        Question(
-            key="first_force.most",
-            text="Choose a soft part of 10 to 20 mm, for example a piece of foam or rubber. With "
-            f"which force may it be pressed? The cap of the config allows {limit_n:g} N.",
-            number=NumberRange(lowest=FIRST_FORCE_N, highest=limit_n, unit="N"),
-            default=usual_n,
-        )
-    )
-    return float(answer)
 
 
 def meets(config: CellConfig) -> bool:
