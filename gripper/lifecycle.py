@@ -208,7 +208,7 @@ class Lifecycle:
             left = FingersLeft.UNCONFIRMED
             # The raised error names the cause; a bus that fails again adds nothing.
             with suppress(GripperError):
-                left = fault_response(error, self._servos, self._settings, moving=phase.moving)
+                left = fault_response(error, self._runner, self._settings, moving=phase.moving)
             self._note_fingers(error, phase, left)
             self.motion_unconfirmed = phase.moving and left is FingersLeft.UNCONFIRMED
             raise
@@ -260,7 +260,7 @@ class Lifecycle:
 
 
 def fault_response(
-    error: BaseException, servos: ServoGroup, settings: GripperSettings, *, moving: bool
+    error: BaseException, runner: LoopRunner, settings: GripperSettings, *, moving: bool
 ) -> FingersLeft:
     """Write the goals of a fault response; the grip is kept whenever possible.
 
@@ -269,7 +269,7 @@ def fault_response(
     ================================== ==========================================================
     the bus is lost                    nothing is written: the servos' own watchdog acts
     position unknown                   the torque goes off
-    force above its cap                that of ``over_force``, once
+    force above its cap                that of ``over_force``
     one finger silent or without       both hold their positions: none pushes alone
     torque
     any other, moving fingers          they stop, and this is read back
@@ -281,6 +281,7 @@ def fault_response(
     moving
         True if the fingers moved without a part in their grip.
     """
+    servos = runner.servos
     if bus_is_lost(error):
         return FingersLeft.UNCONFIRMED
     # Short time-outs: a silent servo must not delay the others.
@@ -300,7 +301,7 @@ def fault_response(
             if opens:
                 servos.open_a_step()
             elif over_force:
-                servos.lower_currents()
+                runner.lower_force()
             elif one_sided:
                 servos.hold_position()
             elif not stops:

@@ -123,7 +123,8 @@ def largest_setpoint_n(force_max_n: float) -> float:
 class OverForce(StrEnum):
     """Response, once, when the force exceeds its cap.
 
-    LOWER leaves a share of the currents, OPEN opens by a small step, LIMP switches the torque off.
+    LOWER lowers the currents until the force is below the cap, OPEN opens by a small step, LIMP
+    switches the torque off.
     """
 
     LOWER = "lower"
@@ -254,7 +255,7 @@ class GripperSettings:
     over_force: OverForce = OverForce.LOWER
     """Response when the force exceeds its cap."""
     over_force_share: float = setting(0.5, low=0.0, high=1.0)
-    """Share of the goal currents that `OverForce.LOWER` leaves, in one step."""
+    """Share of the goal currents that `OverForce.LOWER` leaves where one pad shows the force."""
     over_force_open_m: float = setting(0.0005, above=0.0, high=0.005)
     """Opening in m by which `OverForce.OPEN` opens, in one step."""
     imbalance_n: float = setting(2.0, above=0.0, high=50.0)

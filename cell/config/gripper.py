@@ -93,13 +93,13 @@ class OverForceConfig(Section):
     """Reaction when the force exceeds gripper.force_max_n; it never adds force."""
 
     reaction: Annotated[str, OneOf(tuple(one.value for one in OverForce))] = OverForce.LOWER.value
-    """lower: reduce the current in one step, the part stays held; open: open the fingers by one
+    """lower: reduce the currents, the part stays held; open: open the fingers by one
     small step; limp: switch the torque off, a held part may drop."""
     noise_n: float = setting_of(GripperSettings, "force_noise_n")
     """Tolerance above the cap for the mean of a few samples in N, up to 5; three times as much for
     one sample."""
     left_share: float = setting_of(GripperSettings, "over_force_share")
-    """Share of the current that remains after `lower`, 0 to 1."""
+    """Share of the current that `lower` leaves where one pad alone shows the force, 0 to 1."""
     open_mm: float = setting_of(GripperSettings, "over_force_open_m", MILLI)
     """Step of `open` in mm, up to 5."""
 

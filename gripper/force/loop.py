@@ -4,8 +4,9 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from math import ceil
+from dataclasses import dataclass, replace
+from math import ceil, inf
+from operator import gt
 
 from gripper.clock import Clock
 from gripper.errors import (
@@ -19,9 +20,11 @@ from gripper.errors import (
     LimitExceeded,
 )
 from gripper.force.timing import LoopStatistics, LoopTimer
+from gripper.mechanics.impact import most_peak_n
 from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
+from gripper.servos.stop_goals import holding_position, lowered
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample, ForceSensor
 from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
@@ -37,6 +40,9 @@ _HEALTH_EVERY = 4
 """Periods between two health checks: each takes a transaction of the period. [chosen]"""
 _LONGEST_STEP = 2.0
 """Longest step of control in periods: after a late period nothing catches up. [chosen]"""
+_LOWERING_S, _LONGEST_LOWERING = 0.1, 4.0
+"""Time in s in which the currents of too much force fall to 0, and the longest time in multiples of
+it until the force has followed. [chosen]"""
 YOUNG_S = 0.015
 """Largest age in s of a sample to which the drive may respond at once: force messages are newer,
 frames are older. Braking at a first touch is then useful, and the stiffening of a soft part is
@@ -226,11 +232,9 @@ class LoopRunner:
             if state is None:
                 self._bus_loss.stop_fingers(self.phase)
         # Pads and CAN are supervised in each period, also without answers of the servos.
-        sample = self._sensor.latest_force()
+        sample = self._note_force()
         if sample is not None and sample.valid:
             running.fresh_s = max(running.fresh_s, sample.t_s)
-        if sample is not None and (sample.valid or sample.at_least):
-            self.servos.guard.note_force(sample)
         if running.needs_force:
             now_s = self._clock.monotonic() if state is None else state.t_s
             self._check_force(now_s, running.fresh_s, sample)
@@ -259,6 +263,46 @@ class LoopRunner:
             goal_current_a=self.servos.goal_current_a,
             level=action.level,
         )
+
+    def lower_force(self) -> None:
+        """Lower the currents evenly until the force is below its cap.
+
+        A spring between the fingers would throw them open after one large step: once they open,
+        the next sample is awaited, and at the end they hold their positions. Where friction alone
+        holds the force, they are driven open, as long as the samples follow: no signal alone lets a
+        part go. One pad that shows the force alone may be at fault: then ``over_force_share`` of
+        the currents is left. Raises as `ServoGroup.read`.
+        """
+        servos, settings, most_n = self.servos, self._settings, most_peak_n(self._settings)
+        goals, share = servos.goals.last, settings.over_force_share
+        # Goals that were written may brake.
+        held = [replace(goal, current_a=share * goal.current_a) for goal in servos.goals.asked]
+        left, shown_n, state = 1.0, inf, servos.read()
+        opened_s, end_s = -inf, state.t_s + _LONGEST_LOWERING * _LOWERING_S
+        while goals and (newest := servos.guard.newest_force) and state.t_s < end_s:
+            forces_n = servos.guard.newest_forces_n
+            least = -1.0 if min(forces_n) > most_n else share
+            follows = left >= 0.0 or newest.t_s < opened_s or max(forces_n) < shown_n
+            if max(forces_n) <= most_n or left <= least or not follows:
+                break
+            if newest.t_s >= opened_s:
+                left = max(least, left - settings.period_s / _LOWERING_S)
+                servos.goals.write(lowered(goals, left, state, settings), state)
+            elif left < 0.0:
+                servos.goals.write(holding_position(held, held, state), state)
+            self._clock.sleep(settings.period_s)
+            before, state = state, servos.read()
+            if any(map(gt, state.angles_rad, before.angles_rad)):
+                opened_s, shown_n = state.t_s, max(forces_n)
+            self._note_force()
+        if opened_s > -inf:
+            servos.goals.write(holding_position(held, held, state), state)
+
+    def _note_force(self) -> ForceSample | None:
+        sample = self._sensor.latest_force()
+        if sample is not None and (sample.valid or sample.at_least):
+            self.servos.guard.note_force(sample)
+        return sample
 
     def _check_force(self, now_s: float, fresh_s: float, sample: ForceSample | None) -> None:
         if sample is not None:

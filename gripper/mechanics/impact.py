@@ -99,7 +99,7 @@ def impact_limit(
             mass_kg = max(mass_kg, fingers * inertia_kg_m2 / path.radius_m**2)
     stiffness_n_m = max(settings.pad_stiffness_n_m, settings.force_max_n / _SMALL_PART_M)
     return ImpactLimit(
-        most_n=_most_n(settings),
+        most_n=most_peak_n(settings),
         drive_n=drive_n,
         mass_kg=mass_kg,
         momentum_n_s_m=sqrt(stiffness_n_m * mass_kg),
@@ -107,7 +107,7 @@ def impact_limit(
     )
 
 
-def _most_n(settings: GripperSettings) -> float:
+def most_peak_n(settings: GripperSettings) -> float:
     """Return the force in N that a peak may reach."""
     return (1.0 - _KEPT_FREE_SHARE) * settings.force_max_n
 
@@ -120,7 +120,7 @@ def closing_current_max_a(
     A servo that was never measured may need more to move at all. An untouched finger that stood
     still at ``stood_a`` shows its friction. With the catalogue friction the cap holds even so.
     """
-    most_n = _most_n(settings)
+    most_n = most_peak_n(settings)
     by_force_a = path.pressing_current_a(most_n)
     if not path.drive.measured:
         by_force_a = max(by_force_a, min(_STOOD_SHARE * stood_a, path.loading_current_a(most_n)))

@@ -45,7 +45,7 @@ _EQUAL_ANGLE_RAD = 1e-6
 _MOTION_RESERVE, _MOTION_PULSES = 1.5, 8.0
 """Factor and pulses by which a goal lies farther than at rest, to compensate for the motion."""
 _OVER_FORCE = {
-    OverForce.LOWER: "the driving current is lowered in one step and the part kept",
+    OverForce.LOWER: "the driving currents are lowered and the part kept",
     OverForce.OPEN: "the fingers open by one small step",
     OverForce.LIMP: "the torque is switched off, a held part possibly dropped",
 }
@@ -178,6 +178,13 @@ class GoalGuard:
         """The newest force sample; None before the first one."""
         return self._forces.newest if self._forces else None
 
+    @property
+    def newest_forces_n(self) -> tuple[float, float]:
+        """Mean of the newest samples in N on finger 0 and finger 1; 0 without one."""
+        newest = list(islice(self._forces, _SURE_SAMPLES))
+        first_n, second_n = (sum(one.force_n[i] for one in newest) for i in (0, 1))
+        return first_n / max(1, len(newest)), second_n / max(1, len(newest))
+
     def force_is_too_high(self) -> bool:
         """Return whether the measured force is above the cap by more than noise."""
         return self._excess_n() > 0.0
@@ -190,8 +197,7 @@ class GoalGuard:
         """
         settings = self._settings
         if noise_excluded:
-            newest = list(islice(self._forces, _SURE_SAMPLES))
-            too_high = sum(max(one.force_n) for one in newest) > settings.force_max_n * len(newest)
+            too_high = max(self.newest_forces_n) > settings.force_max_n
         else:
             too_high = self.force_is_too_high()
         if too_high:
@@ -351,6 +357,8 @@ class GoalWriter:
         """The goals written last, one for each servo; empty while no goal is in force."""
         self.earlier: tuple[ServoGoal, ...] = ()
         """The goals before the last ones."""
+        self.asked: tuple[ServoGoal, ...] = ()
+        """The last goals as they were asked for: those that were written may brake."""
         self._guard = guard
         self._bus = bus
         self._settings = settings
@@ -370,6 +378,7 @@ class GoalWriter:
         state
             Newest feedback: the start of the motion to the goals.
         """
+        self.asked = tuple(goals)
         goals = self._guard.bounded(goals, state)
         self._guard.check(goals, state, self._clock.monotonic())
         values: dict[int, list[int]] = {}

@@ -165,12 +165,6 @@ class ServoGroup:
                 break
         return unconfirmed
 
-    def lower_currents(self) -> None:
-        """Write the last goals with ``over_force_share`` of their currents, in one step."""
-        if self.feedback.last is not None and self.goals.last:
-            goals = stop_goals.lowered(self.goals.last, self._settings.over_force_share)
-            self.goals.write(goals, self.feedback.last)
-
     def open_a_step(self) -> None:
         """Open by ``over_force_open_m`` from the last read positions, once."""
         state = self.feedback.last

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
-from gripper.servos.goal_limits import ServoGoal
+from gripper.servos.goal_limits import ServoGoal, closing_margin_rad
 from gripper.settings import GripperSettings
 from gripper.values.state import ServoFeedback
 
@@ -46,9 +46,21 @@ def holding_position(
     ]
 
 
-def lowered(last: Sequence[ServoGoal], share: float) -> list[ServoGoal]:
-    """Return the last goals with a share of their currents."""
-    return [replace(goal, current_a=share * goal.current_a) for goal in last]
+def lowered(
+    last: Sequence[ServoGoal], share: float, state: ServoFeedback, settings: GripperSettings
+) -> list[ServoGoal]:
+    """Return goals with a share of the last currents; below 0 they drive the fingers open."""
+    if share >= 0.0:
+        return [replace(goal, current_a=share * goal.current_a) for goal in last]
+    models = (one.servo_model for one in settings.servos)
+    return [
+        replace(
+            goal,
+            angle_rad=servo.angle_rad + closing_margin_rad(model, -share * goal.current_a),
+            current_a=-share * goal.current_a,
+        )
+        for goal, servo, model in zip(last, state.servos, models, strict=True)
+    ]
 
 
 def opened_a_step(

@@ -68,6 +68,8 @@ VERIFY_S = 2.0
 """All registers are verified within this time."""
 VERIFY_AGAIN_S = 3.0
 """All verified registers have been read again, one of them every 60 ms."""
+LOWER_S = 0.4
+"""The currents of too much force have fallen before the fault is reported."""
 SIGNAL_S = 0.5
 """From a signal in real time until the program or its loop has ended."""
 AXIS_S = 0.05
@@ -308,7 +310,7 @@ TAXELS = _near((
     FaultRow(14, "few online", "four taxels get stuck high",
              "taxels.stuck=0.01@contact+0.1s", "NOTE", SYNC_S + BURST_S + LOOP_S),
     FaultRow(14, "many online", "120 taxels get stuck high: the force is at least what they show",
-             "taxels.stuck=0.3@contact+0.1s", "HOLD", SYNC_S + BURST_S + CYCLE_S, number=201),
+             "taxels.stuck=0.3@contact+0.1s", "HOLD", SYNC_S + BURST_S + LOWER_S, number=201),
     FaultRow(15, "few at the start", "four taxels read 0", "taxels.off=0.01", "NOTE", None),
     FaultRow(15, "many at the start", "120 taxels read 0", "taxels.off=0.3", "REJECT", START_S,
              number=405),
@@ -320,7 +322,7 @@ TAXELS = _near((
              changes=LONG_HOLD, number=204),
     FaultRow(16, "a gripping pad",
              "a gripping pad saturates: the force is at least that of full scale, above its cap",
-             "taxels.saturated=0@contact+0.1s", "HOLD", SYNC_S + BURST_S + CYCLE_S,
+             "taxels.saturated=0@contact+0.1s", "HOLD", SYNC_S + BURST_S + LOWER_S,
              number=201),
     FaultRow(16, "another pad", "an outer pad saturates",
              "taxels.saturated=1@contact+0.1s", "NOTE", SYNC_S + BURST_S + LOOP_S),
@@ -399,7 +401,7 @@ BOARDS = tuple(replace(row, changes=FLEXITAC | dict(row.changes)) for row in _ne
     FaultRow(45, "swapped rows", "two neighbouring rows of a pad are exchanged",
              "board.rows_swapped=0", "NOTHING", None),
     FaultRow(45, "saturated", "all taxels of a pad read full scale in the ramp",
-             "taxels.saturated=0@contact+0.1s", "HOLD", FORCE_STALE_S + 2 * BOARD_S, number=204),
+             "taxels.saturated=0@contact+0.1s", "HOLD", FORCE_STALE_S + 2 * BOARD_S, number=201),
 )))
 
 RH_P12 = tuple(replace(row, changes=OF_RH_P12 | dict(row.changes), long=True) for row in (

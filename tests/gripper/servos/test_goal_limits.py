@@ -15,7 +15,7 @@ from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.servos.goal_limits import GoalGuard, GoalWriter, ServoGoal
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
-from gripper.values.state import ServoFeedback
+from gripper.values.state import Cycle, ServoFeedback
 from tests.values import make_servo, make_state, measured_drives
 
 LINKAGE = ParallelLinkage(link_m=0.06)
@@ -26,14 +26,22 @@ RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
 
 
-def test_the_step_down_from_too_much_force_is_as_configured(make_cell) -> None:
+@pytest.mark.parametrize("alone", [True, False])
+def test_too_much_force_is_lowered_and_as_configured_where_one_pad_alone_shows_it(
+    make_cell, alone: bool
+) -> None:
     cell = make_cell(force_max_n=6.0, over_force_share=0.8)
     cell.hold_part(RAMP)
     written: list[int] = []
-    cell.sensor.gain = 2.5
+    measure, gain = cell.sensor.measure, 1.0 if alone else 2.5
+    cell.sensor.measure = lambda now_s, true_n: measure(now_s, (2.5 * true_n[0], gain * true_n[1]))
     with pytest.raises(ValueError, match="force_max_n is 6"):
         cell.gripper.hold(1.0, lambda _: written.append(cell.register(0, "goal_current")))
-    assert abs(cell.register(0, "goal_current")) == pytest.approx(0.8 * abs(written[-1]), abs=2)
+    cell.clock.sleep(0.5)
+    if alone:
+        left = abs(cell.register(0, "goal_current"))
+        assert left == pytest.approx(0.8 * abs(written[-1]), abs=2)
+    assert 0.3 < cell.force_n < (4.2 if alone else 6.0 / 2.5)
 
 
 @pytest.mark.parametrize(("over_n", "at_most_s"), [(0.8, 0.03), (3.0, 0.006)])
@@ -88,14 +96,21 @@ def test_a_force_of_taxels_at_full_scale_is_a_lower_bound(make_cell, shown_n, at
     cell = make_cell(force_max_n=6.0, rate_hz=200.0, noise_n=0.1)
     cell.hold_part(RAMP)
 
+    measure = cell.sensor.measure
+
     def fill() -> None:
         cell.sensor.valid, cell.sensor.at_least = False, at_least
-        cell.sensor.gain = shown_n / cell.force_n
+        cell.sensor.measure = lambda now_s, _: measure(now_s, (shown_n, shown_n))
 
-    above = at_least and shown_n > 6.0
+    above, look, seen_s = at_least and shown_n > 6.0, cell.once(fill), [0.0]
+
+    def observe(cycle: Cycle) -> None:
+        seen_s[0] = cycle.t_s
+        look(cycle)
+
     with pytest.raises(ForceAboveCap if above else ForceSensorStale):
-        cell.gripper.hold(1.0, cell.once(fill))
-    assert cell.clock.monotonic() - cell.acted_s[0] < (0.02 if above else 0.15)
+        cell.gripper.hold(1.0, observe)
+    assert seen_s[0] - cell.acted_s[0] < (0.02 if above else 0.15)
     assert cell.force_n > 1.0
 
 
