@@ -133,7 +133,7 @@ def with_sensor(preset: str, sensor: str) -> CellConfig:
         ("rh-p12-rn", "unit"),
     ],
 )
-def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path) -> None:
+def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, monkeypatch) -> None:
     base = with_sensor(preset, sensor)
     # Boards have exchanged pads and another law than the preset.
     boards = sensor != "unit"
@@ -147,6 +147,8 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path) -
     ports: tuple[str, ...] = ("/dev/ttyUSB0",)
     if sensor == "flexitac":
         ports = (*ports, "/dev/ttyACM1", "/dev/ttyACM0")
+        by_path = "/dev/serial/by-path/usb-0:{}".format
+        monkeypatch.setattr("cell.commissioning.unit.lasting_name", lambda port: by_path(port[-1]))
     else:
         given |= {"tactile.interface": "socketcan", "tactile.channel": "can0"}
     with SimulatedCell(settings) as cell:
@@ -165,5 +167,8 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path) -
         assert "Crosstalk of finger0" in said
         mounts = tuple(PadMount(**mount.model_dump()) for mount in config.tactile.mounting)
         assert mounts == EXCHANGED
+    if sensor == "flexitac":
+        assert "named by their USB sockets: leave them" in said
+        assert config.tactile.serial_ports == (by_path(1), by_path(0))
     four = found["first_force"].values["asked_held_peak_n"][-1]
     assert person.pressed_n == pytest.approx(four[1], abs=1.0)
