@@ -34,5 +34,4 @@ def test_outcomes_count_names_and_windows():
     tested[4, 1] = np.nan
     found = classify([taught], [tested])
     assert found.counts[:, -1].tolist() == [0, 0, 0, 0, 1]
-    assert found.trials == (5, 10)
-    assert found.windows_right == 5
+    assert (found.trials, found.windows_right) == ((5, 10), 5)

@@ -41,8 +41,7 @@ LED_ON = b"\x41\x00\x01"
 def error_of(answer: bytes | None) -> int:
     """Error number of a status packet, without the Alert bit."""
     assert answer is not None
-    assert answer[:4] == b"\xff\xff\xfd\x00"
-    assert answer[7] == 0x55
+    assert (answer[:4], answer[7]) == (b"\xff\xff\xfd\x00", 0x55)
     return answer[8] & 0x7F
 
 

@@ -148,8 +148,7 @@ def test_a_job_a_stop_and_the_release(make_cell, simulator) -> None:
     assert loop["undelivered"] == 0
     kept = read_recording(recording)
     assert kept.complete
-    assert len(kept.grasps) == 1
-    assert len(kept.statistics) == 3
+    assert (len(kept.grasps), len(kept.statistics)) == (1, 3)
     assert kept.statistics[-1]["cycles"] == loop["cycles"]
 
 

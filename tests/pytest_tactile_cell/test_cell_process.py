@@ -26,8 +26,7 @@ def gone(pid: int) -> bool:
 def test_a_process_serves_both_ports_and_takes_faults(cell_process, inject_fault) -> None:
     cell = cell_process(objects={"pin": "cylinder:diameter=6mm,length=20mm"}, seed=3)
     config = load_config(cell.config_path)
-    assert config.gripper.port == cell.servo_port
-    assert config.tactile.channel == cell.can_channel
+    assert (config.gripper.port, config.tactile.channel) == (cell.servo_port, cell.can_channel)
     assert config.positioner.socket == cell.positioner_socket
     assert cell.ask(place="pin")["pose"]["x_m"] == 0.0
     assert cell.grip_n() == 0.0

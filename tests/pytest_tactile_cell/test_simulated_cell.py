@@ -52,8 +52,7 @@ def test_a_config_of_a_real_cell_is_simulated_with_its_own_ids_and_limits(
     path.write_text(REAL)
     cell = simulated_cell(path, changes=QUICK)
     assert cell.config.simulated
-    assert cell.config.gripper.force_max_n == 9.0
-    assert cell.config.positioner.kind == "simulated"
+    assert (cell.config.gripper.force_max_n, cell.config.positioner.kind) == (9.0, "simulated")
     assert [servo.servo_id for servo in cell.simulated.settings.servos] == [11, 12]
     assert cell.start().cell.controller.hand.statistics.source.frames.complete > 0
 

@@ -17,8 +17,7 @@ INNER = [
 
 def test_paper_layout_has_204_taxels_a_finger_in_the_order_of_the_paper() -> None:
     finger = [[16, 4], [16, 4], [16, 2], [16, 2], [6, 2]]
-    assert PAPER.pad_shape.tolist() == finger + finger
-    assert PAPER.n_taxels == 408
+    assert (PAPER.pad_shape.tolist(), PAPER.n_taxels) == (finger + finger, 408)
     assert PAPER.sample_bytes == 1
     assert [pad.face for pad in PAPER.pads[:5]] == ["inner", "outer", "side_a", "side_b", "tip"]
     assert PAPER.gripping_pads == (0, 5)
@@ -29,8 +28,7 @@ def test_paper_layout_has_204_taxels_a_finger_in_the_order_of_the_paper() -> Non
 
 def test_paper_pitch_and_extent() -> None:
     inner = PAPER.pads[0]
-    assert inner.pitch_x_m == pytest.approx(3.4375e-3)
-    assert inner.pitch_y_m == pytest.approx(5e-3)
+    assert (inner.pitch_x_m, inner.pitch_y_m) == (pytest.approx(3.4375e-3), pytest.approx(5e-3))
     assert np.all(np.abs(PAPER.position_m[:, 0]) <= 0.0275 + 1e-12)
     assert np.all(np.abs(PAPER.position_m[:, 1]) <= 0.010 + 1e-12)
     assert np.all((PAPER.position_m[:, 2] <= 0) & (PAPER.position_m[:, 2] >= -0.012))

@@ -38,10 +38,8 @@ def test_a_grasp_reaches_its_force_and_lets_go(bench: Any) -> None:
     assert record.outcome.result is GraspResult.FORCE_REACHED
     assert record.outcome.final_force_n == pytest.approx(4.0, abs=0.5)
     assert held_n[0] > 2.0
-    assert record.reached.x_m == 1e-3
-    assert record.step.force_n == 4.0
-    assert bench.life.state is CellState.IDLE
-    assert bench.grip_n == 0.0
+    assert (record.reached.x_m, record.step.force_n) == (1e-3, 4.0)
+    assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
     assert bench.aperture_m == pytest.approx(OPEN_M, abs=5e-4)
 
 
@@ -50,14 +48,12 @@ def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) 
     record = bench.ready().grasp(4.0)
     grasp, cycles = record.grasp, record.cycles
     assert grasp.pads.same_as(pad_array(bench.controller.hand.layout))
-    assert grasp.label == ""
-    assert grasp.source == "cell simulated cell"
+    assert (grasp.label, grasp.source) == ("", "cell simulated cell")
     np.testing.assert_allclose(np.diff(grasp.t_s), 0.02, atol=2e-3)
     assert np.all(np.diff(grasp.aperture_m) < 2e-4)
     assert grasp.aperture_m[0] == pytest.approx(OPEN_M, abs=1e-3)
     assert grasp.aperture_m[-1] < 9.5e-3
-    assert grasp.force_n[0] == 0.0
-    assert grasp.force_n[-1] == 4.0
+    assert (grasp.force_n[0], grasp.force_n[-1]) == (0.0, 4.0)
     assert np.all(np.diff(grasp.force_n) >= 0.0)
     pairs = {(cycle.state.aperture_m, cycle.setpoint_n) for cycle in cycles}
     assert set(zip(grasp.aperture_m.tolist(), grasp.force_n.tolist(), strict=True)) <= pairs
@@ -84,10 +80,8 @@ def test_an_empty_gripper_is_no_part_and_no_fault(make_bench: MakeBench, tmp_pat
     bench.once_in(APPROACHING, bench.simulated.remove)
     with pytest.raises(NoPartFound, match=r"no contact at pose x \+0\.0 mm.*is the object in"):
         bench.grasp()
-    assert bench.life.state is CellState.IDLE
-    assert bench.life.grasp_state is GraspState.NO_PART_FOUND
-    assert bench.life.fault is None
-    assert bench.aperture_m == pytest.approx(OPEN_M, abs=5e-4)
+    assert (bench.life.state, bench.life.grasp_state) == (CellState.IDLE, GraspState.NO_PART_FOUND)
+    assert (bench.life.fault, bench.aperture_m) == (None, pytest.approx(OPEN_M, abs=5e-4))
     assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
     bench.cell.close()
     recording = read_recording(tmp_path / "recording.mcap")
@@ -183,8 +177,7 @@ def test_a_force_that_is_not_allowed_is_refused_before_anything_moves(
         with pytest.raises(LimitExceeded, match=complaint):
             ask()
     assert bench.simulated.clock.monotonic() == began_s
-    assert bench.life.state is CellState.IDLE
-    assert bench.life.fault is None
+    assert (bench.life.state, bench.life.fault) == (CellState.IDLE, None)
     assert bench.grasp().outcome.result is GraspResult.FORCE_REACHED
 
 
@@ -206,8 +199,7 @@ def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
     ):
         with pytest.raises(PlanRefused, match=complaint):
             ask()
-    assert bench.life.state is CellState.IDLE
-    assert bench.life.fault is None
+    assert (bench.life.state, bench.life.fault) == (CellState.IDLE, None)
 
 
 # -- stopping --------------------------------------------------------------------------------
@@ -230,8 +222,7 @@ def test_cancelling_keeps_the_grip_until_it_is_released(bench, phase, after_s, l
     bench.idle(1.0)
     assert least_n <= bench.grip_n < 6.0
     bench.controller.release()
-    assert bench.life.state is CellState.IDLE
-    assert bench.grip_n == 0.0
+    assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
     assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
 
 
@@ -242,8 +233,7 @@ def test_cancelling_between_two_grasps_leaves_the_fingers_open(bench: Any) -> No
     bench.life.cancel()
     with pytest.raises(CellStopped, match="between two grasps; the fingers are open"):
         bench.controller.identify(Scripted(SURE), [GraspStep(pose=Pose(), force_n=3.0)])
-    assert bench.life.state is CellState.IDLE
-    assert bench.grip_n == 0.0
+    assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
     bench.life.cancel()
     bench.life.forget_cancel()
     bench.grasp()

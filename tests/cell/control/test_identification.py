@@ -70,8 +70,7 @@ def test_list_is_taken_in_order_and_anew() -> None:
     )
     steps = plan(config, 3, seed=0)
     assert steps[0].pose == Pose(x_m=1e-3)
-    assert steps[0].force_n == 3.0
-    assert steps[1].pose.rotation_rad == pytest.approx(math.pi / 2)
+    assert (steps[0].force_n, steps[1].pose.rotation_rad) == (3.0, pytest.approx(math.pi / 2))
     assert steps[2] == steps[0]
 
 
@@ -225,8 +224,7 @@ def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecor
         ),
     ):
         found = identified(record, **options)
-        assert (found.label, found.shape) == ("ball", None)
-        assert len(found.posteriors) == 2
+        assert (found.label, found.shape, len(found.posteriors)) == ("ball", None, 2)
         assert found.complaints[0].startswith(complaint)
     assert identified(record, read_shape=lambda _grasp: None).shapes == (None, None)
 

@@ -69,8 +69,7 @@ def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(bench:
         live = bench.controller.live
         shown.append(live.force_n)
         # The noise of one sample is 0.26 N.
-        assert live.force_n == pytest.approx(bench.grip_n, abs=1.3)
-        assert live.setpoint_n == CARRY_N
+        assert (live.force_n, live.setpoint_n) == (pytest.approx(bench.grip_n, abs=1.3), CARRY_N)
         assert live.force_age_s <= 0.01
         assert live.frame_age_s <= 0.05
     assert np.mean(shown) == pytest.approx(bench.grip_n, abs=0.1)
@@ -230,8 +229,7 @@ def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(make_bench, 
     assert [answer.best for answer in answers] == ["box"] * 3
     assert min(least_n[:-1]) > 0.5
     assert found.posteriors[1].dependence > found.posteriors[0].dependence
-    assert bench.life.state is CellState.IDLE
-    assert bench.grip_n == 0.0
+    assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
 
 
 def test_forces_of_the_config_that_could_not_hold_a_part_are_refused() -> None:
@@ -253,8 +251,7 @@ def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(bench, fault, limi
     bench.simulated.inject(fault)
     with pytest.raises((PartLost, PartSlipped)):
         bench.idle(1.0)
-    assert bench.life.state is CellState.ABORTED
-    assert bench.life.grasp_state is GraspState.PART_LOST
+    assert (bench.life.state, bench.life.grasp_state) == (CellState.ABORTED, GraspState.PART_LOST)
     text = bench.life.fault
     after_s = float(text.rpartition("; ")[2].removesuffix(" s after the answer"))
     assert 1.0 <= after_s <= 1.1 + limit_s
@@ -326,8 +323,7 @@ def test_a_part_that_goes_at_the_moment_of_a_look_is_lost(bench: Any, gone_ms: i
     bench.idle(1e-3 * gone_ms)
     with pytest.raises(PartLost):
         bench.controller.kept.verify()
-    assert bench.life.state is CellState.ABORTED
-    assert bench.life.grasp_state is GraspState.PART_LOST
+    assert (bench.life.state, bench.life.grasp_state) == (CellState.ABORTED, GraspState.PART_LOST)
 
 
 @pytest.mark.slow
@@ -355,8 +351,7 @@ def test_a_place_that_is_refused_leaves_the_part_in_the_grip(make_bench, answer)
     bench.controller.grip(3.0, Pose())
     with pytest.raises(PositionerError, match="the part is kept"):
         bench.controller.moves.carry_to(TO_BIN)
-    assert bench.life.state is CellState.COMPLETE
-    assert bench.life.fault is None
+    assert (bench.life.state, bench.life.fault) == (CellState.COMPLETE, None)
     assert bench.grip_n > 1.0
 
 

@@ -154,8 +154,7 @@ def test_a_daily_start_opens_again_on_a_part_and_goes_on(make_bench, tmp_path, p
     bench.controller.start()
     # Less than any grasp presses it, not with the 10 N of a self-zero.
     assert 0.3 < max(pressed_n) < bench.controller.kept.wanted_force_n
-    assert bench.grip_n == 0.0
-    assert bench.life.state is CellState.IDLE
+    assert (bench.grip_n, bench.life.state) == (0.0, CellState.IDLE)
     assert not bench.life.holding
     note = bench.controller.zeroing.note
     assert "something is between them" in note
@@ -484,8 +483,7 @@ def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
     now_s[0] += 0.2 * DAY_S
     assert zeros.newest is None
     later = SelfZeros(path=path, now_s=lambda: now_s[0])
-    assert later.newest is None
-    assert later.measured_s == 1.8e9
+    assert (later.newest, later.measured_s) == (None, 1.8e9)
 
 
 @pytest.mark.slow

@@ -93,10 +93,8 @@ def test_what_is_written_comes_back(tmp_path) -> None:
 
 def test_file_is_the_documented_format_for_numpy_alone(good) -> None:
     arrays = arrays_of(good)
-    assert str(arrays["format"]) == "grasp-dataset/1"
-    assert arrays["counts"].dtype == np.uint16
-    assert arrays["counts"].shape == (13, 10)
-    assert arrays["grasp_offsets"].tolist() == [0, 4, 6, 13]
+    assert (str(arrays["format"]), arrays["counts"].dtype) == ("grasp-dataset/1", np.uint16)
+    assert (arrays["counts"].shape, arrays["grasp_offsets"].tolist()) == ((13, 10), [0, 4, 6, 13])
     assert {arrays[name].dtype.name for name in ("aperture_mm", "force_n", "t_s")} == {"float32"}
     assert arrays["aperture_mm"][0] == pytest.approx(30.0)
     with zipfile.ZipFile(good) as archive:

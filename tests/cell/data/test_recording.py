@@ -153,11 +153,9 @@ def test_recording_holds_all_that_happened(whole) -> None:
     assert whole[0].stat().st_size < 60_000
     recording = read_recording(whole[0])
     assert recording.complete
-    assert recording.lost_reason == ""
-    assert len(recording.frames) == 120
+    assert (recording.lost_reason, len(recording.frames)) == ("", 120)
     assert recording.frames.number.tolist() == list(range(120))
-    assert recording.frames.counts.shape == (120, 24)
-    assert len(recording.cycles) == 480
+    assert (recording.frames.counts.shape, len(recording.cycles)) == ((120, 24), 480)
     assert recording.cycles.phase[0] == "RAMPING"
     np.testing.assert_allclose(recording.cycles.force_n[0], [3.9, 4.1])
     np.testing.assert_allclose(recording.cycles.t_s[:3], [100.0, 100.005, 100.01], atol=1e-9)
@@ -179,8 +177,7 @@ def test_recording_holds_all_that_happened(whole) -> None:
             "wall_ns": 1_700 * 10**9,
         },
     )
-    assert recording.metadata["config"] == "abc"
-    assert recording.wall_clock_start_ns == 1_700 * 10**9
+    assert (recording.metadata["config"], recording.wall_clock_start_ns) == ("abc", 1_700 * 10**9)
     assert recording.monotonic_start_ns == 100 * 10**9
     assert recording.pads.same_as(PADS)
     assert not recording.cycles.force_n.flags.writeable
@@ -408,8 +405,7 @@ def test_a_recording_begins_again_when_its_disk_has_room(
     assert recorder.fault is not None
     room[0] = 2 * ROOM_BYTES
     assert recorder.begin()
-    assert recorder.fault is None
-    assert recorder.path == tmp_path / "r-3.mcap"
+    assert (recorder.fault, recorder.path) == (None, tmp_path / "r-3.mcap")
     first = record_grasp(recorder, clock, "after")
     recorder.close()
     assert notes[0] == why

@@ -143,8 +143,7 @@ def test_run_with_a_model_teaches_nothing_and_says_what_it_is(config, model, tmp
     call("run", "-c", config, "--model", model, "--trials", 1, *out)
     data = read_json(tmp_path / "r.json")
     assert (data["n_taught"], data["dataset"], data["model"]) == (0, None, None)
-    assert data["default"] == "force_ramp"
-    assert data["labels"] == ["ball", "box"]
+    assert (data["default"], data["labels"]) == ("force_ramp", ["ball", "box"])
 
 
 @pytest.mark.parametrize("width", [40, 80, None])
@@ -503,8 +502,7 @@ def test_replay_sends_and_compares(config, dataset, tmp_path) -> None:
     )
     data = read_json(tmp_path / "r.json")
     assert set(data) >= {"accuracy", "seconds"}
-    assert data["n_grasps"] == 1
-    assert data["frames_equal"] is True
+    assert (data["n_grasps"], data["frames_equal"]) == (1, True)
     assert data["frames_sent"] == data["frames_received"] > 0
     assert "bit for bit the same" in text
 

@@ -65,8 +65,7 @@ def test_a_client_gets_the_axes_at_their_ports_and_more_patience(tmp_path, monke
     link = link_settings(client.tactile)
     assert (link.force_timeout_s, link.heartbeat_s) == (0.2, 0.4)
     positioner = client.positioner
-    assert positioner.kind == "axes"
-    assert positioner.ports == ("slcan", "wrist")
+    assert (positioner.kind, positioner.ports) == ("axes", ("slcan", "wrist"))
     assert (positioner.can.channel, positioner.socket) == ("drives", "socket")
     assert positioner.can.heartbeat_loss_ms == 400.0
     assert [axis.bus_loss_ms for axis in positioner.axes if axis.kind == "dynamixel"] == [400.0]

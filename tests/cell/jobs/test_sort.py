@@ -69,12 +69,10 @@ def test_each_part_is_held_until_it_is_at_its_place(sorter: Sorter) -> None:
         ("bin 2", "box"),
     ]
     assert min(force_n for _, _, force_n in sorter.seen) > 3.0
-    assert sorter.controller.life.state is CellState.IDLE
-    assert sorter.bench.grip_n == 0.0
+    assert (sorter.controller.life.state, sorter.bench.grip_n) == (CellState.IDLE, 0.0)
     tally = sorter.tally
     assert tally.counts == {"bin 1": 1, "bin 2": 2, "reject": 1}
-    assert tally.share_named == 0.75
-    assert tally.mistakes == []
+    assert (tally.share_named, tally.mistakes) == (0.75, [])
     assert tally.matrix()["rod"] == {"bin 1": 0, "bin 2": 0, "reject": 1}
     assert [part.label for part in sorter.parts] == ["ball", "box", UNKNOWN, "box"]
 
@@ -167,8 +165,7 @@ def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
     with pytest.raises(NoPartFound):
         sorter.sort(*["ball"] * 8)
     assert len(turns) == 6
-    assert sorter.tally.n_missed == 4
-    assert sorter.tally.counts["bin 1"] == 2
+    assert (sorter.tally.n_missed, sorter.tally.counts["bin 1"]) == (4, 2)
 
 
 def test_places_are_checked_before_anything_is_sorted(taught: Any) -> None:

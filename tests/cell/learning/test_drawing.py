@@ -45,8 +45,7 @@ def test_a_virtual_grasp_looks_like_the_cells_own(taught) -> None:
     drawn = teach_drawing(config, "ball", drawn_shape(BALL), 40, kind="sphere", known=known)
     first = drawn[0]
     assert first.pads.same_as(own[0].pads)
-    assert first.source == "drawing"
-    assert first.shape == "sphere"
+    assert (first.source, first.shape) == ("drawing", "sphere")
     assert np.allclose(np.diff(first.t_s), np.median(np.diff(own[0].t_s)), atol=1e-6)
     rest = learn_rest([*own, *drawn])
     for quantity, tolerance in (
@@ -208,8 +207,7 @@ def test_a_mesh_is_a_drawing(tmp_path) -> None:
     trimesh.creation.box((8.0, 8.0, 8.0)).export(mesh)
     call("teach", "cube", "--mesh", mesh, "-n", 3, "-o", drawings)
     grasps = read_dataset(drawings)
-    assert len(grasps) == 3
-    assert grasps[0].shape == "mesh"
+    assert (len(grasps), grasps[0].shape) == (3, "mesh")
 
 
 @pytest.mark.parametrize(

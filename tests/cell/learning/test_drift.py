@@ -303,8 +303,7 @@ def test_a_ramp_ends_where_it_suffices_with_the_answer_of_that_moment(make_bench
     found = bench.controller.identify(recogniser, [STEP], early=True)
     (record,) = found.records
     assert record.outcome.ended_early
-    assert found.label == "ball"
-    assert found.posteriors == (record.early,)
+    assert (found.label, found.posteriors) == ("ball", (record.early,))
     first, last = recogniser.grasps
     assert first.n_frames < last.n_frames <= record.grasp.n_frames
     assert first.contact_frame == last.contact_frame == record.grasp.contact_frame
@@ -313,8 +312,7 @@ def test_a_ramp_ends_where_it_suffices_with_the_answer_of_that_moment(make_bench
     assert last.force_n[-1] == pytest.approx(4.5, abs=0.4)
     assert record.cycles[-1].setpoint_n < 5.0
     assert record.outcome.final_force_n == pytest.approx(record.cycles[-1].setpoint_n, abs=0.5)
-    assert bench.controller.life.state is CellState.IDLE
-    assert bench.grip_n == 0.0
+    assert (bench.controller.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
     bench.cell.close()
     recording = read_recording(tmp_path / "recording.mcap")
     assert [event["text"] for event in recording.events if event["kind"] == "ramp"] == [
@@ -338,8 +336,7 @@ def test_nothing_but_a_sure_name_suffices(answer, options) -> None:
     decider = EarlyDecider(recogniser, (), StopRule(error_rate=0.02))
     grasp = plain_grasp("")
     assert not any(decider.suffices(share, lambda: grasp) for share in np.linspace(0.0, 1.0, 50))
-    assert decider.answer is None
-    assert decider.error is None
+    assert (decider.answer, decider.error) == (None, None)
     assert len(recogniser.grasps) == 2
 
 

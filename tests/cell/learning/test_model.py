@@ -60,8 +60,7 @@ def good(learnt: LevelCheckRecognizer, tmp_path_factory: pytest.TempPathFactory)
 
 def test_loaded_model_answers_like_the_taught_one(learnt, good) -> None:
     loaded = load_model(good, PADS)
-    assert loaded.labels == ("ball", "box")
-    assert loaded.trainer_name == "level_check"
+    assert (loaded.labels, loaded.trainer_name) == (("ball", "box"), "level_check")
     assert loaded.pads.same_as(PADS)
     for seed in range(20, 24):
         grasp = press("?", height=90 + 20 * (seed - 20), width_m=9e-3, seed=seed)
@@ -232,8 +231,7 @@ def grasp(label: str, number: int, smallest_mm: float = np.nan) -> Grasp:
 def test_one_series_of_each_object_is_said_to_miss_what_another_day_brings() -> None:
     grasps = [grasp(label, i, 10.0 + i) for label in ("ball", "box") for i in range(3)]
     summary = summarise_teaching(grasps)
-    assert summary.longest_series_s == 22.0
-    assert summary.opening_sd_mm == pytest.approx(0.8, abs=0.05)
+    assert (summary.longest_series_s, summary.opening_sd_mm) == (22.0, pytest.approx(0.8, abs=0.05))
     note = summary.notes[-1]
     assert "in one series" in note
     assert "calibrate --gauge" in note

@@ -32,13 +32,11 @@ def test_the_papers_check_names_the_likeliest_also_in_doubt() -> None:
 def test_what_was_taught_is_written(taught) -> None:
     assert [grasp.label for grasp in taught.grasps] == ["ball"] * 5 + ["box"] * 5
     loaded = load_model(taught.result.model, taught.grasps[0].pads)
-    assert loaded.trainer_name == "force_ramp"
-    assert loaded.labels == ("ball", "box")
+    assert (loaded.trainer_name, loaded.labels) == ("force_ramp", ("ball", "box"))
     recording = read_recording(taught.result.recording)
     assert recording.complete
     n_identified = sum(len(trial.records) for trial in taught.result.trials)
-    assert len(recording.grasps) == 10 + n_identified
-    assert len(recording.results) == 2
+    assert (len(recording.grasps), len(recording.results)) == (10 + n_identified, 2)
     for was, now in zip(taught.grasps, recording.grasps, strict=False):
         np.testing.assert_array_equal(was.counts, now.counts)
         assert was.command
@@ -66,8 +64,7 @@ def test_progress_reaches_its_end(taught) -> None:
 def test_json_has_what_was_promised(taught) -> None:
     data = json.loads(json_bytes(taught.result.as_json()))
     assert data["seconds"] >= 0.0
-    assert (data["n_taught"], data["n_trials"]) == (10, 2)
-    assert data["labels"] == ["ball", "box"]
+    assert (data["n_taught"], data["n_trials"], data["labels"]) == (10, 2, ["ball", "box"])
     assert set(data["recognizers"]) == {"force_ramp", "force_ramp_one_grasp", BASELINE}
     assert (data["default"], data["recognizers"]["force_ramp"]["accuracy"]) == ("force_ramp", 1.0)
     for figures in data["recognizers"].values():
@@ -103,8 +100,7 @@ def test_scores_count_rows_of_truth_and_columns_of_answers() -> None:
 
 def test_answers_that_were_not_asked_for_are_unknown_and_strange_truths_do_not_count() -> None:
     result = score("", ["a", "z"], ["c", "a"], ["a", "b"])
-    assert result.counts.tolist() == [[0, 0, 1], [0, 0, 0]]
-    assert result.n == 1
+    assert (result.counts.tolist(), result.n) == ([[0, 0, 1], [0, 0, 0]], 1)
 
 
 def test_nothing_asked_is_no_accuracy() -> None:

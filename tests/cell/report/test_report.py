@@ -439,8 +439,7 @@ def test_a_recording_without_optional_values_shows_the_others(recording) -> None
         statistics=without(recording.statistics, "tactile", "servo_bus"),
     )
     data = recorded_report(few)
-    assert data.facts == recorded_report(recording).facts
-    assert data.confusions == ()
+    assert (data.facts, data.confusions) == (recorded_report(recording).facts, ())
     assert [group.title for group in data.health] == ["Force loop"]
     assert data.key_figures[0].value == "2 of 2"
     assert [(one.name, one.presented, one.posteriors) for one in data.sequences] == [

@@ -56,8 +56,7 @@ def evidence(grid, log_gain, offset_mm, sd=(0.1, 0.5)):
 
 def test_without_grasps_half_the_weight_is_on_no_drift():
     grid = DriftGrid()
-    assert grid.weight.sum() == pytest.approx(1.0)
-    assert grid.unchanged == pytest.approx(0.5, abs=0.02)
+    assert (grid.weight.sum(), grid.unchanged) == (pytest.approx(1.0), pytest.approx(0.5, abs=0.02))
     assert np.exp(grid.log_weight(0.99)).max() == pytest.approx(0.99, abs=0.01)
     assert grid.drift.gain == pytest.approx(1.0)
     assert not grid.likely
@@ -125,8 +124,7 @@ def test_the_spread_that_was_made_is_found() -> None:
     grasps, groups = days(0.15, 1.5, 30)
     prior = learn_spread(grasps, groups, learn_rest(grasps))
     assert prior.log_gain_sd == pytest.approx(0.15, rel=0.35)
-    assert prior.offset_sd_mm == pytest.approx(1.5, rel=0.35)
-    assert prior.unchanged == 0.0
+    assert (prior.offset_sd_mm, prior.unchanged) == (pytest.approx(1.5, rel=0.35), 0.0)
 
 
 def test_few_days_leave_most_to_the_usual_spread_and_one_day_shows_none() -> None:
@@ -149,6 +147,11 @@ DRIFT = Drift(gains=(0.7,), aperture_offset_m=-4e-3)
 @pytest.fixture(scope="module")
 def taught(teach):
     return teach("force_ramp")
+
+
+@pytest.fixture(scope="module")
+def touch(teach):
+    return teach("force_ramp", use_aperture=False)
 
 
 def test_a_drift_is_read_from_its_text():
@@ -262,8 +265,7 @@ def test_grasps_without_a_drift_show_none(taught, fresh):
     assert followed.grid.unchanged > 0.5
 
 
-def test_touch_alone_is_gauged_too(teach, fresh):
-    touch = teach("force_ramp", use_aperture=False)
+def test_touch_alone_is_gauged_too(touch, fresh):
     found = touch.gauge("egg", [DRIFT.apply(g) for g in fresh if g.label == "egg"][:3]).grid
     assert found.drift.gain == pytest.approx(0.7, rel=0.3)
     assert found.drift.aperture_offset_m == pytest.approx(0.0, abs=1e-6)
@@ -540,8 +542,7 @@ def test_a_self_zero_ties_the_opening_of_what_was_taught_from_drawings(train, fr
     grid = taught.grid_at(told[0])
     assert grid.offset_sd_m < 0.2e-3
     # Nothing is known of the gain that both pads have in common.
-    assert grid.prior.log_gain_sd == pytest.approx(0.25, abs=0.01)
-    assert grid.prior.log_gain == 0.0
+    assert (grid.prior.log_gain_sd, grid.prior.log_gain) == (pytest.approx(0.25, abs=0.01), 0.0)
     # A drawn thickness is compared as the opening reads today.
     assert taught.posterior(told[0]).drawn_m == pytest.approx((5e-3,), abs=2e-4)
 

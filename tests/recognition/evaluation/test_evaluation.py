@@ -153,8 +153,7 @@ def found(train, fresh):
 @pytest.mark.slow
 def test_figures_fit_each_other(found, fresh):
     assert found.n == len(fresh)
-    assert found.n_untaught == 0
-    assert found.confusion.sum() == found.n
+    assert (found.n_untaught, found.confusion.sum()) == (0, found.n)
     assert np.trace(found.confusion) / found.n == pytest.approx(found.single_accuracy)
     low, high = found.interval
     assert low <= found.single_accuracy <= high

@@ -73,8 +73,7 @@ def test_objects_that_press_differently_are_named_on_every_layout(pads, force):
     for label, peak in (("low", 0.2), ("middle", 0.4), ("high", 0.8)):
         grasp = _grasp(pads, peak, rng, force=force)
         posterior = taught.posterior(grasp)
-        assert posterior.best == label
-        assert posterior.name == label
+        assert (posterior.best, posterior.name) == (label, label)
         assert posterior.probability.max() > 0.9
         assert taught.check(grasp) == label
 
@@ -111,8 +110,7 @@ def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform():
     )
     for grasp in (tip_only, one_frame):
         posterior = taught.posterior(grasp)
-        assert posterior.unknown == 1.0
-        assert posterior.probability == pytest.approx([1 / 3] * 3)
+        assert (posterior.unknown, posterior.probability) == (1.0, pytest.approx([1 / 3] * 3))
         assert taught.check(grasp) == UNKNOWN
     assert taught.posterior(nothing).name == UNKNOWN
     with pytest.raises(QuadricError, match="no pad carries a surface: pad 4"):

@@ -204,8 +204,7 @@ def test_of_equally_often_met_thicknesses_the_thinner_is_the_size() -> None:
 def test_the_thickness_of_a_round_object_is_one() -> None:
     told = [answer("cylinder", t, others=400.0) for t in (9.6, 10.0)]
     found = fuse_shapes(told)
-    assert found.kind == "cylinder"
-    assert len(found.thicknesses) == 1
+    assert (found.kind, len(found.thicknesses)) == ("cylinder", 1)
     assert 9.6e-3 < found.size_m < 10.0e-3
 
 
@@ -469,8 +468,7 @@ def test_a_gauge_finds_stiffness_and_gain_of_a_linear_sensor(pads: PadArray) -> 
     body = Body("sphere", 9.0)
     grasps = [pressed(pads, body, seed=s, foam=true) for s in range(6)]
     fit = fit_foam(grasps, body, FoamModel(full_scale_n=4.0))
-    assert fit.foam.full_scale_n == 4.0
-    assert fit.foam.gain == pytest.approx(0.8, rel=0.1)
+    assert (fit.foam.full_scale_n, fit.foam.gain) == (4.0, pytest.approx(0.8, rel=0.1))
     assert fit.foam.modulus_pa == pytest.approx(220e3, rel=0.15)
     assert abs(fit_foam(grasps, body).foam.modulus_pa / 220e3 - 1.0) > 0.3
 
@@ -573,8 +571,7 @@ def test_no_kind_is_told_on_pads_that_a_known_shape_did_not_fit() -> None:
     plain = joint_answer([oval, replace(sphere, misfit=2.0)])
     doubted = joint_answer([oval, replace(sphere, misfit=2.0)], least_misfit=9.0)
     assert plain.kind == "oval"
-    assert doubted.kind == UNCLEAR
-    assert doubted.misfit == 9.0
+    assert (doubted.kind, doubted.misfit) == (UNCLEAR, 9.0)
     assert doubted.probability["oval"] < plain.probability["oval"]
     assert np.log(doubted.high_m / doubted.low_m) > 1.8 * np.log(plain.high_m / plain.low_m)
 

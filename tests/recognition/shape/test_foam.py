@@ -65,8 +65,7 @@ def test_no_force_is_lost_also_at_the_rim(pads: PadArray) -> None:
     for cell in ((0, 0), (30, 3), (-1, -1)):
         pressure[cell] = 1e5
     force_n = bed.taxel_force_n(pressure)
-    assert force_n.shape == (60,)
-    assert force_n.sum() == pytest.approx(3e5 * bed.cell_area_m2)
+    assert (force_n.shape, force_n.sum()) == ((60,), pytest.approx(3e5 * bed.cell_area_m2))
 
 
 def test_a_crop_reads_what_the_whole_reads(pads: PadArray) -> None:

@@ -379,8 +379,7 @@ def test_fuse_refuses_what_does_not_belong_together():
 
 def test_a_sure_grasp_decides_at_once():
     decision = decide([posterior(1.0, 1e-5, 1e-5)], StopRule(error_rate=0.02))
-    assert decision.kind is DecisionKind.DECIDED
-    assert decision.label == "a"
+    assert (decision.kind, decision.label) == (DecisionKind.DECIDED, "a")
     assert decision.probability > 0.98
 
 
@@ -398,8 +397,7 @@ def test_an_untaught_object_ends_the_search():
     rule = StopRule(max_grasps=4)
     assert decide([strange], rule).kind is DecisionKind.CONTINUE
     found = decide([strange] * 3, rule)
-    assert found.kind is DecisionKind.UNKNOWN
-    assert found.label == UNKNOWN
+    assert (found.kind, found.label) == (DecisionKind.UNKNOWN, UNKNOWN)
     assert found.probability >= 0.95
 
 

@@ -239,8 +239,7 @@ def test_a_sync_during_a_burst_is_passed_over_and_told(line) -> None:
     assert line.tell(SYNC) == []
     line.wait(0.003)
     frame = line.frame()
-    assert frame.counter == 1
-    assert frame.status == FrameStatus.OVERRUN
+    assert (frame.counter, frame.status) == (1, FrameStatus.OVERRUN)
     assert line.frame().status == 0
 
 
@@ -271,8 +270,7 @@ def test_the_unit_takes_a_zero_on_command(line) -> None:
     line.skin.counts[5] = 40
     line.skin.counts[6] = 2
     frame = line.frame()
-    assert frame.status == FrameStatus.TARED
-    assert frame.counts[4:7].tolist() == [0, 28, 0]
+    assert (frame.status, frame.counts[4:7].tolist()) == (FrameStatus.TARED, [0, 28, 0])
     assert line.write(od.TARE, od.TARE_COMMAND, od.TARE_CLEAR_SIGNATURE, 4) == 0
     assert line.frame().counts[5] == 40
 
@@ -443,8 +441,7 @@ def test_a_touch_counts_within_a_few_scans_and_ends_with_the_load() -> None:
     unit = Unit(*LAYOUTS[0])
     touch = dict.fromkeys((20, 21, 24, 25, 28, 29), 0.1)
     seen_n = [unit.press(touch, scans=1).force_n[0] for _ in range(6)]
-    assert seen_n[0] == 0.0
-    assert seen_n[5] == pytest.approx(0.6, abs=0.05)
+    assert (seen_n[0], seen_n[5]) == (0.0, pytest.approx(0.6, abs=0.05))
     assert unit.press({}, scans=30).force_n == (0.0, 0.0)
     assert unit.press({}, scans=1).centre_taxels is None
 

@@ -57,8 +57,7 @@ def test_canopens_own_node_leads_it_through_all_states(bench) -> None:
     assert bench.witness.state == "SWITCH ON DISABLED"
     for state in ("READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED"):
         bench.witness.state = state
-        assert bench.witness.state == state
-        assert bench.drive.state.words == state
+        assert (bench.witness.state, bench.drive.state.words) == (state, state)
     for state in ("SWITCHED ON", "READY TO SWITCH ON", "SWITCH ON DISABLED"):
         bench.witness.state = state
         assert bench.drive.state.words == state
@@ -90,13 +89,11 @@ def test_canopens_own_node_resets_a_fault(bench) -> None:
     bench.witness.state = "OPERATION ENABLED"
     bench.drive.fail(0x3210)
     bench.let_pass(0.05)
-    assert bench.witness.state == "FAULT"
-    assert bench.witness.sdo[od.ERROR_CODE].raw == 0x3210
+    assert (bench.witness.state, bench.witness.sdo[od.ERROR_CODE].raw) == ("FAULT", 0x3210)
     assert [error.code for error in bench.witness.emcy.log] == [0x3210]
     bench.witness.TIMEOUT_RESET_FAULT = 0.0  # canopen waits here in vain, see its FIXME
     bench.witness.reset_from_fault()
-    assert bench.witness.state == "OPERATION ENABLED"
-    assert bench.witness.emcy.active == []
+    assert (bench.witness.state, bench.witness.emcy.active) == ("OPERATION ENABLED", [])
 
 
 def enabled(witness: BaseNode402) -> canopen.sdo.SdoClient:

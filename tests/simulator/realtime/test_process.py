@@ -366,8 +366,7 @@ def test_objects_are_placed_and_the_reply_says_where_they_rest(requests, devices
         "roll_rad": pytest.approx(np.pi / 2),
     }
     state = requests({"state": True})
-    assert state["placed"] == "box"
-    assert state["aperture_m"] == pytest.approx(0.03)
+    assert (state["placed"], state["aperture_m"]) == ("box", pytest.approx(0.03))
     assert state["control_unit"] == "PRE-OPERATIONAL"
     assert json.loads(json.dumps(state)) == state
     assert requests({"place": "sphere:diameter=8mm"})["pose"]["x_m"] == 0.0

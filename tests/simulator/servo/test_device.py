@@ -504,8 +504,7 @@ def trip(pressing):
 def test_a_trip_holds_the_present_position(pressing):
     trip(pressing)
     command = pressing.motors[0].command
-    assert command.mode is DriveMode.CURRENT_POSITION
-    assert command.current_a == pytest.approx(0.269)
+    assert (command.mode, command.current_a) == (DriveMode.CURRENT_POSITION, pytest.approx(0.269))
     held = pressing.motors[0].angle_rad
     pressing.force_n = (0.0, 0.0)
     pressing.clock.sleep(0.5)

@@ -141,8 +141,7 @@ def test_the_profile_ends_on_the_goal_from_both_sides(acceleration: float):
         for _ in range(2000):
             motor.torque_nm(STEP_S)
             fastest = max(fastest, abs(motor.reference_velocity_rad_s))
-        assert motor.reference_rad == goal_rad
-        assert motor.reference_velocity_rad_s == 0.0
+        assert (motor.reference_rad, motor.reference_velocity_rad_s) == (goal_rad, 0.0)
         assert fastest <= 2.0
 
 

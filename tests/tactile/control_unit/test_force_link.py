@@ -1,4 +1,4 @@
-"""The link to a unit that sends force messages: set-up, order on the bus, what goes wrong."""
+"""Force messages on the link, and pads that sit otherwise: set-up, order, what goes wrong."""
 
 from collections.abc import Callable
 from functools import partial
@@ -8,12 +8,19 @@ import numpy as np
 import pytest
 
 from simulator.can.control_unit import ControlUnitSettings
+from simulator.can.messages import read_zero
+from simulator.cell import SimulatedCell
+from simulator.settings import SimulatorSettings
+from simulator.world.taxels import NoiseModel
 from tactile.control_unit import object_dictionary as od
-from tactile.errors import FrameTimeout, IdentityMismatch, LinkFault
-from tactile.layout import paper_layout
+from tactile.control_unit.mounting import Mounting
+from tactile.control_unit.settings import LinkSettings
+from tactile.errors import FrameTimeout, IdentityMismatch, LayoutError, LinkFault
+from tactile.frames.force_message import encode_zero
+from tactile.layout import PadMount, paper_layout, pinch_layout, taxel_order
 from tactile.sensor.calibration import FoamCalibration
-from tactile.sensor.opening import force_table
-from tactile.source import ForceStatus, PadZero
+from tactile.sensor.opening import force_table, open_sensor
+from tactile.source import Arrivals, ForceMessage, ForceStatus, PadZero
 from tests.tactile.conftest import Bench
 
 LAYOUT = paper_layout()
@@ -30,42 +37,42 @@ def make_forces(make_bench: Callable[..., Bench]) -> Callable[..., Bench]:
 
 
 @pytest.fixture
-def bench(make_forces: Callable[..., Bench]) -> Bench:
+def sending(make_forces: Callable[..., Bench]) -> Bench:
     made = make_forces()
     made.link.start()
     made.link.set_zero(ZERO)
     return made
 
 
-def test_the_force_comes_by_table_and_zero_each_three_milliseconds(bench) -> None:
-    assert bench.link.sends_forces
-    bench.skin.counts[:] = 20
-    bench.forces(0.1)
-    found = bench.forces(0.3)
+def test_the_force_comes_by_table_and_zero_each_three_milliseconds(sending) -> None:
+    assert sending.link.sends_forces
+    sending.skin.counts[:] = 20
+    sending.forces(0.1)
+    found = sending.forces(0.3)
     assert len(found) == pytest.approx(100, abs=1)
     taxel_n = float(FoamCalibration(255).force_n(np.array([20.0]))[0])
     assert found[-1].force_n == pytest.approx((64 * taxel_n, 64 * taxel_n), rel=0.01)
     assert found[-1].status == ForceStatus.ZEROED
     assert np.diff([message.t_s for message in found]).max() < 0.0035
-    assert bench.link.statistics.forces.lost == 0
+    assert sending.link.statistics.forces.lost == 0
 
 
 def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(make_forces) -> None:
     def worst_wait_s(frame_function: int) -> float:
-        bench = make_forces()
-        bench.link.start()
+        sending = make_forces()
+        sending.link.start()
         if frame_function != od.COB_TPDO3:
             # As if the frames had stayed before the forces: TPDO1 and TPDO2 as in the EDS.
-            bench.unit.dictionary.pretend(od.TPDO1_PARAMETER, 1, frame_function + 5)
-            bench.unit.command("OPERATIONAL", bench.clock.monotonic())
-        bench.traffic.clear()
+            sending.unit.dictionary.pretend(od.TPDO1_PARAMETER, 1, frame_function + 5)
+            sending.unit.command("OPERATIONAL", sending.clock.monotonic())
+        sending.traffic.clear()
         for _ in range(300):
-            bench.clock.sleep(0.001)
+            sending.clock.sleep(0.001)
             if frame_function == od.COB_TPDO3:
-                bench.link.poll()
-            elif bench.clock.monotonic() % 0.02 < 0.001:
-                bench.bus.send(can.Message(arbitration_id=0x80, is_extended_id=False))
-        ends_s = [t_s for t_s, can_id, _ in bench.traffic if can_id == 0x285]
+                sending.link.poll()
+            elif sending.clock.monotonic() % 0.02 < 0.001:
+                sending.bus.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+        ends_s = [t_s for t_s, can_id, _ in sending.traffic if can_id == 0x285]
         spacing_s = np.diff(ends_s)
         return float(np.abs(spacing_s - 0.003).max())
 
@@ -74,74 +81,159 @@ def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(make_force
 
 
 def test_a_unit_without_force_messages_runs_as_before(make_forces) -> None:
-    bench = make_forces(unit=ControlUnitSettings(force_messages=False))
-    bench.link.start()
-    assert not bench.link.sends_forces
-    assert bench.forces(0.2) == []
-    assert bench.link.statistics.frames.complete >= 9
-    assert {can_id for _, can_id, _ in bench.traffic} >= {0x185}
+    sending = make_forces(unit=ControlUnitSettings(force_messages=False))
+    sending.link.start()
+    assert not sending.link.sends_forces
+    assert sending.forces(0.2) == []
+    assert sending.link.statistics.frames.complete >= 9
+    assert {can_id for _, can_id, _ in sending.traffic} >= {0x185}
 
 
 def test_a_table_that_the_unit_does_not_keep_is_refused(make_forces) -> None:
-    bench = make_forces()
-    bench.unit.dictionary.pretend(od.FORCE_TABLE, 0, TABLE[:-2] + b"\0\0")
+    sending = make_forces()
+    sending.unit.dictionary.pretend(od.FORCE_TABLE, 0, TABLE[:-2] + b"\0\0")
     with pytest.raises(IdentityMismatch, match="table of counts to force"):
-        bench.link.start()
+        sending.link.start()
 
 
 @pytest.mark.parametrize(("knob", "silence_s"), [("forces_off", 0.2), ("dead", 0.2)])
 def test_a_longer_silence_is_allowed_where_that_is_set(make_forces, knob, silence_s) -> None:
-    bench = make_forces(silence_s=silence_s, heartbeat_s=1.0)
-    bench.link.start()
-    bench.link.set_zero(ZERO)
-    bench.forces(0.1)
-    setattr(bench.unit.faults, knob, True)
-    bench.forces(silence_s - 0.04)
+    sending = make_forces(silence_s=silence_s, heartbeat_s=1.0)
+    sending.link.start()
+    sending.link.set_zero(ZERO)
+    sending.forces(0.1)
+    setattr(sending.unit.faults, knob, True)
+    sending.forces(silence_s - 0.04)
     with pytest.raises(FrameTimeout, match=r"no (force message|whole frame)"):
-        bench.forces(0.08)
+        sending.forces(0.08)
 
 
-def stall(bench: Bench, monkeypatch: pytest.MonkeyPatch, stall_s: float = 0.057) -> None:
+def stall(sending: Bench, monkeypatch: pytest.MonkeyPatch, stall_s: float = 0.057) -> None:
     """Stand still, and then find nothing: the thread that receives stood still, too."""
-    source = bench.link._source
+    source = sending.link._source
     with monkeypatch.context() as asleep:
         asleep.setattr(source, "drain", lambda: [])
-        bench.clock.sleep(stall_s)
-        bench.link.poll()
+        sending.clock.sleep(stall_s)
+        sending.link.poll()
 
 
 def test_a_stall_of_the_host_is_no_silence_of_the_unit(make_forces, monkeypatch) -> None:
-    bench = make_forces(heartbeat_s=0.02)
-    bench.link.start()
-    bench.link.set_zero(ZERO)
+    sending = make_forces(heartbeat_s=0.02)
+    sending.link.start()
+    sending.link.set_zero(ZERO)
     for _ in range(5):
-        bench.forces(0.1)
-        stall(bench, monkeypatch)
-        assert bench.forces(0.02)
+        sending.forces(0.1)
+        stall(sending, monkeypatch)
+        assert sending.forces(0.02)
 
 
 @pytest.mark.parametrize("stall_s", [0.057, 0.115, 0.16])
-def test_what_came_in_a_stall_of_the_host_is_not_late(bench, monkeypatch, stall_s) -> None:
-    source = bench.link._source
+def test_what_came_in_a_stall_of_the_host_is_not_late(sending, monkeypatch, stall_s) -> None:
+    source = sending.link._source
     drain = source.drain
     # The thread that receives stamps what it reads at the end of the stall.
-    monkeypatch.setattr(source, "drain", lambda: [(bench.clock.monotonic(), m) for _, m in drain()])
+    monkeypatch.setattr(
+        source, "drain", lambda: [(sending.clock.monotonic(), m) for _, m in drain()]
+    )
     for _ in range(3):
-        bench.forces(0.3)
-        bench.clock.sleep(stall_s)
-        bench.link.poll()
-    assert bench.forces(0.3)
+        sending.forces(0.3)
+        sending.clock.sleep(stall_s)
+        sending.link.poll()
+    assert sending.forces(0.3)
 
 
 @pytest.mark.parametrize(("knob", "limit_s"), [("forces_off", 0.04), ("heartbeat_off", 0.25)])
 def test_a_silent_unit_is_found_within_its_limit_and_the_stall(
-    bench, monkeypatch, knob, limit_s
+    sending, monkeypatch, knob, limit_s
 ) -> None:
-    bench.forces(0.1)
-    start_s = bench.clock.monotonic()
-    setattr(bench.unit.faults, knob, True)
-    bench.forces(0.01)
-    stall(bench, monkeypatch)
+    sending.forces(0.1)
+    start_s = sending.clock.monotonic()
+    setattr(sending.unit.faults, knob, True)
+    sending.forces(0.01)
+    stall(sending, monkeypatch)
     with pytest.raises(LinkFault, match=r"no (force message|heartbeat) from"):
-        bench.forces(1.0)
-    assert bench.clock.monotonic() - start_s < limit_s + 0.057 + 0.002
+        sending.forces(1.0)
+    assert sending.clock.monotonic() - start_s < limit_s + 0.057 + 0.002
+
+
+# -- Pads that sit otherwise -----------------------------------------------------------------------
+
+
+PINCH = pinch_layout()
+EXCHANGED = (PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0))
+TURNED = tuple(
+    PadMount(pad=pad, sent_as=pad, rows_mirrored=True, columns_mirrored=True) for pad in (0, 1)
+)
+
+
+def test_the_order_of_the_taxels_is_that_of_the_mounts() -> None:
+    assert (taxel_order(PINCH, ()) == np.arange(156)).all()
+    assert (taxel_order(PINCH, EXCHANGED) == np.roll(np.arange(156), 78)).all()
+    rows = taxel_order(PINCH, (PadMount(pad=0, sent_as=0, rows_mirrored=True),))
+    assert rows[:6].tolist() == [72, 73, 74, 75, 76, 77]
+    columns = taxel_order(PINCH, (PadMount(pad=1, sent_as=1, columns_mirrored=True),))
+    assert columns[78:84].tolist() == [83, 82, 81, 80, 79, 78]
+    assert taxel_order(PINCH, TURNED)[:78].tolist() == list(range(77, -1, -1))
+
+
+@pytest.mark.parametrize(
+    ("mounts", "complaint"),
+    [
+        ((PadMount(pad=0, sent_as=1),), "name each pad once"),
+        ((PadMount(pad=7, sent_as=7),) * 2, "name each pad once"),
+        (
+            (PadMount(pad=0, sent_as=2), PadMount(pad=2, sent_as=0)),
+            "16 x 4 taxels, but is sent as finger0.side_a with 16 x 2: correct sent_as",
+        ),
+    ],
+)
+def test_mounts_that_cannot_be_are_refused(mounts, complaint) -> None:
+    with pytest.raises(LayoutError, match=complaint):
+        taxel_order(paper_layout(), mounts)
+
+
+def test_forces_and_zero_of_exchanged_and_turned_pads_go_both_ways() -> None:
+    message = ForceMessage(
+        t_s=1.0, counter=3, status=ForceStatus.ZEROED, force_n=(1.0, 2.0), centre_taxels=(1.5, -0.5)
+    )
+    exchanged, turned = Mounting(PINCH, EXCHANGED), Mounting(PINCH, TURNED)
+    arrived = Arrivals(forces=(message,))
+    assert exchanged.arrivals(arrived).forces[0].force_n == (2.0, 1.0)
+    assert exchanged.arrivals(arrived).forces[0].centre_taxels == (1.5, -0.5)
+    assert turned.arrivals(arrived).forces[0].centre_taxels == (-1.5, 0.5)
+    zeros = np.arange(156.0)
+    bad = zeros == 5
+    for mounting in (exchanged, turned):
+        sent = mounting.zero(encode_zero(9.0, zeros, bad, PINCH.adc_max))
+        _, found, found_bad = read_zero(sent, 156, PINCH.adc_max)
+        order = taxel_order(PINCH, EXCHANGED if mounting is exchanged else TURNED)
+        assert found[order][~bad] == pytest.approx(zeros[~bad], abs=0.1)
+        assert found_bad[order].tolist() == bad.tolist()
+
+
+def test_the_unit_cannot_sum_pads_that_are_turned_against_each_other() -> None:
+    assert Mounting(PINCH, ()).unit_can_sum
+    assert Mounting(PINCH, TURNED).unit_can_sum
+    assert not Mounting(PINCH, TURNED[:1]).unit_can_sum
+    outer = (PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0))
+    assert not Mounting(paper_layout(), outer).unit_can_sum
+
+
+@pytest.mark.parametrize("mounts", [EXCHANGED, TURNED, TURNED[:1]])
+def test_a_sensor_measures_where_the_finger_is_on_pads_that_sit_otherwise(mounts) -> None:
+    settings = SimulatorSettings(layout=PINCH, mounts=mounts, noise=NoiseModel(level=0.2))
+    with SimulatedCell(settings) as cell:
+        link = LinkSettings(mounts=mounts)
+        with open_sensor(cell.can_bus, PINCH, link=link) as sensor:
+            sensor.tare(20)
+            cell.devices.physical.press(0, 12e-3, -5e-3, 2.0)
+            for _ in range(20):
+                reading = sensor.read()
+            assert reading.finger_force_n == pytest.approx((2.0, 0.0), rel=0.1)
+            force_n = reading.force_n[:78]
+            x_m, y_m = (force_n @ PINCH.taxel_xy_m[:78] / force_n.sum()).tolist()
+            assert (x_m, y_m) == pytest.approx((12e-3, -5e-3), abs=1e-3)
+            if Mounting(PINCH, mounts).unit_can_sum:
+                assert sensor.take_forces()[-1].force_n == pytest.approx((2.0, 0.0), abs=0.3)
+            else:
+                assert not sensor.has_forces

@@ -41,8 +41,7 @@ def written(bench) -> dict[tuple[int, int], int]:
 
 def test_start_checks_configures_and_starts_the_unit(idle) -> None:
     identity = idle.link.start()
-    assert identity.serial == 4711
-    assert identity.name == "Tactile control unit"
+    assert (identity.serial, identity.name) == (4711, "Tactile control unit")
     idle.run(0.001, 0.001)
     assert [data[0] for _, can_id, data in idle.traffic if can_id == 0] == [130, 1]
     assert written(idle) == {
@@ -77,8 +76,7 @@ def test_a_slow_caller_does_not_make_up_for_syncs_and_does_not_lose_the_link(ben
     before = bench.link.statistics.requests
     bench.clock.sleep(0.5)
     bench.link.poll()
-    assert bench.link.statistics.requests == before + 1
-    assert bench.link.statistics.late_requests == 1
+    assert (bench.link.statistics.requests, bench.link.statistics.late_requests) == (before + 1, 1)
     assert len(bench.run(0.2)) >= 10
 
 
@@ -186,8 +184,7 @@ def test_another_unit_is_refused_with_expected_and_found(make_bench, entry, valu
     bench.unit.dictionary.pretend(*entry, value)
     with pytest.raises(IdentityMismatch, match=says):
         bench.link.start()
-    assert bench.unit.state == "PRE-OPERATIONAL"
-    assert bench.link.statistics.requests == 0
+    assert (bench.unit.state, bench.link.statistics.requests) == ("PRE-OPERATIONAL", 0)
 
 
 def test_exchanged_pads_are_refused_by_the_serial_numbers_of_their_boards(make_bench) -> None:

@@ -482,8 +482,7 @@ def test_swapped_bytes_show_in_the_function_block(connect) -> None:
     for _ in range(5):
         found = {"Inputs": swapped[:64], "Part": [0] * 40}
         block.call(Enable=True, Connected=True, Execute=True, Command=RELEASE, **found)
-    assert (block["SwappedBytes"], block["Ready"]) == (True, False)
-    assert block["Outputs"][:2] == [0, 0]
+    assert (block["SwappedBytes"], block["Ready"], block["Outputs"][:2]) == (True, False, [0, 0])
 
 
 @pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
