@@ -3,15 +3,18 @@
 import random
 from contextlib import suppress
 from functools import partial
+from math import copysign
 from typing import Any
 
 import pytest
 
+from gripper.dynamixel.models import ServoModel
 from gripper.errors import (
     BusTimeout,
     ForceSensorStale,
     GripperError,
     MechanicsContradicted,
+    PositionContradicted,
     ServoFault,
 )
 from gripper.force.ramp import ForceRamp
@@ -97,3 +100,22 @@ def test_the_force_stays_below_its_cap_with_a_wrong_encoder_at_any_moment(make_c
             command()
     cell.clock.sleep(0.5)
     assert cell.peak_n <= cap_n
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("at_n", [0.5, 2.0, 4.0])
+@pytest.mark.parametrize("rate_hz", [None, 200.0])
+def test_currents_that_freeze_in_a_grip_let_no_part_go(
+    make_started, monkeypatch, at_n, rate_hz
+) -> None:
+    """Else the control lowers the drive until the pads are empty, and reports the part as lost."""
+    cell = make_started(rate_hz=rate_hz, stiffness_n_m=5000.0)
+    freeze = partial(
+        monkeypatch.setattr, ServoModel, "current_a", lambda _, raw: copysign(0.25, raw)
+    )
+    observe = cell.once(freeze, at_n=at_n)
+    with suppress(PositionContradicted):
+        cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.5), observe)
+        cell.gripper.hold(1.0)
+        cell.gripper.hold_at(2.0, 1.0)
+    assert cell.force_n > 0.9 * min(at_n, 2.0)
