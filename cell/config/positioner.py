@@ -17,7 +17,7 @@ class AxesCanConfig(Section):
 
     interface: str = Field(default=SIMULATED, min_length=1)
     """python-can interface (socketcan, slcan, ...); `simulated`: the built-in interface."""
-    channel: str = Field(default="", max_length=200)
+    channel: str = Field(default="", max_length=200, strict=False, coerce_numbers_to_str=True)
     """Channel of the interface; only socketcan can share the channel of the control unit."""
     bitrate: Literal[125000, 250000, 500000, 1000000] = 1000000
     """Bit rate in bit/s."""

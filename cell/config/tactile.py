@@ -138,8 +138,9 @@ class TactileConfig(Section):
     """Sensor that reads the pads: the control unit, or boards with their own lines."""
     interface: str = Field(default=SIMULATED, min_length=1)
     """python-can interface (socketcan, slcan, pcan, ...); `simulated`: the built-in interface."""
-    channel: str = Field(default="", max_length=200)
-    """Channel of the interface, for example can0 or /dev/ttyACM0; empty for `simulated`."""
+    channel: str = Field(default="", max_length=200, strict=False, coerce_numbers_to_str=True)
+    """Channel of the interface, for example can0, /dev/ttyACM0 or the number 0; empty for
+    `simulated`."""
     bitrate: Literal[125000, 250000, 500000, 800000, 1000000] = 1000000
     """Bit rate of the CAN bus in bit/s."""
     node_id: int = Field(default=5, ge=1, le=127)

@@ -9,7 +9,7 @@ import pytest
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from cell.config.file import changed_config, load_config
+from cell.config.file import changed_config, load_config, parse_config
 from cell.config.model import CellConfig
 from cell.config.section import Declared
 from cell.config.tactile import (
@@ -52,6 +52,12 @@ def test_a_key_has_the_default_of_its_setting_and_reaches_it(path, key, link) ->
     other = key.default + 1 if isinstance(key.default, int) else 0.98 * key.default
     changed = changed_config(CellConfig(), {path: other})
     assert of_gripper(changed, link) == pytest.approx(other * link.unit)
+
+
+def test_the_channel_of_an_adapter_may_be_its_number() -> None:
+    assert parse_config("tactile: {channel: 0}", source="test").tactile.channel == "0"
+    with pytest.raises(ConfigError, match="tactile.channel"):
+        parse_config("tactile: {channel: true}", source="test")
 
 
 def test_keys_without_a_number_reach_the_gripper() -> None:
