@@ -56,7 +56,7 @@ def test_a_key_has_the_default_of_its_setting_and_reaches_it(path, key, link) ->
 
 def test_the_channel_of_an_adapter_may_be_its_number() -> None:
     assert parse_config("tactile: {channel: 0}", source="test").tactile.channel == "0"
-    with pytest.raises(ConfigError, match="tactile.channel"):
+    with pytest.raises(ConfigError, match=r"tactile\.channel"):
         parse_config("tactile: {channel: true}", source="test")
 
 
