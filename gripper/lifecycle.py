@@ -15,6 +15,7 @@ from gripper.errors import (
     GripperError,
     GripperStateError,
     PortLost,
+    PositionContradicted,
     ServoFault,
     note_fingers,
 )
@@ -272,7 +273,8 @@ def fault_response(
     force above its cap                that of ``over_force``
     one finger silent or without       both hold their positions: none pushes alone
     torque
-    any other, moving fingers          they stop, and this is read back
+    any other, moving fingers          they stop, and this is read back; without current where
+                                       their positions are contradicted
     any other                          the goals are frozen
     ================================== ==========================================================
 
@@ -293,7 +295,9 @@ def fault_response(
             return FingersLeft.LIMP
         opens = over_force and settings.over_force is OverForce.OPEN
         stops = moving and not opens
-        unconfirmed = servos.stop_motion() if stops else []
+        # With current a servo follows its own position, which may drift.
+        share = 0.0 if isinstance(error, PositionContradicted) else 1.0
+        unconfirmed = servos.stop_motion(share) if stops else []
         one_sided = isinstance(error, FingerSilent) or (
             isinstance(error, ServoFault) and error.torque_lost
         )

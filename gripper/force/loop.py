@@ -4,7 +4,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil, inf
 from operator import gt
 
@@ -232,7 +232,9 @@ class LoopRunner:
             if state is None:
                 self._bus_loss.stop_fingers(self.phase)
         # Pads and CAN are supervised in each period, also without answers of the servos.
-        sample = self._note_force()
+        sample = self._sensor.latest_force()
+        if sample is not None and (sample.valid or sample.at_least):
+            self.servos.guard.note_force(sample)
         if sample is not None and sample.valid:
             running.fresh_s = max(running.fresh_s, sample.t_s)
         if running.needs_force:
@@ -276,7 +278,7 @@ class LoopRunner:
         servos, settings, most_n = self.servos, self._settings, most_peak_n(self._settings)
         goals, share = servos.goals.last, settings.over_force_share
         # Goals that were written may brake.
-        held = [replace(goal, current_a=share * goal.current_a) for goal in servos.goals.asked]
+        asked = servos.goals.asked
         left, shown_n, state = 1.0, inf, servos.read()
         opened_s, end_s = -inf, state.t_s + _LONGEST_LOWERING * _LOWERING_S
         while goals and (newest := servos.guard.newest_force) and state.t_s < end_s:
@@ -289,20 +291,16 @@ class LoopRunner:
                 left = max(least, left - settings.period_s / _LOWERING_S)
                 servos.goals.write(lowered(goals, left, state, settings), state)
             elif left < 0.0:
-                servos.goals.write(holding_position(held, held, state), state)
+                servos.goals.write(holding_position(asked, asked, state, share), state)
             self._clock.sleep(settings.period_s)
             before, state = state, servos.read()
             if any(map(gt, state.angles_rad, before.angles_rad)):
                 opened_s, shown_n = state.t_s, max(forces_n)
-            self._note_force()
+            sample = self._sensor.latest_force()
+            if sample is not None and (sample.valid or sample.at_least):
+                servos.guard.note_force(sample)
         if opened_s > -inf:
-            servos.goals.write(holding_position(held, held, state), state)
-
-    def _note_force(self) -> ForceSample | None:
-        sample = self._sensor.latest_force()
-        if sample is not None and (sample.valid or sample.at_least):
-            self.servos.guard.note_force(sample)
-        return sample
+            servos.goals.write(holding_position(asked, asked, state, share), state)
 
     def _check_force(self, now_s: float, fresh_s: float, sample: ForceSample | None) -> None:
         if sample is not None:

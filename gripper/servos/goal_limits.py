@@ -145,7 +145,6 @@ class GoalGuard:
         """Return the goal of a finger that closes, with its current and its speed bounded."""
         model = servo.servo_model
         empty = force_n < self._settings.contact_force_n
-        closing_rad_s = -min(state.velocity_rad_s, state.motor_rad_s)
         if empty and max(abs(state.velocity_rad_s), abs(state.motor_rad_s)) <= model.slow_rad_s:
             stood_a = self._stood_a.get(state.servo_id, 0.0)
             self._stood_a[state.servo_id] = max(stood_a, -state.current_a)
@@ -160,7 +159,7 @@ class GoalGuard:
                 fastest_m_s, pressing_speed_m_s(self._settings, impact, goal.setpoint_n)
             )
         fastest_rad_s = fastest_m_s / reach_m
-        over_rad_s = closing_rad_s - fastest_rad_s
+        over_rad_s = -min(state.velocity_rad_s, state.motor_rad_s) - fastest_rad_s
         if over_rad_s > model.slow_rad_s:
             # Only the excess momentum is removed, or the finger would swing. Friction does a part.
             drive_n = force_n + path.drive.least_breakaway_a * path.n_per_a

@@ -135,17 +135,18 @@ class ServoGroup:
         if state is not None and len(earlier) == len(last) > 0:
             self.goals.write(stop_goals.frozen(last, earlier, state), state)
 
-    def hold_position(self) -> None:
-        """Set the goals to the last read positions."""
+    def hold_position(self, share: float = 1.0) -> None:
+        """Set the goals to the last read positions, with a share of the currents."""
         state, last, earlier = self.feedback.last, self.goals.last, self.goals.earlier
         if state is not None and last:
             earlier = earlier if len(earlier) == len(last) else last
-            self.goals.write(stop_goals.holding_position(last, earlier, state), state)
+            self.goals.write(stop_goals.holding_position(last, earlier, state, share), state)
 
-    def stop_motion(self) -> list[int]:
+    def stop_motion(self, share: float = 1.0) -> list[int]:
         """End a motion at the present positions; return the IDs of servos not confirmed to obey.
 
-        No servo answers the write of all goals at once, so they are read back.
+        A share of the currents is left. No servo answers the write of all goals: they are read
+        back.
         """
         state = self.feedback.last
         age_s = 0.0 if state is None else self._clock.monotonic() - state.t_s
@@ -157,7 +158,7 @@ class ServoGroup:
         unconfirmed: list[int] = []
         for _ in range(_STOP_TRIES):
             try:
-                self.hold_position()
+                self.hold_position(share)
             except GripperError:
                 return list(self._ids)
             unconfirmed = [servo_id for servo_id in self._ids if not self._obeys(servo_id)]

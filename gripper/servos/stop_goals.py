@@ -34,14 +34,14 @@ def frozen(
 
 
 def holding_position(
-    last: Sequence[ServoGoal], earlier: Sequence[ServoGoal], state: ServoFeedback
+    last: Sequence[ServoGoal], earlier: Sequence[ServoGoal], state: ServoFeedback, share: float
 ) -> list[ServoGoal]:
-    """Return goals at the present positions, with the lower current of the last two periods.
+    """Return goals at the present positions, with a share of the lower current of two periods.
 
     No finger pushes on, and none yields by more than position control of the servos does.
     """
     return [
-        replace(goal, angle_rad=servo.angle_rad)
+        replace(goal, angle_rad=servo.angle_rad, current_a=share * goal.current_a)
         for goal, servo in zip(frozen(last, earlier, state), state.servos, strict=True)
     ]
 

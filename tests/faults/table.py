@@ -610,10 +610,11 @@ GRIP = (
     *(FaultRow(29, f"reaction {reaction}",
                f"something trapped pushes the force above its cap of {servo.CAP_N:g} N in a hold; "
                "time counts from the cap",
-               "object.trapped=3@contact+0.8s", required, 0.03, servo.something_pushes,
+               "object.trapped=3@contact+0.8s", required, limit_s, servo.something_pushes,
                LONG_HOLD | {"sequence.force_n": [2.0, 4.0], "gripper.force_max_n": servo.CAP_N,
                             "gripper.over_force.reaction": reaction})
-      for reaction, required in (("lower", "HOLD"), ("open", "HOLD"), ("limp", "LIMP"))),
+      for reaction, required, limit_s in (
+          ("lower", "HOLD", LOWER_S), ("open", "HOLD", 0.03), ("limp", "LIMP", 0.03))),
     FaultRow(29, "approach of 200 mm per s",
              "a config asks for an approach whose impact is far above the cap; it is slowed down",
              "gripper.approach_speed_mm_s=200", "NOTHING", None, servo.fast_approach,
