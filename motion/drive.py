@@ -67,7 +67,8 @@ _NEXT = {
     State.SWITCH_ON_DISABLED: Control.SHUTDOWN,
     State.READY_TO_SWITCH_ON: Control.SWITCH_ON,
     State.SWITCHED_ON: Control.ENABLE_OPERATION,
-    State.QUICK_STOP_ACTIVE: Control.ENABLE_OPERATION,
+    # The direct way back, transition 16, is optional (CiA 402-2).
+    State.QUICK_STOP_ACTIVE: Control.DISABLE_VOLTAGE,
 }
 """Controlword that leads from each state towards OPERATION ENABLED."""
 

@@ -53,6 +53,8 @@ _LOOK_S = 1.0
 """Time in s from one write to the next."""
 _FRESH_S = 60.0
 """Time in s after which the sums are computed again: a new day may have begun."""
+_SUM_SHARE = 0.02
+"""Largest share of the time for the sums: those of a full week take tenths of a second."""
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
@@ -88,7 +90,7 @@ class History:
         self._waiting = deque[dict[str, Any]](maxlen=_WAITING_MAX)
         self._link: sqlite3.Connection | None = None
         self._refused = ""
-        self._summed_s = float("-inf")
+        self._summed_s, self._sum_took_s, self._old = float("-inf"), 0.0, False
         self._values: dict[str, Any] = {}
         self._over, self._updating = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
@@ -149,7 +151,10 @@ class History:
         self._n_faults = now.n_faults
         try:
             self._resume_shift()
-            if self._write() or not 0.0 <= self._wall_s() - self._summed_s < _FRESH_S:
+            self._old |= self._write()
+            age_s = self._wall_s() - self._summed_s
+            due = self._old and _SUM_SHARE * max(_LOOK_S, age_s) >= self._sum_took_s
+            if due or not 0.0 <= age_s < _FRESH_S:
                 self._sum()
             self._refused = ""
         except (sqlite3.Error, OSError, CellError) as error:
@@ -202,6 +207,7 @@ class History:
         return True
 
     def _sum(self) -> None:
+        began_s = time.perf_counter()
         today = date.fromtimestamp(self._wall_s())
         week = [today - timedelta(days=n) for n in range(today.weekday() + 1)]
         with self._opened() as link:
@@ -210,6 +216,7 @@ class History:
                 "yesterday": _sums(link, [today - timedelta(days=1)]),
                 "week": _sums(link, week),
             }
+        self._sum_took_s, self._old = time.perf_counter() - began_s, False
         self._summed_s = self._wall_s()
 
     def _opened(self) -> sqlite3.Connection:

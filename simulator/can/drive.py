@@ -235,8 +235,7 @@ class SimulatedDrive(CanopenDevice):
         elif not low & _NO_QUICK_STOP_BIT:
             self._quick_stop()
         elif self.state is State.QUICK_STOP_ACTIVE:
-            if low == Control.ENABLE_OPERATION:
-                self.state = State.OPERATION_ENABLED
+            pass  # transition 16 is optional: this drive lacks it
         elif low & (_SWITCHED_ON_BIT | _ENABLE_BIT) == 0 or low == Control.SHUTDOWN:
             self._switch_off(State.READY_TO_SWITCH_ON)
         elif self.state is not State.SWITCH_ON_DISABLED:

@@ -290,6 +290,16 @@ def test_a_shift_goes_on_after_a_restart_and_ends_with_its_hours(kept: Kept) -> 
     assert figures()[1:5] == (0, 0, 0, 1)
 
 
+def test_sums_that_take_long_are_made_seldom(kept: Kept) -> None:
+    kept.look()
+    kept.history._sum_took_s = 1.0
+    for passed_s, parts in ((10.0, 0), (51.0, 2)):
+        kept.history.add(part())
+        kept.now_s = kept.history._summed_s + passed_s
+        kept.history.update()
+        assert kept.history.values()["today"]["parts"] == parts
+
+
 def test_a_fault_of_the_start_is_in_the_history(kept: Kept) -> None:
     kept.fault(506, "a part is in the grip")
     kept.history = History(kept.path, lambda: kept.state, wall_s=lambda: kept.now_s)
