@@ -8,7 +8,7 @@ DOCS := $(VENV)/.docs
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
 PYTEST_ARGS ?=
 # Byte code is kept between runs: to compile all tests again takes seconds.
-PYTEST = env -u PYTHONDONTWRITEBYTECODE OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
+PYTEST = env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest
 TESTS = $(PYTEST) -n auto --dist worksteal $(PYTEST_ARGS)
 
 .PHONY: run serve quick test test-long test-real-time coverage mutants wheel-test check format docs docs-pages pictures bench paper campaign soak vcan clients help clean distclean

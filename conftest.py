@@ -14,6 +14,9 @@ import zlib
 import pytest
 from hypothesis import settings
 
+# Threads of the linear algebra only spin where tests share the processors.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 settings.register_profile("tests", derandomize=True, deadline=None)
 settings.load_profile("tests")
 

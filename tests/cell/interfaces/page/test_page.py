@@ -2,6 +2,7 @@
 
 import base64
 import re
+from functools import partial
 from typing import Any
 
 import pytest
@@ -90,9 +91,12 @@ WRONG = """() => {
 """Texts for what overlaps, stands out, or is broken within a word."""
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
-@pytest.mark.parametrize("token", ["token", "view_token"])
+LONG = partial(pytest.param, marks=pytest.mark.long)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("locale", ["de-DE", LONG("en-GB")])
+@pytest.mark.parametrize("token", ["view_token", LONG("token")])
 def test_nothing_overlaps_or_breaks_at_any_width(open_page, cell, locale, token) -> None:
     url = cell.url.partition("token=")[0] + f"token={cell.served.interfaces[token]}"
     page = open_page(url, locale=locale, command=token == "token")
