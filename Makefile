@@ -33,9 +33,9 @@ test-real-time: $(DEV)  ## tests that measure times of real processes, one after
 
 mutants: $(DEV)  ## 60 random changes of the code, and which of them the tests find; N=100 for more, SEED=2 for others
 	$(INSTALL) '.[mutants]'
-	$(TESTS) -m "not real_time and not long" --cov --cov-context=test --processor-times=out/times.txt
-	$(BIN)/python -m tests.mutants draw $(or $(N),60) out/mutants.json --seed $(or $(SEED),1)
-	$(BIN)/python -m tests.mutants run out/mutants.json --times out/times.txt
+	$(TESTS) -m "not real_time and not long" --processor-times=out/times.txt
+	$(BIN)/python -m tests.mutants draw out/mutants.json --n $(or $(N),60) --seed $(or $(SEED),1)
+	$(BIN)/python -m tests.mutants run out/mutants.json out/times.txt
 
 coverage: $(DEV)  ## line coverage of the tests without real time: less than 95 % is an error; takes three times as long
 	$(TESTS) -m "not real_time" --cov --cov-report=term:skip-covered --cov-fail-under=95

@@ -46,7 +46,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
     config = small_config(name="press 4")
     Path("tactile-cell.yaml").write_text(config_text(config))
     model = Path(taught.result.model)
-    Path("parts.npz").write_bytes(model.read_bytes())
+    Path("parts.model.npz").write_bytes(model.read_bytes())
     return Path.cwd()
 
 
@@ -54,7 +54,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
 def test_the_page_on_updates_can_be_typed(here) -> None:
     Path("commissioning.html").write_text("signed")
     printed = list(typed("update.md"))
-    for name in ("commissioning.html", "parts.npz", "tactile-cell.yaml"):
+    for name in ("commissioning.html", "parts.model.npz", "tactile-cell.yaml"):
         assert Path("../press-4", name).read_bytes() == Path(name).read_bytes()
     (shown,) = blocks("update.md", "text")
     name = r"\.\./before-update\.tar: 3 files, \d+\.\d MB\n"
