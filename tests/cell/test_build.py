@@ -17,6 +17,7 @@ from tactile.errors import BusNotOpened, TactileError
 from tests.cell.conftest import small_config
 from tests.cell.jobs.test_doctor import REAL
 from tests.fuzz.harness import Clock
+from tests.marks import LONG
 
 RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
 SLOW_RACK = {"gripper__linkage": RACK, "gripper__approach_speed_mm_s": 5.0}
@@ -43,7 +44,7 @@ def positioner(bench: Any) -> Any:
         {"tactile__layout": "pinch"},
         {"tactile__node_id": 127, "tactile__serial_number": 4711},
         {"sequence__ramp": {"kind": "staircase"}},
-        {"sequence__ramp": {"kind": "s_curve"}},
+        LONG({"sequence__ramp": {"kind": "s_curve"}}),
     ],
     ids=["one servo, rack", "two servos, rack", "mounts", "pinch", "node", "stairs", "s-curve"],
 )

@@ -50,7 +50,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
     return Path.cwd()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_page_on_updates_can_be_typed(here) -> None:
     Path("commissioning.html").write_text("signed")
     printed = list(typed("update.md"))

@@ -13,6 +13,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.outcome import GraspResult
 from simulator.servo.gearing import MX_64_GEARING
+from tests.marks import LONG
 
 NEVER = (0.7, 0.15)
 """Uncertainties of servos that nobody has measured."""
@@ -193,7 +194,7 @@ def test_figures_that_somebody_has_measured_count() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factors", [(1.0, 1.0), (2.0, 0.7), (3.0, 1.0)])
+@pytest.mark.parametrize("factors", [(2.0, 0.7), LONG((1.0, 1.0)), LONG((3.0, 1.0))])
 def test_the_load_of_a_gearing_that_sticks_is_measured_with_its_losses(factors) -> None:
     truth = Truth(kt_error=0.0, friction_error=0.0, seed=11)
     part = PARTS["steel ball, 200 N/mm"]

@@ -16,6 +16,7 @@ from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
+from tests.marks import LONG
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 
@@ -95,8 +96,8 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stiffness_n_m", [5e3, 2e4, 5e4])
-@pytest.mark.parametrize("rate_n_s", [1.0, 3.0, 10.0])
+@pytest.mark.parametrize("stiffness_n_m", [5e3, LONG(2e4), 5e4])
+@pytest.mark.parametrize("rate_n_s", [LONG(1.0), 3.0, 10.0])
 def test_the_ramp_ends_without_overshoot_and_settles(make_started, stiffness_n_m, rate_n_s) -> None:
     cell = make_started(stiffness_n_m=stiffness_n_m, noise_n=0.3, approach_speed_m_s=0.01)
     true_n: list[tuple[float, float]] = []

@@ -73,7 +73,7 @@ def test_a_recording_is_made_on_request(simulated_cell, tmp_path) -> None:
     assert len(read_recording(cell.cell.recording_path).grasps) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_objects_are_taught_and_told_apart(simulated_cell) -> None:
     cell = simulated_cell(objects=PIN | {"ball": "sphere:diameter=9.5mm"}, changes=SHORT).start()
     recognizer = cell.teach(["pin", "ball"], grasps=5)

@@ -120,7 +120,7 @@ def test_commands_work_on_a_selection(aged: Fleet, tmp_path: Path) -> None:
         call("plot", "grasp", 900, aged.archive, "-o", tmp_path / "a.png")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_training_learns_the_spread_and_shows_what_it_gains(aged: Fleet, tmp_path: Path) -> None:
     first, second = tmp_path / "first.npz", tmp_path / "second.npz"
@@ -138,7 +138,7 @@ def test_training_learns_the_spread_and_shows_what_it_gains(aged: Fleet, tmp_pat
         call("compare", first, second, aged.other_objects)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_evaluation_leaves_days_and_cells_out(aged: Fleet) -> None:
     few = ["--recognizer", "shrinkage_lda", "--fuse", "1"]

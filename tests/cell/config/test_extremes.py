@@ -20,6 +20,7 @@ from cell.errors import ConfigError
 from cell.simulation import simulation_of
 from tests.cell.conftest import COARSE_PADS
 from tests.faults.campaign import campaign_config
+from tests.marks import LONG
 
 _ELSEWHERE = ("serve.", "positioner.", "sort.", "recognition.", "loop.", "seed", "host_timeout_s")
 """Keys of no effect on a grasp in virtual time; their ends are still read."""
@@ -157,8 +158,13 @@ def test_all_ends_are_accepted_but_those_that_others_forbid() -> None:
     assert complaints == {}
 
 
+FIRST, *REST = groups()
+FEW = [FIRST, *(LONG(group) for group in REST)]
+"""The groups; each change runs the first."""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("at", groups(), ids=lambda at: ", ".join(map(str, at)))
+@pytest.mark.parametrize("at", FEW, ids=lambda at: ", ".join(map(str, at)))
 def test_a_grasp_is_done_at_the_ends(at) -> None:
     grasp(*at)
 

@@ -19,6 +19,7 @@ from gripper.errors import GripContradicted, GripperError, LimitExceeded
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, quick_config
+from tests.marks import LONG
 from tests.values import raising
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
@@ -93,7 +94,7 @@ def test_an_empty_gripper_is_no_part_and_no_fault(make_bench: MakeBench, tmp_pat
 @pytest.mark.parametrize(
     ("shape", "closed_mm", "reached"),
     [
-        ("sphere:diameter=5mm", 0.5, False),
+        LONG("sphere:diameter=5mm", 0.5, False),
         ("cylinder:diameter=3mm,length=20mm", 0.0, False),
         ("cylinder:diameter=2mm,length=20mm", -4.0, True),
     ],
@@ -299,8 +300,8 @@ MOTIONS: dict[str, Callable[[Any], object]] = {
         ("zero", APPROACHING, 0.3),
         ("zero", RAMPING, 0.5),
         ("zero", GripperPhase.HOLDING, 4.0),  # one finger presses and yields
-        pytest.param("zero", RELEASING, 0.1, marks=pytest.mark.long),
-        ("zero", OPENING, 9.5),  # measures friction
+        LONG("zero", RELEASING, 0.1),
+        LONG("zero", OPENING, 9.5),  # measures friction
         ("grasp", APPROACHING, 0.1),
         ("grasp", RAMPING, 0.3),
         ("release", RELEASING, 0.03),

@@ -34,7 +34,7 @@ def decode(capture: Path, *arguments: str) -> list[str]:
     return done.stdout.splitlines()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_captured_sequence_is_canopen_to_tshark(tmp_path: Path) -> None:
     capture = tmp_path / "sequence.pcap"
     config = small_config()

@@ -413,7 +413,7 @@ def test_a_stop_comes_before_the_end_of_the_ramp(bench) -> None:
     assert bench.grip_n > 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_objects_are_named_in_less_time_and_none_wrongly(make_bench, taught) -> None:
     bench = make_bench(taught.config).ready()
     model = TaughtModel.load(taught.config, taught.result.model)

@@ -12,6 +12,7 @@ from gripper.gripper import Gripper
 from gripper.settings import largest_setpoint_n
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import Cycle
+from tests.marks import LONG
 
 _SDS = (0.7, 0.05)
 """Uncertainty of servos whose torque was measured with weights, and no friction so far."""
@@ -43,7 +44,7 @@ def closed(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rate_n_s", [5.0, 20.0])
+@pytest.mark.parametrize("rate_n_s", [LONG(5.0), 20.0])
 @pytest.mark.parametrize(
     ("wrong", "within_n"),
     [

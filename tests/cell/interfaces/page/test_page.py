@@ -2,13 +2,13 @@
 
 import base64
 import re
-from functools import partial
 from typing import Any
 
 import pytest
 
 from cell.control.live import LiveValues
 from tests.cell.interfaces.page.fake_cell import TEACHING, FakeCell
+from tests.marks import LONG
 from tests.waiting import until
 
 EVIL = '<img src=x onerror="window.evil=1">'
@@ -89,9 +89,6 @@ WRONG = """() => {
   return [...new Set(wrong)];
 }"""
 """Texts for what overlaps, stands out, or is broken within a word."""
-
-
-LONG = partial(pytest.param, marks=pytest.mark.long)
 
 
 @pytest.mark.slow

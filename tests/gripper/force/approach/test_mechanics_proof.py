@@ -1,7 +1,5 @@
 """Wrong direction, zero and linkage: told at rest, by the first motion, or where fingers meet."""
 
-from functools import partial
-
 import pytest
 
 from gripper.dynamixel.models import XL330_M288
@@ -18,8 +16,8 @@ from gripper.force.approach.mechanics_proof import POSITION_ITEM
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
+from tests.marks import LONG
 
-LONG = partial(pytest.param, marks=pytest.mark.long)
 RAMP = ForceRamp.linear(4.0, rate_n_s=10.0)
 KEYS = r"gripper.servos\[\].direction \(.*zero_pulse \(.*gripper.linkage \(link_mm"
 LARGEST_N = 2.0

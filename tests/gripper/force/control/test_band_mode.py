@@ -11,6 +11,7 @@ from gripper.force.control.motion_mode import MotionMode
 from gripper.force.control.period import Mode
 from gripper.values.force_sensor import ForceSample
 from tests.gripper.force.grips import FRICTION_N, PERIOD_S, make_grip, make_period
+from tests.marks import LONG
 
 
 class Finger:
@@ -78,8 +79,8 @@ def ramp(rate_n_s: float, end_n: float, hold_s: float, start_n: float = 1.0) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_n_s", [1.0, 3.0, 10.0])
-@pytest.mark.parametrize("gain", [0.9, 1.0, 1.1])
-@pytest.mark.parametrize("friction_share", [0.8, 1.0, 1.2])
+@pytest.mark.parametrize("gain", [0.9, LONG(1.0), 1.1])
+@pytest.mark.parametrize("friction_share", [0.8, LONG(1.0), 1.2])
 def test_ramp_and_hold_without_overshoot(rate_n_s, gain, friction_share) -> None:
     finger = Finger(FRICTION_N * friction_share, gain)
     forces_n = follow(Loop(), finger, ramp(rate_n_s, 10.0, 2.0))

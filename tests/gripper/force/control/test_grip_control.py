@@ -17,6 +17,7 @@ from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from simulator.servo.gearing import MX_64_GEARING, XM430_W350_GEARING
 from tests.gripper.force.pads import WrongPads
+from tests.marks import LONG
 
 
 def test_a_stiffness_that_is_far_too_small_drives_no_force_beyond_the_ramp(
@@ -130,7 +131,7 @@ SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, LONG(2), LONG(3)])
 def test_a_quiet_hold_with_a_noisy_sensor_shows_no_slip(make_cell, seed) -> None:
     cell = make_cell(noise_n=0.3, seed=seed)
     cell.hold_part(RAMP)
@@ -178,8 +179,8 @@ def by_frames() -> Mapping[int, DriveCharacteristic]:
 @pytest.mark.parametrize(
     ("part", "final_n", "rate_n_s", "seed"),
     [
-        ("steel ball, 200 N/mm", 8.0, 3.0, 103),
-        ("cork, 5 N/mm", 8.0, 1.0, 203),
+        LONG("steel ball, 200 N/mm", 8.0, 3.0, 103),
+        LONG("cork, 5 N/mm", 8.0, 1.0, 203),
         ("foam ball, 0.2 N/mm", 4.0, 1.0, 103),  # a contact by noise, at 0.03 N
     ],
 )
@@ -195,13 +196,13 @@ def test_a_slow_ramp_does_not_jump_where_the_gearing_sticks(
 @pytest.mark.parametrize(
     ("part", "final_n", "rate_n_s"),
     [
-        ("steel ball, 200 N/mm", 8.0, 10.0),
+        LONG("steel ball, 200 N/mm", 8.0, 10.0),
         ("cork, 5 N/mm", 8.0, 3.0),
         ("foam ball, 0.2 N/mm", 2.0, 40.0),  # the fingers still move long after the ramp
-        ("foam ball, 0.2 N/mm", 4.0, 20.0),
+        LONG("foam ball, 0.2 N/mm", 4.0, 20.0),
     ],
 )
-@pytest.mark.parametrize("seed", [71, 103])
+@pytest.mark.parametrize("seed", [71, LONG(103)])
 def test_frames_alone_hold_a_force_where_the_gearing_sticks(
     part, final_n, rate_n_s, seed, by_frames
 ) -> None:
@@ -225,7 +226,7 @@ def test_pads_that_show_a_force_before_they_touch_do_not_make_a_stiff_part_soft(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factors", [(0.5, 1.3), (2.0, 0.7)])
+@pytest.mark.parametrize("factors", [(2.0, 0.7), LONG((0.5, 1.3))])
 def test_a_slow_ramp_of_servos_that_were_never_measured_stays_below_its_set_point(factors) -> None:
     truth = Truth(kt_error=0.0, friction_error=0.0, seed=501)
     part = PARTS["steel ball, 200 N/mm"]
