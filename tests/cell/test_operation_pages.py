@@ -71,6 +71,7 @@ def test_a_wheel_of_the_page_has_the_name_that_a_build_gives_it() -> None:
     }
 
 
+@pytest.mark.slow
 def test_the_page_on_recordings_can_be_typed(here) -> None:
     (config,) = blocks("keep-recordings.md", "yaml")
     Path("of-the-page.yaml").write_text(config)

@@ -70,6 +70,7 @@ def test_the_second_run_adds_nothing(fleet, archived) -> None:
     assert every(archived) == before
 
 
+@pytest.mark.slow
 def test_a_row_leads_back_to_its_recording(archived) -> None:
     row = next(one for one in every(archived) if one["answer"])
     grasp = recording_grasps(row["recording"])[row["grasp"]]

@@ -31,6 +31,7 @@ def test_each_question_names_the_cell_that_it_concerns(aged: Fleet) -> None:
     json.dumps(values)
 
 
+@pytest.mark.slow
 def test_a_trend_has_the_size_that_was_made(aged: Fleet) -> None:
     trends = {(one.cell, one.signal): one for one in ask(aged.archive).trends}
     opening = trends["press 2", "opening"]

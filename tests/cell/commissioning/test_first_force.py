@@ -65,6 +65,7 @@ def kept_drives(one: Stand) -> list[DriveCharacteristic]:
     return list(kept.kept_drives(dict.fromkeys(kept.drives, 0)).values())
 
 
+@pytest.mark.slow
 def test_what_it_measures_of_the_servos_is_kept_for_the_cell(grasped) -> None:
     for drive in kept_drives(grasped[0]):
         assert drive.measured

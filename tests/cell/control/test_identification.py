@@ -180,6 +180,7 @@ def identified(
     )
 
 
+@pytest.mark.slow
 def test_identifying_ends_as_soon_as_it_is_sure_or_with_its_plan(record: GraspRecord) -> None:
     told: list[int] = []
     found = identified(record, n_steps=5, on_grasp=lambda number, *_told: told.append(number))

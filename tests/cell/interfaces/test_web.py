@@ -413,6 +413,7 @@ def test_the_description_has_a_text_for_each_path(host) -> None:
     assert "HTTPValidationError" not in json.dumps(paths)
 
 
+@pytest.mark.slow
 def test_the_example_of_the_page_runs(served, host, capsys) -> None:
     exec(compile(page_examples(host)[0], "use-it-over-http.md", "exec"), {})
     assert [job.task for job in served.service.jobs()] == ["identify", "verify", "release", "sort"]

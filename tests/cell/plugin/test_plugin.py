@@ -102,6 +102,7 @@ def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -
     assert plugin.simulate({"state": True})["placed"] == "my mug"
 
 
+@pytest.mark.slow
 def test_a_refused_teaching_gives_no_part_a_name(plugin: Any) -> None:
     assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
     with pytest.raises(CellStateError, match="not allowed"):

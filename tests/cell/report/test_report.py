@@ -147,6 +147,7 @@ def mapped(value: Any, change: Callable[[str], str]) -> Any:
     return replace(value, **texts)
 
 
+@pytest.mark.slow
 def test_page_shows_every_part(page, run) -> None:
     text = " ".join("".join(Outline(page).text).split())
     for part in ("result", "sequences", "examples", "trajectories", "health", "cell", "notes"):

@@ -241,6 +241,7 @@ def test_a_gauge_object_shows_the_drift_and_the_rest_is_as_before(taught, fresh)
     assert both.without_gauges().grid.drift == taught.grid.drift
 
 
+@pytest.mark.slow
 def test_grasps_that_nobody_named_show_the_drift(taught, fresh):
     drifted = [a_day_later(DRIFT.apply(g)) for g in fresh]
     followed = taught

@@ -180,6 +180,7 @@ def test_the_page_shows_the_state_and_commands_once(page, cell) -> None:
     until(lambda: cell.service.lease._heard_s > heard_s)
 
 
+@pytest.mark.slow
 def test_a_name_is_text_wherever_it_stands(open_page, cell) -> None:
     cell.named(EVIL)
     state, nearest = cell.state, {"runner_up": {"label": EVIL, "probability": 0.1}}
