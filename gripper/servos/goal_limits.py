@@ -221,8 +221,8 @@ class GoalGuard:
             goal.current_a <= before_a + _EQUAL
             for goal, before_a in zip(goals, self._previous_a, strict=True)
         )
-        for index, (goal, now) in enumerate(zip(goals, state.servos, strict=True)):
-            self._check_goal(index, goal, now.angle_rad, _positions(state))
+        for index, goal in enumerate(goals):
+            self._check_goal(index, goal, state)
         opening = all(
             goal.angle_rad >= servo.angle_rad - _EQUAL
             for goal, servo in zip(goals, state.servos, strict=True)
@@ -264,7 +264,7 @@ class GoalGuard:
             most_n = max(most_n, max(first_n, second_n) / n - times * settings.force_noise_n)
         return most_n - settings.force_max_n
 
-    def _check_goal(self, index: int, goal: ServoGoal, angle_rad: float, positions: str) -> None:
+    def _check_goal(self, index: int, goal: ServoGoal, state: ServoFeedback) -> None:
         settings = self._settings
         servo = settings.servos[index]
         if not 0.0 <= goal.current_a <= settings.current_max_a + _ROUNDING_A:
@@ -277,11 +277,13 @@ class GoalGuard:
         margin_rad = max(OPENING_MARGIN_RAD, 1.1 * overrun_rad(servo.servo_model, drive))
         high_rad = self._open_rad[index] + margin_rad
         # Fingers that stand outside (moved by hand) may be brought back in.
+        angle_rad = state.servos[index].angle_rad
         lowest_rad = min(low_rad, angle_rad) - _EQUAL_ANGLE_RAD
         if not lowest_rad <= goal.angle_rad <= max(high_rad, angle_rad) + _EQUAL_ANGLE_RAD:
             raise LimitExceeded(
                 f"goal angle {goal.angle_rad:.4f} rad of servo {servo.servo_id} is not from "
-                f"{low_rad:.4f} to {high_rad:.4f} rad (closed to aperture_open_m; {positions})"
+                f"{low_rad:.4f} to {high_rad:.4f} rad (closed to aperture_open_m; "
+                f"{_positions(state)})"
             )
 
 
