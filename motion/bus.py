@@ -9,7 +9,7 @@ import canopen
 
 from motion.errors import AxisSilent
 from motion.object_dictionary import COB_HEARTBEAT
-from tactile.can.receiver import PolledSource
+from tactile.can.receiver import PolledSource, of_another_kind
 from tactile.clock import Clock
 from tactile.errors import LinkFault
 
@@ -99,8 +99,8 @@ class DriveBus:
         with _failures_named():
             messages = self._source.drain()
         for _, message in messages:
-            foreign = message.is_remote_frame or message.is_extended_id
-            if foreign or message.is_error_frame or len(message.data) != message.dlc:
+            unusable = message.is_error_frame or len(message.data) != message.dlc
+            if unusable or of_another_kind(message):
                 continue
             if handler := self._handlers.get(message.arbitration_id):
                 handler(bytes(message.data))

@@ -24,6 +24,11 @@ _JOIN_S = 2.0
 """Longest wait in s for the end of the thread."""
 
 
+def of_another_kind(message: can.Message) -> bool:
+    """Return whether a message has a 29-bit identifier or is a request (RTR): of other devices."""
+    return message.is_extended_id or message.is_remote_frame
+
+
 def interface_failed(error: Exception) -> BusOff:
     """Return the fault for an error of a CAN interface."""
     return BusOff(

@@ -11,7 +11,7 @@ from typing import Self
 
 import can
 
-from tactile.can.receiver import message_source
+from tactile.can.receiver import message_source, of_another_kind
 from tactile.clock import Clock
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.commissioning import read_identity
@@ -70,8 +70,8 @@ class _Listener:
                 self._messages += 1
                 node = message.arbitration_id & od.NODE_BITS
                 kind = message.arbitration_id & od.FUNCTION_BITS
-                foreign = message.is_remote_frame or message.is_extended_id
-                if node and kind in (od.COB_HEARTBEAT, od.COB_SDO_RESPONSE) and not foreign:
+                of_node = node and kind in (od.COB_HEARTBEAT, od.COB_SDO_RESPONSE)
+                if of_node and not of_another_kind(message):
                     self._nodes.add(node)
             if (left_s := end_s - self.clock.monotonic()) <= 0.0:
                 return

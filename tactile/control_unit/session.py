@@ -9,7 +9,7 @@ import canopen
 from canopen.nmt import NMT_COMMANDS
 
 from tactile.can.bus import bad_lines
-from tactile.can.receiver import MessageSource, interface_failed
+from tactile.can.receiver import MessageSource, interface_failed, of_another_kind
 from tactile.can.sdo_client import PolledSdoClient
 from tactile.clock import Clock
 from tactile.control_unit import object_dictionary as od
@@ -196,7 +196,7 @@ class LinkSession:
         for t_s, message in self._source.drain():
             if message.is_error_frame:
                 self.supervisor.on_error_frame(message.arbitration_id, message.data, t_s)
-            elif message.is_remote_frame or message.is_extended_id:
+            elif of_another_kind(message):
                 self._add_foreign(t_s)
             elif message.arbitration_id == frame_id:
                 n_frame_messages += 1

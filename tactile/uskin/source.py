@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tactile.board_source import PolledBoards
 from tactile.can.bus import MissingBus
-from tactile.can.receiver import interface_failed, message_source
+from tactile.can.receiver import interface_failed, message_source, of_another_kind
 from tactile.clock import Clock
 from tactile.errors import (
     BusOff,
@@ -207,7 +207,7 @@ class UskinSource(PolledBoards):
                     )
                 continue
             board = self._owner.get(message.arbitration_id)
-            if board is None or message.is_extended_id or message.is_remote_frame:
+            if board is None or of_another_kind(message):
                 self._foreign += 1
                 continue
             found = samples(message.data)
