@@ -32,8 +32,9 @@ _ANSWERS = 400
 
 def copied(grasps: Sequence[Grasp], n_objects: int) -> list[Grasp]:
     """Return grasps of so many objects: the given ones, then copies of them."""
-    members, found = list(by_label(grasps).values()), list[Grasp]()
-    for number in range(n_objects):
+    members = list(by_label(grasps).values())
+    found = [grasp for group in members[:n_objects] for grasp in group]
+    for number in range(len(members), n_objects):
         turn, group = number // len(members), members[number % len(members)]
         rng = np.random.default_rng(number)
         gains = np.exp(rng.normal(0.0, _LOG_GAIN_SD, group[0].pads.n_pads))
@@ -43,8 +44,7 @@ def copied(grasps: Sequence[Grasp], n_objects: int) -> list[Grasp]:
             one = other.apply(grasp)
             noisy = one.counts + rng.normal(0.0, noise, one.counts.shape)
             counts = np.clip(noisy, 0, one.pads.adc_max)
-            copy = replace(one, counts=counts, label=f"{grasp.label} {turn:03d}")
-            found.append(copy if turn else grasp)
+            found.append(replace(one, counts=counts, label=f"{grasp.label} {turn:03d}"))
     return found
 
 

@@ -298,7 +298,7 @@ function lastFrame({ state, link, changed }) {
   const its = state.shift?.answers?.at(-1)?.number ?? null;
   if (its !== shown.number) {
     shown = { number: its, frame: null };
-    link.call("GET", `api/grasps/${encodeURIComponent(its)}`, { timeout_ms: 5000 }).then((grasp) => {
+    if (its !== null) link.call("GET", `api/grasps/${encodeURIComponent(its)}`, { timeout_ms: 5000 }).then((grasp) => {
       if (its !== shown.number || !grasp.frame) return;
       shown = { number: its, frame: Float32Array.from(grasp.frame) };
       changed();
