@@ -18,6 +18,7 @@ from gripper.errors import (
     ServoFault,
 )
 from gripper.force.ramp import ForceRamp
+from tests.marks import LONG
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 
@@ -66,9 +67,7 @@ def test_a_stuck_finger_is_reported(started, first) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 200))]
-)
+@pytest.mark.parametrize("seed", [*range(4), *(LONG(seed) for seed in range(4, 200))])
 def test_the_force_stays_below_its_cap_with_a_wrong_encoder_at_any_moment(make_cell, seed) -> None:
     """In an approach, a ramp, a hold or a release, of a part or a self-zero, and after it."""
     draw = random.Random(seed)

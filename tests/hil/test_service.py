@@ -19,6 +19,7 @@ from cell.service.service import RELEASE_KEY
 from pytest_tactile_cell.process import CellProcess
 from tests.cell.conftest import Taught, small_config, taught  # noqa: F401  a fixture
 from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, done, first
+from tests.marks import LONG
 from tests.waiting import until
 
 pytestmark = pytest.mark.real_time
@@ -102,7 +103,7 @@ def service(
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     "killed",
-    ["main", "both", "hand", pytest.param("ended", marks=pytest.mark.long)],
+    ["main", "both", "hand", LONG("ended")],
 )
 def test_a_part_outlasts_the_processes_that_hold_it(service, simulator, killed) -> None:
     cell = service.cell

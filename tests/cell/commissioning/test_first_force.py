@@ -16,6 +16,7 @@ from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
 from tactile.layout import pinch_layout
 from tests.cell.commissioning.conftest import MakeStand, Stand
+from tests.marks import LONG
 
 STEP = FirstForceStep()
 
@@ -74,7 +75,7 @@ def test_what_it_measures_of_the_servos_is_kept_for_the_cell(grasped) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("watchdog_ms", [pytest.param(100.0, marks=pytest.mark.long), 500.0])
+@pytest.mark.parametrize("watchdog_ms", [LONG(100.0), 500.0])
 def test_the_self_test_of_the_watchdog_closes_no_further_than_was_shown(one, watchdog_ms) -> None:
     one.knows(gripper__watchdog_ms=watchdog_ms)
     opened_m = []

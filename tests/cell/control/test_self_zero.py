@@ -32,6 +32,7 @@ from gripper.values.state import GripperPhase
 from recognition.grasp import SelfZero
 from tactile.errors import FrameTimeout
 from tests.cell.conftest import REAL, call, quick_config, small_config
+from tests.marks import LONG
 
 PULSE_MM = 60.0 * 2.0 * math.pi / 4096.0
 
@@ -116,7 +117,7 @@ def test_it_is_measured_on_other_hands(make_bench, hand: dict[str, Any]) -> None
     [
         "sphere:diameter=9.5mm",
         "cylinder:diameter=3mm,length=60mm",
-        pytest.param("box:length=40mm,width=16mm,height=2mm", marks=pytest.mark.long),
+        LONG("box:length=40mm,width=16mm,height=2mm"),
     ],
 )
 def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, part: str) -> None:
@@ -140,8 +141,8 @@ def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, part: 
     "part",
     [
         "sphere:diameter=9.5mm",
-        pytest.param("sphere:diameter=5mm", marks=pytest.mark.long),
-        pytest.param("cylinder:diameter=3mm,length=60mm", marks=pytest.mark.long),
+        LONG("sphere:diameter=5mm"),
+        LONG("cylinder:diameter=3mm,length=60mm"),
     ],
 )
 def test_a_daily_start_opens_again_on_a_part_and_goes_on(make_bench, tmp_path, part) -> None:
@@ -487,9 +488,7 @@ def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "seed", [10, *(pytest.param(seed, marks=pytest.mark.long) for seed in (38, 45))]
-)
+@pytest.mark.parametrize("seed", [10, *(LONG(seed) for seed in (38, 45))])
 def test_pads_on_each_other_stay_below_the_cap_and_contradict_no_message(make_bench, seed) -> None:
     """At twice the noise, which moves the centre of a load on all taxels far, and with one stronger
     motor. The set-point ends at 10 N, the cap is 15 N, and no servo was ever measured."""

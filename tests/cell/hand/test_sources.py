@@ -35,6 +35,7 @@ from tactile.source import (
 )
 from tests.cell.conftest import small_config
 from tests.faults.scenarios.axes import X_AXIS
+from tests.marks import LONG
 
 PERIOD_S = 0.02
 
@@ -110,7 +111,7 @@ FLEXITAC, USKIN = (
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "profile",
-    ["12x32", *(pytest.param(name, marks=pytest.mark.long) for name in ("16x32", "16x16"))],
+    ["12x32", *(LONG(name) for name in ("16x32", "16x16"))],
 )
 def test_a_cell_grasps_and_records_on_boards_of_each_profile(profile, tmp_path) -> None:
     config = changed_config(

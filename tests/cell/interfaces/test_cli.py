@@ -54,6 +54,7 @@ from simulator.realtime.requests import CellRequests
 from tests.cell.conftest import call, once, plain_grasp
 from tests.faults.scenarios.axes import CHANGES as AXES
 from tests.fuzz.harness import Clock
+from tests.marks import LONG
 from tests.values import raising
 
 RUNNER = CliRunner()
@@ -717,9 +718,7 @@ def in_the_third_grasp(made: Any, act: Callable[[], object]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
-)
+@pytest.mark.parametrize("number", [signal.SIGINT, LONG(signal.SIGTERM)])
 def test_a_signal_stops_the_job_and_keeps_grip_recording_and_what_was_grasped(
     config, tmp_path, fail, meddle, number
 ) -> None:

@@ -26,6 +26,7 @@ from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.service.service import RELEASE_KEY
 from tests import ROOT
 from tests.cell.conftest import once, small_config
+from tests.marks import LONG
 from tests.waiting import LIMIT_S, until
 
 PROGRAM = (sys.executable, "-c", "from cell.interfaces.cli import main; main()")
@@ -88,9 +89,7 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(s
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", ["self-zero of the start", "ramp of a job"])
-@pytest.mark.parametrize(
-    "number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGTERM]
-)
+@pytest.mark.parametrize("number", [LONG(signal.SIGINT), signal.SIGTERM])
 def test_a_signal_first_stops_the_motion(meddle, monkeypatch, tmp_path, moment, number) -> None:
     starts = moment == "self-zero of the start"
     zero = "always" if starts else "on_demand"
@@ -128,7 +127,7 @@ def test_a_signal_first_stops_the_motion(meddle, monkeypatch, tmp_path, moment, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("file", [pytest.param(False, marks=pytest.mark.long), True])
+@pytest.mark.parametrize("file", [LONG(False), True])
 def test_a_terminal_alone_shows_the_tokens_of_the_page(start, file: bool) -> None:
     screen, terminal = os.openpty()
     process, line = start(*("--token-file", "token") * file, stderr=terminal)

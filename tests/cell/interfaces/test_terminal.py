@@ -25,6 +25,7 @@ from cell.interfaces.cli.app import app
 from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.signals import stopping
 from tests.cell.conftest import small_config
+from tests.marks import LONG
 from tests.values import raising
 from tests.waiting import LIMIT_S
 
@@ -201,7 +202,7 @@ with stopping(lambda: None, end_within_s=0.05, left='; the grip is kept'):
     "number",
     [
         signal.SIGINT,
-        *(pytest.param(one, marks=pytest.mark.long) for one in (signal.SIGTERM, signal.SIGHUP)),
+        *(LONG(one) for one in (signal.SIGTERM, signal.SIGHUP)),
     ],
 )
 def test_a_signal_while_the_program_ends_leaves_its_exit_code(number) -> None:

@@ -27,6 +27,7 @@ from cell.service.photos import LONGEST_PHOTO, Photos
 from cell.service.shift import KEPT_ANSWERS, Shift, began_s
 from tests.cell.conftest import small_config
 from tests.cell.served import until
+from tests.marks import LONG
 from tests.values import raising
 
 
@@ -398,7 +399,7 @@ def test_the_service_keeps_it_and_http_shows_it(tmp_path: Path, serve: Any) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [errno.ESTALE, pytest.param(errno.EIO, marks=pytest.mark.long)])
+@pytest.mark.parametrize("number", [errno.ESTALE, LONG(errno.EIO)])
 def test_a_share_that_disappears_ends_no_sort_and_its_return_is_noticed(
     tmp_path: Path, serve: Any, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:

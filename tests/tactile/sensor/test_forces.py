@@ -18,6 +18,7 @@ from tactile.sensor.grip_force import GripForce
 from tactile.sensor.opening import force_table
 from tactile.sensor.sensor import TactileSensor
 from tactile.source import ForceMessage, ForceStatus, PadZero
+from tests.marks import LONG
 from tests.tactile.sensor.test_sensor import CALIBRATION, LAYOUT, Frames, readings
 
 
@@ -281,7 +282,7 @@ def test_a_difference_is_found_the_sooner_the_larger_it_is(
     assert found == 100 if most == 100 else found <= most
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.long) for n in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *(LONG(n) for n in (1, 2))])
 def test_noise_alone_is_no_difference(seed: int) -> None:
     check, draw = ForceCheck(), np.random.default_rng(seed)
     check.reset(taxel_noise_n=0.03)
