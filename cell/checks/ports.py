@@ -1,32 +1,148 @@
-"""Serial ports: their lasting names, the rights of this user, the latency timer of the adapter."""
+"""Serial ports of a cell: obstacles to their use, and their lasting names."""
 
 import grp
 import os
 import pwd
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from gripper.dynamixel.serial_port import latency_timer_file
+from cell.checks.findings import CheckResult, Verdict, check_result
+from cell.config.model import CellConfig
+from cell.config.positioner import AxesCanConfig, ServoAxisConfig
+from cell.config.section import SIMULATED
+from cell.config.tactile import TactileConfig
+from gripper.dynamixel.serial_port import (
+    latency_timer_file,
+    latency_timer_ms,
+    lock_device,
+    serial_candidates,
+)
 
-LATENCY_MS = 1
+_LATENCY_MS = 1
 """Latency timer in ms that the force loop of 200 Hz needs."""
+_ROOT = Path("/")
+"""Folder of the system's folders dev, proc, run and sys."""
 
 
-def latency_command(port: str) -> str:
-    """Return the command that sets the latency timer of a port until the next reboot."""
-    return f"echo {LATENCY_MS} | sudo tee {latency_timer_file(port)}"
+def serial_ports(config: CellConfig) -> Iterator[tuple[str, str, str]]:
+    """Yield the role, key and name of each serial port of a cell."""
+    ports = [("servos", "gripper.port", config.gripper.port)]
+    ports += [
+        (role, f"{key}.channel", can.channel)
+        for role, key, can in can_buses(config)
+        if can.channel.startswith("/") and can.interface != SIMULATED
+    ]
+    ports += [
+        (f"sensor{number}", f"tactile.sensor.ports[{number}]", port)
+        for number, port in enumerate(config.tactile.serial_ports)
+    ]
+    ports += [
+        (axis.moves, f"port of the axis {axis.moves}", axis.port)
+        for axis in config.positioner.axes
+        if isinstance(axis, ServoAxisConfig)
+    ]
+    return ((role, key, port) for role, key, port in ports if port != SIMULATED)
+
+
+def can_buses(config: CellConfig) -> Iterator[tuple[str, str, TactileConfig | AxesCanConfig]]:
+    """Yield the role, key and settings of each CAN bus of a cell."""
+    if config.tactile.sensor.on_can:
+        yield "can", "tactile", config.tactile
+    if config.positioner.drives:
+        yield "axes", "positioner.can", config.positioner.can
+
+
+def check_port(key: str, port: str) -> Iterator[CheckResult]:
+    """Check that this program can use a port, and that nothing delays or disturbs its bytes.
+
+    Neither opens the port nor sends anything.
+
+    Parameters
+    ----------
+    key
+        Key of the port in the config, which names the check.
+    """
+    found, advice = port, ""
+    if command := _rights_command(port):
+        found = f"this user has no right to open {port}"
+        advice = f"{command}, then log out and in"
+    elif not Path(port).exists():
+        candidates = ", ".join(serial_candidates()) or "none"
+        found = f"{port} does not exist; serial ports here: {candidates}"
+        advice = f"plug in the adapter or correct {key}"
+    elif users := users_of(port):
+        found = f"{port} is in use by {', '.join(users)}"
+        advice = "end it (brltty takes such adapters: sudo apt remove brltty)"
+    yield check_result(key, found, advice, ok=not advice, bad=Verdict.FAIL)
+    timer_ms = latency_timer_ms(port)
+    if timer_ms is not None:
+        command = f"echo {_LATENCY_MS} | sudo tee {latency_timer_file(port)}"
+        yield check_result(
+            f"USB latency timer of {key}",
+            f"each answer waits up to {timer_ms} ms in the adapter, {_LATENCY_MS} ms is needed",
+            f"until the next start: {command}; for good: {udev_rule()}",
+            ok=timer_ms <= _LATENCY_MS,
+        )
+    if _sent_to_by_modem_manager(port):
+        yield check_result(
+            f"ModemManager at {key}",
+            f"it runs, and it may send commands to {port} when the adapter is plugged in",
+            "write the rules of `tactile-cell install`, or: sudo systemctl disable --now "
+            "ModemManager",
+        )
+
+
+def users_of(port: str) -> tuple[str, ...]:
+    """Return the programs that have a port open, e.g. ``name (process 12)``, without this one.
+
+    Only an administrator sees the names of other users' programs. The lock file shows a program of
+    this kind of each user. The maker of a pseudo-terminal is no user of it.
+    """
+    device = os.path.realpath(port)
+    found = []
+    for process, name in () if device.startswith("/dev/pts/") else _processes():
+        # It may have ended, or belong to another user.
+        with suppress(OSError):
+            if device in [os.readlink(handle) for handle in (process / "fd").iterdir()]:
+                found.append(f"{name} (process {process.name})")
+    try:
+        os.close(lock_device(device))
+    except BlockingIOError:
+        found = found or ["another program of this kind"]
+    except OSError:
+        # The opening of the port reports it.
+        pass
+    return tuple(found)
+
+
+def _processes() -> Iterator[tuple[Path, str]]:
+    """Yield the folder and the name of each other process."""
+    for process in sorted(_ROOT.glob("proc/[0-9]*")):
+        with suppress(OSError):
+            if process.name != str(os.getpid()):
+                yield process, (process / "comm").read_text("utf-8").strip()
+
+
+def _sent_to_by_modem_manager(port: str) -> bool:
+    """Return whether ModemManager runs and no udev rule keeps it away from a USB adapter."""
+    usb, _ = _usb_device(_tty(port))
+    if usb is None or all(name != "ModemManager" for _, name in _processes()):
+        return False
+    properties = _ROOT / f"run/udev/data/c{(usb / 'dev').read_text('ascii').strip()}"
+    return "ID_MM_DEVICE_IGNORE=1" not in properties.read_text("utf-8")
 
 
 def udev_rule() -> str:
     """Return the udev rule that sets the latency timer of all FTDI adapters."""
     return (
         'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", '
-        f'ATTR{{latency_timer}}="{LATENCY_MS}" in /etc/udev/rules.d/99-tactile-cell.rules'
+        f'ATTR{{latency_timer}}="{_LATENCY_MS}" in /etc/udev/rules.d/99-tactile-cell.rules'
     )
 
 
-def rights_command(port: str) -> str:
+def _rights_command(port: str) -> str:
     """Return the command that permits this user to open a port; empty if not needed."""
     device = Path(port)
     if not device.exists() or os.access(device, os.R_OK | os.W_OK):
@@ -43,33 +159,37 @@ def _name(find: Callable[[int], Any], number: int) -> str:
         return str(number)
 
 
-def lasting_name(port: str, dev: Path = Path("/dev"), sys_folder: Path = Path("/sys")) -> str:
+def lasting_name(port: str) -> str:
     """Return the name of a port by the serial number of its adapter, or else by its USB socket.
 
     A port without such a name keeps its own.
     """
-    by_socket = "DEVPATH" in (usb_identity(port, sys_folder) or ())
+    by_socket = "DEVPATH" in (usb_identity(port) or ())
     device = os.path.realpath(port)
-    names = sorted((dev / "serial" / ("by-path" if by_socket else "by-id")).glob("*"))
+    names = sorted(_ROOT.glob("dev/serial/by-path/*" if by_socket else "dev/serial/by-id/*"))
     return next((str(name) for name in names if os.path.realpath(name) == device), port)
 
 
-def usb_identity(port: str, sys_folder: Path = Path("/sys")) -> dict[str, str] | None:
+def usb_identity(port: str) -> dict[str, str] | None:
     """Return the udev properties that identify a USB adapter; None for any other port.
 
     An adapter without a serial number of its own is identified by its USB socket.
     """
-    ttys = sys_folder / "class/tty"
-    usb, found = _usb_device(ttys / Path(port).resolve().name)
+    usb, found = _usb_device(_tty(port))
     if usb is None:
         return None
-    twins = (other for other, same in map(_usb_device, ttys.iterdir()) if same == found)
+    ttys = _ROOT.glob("sys/class/tty/*")
+    twins = (other for other, same in map(_usb_device, ttys) if same == found)
     if "ID_SERIAL_SHORT" in found and {*twins} == {usb}:
         return found
     found.pop("ID_SERIAL_SHORT", None)
     # The number of a USB bus may change at a restart, its controller stays.
     bus = next(folder for folder in usb.parents if folder.name.startswith("usb"))
     return found | {"DEVPATH": f"*/{bus.parent.name}/usb*/*-{usb.name.partition('-')[2]}/*"}
+
+
+def _tty(port: str) -> Path:
+    return _ROOT / "sys/class/tty" / Path(port).resolve().name
 
 
 def _usb_device(tty: Path) -> tuple[Path | None, dict[str, str]]:

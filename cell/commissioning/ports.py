@@ -1,20 +1,11 @@
 """Step `ports`: finds the serial port of the servos and checks for obstacles to its use."""
 
-import os
-from collections.abc import Iterator
 from pathlib import Path
 
-from cell.checks.findings import Finding
-from cell.checks.ports import (
-    LATENCY_MS,
-    lasting_name,
-    latency_command,
-    rights_command,
-    udev_rule,
-)
+from cell.checks.findings import Finding, Verdict
+from cell.checks.ports import check_port, lasting_name
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step
-from gripper.dynamixel.serial_port import latency_timer_ms
 from gripper.errors import PortLost
 
 _WAIT_S = 30.0
@@ -37,43 +28,18 @@ class PortsStep(Step):
         """Find the port and check it."""
         named = bench.given.get("gripper.port")
         port = str(named) if named else _found(bench, dialog)
-        timer_ms = latency_timer_ms(port)
-        notes.values |= {"port": port, "latency_timer_ms": timer_ms}
+        notes.values["port"] = port
         notes.settings["gripper.port"] = port
         notes.fact(f"servo port: {port}")
-        if timer_ms is not None:
-            notes.fact(f"latency timer of its adapter: {timer_ms} ms")
-        if timer_ms is not None and timer_ms > LATENCY_MS:
-            notes.warn(
-                f"each answer waits {timer_ms} ms in the adapter, {LATENCY_MS} ms is needed. "
-                f"Until the next start: {latency_command(port)}. For good: {udev_rule()}"
-            )
-        for obstacle in _obstacles(bench, port):
-            notes.fail(obstacle)
-
-
-def users_of(port: str, processes: Path = Path("/proc")) -> tuple[str, ...]:
-    """Return the programs that have a port open, e.g. ``name (process 12)``, without this one.
-
-    Only an administrator sees the programs of other users. Pseudo-terminals are skipped: their
-    maker has them open.
-    """
-    device = os.path.realpath(port)
-    if device.startswith("/dev/pts/"):
-        return ()
-    found = []
-    for process in sorted(processes.glob("[0-9]*")):
-        if process.name == str(os.getpid()):
-            continue
-        try:
-            open_files = [os.readlink(handle) for handle in (process / "fd").iterdir()]
-            if device in open_files:
-                name = (process / "comm").read_text("utf-8").strip()
-                found.append(f"{name} (process {process.name})")
-        except OSError:
-            # It has ended, or belongs to another user.
-            continue
-    return tuple(found)
+        for check in check_port("gripper.port", port) if Path(port).exists() else ():
+            if check.verdict is not Verdict.PASS:
+                add = notes.warn if check.verdict is Verdict.WARN else notes.fail
+                add(f"{check.found}: {check.advice}")
+        if not notes.failed:
+            try:
+                bench.lines.open_servos(port, 57600).close()
+            except PortLost as error:
+                notes.fail(str(error))
 
 
 def _found(bench: Bench, dialog: Dialog) -> str:
@@ -119,20 +85,3 @@ def _changed(bench: Bench, before: tuple[str, ...]) -> tuple[str, ...]:
     while (now := bench.lines.serial_ports()) == before and bench.clock.monotonic() < deadline_s:
         bench.clock.sleep(_LOOK_S)
     return now
-
-
-def _obstacles(bench: Bench, port: str) -> Iterator[str]:
-    """Return why a port cannot be opened, with the remedy."""
-    if command := rights_command(port):
-        yield f"this user may not open it: {command}, then log out and in"
-        return
-    try:
-        bench.lines.open_servos(port, 57600).close()
-    except PortLost as error:
-        yield str(error)
-    users = users_of(port) if Path(port).exists() else ()
-    if users:
-        yield (
-            f"in use by {', '.join(users)}: end it (brltty takes such adapters: sudo apt remove "
-            "brltty)"
-        )

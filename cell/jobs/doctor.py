@@ -12,7 +12,7 @@ import numpy as np
 from cell.build import Cell, build_cell
 from cell.checks.changes import CommissionedValues, changed_pads, changed_servos, changed_unit
 from cell.checks.findings import CheckResult, Verdict, check_result
-from cell.checks.ports import LATENCY_MS, latency_command, rights_command, udev_rule
+from cell.checks.ports import check_port, serial_ports
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration, pad_mounts
 from cell.control.self_zero import drive_text, kept_zeros
@@ -27,7 +27,6 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.drive import DriveCharacteristic, disagreement
 from gripper.dynamixel.models import model_name
-from gripper.dynamixel.serial_port import latency_timer_ms, serial_candidates
 from gripper.errors import AnswersOff, GripperError, VerificationFailed
 from gripper.force.approach.mechanics_proof import POSITION_ITEM
 from gripper.settings import CORRECTABLE
@@ -51,8 +50,8 @@ def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Che
     name ``config_file``.
     """
     yield from _machine()
-    if not config.simulated:
-        yield from _ports(config)
+    for _, key, port in serial_ports(config):
+        yield from check_port(key, port)
     named = "" if config_file is None else f" --config {quote(str(config_file))}"
     yield _self_zero(config, named)
     yield _drives(config, named)
@@ -69,24 +68,6 @@ def _machine() -> Iterator[CheckResult]:
             yield check_result(package, importlib.metadata.version(package), ok=True)
         except importlib.metadata.PackageNotFoundError:
             yield check_result(package, "not installed", f"if you need it: {remedy(extra)}")
-
-
-def _ports(config: CellConfig) -> Iterator[CheckResult]:
-    port = config.gripper.port
-    found, advice = port, ""
-    if command := rights_command(port):
-        found = f"this user has no right to open {port}"
-        advice = f"{command}, then log out and in"
-    elif not Path(port).exists():
-        candidates = ", ".join(serial_candidates()) or "none"
-        found = f"{port} does not exist; serial ports here: {candidates}"
-        advice = "plug in the adapter or correct gripper.port"
-    yield check_result("servo port", found, advice, ok=not advice, bad=Verdict.FAIL)
-    timer_ms = None if advice else latency_timer_ms(port)
-    if timer_ms is not None:
-        remedy = f"until the next start: {latency_command(port)}; for good: {udev_rule()}"
-        ok = timer_ms <= LATENCY_MS
-        yield check_result("USB latency timer", f"{timer_ms} ms", remedy, ok=ok)
 
 
 def _self_zero(config: CellConfig, named: str) -> CheckResult:

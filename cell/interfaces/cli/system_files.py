@@ -8,11 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from stat import S_IROTH, S_IXOTH
 
-from cell.checks.ports import udev_rule, usb_identity
+from cell.checks.ports import can_buses, serial_ports, udev_rule, usb_identity
 from cell.config.model import CellConfig
-from cell.config.positioner import AxesCanConfig, ServoAxisConfig
-from cell.config.section import SIMULATED
-from cell.config.tactile import TactileConfig
 
 NAME = "tactile-cell"
 """Name of the service, its user and its folder in /var/lib."""
@@ -133,7 +130,7 @@ def _rules(config: CellConfig) -> Iterator[str]:
         f'SUBSYSTEM=="usb", ENV{{BRLTTY_BRAILLE_DRIVER}}=="?*", ATTR{{idVendor}}=="{_CHIPS}", '
         'ENV{BRLTTY_BRAILLE_DRIVER}="", ENV{SYSTEMD_WANTS}=""'
     )
-    for role, key, port in _serial_ports(config):
+    for role, key, port in serial_ports(config):
         identity = usb_identity(port)
         if identity is None:
             yield f"# {key}: {port} is no connected USB adapter; it gets no name."
@@ -147,35 +144,6 @@ def _rules(config: CellConfig) -> Iterator[str]:
                 f'ATTR{{idVendor}}=="{identity["ID_VENDOR_ID"]}", '
                 f'ATTR{{idProduct}}=="{identity["ID_MODEL_ID"]}", ENV{{ID_MM_DEVICE_IGNORE}}="1"'
             )
-
-
-def _serial_ports(config: CellConfig) -> Iterator[tuple[str, str, str]]:
-    """Yield the role, key and name of each serial port of a cell."""
-    tactile, positioner = config.tactile, config.positioner
-    ports = [("servos", "gripper.port", config.gripper.port)]
-    ports += [
-        (role, f"{key}.channel", can.channel)
-        for role, key, can in _can_buses(config)
-        if can.interface == "slcan"
-    ]
-    ports += [
-        (f"sensor{number}", f"tactile.sensor.ports[{number}]", port)
-        for number, port in enumerate(tactile.serial_ports)
-    ]
-    ports += [
-        (axis.moves, f"port of the axis {axis.moves}", axis.port)
-        for axis in positioner.axes
-        if isinstance(axis, ServoAxisConfig)
-    ]
-    return ((role, key, port) for role, key, port in ports if port != SIMULATED)
-
-
-def _can_buses(config: CellConfig) -> Iterator[tuple[str, str, TactileConfig | AxesCanConfig]]:
-    """Yield the role, key and settings of each CAN bus of a cell."""
-    if config.tactile.sensor.on_can:
-        yield "can", "tactile", config.tactile
-    if config.positioner.drives:
-        yield "axes", "positioner.can", config.positioner.can
 
 
 # -- systemd -----------------------------------------------------------------------------------
@@ -222,7 +190,7 @@ def closed_to_others(path: Path) -> Path | None:
 
 def _can_commands(config: CellConfig) -> Iterator[list[str]]:
     """Yield the commands that bring SocketCAN interfaces up, as root; they may be up already."""
-    buses = [can for _, _, can in _can_buses(config) if can.interface == "socketcan"]
+    buses = [can for _, _, can in can_buses(config) if can.interface == "socketcan"]
     for channel, bitrate in {can.channel: can.bitrate for can in buses}.items():
         link = [shutil.which("ip") or "/usr/sbin/ip", "link", "set", channel]
         yield [*link, "type", "can", "bitrate", str(bitrate), "restart-ms", "100"]

@@ -6,21 +6,23 @@ import pwd
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
+from cell.checks import ports
 from cell.checks.findings import Finding, Verdict
-from cell.checks.ports import lasting_name, usb_identity
-from cell.commissioning import axes, ports
+from cell.checks.ports import check_port, lasting_name, usb_identity, users_of
+from cell.commissioning import axes
 from cell.commissioning.axes import AxesStep
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import carry_out
-from cell.commissioning.ports import PortsStep, users_of
+from cell.commissioning.ports import PortsStep
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.simulation import simulation_of
-from gripper.dynamixel.serial_port import ByteStream
+from gripper.dynamixel.serial_port import ByteStream, lock_device
 from gripper.errors import PortLost
 from simulator.cell import SimulatedCell
 from simulator.servo.wrist import SimulatedWrist
@@ -72,7 +74,9 @@ def test_a_slow_latency_timer_is_named_with_the_command_that_mends_it(
     tmp_path, monkeypatch
 ) -> None:
     monkeypatch.setattr(ports, "latency_timer_ms", lambda _port: 16)
-    found = carry_out(PortsStep(), Bench(tmp_path, SimulatedLines(SimulatedCell())), Script())
+    (port := tmp_path / "ttyUSB0").touch()
+    bench = Bench(tmp_path, SimulatedLines(SimulatedCell(), (str(port),)))
+    found = carry_out(PortsStep(), bench, Script())
     assert found.status is Verdict.WARN
     advice = found.lines[-1]
     assert "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer" in advice
@@ -121,7 +125,7 @@ def test_programs_that_have_a_port_open_are_named(tmp_path) -> None:
 
 
 @pytest.fixture
-def machine(tmp_path: Path) -> Path:
+def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Folders sys and dev: adapters with a serial number, without one, and with the same one."""
     for usb, serial, tty, number in (
         ("1-1", "FT 1/9", "ttyUSB0", "00"),
@@ -135,6 +139,7 @@ def machine(tmp_path: Path) -> Path:
         port.mkdir(parents=True)
         (folder / "idVendor").write_text("0403\n")
         (folder / "idProduct").write_text("6010\n")
+        (folder / "dev").write_text(f"189:{usb}\n")
         if serial:
             (folder / "serial").write_text(serial + "\n")
         (port.parent / "bInterfaceNumber").write_text(number + "\n")
@@ -146,6 +151,7 @@ def machine(tmp_path: Path) -> Path:
             link.unlink(missing_ok=True)  # the last one of the same name has it
             link.symlink_to(tmp_path / "dev" / tty)
     (tmp_path / "sys/class/tty/ttyS0").mkdir()
+    monkeypatch.setattr(ports, "_ROOT", tmp_path)
     return tmp_path
 
 
@@ -164,11 +170,46 @@ def machine(tmp_path: Path) -> Path:
 def test_an_adapter_is_named_by_its_own_serial_number_or_else_by_its_socket(
     machine, port, number, identity, name
 ) -> None:
-    dev, sys_folder = machine / "dev", machine / "sys"
+    dev = machine / "dev"
     common = {"ID_VENDOR_ID": "0403", "ID_MODEL_ID": "6010", "ID_USB_INTERFACE_NUM": number}
-    found = usb_identity(str(dev / port), sys_folder)
+    found = usb_identity(str(dev / port))
     assert found == (None if identity is None else common | identity)
-    assert lasting_name(str(dev / port), dev, sys_folder) == str(dev / name)
+    assert lasting_name(str(dev / port)) == str(dev / name)
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "what", "verdict", "text"),
+    [
+        ("", "key", Verdict.PASS, ""),
+        ("missing", "key", Verdict.FAIL, "does not exist"),
+        ("locked", "key", Verdict.FAIL, "in use by another program of this kind"),
+        ("slow", "USB latency timer of key", Verdict.WARN, "waits up to 16 ms"),
+        ("modems", "ModemManager at key", Verdict.WARN, "send commands"),
+        ("kept away", "key", Verdict.PASS, ""),
+    ],
+)
+def test_each_obstacle_at_a_port_is_named(
+    machine, monkeypatch, *, obstacle, what, verdict, text
+) -> None:
+    port = machine / "dev/ttyUSB0"
+    if obstacle != "missing":
+        port.touch()
+    with ExitStack() as held:
+        if obstacle == "locked":
+            held.callback(os.close, lock_device(str(port)))
+        monkeypatch.setattr(
+            ports, "latency_timer_ms", lambda _port: 16 if obstacle == "slow" else 1
+        )
+        if obstacle in ("modems", "kept away"):
+            (process := machine / "proc/12").mkdir(parents=True)
+            (process / "comm").write_text("ModemManager\n")
+            (udev := machine / "run/udev/data").mkdir(parents=True)
+            kept = "E:ID_MM_DEVICE_IGNORE=1" if obstacle == "kept away" else ""
+            (udev / "c189:1-1").write_text(f"E:ID_BUS=usb\n{kept}\n")
+        findings = [*check_port("key", str(port))]
+    bad = [one for one in findings if one.verdict is not Verdict.PASS]
+    assert [(one.what, one.verdict) for one in bad] == [(what, verdict)] * bool(text)
+    assert all(text in one.found and one.advice for one in bad)
 
 
 GRIPPER, WRIST = "/dev/ttyUSB0", "/dev/ttyUSB1"

@@ -21,7 +21,7 @@ from cell.errors import CellError
 from cell.jobs.doctor import _boards, examine
 from cell.simulation import simulation_of
 from tests.cell.conftest import once, small_config
-from tests.faults.scenarios.axes import CHANGES
+from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 
 REAL = {
     "gripper__port": "/dev/serial-that-is-not-there",
@@ -47,7 +47,7 @@ def test_the_simulated_cell_is_well() -> None:
     assert findings["pads' force"].verdict is Verdict.PASS
     assert "0.0 N on finger 0, 0.0 N on finger 1" in findings["pads' force"].found
     assert findings["pads' boards"].found == "serial 1 on finger 0, 2 on finger 1"
-    assert "servo port" not in findings
+    assert "gripper.port" not in findings
 
 
 @pytest.mark.parametrize(
@@ -224,28 +224,36 @@ def test_lost_frames_are_a_warning(altered) -> None:
 
 
 @pytest.mark.slow
-def test_wrong_ports_are_named_with_what_to_do() -> None:
-    findings = by_name(list(examine(small_config(**REAL))))
-    assert findings["servo port"].verdict is Verdict.FAIL
-    assert "does not exist" in findings["servo port"].found
-    assert "gripper.port" in findings["servo port"].advice
+def test_lines_that_cannot_be_opened_are_named() -> None:
+    findings = by_name(examine(small_config(**REAL)))
     assert findings["links"].verdict is Verdict.FAIL
     assert "can-that-is-not-there" in findings["links"].found
 
 
-@pytest.mark.slow
-def test_a_port_without_rights_and_one_with(tmp_path, monkeypatch) -> None:
-    port = tmp_path / "ttyX"
-    port.write_text("")
-    config = small_config(**REAL | {"gripper__port": str(port)})
+ON_PORTS = [X_AXIS, ROTATION_AXIS, WRIST | {"port": "/dev/no-wrist"}]
+AXES_CAN = {"interface": "slcan", "channel": "/dev/no-axes"}
+BOARDS = {"kind": "flexitac", "ports": ("/dev/no-board", "/dev/no-other-board")}
 
-    def finding() -> CheckResult:
-        return next(one for one in examine(config) if one.what == "servo port")
 
-    assert finding().verdict is Verdict.PASS
-    monkeypatch.setattr("os.access", lambda *_: False)
-    assert finding().verdict is Verdict.FAIL
-    assert re.fullmatch(r"sudo usermod -a -G \S+ \S+, then log out and in", finding().advice)
+@pytest.mark.parametrize(
+    ("changes", "keys"),
+    [
+        (
+            CHANGES | {"positioner": {"kind": "axes", "can": AXES_CAN, "axes": ON_PORTS}},
+            ["tactile.channel", "positioner.can.channel", "port of the axis roll"],
+        ),
+        (
+            {"tactile.layout": "flexitac_12x32", "tactile.sensor": BOARDS},
+            ["tactile.sensor.ports[0]", "tactile.sensor.ports[1]"],
+        ),
+    ],
+)
+def test_each_wrong_port_is_named_with_what_to_do(monkeypatch, changes, keys) -> None:
+    monkeypatch.setattr(cell.jobs.doctor, "_devices", lambda *_: ())
+    findings = examine(changed_config(small_config(**REAL), changes))
+    missing = [finding for finding in findings if finding.verdict is Verdict.FAIL]
+    assert [finding.what for finding in missing] == ["gripper.port", *keys]
+    assert all("does not exist" in one.found and one.what in one.advice for one in missing)
 
 
 def test_a_missing_extra_is_a_warning(monkeypatch) -> None:
