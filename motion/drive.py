@@ -55,7 +55,8 @@ _STATE_BITS = 0x7F
 """The bits of a heartbeat that are the state."""
 _SURPLUS_ANSWERS = 3
 """Surplus of SDO answers over requests that shows a second drive; one may be a double message."""
-_EMCY_BYTES = 8
+_EMCY_CODE_BYTES = 2
+"""Length of the code at the start of an emergency message (CiA 301, 7.2.7)."""
 _ANSWER_REMEDY = (
     "the drive is another one than CiA 402 describes, or somebody else sends with its node-ID. "
     "Check drive, firmware and node-IDs, then clear the fault and start again"
@@ -527,5 +528,7 @@ class Cia402Drive:
         self._booted = self._booted or self._nmt_state == _BOOT_UP
 
     def _on_emergency(self, data: bytes) -> None:
-        if len(data) == _EMCY_BYTES:
-            self._emergency = int.from_bytes(data[:2], "little") or self._emergency
+        # A short message with its code is an emergency, too: its sender has an error.
+        if len(data) >= _EMCY_CODE_BYTES:
+            code = int.from_bytes(data[:_EMCY_CODE_BYTES], "little")
+            self._emergency = code or self._emergency

@@ -58,6 +58,9 @@ _EMERGENCY_TEXTS: Mapping[int, str] = MappingProxyType(
 """Emergency codes with one meaning: those of the unit, and those of CiA 301, 7.2.7.1, that canopen
 has only as groups."""
 
+_EMERGENCY_CODE_BYTES = 2
+"""Length of the code at the start of an emergency message (CiA 301, 7.2.7)."""
+
 _DOUBLED_BEATS = 16
 _DOUBLED_PERIODS = 10.0
 """Number of heartbeats within a number of periods that shows two units. A host that stalls for a
@@ -198,13 +201,19 @@ class NodeSupervisor:
             )
 
     def on_emergency(self, data: bytes) -> None:
-        """Process a message of COB-ID 0x080 + node, which has exactly 8 bytes (CiA 301)."""
-        if len(data) != EMCY_STRUCT.size:
+        """Process a message of COB-ID 0x080 + node: code, error register, 5 more bytes (CiA 301).
+
+        A shorter one with its code is an emergency, too: its sender has an error.
+        """
+        if len(data) < _EMERGENCY_CODE_BYTES:
             self.unusable += 1
             return
-        code, register, _ = EMCY_STRUCT.unpack(data)
+        code, register, _ = EMCY_STRUCT.unpack(data.ljust(EMCY_STRUCT.size, b"\0"))
         if code != ERROR_RESET:
-            raise NodeEmergency(code, register, emergency_text(code), self._name)
+            text = emergency_text(code)
+            if len(data) < EMCY_STRUCT.size:
+                text += f"; only {len(data)} of {EMCY_STRUCT.size} bytes arrived"
+            raise NodeEmergency(code, register, text, self._name)
 
     def on_error_frame(self, classes: int, data: bytes | bytearray, t_s: float) -> None:
         """Process an error frame of the host's own CAN controller."""

@@ -167,7 +167,7 @@ CAN_BUS = _near((
     FaultRow(5, "unknown COB-ID often", "4000 of them a second",
              "can.unknown_id=4000@contact", "HOLD", 0.06, number=307),
     FaultRow(5, "short EMCY", "an emergency of three bytes",
-             "can.short_emergency@contact", "NOTE", SYNC_S + LOOP_S),
+             "can.short_emergency@contact+0.1s", "HOLD", 2 * LOOP_S, number=310),
     FaultRow(6, "", "a flood of 8000 messages a second, the bus is full",
              "can.flood@contact+0.1s", "HOLD", 0.06, number=307),
     FaultRow(7, "for 0.3 s", "the host's controller is error-passive for 0.3 s",

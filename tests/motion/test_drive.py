@@ -285,7 +285,7 @@ def put(bench: DriveBench, **frame: object) -> None:
 @pytest.mark.parametrize(
     "frame",
     [
-        {"arbitration_id": 0x80 + NODE, "data": b"\x10\x81\x01"},
+        {"arbitration_id": 0x80 + NODE, "data": b"\x10"},
         {"arbitration_id": 0x700 + NODE, "data": b"\x00", "is_error_frame": True},
         {"arbitration_id": 0x700 + NODE, "data": b"\x00", "is_extended_id": True},
         {"arbitration_id": 0x580 + NODE, "data": b"\xff" * 3},
@@ -295,6 +295,14 @@ def test_messages_that_are_none_are_passed_over(bench, frame) -> None:
     bench.move(0.0)
     bench.once_moving(lambda: put(bench, **frame))
     assert bench.move(0.01) == pytest.approx(0.01, abs=NEAR_M)
+
+
+@pytest.mark.parametrize("data", [b"\x10\x81\x01\0\0\0\0\0", b"\x10\x81\x01", b"\x10\x81"])
+def test_an_emergency_with_its_code_is_a_fault_of_any_length(bench, data) -> None:
+    bench.move(0.0)
+    bench.once_moving(lambda: put(bench, arbitration_id=0x80 + NODE, data=data))
+    with pytest.raises(AxisFault, match="8110"):
+        bench.move(0.01)
 
 
 def test_a_drive_whose_host_is_gone_stops_by_itself(make_drive) -> None:

@@ -20,6 +20,7 @@ from tactile.errors import (
     FrameTimeout,
     IdentityMismatch,
     LinkStateError,
+    NodeEmergency,
     NodeMissing,
     NodeRebooted,
     NodeStateChanged,
@@ -234,11 +235,26 @@ def test_a_unit_that_is_stopped_is_a_fault(bench) -> None:
         bench.link.poll()
 
 
-def test_error_reset_and_short_emergencies_are_no_fault(bench) -> None:
+def test_error_reset_and_an_emergency_without_its_code_are_no_fault(bench) -> None:
     bench.put(0x80 + NODE, bytes(8))
-    bench.put(0x80 + NODE, b"\x10\x81")
+    bench.put(0x80 + NODE, bytes(2))
+    bench.put(0x80 + NODE, b"\x10")
     bench.link.poll()
     assert bench.link.statistics.malformed == 1
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (b"\x20\x81\x11\0\0\0\0\0", r"0x8120 \([^;]*\), error register 0x11"),
+        (b"\x20\x81\x11", r"0x8120 \(.*; only 3 of 8 bytes arrived\), error register 0x11"),
+        (b"\x20\x81", r"0x8120 \(.*; only 2 of 8 bytes arrived\), error register 0x00"),
+    ],
+)
+def test_an_emergency_with_its_code_is_a_fault_of_any_length(bench, data, text) -> None:
+    bench.put(0x80 + NODE, data)
+    with pytest.raises(NodeEmergency, match=text):
+        bench.link.poll()
 
 
 @pytest.mark.parametrize("error", [can.CanOperationError("gone"), OSError(5, "gone")])
@@ -255,7 +271,7 @@ def test_foreign_remote_extended_and_damaged_messages_are_counted(bench) -> None
     bench.put(0x7FF, b"")
     bench.put(0x180 + NODE, b"", is_remote_frame=True)
     bench.put(0x180 + NODE, bytes(8), is_extended_id=True)
-    bench.put(0x80 + NODE, b"\1\2\3", dlc=8)
+    bench.put(0x80 + NODE, b"\1", dlc=8)
     bench.put(0x180 + NODE, b"\1\2\3", dlc=8)
     assert len(bench.run(0.1)) == 5
     statistics = bench.link.statistics
