@@ -34,6 +34,8 @@ HOST_TIMEOUT_S = 0.3
 """`host_timeout_s` of the row of a silent host."""
 _RATE_N_S = 10.0
 """Rate of the campaign's ramp."""
+_BEYOND_N = 0.5
+"""Force beyond its set-point that a gripper may have when its loop stands still."""
 
 # -- 31: the loop is slow --------------------------------------------------------------------
 
@@ -51,7 +53,7 @@ class _HeldUp:
         self.ended_s: float | None = None
         self.began_s: float | None = None
         self.noted_s: float | None = None
-        self.worst_step_n = 0.0
+        self.worst_step_n = self.worst_beyond_n = 0.0
 
     def add(self, collector: GraspCollector, cycle: Any, frames: Any) -> None:
         self._add(collector, cycle, frames)
@@ -66,6 +68,8 @@ class _HeldUp:
                 self.began_s, self._late = self._cell.now_s, late
             self._left -= 1
             self._cell.simulated.clock.sleep(self._stall_s)
+            force_n = max(self._cell.simulated.world.contact_force_n())
+            self.worst_beyond_n = max(self.worst_beyond_n, force_n - cycle.setpoint_n)
             self.ended_s = self.ended_s or self._cell.now_s
 
 
@@ -84,6 +88,9 @@ def loop_held_up(row: FaultRow, *, stall_s: float, times: int = 1) -> Observed:
         if held_up.worst_step_n > _RATE_N_S * 2.0 * cell.controller.hand.period_s + 1e-9:
             jump = f"the set-point jumped by {held_up.worst_step_n:.2f} N"
             return Observed("CATCHES UP", None, jump)
+        if held_up.worst_beyond_n > _BEYOND_N:
+            beyond = f"the force rose to {held_up.worst_beyond_n:.2f} N beyond the set-point"
+            return Observed("RAMP GOES ON", None, beyond)
         step = f"largest step of the set-point {held_up.worst_step_n:.2f} N"
         if seen.reaction == "NOTHING" and held_up.noted_s is not None:
             after_s = held_up.noted_s - held_up.ended_s
