@@ -25,8 +25,8 @@ from can.interfaces.slcan import slcanBus
 
 from tactile.errors import BusNotOpened
 
-# A driver that cannot open leaves half a bus, whose end is no news.
-logging.getLogger(can.BusABC.__module__).setLevel(logging.ERROR)
+# What a driver logs when it cannot open is in the text of BusNotOpened.
+logging.getLogger(can.__name__).setLevel(logging.ERROR)
 
 CanBus = can.BusABC
 """An open bus, for callers that only pass it on."""

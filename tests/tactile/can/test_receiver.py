@@ -270,11 +270,16 @@ def test_an_adapter_that_does_not_know_its_flags_is_left_in_peace(adapter) -> No
         ("no-such-interface", "x", "Check the names"),
         ("kvaser", "0", "library of its driver is missing.*package linuxcan of Kvaser"),
         ("gs_usb", "0", r"python-can\[gs-usb\]"),
+        ("pcan", "PCAN_USBBUS1", "libpcanbasic"),
     ],
 )
-def test_a_bus_that_cannot_be_opened_says_what_to_check(interface, channel, says) -> None:
+def test_a_bus_that_cannot_be_opened_says_what_to_check_and_its_driver_nothing(
+    interface, channel, says, caplog
+) -> None:
     with pytest.raises(BusNotOpened, match=says):
         open_bus(interface, channel)
+    gc.collect()
+    assert caplog.text == ""
 
 
 class GsUsbFrame(SimpleNamespace):
