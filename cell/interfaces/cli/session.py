@@ -1,6 +1,7 @@
 """The cell of a command: its config, its start, and the message when it ends early."""
 
 import shlex
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.lifecycle import NO_GRIP
 from cell.control.records import pad_array
+from cell.control.states import CellState
 from cell.errors import (
     CellError,
     CellStopped,
@@ -33,6 +35,7 @@ from cell.interfaces.cli.terminal import (
 from cell.jobs.common import Progress, job_folder
 from cell.plugin.goals import Goal
 from cell.plugin.plugin import TactileCellPlugin
+from gripper.clock import Clock
 from gripper.errors import (
     FeedbackImplausible,
     GripperError,
@@ -200,11 +203,11 @@ def running_cell(
         ):
             for note in (before := plugin.notes):
                 print_note(note)
-            plugin.reset(timeout_s=None)
-            for note in plugin.notes:
-                if note not in before:
-                    print_note(note)
-            with progress_bar() as progress:
+            with progress_bar(doing(plugin)) as progress:
+                plugin.reset(timeout_s=None)
+                for note in plugin.notes:
+                    if note not in before:
+                        print_note(note)
                 yield RunningCell(plugin=plugin, folder=folder, progress=progress)
             done = True
     except (CellError, GripperError, TactileError, OSError) as error:
@@ -235,6 +238,24 @@ def running_cell(
             },
         )
         raise CellError(text) from error
+
+
+def doing(plugin: TactileCellPlugin, clock: Clock = time) -> Callable[[], str]:
+    """Return what gives the states of cell and grip, and for how long they have lasted, as text.
+
+    A grasp may take long on a busy machine. The text is empty while nothing acts.
+    """
+    last, since_s = "", 0.0
+
+    def text() -> str:
+        nonlocal last, since_s
+        status = plugin.status()
+        now = f"{status.state}, {status.grasp}" if CellState(status.state).acting else ""
+        if now != last:
+            last, since_s = now, clock.monotonic()
+        return now and f"{now} for {clock.monotonic() - since_s:.0f} s"
+
+    return text
 
 
 def show_steps(show: Progress, progress: Mapping[str, Any]) -> None:
