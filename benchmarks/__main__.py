@@ -9,7 +9,7 @@ import sys
 BENCHMARKS = {
     "performance": ("archive", "force_cap", "force_ramps", "identify", "soak", "touch"),
     "recognition": ("comparators", "many_objects", "other_cell", "sensors"),
-    "paper": ("reproduction",),
+    "paper": ("method", "reproduction"),
 }
 """Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""
 ALONE = ("soak",)
