@@ -220,6 +220,7 @@ def bands_and_windows(n: int) -> None:
 
 def main(effort: float = 1.0) -> None:
     """Print all rows."""
+    line("compared", "the paper's equations, with the true products and eigenvalues")
     infimum(repeats(200, effort, least=10))
     transformed(repeats(300, effort, least=30))
     invariance()
