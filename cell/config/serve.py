@@ -25,6 +25,12 @@ def _host(text: str) -> str:
     return text.lower()
 
 
+ALL_CLOSED = (
+    "no interface is open: set serve.http_port, serve.modbus_port or serve.xmlrpc_port, or start "
+    "`serve` with --http, --modbus or --xml-rpc and a port"
+)
+"""Error of a service that no client reaches."""
+
 Port = Annotated[int, Field(ge=0, le=65535)]
 """TCP port; 0: any free one."""
 
@@ -43,12 +49,13 @@ class ServeConfig(Section):
     request_timeout_s: float = Field(default=5.0, ge=0.1, le=60.0)
     """Longest time in s from the first to the last byte of a request, 0.1 to 60; then the
     connection is closed."""
-    modbus_port: Port | None = 5020
-    """Port of Modbus TCP, for PLCs; 0: any free port; none: closed. Port 502 needs extra rights."""
-    xmlrpc_port: Port | None = 5021
-    """Port of XML-RPC, for robot programs; 0: any free port; none: closed."""
+    modbus_port: Port | None = None
+    """Port of Modbus TCP, for PLCs, e.g. 5020; 0: any free port; none: closed. Port 502 needs extra
+    rights."""
+    xmlrpc_port: Port | None = None
+    """Port of XML-RPC, for robot programs, e.g. 5021; 0: any free port; none: closed."""
     http_port: Port | None = None
-    """Port of HTTP and WebSocket (extra `serve`); 0: any free port; none: closed."""
+    """Port of HTTP and WebSocket (extra `serve`), e.g. 8080; 0: any free port; none: closed."""
     lease_timeout_s: float = Field(default=2.0, ge=0.2, le=60.0)
     """Longest silence of the client in command in s, 0.2 to 60; then a running job is held."""
     objects: tuple[Annotated[str, AfterValidator(checked_label)], ...] = Field(
@@ -70,6 +77,12 @@ class ServeConfig(Section):
     tls_key: str = Field(default="", max_length=500)
     """Key file (PEM) of the certificate."""
 
+    @property
+    def ports(self) -> tuple[int, ...]:
+        """Ports of the interfaces that are not closed."""
+        ports = (self.modbus_port, self.xmlrpc_port, self.http_port)
+        return tuple(port for port in ports if port is not None)
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if not ip_address(self.listen).is_loopback and not self.allow:
@@ -79,7 +92,7 @@ class ServeConfig(Section):
             )
         if bool(self.tls_certificate) != bool(self.tls_key):
             raise ValueError("set both serve.tls_certificate and serve.tls_key, or neither")
-        ports = [port for port in (self.modbus_port, self.xmlrpc_port, self.http_port) if port]
+        ports = [port for port in self.ports if port]
         if len(set(ports)) != len(ports):
             raise ValueError(
                 f"serve.modbus_port, xmlrpc_port and http_port are {', '.join(map(str, ports))}: "

@@ -161,7 +161,7 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ("gripper: {pads_meet: yes}\n", ["gripper.pads_meet: write true or false (found: 'yes')"]),
         ("gripper: {aperture_open_mm: 0.018}\n", ["greater than or equal to 2 mm", "0.018"]),
         ("gripper: {servos: [{id: 1, model: xm430w350}]}\n", ["did you mean XM430-W350?"]),
-        ("serve: {http_port: 5021}\n", ["5020, 5021, 5021: write another port for each"]),
+        ("serve: {modbus_port: 5, http_port: 5}\n", ["are 5, 5: write another port for each"]),
         ("name: " + "[" * 1000 + "]" * 1000 + "\n", ["not YAML", "recursion"]),
     ],
 )

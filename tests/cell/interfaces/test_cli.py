@@ -657,6 +657,7 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (2, "replay x.npz --limit 0", "--limit"),
         (2, "release", "--confirm"),
         (2, "serve --listen 0.0.0.0 --modbus 0", "serve.allow is empty"),
+        (2, "serve -c {config} --out served", "no interface is open: set serve.http_port"),
         (2, "config check {undrawn}", "as in diameter=6mm"),
         (2, "sort --config {operated}", "--model is missing"),
         (2, "sort --config {placed} --model {model}", "sort.places has no place for box"),

@@ -143,6 +143,7 @@ def test_what_the_service_user_cannot_read_is_named(tmp_path) -> None:
     config.parent.chmod(0o750)
     assert closed_to_others(config) in (config.parent, *tmp_path.parents)
     found = call("install", "-c", config).stderr
+    assert "no interface is open: set serve.http_port" in found
     assert f"{config}: the user tactile-cell cannot read /" in found
 
 

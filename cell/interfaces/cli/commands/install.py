@@ -26,6 +26,7 @@ def install(
     The service is `tactile-cell serve` with this config and model. It starts with the machine and
     restarts when it was killed; a held part stays held.
     """
+    from cell.config.serve import ALL_CLOSED
     from cell.interfaces.cli import system_files as system
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.terminal import print_line, print_note
@@ -33,8 +34,11 @@ def install(
     if apply and remove:
         raise typer.BadParameter("--apply and --remove exclude each other")
     options = () if model is None else ("--model", str(model.resolve()))
-    files = system.system_files(cell_config(config), config, options)
+    checked = cell_config(config)
+    files = system.system_files(checked, config, options)
     changed = False
+    if not remove and config is not None and not checked.serve.ports:
+        print_note(ALL_CLOSED)
     for path in () if remove else (Path(system.program()[0]), config, model):
         if path is not None and (closed := system.closed_to_others(path)) is not None:
             print_note(

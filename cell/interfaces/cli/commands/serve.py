@@ -93,7 +93,8 @@ def serve(
     part that is held at the end stays held.
     """
     from cell.config.file import changed_config
-    from cell.errors import CellStopped
+    from cell.config.serve import ALL_CLOSED
+    from cell.errors import CellStopped, ConfigError
     from cell.interfaces.cli.service_manager import ServiceManager
     from cell.interfaces.cli.session import cell_config, with_faults
     from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
@@ -116,6 +117,8 @@ def serve(
     checked = changed_config(
         with_faults(own, faults), {key: value for key, value in given.items() if value is not None}
     )
+    if not checked.serve.ports:
+        raise ConfigError(ALL_CLOSED)
     folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
     untaught = config is None and model is None and training_set is None
