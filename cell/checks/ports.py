@@ -131,7 +131,9 @@ def _sent_to_by_modem_manager(port: str) -> bool:
     if usb is None or all(name != "ModemManager" for _, name in _processes()):
         return False
     properties = _ROOT / f"run/udev/data/c{(usb / 'dev').read_text('ascii').strip()}"
-    return "ID_MM_DEVICE_IGNORE=1" not in properties.read_text("utf-8")
+    # A container may have no list of devices.
+    known = properties.read_text("utf-8") if properties.is_file() else ""
+    return "ID_MM_DEVICE_IGNORE=1" not in known
 
 
 def udev_rule() -> str:
