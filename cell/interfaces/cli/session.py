@@ -14,7 +14,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.lifecycle import NO_GRIP
 from cell.control.records import pad_array
-from cell.control.states import CellState
+from cell.control.states import CellState, GraspState
 from cell.errors import (
     CellError,
     CellStopped,
@@ -243,14 +243,16 @@ def running_cell(
 def doing(plugin: TactileCellPlugin, clock: Clock = time) -> Callable[[], str]:
     """Return what gives the states of cell and grip, and for how long they have lasted, as text.
 
-    A grasp may take long on a busy machine. The text is empty while nothing acts.
+    A grasp may take long on a busy machine. The text is empty while the fingers rest: then the cell
+    may wait for a person who types below the bars.
     """
     last, since_s = "", 0.0
 
     def text() -> str:
         nonlocal last, since_s
         status = plugin.status()
-        now = f"{status.state}, {status.grasp}" if CellState(status.state).acting else ""
+        rests = status.grasp == GraspState.IDLE or not CellState(status.state).acting
+        now = "" if rests else f"{status.state}, {status.grasp}"
         if now != last:
             last, since_s = now, clock.monotonic()
         return now and f"{now} for {clock.monotonic() - since_s:.0f} s"

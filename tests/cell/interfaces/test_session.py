@@ -27,7 +27,13 @@ def test_a_terminal_shows_what_the_cell_does_and_for_how_long(monkeypatch) -> No
     clock, plugin = VirtualClock(), Mock()
     line = doing(plugin, clock)
     shown = []
-    for state, grasp in (("IDLE", "IDLE"), *[("EXECUTE", "GRIPPING")] * 2, ("EXECUTE", "HOLDING")):
+    for state, grasp in (
+        ("EXECUTE", "IDLE"),
+        ("EXECUTE", "GRIPPING"),
+        ("EXECUTE", "GRIPPING"),
+        ("EXECUTE", "HOLDING"),
+        ("COMPLETE", "HOLDING"),
+    ):
         plugin.status.return_value = Mock(state=state, grasp=grasp)
         shown.append(line())
         clock.sleep(10.0)
@@ -36,6 +42,7 @@ def test_a_terminal_shows_what_the_cell_does_and_for_how_long(monkeypatch) -> No
         "EXECUTE, GRIPPING for 0 s",
         "EXECUTE, GRIPPING for 10 s",
         "EXECUTE, HOLDING for 0 s",
+        "",
     ]
 
 
