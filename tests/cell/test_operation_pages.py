@@ -38,6 +38,20 @@ def typed(page: str) -> Iterator[str]:
             yield found.output
 
 
+@pytest.mark.slow
+def test_the_program_has_each_command_and_option_of_the_pages() -> None:
+    commands: dict[frozenset[str], list[str]] = {}
+    for page in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")):
+        text = page.read_text("utf-8").replace("\\\n", "")
+        code = "".join(re.findall(r"(?s:```(?:sh|text)\n.*?```)|^    .*\n", text, re.MULTILINE))
+        for line in re.findall(r"^(?:\$ |    )?tactile-cell (.*)", code, re.MULTILINE):
+            words = shlex.split(line, comments=True)
+            commands[frozenset(one for one in words if one[0] == "-") | {words[0]}] = words
+    assert len(commands) > 50
+    for words in commands.values():
+        assert CliRunner().invoke(app, [*words, "--help"]).exit_code == 0, words
+
+
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
     """Go to the folder of a simulated cell with a model."""

@@ -46,12 +46,11 @@ from cell.interfaces.cli.terminal import (
 )
 from cell.learning.model import load_model
 from recognition.recognizer import UNKNOWN
-from recognition.recognizers import trainer_names
 from recognition.recognizers.level_check import LevelCheckTrainer
 from simulator.faults.injector import VOCABULARY
 from simulator.realtime.hands import Hands
 from simulator.realtime.requests import CellRequests
-from tests.cell.conftest import call, once, plain_grasp
+from tests.cell.conftest import COARSE_PADS, call, once, plain_grasp, quick_config, small_config
 from tests.faults.scenarios.axes import CHANGES as AXES
 from tests.fuzz.harness import Clock
 from tests.marks import LONG
@@ -63,7 +62,6 @@ REAL_FAULT = "--fault can.off is for the simulated cell"
 BUILT_IN = "cell: the built-in simulated cell; --config FILE names another"
 LEFT_IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that the program ignores when it ends."""
-EVALUATION = {"single_accuracy", "interval", "fused_accuracy", "unknown_auroc", "confusion"}
 
 
 @pytest.fixture
@@ -98,6 +96,15 @@ def config(small_text: str, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
+def quick(tmp_path: Path) -> Path:
+    """Config file of a cell without a model that grasps quickly, with its folder in the test's."""
+    path, folder = tmp_path / "quick.yaml", str(tmp_path / "out")
+    changes = {"recording__directory": folder, "sequence__max_grasps": 1}
+    path.write_text(config_text(quick_config(**changes), comments=False))
+    return path
+
+
+@pytest.fixture
 def dataset(taught: Any) -> Path:
     return taught.result.dataset
 
@@ -115,11 +122,10 @@ def read_json(path: Path) -> Any:
 
 
 @pytest.mark.slow
-def test_run_teaches_identifies_and_writes_everything(config, tmp_path) -> None:
+def test_run_teaches_identifies_and_writes_everything(quick, tmp_path) -> None:
     out, report = tmp_path / "elsewhere", tmp_path / "json" / "run.json"
-    config.write_text(config.read_text().replace("max_grasps: 4", "max_grasps: 1"))
     text = call(
-        *("run", "--config", config, "--object", "ball", "--object", "box", "--teach", 3),
+        *("run", "--config", quick, "--object", "ball", "--object", "box", "--teach", 3),
         *("--trials", 1, "--out", out, "--seed", 7, "--json", report, "--capture", tmp_path / "c"),
     )
     data = read_json(report)
@@ -133,12 +139,15 @@ def test_run_teaches_identifies_and_writes_everything(config, tmp_path) -> None:
         assert Path(data[name]).stat().st_size > 1000
         assert data[name] in text
     assert "This cell, all grasps: " in text
-    assert (tmp_path / "c").stat().st_size > 100_000
+    assert (tmp_path / "c").stat().st_size > 10_000
     assert len(read_dataset(data["dataset"])) == 6
 
 
 @pytest.mark.slow
-def test_run_with_a_model_teaches_nothing_and_says_what_it_is(config, model, tmp_path) -> None:
+def test_run_with_a_model_teaches_nothing_and_says_what_it_is(
+    config, model, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr("cell.report.page.write_report", lambda *_given: None)
     config.write_text(config.read_text().replace("max_grasps: 4", "max_grasps: 1"))
     out = ("--out", tmp_path / "out", "--json", tmp_path / "r.json")
     call("run", "-c", config, "--model", model, "--trials", 1, *out)
@@ -189,13 +198,13 @@ def test_the_paper_is_put_beside_its_five_objects(capsys) -> None:
 
 
 @pytest.mark.slow
-def test_teach_extends_a_data_set_with_other_poses(config, tmp_path) -> None:
+def test_teach_extends_a_data_set_with_other_poses(quick, tmp_path) -> None:
     path = tmp_path / "d.npz"
-    call("teach", "ball", "-n", 2, "-o", path, "-c", config, "--json", tmp_path / "t.json")
+    call("teach", "ball", "-n", 2, "-o", path, "-c", quick, "--json", tmp_path / "t.json")
     data = read_json(tmp_path / "t.json")
     assert (data["label"], data["n_grasps"], data["dataset"]) == ("ball", 2, str(path))
     assert len(read_recording(data["recording"]).grasps) == 2
-    text = call("teach", "part_7", "--object", "box", "-n", 1, "-o", path, "-c", config)
+    text = call("teach", "part_7", "--object", "box", "-n", 1, "-o", path, "-c", quick)
     assert "1 grasps of part_7 added" in text
     assert "2 were there" in text
     grasps = read_dataset(path)
@@ -216,18 +225,6 @@ def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
     assert not (tmp_path / "out").exists()
 
 
-def page_of(recording: str) -> str:
-    """Return the page that `report` writes of a job that taught nothing."""
-    page = Path(recording).with_name("report.html")
-    assert call("report", recording) == f"report: {page}\n"
-    text = page.read_text("utf-8")
-    assert "0 grasps taught" in text
-    for section in ("result", "sequences", "examples", "health", "cell"):
-        assert f'<section id="{section}">' in text
-    assert '<section id="trajectories">' not in text
-    return text
-
-
 @pytest.mark.slow
 def test_identify_on_the_cell(config, model, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(GraspRecord, "ended", "ended early at 2.5 N")
@@ -244,15 +241,8 @@ def test_identify_on_the_cell(config, model, tmp_path, monkeypatch) -> None:
     low, high = data["shape"]["interval_mm"]
     size = f"{data['shape']['size_mm']:.1f} mm ({low:.1f} to {high:.1f})"
     assert f"; flat, {size}; ended early at 2.5 N\n" in text
-    assert len(data["shapes"]) == data["n_grasps"] >= 1
     recording = read_recording(data["recording"])
     assert recording.results[0]["label"] == "box"
-    states = [state["state"] for state in recording.states]
-    assert ("COMPLETE" in states, states[-1]) == (True, "STOPPED")
-    page, again = page_of(data["recording"]), tmp_path / "again.html"
-    assert "released at: box" not in page
-    call("report", data["recording"], "-o", again)
-    assert again.read_text("utf-8") == page
 
 
 @pytest.mark.slow
@@ -322,16 +312,16 @@ def test_release_names_the_cell_and_has_to_be_meant(config, tmp_path, monkeypatc
 
 @pytest.mark.slow
 def test_clear_shows_the_servos_and_restarts_them_where_that_is_asked_for(
-    config, fail, tmp_path
+    quick, fail, tmp_path
 ) -> None:
     said = fail("clear", code=2)
     assert "`tactile-cell clear --config FILE`" in said
-    said = call("clear", "-c", config)
+    said = call("clear", "-c", quick)
     assert said == (
         "simulated cell: servo 1 has no torque\nsimulated cell: servo 2 has no torque\n"
     )
 
-    loaded = load_config(config)
+    loaded = load_config(quick)
     faulty = tmp_path / "faulty.yaml"
     overloaded = changed_config(loaded, {"simulator.faults": ["servo1.overload"]})
     faulty.write_text(config_text(overloaded))
@@ -361,10 +351,10 @@ def test_clear_shows_the_axes_and_resets_them(tmp_path, fail) -> None:
 
 @pytest.mark.slow
 def test_after_a_fault_of_real_ports_the_command_that_lets_go_is_printed_whole(
-    config, tmp_path, fail, meddle, monkeypatch
+    quick, tmp_path, fail, meddle, monkeypatch
 ) -> None:
     real = tmp_path / "a cell.yaml"
-    real.write_text(config.read_text())
+    real.write_text(quick.read_text())
 
     def unplug(made: Any) -> None:
         # From here on the command takes its cell for one with real ports.
@@ -411,13 +401,6 @@ def test_a_terminal_obeys_no_text_of_a_file(tmp_path, capsys, monkeypatch) -> No
     assert ask("place \x1b[2J") == "place \\x1b[2J"
 
 
-@pytest.mark.parametrize("seed", ["9" * 5000, str(2**32)])
-def test_a_seed_out_of_range_is_refused(seed) -> None:
-    result = RUNNER.invoke(app, ["teach", "ball", "--seed", seed])
-    assert result.exit_code == 2
-    assert "set_int_max_str_digits" not in result.output
-
-
 @pytest.mark.slow
 def test_release_and_doctor_need_nobody_who_moves(config) -> None:
     text = config.read_text(encoding="utf-8")
@@ -450,34 +433,6 @@ def test_train_writes_a_model(dataset, tmp_path) -> None:
     }
 
 
-def test_train_takes_recordings_and_leaves_out_what_has_no_label(taught, tmp_path) -> None:
-    text = call("train", taught.result.recording, "-o", tmp_path / "m.npz", "--no-aperture")
-    assert "grasps without a label are left out" in text
-    assert "with 10 grasps" in text
-
-
-@pytest.mark.slow
-def test_evaluate_writes_the_figures_of_each_recognizer(dataset, tmp_path) -> None:
-    text = call("evaluate", dataset, "--fuse", "1,2", "--json", tmp_path / "e.json")
-    data = read_json(tmp_path / "e.json")
-    assert set(data) >= {"n_train", "n_test", "labels", "seconds", "default", "recognizers"}
-    assert (data["n_train"], data["n_test"], data["labels"]) == (6, 4, ["ball", "box"])
-    assert set(data["recognizers"]) == set(trainer_names())
-    for name, figures in data["recognizers"].items():
-        assert set(figures) >= EVALUATION
-        assert set(figures["without_aperture"]) >= EVALUATION
-        assert set(figures["fused_accuracy"]) == {"1", "2"}
-        assert np.sum(figures["confusion"]) == 4
-        low, high = figures["interval"]
-        assert low <= figures["single_accuracy"] <= high
-        assert name in text
-    assert data["recognizers"][data["default"]]["single_accuracy"] == 1.0
-    assert "2 fused" in text
-    assert "It needs three objects (here 2)" in text
-    assert "nan" not in text
-    assert "tactile only" in text
-
-
 @pytest.mark.slow
 def test_evaluate_prints_what_is_taken_for_which_object_and_what_is_left_out(
     taught, dataset, tmp_path, monkeypatch
@@ -487,22 +442,26 @@ def test_evaluate_prints_what_is_taken_for_which_object_and_what_is_left_out(
     tested = tmp_path / "tested.npz"
     write_dataset(tested, [replace(ball, label="box"), *others])
     both = ("--recognizer", "force_ramp", "--recognizer", "level_check")
-    command = ("evaluate", tested, "--train", dataset, *both, "--json", tmp_path / "e.json")
+    command = ("evaluate", tested, "--train", dataset, *both, "--fuse", "1,2")
+    command += ("--json", tmp_path / "e.json")
     result = RUNNER.invoke(app, [str(one) for one in command], catch_exceptions=False)
     said = " ".join(result.output.split())
     assert "level_check is left out: no object has a level" in said
-    assert list(read_json(tmp_path / "e.json")["left_out"]) == ["level_check"]
+    found = read_json(tmp_path / "e.json")
+    assert (list(found["left_out"]), found["labels"]) == (["level_check"], ["ball", "box"])
+    figures = found["recognizers"]["force_ramp"]
+    low, high = figures["interval"]
+    assert low <= figures["single_accuracy"] < high
+    assert set(figures["fused_accuracy"]) == {"1", "2"}
+    assert "tactile only" in said
+    assert "nan" not in said
     assert "force_ramp confuses, one grasp each: 1 x box as ball" in said
 
 
 @pytest.mark.slow
 def test_replay_sends_and_compares(config, dataset, tmp_path) -> None:
-    text = call(
-        *("replay", dataset, "-c", config, "--limit", 1, "--json", tmp_path / "r.json"),
-        *("--capture", tmp_path / "c.pcap"),
-    )
+    text = call(*("replay", dataset, "-c", config, "--limit", 1, "--json", tmp_path / "r.json"))
     data = read_json(tmp_path / "r.json")
-    assert set(data) >= {"accuracy", "seconds"}
     assert (data["n_grasps"], data["frames_equal"]) == (1, True)
     assert data["frames_sent"] == data["frames_received"] > 0
     assert "bit for bit the same" in text
@@ -721,10 +680,10 @@ def in_the_third_grasp(made: Any, act: Callable[[], object]) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, LONG(signal.SIGTERM)])
 def test_a_signal_stops_the_job_and_keeps_grip_recording_and_what_was_grasped(
-    config, tmp_path, fail, meddle, number
+    quick, tmp_path, fail, meddle, number
 ) -> None:
     built = meddle(lambda made: in_the_third_grasp(made, lambda: os.kill(os.getpid(), number)))
-    said = fail("teach", "ball", "-n", 20, "-o", tmp_path / "d.npz", "-c", config)
+    said = fail("teach", "ball", "-n", 20, "-o", tmp_path / "d.npz", "-c", quick)
     assert "the grip is kept until it is released on purpose. Recording so far: " in said
     assert [grasp.label for grasp in read_dataset(tmp_path / "d.npz")] == ["ball", "ball"]
     assert min(built[0].simulated.world.contact_force_n()) > 1.0
@@ -733,7 +692,7 @@ def test_a_signal_stops_the_job_and_keeps_grip_recording_and_what_was_grasped(
 
 
 @pytest.mark.slow
-def test_grasps_whose_folder_is_gone_are_in_the_recording(config, tmp_path, fail, meddle) -> None:
+def test_grasps_whose_folder_is_gone_are_in_the_recording(quick, tmp_path, fail, meddle) -> None:
     folder = tmp_path / "data"
     folder.mkdir()
     meddle(
@@ -741,7 +700,7 @@ def test_grasps_whose_folder_is_gone_are_in_the_recording(config, tmp_path, fail
             made, lambda: (made.controller.life.cancel(), folder.rmdir())
         )
     )
-    said = fail("teach", "ball", "-n", 20, "-o", folder / "d.npz", "-c", config)
+    said = fail("teach", "ball", "-n", 20, "-o", folder / "d.npz", "-c", quick)
     assert "recording.mcap: use it with `tactile-cell train`" in said
 
 
@@ -867,8 +826,9 @@ def test_an_interrupt_outside_a_sequence_is_one(monkeypatch, fail) -> None:
 def test_fingers_that_do_not_close_in_time_are_told_as_that(tmp_path, fail, monkeypatch) -> None:
     # The config takes them for faster than they are.
     monkeypatch.setattr("cell.config.model._STARTING_S", -60.0)
-    slow = "self_zero: never\ngripper: {approach_speed_mm_s: 4, contact_timeout_s: 1}\n"
-    (tmp_path / "cell.yaml").write_text(slow)
+    slow = {"gripper__approach_speed_mm_s": 4, "gripper__contact_timeout_s": 1}
+    config = small_config(tactile__layout=COARSE_PADS, **slow)
+    (tmp_path / "cell.yaml").write_text(config_text(config, comments=False))
     files = ("-o", tmp_path / "d.npz", "--out", tmp_path / "out")
     said = fail("teach", "ball", *files, "-c", tmp_path / "cell.yaml")
     assert "the fingers came no farther in gripper.contact_timeout_s = 1 s" in said
@@ -907,11 +867,11 @@ FAULTED = {
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTED)
 def test_a_fault_tells_its_number_what_became_of_the_grip_and_where_the_recording_is(
-    config, tmp_path, fail, fault
+    quick, tmp_path, fail, fault
 ) -> None:
     numbers, left = FAULTED[fault]
     found = tmp_path / "run.json"
-    options = ("--config", config, "--out", tmp_path / "out", "--fault", fault)
+    options = ("--config", quick, "--out", tmp_path / "out", "--fault", fault)
     said = fail("run", *options, "--json", found)
     ended = read_json(found)
     assert ended["fault_number"] in numbers
@@ -937,7 +897,11 @@ def test_sort_prints_how_many_parts_lie_where(config, model, tmp_path) -> None:
     events = [(event["kind"], event["text"]) for event in recording.events]
     assert [kind for kind, _ in events if kind in ("place", "release")] == ["place", "release"] * 2
     assert ("place", "box at box") in events
-    assert "released at: box" in page_of(written["recording"])
+    page = Path(written["recording"]).with_name("report.html")
+    assert call("report", written["recording"]) == f"report: {page}\n"
+    text = page.read_text("utf-8")
+    assert all(one in text for one in ("0 grasps taught", "released at: box"))
+    assert '<section id="trajectories">' not in text
 
 
 @pytest.mark.long

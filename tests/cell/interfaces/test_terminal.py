@@ -55,12 +55,19 @@ def test_choices_are_taken_by_number_name_or_enter(typed, lines, answer, capsys)
     assert "  1  the first (Enter)\n  | |\n  2  the second" in capsys.readouterr().out
 
 
+MILLIMETRES = {"number": NumberRange(lowest=1, highest=100, unit="mm")}
+
+
 @pytest.mark.parametrize(
-    ("lines", "answer"), [(["10,5"], 10.5), (["", "0", "nan", "ten", "99"], 99.0)]
+    ("lines", "kind", "answer"),
+    [
+        (["10,5"], MILLIMETRES, 10.5),
+        (["", "0", "nan", "ten", "99"], MILLIMETRES, 99.0),
+        (["", "FT 1"], {}, "FT 1"),
+    ],
 )
-def test_numbers_have_a_range_and_either_point(typed, lines, answer) -> None:
-    question = Question(key="q", text="?", number=NumberRange(lowest=1, highest=100, unit="mm"))
-    assert typed(*lines).ask(question) == answer
+def test_numbers_have_a_range_and_texts_are_taken_as_they_are(typed, lines, kind, answer) -> None:
+    assert typed(*lines).ask(Question(key="q", text="?", **kind)) == answer
 
 
 def test_a_refused_restore_names_the_command_that_asks_again(tmp_path, monkeypatch) -> None:
@@ -72,10 +79,6 @@ def test_a_refused_restore_names_the_command_that_asks_again(tmp_path, monkeypat
     ended = CliRunner().invoke(app, ["commission", str(tmp_path), *options])
     assert ended.exit_code == 1
     assert "left: nothing was written; the same command shows the changes again" in ended.stderr
-
-
-def test_texts_are_taken_as_they_are(typed) -> None:
-    assert typed("", "FT 1").ask(Question(key="q", text="Name?")) == "FT 1"
 
 
 def test_a_watched_value_does_not_hold_up_a_pipe(typed) -> None:
@@ -199,11 +202,7 @@ with stopping(lambda: None, end_within_s=0.05, left='; the grip is kept'):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "number",
-    [
-        signal.SIGINT,
-        *(LONG(one) for one in (signal.SIGTERM, signal.SIGHUP)),
-    ],
+    "number", [signal.SIGINT, *(LONG(one) for one in (signal.SIGTERM, signal.SIGHUP))]
 )
 def test_a_signal_while_the_program_ends_leaves_its_exit_code(number) -> None:
     program = f"""

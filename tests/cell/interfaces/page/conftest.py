@@ -1,5 +1,6 @@
 """A browser on the machine, a server with any state, and pages on it."""
 
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -7,7 +8,150 @@ from typing import Any
 
 import pytest
 
-from tests.cell.interfaces.page.fake_cell import FakeCell
+from cell.config.model import CellConfig
+from cell.plugin.goals import Goal
+from cell.plugin.plugin import cell_values
+from cell.service.service import Service
+from cell.service.state import state_values
+from gripper.errors import PartSlipped
+from recognition.recognizer import UNKNOWN
+from tactile.layout import paper_layout
+from tests.cell.served import Served
+
+BEFORE = ("nut", "bolt", "nut", UNKNOWN, "bolt", "nut", "pin", "nut", "nut", "bolt", "nut", "nut")
+"""Parts that were named before a test begins."""
+TEACHING: dict[str, Any] = {
+    "task": "teach", "label": "washer", "grasps": 6, "missed": 1, "of": 10,
+    "each": [{"force_n": 3.0 + i, "opening_mm": 2.1, "size_mm": 2.0} for i in range(6)],
+}  # fmt: skip
+SORTING: dict[str, Any] = {
+    "task": "sort", "of": 40, "parts": 13, "n_rejected": 1, "n_missed": 0,
+    "places": {"tray A": 7, "tray B": 4, "box": 1, "rejects": 1},
+    "label": "nut", "place": "tray A", "probability": 0.98,
+}  # fmt: skip
+
+
+def address(served: Served, port: int = 0) -> str:
+    """Return the address of the page as `serve` prints it."""
+    found = served.interfaces
+    return f"http://127.0.0.1:{port or found['http_port']}/#token={found['token']}"
+
+
+class FakeCell:
+    """A served stub that is brought into any state."""
+
+    def __init__(self, served: Served, patch: pytest.MonkeyPatch) -> None:
+        self.changes: dict[str, Any] = {}
+        """What is shown in the place of the state's own values."""
+        self.holds: list[str] = []
+        """Who has held."""
+        self.sends = threading.Event()
+        self.sends.set()
+        self.n_messages = 0
+        self.info = cell_values(CellConfig(), paper_layout()) | {
+            "name": "Cell 3", "places": ["tray A", "tray B", "box", "rejects"],
+        }  # fmt: skip
+        self.served = served
+        self.plugin: Any = served.plugin
+        self.plugin.info = lambda: self.info
+        self.plugin.objects = {
+            label: {"n_grasps": 20, "shape": shape, "size_mm": 6.4}
+            for label, shape in (("bolt", "cylinder"), ("nut", "flat"), ("pin", "cylinder"))
+        }
+        self.plugin.levels |= {
+            "can": {"level": "ok", "frames": 182000, "lost": 0, "age_s": 0.012},
+            "loop": {"level": "ok", "periods": 120000, "late": 0, "p99_ms": 5.3},
+            "drift": {"level": "ok", "gain": 1.01, "opening_mm": 0.02},
+            "recording": {"level": "ok", "path": "out/serve/recording.mcap", "text": ""},
+        }
+        self.service: Any = served.service
+        self._stop, self.service.stop = self.service.stop, self._hold
+        patch.setattr("cell.interfaces.web.state_values", self._shown)
+        for label in BEFORE:
+            self._name(label)
+        self.url = address(served)
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """What is shown now."""
+        return state_values(self.service) | self.changes
+
+    @property
+    def asked(self) -> list[tuple[str, Any]]:
+        """What the page has asked for: a task with the fields that it has set, or with a flag."""
+        return [
+            (one.task, one.model_dump(exclude_defaults=True)) if isinstance(one, Goal) else one
+            for one in self.plugin.asked
+        ]
+
+    def given(self, task: str) -> list[Any]:
+        """Return what was given with each job of a task or command."""
+        return [given for one, given in self.asked if one == task]
+
+    # -- states ----------------------------------------------------------------------------------
+
+    def idle(self) -> None:
+        """Ready, after identifications."""
+        self.plugin.ready()
+
+    def working(self) -> None:
+        """The second grasp of an identification."""
+        progress = {"grasps": 1, "of": 4, "best": "nut", "probability": 0.63}
+        self._begin({"task": "identify", "present": "nut"}, progress)
+
+    def named(self, label: str = "nut") -> None:
+        """A part is named and kept."""
+        self._name(label, keep="always")
+
+    def unknown(self) -> None:
+        """A part that was never taught is kept."""
+        self.named(UNKNOWN)
+
+    def faulted(self) -> None:
+        """A fault that is latched, with a part in the grip."""
+        self.named()
+        self.plugin.fail(PartSlipped("the centre of force moved 3.1 mm, limit 2.0 mm"))
+
+    def teaching(self) -> None:
+        """A washer is taught."""
+        self._begin({"task": "teach", "label": "washer"}, TEACHING)
+
+    def sorting(self) -> None:
+        """A sort, the fourteenth part."""
+        self._begin({"task": "sort", "parts": 40}, SORTING)
+
+    def _name(self, label: str, **fields: Any) -> None:
+        self.plugin.ready()
+        self.plugin.finds = label
+        self._start({"task": "identify", "present": "nut"} | fields)
+        self.plugin.finds = ""
+
+    def _begin(self, goal: dict[str, Any], progress: dict[str, Any]) -> None:
+        self.plugin.ready()
+        self.plugin.pause()
+        self._start(goal)
+        self.plugin.report(**progress)
+
+    def _start(self, goal: dict[str, Any]) -> None:
+        """Start a job that the page has not asked for, under whatever lease there is."""
+        lease = self.service.lease.number
+        self.service.start(lease or self.service.lease.acquire("PLC"), goal)
+        del self.plugin.asked[-1]
+        if not lease:
+            self.service.lease.give_up(self.service.lease.number)
+
+    # -- the service -----------------------------------------------------------------------------
+
+    def _shown(self, _service: Service) -> dict[str, Any]:
+        assert self.sends.wait(60.0)
+        self.n_messages += 1
+        return self.state
+
+    def _hold(self, reason: str) -> None:
+        if reason.startswith("by "):  # a client's: the end of the lease of a job here stops none
+            self.holds.append(reason)
+            self._stop(reason)
+
 
 CHROMIUM = Path("/usr/bin/chromium")
 

@@ -1,18 +1,102 @@
 """The page on the real interface: on a stub of the cell, and once on the simulated cell."""
 
+import asyncio
 import re
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any
 
 import pytest
 import segno
 
 from cell.control.states import Command
 from gripper.errors import PartSlipped
-from tests.cell.interfaces.page.fake_cell import address
-from tests.cell.interfaces.page.line import Line
+from tests.cell.interfaces.page.conftest import address
 from tests.cell.interfaces.page.test_page import becomes, click, fits, press
 from tests.cell.interfaces.test_web import stl
 from tests.waiting import until
+
+
+class Line:
+    """Passes bytes on to a port of this machine, from a port of its own."""
+
+    def __init__(self, to: int) -> None:
+        self.delay_s = 0.0
+        """Wait in s before each piece of an answer."""
+        self.mute = False
+        """Whether answers are lost on the way."""
+        self._to = to
+        self._is_cut = False
+        self._writers: set[asyncio.StreamWriter] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._opened = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), daemon=True)
+        self._thread.start()
+        assert self._opened.wait(10)
+
+    async def _run(self) -> None:
+        self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
+        server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
+        self.port: int = server.sockets[0].getsockname()[1]
+        self._opened.set()
+        await self._over.wait()
+        server.close()
+        while self._tasks:  # their connections are cut
+            await asyncio.wait(self._tasks)
+
+    def cut(self) -> None:
+        """End all connections, and take none until `mend`."""
+        self._is_cut = True
+        done = threading.Event()
+
+        def end() -> None:
+            for writer in tuple(self._writers):
+                writer.transport.abort()
+            done.set()
+
+        self._loop.call_soon_threadsafe(end)
+        assert done.wait(10)
+
+    def mend(self) -> None:
+        self._is_cut = False
+
+    def close(self) -> None:
+        self.cut()
+        self._loop.call_soon_threadsafe(self._over.set)
+        self._thread.join()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._tasks.add(task := asyncio.current_task())  # type: ignore[arg-type]
+        task.add_done_callback(self._tasks.discard)  # type: ignore[union-attr]
+        self._writers.add(writer)
+        with suppress(OSError):
+            if not self._is_cut:
+                far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self._to)
+                self._writers.add(far_writer)
+                if self._is_cut:
+                    far_writer.transport.abort()
+                await asyncio.gather(
+                    self._pass(reader, far_writer, answers=False),
+                    self._pass(far_reader, writer, answers=True),
+                )
+                self._writers.discard(far_writer)
+        writer.transport.abort()
+        self._writers.discard(writer)
+
+    async def _pass(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, answers: bool
+    ) -> None:
+        with suppress(OSError):
+            while data := await reader.read(65536):
+                if answers and self.mute:
+                    continue
+                if answers and self.delay_s:
+                    await asyncio.sleep(self.delay_s)
+                writer.write(data)
+                await writer.drain()
+        writer.transport.abort()
+
 
 pytestmark = pytest.mark.long
 
@@ -20,17 +104,10 @@ SHORT_LEASE_S = 2.0
 
 
 @pytest.fixture
-def line() -> Iterator[Callable[[int], Line]]:
-    """Return the maker of lines to a port."""
-    made: list[Line] = []
-
-    def make(port: int) -> Line:
-        made.append(Line(port))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+def wire(served: Any) -> Iterator[Line]:
+    made = Line(served.interfaces["http_port"])
+    yield made
+    made.close()
 
 
 def test_a_part_is_named_kept_verified_and_let_go(served, open_page) -> None:
@@ -122,8 +199,7 @@ def test_command_is_taken_over_and_given_up(served, open_page) -> None:
     becomes(twin, "#commander", "Nobody")
 
 
-def test_a_cut_line_is_red_at_once_and_returns_by_itself(served, line, open_page) -> None:
-    wire = line(served.interfaces["http_port"])
+def test_a_cut_line_is_red_at_once_and_returns_by_itself(served, wire, open_page) -> None:
     page = open_page(address(served, wire.port), command=True)
     becomes(page, "#state", "Ready")
     wire.cut()
@@ -141,8 +217,7 @@ def test_a_cut_line_is_red_at_once_and_returns_by_itself(served, line, open_page
     assert len(served.plugin.asked) == 1
 
 
-def test_a_command_whose_answer_is_lost_is_done_once(served, line, open_page) -> None:
-    wire = line(served.interfaces["http_port"])
+def test_a_command_whose_answer_is_lost_is_done_once(served, wire, open_page) -> None:
     page = open_page(address(served, wire.port), command=True)
     wire.mute = True
     page.click("#do_grip")
@@ -154,8 +229,7 @@ def test_a_command_whose_answer_is_lost_is_done_once(served, line, open_page) ->
     assert len(served.plugin.asked) == 1
 
 
-def test_a_slow_line_is_not_shown_as_live(served, line, open_page) -> None:
-    wire = line(served.interfaces["http_port"])
+def test_a_slow_line_is_not_shown_as_live(served, wire, open_page) -> None:
     page = open_page(address(served, wire.port))
     becomes(page, "#state", "Ready")
     wire.delay_s = 1.5
@@ -167,12 +241,6 @@ def test_a_slow_line_is_not_shown_as_live(served, line, open_page) -> None:
         assert page.text_content("#state") == "Not connected"
     wire.delay_s = 0.0
     becomes(page, "#state", "Ready")
-
-
-def test_over_tls(serve, tls, open_page) -> None:
-    url = address(serve("http", **tls)).replace("http:", "https:")
-    page = open_page(url, command=True, ignore_https_errors=True)
-    click(page, "#do_identify", "#held_name", "ball")
 
 
 def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, tmp_path) -> None:
@@ -193,10 +261,6 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, tmp_
     found = axe.run(page).response["violations"]
     assert not found, [(one["id"], one["nodes"][0]["html"]) for one in found]
     assert fits(page)
-    # What is in the grip is not exchanged.
-    grip = {"task": "grip", "force_n": 3.0}
-    assert served.ended(served.service.start(served.service.lease.number, grip)).held
-    becomes(page, "#sim_put", "a part is held: release it first")
     page.select_option("#sim_fault", "servo1.overheat")
     becomes(page, "#sim_fault option:checked", "its internal temperature has this value")
     becomes(page, "#sim_meaning", r"^servo1\.overheat$")
@@ -212,14 +276,6 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, tmp_
     page.set_input_files("#sim_stl", tmp_path / "pyramid.stl")
     page.wait_for_selector("#sim_part:has(option[value='pyramid']:checked)")
     click(page, "#sim_put", "#sim_placed", "pyramid")
-    # Nothing lies there: the refusal of a name of its own says what to do.
-    page.select_option("#sim_part", "nothing")
-    click(page, "#sim_put", "#sim_placed", "nothing")
-    page.click("#simulation_close")
-    page.click("#tab_teach")
-    page.fill("#teach_name", "my cup")
-    page.click("#teach_start")
-    becomes(page, "#said", "nothing is between the fingers.*choose one on the page")
 
 
 def test_a_second_person_watches_by_the_link(served, open_page) -> None:

@@ -1,27 +1,45 @@
-"""`install`: what it prints, writes and removes; the unit in systemd's own eyes; sd_notify."""
+"""A cell as a service: what `install` writes, sd_notify, `/healthz`, `/metrics`, and `support`."""
 
+import json
+import os
 import re
 import shlex
 import shutil
 import socket
 import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from zipfile import ZipFile
 
 import pytest
+from prometheus_client.parser import text_string_to_metric_families
 from ruamel.yaml import YAML
 from typer.main import get_command
 from typer.testing import CliRunner, Result
 
-from cell.config.file import changed_config, load_config, parse_config
+from cell.config.file import changed_config, config_text, load_config, parse_config
 from cell.config.model import CellConfig
+from cell.control.answer import Answer
+from cell.control.zeroing import Zeroing
+from cell.data.recording_messages import RecordedMessages
+from cell.interfaces.access import view_token
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.service_manager import ServiceManager
+from cell.interfaces.cli.support_bundle import REMOVED
 from cell.interfaces.cli.system_files import UNIT_FILE, closed_to_others, system_files
+from cell.service.totals import Totals
+from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.errors import GripperError
+from recognition.recognizer import UNKNOWN
+from tactile.errors import HeartbeatLost
 from tests import ROOT
-from tests.cell.conftest import REAL, small_config
+from tests.cell.conftest import REAL, MakeBench, small_config
+from tests.cell.interfaces.hosts import Client
+from tests.cell.served import Served
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.hil.supervisor import read_unit
 
@@ -263,3 +281,224 @@ def test_the_snippets_of_the_page_are_read() -> None:
     snippets = re.findall(r"```yaml\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     assert parse_config(snippets[0], source="page").serve.token_file == "/etc/tactile-cell/token"
     assert YAML(typ="safe", pure=True).load(snippets[1])["scrape_configs"][0]["authorization"]
+
+
+# -- `/healthz` and `/metrics`: a scrape, read by Prometheus' own parser ---------------------------
+
+
+DASHBOARD = ROOT / "docs/examples/grafana-dashboard.json"
+
+
+def scraped(client: Client, token: str) -> tuple[int, str]:
+    status, found, _ = client.send("GET", "/metrics", token=token)
+    return status, found.decode() if isinstance(found, bytes) else str(found)
+
+
+def values_of(text: str) -> dict[str, float]:
+    """Return each sample of a scrape, its labels in braces."""
+    return {
+        sample.name + "".join(f"{{{value}}}" for value in sample.labels.values()): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+@pytest.mark.slow
+def test_a_scrape_counts_parts_faults_and_links(connect, monkeypatch) -> None:
+    served, client = connect(cell={})
+    lease = client.post("/api/lease", name="host")["lease"]
+    drive = DriveCharacteristic(
+        coulomb_a=0.1,
+        breakaway_a=0.2,
+        rising_a_nm=0.6,
+        falling_a_nm=0.4,
+        kt_nm_a=1.6,
+        measured_s=1.0,
+    )
+    monkeypatch.setattr(Zeroing, "drives", {1: drive, 2: drive})
+    goal = {"task": "sort", "parts": 1, "feed": ["box"], "max_grasps": 1}
+    client.post("/api/jobs", lease=lease, goal=goal)
+    assert served.ended().error == ""
+    status, text = scraped(client, served.interfaces["view_token"])
+    assert status == 200
+    found = values_of(text)
+    counted = {"parts_total{box}{named}": 1, "cycle_seconds_count": 1, "fault": 0, "state": 4}
+    assert {name: found[f"tactile_cell_{name}"] for name in counted} == counted
+    for name, least, most in (
+        ("cycle_seconds_sum", 0.5, 60),
+        ("force_error_newtons_count", 1, 10),
+        ("frames_total", 50, 1e5),
+        ("servo_temperature_celsius{1}", 10, 80),
+    ):
+        assert least <= found[f"tactile_cell_{name}"] <= most, name
+    for name, value in (
+        ("amperes_per_newton_metre{rising}", drive.rising_a_nm),
+        ("amperes_per_newton_metre{falling}", drive.falling_a_nm),
+    ):
+        assert found[f"tactile_cell_servo_{name}{{1}}"] == value
+    check_dashboard(found)
+    served.plugin.simulate({"inject": "servo1.off"})
+    client.post("/api/jobs", lease=lease, goal={"task": "grip", "force_n": 3.0})
+    number = served.ended().fault_number
+    found = values_of(scraped(client, client.token)[1])
+    assert found[f"tactile_cell_faults_total{{{number}}}"] == 1
+    assert found["tactile_cell_fault"] == number
+
+
+def check_dashboard(found: dict[str, float]) -> None:
+    """Check that each metric of the dashboard is in the scrape; a fault may not be there yet."""
+    dashboard = json.loads(DASHBOARD.read_text())
+    used = {
+        name
+        for panel in dashboard["panels"]
+        for target in panel["targets"]
+        for name in re.findall(r"tactile_cell_\w+", target["expr"])
+    }
+    there = {name.partition("{")[0] for name in found} | {"tactile_cell_faults_total"}
+    assert len(used) > 20
+    assert used <= there
+    documented = re.findall(r"`(tactile_cell_\w+)`", PAGE.read_text("utf-8"))
+    samples = re.compile(r"(_total|_bucket|_count|_sum|_created)$")
+    families = {samples.sub("", name) for name in there}
+    assert {samples.sub("", name) for name in documented} == families
+
+
+def test_each_result_of_a_part_is_counted() -> None:
+    totals = Totals()
+    record = SimpleNamespace(
+        cycles=(SimpleNamespace(setpoint_n=5.0),), outcome=SimpleNamespace(final_force_n=4.7)
+    )
+    found = SimpleNamespace(records=(record, record))
+    for label, rejected in (("ball", False), ("ball", True), (UNKNOWN, True)):
+        totals.add(Answer(label=label, rejected=rejected, seconds=70.0), found)
+    totals.add(Answer(seconds=70.0), None)
+    assert dict(totals.parts) == {
+        ("ball", "named"): 1,
+        ("ball", "rejected"): 1,
+        (UNKNOWN, "unknown"): 1,
+        ("", "missed"): 1,
+    }
+    assert list(totals.cycles_s.cumulated())[-2:] == [(60.0, 0), (float("inf"), 3)]
+    assert dict(totals.force_errors_n.cumulated())[0.5] == 6
+    assert totals.force_errors_n.sum == pytest.approx(1.8)
+
+
+def test_metrics_need_a_token_and_health_does_not(connect) -> None:
+    served, client = connect()
+    assert scraped(client, "wrong")[0] == 401
+    well = {"working": True, "problem": "", "state": "IDLE", "fault_number": 0, "holding": False}
+    assert client.ask("GET", "/healthz", token=None) == (200, well)
+    served.plugin.fail(HeartbeatLost("no heartbeat"))
+    status, found = client.ask("GET", "/healthz", token=None)
+    assert (status, found["state"], found["fault_number"]) == (200, "ABORTED", 305)
+    served.plugin.working = False
+    status, found = client.ask("GET", "/healthz", token=None)
+    assert (status, found["problem"].split(";")[0]) == (503, "the thread of the cell hangs")
+
+
+def test_without_its_extra_a_scrape_says_what_to_install(connect, monkeypatch) -> None:
+    _, client = connect()
+    monkeypatch.delitem(sys.modules, "cell.interfaces.metrics", raising=False)
+    monkeypatch.setitem(sys.modules, "prometheus_client", None)
+    status, text = scraped(client, client.token)
+    assert status == 422
+    assert "/metrics needs prometheus_client; install this project with its extra" in text
+
+
+# -- The support bundle: what is in it, and that no secret is --------------------------------------
+
+
+TOKEN, SECRET, PRINTED = "a-token-of-the-cell-1", "a-secret-of-the-cell-2", "printed-at-a-start-3"
+SECRETS = (TOKEN, SECRET, PRINTED, view_token(TOKEN), view_token(SECRET))
+JOURNAL = f"""#!/bin/sh
+echo "page: http://cell:8080/#token={PRINTED}"
+echo '{{"token": "{PRINTED}", "xmlrpc_port": 5021}}'
+echo "somebody typed {TOKEN}"
+echo "Authorization: Bearer {PRINTED}"
+"""
+
+
+@pytest.fixture
+def cell(
+    serve: Any, make_bench: MakeBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Served:
+    """A service with secrets, a recording with a fault, a journal with tokens, and its config."""
+    (tmp_path / "token").write_text(TOKEN)
+    (tmp_path / "secret").write_text(SECRET)
+    (tmp_path / "journalctl").write_text(JOURNAL)
+    (tmp_path / "journalctl").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    (tmp_path / "out/run-1").mkdir(parents=True)
+    bench = make_bench(folder=tmp_path / "out/run-1").ready()
+    bench.simulated.inject("servo1.off")
+    with pytest.raises(GripperError):
+        bench.grasp()
+    bench.cell.close()
+    served: Served = serve(
+        "http",
+        serve__token_file=str(tmp_path / "token"),
+        serve__secret_file=str(tmp_path / "secret"),
+        recording__directory=str(tmp_path / "out"),
+    )
+    port = served.interfaces["http_port"]
+    config = changed_config(served.service.config, {"serve.http_port": port})
+    (tmp_path / "cell.yaml").write_text(f"# the password is {TOKEN}\n{config_text(config)}")
+    return served
+
+
+def packed(folder: Path, *options: object) -> dict[str, bytes]:
+    """Return the members of a new bundle."""
+    file = folder / "bundle.zip"
+    command = ["support", str(file), "-c", str(folder / "cell.yaml"), *map(str, options)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    with ZipFile(file) as archive:
+        found = {name: archive.read(name) for name in archive.namelist()}
+    assert all(f"  {name}: " in result.output for name in found)
+    return found
+
+
+@pytest.mark.slow
+def test_no_secret_of_the_cell_is_in_its_bundle(cell: Served, tmp_path: Path) -> None:
+    Client(cell.interfaces).post("/api/lease", name=f"host with {SECRET}")
+    found = packed(tmp_path)
+    recording = tmp_path / "recording.mcap"
+    recording.write_bytes(found["recording.mcap"])
+    unpacked = b"".join(data for _, _, data in RecordedMessages(recording))
+    for name, content in (*found.items(), ("recording", unpacked)):
+        for secret in SECRETS:
+            assert secret.encode() not in content, name
+    config = parse_config(found["config.yaml"].decode(), source="bundle")
+    assert (config.serve.token_file, config.serve.secret_file) == (REMOVED, REMOVED)
+    assert config.recording.directory == str(tmp_path / "out")
+    assert b"xmlrpc_port" in found["journal.txt"]
+    assert b"host with removed" in found["state.txt"]
+
+
+@pytest.mark.slow
+def test_the_bundle_has_what_a_helper_asks_for(cell: Served, tmp_path: Path) -> None:
+    found = packed(tmp_path)
+    assert json.loads(found["health.txt"].partition(b"\n")[2])["working"] is True
+    assert json.loads(found["state.txt"].partition(b"\n")[2])["status"]["state"] == "IDLE"
+    assert "tactile-cell" in json.loads(found["versions.json"])["packages"]
+    ((recording, faults),) = json.loads(found["faults.json"]).items()
+    assert recording.endswith("recording.mcap")
+    assert {100 <= fault["fault_number"] < 200 for fault in faults} == {True}
+    smaller = packed(tmp_path, "--limit-mb", "0.001")
+    assert "recording.mcap" not in smaller
+    assert b"bytes exceed the limit of 1000" in smaller["recording.txt"]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("cell")
+def test_without_a_service_the_bundle_says_so(tmp_path: Path) -> None:
+    config = parse_config((tmp_path / "cell.yaml").read_text(), source="cell")
+    silent = changed_config(config, {"serve.http_port": 1, "serve.token_file": ""})
+    (tmp_path / "cell.yaml").write_text(config_text(silent))
+    (tmp_path / "out/run-1/recording.mcap").write_bytes(b"no recording")
+    found = packed(tmp_path)
+    assert found["health.txt"].startswith(b"the service did not answer: ")
+    assert all(json.loads(found["faults.json"]).values())  # why it cannot be read
+    nothing = changed_config(silent, {"serve.http_port": None})
+    (tmp_path / "cell.yaml").write_text(config_text(nothing))
+    assert b"serve.http_port is not set" in packed(tmp_path)["health.txt"]
