@@ -2,7 +2,7 @@
 
 The wizard's own terminal asks in virtual time, at the cell of the tutorial's commands. The hands
 are those of `tactile-cell simulate --ask`, moved by the person of the tests.
-`tests/cell/commissioning/test_practice.py` tests the typed input with the transcript of the page.
+`tests/cell/commissioning/test_walk.py` compares the page with it.
 """
 
 import contextlib
@@ -24,8 +24,7 @@ from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.terminal import print_line
 from cell.jobs.simulate import client_config
 from cell.simulation import simulation_of
-from tests.cell.commissioning.hands import Person
-from tests.cell.commissioning.script import SimulatedLines
+from tests.cell.commissioning.hands import Person, SimulatedLines
 
 TUTORIAL = Path(__file__).parents[1] / "tutorials" / "hardware.md"
 _PLACE = re.compile(r"(<!-- transcript: commission -->\n).*?(<!-- end: commission -->)", flags=re.S)

@@ -14,8 +14,7 @@ from gripper.dynamixel.control_table import TORQUE_ENABLE
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from tactile.layout import pinch_layout
-from tests.cell.commissioning.hands import Person
-from tests.cell.commissioning.script import SimulatedLines
+from tests.cell.commissioning.hands import Person, SimulatedLines
 
 KNOWN = {
     "gripper.port": "/dev/ttyUSB0",

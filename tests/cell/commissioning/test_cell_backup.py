@@ -17,7 +17,7 @@ from cell.config.file import changed_config, config_text, load_config
 from cell.config.model import CellConfig
 from cell.control.self_zero import zero_file
 from cell.errors import CellError
-from tests.cell.conftest import REAL, call
+from tests.cell.conftest import REAL, call, small_config
 
 FILES = {
     "commissioning.json": b"{}",
@@ -80,9 +80,7 @@ def test_a_model_of_another_folder_is_in_the_backup_with_its_data_set_and_photos
 
 
 @pytest.mark.slow
-def test_files_that_the_config_names_elsewhere_are_found_again(
-    tmp_path, taught, monkeypatch
-) -> None:
+def test_files_that_the_config_names_elsewhere_are_found_again(tmp_path, monkeypatch) -> None:
     before, parts = tmp_path / "before", tmp_path / "parts"
     for folder, size_mm in ((before, 9.0), (parts / "a", 10.0), (parts / "b", 12.0)):
         folder.mkdir(parents=True)
@@ -91,7 +89,7 @@ def test_files_that_the_config_names_elsewhere_are_found_again(
     objects = [{"label": "ball", "shape": "sphere:diameter=9.5mm"}]
     objects += [{"label": f"part {n}", "shape": f"mesh:file={it}"} for n, it in enumerate(named)]
     config = changed_config(
-        taught.config,
+        small_config(),
         {
             "simulator.objects": objects,
             "recording.directory": str(tmp_path / "recordings"),
@@ -100,7 +98,7 @@ def test_files_that_the_config_names_elsewhere_are_found_again(
     )
     monkeypatch.chdir(before)
     Path("press.yaml").write_text(config_text(config))
-    shutil.copy(taught.result.model, "parts.npz")
+    Path("parts.npz").write_text("model")
     zero = zero_file(tmp_path / "recordings", config.name)
     zero.parent.mkdir()
     zero.write_text("measured")
@@ -118,8 +116,8 @@ def test_files_that_the_config_names_elsewhere_are_found_again(
         found = trimesh.load_mesh(one.shape.removeprefix("mesh:file="))
         sizes_mm.append(round(float(found.extents[1])))
     assert sizes_mm == [9, 10, 12]
+    assert Path("parts.npz").read_text() == "model"
     call("config", "check", CONFIG)
-    call("identify", "--model", "parts.npz", "--object", "part 2")
 
 
 def test_what_cannot_be_backed_up_is_named_and_nothing_is_written(cell) -> None:
@@ -153,15 +151,12 @@ def member(name: str, kind: bytes = tarfile.REGTYPE, **values: Any) -> tarfile.T
 HOSTILE = {
     "beside": [member("../x")],
     "beside, from below": [member("a/../../x")],
-    "a folder beside": [member("../x", tarfile.DIRTYPE)],
     "absolute": [member("/tmp/tactile-cell-x")],
     "link": [member("x", tarfile.SYMTYPE, linkname="/etc/passwd")],
-    "link inside": [member("x", tarfile.SYMTYPE, linkname=CONFIG)],
     "through a link": [member("x", tarfile.SYMTYPE, linkname=".."), member("x/y")],
     "hard link": [member("x", tarfile.LNKTYPE, linkname=CONFIG)],
     "pipe": [member("x", tarfile.FIFOTYPE)],
     "device": [member("x", tarfile.CHRTYPE, devmajor=1, devminor=5)],
-    "disk": [member("x", tarfile.BLKTYPE)],
     "larger than the backup": [member("x", tarfile.GNUTYPE_SPARSE)],
     "less than nothing": [member("x", size=-1024)],
 }

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from cell.checks.findings import STORE_NAME, Finding, ProposedChange, Verdict
 from cell.commissioning.bench import Bench
@@ -17,9 +18,10 @@ from cell.commissioning.record import RECORD_NAME, write_record
 from cell.config.file import changed_config, config_text, load_config
 from cell.data.formats import COMMISSIONING, write_json
 from cell.errors import CellError, ConfigError
+from cell.interfaces.cli.app import app
 from gripper.errors import PortLost
 from tactile.layout import pinch_layout
-from tests.cell.commissioning.script import Script
+from tests.cell.commissioning.hands import Script
 
 REAL = {"gripper.port": "/dev/ttyUSB0", "tactile.interface": "socketcan", "tactile.channel": "can0"}
 
@@ -59,12 +61,12 @@ def steps() -> list[Asking]:
     ]
 
 
-@pytest.mark.slow
 def test_leaving_keeps_what_was_found_and_the_next_run_goes_on_there(tmp_path: Path) -> None:
     first = Script(leave_at=["unit.q"])
     with pytest.raises(WizardAborted):
         Engine(steps(), Bench(tmp_path)).run(first)
     assert first.asked == ["ports.q", "servos.q", "unit.q"]
+    assert list(json.loads((tmp_path / STORE_NAME).read_text())["steps"]) == ["ports", "servos"]
     assert not (tmp_path / CONFIG_NAME).exists()
 
     again, walk = Script(), steps()
@@ -172,10 +174,18 @@ def test_steps_stand_behind_those_they_need(tmp_path: Path) -> None:
         Engine([Asking("force", needs=("servos",))], Bench(tmp_path))
 
 
-def test_the_store_is_written_after_each_step(tmp_path: Path) -> None:
-    with pytest.raises(WizardAborted):
-        Engine(steps(), Bench(tmp_path)).run(Script(leave_at=["servos.q"]))
-    assert list(json.loads((tmp_path / STORE_NAME).read_text())["steps"]) == ["ports"]
+@pytest.mark.slow
+def test_the_command_goes_on_where_it_was_left_and_writes_config_and_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cell.commissioning.walk.all_steps", steps)
+    command = ["commission", str(tmp_path), "--servo-port", "/dev/ttyUSB7", "--can", "socketcan:c"]
+    left = CliRunner().invoke(app, command, input="\nq\n")
+    assert (left.exit_code, (tmp_path / CONFIG_NAME).exists()) == (1, False)
+    done = CliRunner().invoke(app, command, input="\n\n\n")
+    assert done.exit_code == 0, done.output
+    assert f"{tmp_path}/{RECORD_NAME}" in done.stdout
+    assert load_config(tmp_path / CONFIG_NAME).gripper.baud_rate == 2000000
 
 
 @pytest.mark.slow

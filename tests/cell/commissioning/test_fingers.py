@@ -26,6 +26,7 @@ from gripper.servos.goal_limits import GoalWriter
 from simulator.servo.mechanics import RackLinkage, ServoMount
 from simulator.settings import SimulatedServoSettings
 from tests.cell.commissioning.conftest import MakeStand, Stand
+from tests.marks import LONG
 
 STEP = FingersStep()
 BLOCKS_M = (0.010, 0.030)
@@ -152,25 +153,14 @@ def test_a_wrong_linkage_and_opening_of_the_config_are_named(one) -> None:
     assert opening.startswith("gripper.aperture_open_mm was 150, is now 11")
 
 
-def test_a_person_stops_the_first_motion_while_it_runs(one) -> None:
-
-    def stop() -> None:
-        if one.torques == [1, 1]:
-            raise WizardAborted("stopped at the page")
-
-    with pytest.raises(WizardAborted, match="at the page"):
-        one.run(STEP, moment=stop)
-    assert one.torques == [0, 0]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("tight", ["close", "open"])
+@pytest.mark.parametrize("tight", ["close", LONG("open")])
 def test_a_first_motion_begins_with_room_on_both_sides(one, tight) -> None:
     one.passes(STEP, fingers__free=[one.does("empty", tight), one.does("half")])
     assert one.person.script.asked.count("fingers.free") == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_stiff_servos_pass_the_first_motion(one) -> None:
     for motor in one.cell.devices.mechanics.motors:
         motor.friction_factor = 3.0
@@ -189,7 +179,7 @@ def drifting(one: Stand) -> None:
 @pytest.mark.parametrize(
     ("happens", "named"),
     [
-        (pinched, "finger 1 (servo 2): did not move"),
+        LONG(pinched, "finger 1 (servo 2): did not move"),
         (drifting, "finger 0 (servo 1): closed instead of opening"),
     ],
 )

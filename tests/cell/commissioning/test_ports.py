@@ -27,7 +27,7 @@ from gripper.errors import PortLost
 from simulator.cell import SimulatedCell
 from simulator.servo.wrist import SimulatedWrist
 from tactile.can.bus import CanBus
-from tests.cell.commissioning.script import Script, SimulatedLines
+from tests.cell.commissioning.hands import Script, SimulatedLines
 from tests.faults.scenarios.axes import CHANGES
 
 

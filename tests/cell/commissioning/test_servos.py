@@ -16,8 +16,8 @@ from cell.errors import CellError, ConfigError
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import Register
 from tests.cell.commissioning.conftest import MakeStand, Stand
-from tests.cell.commissioning.hands import Person
-from tests.cell.commissioning.script import Script
+from tests.cell.commissioning.hands import Person, Script
+from tests.marks import LONG
 
 STEP = ServosStep()
 PORT = "/dev/ttyUSB0"
@@ -146,10 +146,7 @@ def killed_after(n_writes: int) -> Iterator[list[Register]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "n_writes",
-    [pytest.param(n, marks=[] if n in (2, 6) else pytest.mark.long) for n in range(1, 8)],
-)
+@pytest.mark.parametrize("n_writes", [6, *map(LONG, (1, 2, 3, 4, 5, 7))])
 def test_a_restore_brings_back_what_a_kill_left_half_done(stand, n_writes) -> None:
     """Behind each write of the step, and again behind each write of the way back."""
     one = stand("servo1.factory", "servo2.factory", "servo1.wrong=homing_offset:100")

@@ -1,5 +1,6 @@
 """The whole wizard on simulated cells in virtual time: from the box to the baseline."""
 
+import re
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,12 +16,12 @@ from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.simulation import simulator_settings
+from docs.tools.transcript import TUTORIAL, transcript
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
 from tactile.layout import PadMount, pinch_layout
-from tests.cell.commissioning.hands import Person
-from tests.cell.commissioning.script import SimulatedLines
+from tests.cell.commissioning.hands import Person, SimulatedLines
 
 pytestmark = pytest.mark.long
 
@@ -127,11 +128,7 @@ def with_sensor(preset: str, sensor: str) -> CellConfig:
 
 @pytest.mark.parametrize(
     ("preset", "sensor"),
-    [
-        ("rh-p12-rn", "flexitac"),
-        ("open-parallel-gripper", "uskin"),
-        ("rh-p12-rn", "unit"),
-    ],
+    [("rh-p12-rn", "flexitac"), ("open-parallel-gripper", "uskin"), ("rh-p12-rn", "unit")],
 )
 def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, monkeypatch) -> None:
     base = with_sensor(preset, sensor)
@@ -172,3 +169,9 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, m
         assert config.tactile.serial_ports == (by_path(1), by_path(0))
     four = found["first_force"].values["asked_held_peak_n"][-1]
     assert person.pressed_n == pytest.approx(four[1], abs=1.0)
+
+
+def test_the_tutorial_shows_what_is_printed() -> None:
+    page = TUTORIAL.read_text("utf-8")
+    (shown,) = re.findall(r"<!-- transcript: commission -->\n\n```text\n\$.*\n([^`]*)```", page)
+    assert transcript().split() == shown.split()

@@ -3,16 +3,21 @@
 import pytest
 
 from cell.checks.findings import Verdict
-from cell.commissioning.engine import Step
+from cell.commissioning.engine import Step, WizardAborted
 from cell.commissioning.first_force import FirstForceStep
 from cell.commissioning.link_quality import LinkQualityStep
 from cell.commissioning.pads import PadsAtRestStep, PadsPressedStep
 from cell.commissioning.servos import ServosStep
 from cell.commissioning.unit import UnitStep
 from cell.commissioning.walk import all_steps
+from simulator.can.drive import DriveMount
+from simulator.devices import SimulatedDrive
 from simulator.world.taxels import NoiseModel
+from tactile.can.bus import CanBus
+from tactile.errors import BusNotOpened
 from tactile.layout import inner_pads
 from tests.cell.commissioning.conftest import MakeStand, Stand
+from tests.cell.commissioning.hands import SimulatedLines
 
 SERVOS, UNIT, REST, FORCE = ServosStep(), UnitStep(), PadsAtRestStep(), FirstForceStep()
 PRESSED, LINES = PadsPressedStep(), LinkQualityStep(duration_s=2.5)
@@ -42,9 +47,7 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (REST, "taxels.offset=900", FAIL, "No zero can be taken"),
         (REST, "unit.stuck", FAIL, "The counts do not change at rest"),
         (REST, "unit.off", FAIL, "did not boot"),
-        (PRESSED, "unit.off", FAIL, "did not boot"),
         (LINES, "can.lose_next=20@1s", WARN, "The CAN bus loses messages"),
-        (LINES, "unit.forces_lost=0.02", WARN, "The CAN bus loses messages"),
         (LINES, "servos.loss=0.02", WARN, "The servos' line loses answers"),
         (LINES, "can.loss=0.003@0.6s", FAIL, "of the last 50 frames"),
         (LINES, "unit.forces_each=5", FAIL, "ms late, allowed are 15 ms"),
@@ -52,7 +55,6 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (LINES, "servos.unplugged@0.5s", FAIL, "the servo line is lost"),
         (FORCE, "servo1.watchdog_off", FAIL, "watchdog is not proven to stop the motors: servo 1"),
         (FORCE, "taxels.stuck_at=20-60:3000", FAIL, "taxels of pad finger0.inner are bad"),
-        (FORCE, "unit.off", FAIL, "did not boot"),
         (FORCE, "servo2.turned", FAIL, "on its own side"),
     ],
 )
@@ -110,3 +112,84 @@ def test_a_gripper_without_pads_has_one_line(stand: MakeStand) -> None:
     one.bench.found = {"unit": {"gripper_alone": True}}
     finding = one.passes(STEP)
     assert len(finding.lines) == 2
+
+
+# -- The control unit: what is found on a bus ------------------------------------------------------
+
+
+def test_a_unit_is_found_and_set_up_and_named(stand: MakeStand) -> None:
+    one = stand(node_id=17, serial_number=4711)
+    finding, script = one.passes(UNIT), one.person.script
+    assert finding.settings == {
+        "tactile.interface": "socketcan",
+        "tactile.channel": "can0",
+        "tactile.bitrate": 1_000_000,
+        "tactile.node_id": 17,
+        "tactile.serial_number": 4711,
+        "tactile.layout": "pinch",
+        "tactile.board_serial_numbers": None,
+        "tactile.mounting": [],
+    }
+    assert not script.asked
+    assert [write.where for write in script.writes] == ["control unit, node 17"] * 5
+    assert "13 x 6" not in script.text
+    assert "force messages" in finding.lines[-1]
+
+
+def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(one) -> None:
+    one.cell.clock.sleep(0.1)  # it has booted
+    first, second = (one.run(UNIT) for _ in range(2))
+    assert "found by asking each node-ID" in first.lines[0]
+    assert "found by listening" in second.lines[0]
+
+
+def test_nothing_is_written_that_is_refused(one) -> None:
+    with pytest.raises(WizardAborted):
+        one.run(UNIT, leave_at=["approve"])
+    assert one.cell.unit.dictionary.number(0x1017) == 0
+
+
+@pytest.mark.parametrize("bitrate", [500_000, 250_000])
+def test_another_bit_rate_is_found_and_the_period_fits_it(stand: MakeStand, bitrate: int) -> None:
+    finding = stand(can_bitrate=bitrate).passes(UNIT)
+    assert finding.settings["tactile.bitrate"] == bitrate
+    assert f"{bitrate:,} bit/s" in finding.lines[0]
+    assert ("tactile.sync_period_ms" in finding.settings) == (bitrate == 250_000)
+
+
+def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(stand: MakeStand) -> None:
+    class Adapter(SimulatedLines):
+        rates = (500_000,)
+
+        def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:
+            if bitrate not in self.rates:
+                raise BusNotOpened(f"invalid bit rate {bitrate}")
+            return super().open_can(interface, channel, bitrate)
+
+    one = stand(can_bitrate=500_000)
+    one.bench.lines = lines = Adapter(one.cell)
+    assert one.run(UNIT).settings["tactile.bitrate"] == 500_000
+    lines.rates = ()
+    assert one.run(UNIT).lines == ["invalid bit rate 1000000"]
+
+
+def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(one) -> None:
+    mount = DriveMount(node_id=3, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
+    one.cell.devices.can_devices.add(SimulatedDrive(mount))
+    finding = one.passes(UNIT)
+    assert finding.settings["tactile.node_id"] == 5
+    assert "Beside it, node 3 is another device" in "\n".join(finding.lines)
+
+
+def test_the_interface_is_asked_for_only_where_there_are_several(one) -> None:
+    one.bench.settings = {"gripper.port": "/dev/ttyUSB0"}
+    one.lines.ports += ("/dev/ttyACM0", "/dev/ttyACM1")
+    finding = one.run(UNIT, unit__interface="slcan /dev/ttyACM1")
+    assert finding.settings["tactile.channel"] == "/dev/ttyACM1"
+    one.lines.ports = one.lines.ports[:1]
+    finding = one.run(UNIT)
+    assert finding.status is Verdict.FAIL
+    assert "No CAN interface was found" in finding.lines[0]
+    finding = one.run(UNIT, unit__none="alone")
+    assert finding.status is Verdict.WARN
+    assert finding.values == {"gripper_alone": True}
