@@ -2,12 +2,14 @@
 
 import ast
 import re
+import subprocess
+import sys
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-from tests.test_lazy_loading import CAN, SERVOS, loaded
+from tests.marks import LONG
 
 PAGE = Path(__file__).parents[1] / "docs/reference/python-api.md"
 EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
@@ -22,7 +24,13 @@ FACES = ("gripper", "tactile", "motion", "recognition", "simulator", "cell")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("example", "printed"), list(zip(EXAMPLES, PRINTED, strict=True)))
+@pytest.mark.parametrize(
+    ("example", "printed"),
+    [
+        LONG(example, printed) if printed == "ball\n" else (example, printed)
+        for example, printed in zip(EXAMPLES, PRINTED, strict=True)
+    ],
+)
 def test_the_examples_run_as_they_are_printed(example, printed, capsys) -> None:
     exec(compile(example, PAGE.name, "exec"), {})
     assert re.fullmatch(printed, capsys.readouterr().out)
@@ -53,3 +61,51 @@ def test_a_package_imports_nothing_before_it_is_used(package) -> None:
     found = loaded(package)
     assert not found & {"numpy", "scipy", *SERVOS, *CAN, "pydantic"}
     assert {name for name in found if name.partition(".")[0] in FACES} == {package}
+
+
+# -- What a program pays for an import -------------------------------------------------------------
+
+
+CAN, SERVOS = ("can", "canopen"), ("serial", "dynamixel_sdk")
+
+
+def loaded(modules: str) -> set[str]:
+    """Return the modules that a new interpreter has loaded once it has imported some."""
+    command = [sys.executable, "-c", f"import sys, {modules}; print(*sys.modules)"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    return set(done.stdout.split())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("modules", "later"),
+    [
+        ("cell.plugin.plugin", ("scipy", "matplotlib", *CAN, "dynamixel_sdk")),
+        ("cell.interfaces.web", ("prometheus_client",)),
+        (
+            "pytest_tactile_cell",
+            (
+                "numpy",
+                "pydantic",
+                "cell",
+                "gripper",
+                "tactile",
+                "motion",
+                "recognition",
+                "simulator",
+            ),
+        ),
+        (
+            "gripper, gripper.dynamixel.control_table, gripper.force.ramp, "
+            "gripper.force.estimates.force_estimate",
+            SERVOS,
+        ),
+        (
+            "tactile.layout, tactile.frames.assembler, tactile.control_unit.object_dictionary, "
+            "tactile.frames.force_message, tactile.sensor.sensor",
+            ("can",),
+        ),
+    ],
+)
+def test_an_import_loads_nothing_of_what_only_a_later_use_needs(modules, later) -> None:
+    assert not loaded(modules) & {*later}

@@ -1,5 +1,6 @@
 """Plugins: what is built in, packages of others, names that clash, and modules that do not load."""
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -9,13 +10,15 @@ from cell import plugins
 from cell.config.file import changed_config, config_text, parse_config, schema_text
 from cell.config.gripper import use_servo_models
 from cell.config.model import CellConfig
+from cell.config.tactile import layout_from_config
 from cell.errors import CellError, ConfigError
 from cell.plugins import GROUPS, RECOGNISERS, SENSORS, SERVO_MODELS
 from gripper.dynamixel import models
 from gripper.errors import LimitExceeded
 from recognition.recognizers import RECOGNIZERS
+from tactile.layout import inner_pads
+from tests import ROOT
 from tests.cell.conftest import call
-from tests.cell.sensors.packages import install
 
 Install = Callable[..., None]
 MODULE = '''
@@ -43,11 +46,18 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Insta
     def add(name: str = "some-plugins", **entries: dict[str, str]) -> None:
         module = name.replace("-", "_")
         (tmp_path / f"{module}.py").write_text(MODULE)
-        named = {
-            f"tactile_cell.{group}": {key: f"{module}:{one}" for key, one in points.items()}
+        info = tmp_path / f"{module}-1.0.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0.0\n")
+        lines = [
+            line
             for group, points in entries.items()
-        }
-        install(tmp_path, name, named)
+            for line in (
+                f"[tactile_cell.{group}]",
+                *(f"{key} = {module}:{one}" for key, one in points.items()),
+            )
+        ]
+        (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
         plugins._entries.cache_clear()
 
     yield add
@@ -139,3 +149,25 @@ def test_a_servo_of_another_package_is_known_to_the_gripper(installed: Install) 
     assert models.model_name(1190) == "XL330-M077"
     with pytest.raises(LimitExceeded, match="XL330-M288 with number 1200 is there with other"):
         use_servo_models(["XL330-again"])
+
+
+# -- The template package of docs/how-to/add.md; `.ci/wheel-test` types what that page prints ------
+
+
+PACKAGE = ROOT / "docs/examples/sensor-package"
+PAGE = (ROOT / "docs/how-to/add.md").read_text(encoding="utf-8")
+
+
+def test_the_page_shows_the_files_of_the_package() -> None:
+    shown = re.findall(r"```(?:python|toml)\n(.*?)```", PAGE, re.DOTALL)
+    for name in ("pyproject.toml", "tactile_dfrobot/sensor.py", "tests/test_dfrobot.py"):
+        assert (PACKAGE / name).read_text(encoding="utf-8") in shown, name
+    code = [line for line in shown[1].splitlines() if line.strip() and line.strip()[0] != "#"]
+    assert len(code) < 75
+
+
+def test_the_layout_on_the_page_has_the_pads_of_the_sensor() -> None:
+    (shown,) = re.findall(r"```yaml\n(tactile:\n  layout:.*?)```", PAGE, re.DOTALL)
+    layout = layout_from_config(parse_config(shown, source="page").tactile)
+    assert layout.name == "dfrobot_6x6"
+    assert layout == inner_pads("dfrobot_6x6", 6, 6, 3e-3, adc_max=4095)

@@ -1,8 +1,10 @@
 """An archive has each grasp once, as it was recorded, whatever is archived how often."""
 
+import json
 import re
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ import pytest
 
 from cell.archive.export import export
 from cell.archive.ingest import ingest, sources
+from cell.archive.page import confusion_table, lines, write_page
 from cell.archive.questions import ask
 from cell.archive.selection import Selection, parse_selection
 from cell.archive.store import Archive
@@ -22,11 +25,13 @@ from cell.archive.table import COLUMNS, SCHEMA, grasp_key
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import recording_grasps
-from cell.errors import ArchiveError, ConfigError
+from cell.errors import ArchiveError, CellError, ConfigError, ReportError
 from cell.jobs.common import silent
-from cell.jobs.parallel import workers
+from cell.report.pictures import confusion_figure, grasp_figure, write_picture
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
+from recognition.statistics.day_effects import day_effects
 from tests.cell.archive.fleet import PADS, SIZES_MM, ramp, record, record_fleet
+from tests.cell.conftest import call
 from tests.fuzz.harness import Clock
 
 add = partial(ingest, progress=silent)
@@ -311,9 +316,148 @@ def test_duckdb_reads_the_table(archived) -> None:
     assert all(row[2] > 0 for row in found)
 
 
-def test_two_processes_archive_and_answer_as_one(fleet, archived, tmp_path) -> None:
-    target = str(tmp_path / "archive")
-    with workers(2) as mapper:
-        assert add(target, sources([fleet]), mapper=mapper).n_grasps == 36
-        assert ask(target, mapper=mapper) == ask(target)
-    assert every(target) == every(archived)
+# -- The questions to an archive are answered by its recordings ------------------------------------
+
+
+@pytest.fixture(scope="session")
+def aged(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the archive of ten days of two cells, of which one ages."""
+    folder = tmp_path_factory.mktemp("aged")
+    record_fleet(folder / "recordings", n_days=10, n_each=1)
+    target = str(folder / "archive")
+    ingest(target, sources([folder / "recordings"]), progress=silent)
+    return target
+
+
+@pytest.mark.slow
+def test_each_question_names_the_cell_that_it_concerns(aged: str) -> None:
+    found = ask(aged)
+    assert found.n_grasps == 120
+    values = found.as_json()
+    assert values["drifting_cells"] == ["press 2"]
+    assert ("press 2", "pad 1") in values["ageing_pads"]
+    assert all(cell == "press 2" for cell, _ in values["ageing_pads"])
+    assert "pad 0" not in {signal for _, signal in values["ageing_pads"]}
+    assert values["growing_friction"] == ["press 2"]
+    json.dumps(values)
+    trends = {(one.cell, one.signal): one for one in found.trends}
+    opening = trends["press 2", "opening"]
+    assert opening.change == pytest.approx(0.3 * 9, abs=0.2)
+    assert opening.interval[0] < opening.change < opening.interval[1]
+    assert trends["press 2", "pad 1"].change == pytest.approx(9 * np.log(0.95), abs=0.1)
+    assert trends["press 2", "friction"].change == pytest.approx(9 * np.log(1.04), abs=1e-3)
+    assert trends["press 2", "friction"].since == "2027-01-06"
+    assert not any(one.found for (cell, _), one in trends.items() if cell == "press 1")
+
+
+def test_a_confusion_has_the_day_on_which_it_began(aged: str) -> None:
+    (one,) = ask(aged).confusions
+    assert (one.label, one.answer, one.n, one.n_parts) == ("box", "ball", 5, 20)
+    assert one.cells == {"press 2": 5}
+    assert (one.first, one.last) == ("2027-01-09", "2027-01-13")
+    of_cell = ask(aged, Selection(cells=frozenset({"press 2"}))).confusions[0]
+    assert of_cell.since == "2027-01-09"
+    table = confusion_table(ask(aged))
+    assert table.text == "55 of 60 right, 5 wrong"
+
+
+def test_the_objects_that_need_grasps_come_first(aged: str) -> None:
+    first, *others = ask(aged).objects
+    assert (first.label, first.reasons) == ("box", ("named rightly 15 of 20 times",))
+    assert all(not one.reasons for one in others)
+    few = ask(aged, Selection(last_day="2027-01-04")).objects
+    assert all("4 grasps, 10 are needed" in one.reasons for one in few)
+
+
+def test_day_effects_are_found_beside_objects_that_are_not_grasped_each_day() -> None:
+    rng = np.random.default_rng(1)
+    days, objects = rng.normal(size=6), rng.normal(0.0, 10.0, 4)
+    n = rng.integers(0, 4, (6, 4)).astype(float)
+    n[:, 0] = 1.0
+    found = day_effects(days[:, None] + objects, n)
+    np.testing.assert_allclose(found, days - days.mean(), atol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_page_has_the_answers_and_no_markup_of_labels(aged: str, tmp_path: Path) -> None:
+    answers = ask(aged)
+    cells = {**answers.cells, "<script>": ()}
+    write_page(tmp_path / "a.html", replace(answers, cells=cells), "<script>")
+    page = (tmp_path / "a.html").read_text()
+    assert "<script>" not in page
+    for line in lines(answers):
+        assert line.removeprefix("needs more grasps: box: ") in page
+    assert page.count('class="plot"') == len({one.signal for one in answers.trends})
+
+
+def test_an_archive_without_answers_says_so(tmp_path: Path) -> None:
+    rng, untaught = np.random.default_rng(2), str(tmp_path / "untaught")
+    write_dataset(tmp_path / "a.npz", [ramp("ball", rng, start_ms=i) for i in range(3)])
+    add(untaught, [tmp_path / "a.npz"])
+    answers = ask(untaught)
+    assert confusion_table(answers) is None
+    assert lines(answers)[0] == "no object was confused with another one"
+    for line, question in zip(lines(answers)[1:], ("drift", "ageing", "friction"), strict=False):
+        assert line.startswith(f"No answer about {question}: fewer than 3 days of the same objects")
+    write_page(tmp_path / "a.html", answers, untaught)
+    with pytest.raises(CellError, match="evaluate"):
+        call("plot", "confusion", untaught, "-o", tmp_path / "a.png")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [".png", ".svg"])
+def test_pictures_are_written(aged: str, tmp_path: Path, kind: str) -> None:
+    table = confusion_table(ask(aged))
+    write_picture(tmp_path / f"a{kind}", confusion_figure(table))
+    write_picture(tmp_path / f"b{kind}", grasp_figure(ramp("ball", np.random.default_rng(1)), "$"))
+    start = {".png": b"\x89PNG", ".svg": b"<?xml"}[kind]
+    assert all((tmp_path / f"{name}{kind}").read_bytes().startswith(start) for name in "ab")
+
+
+def test_a_picture_of_another_kind_is_refused(tmp_path: Path) -> None:
+    figure = grasp_figure(ramp("ball", np.random.default_rng(1)), "ball")
+    with pytest.raises(ReportError, match=r"\.png or \.svg"):
+        write_picture(tmp_path / "a.txt", figure)
+
+
+@pytest.mark.slow
+def test_commands_work_on_a_selection(aged: str, tmp_path: Path) -> None:
+    out = call("archive", "report", aged, "-o", tmp_path / "a.html", "--cell", "press 1")
+    assert "press 2" not in out
+    data = tmp_path / "a.npz"
+    call("archive", "export", aged, "-o", data, "--cell", "press 1", "--object", "box")
+    assert "box, press 1" in call("plot", "grasp", 0, data, "-o", tmp_path / "a.png")
+    with pytest.raises(CellError, match="no grasp 900"):
+        call("plot", "grasp", 900, aged, "-o", tmp_path / "a.png")
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_training_learns_the_spread_and_shows_what_it_gains(aged: str, tmp_path: Path) -> None:
+    first, second = tmp_path / "first.npz", tmp_path / "second.npz"
+    days = ["--days", "2027-01-04..2027-01-05"]
+    call("train", aged, "-o", first, "--no-spread", *days)
+    out = call("train", aged, "-o", second, "--json", tmp_path / "a.json", *days)
+    assert "grasps of 2 days left out in turn: named rightly" in out
+    assert "grasps of 2 cells left out in turn: named rightly" in out
+    spread = json.loads((tmp_path / "a.json").read_text())["spread"]
+    assert 0.0 < spread["offset_sd_mm"] < 3.0
+    assert {one["what"] for one in spread["left_out"]} == {"days", "cells", "individuals"}
+    out = call("compare", first, second, aged, "--days", "2027-01-07..2027-01-08")
+    assert "of 24 grasps" in out
+    cup = replace(ramp("ball", np.random.default_rng(1)), label="cup")
+    write_dataset(tmp_path / "others.npz", [cup])
+    with pytest.raises(CellError, match="both taught"):
+        call("compare", first, second, tmp_path / "others.npz")
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_evaluation_leaves_days_and_cells_out(aged: str) -> None:
+    few = ["--recognizer", "shrinkage_lda", "--fuse", "1"]
+    out = call("evaluate", aged, "--split", "cells", *few)
+    assert "cells: 60 grasps to train, 120 to test, 3 objects" in out
+    with pytest.raises(CellError, match="none can be left out"):
+        call("evaluate", aged, "--split", "cells", "--cell", "press 1", *few)
+    with pytest.raises(CellError, match="no labelled grasp"):
+        call("evaluate", aged, "--object", "nothing", *few)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf, nan
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -127,29 +127,22 @@ WIDE = np.full(N, 4096, dtype=np.uint16)
         (lambda: Arrivals(None), "TypeError: 'NoneType' object is not iterable"),  # type: ignore[arg-type]
         (lambda: changed(counts=np.ones(3, np.uint16)), r"counts is uint16 \(3,\), must be uint16"),
         (lambda: changed(counts=np.ones(N)), r"counts is float64 \(156,\), must be uint16 \(156,"),
-        (lambda: changed(counts=[1] * N), "counts is of type list, must"),
         (lambda: changed(counts=WIDE), "largest of counts is 4096, must be a number from 0 to 409"),
         (lambda: changed(extra=np.ones((3, 2), np.uint16)), r"extra is uint16 \(3, 2\), must be"),
-        (lambda: changed(extra=np.ones((N, 2))), r"extra is float64 \(156, 2\), must be uint16"),
         (lambda: changed(extra=np.ones(N, np.uint16).reshape(N, 1, 1)), r"extra is .* \(156, 1\)"),
         (lambda: changed(t_s=nan), "t_s of a frame is nan, must be a number from 10.0 to 20.0"),
-        (lambda: changed(t_s=None), "t_s of a frame is None, must"),
-        (lambda: changed(t_s="15"), "t_s of a frame is '15', must"),
         (lambda: changed(t_s=9.9), "t_s of a frame is 9.9, must be a number from 10.0 to 20.0"),
-        (lambda: changed(t_s=1.7e9), "t_s of a frame is 1700000000.0, must"),
         (lambda: frames(15.2, 15.1), "t_s of a frame is 15.1, must be a number from 15.2 to 20.0"),
         (lambda: changed(begun_s=15.1), "begun_s is 15.1, must be a number from 14.0 to 15.0"),
-        (lambda: changed(begun_s=-inf), "begun_s is -inf, must be a number from 14.0 to 15.0"),
         (lambda: changed(counter=65536), "counter of a frame is 65536, must be a number from 0 to"),
-        (lambda: changed(counter=1.0), "counter of a frame is 1.0, must"),
         (lambda: changed(status=None), "status of a frame is None, must"),
-        (lambda: force(t_s=inf), "t_s of a force message is inf, must be a number from 10.0 to 20"),
         (lambda: force(counter=16), "counter of a force message is 16, must be a number from 0 to"),
+        (lambda: changed(counter=1.0), "counter of a frame is 1.0, must"),
         (lambda: force(status="x"), "status of a force message is 'x', must"),
+        (lambda: force(centre_taxels=("a", 0.0)), "a value of a force message is 'a', must"),
         (lambda: force(force_n=(1.0, nan)), "a value of a force message is nan, must"),
         (lambda: force(force_n=(1e300, 1.0)), "a value of a force message is 1e.300, must"),
         (lambda: force(force_n=(1.0,)), "ValueError: not enough values to unpack"),
-        (lambda: force(centre_taxels=("a", 0.0)), "a value of a force message is 'a', must"),
     ],
 )  # fmt: skip
 def test_what_it_must_not_do_is_a_fault_of_each_call_until_the_next_start(
