@@ -1,9 +1,8 @@
 """The messages of a recording: values of the cell as plain JSON values, without NaN."""
 
-import enum
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
 
 CHUNK_BYTES = 64 << 10
 """Size of a chunk in bytes before compression: the largest loss of a killed program."""
-_AS_IT_IS = (int, str)
 _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
 
@@ -154,7 +152,7 @@ def start_recording(writer: "Writer", entries: Mapping[str, str]) -> dict[str, i
 
 
 def plain_fields(value: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass as plain values, without unknown ones."""
+    """Return the fields of a dataclass of numbers and texts, without unknown ones."""
     plain = {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     return {name: item for name, item in plain.items() if item is not None}
 
@@ -162,10 +160,4 @@ def plain_fields(value: Any) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return round(float(value), 7) if math.isfinite(value) else None
-    if isinstance(value, enum.Enum):
-        return value.name
-    if value is None or isinstance(value, _AS_IT_IS):
-        return value
-    if isinstance(value, Iterable):
-        return [_plain(item) for item in value]
-    return str(value)
+    return value

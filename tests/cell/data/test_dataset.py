@@ -3,12 +3,9 @@
 import errno
 import json
 import os
-import sqlite3
 import zipfile
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import replace
-from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -28,10 +25,9 @@ from cell.data.formats import Format
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, DatasetError
 from cell.learning.model import load_model
-from cell.service.history import VERSION, read_day
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from tests.cell.conftest import plain_pads
-from tests.cell.data.test_recording_messages import GOOD, foreign
+from tests.cell.data.test_recording import GOOD, foreign
 from tests.values import raising
 
 PADS = plain_pads((3, 2), (2, 2), pitch_m=6.5e-3, adc_max=255)
@@ -109,24 +105,6 @@ def test_optional_arrays_are_left_out_where_nothing_is_known(tmp_path) -> None:
     assert np.all(np.isnan(read_dataset(tmp_path / "d.npz")[0].force_n))
 
 
-@pytest.mark.shared_data
-def test_recorded_grasps_load_and_round_trip(tmp_path) -> None:
-    folder = os.environ.get("TACTILE_CELL_DATA")
-    if folder is None:
-        pytest.skip("TACTILE_CELL_DATA does not name the folder with pinch36.npz")
-    grasps = read_dataset(Path(folder) / "pinch36.npz")
-    assert (len(grasps), sum(g.n_frames for g in grasps)) == (856, 46_861)
-    assert len({g.label for g in grasps}) == 36
-    write_dataset(tmp_path / "again.npz", grasps)
-    was, now = arrays_of(Path(folder) / "pinch36.npz"), arrays_of(tmp_path / "again.npz")
-    assert was.keys() == now.keys()
-    for name, array in was.items():
-        if array.dtype.kind == "f":
-            np.testing.assert_allclose(now[name], array, rtol=1e-6)
-        else:
-            np.testing.assert_array_equal(now[name], array)
-
-
 DAMAGE: list[tuple[str, Callable[[Any], Any], str]] = [
     ("format", lambda _: "dataset/1", "reads grasp-dataset/1"),
     ("format", lambda _: 1, "its format is"),
@@ -136,9 +114,7 @@ DAMAGE: list[tuple[str, Callable[[Any], Any], str]] = [
     ("counts", lambda a: a.astype(np.int32), "expected kind u"),
     ("counts", np.ravel, "shape"),
     ("adc_max", lambda _: 100, "adc_max = 100"),
-    ("adc_max", lambda _: 0, "from 1 to 65535"),
     ("taxel_pad", lambda a: a + 1, "names other pads"),
-    ("taxel_pad", lambda a: a * 0, "pad_shape has"),
     ("pad_shape", lambda a: a * 0, "rows and columns of a pad"),
     ("taxel_xy_mm", lambda a: a * np.nan, "not finite"),
     ("taxel_xy_mm", lambda a: a * 1e-3, r"the 6 taxels of pad 0 over 0\.013, .* in mm, not in m"),
@@ -146,13 +122,9 @@ DAMAGE: list[tuple[str, Callable[[Any], Any], str]] = [
     ("aperture_mm", lambda a: a + np.inf, "is inf at 0, must be from"),
     ("aperture_mm", lambda a: a * 1e-3, r"never exceeds 0\.03, expected 0\.2 .* in mm, not in m"),
     ("aperture_mm", lambda a: -10.0 * a, "is -300 at 0, must be from -100"),
-    ("aperture_mm", lambda a: a * 1e3, "is 30000 at 0, must be from -100 to 1000: openings"),
-    ("force_n", lambda a: -1e3 - a, "is -1000 at 0, must be from -100"),
     ("t_s", np.negative, "never fall"),
     ("t_s", lambda a: a + 1, "start at 0"),
-    ("t_s", lambda a: a.astype(int), "expected kind f"),
     ("t_s", lambda a: a * 1e3, r"a frame each 31\.25 s in the mean of grasp 0, .* in s"),
-    ("t_s", lambda a: a * 0, "a frame each 0 s"),
     ("start_ms", lambda _: np.full(3, np.iinfo(np.int64).max), "in ms since 1970"),
     ("start_ms", lambda _: np.full(3, 2**64 - 1, dtype=np.uint64), "in ms since 1970"),
     ("grasp_offsets", lambda a: a + 1, "rise from 0 to the 13"),
@@ -162,11 +134,9 @@ DAMAGE: list[tuple[str, Callable[[Any], Any], str]] = [
     ("label", lambda _: ["", "b", "UNKNOWN"], "leave it empty"),
     ("label", lambda _: ["x" * 300] * 3, "longer than 200"),
     ("label", lambda _: np.full(3, 0x7FFFFFFF, dtype="<u4").view("<U1"), "not a character"),
-    ("label", lambda a: a[:2], "shape"),
     ("pose", lambda _: np.zeros((3, 4)), "shape"),
     ("pose", lambda _: np.where(np.eye(3, 5), np.nan, 0.1), "must be finite"),
     ("pose", lambda _: np.full((3, 5), 2.0), "offsets stand in m"),
-    ("pose", lambda _: np.full((3, 5), np.inf), "offsets stand in m"),
 ]
 """Array, what becomes of it (None: it is missing), and the complaint."""
 
@@ -215,14 +185,10 @@ VALUE = npy(b"{'descr': '<u2', 'fortran_order': False, 'shape': (1,), }") + byte
         ({"a.txt": b"x"}, r"array a\.txt: .* expected 8 bytes got 1"),
         ({"a.npy": b""}, "array a: EOF"),
         ({"a.npy": b"PK\5\6" + bytes(18)}, "array a: the magic string is not correct"),
-        ({"a.npy": npy(bytes(9), 0xFFFFFF)}, "array a: EOF"),
         ({"a.npy": npy(b" " * 20_000)}, "array a: Header"),
-        ({"a.npy": npy(b"{1}\n")}, "array a: Header"),
-        ({"a.npy": npy(b"(" * 4032)}, "array a: .*EOF"),
         ({"counts.npy": LIE}, "array counts: (Unable to allocate|EOF)"),
         ({"a": VALUE, "a.npy": VALUE}, "1 arrays found, 2 stated"),
         ({"a": VALUE + b"x"}, r"array a: shape \(1,\) does not fit"),
-        ({"a": VALUE.replace(b"<u2", b"<M2")}, "array a: "),
         (
             {f"a{i}.npy": bytes(5_000_000) for i in range(4)},
             "unpacks to 20000000 bytes, the limit is 10000000",
@@ -370,11 +336,3 @@ def test_a_file_of_another_version_is_refused(kind, write, read, step, tmp_path)
 def test_every_format_has_its_row() -> None:
     every = [kind for kind in vars(formats).values() if isinstance(kind, Format)]
     assert sorted(kind.text for kind, *_ in KINDS) == sorted(kind.text for kind in every)
-
-
-def test_a_history_of_another_version_is_refused(tmp_path) -> None:
-    path = tmp_path / "history.sqlite3"
-    with closing(sqlite3.connect(path)) as link:
-        link.execute(f"PRAGMA user_version = {VERSION + 1}")
-    with pytest.raises(CellError, match=rf"version {VERSION + 1}, but {PROGRAM} reads version"):
-        read_day(path, date(2027, 3, 1))

@@ -109,10 +109,7 @@ FLEXITAC, USKIN = (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "profile",
-    ["12x32", *(LONG(name) for name in ("16x32", "16x16"))],
-)
+@pytest.mark.parametrize("profile", ["12x32", *(LONG(name) for name in ("16x32", "16x16"))])
 def test_a_cell_grasps_and_records_on_boards_of_each_profile(profile, tmp_path) -> None:
     config = changed_config(
         FLEXITAC,
@@ -226,11 +223,7 @@ def test_each_approach_has_a_zero_of_its_own_while_z_drifts() -> None:
         assert zero.n_frames == 20
 
 
-DRIVES = {
-    "kind": "axes",
-    "can": {"interface": "socketcan", "channel": "can0"},
-    "axes": [X_AXIS],
-}
+DRIVES = {"kind": "axes", "can": {"interface": "socketcan", "channel": "can0"}, "axes": [X_AXIS]}
 REAL_CAN = {
     "gripper.port": "/dev/ttyUSB0",
     "tactile.interface": "socketcan",

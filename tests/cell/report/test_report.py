@@ -185,7 +185,7 @@ def test_labels_and_paths_are_shown_not_interpreted(run) -> None:
     assert sum(NASTY in text for text in outline.text) >= 14
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_same_data_give_the_same_page(page, run) -> None:
     assert render_report(run) == page
 

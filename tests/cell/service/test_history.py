@@ -1,8 +1,6 @@
 """What a service keeps: the ledger of a shift, the history, photos of taught objects."""
 
-import errno
 import json
-import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -14,20 +12,16 @@ from urllib.request import Request, urlopen
 
 import pytest
 
-from cell.config.model import CellConfig
 from cell.control.answer import Answer
-from cell.data.recorder_sink import DirectFile
 from cell.errors import CellError, NoPartFound, RequestRefused
-from cell.jobs import sort
 from cell.plugin import tasks
-from cell.plugin.goals import IdentifyGoal, SortGoal
+from cell.plugin.goals import IdentifyGoal
 from cell.service import history
 from cell.service.history import History, history_file, read_day
 from cell.service.photos import LONGEST_PHOTO, Photos
 from cell.service.shift import KEPT_ANSWERS, Shift, began_s
 from tests.cell.conftest import small_config
 from tests.cell.served import until
-from tests.marks import LONG
 from tests.values import raising
 
 
@@ -47,15 +41,16 @@ def part(label: str = "ball", seconds: float = 4.0, **fields: Any) -> Answer:
     return Answer(task="sort", **known | fields)
 
 
-def test_a_fresh_shift_has_no_figures() -> None:
-    found = Shift(wall_clock=Wall()).values()
-    assert (found["parts"], found["cycle_s"], found["parts_last_hour"]) == (0, None, 0)
-    assert (found["counts"], found["answers"]) == ({}, [])
-
-
 def test_parts_rejects_misses_and_faults_are_counted_apart() -> None:
     clock = Wall()
     shift = Shift(n_faults=lambda: 2, wall_clock=clock)
+    fresh = shift.values()
+    assert (fresh["parts"], fresh["cycle_s"], fresh["counts"], fresh["answers"]) == (
+        0,
+        None,
+        {},
+        [],
+    )
     for answer in (
         part("ball", seconds=3.0, place="left"),
         part("box", seconds=5.0, place="right"),
@@ -149,24 +144,16 @@ def test_a_clock_that_leaps_lets_no_times_grow(leap_s: float) -> None:
     assert shift.values()["parts"] == (11 if abs(leap_s) < 1e4 else 1)
 
 
-def test_turns_without_a_part_are_reported_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_turn_without_a_part_is_reported_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[Any] = []
     nothing: Any = None
     model: Any = SimpleNamespace(max_grasps=1)
 
-    for module in (tasks, sort):
-        monkeypatch.setattr(module, "identify", raising(NoPartFound("no contact")))
-
-    def places() -> tasks.Places:
-        return tasks.Places(CellConfig(), ("ball",))
-
-    file = tasks.ModelFile(model, None)
-    cell = tasks.Tasks(nothing, file, places, lambda: seen.append)
+    monkeypatch.setattr(tasks, "identify", raising(NoPartFound("no contact")))
+    cell = tasks.Tasks(nothing, tasks.ModelFile(model, None), nothing, lambda: seen.append)
     with pytest.raises(NoPartFound):
         cell.identify(IdentifyGoal(), lambda _now: None)
-    answer = cell.sort(SortGoal(parts=2), lambda _now: None)
-    assert (answer.n_missed, answer.n_parts) == (2, 0)
-    assert seen == [Answer(), *2 * [Answer(task="sort")]]
+    assert seen == [Answer()]
 
 
 # -- The history of a cell: a week of shifts in a table per day, and what it survives --------------
@@ -396,34 +383,6 @@ def test_the_service_keeps_it_and_http_shows_it(tmp_path: Path, serve: Any) -> N
     path = history_file(tmp_path / "out", small_config().name)
     (row,) = (one for one in read_day(path, date.today()) if one["kind"] == "part")
     assert (row["label"], row["held"]) == ("box", "box")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [errno.ESTALE, LONG(errno.EIO)])
-def test_a_share_that_disappears_ends_no_sort_and_its_return_is_noticed(
-    tmp_path: Path, serve: Any, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
-    folder, notes = tmp_path / "out" / "serve-20270301-060000", list[str]()
-    folder.mkdir(parents=True)
-    service = (served := serve(cell={"folder": folder, "note": notes.append})).service
-    lease, goal = service.lease.acquire("test"), {"task": "sort", "parts": 1}
-    gone = raising(OSError(number, os.strerror(number)))
-    with monkeypatch.context() as patched:
-        for owner, name in ((DirectFile, "write"), (os, "statvfs"), (os, "scandir")):
-            patched.setattr(owner, name, gone)
-        patched.setattr(History, "_opened", raising(sqlite3.OperationalError("disk I/O error")))
-        service.start(lease, goal)
-        assert (served.ended().outcome, service.shift.values()["parts"]) == ("SUCCEEDED", 1)
-        until(lambda: any("history is not kept" in text for text in notes))
-        assert any(os.strerror(number).lower() in text.lower() for text in notes)
-        assert len(notes) <= 4, notes
-    assert service.health()["recording"]["level"] != "ok"
-    assert service.status().recording_fault
-    until(lambda: service.history.values().get("today", {}).get("parts") == 1)
-    service.start(lease, goal)
-    assert served.ended().outcome == "SUCCEEDED"
-    assert not service.status().recording_fault
-    service.close()
 
 
 # -- Photos of taught objects: what is kept, where, and what is refused ----------------------------

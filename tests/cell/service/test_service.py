@@ -164,17 +164,12 @@ def test_jobs_of_a_simulated_cell_are_recorded_with_who_asked(serve: Any, tmp_pa
     served = serve(cell={"folder": tmp_path})
     service, lease = served.service, served.service.lease.acquire("first")
     service.start(lease, KEEP)
-    job = served.ended(1)
-    assert (job.task, job.label, job.kept, job.n_grasps) == ("identify", "ball", True, 1)
-    assert 0.5 < job.probability <= 1.0
-    service.start(lease, {"task": "verify"})
-    job = served.ended(2)
-    assert (job.held, job.same, job.kept) == (True, True, True)
+    assert served.ended(1).kept
     service.command(lease, Command.RELEASE, key=RELEASE_KEY)
-    assert served.ended(3).outcome == "SUCCEEDED"
+    assert served.ended(2).outcome == "SUCCEEDED"
     served.plugin._cell.simulated.inject("unit.off@contact+50ms")
     service.start(lease, {"task": "grip", "force_n": 3.0})
-    job = served.ended(4)
+    job = served.ended(3)
     assert (job.outcome, job.fault_number) == ("ABORTED", service.status().fault_number)
     service.close()
     recording = read_recording(tmp_path / "recording.mcap")
@@ -184,15 +179,13 @@ def test_jobs_of_a_simulated_cell_are_recorded_with_who_asked(serve: Any, tmp_pa
         (
             "'first' is in command",
             "job 1: identify, max_grasps 1, present ball, keep always, by 'first'",
-            "identify succeeded",
-            "job 3: release, by 'first'",
+            "job 2: release, by 'first'",
             "release succeeded",
-            "job 4: grip, force_n 3.0, present ball, by 'first'",
+            "job 3: grip, force_n 3.0, present ball, by 'first'",
             f"grip failed: {job.error}",
         )
     ):
         assert events.index(earlier) < events.index(later)
-    assert recording.results[0]["label"] == "ball"
 
 
 def test_the_last_answer_outlives_the_jobs_that_are_kept(serve: Any, monkeypatch: Any) -> None:
@@ -381,5 +374,3 @@ def test_no_part_is_exchanged_while_a_job_closes_on_it(serve: Any) -> None:
         ["job 1 is not over; wait for its result or cancel it"],
     )
     service.choose_part(lease, "box", Pose())
-    service.start(lease, {"task": "identify", "max_grasps": 1})
-    assert served.ended().label == "box"
