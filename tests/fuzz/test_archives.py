@@ -172,10 +172,7 @@ def test_a_damaged_data_set_is_refused_or_unchanged(tmp_path, harm):
     return "refused" if found is None else "unchanged"
 
 
-@bad_input(
-    changes=changes,
-    sound={"changes": []},
-)
+@bad_input(changes=changes, sound={"changes": []})
 def test_a_data_set_of_other_arrays_is_refused_or_valid(tmp_path, changes):
     members = changed(members_of(good_dataset()), changes)
     found = grasps_of(tmp_path / "x.npz", archive_of(members))
@@ -212,20 +209,6 @@ def loaded(path: Path, data: bytes, kind: str) -> str:
         np.array_equal(found[n], right[n], equal_nan=right[n].dtype.kind == "f") for n in right
     )
     return "unchanged" if same else "another model"
-
-
-@pytest.mark.slow
-@bad_input(
-    kind=st.sampled_from(TRAINERS),
-    harm=damages(),
-    sound={"kind": TRAINERS[0], "harm": []},
-    examples=40,
-    limit_s=2.0,
-)
-def test_a_damaged_model_is_refused_or_unchanged(tmp_path, kind, harm):
-    outcome = loaded(tmp_path / "x.npz", spoilt(good_model(kind)[0], harm), kind)
-    assert outcome != "another model"
-    return outcome
 
 
 def forged(members: dict[str, bytes], entries: dict[str, Any]) -> dict[str, bytes]:
@@ -283,23 +266,17 @@ def test_a_model_that_could_not_answer_is_refused_when_it_is_loaded(tmp_path, ki
             assert loaded(tmp_path / "x.npz", data, kind) == "refused"
 
 
-def refusal(path: Path, data: bytes) -> str:
-    """Return why a data set is refused; it is refused before anything large is unpacked."""
-    path.write_bytes(data)
-    tracemalloc.start()
-    try:
-        with pytest.raises(DatasetError) as refused:
-            read_dataset(path)
-        assert tracemalloc.get_traced_memory()[1] < 4 << 20
-    finally:
-        tracemalloc.stop()
-    return str(refused.value)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_packings_that_unpack_without_a_bound_are_refused(tmp_path: Path, method: int) -> None:
     data = bytearray(archive_of({"counts.npy": bytes(30 << 20)}, method))
     directory = data.rindex(b"PK\x01\x02")
     data[directory + 24 : directory + 28] = (100).to_bytes(4, "little")
-    assert "packed by method" in refusal(tmp_path / "x.npz", data)
+    (tmp_path / "x.npz").write_bytes(data)
+    tracemalloc.start()
+    try:
+        with pytest.raises(DatasetError, match="packed by method"):
+            read_dataset(tmp_path / "x.npz")
+        assert tracemalloc.get_traced_memory()[1] < 4 << 20  # nothing large is unpacked
+    finally:
+        tracemalloc.stop()

@@ -5,7 +5,7 @@ import json
 import struct
 import tempfile
 import zlib
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,8 +19,6 @@ from cell.data.recorder import Recorder
 from cell.data.recording_reader import Recording, read_recording
 from cell.data.recording_recovery import recover_recording
 from cell.errors import RecordingError
-from gripper.values.force_sensor import ForceSample
-from gripper.values.state import Cycle, GripperPhase, ServoFeedback, ServoState
 from tactile.source import TactileFrame
 from tests.fuzz.harness import (
     Clock,
@@ -32,6 +30,7 @@ from tests.fuzz.harness import (
     same_grasps,
     spoilt,
 )
+from tests.values import make_cycle
 
 MESSAGE, CHUNK, DATA_END = 0x05, 0x06, 0x0F
 MAGIC = b"\x89MCAP0\r\n"
@@ -57,22 +56,6 @@ def file_of(records: Records) -> bytes:
     return MAGIC + bytes_of(records) + MAGIC
 
 
-def zeros(kind: type, **given: Any) -> Any:
-    """Return a value of a dataclass, zero where nothing is given."""
-    return kind(**{entry.name: 0 for entry in fields(kind)} | given)
-
-
-def cycle(t_s: float) -> Cycle:
-    servos = tuple(zeros(ServoState, servo_id=i, alert=False) for i in (1, 2))
-    return zeros(
-        Cycle,
-        t_s=t_s,
-        phase=GripperPhase.RAMPING,
-        state=zeros(ServoFeedback, t_s=t_s, servos=servos),
-        force=ForceSample(t_s=t_s, force_n=(4.0, 4.0)),
-    )
-
-
 class Good(NamedTuple):
     """The bytes of a recording, its records, and what is read of it."""
 
@@ -94,7 +77,7 @@ def good() -> Good:
                     recorder.frame(
                         TactileFrame(t_s=clock.now_s, counter=i, status=0, counts=grasp.counts[i])
                     )
-                    recorder.cycle(cycle(clock.now_s))
+                    recorder.cycle(make_cycle(clock.now_s))
                 recorder.grasp(replace(grasp, t_s=times_s - times_s[0]))
             Journal(recorder).note("state", "COMPLETE")
         data, recording = path.read_bytes(), read_recording(path)

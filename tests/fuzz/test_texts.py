@@ -3,30 +3,20 @@
 import itertools
 import json
 import math
-import socket
 import struct
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import strategies as st
 
-from cell.commissioning.backup import Backup
 from cell.config.file import config_text, parse_config
 from cell.config.model import CellConfig
-from cell.data.formats import SERVO_BACKUP, read_json, write_json
-from cell.errors import CellError, ConfigError
-from simulator.devices import CellDevices
+from cell.errors import ConfigError
 from simulator.errors import SimulatorSettingsError
-from simulator.faults.injector import FaultInjector
-from simulator.realtime.requests import CellRequests
-from simulator.realtime.socket_server import LINE_LIMIT, PositionerServer
-from simulator.settings import SimulatorSettings
 from simulator.world.shape_files import load_mesh
 from simulator.world.shapes import Shape
-from tests.fuzz.harness import bad_input, damages, json_values, spoilt
+from tests.fuzz.harness import bad_input, damages, spoilt
 
 YAML = (
     "[", "]", "{", "}", "- ", ": ", "? ", "&a ", "*a", "<<: ", "!!binary ", "!!set ", "!!omap ",
@@ -61,27 +51,6 @@ configs = st.builds(
     st.sampled_from(sections()),
     damages(),
 )
-
-
-@pytest.fixture(scope="module")
-def kept(tmp_path_factory):
-    path = tmp_path_factory.mktemp("kept") / "backup-servo1.json"
-    backup = Backup(servo_id=1, baud_rate=1_000_000, found={"model_number": 1020, "id": 1})
-    write_json(path, SERVO_BACKUP, backup, error=CellError)
-    return path, path.read_bytes()
-
-
-@bad_input(harm=damages(), sound={"harm": []})
-def test_a_kept_file_is_refused_or_read_as_it_was_written(harm, kept):
-    path, data = kept
-    path.write_bytes(spoilt(data, harm))
-    try:
-        found = read_json(path, SERVO_BACKUP, error=CellError)
-    except CellError:
-        return "refused"
-    values = json.loads(data)
-    assert found == {name: values[name] for name in ("servo_id", "baud_rate", "found")}
-    return "read"
 
 
 @pytest.mark.slow
@@ -133,50 +102,3 @@ def test_a_mesh_is_refused_or_has_heights(tmp_path, data, words, harm):
         return "refused"
     assert_heights(shape)
     return "read"
-
-
-REQUESTS: tuple[dict[str, Any], ...] = (
-    {"state": True},
-    {"place": "ball", "pose": {"x_m": 0.001, "rotation_rad": 0.1}},
-    {"inject": "can.loss=0.05@2s"},
-    {"inject": "taxels.stuck_at=3:5"},
-)
-requests = (
-    st.builds(
-        lambda request, harm: spoilt(json.dumps(request).encode(), harm),
-        st.sampled_from(REQUESTS),
-        st.just([]) | damages(),
-    )
-    | json_values.map(lambda value: json.dumps(value).encode())
-    | st.builds(bytes.__mul__, st.sampled_from([b"[", b'{"a":', b"\xff"]), st.integers(1, 12_000))
-)
-
-
-def replies(folder: Path, data: bytes) -> list[bytes]:
-    """Return what a simulated cell answers on its socket until it has nothing more to say."""
-    devices = CellDevices(SimulatorSettings())
-    devices.unit.connect(lambda ready_s, _can_id, _burst: ready_s)
-    devices.unit.advance(0.1)
-    server = PositionerServer(folder / "socket", CellRequests(devices, FaultInjector(devices, 0.1)))
-    try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
-            client.connect(str(server.path))
-            client.sendall(data)
-            client.shutdown(socket.SHUT_WR)
-            for _ in range(5):
-                server.poll(server.filenos())
-            client.settimeout(1.0)
-            found = b"".join(iter(lambda: client.recv(LINE_LIMIT), b""))
-    finally:
-        server.close()
-    return found.splitlines()
-
-
-@pytest.mark.slow
-@bad_input(lines=st.lists(requests, min_size=1, max_size=2), examples=40, limit_s=3.0)
-def test_each_request_line_gets_one_reply(tmp_path, lines):
-    data = b"\n".join(lines) + b"\n"
-    found = [json.loads(reply) for reply in replies(tmp_path, data)]
-    assert len(found) == sum(bool(line.strip()) for line in data.split(b"\n"))
-    assert all(isinstance(reply, dict) for reply in found)
-    return "refused" if all("error" in reply for reply in found) else "carried out"
