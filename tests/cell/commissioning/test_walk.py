@@ -173,5 +173,6 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, m
 
 def test_the_tutorial_shows_what_is_printed() -> None:
     page = TUTORIAL.read_text("utf-8")
-    (shown,) = re.findall(r"<!-- transcript: commission -->\n\n```text\n\$.*\n([^`]*)```", page)
+    start = r"<!-- transcript: commission -->\n\n```text\n\$[^\n]*\n"
+    (shown,) = re.findall(rf"{start}(.*?)```", page, re.DOTALL)
     assert transcript().split() == shown.split()
