@@ -36,9 +36,10 @@ def call(*arguments: object) -> str:
 
 
 def small_config(**changes: Any) -> CellConfig:
-    """Two objects, a short zero, a self-zero on demand; the rest as built in."""
+    """Two objects, a short zero and way, a self-zero on demand; the rest as built in."""
     small = {
         "self_zero": "on_demand",
+        "gripper.aperture_open_mm": 14.0,
         "tactile.tare_frames": 25,
         "simulator.objects": [
             {"label": "ball", "shape": "sphere:diameter=9.5mm"},

@@ -17,14 +17,14 @@ from cell.fault_catalogue import BY_NUMBER
 from gripper.errors import GripperError, fingers_left
 from pytest_tactile_cell.virtual import VirtualCell
 from tactile.errors import TactileError
-from tests.cell.conftest import Bench, once
+from tests.cell.conftest import COARSE_PADS, Bench, once
 from tests.faults.invariants import InvariantMonitor
 
 JOB_BOUND_S = 60.0
 """Every job has to be over within so many s of simulated time; the longest takes 15 s."""
 LATER_S = 1.0
 """So many s after a fault the grip is looked at again, with no host."""
-CARRY_S = 3.0
+CARRY_S = 1.5
 """A part is carried for so long in s."""
 _CHAIN = 3
 """Faults in a row whose steps are taken: what is mended may show the next one."""
@@ -97,10 +97,11 @@ class FaultRow:
 
 
 def campaign_config(changes: Mapping[str, Any] | None = None) -> CellConfig:
-    """Return a config with short jobs; changes by dotted path, as ``{"tactile.layout": ...}``."""
+    """Return a config with coarse pads and short jobs; changes by dotted path."""
     short_jobs = {
         "self_zero": "on_demand",
-        "gripper.aperture_open_mm": 16.0,
+        "gripper.aperture_open_mm": 11.0,
+        "tactile.layout": COARSE_PADS,
         "tactile.tare_frames": 10,
         "sequence.ramp": {"kind": "linear", "rate_n_s": 10.0, "hold_s": 0.3},
         "simulator.objects": [
@@ -181,7 +182,7 @@ def grasp_job(cell: CampaignCell, *, force_n: float = 3.0) -> None:
 
 
 def carry_job(cell: CampaignCell) -> None:
-    """Start, grip the ball, keep it for 3 s and look at it."""
+    """Start, grip the ball, keep it and look at it."""
     cell.start()
     cell.controller.grip(3.0, Pose())
     cell.idle(CARRY_S)

@@ -6,7 +6,7 @@ vocabulary and one grasp do not do, the scenario, and changes of the config.
 """
 
 import signal
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -104,6 +104,8 @@ def _preset(name: str, *sections: str) -> dict[str, Any]:
 FLEXITAC, OF_USKIN = _preset("flexitac"), _preset("uskin")
 OF_RH_P12 = _preset("rh-p12-rn", "gripper") | {"gripper.aperture_open_mm": 14.0}
 LONG_HOLD = {"sequence.ramp.hold_s": 3.0}
+PAPER_PADS = {"tactile.layout": "paper"}
+WIDE = {"gripper.aperture_open_mm": 16.0}
 FRAME_S = SYNC_S + BURST_S
 """A whole frame of a later scan is there after so long at most."""
 HOUR_S = 3600.0
@@ -111,15 +113,13 @@ at_six_newtons = partial(grasp_with_fault, force_n=6.0)
 OVERRUNS_MAX = campaign_config().loop.overruns_max
 
 
-def _near(rows: Iterable[FaultRow]) -> tuple[FaultRow, ...]:
-    """Return rows for a cell whose fingers open little wider than the ball: short ways."""
-    return tuple(
-        replace(row, changes={"gripper.aperture_open_mm": 11.0} | dict(row.changes)) for row in rows
-    )
+def _with(changes: Mapping[str, Any], rows: Iterable[FaultRow]) -> tuple[FaultRow, ...]:
+    """Return rows for a cell with these changes, too."""
+    return tuple(replace(row, changes={**changes, **row.changes}) for row in rows)
 
 
 # fmt: off
-CAN_BUS = _near((
+CAN_BUS = _with(PAPER_PADS, (
     FaultRow(1, "", "one tactile frame lost (one message of it)",
              "can.lose_next=1, with a SYNC", "NOTE", BURST_S + SYNC_S + LOOP_S,
              partial(can.sets_lost, lost=lambda number: number == 0, crossing=1)),
@@ -184,7 +184,7 @@ CAN_BUS = _near((
              number=311),
 ))
 
-CONTROL_UNIT = _near((
+CONTROL_UNIT = _with(PAPER_PADS, (
     FaultRow(9, "", "the unit reboots in the ramp; the limit counts its boot of 20 ms",
              "unit.reboot@contact+0.1s", "HOLD", BOOT_S + LOOP_S, can.unit_reboots,
              number=308),
@@ -216,7 +216,7 @@ CONTROL_UNIT = _near((
              changes={"tactile.board_serial_numbers": [11, 12]}, number=304),
 ))
 
-FORCES = _near((
+FORCES = _with(PAPER_PADS, (
     FaultRow(44, "silence", "no force message from one moment on, while frames come",
              "unit.forces_off@contact+0.1s", "HOLD", FORCES_S, number=401),
     FaultRow(44, "one in a hundred lost", "1 % of the force messages lost, evenly",
@@ -248,7 +248,7 @@ FORCES = _near((
            ("unit.force_gain=0", "unit.force_offset=0.12"), ""),
           ("empty pads", "those of the empty pads again", ("unit.pads_empty",), ""))),
     FaultRow(44, "zero in a carry", "force messages show no force while a part is kept",
-             "unit.force_gain=0@contact+2.5s", "HOLD", FRAME_S + CYCLE_S, carry_with_fault,
+             "unit.force_gain=0@contact+1.2s", "HOLD", FRAME_S + CYCLE_S, carry_with_fault,
              number=(209, 407)),
     FaultRow(44, "zero in the approach", "force messages show no force when the part is touched",
              "unit.force_gain=0@moving+0.3s", "HOLD", 2.0, number=407),
@@ -293,7 +293,7 @@ FORCES = _near((
            {"tactile.force_period_ms": 0}))),
 ))
 
-TAXELS = _near((
+TAXELS = _with(PAPER_PADS, (
     FaultRow(13, "", "frozen frames: valid, new counter, same samples",
              "unit.stuck@contact+0.1s", "HOLD", 0.1, number=401),
     FaultRow(13, "without noise",
@@ -341,7 +341,7 @@ TAXELS = _near((
              can.touched_while_zeroing),
 ))
 
-USKIN = tuple(replace(row, changes=OF_USKIN | dict(row.changes)) for row in _near((
+USKIN = _with(OF_USKIN, (
     FaultRow(45, "uskin board off", "a board on CAN is unplugged",
              "uskin.off=1@contact+0.1s", "HOLD", USKIN_SILENT_S, number=401),
     FaultRow(45, "uskin board off at the start", "the same at the start",
@@ -361,9 +361,9 @@ USKIN = tuple(replace(row, changes=OF_USKIN | dict(row.changes)) for row in _nea
     # 100 counts are 0.02 N on a taxel: each approach has a zero of its own.
     FaultRow(45, "uskin drift", "z of all taxels drifts by 100 counts a second",
              "uskin.drift=100", "NOTHING", None),
-)))
+))
 
-BOARDS = tuple(replace(row, changes=FLEXITAC | dict(row.changes)) for row in _near((
+BOARDS = _with(FLEXITAC, (
     *(FaultRow(45, f"unplugged, finger {finger}", "the cable of this finger's board is out",
                f"board.unplugged={finger}@contact+0.1s", "HOLD", CYCLE_S, number=302)
       for finger in (0, 1)),
@@ -402,9 +402,9 @@ BOARDS = tuple(replace(row, changes=FLEXITAC | dict(row.changes)) for row in _ne
              "board.rows_swapped=0", "NOTHING", None),
     FaultRow(45, "saturated", "all taxels of a pad read full scale in the ramp",
              "taxels.saturated=0@contact+0.1s", "HOLD", FORCE_STALE_S + 2 * BOARD_S, number=201),
-)))
+))
 
-RH_P12 = tuple(replace(row, changes=OF_RH_P12 | dict(row.changes), long=True) for row in (
+RH_P12 = tuple(replace(row, long=True) for row in _with(OF_RH_P12, (
     FaultRow(18, "rh-p12 one lost answer", "one answer of its servo is lost in the ramp",
              "servos.lose_next=1@contact+0.2s", "NOTE", None),
     FaultRow(19, "rh-p12 cable out", "the cable of the servo bus is pulled in the ramp",
@@ -438,7 +438,7 @@ RH_P12 = tuple(replace(row, changes=OF_RH_P12 | dict(row.changes), long=True) fo
     FaultRow(30, "rh-p12", "its bus watchdog trips and the motor turns on; the self-test is on",
              "servo1.watchdog_off", "REJECT", 3.0, changes={"gripper.watchdog_self_test": True},
              number=113),
-))
+)))
 
 SERVO_BUS = (
     FaultRow(18, "one lost answer", "one answer of a servo is lost in the ramp",
@@ -458,7 +458,7 @@ SERVO_BUS = (
     FaultRow(19, "dead bus", "no servo answers any more in the ramp",
              "servos.off@contact+0.2s", "HOLD", BUS_LOST_S, number=102),
     FaultRow(19, "dead bus in the approach", "no servo answers any more while the fingers close",
-             "servos.off@moving+0.6s", "HOLD", BUS_LOST_S, number=102),
+             "servos.off@moving+0.6s", "HOLD", BUS_LOST_S, changes=WIDE, number=102),
     FaultRow(19, "all answers late", "all answers come 30 ms late from the ramp on",
              "servos.delayed=0.03@contact+0.2s", "HOLD", BUS_LOST_S, number=102),
     FaultRow(19, "answers come again",
@@ -496,7 +496,7 @@ SERVO_BUS = (
     FaultRow(21, "first finger in the ramp", "servo 1 falls silent in the ramp, servo 2 answers",
              "servo1.off@contact+0.2s", "HOLD", ONE_SILENT_S, number=103),
     FaultRow(21, "in the approach", "servo 2 falls silent while the fingers close",
-             "servo2.off@moving+0.6s", "HOLD", ONE_SILENT_S, number=103),
+             "servo2.off@moving+0.6s", "HOLD", ONE_SILENT_S, changes=WIDE, number=103),
 )
 
 SERVOS = (
@@ -540,7 +540,7 @@ SERVOS = (
              "the same towards open: the fingers meet on their way to the opening",
              "servo1.horn=452, servo2.horn=452", "REJECT", VERIFY_S, number=114),
     FaultRow(26, "zero off", "the horns sit 9 degrees off: closed fingers do not find each other",
-             "servo1.horn=-100, servo2.horn=-100", "LIMP", None, number=114),
+             "servo1.horn=-100, servo2.horn=-100", "LIMP", None, changes=WIDE, number=114),
     FaultRow(26, "while running", "somebody changes a register in a hold; one is read every 60 ms",
              "servo2.wrong=shutdown:0@contact+0.3s", "HOLD", VERIFY_AGAIN_S, changes=LONG_HOLD,
              number=109),
@@ -559,7 +559,7 @@ SERVOS = (
              "servo1.drift=-0.3@contact+0.2s", "HOLD", DRIFT_S, changes=LONG_HOLD, number=202),
     FaultRow(27, "stuck encoder",
              "a position stands still while the empty finger moves; its motor shows it",
-             "servo1.stuck@moving+0.05s", "HOLD", DRIFT_S, number=202),
+             "servo1.stuck@moving+0.05s", "HOLD", DRIFT_S, changes=WIDE, number=202),
     FaultRow(30, "",
              "the bus watchdog of a servo trips and the motor turns on; the self-test is on",
              "servo2.watchdog_off", "REJECT", 3.0, changes={"gripper.watchdog_self_test": True},
@@ -569,7 +569,7 @@ SERVOS = (
 GRIP = (
     FaultRow(28, "no part",
              "the part is taken away in the approach: the fingers close to their limit",
-             "object.gone@moving+0.6s", "NO PART FOUND", 1.5, servo.part_leaves, LONG_HOLD),
+             "object.gone@moving+0.6s", "NO PART FOUND", 1.5, servo.part_leaves, WIDE),
     FaultRow(28, "part lost in the ramp", "the part is taken out of the fingers in the ramp",
              "object.gone@contact+0.3s", "PART LOST", 0.03, servo.part_leaves, LONG_HOLD),
     FaultRow(28, "part lost in a hold", "the part is taken out of the fingers while it is held",
@@ -591,7 +591,7 @@ GRIP = (
            "object.slips=20@contact+1.0s", "HOLD", 0.2,
            partial(grasp_with_fault, look_again=False)))),
     *(FaultRow(kind, f"{variant} in a carry", f"{fault}, while a part is kept for the host",
-               f"{injected}@contact+2.5s", reaction, limit_s, carry_with_fault, near,
+               f"{injected}@contact+1.2s", reaction, limit_s, carry_with_fault,
                number=number, long=number != 205)
       for kind, variant, fault, injected, reaction, limit_s, number in (
           (1, "one set lost", "one tactile frame is lost", "can.lose_next=6", "NOTE", None, 0),
@@ -605,8 +605,7 @@ GRIP = (
           (28, "part lost", "the part is taken out of the fingers", "object.gone", "HOLD", 0.08,
            205),
           (28, "part slips", "the part slides along the pads with 20 mm/s", "object.slips=20",
-           "HOLD", 0.2, 206))
-      for near in ({"gripper.aperture_open_mm": 11.0},)),
+           "HOLD", 0.2, 206))),
     *(FaultRow(29, f"reaction {reaction}",
                f"something trapped pushes the force above its cap of {servo.CAP_N:g} N in a hold; "
                "time counts from the cap",
@@ -748,7 +747,7 @@ COMMANDS = (
 )
 AXES = (
     *(FaultRow(43, variant, fault, text, "HOLD", limit_s, axes.axis_fails, number=number,
-               long=variant not in ("drive fault", "drive stopped"))
+               long=variant != "drive fault")
       for variant, fault, text, limit_s, number in (
           ("drive fault", "a drive goes to fault while it moves", "axis1.fault=0x2310", AXIS_S,
            606),
@@ -811,7 +810,8 @@ ROWS: tuple[FaultRow, ...] = tuple(
 EACH_CHANGE: tuple[FaultRow, ...] = tuple(
     {
         (row.row, row.reaction, row.number): row
-        for row in reversed(ROWS)
+        for rows in GROUPS.values()
+        for row in reversed(rows)
         if not (row.long or row.real_time)
     }.values()
 )

@@ -24,12 +24,11 @@ CHANGES: dict[str, Any] = {
     "sequence.y_mm": [0.0, 0.0],
     "sequence.rotation_deg": [0.0, 90.0],
     "sequence.roll_deg": [0.0, 90.0],
-    "gripper.aperture_open_mm": 11.0,
 }
 """A cell with axis 1, a drive along x, axis 2, a drive that turns, and axis 3, a wrist."""
 STOPPED_S = 0.6
 """So long after the fault all axes that can be stopped have to stand."""
-STEP = GraspStep(pose=Pose(x_m=2e-3, rotation_rad=1.0, roll_rad=1.0), force_n=3.0)
+STEP = GraspStep(pose=Pose(x_m=2e-3, rotation_rad=0.5, roll_rad=0.5), force_n=3.0)
 
 
 def axis_fails(row: FaultRow) -> Observed:
