@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.marks import LONG
 from tests.pytest_tactile_cell.runs import run
 
 FIXTURES = (
@@ -28,7 +29,7 @@ def test_pytest_finds_the_plugin() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hiding", ["cell", "gripper"])
+@pytest.mark.parametrize("hiding", ["cell", LONG("gripper")])
 def test_a_project_with_modules_of_our_names_runs_until_it_wants_a_cell(pytester, hiding) -> None:
     pytester.makepyfile(**dict.fromkeys((hiding, "motion"), "VALUE = 1"))
     pytester.makepyfile(
