@@ -592,7 +592,7 @@ GRIP = (
            partial(grasp_with_fault, look_again=False)))),
     *(FaultRow(kind, f"{variant} in a carry", f"{fault}, while a part is kept for the host",
                f"{injected}@contact+1.2s", reaction, limit_s, carry_with_fault,
-               number=number, long=number != 205)
+               number=number, long=True)
       for kind, variant, fault, injected, reaction, limit_s, number in (
           (1, "one set lost", "one tactile frame is lost", "can.lose_next=6", "NOTE", None, 0),
           (8, "unplugged", "the CAN adapter is pulled out", "can.unplugged", "HOLD", 0.1, 311),

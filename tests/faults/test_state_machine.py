@@ -291,16 +291,17 @@ DEFECTS = {
 """Defects behind an interface, and how each is found."""
 
 
-def everywhere() -> Iterator[Any]:
-    """Each defect behind each interface: each change has one interface for each, in turn."""
-    for number, defect in enumerate(DEFECTS):
-        for place, interface in enumerate(INTERFACES):
-            row = pytest.param if number % len(INTERFACES) == place else LONG
-            yield row(interface, defect, id=f"{interface}-{defect.__name__}")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(("interface", "defect"), everywhere())
+@pytest.mark.parametrize(
+    ("interface", "defect"),
+    [  # Each change has one interface for each defect, in turn.
+        (pytest.param if number % len(INTERFACES) == place else LONG)(
+            interface, defect, id=f"{interface}-{defect.__name__}"
+        )
+        for number, defect in enumerate(DEFECTS)
+        for place, interface in enumerate(INTERFACES)
+    ],
+)
 def test_a_defect_behind_a_interface_is_found(interface, defect, monkeypatch) -> None:
     defect(monkeypatch)
     with pytest.raises(InvariantBroken, match=DEFECTS[defect]):

@@ -33,6 +33,7 @@ from tests.cell.conftest import (
     quick_config,
     small_config,
 )
+from tests.marks import LONG
 
 CARRY_N = 4.0
 """Default of `sequence.carry_force_n`."""
@@ -314,7 +315,7 @@ def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gone_ms", [0, 5, 10, 20])
+@pytest.mark.parametrize("gone_ms", [0, LONG(5), 10, LONG(20)])
 def test_a_part_that_goes_at_the_moment_of_a_look_is_lost(bench: Any, gone_ms: int) -> None:
     bench.idle(0.01)
     bench.controller.kept.wanted_force_n = 2.0
@@ -344,7 +345,7 @@ TO_BIN = Destination(label="ball", place="bin 1")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("answer", [False, "there"])
+@pytest.mark.parametrize("answer", [LONG(False), "there"])
 def test_a_place_that_is_refused_leaves_the_part_in_the_grip(make_bench, answer) -> None:
     bench = make_bench(places=lambda _destination: answer)
     bench.ready()
