@@ -81,7 +81,7 @@ def loaded(modules: str) -> set[str]:
     ("modules", "later"),
     [
         ("cell.plugin.plugin", ("scipy", "matplotlib", *CAN, "dynamixel_sdk")),
-        ("cell.interfaces.web", ("prometheus_client",)),
+        LONG("cell.interfaces.web", ("prometheus_client",)),
         (
             "pytest_tactile_cell",
             (

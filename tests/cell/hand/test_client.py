@@ -381,7 +381,8 @@ def test_memory_that_may_not_be_locked_is_an_error(monkeypatch) -> None:
         real_time.lock_memory()
 
 
-def test_garbage_is_collected_between_jobs_only() -> None:
+def test_garbage_is_collected_between_jobs_only(monkeypatch) -> None:
+    monkeypatch.setattr(gc, "collect", lambda: None)
     try:
         real_time.stop_collecting()
         assert not gc.isenabled()
@@ -597,13 +598,13 @@ class Line:
 
 
 @pytest.fixture
-def line() -> Iterator[Line]:
+def line(monkeypatch: pytest.MonkeyPatch) -> Iterator[Line]:
     one = Line()
+    monkeypatch.setattr(server.gc, "collect", lambda: one.hand.calls.append("collect"))
     yield one
     one.close()
 
 
-@pytest.mark.slow
 def test_requests_are_answered_in_order_with_value_error_and_statistics(line) -> None:
     line.ask(grasp={"ramp": RAMP}, inspect={}, tare={"n_frames": 3})
     events = line.serve()
@@ -616,7 +617,8 @@ def test_requests_are_answered_in_order_with_value_error_and_statistics(line) ->
     assert isinstance(fault, ServoFault)
     assert fault.servo_id == 2
     assert (tared.number, tared.value, tared.error) == (3, None, None)
-    assert [call for call in line.hand.calls if call != "tick"] == ["keep_grip", "tare"]
+    calls = [call for call in line.hand.calls if call != "tick"]
+    assert calls == ["collect", "keep_grip", "collect", "tare", "collect"]
 
 
 def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost() -> None:
@@ -634,7 +636,6 @@ def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost(
     line.close()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["grasp", "press_pads_together"])
 def test_the_end_of_a_ramp_counts_for_its_own_grasp_only(line, name) -> None:
     line.hand.cycles = 3
@@ -691,7 +692,6 @@ def test_the_end_freezes_keeps_and_says_why(line, cause, monkeypatch) -> None:
     assert line.hand.calls[-2:] == ["shutdown", "close"]
 
 
-@pytest.mark.slow
 def test_sigterm_leaves_the_program_time_to_end_the_cell_in_order(line, monkeypatch) -> None:
     monkeypatch.setattr(server, "_PROGRAM_ENDS_S", 1e6)
     line.server.terminate(signal.SIGTERM, None)

@@ -122,7 +122,8 @@ def read_json(path: Path) -> Any:
 
 
 @pytest.mark.slow
-def test_run_teaches_identifies_and_writes_everything(quick, tmp_path) -> None:
+def test_run_teaches_identifies_and_writes_everything(quick, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("cell.report.page.render_report", str)
     out, report = tmp_path / "elsewhere", tmp_path / "json" / "run.json"
     text = call(
         *("run", "--config", quick, "--object", "ball", "--object", "box", "--teach", 3),
@@ -706,7 +707,8 @@ def test_grasps_whose_folder_is_gone_are_in_the_recording(quick, tmp_path, fail,
 
 @pytest.fixture
 def run_at_once(taught: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have `run` return what was taught already."""
+    """Have `run` return what was taught already, and write no whole report of it."""
+    monkeypatch.setattr("cell.report.page.render_report", str)
     result = replace(taught.result)
     monkeypatch.setattr("cell.plugin.main_job.teach_and_identify", lambda *_a, **_k: result)
 

@@ -1,5 +1,6 @@
 """`tactile-cell serve` as a process: its line, its notes, and its end with the part held."""
 
+import io
 import json
 import os
 import re
@@ -9,17 +10,18 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xmlrpc.client import ServerProxy
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from cell.control.states import Command
 from cell.interfaces.access import view_token
+from cell.interfaces.cli import terminal
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands import serve as serving
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
@@ -40,51 +42,27 @@ serve: {{lease_timeout_s: 20}}
 """
 
 
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
-    """Return what starts the program on a simulated cell: the process and its line."""
-    made: list[subprocess.Popen[str]] = []
-    (tmp_path / "token").write_text(TOKEN)
-
-    def run(
-        *options: str, kind: str = "simulated", **streams: Any
-    ) -> tuple[subprocess.Popen[str], dict[str, Any]]:
-        config = SMALL.format(zero="on_demand", kind=kind)
-        (tmp_path / "cell.yaml").write_text(config)
-        process = subprocess.Popen(
-            [*PROGRAM, "serve", "--speed", "0", "-c", "cell.yaml", *PORTS, *options],
-            cwd=tmp_path,
-            **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | streams,
-            text=True,
-        )
-        made.append(process)
-        return process, json.loads((process.stdout and process.stdout.readline()) or "{}")
-
-    yield run
-    for process in made:
-        process.kill()
-        process.communicate()
-
-
-def ended(process: subprocess.Popen[str]) -> list[str]:
-    """End the program in order; return the lines of its standard error."""
-    process.send_signal(signal.SIGTERM)
-    said = process.communicate(timeout=LIMIT_S)[1]
-    assert process.returncode == 0
-    return said.splitlines()
-
-
 @pytest.mark.slow
-def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(start) -> None:
-    process, line = start("--token-file", "token", kind="callback")
-    assert set(line) == {"listen", "modbus_port", "xmlrpc_port", "http_port"}
-    with ServerProxy(f"http://127.0.0.1:{line['xmlrpc_port']}") as cell:
-        lease = cell.acquire("robot")
-        assert cell.grip(lease, 3.0) == 1
-        until(lambda: cell.pose_seq() or cell.alive(lease))
-        said = ended(process)
-    assert f"page: http://127.0.0.1:{line['http_port']}/ (its token: token)" in said
-    assert TOKEN not in "".join(said)
+def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(tmp_path) -> None:
+    (tmp_path / "token").write_text(TOKEN)
+    (tmp_path / "cell.yaml").write_text(SMALL.format(zero="on_demand", kind="callback"))
+    options = ("serve", "--speed", "0", "-c", "cell.yaml", *PORTS, "--token-file", "token")
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([*PROGRAM, *options], cwd=tmp_path, text=True, **pipes) as process:
+        try:
+            line = json.loads(process.stdout.readline())
+            assert set(line) == {"listen", "modbus_port", "xmlrpc_port", "http_port"}
+            with ServerProxy(f"http://127.0.0.1:{line['xmlrpc_port']}") as cell:
+                lease = cell.acquire("robot")
+                assert cell.grip(lease, 3.0) == 1
+                until(lambda: cell.pose_seq() or cell.alive(lease))
+                process.send_signal(signal.SIGTERM)
+                said = process.communicate(timeout=LIMIT_S)[1]
+        finally:
+            process.kill()
+    assert process.returncode == 0
+    assert f"page: http://127.0.0.1:{line['http_port']}/ (its token: token)\n" in said
+    assert TOKEN not in said
 
 
 @pytest.mark.slow
@@ -126,22 +104,20 @@ def test_a_signal_first_stops_the_motion(meddle, monkeypatch, tmp_path, moment, 
     assert left_n < 4.0  # of 9 N
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("file", [LONG(False), True])
-def test_a_terminal_alone_shows_the_tokens_of_the_page(start, file: bool) -> None:
-    screen, terminal = os.openpty()
-    process, line = start(*("--token-file", "token") * file, stderr=terminal)
-    os.close(terminal)
-    process.send_signal(signal.SIGTERM)
-    said = b""
-    with suppress(OSError):  # the end of a terminal
-        while more := os.read(screen, 4096):
-            said += more
-    os.close(screen)
-    tokens = re.findall(rf"http://127.0.0.1:{line['http_port']}/#token=(\S+)", said.decode())
+@pytest.mark.parametrize("file", [False, True])
+def test_a_terminal_alone_shows_the_tokens_of_the_page(
+    serve, tmp_path, monkeypatch, capsys, file
+) -> None:
+    (tmp_path / "token").write_text(TOKEN)
+    screen = io.StringIO()
+    monkeypatch.setattr(terminal, "err", Console(file=screen, force_terminal=True, highlight=False))
+    served = serve(serve__http_port=0, serve__token_file=str(tmp_path / "token") * file)
+    with serving._announced_interfaces(served.service):
+        line = json.loads(capsys.readouterr().out)
+    tokens = re.findall(rf"http://127.0.0.1:{line['http_port']}/#token=(\S+)", screen.getvalue())
     assert tokens[1] == view_token(tokens[0])
-    assert set(line) == {"listen", "modbus_port", "xmlrpc_port", "http_port"}
-    assert not file or tokens[0] == TOKEN
+    assert set(line) == {"listen", "http_port"}
+    assert (tokens[0] == TOKEN) is file
 
 
 @pytest.fixture

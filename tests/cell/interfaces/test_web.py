@@ -29,7 +29,7 @@ from cell.interfaces.web import WebInterface
 from cell.plugin.goals import TASKS, checked_goal
 from tactile.errors import HeartbeatLost
 from tests import ROOT
-from tests.cell.conftest import REAL
+from tests.cell.conftest import COARSE_PADS, REAL
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import ended, serving
 from tests.values import raising
@@ -281,7 +281,7 @@ def stl(size_mm: float) -> bytes:
 @pytest.mark.slow
 def test_a_trainer_exchanges_the_part_and_an_own_name_is_taught(connect) -> None:
     pytest.importorskip("trimesh", reason="the extra mesh is not installed")
-    served, host = connect(cell={"model": None})
+    served, host = connect(cell={"model": None}, tactile__layout=COARSE_PADS)
     lease = host.post("/api/lease", name="trainer")["lease"]
     place = "/api/simulation/part"
     check_refusal(*host.ask("POST", place, {"lease": lease + 1, "part": "box"}), status=403)
