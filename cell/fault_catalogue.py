@@ -196,6 +196,9 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     tactile.PluginFault: Fault(315, "Code of a sensor package failed",
         "A defect of the package that brings `tactile.sensor.kind`.",
         "Update that package; report the defect to its authors.", KEPT, MEND),
+    tactile.ObjectRefused: Fault(316, "Control unit refuses to read or write an object",
+        "Other firmware, another CANopen master, or an error of the unit.",
+        "Restart the unit; update its firmware if this returns.", UNMOVED, START),
     # -- 4xx: taxels and frames ----------------------------------------------------------------
     tactile.FrameTimeout: Fault(401, "No whole tactile frames, or frozen values",
         "CAN load, cable, a hanging unit.",

@@ -99,6 +99,8 @@ class DriveBus:
         with _failures_named():
             messages = self._source.drain()
         for _, message in messages:
+            # Error frames are not used: a disturbed controller shows by missing heartbeats,
+            # here within `loss_s`, and at the drives.
             unusable = message.is_error_frame or len(message.data) != message.dlc
             if unusable or of_another_kind(message):
                 continue

@@ -41,6 +41,10 @@ class NodeMissing(LinkFault):
     """The control unit did not show up, or does not answer."""
 
 
+class ObjectRefused(LinkFault):
+    """The control unit refused to read or write an object: SDO abort, with its code in words."""
+
+
 class IdentityMismatch(LinkFault):
     """Another unit than the expected one answers; the message lists expected and found."""
 

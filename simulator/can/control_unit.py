@@ -50,8 +50,6 @@ _FORCE_OBJECTS = frozenset(
     )
 )
 """Objects added in minor revision 1 of the unit."""
-_ON_EACH_SYNC, _MOST_SYNCS = 1, 240
-"""Transmission type of a PDO (0x1800:02): after each SYNC, up to after each 240th (CiA 301)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,7 +186,6 @@ class SimulatedControlUnit(CanopenDevice):
         if everything:
             self.scanner.reset()
         self._take_settings()
-        self._sync_count = 0
         self._burst_end_s = self._force_end_s = -math.inf
         self._force_due_s, self._force_period_s = math.inf, 0.0
         self._force_hits = [0.0, 0.0, 0.0]
@@ -209,7 +206,6 @@ class SimulatedControlUnit(CanopenDevice):
         """Apply the values of the dictionary, after each SDO request and change of state."""
         dictionary = self.dictionary
         self._sync_id = dictionary.sync_cob_id
-        self._sync_kind = dictionary.number(od.TPDO1_PARAMETER, 2)
         self._window_s = 1e-6 * dictionary.number(od.SYNC_WINDOW_US)
         self._frame_id = dictionary.pdo_cob_id(1)
         self._force_id = dictionary.pdo_cob_id(2) if self.settings.force_messages else None
@@ -265,10 +261,6 @@ class SimulatedControlUnit(CanopenDevice):
         now_s = self._network.now_s
         if now_s < self._burst_end_s - ROUNDING_S:
             self._passed_over(EMCY_OVERRUN)
-            return
-        self._sync_count += 1
-        kind = self._sync_kind
-        if _ON_EACH_SYNC < kind <= _MOST_SYNCS and self._sync_count % kind:
             return
         self.scanner.latch()
         self._send_frame(now_s)

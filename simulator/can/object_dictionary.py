@@ -41,6 +41,12 @@ _COMMUNICATION_PROFILE = range(0x1000, 0x2000)
 _TPDO_PARAMETERS = (unit_od.TPDO1_PARAMETER, unit_od.TPDO2_PARAMETER)
 _TPDO_MAPPINGS = (unit_od.TPDO1_MAPPING, unit_od.TPDO2_MAPPING)
 """Communication and mapping parameters of TPDO1 and TPDO2."""
+_FIXED_VALUES = {
+    (unit_od.ERROR_HISTORY, 0): 0,
+    (unit_od.TPDO1_PARAMETER, unit_od.PDO_TRANSMISSION): unit_od.PDO_OF_MANUFACTURER,
+    (unit_od.TPDO2_PARAMETER, unit_od.PDO_TRANSMISSION): unit_od.PDO_OF_MANUFACTURER,
+}
+"""The only value that the host may write to an object: 0 clears the history of errors."""
 _FORCE_FIELDS = {
     1: slice(0, 1),
     2: slice(1, 3),
@@ -209,6 +215,9 @@ class UnitDictionary:
         cob_id = value & _FRAME_BIT_AND_COB_ID
         if index == unit_od.SYNC_COB_ID and not 1 <= cob_id <= _COB_ID_BITS:
             raise canopen.SdoAbortedError(VALUE_RANGE)
+        fixed_value = _FIXED_VALUES.get((index, subindex))
+        if fixed_value is not None and value != fixed_value:
+            raise canopen.SdoAbortedError(VALUE_RANGE)
         if index == unit_od.SYNC_OVERFLOW:
             if value == 1:
                 raise canopen.SdoAbortedError(VALUE_RANGE)
@@ -238,6 +247,8 @@ class UnitDictionary:
 
     def _act(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         del od
+        if index == unit_od.ERROR_HISTORY:
+            self.errors.clear()
         take = {
             unit_od.FORCE_TABLE: self._scanner.forces.take_table,
             unit_od.FORCE_ZERO: self._scanner.forces.take_zero,

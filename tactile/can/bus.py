@@ -51,8 +51,9 @@ _FLAGS_EVERY_S = 0.05
 """Period in s of that command: a tenth of the allowed time of a passive controller."""
 _FLAGS_UNANSWERED = 10
 """Number of unanswered commands of an adapter without this command."""
-_ERROR_CONTROLLER, _PASSIVE, _ACTIVE = 0x04, 0x30, 0x40
-"""Error frame of SocketCAN: class of the identifier, and data byte 1."""
+CLASS_CONTROLLER, PASSIVE, ACTIVE = 0x04, 0x30, 0x40
+"""Error frame of SocketCAN (linux/can/error.h): class of the identifier, and bits of data byte 1:
+error-passive in receiving or sending, active again."""
 _MESSAGE_KINDS = frozenset("tTrRdDbBx")
 """First letters of the driver's messages; d, D, b, B are CAN FD, x is not standard."""
 
@@ -221,9 +222,9 @@ class BulkSlcanBus(slcanBus):
         if passive == self._passive:
             return
         self._passive = passive
-        state = _PASSIVE if passive else _ACTIVE
+        state = PASSIVE if passive else ACTIVE
         frame = can.Message(
-            arbitration_id=_ERROR_CONTROLLER,
+            arbitration_id=CLASS_CONTROLLER,
             is_extended_id=False,
             is_error_frame=True,
             data=bytes((0, state, 0, 0, 0, 0, 0, 0)),
@@ -269,7 +270,7 @@ def open_bus(
         Whether another part of this program has opened the interface and holds its lock; only
         ``socketcan`` can be opened twice.
     nodes
-        CANopen node-IDs of the received messages; all by default.
+        CANopen node-IDs of the needed messages; ``socketcan`` drops the others. All by default.
     """
     try:
         with ExitStack() as opened:
@@ -277,7 +278,8 @@ def open_bus(
                 opened.enter_context(bus_lock(interface, channel))
             bus = _open(interface, channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
             opened.callback(bus.shutdown)
-            if nodes:
+            # Only the system's filter lets error frames pass.
+            if nodes and interface == "socketcan":
                 bus.set_filters([{"can_id": node, "can_mask": _NODE_BITS} for node in nodes])
             # The shutdown of the bus releases the lock.
             bus.shutdown = opened.pop_all().close  # type: ignore[method-assign]

@@ -10,7 +10,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from tactile.clock import Clock
 
 _ABORTED = 0x80
-"""First byte of an abort response (CiA 301, 7.2.4.3.17)."""
+"""First byte of an abort, by client or server (CiA 301, 7.2.4.3.17)."""
 _SDO_BYTES = 8
 _SEGMENT, _SEGMENT_DONE, _UPLOAD, _DONE = range(4)
 """Answers by the top three bits of their first byte (CiA 301, 7.2.4.3)."""
@@ -84,8 +84,8 @@ class PolledSdoClient(SdoClient):
         return self._answers - self._requests
 
     def send_request(self, request: bytes | bytearray) -> None:
-        """Send a request."""
-        self._requests += 1
+        """Send a request, or an abort, which has no answer."""
+        self._requests += request[0] != _ABORTED
         super().send_request(request)  # type: ignore[no-untyped-call]
 
     def upload(self, index: int, subindex: int) -> bytes:

@@ -10,11 +10,14 @@ from tactile.errors import IdentityMismatch
 from tactile.frames.codec import FrameFormat
 from tactile.layout import TaxelLayout
 
-_COB_ID_MASK = 0x1FFFFFFF | 1 << 31
-"""Identifier and valid bit of a PDO's COB-ID entry; the bit between them only forbids RTR."""
+_COB_ID_MASK = 0xFFFF_FFFF & ~(1 << 30)
+"""Compared bits of a PDO's COB-ID entry: bit 30 only forbids RTR (CiA 301, 7.5.2.37)."""
+_CHECK_CONFIG = (
+    "Check which unit is plugged in, and the node-ID, serial number and layout in the configuration"
+)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Check:
     """One row of a comparison; ``expected`` None accepts anything."""
 
@@ -44,17 +47,13 @@ def identity_checks(identity: NodeIdentity, expected: ExpectedIdentity) -> list[
     """Return the comparison of the found identity with the expected one."""
     major = None if expected.revision is None else expected.revision >> 16
     return [
-        Check(what="vendor-ID", expected=expected.vendor_id, found=identity.vendor_id),
-        Check(what="product code", expected=expected.product_code, found=identity.product_code),
-        Check(what="major revision", expected=major, found=identity.revision >> 16),
-        Check(what="serial number", expected=expected.serial, found=identity.serial),
+        Check("vendor-ID", expected.vendor_id, identity.vendor_id),
+        Check("product code", expected.product_code, identity.product_code),
+        Check("major revision", major, identity.revision >> 16),
+        Check("serial number", expected.serial, identity.serial),
         *(
-            Check(
-                what=f"pads' board of finger {finger}",
-                expected=None if expected.boards is None else expected.boards[finger],
-                found=identity.boards[finger],
-            )
-            for finger in (0, 1)
+            Check(f"pads' board of finger {finger}", board, identity.boards[finger])
+            for finger, board in enumerate(expected.boards or (None, None))
         ),
     ]
 
@@ -78,14 +77,14 @@ _Row = tuple[str, int, int, int]
 def _read_rows(objects: ObjectAccess, rows: Iterable[_Row]) -> list[Check]:
     """Read unsigned objects, and return them with their expected values."""
     return [
-        Check(what=what, expected=expected, found=objects.read_unsigned(index, sub))
+        Check(what, expected, objects.read_unsigned(index, sub))
         for what, index, sub, expected in rows
     ]
 
 
 def _cob_id_check(objects: ObjectAccess, name: str, parameter: int, cob_id: int) -> Check:
     found = objects.read_unsigned(parameter, od.PDO_COB_ID) & _COB_ID_MASK
-    return Check(what=f"{name} COB-ID", expected=cob_id, found=found)
+    return Check(f"{name} COB-ID", cob_id, found)
 
 
 def _mapping(name: str, index: int, entries: Sequence[int]) -> list[_Row]:
@@ -106,7 +105,7 @@ def layout_checks(objects: ObjectAccess, layout: TaxelLayout, node_id: int) -> l
     )
     found = objects.read_text(od.LAYOUT, od.LAYOUT_HASH)
     return [
-        Check(what="layout hash", expected=layout.layout_hash, found=found),
+        Check("layout hash", layout.layout_hash, found),
         *_read_rows(objects, rows),
         _cob_id_check(objects, "TPDO1", od.TPDO1_PARAMETER, od.COB_TPDO1 + node_id),
     ]
@@ -116,7 +115,7 @@ def _shown(value: int | str | None) -> str:
     return f"{value} (0x{value:X})" if isinstance(value, int) else str(value)
 
 
-def refuse_mismatch(checks: list[Check], name: str) -> None:
+def refuse_mismatch(checks: list[Check], problem: str, advice: str = _CHECK_CONFIG) -> None:
     """Raise IdentityMismatch with expected and found values if any check failed."""
     failed = [check for check in checks if not check.ok]
     if failed:
@@ -124,10 +123,25 @@ def refuse_mismatch(checks: list[Check], name: str) -> None:
             f"{check.what}: expected {_shown(check.expected)}, found {_shown(check.found)}"
             for check in failed
         )
-        raise IdentityMismatch(
-            f"{name} is not the configured unit: {rows}. Check which unit is plugged in, and the "
-            "node-ID, serial number and layout in the configuration"
-        )
+        raise IdentityMismatch(f"{problem}: {rows}. {advice}")
+
+
+def refuse_stored_values(objects: ObjectAccess, name: str) -> None:
+    """Raise IdentityMismatch for stored values of the unit that do not fit and are never written.
+
+    SYNC is sent without a counter, so a unit with an overflow value answers by emergency 8240h.
+    """
+    overflow = int.from_bytes(objects.find(od.SYNC_OVERFLOW) or b"", "little")
+    parameter, kind = od.TPDO1_PARAMETER, od.PDO_TRANSMISSION
+    row = ("TPDO1 transmission type (1800h:02)", parameter, kind, od.PDO_OF_MANUFACTURER)
+    checks = _read_rows(objects, [row])
+    checks.append(Check("SYNC counter overflow (1019h)", 0, overflow))
+    refuse_mismatch(
+        checks,
+        f"{name} has stored values that do not fit",
+        "Write the expected ones with a CANopen tool (1019h while 1006h is 0), store them in the "
+        "unit, then start again",
+    )
 
 
 def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
@@ -147,7 +161,7 @@ def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
     for what, index, value, n_bytes in writes:
         objects.write_unsigned(index, 0, value, n_bytes)
         checks += _read_rows(objects, [(what, index, 0, value)])
-    refuse_mismatch(checks, "the control unit did not keep its set-up and so")
+    refuse_mismatch(checks, "the control unit did not keep its set-up")
     if objects.read_unsigned(od.TARE, od.TARE_RESULT) == od.UnitTareResult.DONE:
         objects.write_unsigned(od.TARE, od.TARE_COMMAND, od.TARE_CLEAR_SIGNATURE, 4)
 
@@ -165,21 +179,20 @@ def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, t
     """
     objects.write(od.FORCE_TABLE, 0, table)
     frame_id = od.COB_TPDO3 + node_id
-    frames, forces = od.TPDO1_PARAMETER, od.TPDO2_PARAMETER
-    cob_id, timer = od.PDO_COB_ID, od.PDO_EVENT_TIMER
+    frames, forces, timer = od.TPDO1_PARAMETER, od.TPDO2_PARAMETER, od.PDO_EVENT_TIMER
     # A PDO's identifier may be changed only while the PDO is off (CiA 301, 7.5.2.37).
-    objects.write_unsigned(frames, cob_id, od.PDO_INVALID | frame_id, 4)
-    objects.write_unsigned(frames, cob_id, frame_id, 4)
+    objects.write_unsigned(frames, od.PDO_COB_ID, od.PDO_INVALID | frame_id, 4)
+    objects.write_unsigned(frames, od.PDO_COB_ID, frame_id, 4)
     period_ms = round(1e3 * settings.force_period_s)
     objects.write_unsigned(forces, timer, period_ms, 2)
     found = objects.read(od.FORCE_TABLE)
     shown = found[-2:].hex() if found == table else f"{len(found)} bytes of another table"
     rows = [("TPDO2 event timer in ms", forces, timer, period_ms)]
     checks = [
-        Check(what="table of counts to force", expected=table[-2:].hex(), found=shown),
+        Check("table of counts to force", table[-2:].hex(), shown),
         _cob_id_check(objects, "TPDO1", frames, frame_id),
         _cob_id_check(objects, "TPDO2", forces, od.COB_TPDO2 + node_id),
         *_read_rows(objects, rows + _mapping("TPDO2", od.TPDO2_MAPPING, od.TPDO2_ENTRIES)),
     ]
-    refuse_mismatch(checks, "the control unit did not keep the set-up of its force messages and so")
+    refuse_mismatch(checks, "the control unit did not keep the set-up of its force messages")
     return frame_id

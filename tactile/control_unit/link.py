@@ -21,6 +21,7 @@ from tactile.control_unit.commissioning import (
     layout_checks,
     read_identity,
     refuse_mismatch,
+    refuse_stored_values,
     refuse_swapped_boards,
     set_up,
     set_up_forces,
@@ -138,11 +139,12 @@ class TactileLink:
         session.wait_for(lambda: supervisor.boot_ups > 0, "did not boot")
         identity = read_identity(session.objects)
         refuse_swapped_boards(identity, self.settings.identity, session.name)
-        refuse_mismatch(identity_checks(identity, self.settings.identity), session.name)
-        checks = layout_checks(session.objects, self.layout, self._node_id)
-        refuse_mismatch(checks, session.name)
+        other = f"{session.name} is not the configured unit"
+        refuse_mismatch(identity_checks(identity, self.settings.identity), other)
+        refuse_mismatch(layout_checks(session.objects, self.layout, self._node_id), other)
+        refuse_stored_values(session.objects, session.name)
         set_up(session.objects, self.settings)
-        if self._force_table is not None and session.objects.has(object_dictionary.FORCE_MESSAGE):
+        if self._force_table is not None and session.objects.find(object_dictionary.FORCE_MESSAGE):
             session.expect_forces(
                 set_up_forces(session.objects, self.settings, self._node_id, self._force_table)
             )
@@ -191,8 +193,8 @@ class TactileLink:
             if late_s > self.settings.force_late_s:
                 raise session.forces_late(late_s)
             refuse_mismatch(
-                [Check(what="zero of the force", expected=sent.hex(), found=found.hex())],
-                f"{self._session.name} did not keep its zero and so",
+                [Check("zero of the force", sent.hex(), found.hex())],
+                f"{self._session.name} did not keep its zero",
             )
             session.drop_forces()
 

@@ -69,8 +69,13 @@ TPDO2_ENTRIES = (
 )
 """The mapping of the force messages: head U8, two forces I16, centre 2 x I8, CRC U8."""
 PDO_COB_ID = 1
+PDO_TRANSMISSION = 2
 PDO_EVENT_TIMER = 5
-"""Sub-indices of a PDO's parameters: its COB-ID, and its period in ms, 0 for none (CiA 301)."""
+"""Sub-indices of a PDO's parameters: its COB-ID, its transmission type, and its period in ms, 0 for
+none (CiA 301)."""
+PDO_OF_MANUFACTURER = 254
+"""Transmission type of both PDOs: an event that the manufacturer defines. It is SYNC for the frame
+messages, which take several messages of one PDO, and the event timer for the force messages."""
 PDO_INVALID = 1 << 31
 """Top bit of a PDO's COB-ID entry: the PDO is switched off."""
 

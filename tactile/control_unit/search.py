@@ -149,8 +149,8 @@ _WRITTEN_FORCES = (
 def read_unit(bus: can.BusABC, node_id: int) -> FoundUnit:
     """Read identity and registers of a control unit; nothing is written.
 
-    Raises NodeMissing if the node does not answer, or lacks the objects of a control unit. Raises
-    BusOff if the CAN interface fails.
+    Raises NodeMissing if the node does not answer, ObjectRefused if it lacks the objects of a
+    control unit, and BusOff if the CAN interface fails.
     """
     with _objects_of(bus, node_id) as objects:
         identity = read_identity(objects)
@@ -161,7 +161,7 @@ def read_unit(bus: can.BusABC, node_id: int) -> FoundUnit:
                 f"object 2102h of node {node_id} has {len(shapes)} bytes, two for each pad are "
                 "expected: the unit's firmware does not fit this software's EDS"
             )
-        sends_forces = objects.has(od.FORCE_MESSAGE)
+        sends_forces = objects.find(od.FORCE_MESSAGE) is not None
         written = _WRITTEN + (_WRITTEN_FORCES if sends_forces else ())
         return FoundUnit(
             node_id=node_id,
@@ -206,13 +206,9 @@ def _objects_of(bus: can.BusABC, node_id: int) -> Iterator[ObjectAccess]:
     """Read the objects of a node, whatever it is; its frames are not looked at."""
     clock: Clock = getattr(bus, "clock", time)
     source = message_source(bus, clock, threaded=clock is time)
+    layout, settings = paper_layout(), LinkSettings()
     session = LinkSession(
-        bus,
-        source,
-        node_id=node_id,
-        layout=paper_layout(),
-        clock=clock,
-        settings=LinkSettings(threaded=clock is time),
+        bus, source, node_id=node_id, layout=layout, clock=clock, settings=settings
     )
     try:
         source.start()

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from canopen.emcy import EMCY_STRUCT, EmcyError
 from canopen.nmt import COMMAND_TO_STATE, NMT_COMMANDS, NMT_STATES
 
+from tactile.can.bus import ACTIVE, CLASS_CONTROLLER, PASSIVE
 from tactile.errors import (
     BusDisturbed,
     BusErrorPassive,
@@ -51,6 +52,7 @@ _EMERGENCY_TEXTS: Mapping[int, str] = MappingProxyType(
         0x8150: "CAN identifier collision",
         0x8210: "PDO not processed, too short",
         0x8220: "PDO too long",
+        0x8230: "MPDO not processed, its destination object is missing",
         0x8240: "unexpected SYNC length",
         0x8250: "RPDO time-out",
     }
@@ -66,13 +68,9 @@ _DOUBLED_PERIODS = 10.0
 """Number of heartbeats within a number of periods that shows two units. A host that stalls for a
 third of that time receives fewer."""
 
-_CLASS_CONTROLLER = 0x0004
 _CLASS_BUS_OFF = 0x0040
 _CLASS_RESTARTED = 0x0100
-"""Classes of error frames in SocketCAN's identifier (linux/can/error.h)."""
-_PASSIVE = 0x10 | 0x20
-_ACTIVE = 0x40
-"""State of the controller in data byte 1 of an error frame: passive in receiving or sending."""
+"""Further classes of error frames in SocketCAN's identifier (linux/can/error.h)."""
 
 
 def emergency_text(code: int) -> str:
@@ -223,10 +221,10 @@ class NodeSupervisor:
                 "the CAN controller of the host is bus-off: check wiring, termination and bit "
                 "rate, restart the interface, then start the link again"
             )
-        controller = data[1] if classes & _CLASS_CONTROLLER and len(data) > 1 else 0
-        if controller & _ACTIVE or classes & _CLASS_RESTARTED:
+        controller = data[1] if classes & CLASS_CONTROLLER and len(data) > 1 else 0
+        if controller & ACTIVE or classes & _CLASS_RESTARTED:
             self._passive_since_s = None
-        elif controller & _PASSIVE and self._passive_since_s is None:
+        elif controller & PASSIVE and self._passive_since_s is None:
             self._passive_since_s = t_s
 
     def check(self, now_s: float) -> None:

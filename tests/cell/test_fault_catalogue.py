@@ -33,6 +33,7 @@ FROZEN = {
     "IdentityMismatch": 304, "HeartbeatLost": 305, "DuplicateNode": 306, "BusDisturbed": 307,
     "NodeRebooted": 308, "NodeStateChanged": 309, "NodeEmergency": 310, "BusOff": 311,
     "BusErrorPassive": 312, "ReceiveLoopDead": 313, "BusNotOpened": 314, "PluginFault": 315,
+    "ObjectRefused": 316,
     "FrameTimeout": 401, "FrameError": 402, "LayoutError": 403, "CalibrationError": 404,
     "TareRefused": 405, "ZeroDrifted": 406, "ForceContradicted": 407,
     "CellError": 500, "ConfigError": 501, "DatasetError": 502, "RecordingError": 503,

@@ -226,6 +226,8 @@ def test_an_emergency_is_sent_and_remembered(line) -> None:
         line.unit.emergency(code)
     line.take()
     assert line.number(od.ERROR_HISTORY) == 8
+    assert line.write(od.ERROR_HISTORY, 0, 0, 1) == 0
+    assert line.number(od.ERROR_HISTORY) == 0
 
 
 def test_a_sync_during_a_burst_is_passed_over_and_told(line) -> None:
@@ -297,11 +299,13 @@ def test_a_touched_or_restless_skin_gives_no_zero(line, counts, result) -> None:
         (0x1017, 1, 1, 2, 0x0609_0011),
         (0x1017, 0, 1, 4, 0x0607_0010),
         (0x2130, 3, 0, 1, 0x0609_0032),
+        (0x1003, 0, 1, 1, 0x0609_0030),
         (0x1005, 0, 0, 4, 0x0609_0030),
         (0x1019, 0, 1, 1, 0x0609_0030),
         (0x1019, 0, 241, 1, 0x0609_0031),
         (0x1800, 1, 0x186, 4, 0x0609_0030),
         (0x1800, 1, 0x8000_0600, 4, 0x0609_0030),
+        (0x1800, 2, 1, 1, 0x0609_0030),
         (0x1A00, 0, 0, 1, 0x0800_0022),
     ],
 )

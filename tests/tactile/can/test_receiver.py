@@ -205,7 +205,7 @@ def adapter() -> Iterator[Adapter]:
 
 @pytest.fixture
 def slcan(adapter: Adapter) -> Iterator[BulkSlcanBus]:
-    bus = open_bus("slcan", adapter.path, bitrate=1_000_000)
+    bus = open_bus("slcan", adapter.path, bitrate=1_000_000, nodes=(1,))
     assert isinstance(bus, BulkSlcanBus)
     yield bus
     close_bus(bus)
@@ -276,8 +276,9 @@ def test_an_adapter_that_does_not_know_its_flags_is_left_in_peace(adapter) -> No
 def test_a_bus_that_cannot_be_opened_says_what_to_check_and_its_driver_nothing(
     interface, channel, says, caplog
 ) -> None:
-    with pytest.raises(BusNotOpened, match=says):
-        open_bus(interface, channel)
+    for _ in range(2):  # the first one leaves no lock
+        with pytest.raises(BusNotOpened, match=says):
+            open_bus(interface, channel)
     gc.collect()
     assert caplog.text == ""
 
@@ -402,12 +403,6 @@ def test_a_link_to_the_port_is_the_same_port_and_closing_gives_it_back(port, tmp
         open_bus("slcan", str(link))
     close_bus(bus)
     close_bus(open_bus("slcan", str(link)))
-
-
-def test_a_bus_that_cannot_be_opened_leaves_no_lock() -> None:
-    for _ in range(2):
-        with pytest.raises(BusNotOpened, match="ip link"):
-            open_bus("socketcan", "can78")
 
 
 def test_a_lock_file_of_another_user_is_used(tmp_path, monkeypatch) -> None:

@@ -24,6 +24,7 @@ from tactile.errors import (
     NodeMissing,
     NodeRebooted,
     NodeStateChanged,
+    ObjectRefused,
 )
 from tactile.frames.flow import FrameFlow
 from tactile.layout import paper_layout, pinch_layout
@@ -147,15 +148,29 @@ def test_messages_without_their_unused_bytes_are_used(idle, cob_id, shorter) -> 
         idle.run(0.2)
 
 
-def test_a_unit_that_boots_late_is_waited_for(idle) -> None:
-    idle.unit.faults.dead = True
+def boot_late(bench) -> None:
+    """Switch the unit off, and on again in 1.5 s."""
+    bench.unit.faults.dead = True
 
     def power_on(now_s: float) -> None:
-        if now_s >= 101.5 and idle.unit.faults.dead:
-            idle.unit.faults.dead = False
-            idle.unit.power_cycle()
+        if now_s >= 101.5 and bench.unit.faults.dead:
+            bench.unit.faults.dead = False
+            bench.unit.power_cycle()
 
-    idle.clock.on_advance.append(power_on)
+    bench.clock.on_advance.append(power_on)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        boot_late,
+        lambda bench: double(bench, 0x580 + NODE, times=1),
+        lambda bench: setattr(bench.unit.dictionary, "_missing", {od.SYNC_OVERFLOW}),
+    ],
+    ids=["late boot", "one SDO answer twice", "no object 1019h"],
+)
+def test_a_unit_that_differs_a_little_is_started(idle, change) -> None:
+    change(idle)
     assert idle.link.start().serial == 4711
 
 
@@ -175,6 +190,13 @@ def test_a_unit_that_boots_late_is_waited_for(idle) -> None:
         ((od.TPDO1_MAPPING, 0), 0, "TPDO1 entries"),
         ((od.TPDO1_MAPPING, 2), 0x2100_0040, "TPDO1 entry 2"),
         ((od.TPDO1_PARAMETER, 1), 0x8000_0185, "TPDO1 COB-ID"),
+        ((od.TPDO1_PARAMETER, 1), 0x2000_0185, "TPDO1 COB-ID: expected 389 .*0x20000185"),
+        ((od.TPDO1_PARAMETER, 2), 1, r"transmission type \(1800h:02\): expected 254 .*, store"),
+        (
+            (od.SYNC_OVERFLOW, 0),
+            10,
+            r"overflow \(1019h\): expected 0 .*found 10 .*1006h is 0",
+        ),
         ((od.HEARTBEAT_MS, 0), 50, r"heartbeat in ms: expected 100 .*found 50"),
     ],
 )
@@ -196,15 +218,29 @@ def test_exchanged_pads_are_refused_by_the_serial_numbers_of_their_boards(make_b
         make_bench(identity=ExpectedIdentity(boards=(1, 3))).link.start()
 
 
-def test_an_object_that_is_missing_is_named(idle) -> None:
-    idle.unit.dictionary._missing = frozenset({od.LAYOUT})
-    with pytest.raises(NodeMissing, match=r"0x2100:03 .*refused.*Object does not exist"):
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        (0x0503_0000, "SDO toggle bit error.*another program may use the unit"),
+        (0x0800_0022, ".*present device state.*restart the unit"),
+        (0x0602_0000, "Object does not exist.*update the older one"),
+    ],
+)
+def test_an_object_that_the_unit_refuses_is_named_with_the_abort_in_words(idle, code, says) -> None:
+    abort = struct.pack("<BHBL", 0x80, od.IDENTITY, 1, code)
+    idle.alter(0x580 + NODE, lambda _burst: [abort])
+    with pytest.raises(ObjectRefused, match=rf"0x1018:01 .*refused \(Code 0x{code:08X}, {says}"):
         idle.link.start()
 
 
-def test_lost_sdo_responses_are_asked_for_again(idle) -> None:
+def test_lost_sdo_responses_are_asked_for_again_and_hide_no_second_unit(idle) -> None:
     mute(idle, 0x580 + NODE, times=2)
     assert idle.link.start().vendor_id == od.VENDOR_ID
+    idle.link.stop()
+    mute(idle, 0x580 + NODE, times=2)
+    double(idle, 0x580 + NODE, times=7)
+    with pytest.raises(DuplicateNode, match="3 SDO answers more"):
+        idle.link.start()
 
 
 def test_a_zero_held_by_the_unit_is_cleared(idle) -> None:
@@ -222,38 +258,18 @@ def test_a_search_finds_the_nodes_of_plain_messages_alone(idle, kind, nodes) -> 
 # --- faults in operation -------------------------------------------------------------------------
 
 
-def test_a_heartbeat_with_a_turned_bit_is_counted_and_no_other_state(bench) -> None:
-    bench.run(0.1)
-    bench.put(0x700 + NODE, b"\x45")
-    bench.run(0.05)
-    assert bench.link.statistics.malformed == 1
-
-
-def test_a_unit_that_is_stopped_is_a_fault(bench) -> None:
-    bench.put(0x700 + NODE, b"\4")
-    with pytest.raises(NodeStateChanged, match="stopped"):
-        bench.link.poll()
-
-
-def test_error_reset_and_an_emergency_without_its_code_are_no_fault(bench) -> None:
-    bench.put(0x80 + NODE, bytes(8))
-    bench.put(0x80 + NODE, bytes(2))
-    bench.put(0x80 + NODE, b"\x10")
-    bench.link.poll()
-    assert bench.link.statistics.malformed == 1
-
-
 @pytest.mark.parametrize(
-    ("data", "text"),
+    ("cob_id", "data", "fault", "text"),
     [
-        (b"\x20\x81\x11\0\0\0\0\0", r"0x8120 \([^;]*\), error register 0x11"),
-        (b"\x20\x81\x11", r"0x8120 \(.*; only 3 of 8 bytes arrived\), error register 0x11"),
-        (b"\x20\x81", r"0x8120 \(.*; only 2 of 8 bytes arrived\), error register 0x00"),
+        (0x700, b"\4", NodeStateChanged, "stopped"),
+        (0x80, b"\x20\x81\x11\0\0\0\0\0", NodeEmergency, r"0x8120 \([^;]*\), .* 0x11"),
+        (0x80, b"\x20\x81\x11", NodeEmergency, r"0x8120 \(.*; only 3 of 8 .*register 0x11"),
+        (0x80, b"\x20\x81", NodeEmergency, r"0x8120 \(.*; only 2 of 8 .*register 0x00"),
     ],
 )
-def test_an_emergency_with_its_code_is_a_fault_of_any_length(bench, data, text) -> None:
-    bench.put(0x80 + NODE, data)
-    with pytest.raises(NodeEmergency, match=text):
+def test_a_stopped_unit_or_its_emergency_is_a_fault(bench, cob_id, data, fault, text) -> None:
+    bench.put(cob_id + NODE, data)
+    with pytest.raises(fault, match=text):
         bench.link.poll()
 
 
@@ -267,7 +283,11 @@ def test_a_failing_interface_is_bus_off(bench, monkeypatch, error, call) -> None
     bench.link.stop()
 
 
-def test_foreign_remote_extended_and_damaged_messages_are_counted(bench) -> None:
+def test_foreign_and_damaged_messages_are_counted_and_an_error_reset_is_neither(bench) -> None:
+    bench.put(0x700 + NODE, b"\x45")  # no state
+    bench.put(0x80 + NODE, bytes(8))
+    bench.put(0x80 + NODE, bytes(2))
+    bench.put(0x80 + NODE, b"\x10")  # half a code
     bench.put(0x7FF, b"")
     bench.put(0x180 + NODE, b"", is_remote_frame=True)
     bench.put(0x180 + NODE, bytes(8), is_extended_id=True)
@@ -275,7 +295,7 @@ def test_foreign_remote_extended_and_damaged_messages_are_counted(bench) -> None
     bench.put(0x180 + NODE, b"\1\2\3", dlc=8)
     assert len(bench.run(0.1)) == 5
     statistics = bench.link.statistics
-    assert (statistics.foreign, statistics.malformed, statistics.frames.short) == (3, 1, 1)
+    assert (statistics.foreign, statistics.malformed, statistics.frames.short) == (3, 3, 1)
 
 
 @pytest.mark.parametrize("kind", FOREIGN)
@@ -334,11 +354,6 @@ def mute(bench, cob_id: int, *, times: float = np.inf) -> None:
     """Lose so many bursts of an identifier."""
     left = itertools.count(times, -1)
     bench.alter(cob_id, lambda burst: [] if next(left) > 0 else burst)
-
-
-def test_one_sdo_answer_that_comes_twice_is_no_second_unit(idle) -> None:
-    double(idle, 0x580 + NODE, times=1)
-    assert idle.link.start().serial == 4711
 
 
 def test_doubled_heartbeats_are_a_second_unit(bench) -> None:

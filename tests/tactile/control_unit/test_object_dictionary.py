@@ -42,9 +42,12 @@ def test_every_tpdo_maps_64_bits(dictionary: canopen.ObjectDictionary) -> None:
             assert len(variable) == entry & 0xFF
 
 
-def test_cob_ids_follow_the_node_id(dictionary: canopen.ObjectDictionary) -> None:
+def test_defaults_of_the_communication(
+    dictionary: canopen.ObjectDictionary,
+) -> None:
     assert dictionary[od.TPDO1_PARAMETER][1].default == 0x185
     assert dictionary[od.EMCY_COB_ID].default == 0x85
+    assert dictionary[od.ERROR_HISTORY][0].default == 0
 
 
 def test_defaults_are_the_papers_layout(dictionary: canopen.ObjectDictionary) -> None:
