@@ -36,12 +36,15 @@ def make_forces(make_bench: Callable[..., Bench]) -> Callable[..., Bench]:
     return partial(make_bench, table=TABLE, force_period_s=0.003)
 
 
+def started(bench: Bench) -> Bench:
+    bench.link.start()
+    bench.link.set_zero(ZERO)
+    return bench
+
+
 @pytest.fixture
 def sending(make_forces: Callable[..., Bench]) -> Bench:
-    made = make_forces()
-    made.link.start()
-    made.link.set_zero(ZERO)
-    return made
+    return started(make_forces())
 
 
 def test_the_force_comes_by_table_and_zero_each_three_milliseconds(sending) -> None:
@@ -98,9 +101,7 @@ def test_a_table_that_the_unit_does_not_keep_is_refused(make_forces) -> None:
 
 @pytest.mark.parametrize(("knob", "silence_s"), [("forces_off", 0.2), ("dead", 0.2)])
 def test_a_longer_silence_is_allowed_where_that_is_set(make_forces, knob, silence_s) -> None:
-    sending = make_forces(silence_s=silence_s, heartbeat_s=1.0)
-    sending.link.start()
-    sending.link.set_zero(ZERO)
+    sending = started(make_forces(silence_s=silence_s, heartbeat_s=1.0))
     sending.forces(0.1)
     setattr(sending.unit.faults, knob, True)
     sending.forces(silence_s - 0.04)
@@ -118,9 +119,7 @@ def stall(sending: Bench, monkeypatch: pytest.MonkeyPatch, stall_s: float = 0.05
 
 
 def test_a_stall_of_the_host_is_no_silence_of_the_unit(make_forces, monkeypatch) -> None:
-    sending = make_forces(heartbeat_s=0.02)
-    sending.link.start()
-    sending.link.set_zero(ZERO)
+    sending = started(make_forces(heartbeat_s=0.02))
     for _ in range(5):
         sending.forces(0.1)
         stall(sending, monkeypatch)
@@ -215,8 +214,7 @@ def test_the_unit_cannot_sum_pads_that_are_turned_against_each_other() -> None:
     assert Mounting(PINCH, ()).unit_can_sum
     assert Mounting(PINCH, TURNED).unit_can_sum
     assert not Mounting(PINCH, TURNED[:1]).unit_can_sum
-    outer = (PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0))
-    assert not Mounting(paper_layout(), outer).unit_can_sum
+    assert not Mounting(LAYOUT, EXCHANGED).unit_can_sum
 
 
 @pytest.mark.parametrize("mounts", [EXCHANGED, TURNED, TURNED[:1]])

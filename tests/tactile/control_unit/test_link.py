@@ -113,8 +113,11 @@ def test_a_node_that_never_appears_is_missing_and_the_message_says_who_is_there(
             lambda bench: setattr(bench.unit.faults, "heartbeat_off", True),
             "did not become operational",
         ),
-        (lambda bench: double(bench, 0x700 + NODE, times=1), "same node-ID"),
-        (lambda bench: mute(bench, 0x580 + NODE), "failed 3 times: no SDO response within 0.3 s"),
+        (lambda bench: copy(bench, 0x700 + NODE, 2, times=1), "same node-ID"),
+        (
+            lambda bench: copy(bench, 0x580 + NODE, 0),
+            "3 times: no SDO response within 0.3 s",
+        ),
         (
             lambda bench: bench.alter(0x580 + NODE, lambda burst: [data[:3] for data in burst]),
             r"answer \[43 18 10\] has 3 bytes, expected 8; update the unit's firmware",
@@ -164,7 +167,7 @@ def boot_late(bench) -> None:
     "change",
     [
         boot_late,
-        lambda bench: double(bench, 0x580 + NODE, times=1),
+        lambda bench: copy(bench, 0x580 + NODE, 2, times=1),
         lambda bench: setattr(bench.unit.dictionary, "_missing", {od.SYNC_OVERFLOW}),
     ],
     ids=["late boot", "one SDO answer twice", "no object 1019h"],
@@ -234,11 +237,11 @@ def test_an_object_that_the_unit_refuses_is_named_with_the_abort_in_words(idle, 
 
 
 def test_lost_sdo_responses_are_asked_for_again_and_hide_no_second_unit(idle) -> None:
-    mute(idle, 0x580 + NODE, times=2)
+    copy(idle, 0x580 + NODE, 0, times=2)
     assert idle.link.start().vendor_id == od.VENDOR_ID
     idle.link.stop()
-    mute(idle, 0x580 + NODE, times=2)
-    double(idle, 0x580 + NODE, times=7)
+    copy(idle, 0x580 + NODE, 0, times=2)
+    copy(idle, 0x580 + NODE, 2, times=7)
     with pytest.raises(DuplicateNode, match="3 SDO answers more"):
         idle.link.start()
 
@@ -344,21 +347,15 @@ def test_a_sync_that_the_unit_did_not_hear_is_forgotten_in_time(bench) -> None:
 # --- a second unit with the same node-ID ---------------------------------------------------------
 
 
-def double(bench, cob_id: int, *, times: float = np.inf) -> None:
-    """Let messages of an identifier come twice, so many of them."""
+def copy(bench, cob_id: int, n: int, *, times: float = np.inf) -> None:
+    """Let bursts of an identifier come ``n`` times, 0: not at all, so many of them."""
     left = itertools.count(times, -1)
-    bench.alter(cob_id, lambda burst: burst * 2 if next(left) > 0 else burst)
-
-
-def mute(bench, cob_id: int, *, times: float = np.inf) -> None:
-    """Lose so many bursts of an identifier."""
-    left = itertools.count(times, -1)
-    bench.alter(cob_id, lambda burst: [] if next(left) > 0 else burst)
+    bench.alter(cob_id, lambda burst: burst * n if next(left) > 0 else burst)
 
 
 def test_doubled_heartbeats_are_a_second_unit(bench) -> None:
     bench.run(0.2)
-    double(bench, 0x700 + NODE)
+    copy(bench, 0x700 + NODE, 2)
     start_s = bench.clock.monotonic()
     with pytest.raises(DuplicateNode, match="16 heartbeats"):
         bench.run(2.0)
