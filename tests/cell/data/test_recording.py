@@ -420,15 +420,17 @@ def until_written(recorder: Recorder) -> None:
         until(lambda: not sink.busy)
 
 
-def test_a_blocked_disk_holds_up_no_beginning(tmp_path, monkeypatch) -> None:
+@pytest.fixture
+def go_on(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Let the disk take nothing until the event."""
+    event, write = threading.Event(), DirectFile.write
+    waits = lambda file, data: event.wait(20.0) and write(file, data)  # noqa: E731
+    monkeypatch.setattr(DirectFile, "write", waits)
+    return event
+
+
+def test_a_blocked_disk_holds_up_no_beginning(tmp_path, monkeypatch, go_on) -> None:
     monkeypatch.setattr(recorder_module, "LONG_BYTES", 0)
-    go_on, write = threading.Event(), DirectFile.write
-
-    def stuck(file: DirectFile, data: bytes) -> int:
-        go_on.wait(20.0)
-        return write(file, data)
-
-    monkeypatch.setattr(DirectFile, "write", stuck)
     recorder = Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS, background=True)
     with monkeypatch.context() as patched:
         patched.setattr(recorder_sink.os, "statvfs", raising(AssertionError("it would block")))
@@ -510,14 +512,7 @@ def test_writing_from_a_thread_gives_the_same_file(tmp_path) -> None:
     assert not any(thread.name == "recording" for thread in threading.enumerate())
 
 
-def test_slow_disk_is_an_error_not_a_delay(tmp_path, monkeypatch) -> None:
-    go_on, write = threading.Event(), DirectFile.write
-
-    def stuck(file: DirectFile, data: bytes) -> int:
-        go_on.wait(20.0)
-        return write(file, data)
-
-    monkeypatch.setattr(DirectFile, "write", stuck)
+def test_slow_disk_is_an_error_not_a_delay(tmp_path, go_on) -> None:
     file = BackgroundFile(tmp_path / "slow", max_waiting_bytes=100, close_timeout_s=0.0)
     file.write(bytes(60))
     file.flush()

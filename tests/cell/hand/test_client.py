@@ -59,7 +59,9 @@ from tests.values import make_cycle, make_source_statistics
 
 RAMP = ForceRamp.linear(3.0, 5.0)
 STATISTICS = HandStatistics(
-    loop=LoopStatistics(cycles=5), servo_bus=BusStatistics(), source=make_source_statistics()
+    loop=LoopStatistics(cycles=5, lateness=Distribution(n=5, max_s=0.1)),
+    servo_bus=BusStatistics(transactions=3),
+    source=make_source_statistics(frames=FrameStatistics(complete=4)),
 )
 
 
@@ -430,14 +432,6 @@ def test_a_simulated_device_gets_priority_where_granted_and_gives_it_back(
 # -- What crosses to that process, and what it does with it ----------------------------------------
 
 
-def statistics() -> HandStatistics:
-    return HandStatistics(
-        loop=LoopStatistics(cycles=9, lateness=Distribution(n=9, max_s=0.1)),
-        servo_bus=BusStatistics(transactions=3),
-        source=make_source_statistics(frames=FrameStatistics(complete=4)),
-    )
-
-
 def frame() -> TactileFrame:
     return TactileFrame(t_s=1.0, counter=3, status=0, counts=np.arange(408, dtype=np.uint16))
 
@@ -447,7 +441,7 @@ ANSWER = HandReply(
     value=VerificationReport(rows=()),
     error=None,
     phase=GripperPhase.HOLDING,
-    statistics=statistics(),
+    statistics=STATISTICS,
 )
 
 
@@ -510,7 +504,7 @@ class FakeHand:
 
     period_s = 0.001
     phase = GripperPhase.HOLDING
-    statistics = statistics()
+    statistics = STATISTICS
     measured = LatestValues()
 
     def __init__(self) -> None:
@@ -612,7 +606,7 @@ def test_requests_are_answered_in_order_with_value_error_and_statistics(line) ->
     np.testing.assert_array_equal(events[0].frames[0].counts, frame().counts)
     grasped, inspected, tared = events[10:]
     assert (grasped.number, grasped.value, grasped.error) == (1, "outcome", None)
-    assert grasped.statistics == statistics()
+    assert grasped.statistics == STATISTICS
     fault = inspected.error
     assert isinstance(fault, ServoFault)
     assert fault.servo_id == 2
