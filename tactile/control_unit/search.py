@@ -5,7 +5,7 @@ For commissioning, while the unit is still unknown. Nothing is written to it.
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Self
 
@@ -210,8 +210,6 @@ def _objects_of(bus: can.BusABC, node_id: int) -> Iterator[ObjectAccess]:
     session = LinkSession(
         bus, source, node_id=node_id, layout=layout, clock=clock, settings=settings
     )
-    try:
+    with closing(source):
         source.start()
         yield session.objects
-    finally:
-        source.close()

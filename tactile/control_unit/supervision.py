@@ -5,8 +5,6 @@ and drops error frames. Every method raises a `LinkFault` at once if its message
 """
 
 from collections import deque
-from collections.abc import Mapping
-from types import MappingProxyType
 
 from canopen.emcy import EMCY_STRUCT, EmcyError
 from canopen.nmt import COMMAND_TO_STATE, NMT_COMMANDS, NMT_STATES
@@ -37,26 +35,24 @@ MULTIPLEXER_FAULT = 0xFF04
 ZERO_LOST = 0xFF05
 """Emergency codes of the control unit; the first one is from CiA 301."""
 
-_EMERGENCY_TEXTS: Mapping[int, str] = MappingProxyType(
-    {
-        ERROR_RESET: "no error",
-        WINDOW_EXCEEDED: "a burst was cut short, it does not fit into the synchronous window",
-        SYNC_OVERRUN: "a SYNC came while the burst before it was still being sent",
-        CONVERTER_FAULT: "converter self-test failed",
-        MULTIPLEXER_FAULT: "multiplexer self-test failed",
-        ZERO_LOST: "the stored zero is damaged",
-        0x8110: "CAN overrun, messages lost",
-        0x8120: "CAN error-passive",
-        0x8130: "heartbeat or life guard error",
-        0x8140: "recovered from bus-off",
-        0x8150: "CAN identifier collision",
-        0x8210: "PDO not processed, too short",
-        0x8220: "PDO too long",
-        0x8230: "MPDO not processed, its destination object is missing",
-        0x8240: "unexpected SYNC length",
-        0x8250: "RPDO time-out",
-    }
-)
+_EMERGENCY_TEXTS = {
+    ERROR_RESET: "no error",
+    WINDOW_EXCEEDED: "a burst was cut short, it does not fit into the synchronous window",
+    SYNC_OVERRUN: "a SYNC came while the burst before it was still being sent",
+    CONVERTER_FAULT: "converter self-test failed",
+    MULTIPLEXER_FAULT: "multiplexer self-test failed",
+    ZERO_LOST: "the stored zero is damaged",
+    0x8110: "CAN overrun, messages lost",
+    0x8120: "CAN error-passive",
+    0x8130: "heartbeat or life guard error",
+    0x8140: "recovered from bus-off",
+    0x8150: "CAN identifier collision",
+    0x8210: "PDO not processed, too short",
+    0x8220: "PDO too long",
+    0x8230: "MPDO not processed, its destination object is missing",
+    0x8240: "unexpected SYNC length",
+    0x8250: "RPDO time-out",
+}
 """Emergency codes with one meaning: those of the unit, and those of CiA 301, 7.2.7.1, that canopen
 has only as groups."""
 

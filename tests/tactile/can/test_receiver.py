@@ -180,10 +180,11 @@ class Adapter:
     def write(self, data: bytes) -> None:
         os.write(self.master, data)
 
-    def read(self) -> bytes:
-        """Return what comes, but for questions after the flags."""
-        while not (data := os.read(self.master, 4096).replace(b"F\r", b"")):
-            pass
+    def read(self, end: bytes) -> bytes:
+        """Return what comes up to an end, but for questions after the flags."""
+        data = b""
+        while not data.endswith(end):
+            data += os.read(self.master, 4096).replace(b"F\r", b"")
         return data
 
     def unplug(self) -> None:
@@ -224,18 +225,12 @@ def test_slcan_opens_with_bit_rate_and_without_waiting(adapter, monkeypatch) -> 
         patched.setattr(time, "sleep", waits_s.append)
         bus = open_bus("slcan", adapter.path, bitrate=500_000)
     assert sum(waits_s) < 0.1
-    sent = b""
-    while not sent.endswith(b"O\r"):
-        sent += adapter.read()
-    assert b"S6\r" in sent
+    assert b"S6\r" in adapter.read(b"O\r")
     bus.send(can.Message(arbitration_id=0x80, is_extended_id=False))
     bus.send(can.Message(arbitration_id=0x605, data=b"\x40\x18", is_extended_id=False))
-    sent = adapter.read()
-    while len(sent) < 16:
-        sent += adapter.read()
-    assert sent == b"t0800\rt60524018\r"
+    assert adapter.read(b"18\r") == b"t0800\rt60524018\r"
     close_bus(bus)
-    assert adapter.read() == b"C\r"
+    assert adapter.read(b"C\r") == b"C\r"
 
 
 def test_an_unplugged_adapter_is_bus_off_and_can_be_closed(adapter, slcan) -> None:

@@ -52,26 +52,16 @@ def test_defaults_of_the_communication(
 
 def test_defaults_are_the_papers_layout(dictionary: canopen.ObjectDictionary) -> None:
     layout = paper_layout()
-    frame_format = FrameFormat.of(layout)
-    found = {
-        (index, sub): dictionary[index][sub].default
+    form = FrameFormat.of(layout)
+    found = [
+        [dictionary[index][sub].default for sub in (1, 2, 3, 4)]
         for index in (od.IDENTITY, od.LAYOUT, od.FORMAT)
-        for sub in (1, 2, 3, 4)
-    }
-    assert found == {
-        (od.IDENTITY, od.IDENTITY_VENDOR): od.VENDOR_ID,
-        (od.IDENTITY, od.IDENTITY_PRODUCT): od.PRODUCT_CODE,
-        (od.IDENTITY, od.IDENTITY_REVISION): od.REVISION,
-        (od.IDENTITY, od.IDENTITY_SERIAL): 1,
-        (od.LAYOUT, od.LAYOUT_PADS): layout.n_pads,
-        (od.LAYOUT, od.LAYOUT_TAXELS): layout.n_taxels,
-        (od.LAYOUT, od.LAYOUT_HASH): layout.layout_hash,
-        (od.LAYOUT, od.LAYOUT_ADC_MAX): layout.adc_max,
-        (od.FORMAT, od.FORMAT_SAMPLE_BITS): layout.sample_bits,
-        (od.FORMAT, od.FORMAT_SAMPLE_BYTES): layout.sample_bytes,
-        (od.FORMAT, od.FORMAT_MESSAGES): frame_format.n_messages,
-        (od.FORMAT, od.FORMAT_HEADER_BYTES): frame_format.header_bytes,
-    }
+    ]
+    assert found == [
+        [od.VENDOR_ID, od.PRODUCT_CODE, od.REVISION, 1],
+        [layout.n_pads, layout.n_taxels, layout.layout_hash, layout.adc_max],
+        [layout.sample_bits, layout.sample_bytes, form.n_messages, form.header_bytes],
+    ]
 
 
 def test_every_index_constant_is_in_the_dictionary(dictionary: canopen.ObjectDictionary) -> None:
