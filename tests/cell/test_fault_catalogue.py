@@ -72,6 +72,7 @@ def error_classes() -> Iterator[type[BaseException]]:
                     yield kind
 
 
+@pytest.mark.slow  # it loads each module that no test before it has loaded
 def test_every_error_class_has_a_number_of_its_own() -> None:
     missing = {kind.__name__ for kind in error_classes()} - {kind.__name__ for kind in CATALOGUE}
     assert missing == REPORTS_ANOTHER
