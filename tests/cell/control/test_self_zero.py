@@ -442,25 +442,6 @@ def test_a_zero_of_another_control_unit_counts_as_none(make_bench, tmp_path: Pat
     assert not other.controller.zeroing.note
 
 
-@pytest.mark.long
-def test_daily_zeros_do_not_drift_away_from_the_config(make_bench, tmp_path: Path) -> None:
-    """Sheets of 1.8, 3.6 and 5.4 mm, one a start, then empty fingers."""
-    config, taken = small_config(self_zero="daily"), []
-    for sheet_mm in (1.8, 3.6, 5.4, 0.0):
-        (tmp_path / f"{sheet_mm}").mkdir()
-        bench = make_bench(config, folder=tmp_path / f"{sheet_mm}")
-        bench.simulated.remove()
-        if sheet_mm:
-            bench.simulated.place(f"box:length=80mm,width=40mm,height={sheet_mm}mm")
-        bench.controller.start()
-        if not (note := bench.controller.zeroing.note):
-            taken.append(sheet_mm)
-            assert 1e3 * bench.controller.zeros.newest.opening_m == pytest.approx(sheet_mm, abs=0.3)
-        else:
-            assert "the zero of the config is at +0.00 mm" in note
-    assert taken == [1.8, 0.0]
-
-
 def test_a_zero_far_from_the_last_one_is_no_daily_one() -> None:
     zeros = SelfZeros("daily")
     assert not zeros.far_off(replace(ZERO, opening_m=0.0))
