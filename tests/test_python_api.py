@@ -36,11 +36,6 @@ def test_the_examples_run_as_they_are_printed(example, printed, capsys) -> None:
     assert re.fullmatch(printed, capsys.readouterr().out)
 
 
-def test_one_package_takes_at_most_ten_lines() -> None:
-    lines = [len([line for line in example.splitlines() if line.strip()]) for example in EXAMPLES]
-    assert max(lines[:3]) <= 10
-
-
 @pytest.mark.parametrize("package", FACES)
 def test_each_name_of_a_face_is_what_type_checkers_see(package) -> None:
     module = import_module(package)

@@ -145,6 +145,7 @@ def test_a_cell_on_boards_finds_its_self_zero_by_closing_empty_fingers() -> None
 REAL = {"gripper.port": "/dev/ttyUSB0", "positioner": {"kind": "operator"}}
 
 
+TABLE = {"kind": "table", "force_n": [1.0, 2.0]}
 REPEATED = [{"start": start, "taxels": [*range(start, start + 16)]} for start in (0x201, 0x210)]
 
 
@@ -159,14 +160,8 @@ REPEATED = [{"start": start, "taxels": [*range(start, start + 16)]} for start in
         ({"tactile.sensor.ports": ["/dev/a", "/dev/b"]}, "must both be `simulated` or both"),
         (REAL | {"tactile.sensor.ports": ["/dev/a", "/dev/ttyUSB0"]}, "need separate ports"),
         ({"gripper.force_stale_ms": 20.0}, "the least is 25, 2.5 periods of the frames"),
-        (
-            {"tactile.calibration": {"kind": "table", "counts": [9.0, 5.0], "force_n": [1.0, 2.0]}},
-            "rise from above 0, together",
-        ),
-        (
-            {"tactile.calibration": {"kind": "table", "counts": [9.0], "force_n": [1.0, 2.0]}},
-            "1 counts and 2 values",
-        ),
+        ({"tactile.calibration": TABLE | {"counts": [9.0, 5.0]}}, "rise from above 0, together"),
+        ({"tactile.calibration": TABLE | {"counts": [9.0]}}, "1 counts and 2 values"),
     ],
 )
 def test_a_config_that_flexitac_boards_cannot_have_is_refused(changes, named) -> None:

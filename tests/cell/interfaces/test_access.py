@@ -17,7 +17,7 @@ import pytest
 from cell.config.model import CellConfig
 from cell.config.serve import ServeConfig
 from cell.control.plan import Pose
-from cell.errors import CellError, ConfigError
+from cell.errors import CellError
 from cell.interfaces.access import (
     BUSY_MAX,
     ConnectionPlaces,
@@ -199,23 +199,21 @@ def test_no_other_text_is_the_secret(given: str) -> None:
 
 
 def test_interfaces_that_cannot_be_opened_say_why(serve, tmp_path: Path) -> None:
-    with pytest.raises(CellError, match=r"cannot read token or secret .*missing"):
-        serve("http", serve__token_file=str(tmp_path / "missing"))
     os.mkfifo(tmp_path / "pipe")
-    keys = {"secret_file": "modbus", "token_file": "http", "tls_key": "http"}
-    for key, interface in keys.items():
-        files = {"serve__tls_certificate": str(tmp_path / "missing")} if key == "tls_key" else {}
-        with pytest.raises(ConfigError, match="pipe: not a plain file"):
-            serve(interface, **files, **{f"serve__{key}": str(tmp_path / "pipe")})
-    (tmp_path / "bad").write_bytes(b"\xff" * 20)
-    with pytest.raises(ConfigError, match="needs ASCII characters"):
-        serve("xmlrpc", serve__secret_file=str(tmp_path / "bad"))
-    (tmp_path / "long").write_text("x" * 65)
-    with pytest.raises(ConfigError, match="at most 64 characters"):
-        serve("modbus", serve__secret_file=str(tmp_path / "long"))
-    (tmp_path / "short").write_text("short")
-    with pytest.raises(ConfigError, match="at least 16 characters"):
-        serve("http", serve__token_file=str(tmp_path / "short"))
+    for name, content in {"bad": b"\xff" * 20, "long": b"x" * 65, "short": b"short"}.items():
+        (tmp_path / name).write_bytes(content)
+    for interface, key, file, says in (
+        ("http", "token_file", "missing", r"cannot read token or secret .*missing"),
+        ("modbus", "secret_file", "pipe", "pipe: not a plain file"),
+        ("http", "token_file", "pipe", "pipe: not a plain file"),
+        ("http", "tls_key", "pipe", "pipe: not a plain file"),
+        ("xmlrpc", "secret_file", "bad", "needs ASCII characters"),
+        ("modbus", "secret_file", "long", "at most 64 characters"),
+        ("http", "token_file", "short", "at least 16 characters"),
+    ):
+        more = {"serve__tls_certificate": "missing"} if key == "tls_key" else {}
+        with pytest.raises(CellError, match=says):
+            serve(interface, **more, **{f"serve__{key}": str(tmp_path / file)})
 
 
 def test_an_address_for_others_is_warned_of(serve) -> None:

@@ -1,23 +1,43 @@
-"""The service: one lease commands, anyone holds, nothing is done twice, nothing resumes."""
+"""The service: one lease commands, anyone holds, nothing is done twice; and what it keeps."""
 
+import json
+import sqlite3
 import threading
+from collections.abc import Iterator
+from contextlib import closing
+from datetime import date, datetime
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from urllib.request import Request, urlopen
 
 import pytest
 
+from cell.control.answer import Answer
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.data.recording_reader import read_recording
-from cell.errors import CellError, CellStateError, ConfigError, HeldByClient, RequestRefused
-from cell.plugin import worker
-from cell.service import service as service_module
+from cell.errors import (
+    CellError,
+    CellStateError,
+    ConfigError,
+    HeldByClient,
+    NoPartFound,
+    RequestRefused,
+)
+from cell.plugin import tasks, worker
+from cell.plugin.goals import IdentifyGoal
+from cell.service import history, service as service_module
+from cell.service.history import History, history_file, read_day
+from cell.service.photos import LONGEST_PHOTO, Photos
 from cell.service.service import RELEASE_KEY
+from cell.service.shift import KEPT_ANSWERS, Shift, began_s
 from gripper.values.state import GripperPhase
 from tactile.errors import FrameTimeout
 from tests.cell.conftest import once, small_config
 from tests.cell.served import LEASE_S, until
+from tests.values import raising
 
 IDENTIFY = {"task": "identify", "max_grasps": 1, "present": "ball"}
 KEEP = IDENTIFY | {"keep": "always"}
@@ -374,3 +394,406 @@ def test_no_part_is_exchanged_while_a_job_closes_on_it(serve: Any) -> None:
         ["job 1 is not over; wait for its result or cancel it"],
     )
     service.choose_part(lease, "box", Pose())
+
+
+# -- What a service keeps: the ledger of a shift, the history, photos of taught objects ------------
+
+
+class Wall:
+    """A wall clock that the test sets."""
+
+    def __init__(self) -> None:
+        self.now_s = datetime(2027, 3, 1, 8, 0).timestamp()
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def part(label: str = "ball", seconds: float = 4.0, **fields: Any) -> Answer:
+    others = {"ball": 0.1, "box": 0.05, "UNKNOWN": 0.02, label: 0.83}
+    known = {"label": label, "probabilities": others, "n_grasps": 2, "seconds": seconds}
+    return Answer(task="sort", **known | fields)
+
+
+def test_parts_rejects_misses_and_faults_are_counted_apart() -> None:
+    clock = Wall()
+    shift = Shift(n_faults=lambda: 2, wall_clock=clock)
+    fresh = shift.values()
+    assert (fresh["parts"], fresh["cycle_s"], fresh["counts"], fresh["answers"]) == (
+        0,
+        None,
+        {},
+        [],
+    )
+    for answer in (
+        part("ball", seconds=3.0, place="left"),
+        part("box", seconds=5.0, place="right"),
+        part("UNKNOWN", seconds=9.0, place="reject", rejected=True),
+        Answer(task="sort", seconds=7.0),
+    ):
+        clock.now_s += 60.0
+        shift.add(answer)
+    found = shift.values()
+    assert (found["parts"], found["rejected"], found["missed"], found["faults"]) == (3, 1, 1, 2)
+    assert found["counts"] == {"ball": 1, "box": 1, "UNKNOWN": 1}
+    assert (found["cycle_s"], found["parts_last_hour"]) == (5.0, 3)
+    first = found["answers"][0]
+    assert (first["number"], first["label"], first["place"]) == (1, "ball", "left")
+    assert first["runner_up"] == {"label": "box", "probability": 0.05}
+    assert first["time_s"] == found["since_s"] + 60.0
+
+
+def test_the_parts_of_the_last_hour_are_counted() -> None:
+    clock = Wall()
+    shift = Shift(wall_clock=clock)
+    counted = []
+    for _ in range(30):
+        shift.add(part())
+        clock.now_s += 1.0
+        counted.append(shift.values()["parts_last_hour"])
+    assert counted == list(range(1, 31))
+    clock.now_s += 3584.5  # the first half is older than an hour now
+    assert shift.values()["parts_last_hour"] == 15
+    clock.now_s += 3600.0
+    assert shift.values()["parts_last_hour"] == 0
+    shift.add(part())
+    assert shift.values()["parts_last_hour"] == 1
+
+
+def test_the_ledger_stays_small() -> None:
+    clock = Wall()
+    shift = Shift(wall_clock=clock)
+    for number in range(5000):
+        clock.now_s += 1.0
+        shift.add(part(curves={"t_s": [float(number)]}))
+    found = shift.values()
+    assert (found["parts"], found["parts_last_hour"]) == (5000, 3600)
+    assert [one["number"] for one in found["answers"]] == list(range(5001 - KEPT_ANSWERS, 5001))
+    newest = shift.part(5000)
+    assert newest.curves == {"t_s": [4999.0]}
+    assert shift.part(5000 - KEPT_ANSWERS) is None
+    assert (len(shift._times_s), len(shift._cycles_s), len(shift.parts)) == (3600, 1000, 20)
+
+
+@pytest.mark.parametrize(
+    ("now", "begins_h", "began"),
+    [
+        ((1, 8, 0), (0.0,), (1, 0, 0)),
+        ((1, 5, 59), (6.0, 14.0, 22.0), (0, 22, 0)),
+        ((1, 6, 0), (22.0, 6.0, 14.0), (1, 6, 0)),
+        ((1, 21, 59), (6.0, 14.0, 22.0), (1, 14, 0)),
+        ((1, 5, 0), (5.5,), (0, 5, 30)),
+    ],
+)
+def test_a_shift_begins_at_hours_of_the_local_day(now: Any, begins_h: Any, began: Any) -> None:
+    at_s = [datetime(2027, 3, 1 + day, *time).timestamp() for day, *time in (now, began)]
+    assert began_s(at_s[0], begins_h) == at_s[1]
+
+
+def test_a_new_shift_begins_with_no_figures_and_parts_keep_their_numbers() -> None:
+    clock, faults = Wall(), [0]
+    shift = Shift((6.0, 14.0), lambda: faults[0], clock)
+    for n_parts in (3, 0, 2):
+        for _ in range(n_parts):
+            shift.add(part())
+        faults[0] += 1
+        found = shift.values()
+        assert (found["parts"], found["faults"], found["counts"].get("ball", 0)) == (
+            n_parts, 1, n_parts,
+        )  # fmt: skip
+        clock.now_s = found["since_s"] + 16.1 * 3600.0
+        assert shift.values()["parts"] == shift.values()["faults"] == 0
+    assert [one.number for one in shift.parts] == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("leap_s", [-4000.0, -1e8, 1e8])
+def test_a_clock_that_leaps_lets_no_times_grow(leap_s: float) -> None:
+    clock = Wall()
+    shift = Shift(wall_clock=clock)
+    for _ in range(10):
+        shift.add(part())
+    clock.now_s += leap_s
+    shift.add(part())
+    assert shift.values()["parts_last_hour"] == len(shift._times_s) == 1
+    assert shift.values()["parts"] == (11 if abs(leap_s) < 1e4 else 1)
+
+
+def test_a_turn_without_a_part_is_reported_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+    nothing: Any = None
+    model: Any = SimpleNamespace(max_grasps=1)
+
+    monkeypatch.setattr(tasks, "identify", raising(NoPartFound("no contact")))
+    cell = tasks.Tasks(nothing, tasks.ModelFile(model, None), nothing, lambda: seen.append)
+    with pytest.raises(NoPartFound):
+        cell.identify(IdentifyGoal(), lambda _now: None)
+    assert seen == [Answer()]
+
+
+# -- The history of a cell: a week of shifts in a table per day, and what it survives --------------
+
+
+MONDAY_S = datetime(2027, 3, 1, 6, 0).timestamp()
+DAY_S = 86_400.0
+
+
+class Kept:
+    """A history whose clock and faults the test sets; each look is a call."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.path, self.now_s, self.notes = path, MONDAY_S, list[str]()
+        self.state = SimpleNamespace(n_faults=0, fault=None, fault_number=0)
+        self.begin()
+
+    def begin(self) -> None:
+        """Start the program, which may have been killed."""
+        self.state.n_faults, self.state.fault = 0, None
+        faults, wall = lambda: self.state.n_faults, lambda: self.now_s
+        self.shift = Shift((6.0, 14.0, 22.0), faults, wall)
+        self.history = History(
+            self.path, lambda: self.state, note=self.notes.append, shift=self.shift, wall_s=wall
+        )
+
+    def fault(self, number: int, text: str) -> None:
+        self.state = SimpleNamespace(
+            n_faults=self.state.n_faults + 1, fault=text, fault_number=number
+        )
+
+    def look(self) -> dict[str, Any]:
+        self.now_s += 61.0
+        self.history.update()
+        return self.history.values()
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> Iterator[Kept]:
+    found = Kept(history_file(tmp_path / "out", "press 4 / left"))
+    yield found
+    found.history.close()
+    found.history._close_link()
+
+
+def test_a_week_of_shifts_survives_kills_and_is_summed_by_day_and_week(kept: Kept) -> None:
+    for day in range(7):
+        for shift in range(3):
+            kept.now_s = MONDAY_S + day * DAY_S + shift * 3600.0
+            kept.begin()
+            for number in range(40):
+                named = "box" if number % 10 == 0 else "ball"
+                kept.history.add(part(named, presented="ball", seconds=4.0 + shift))
+            kept.history.add(part("UNKNOWN", presented="pin", rejected=True))
+            kept.history.add(part(""))
+            kept.look()
+            kept.fault(301 + shift, "a servo is hot")
+            kept.look()
+    found = kept.history.values()
+    day = {"parts": 123, "rejected": 3, "missed": 3, "faults": 3, "starts": 3}
+    assert {name: found["today"][name] for name in day} == day
+    assert {name: found["yesterday"][name] for name in day} == day
+    assert {name: found["week"][name] for name in day} == {k: 7 * v for k, v in day.items()}
+    assert found["today"]["cycle_s"] == pytest.approx((3 * 4.0 + 40 * (4.0 + 5.0 + 6.0)) / 123)
+    assert found["today"]["confused"] == [
+        {"held": "ball", "named": "box", "n": 12, "confirmed": True}
+    ]
+    assert kept.path is not None
+    rows = read_day(kept.path, date(2027, 3, 7))
+    assert [row["fault_number"] for row in rows if row["kind"] == "fault"] == [301, 302, 303]
+    assert rows[-1]["text"] == "a servo is hot"
+    assert read_day(kept.path, date(2027, 3, 8)) == []
+    # A new week begins on Monday.
+    kept.now_s = MONDAY_S + 7 * DAY_S
+    found = kept.look()
+    assert (found["today"]["parts"], found["yesterday"]["parts"]) == (0, 123)
+    assert found["week"]["parts"] == 0
+    assert kept.notes == []
+
+
+def test_a_shift_goes_on_after_a_restart_and_ends_with_its_hours(kept: Kept) -> None:
+    def figures() -> tuple[Any, ...]:
+        found = kept.shift.values()
+        names = ("parts", "rejected", "missed", "faults", "cycle_s", "parts_last_hour", "counts")
+        return (found["since_s"] - MONDAY_S, *(found[name] for name in names))
+
+    def work(seconds: float) -> None:
+        for report in (part("pin", seconds=seconds), part("box", rejected=True), part("")):
+            kept.history.add(report)
+            kept.shift.add(report)
+        kept.fault(301, "a servo is hot")
+        kept.look()
+
+    work(3.0)
+    kept.now_s += 3600.0
+    kept.begin()
+    assert figures()[1] == 0
+    kept.look()
+    assert figures() == (0.0, 2, 1, 1, 1, 3.5, 0, {"pin": 1, "box": 1})
+    work(5.0)
+    before = figures()
+    assert before == (0.0, 4, 2, 2, 2, 4.0, 2, {"pin": 2, "box": 2})
+    kept.begin()
+    kept.shift.add(part("pin"))  # a part before the disk has answered
+    kept.look()
+    assert figures()[1:5] == (5, 2, 2, 2)
+    assert kept.shift.parts[-1].number == 1
+    kept.look()
+    assert figures()[1] == 5
+    # A night shift has two days; nothing of the late shift counts.
+    kept.now_s = MONDAY_S + 16.5 * 3600.0
+    kept.begin()
+    work(3.0)
+    kept.now_s = MONDAY_S + 20.0 * 3600.0
+    kept.begin()
+    kept.look()
+    assert figures()[:3] == (16.5 * 3600.0, 2, 1)
+    kept.now_s = MONDAY_S + 24.0 * 3600.0
+    kept.look()
+    kept.fault(301, "a servo is hot")  # before anybody asks for the figures
+    kept.now_s += 600.0
+    assert figures()[1:5] == (0, 0, 0, 1)
+
+
+def test_sums_that_take_long_are_made_seldom(kept: Kept) -> None:
+    kept.look()
+    kept.history._sum_took_s = 1.0
+    for passed_s, parts in ((10.0, 0), (51.0, 2)):
+        kept.history.add(part())
+        kept.now_s = kept.history._summed_s + passed_s
+        kept.history.update()
+        assert kept.history.values()["today"]["parts"] == parts
+
+
+def test_a_fault_of_the_start_is_in_the_history(kept: Kept) -> None:
+    kept.fault(506, "a part is in the grip")
+    kept.history = History(kept.path, lambda: kept.state, wall_s=lambda: kept.now_s)
+    kept.look()
+    assert kept.history.values()["today"]["faults"] == 1
+
+
+def test_without_a_word_what_was_held_the_second_label_counts_where_it_is_near(kept: Kept) -> None:
+    for _ in range(3):
+        kept.history.add(part("pin"))  # the second has 0.1
+    assert kept.look()["today"]["confused"] == [
+        {"held": "ball", "named": "pin", "n": 3, "confirmed": False}
+    ]
+
+
+def test_a_clock_that_leaps_loses_no_day(kept: Kept) -> None:
+    kept.history.add(part())
+    kept.look()
+    for leap_s in (3650 * DAY_S, -20 * 365 * DAY_S):
+        kept.now_s += leap_s
+        kept.history.add(part())
+        assert kept.look()["today"]["parts"] == 1
+    assert kept.path is not None
+    assert len(read_day(kept.path, date(2027, 3, 1))) == 2
+
+
+def test_the_first_days_go_when_there_are_many(kept: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(history, "KEPT_DAYS", 3)
+    for day in range(5):
+        kept.now_s = MONDAY_S + day * DAY_S
+        kept.history.add(part())
+        kept.look()
+    assert kept.path is not None
+    left = [bool(read_day(kept.path, date(2027, 3, 1 + day))) for day in range(5)]
+    assert left == [False, False, True, True, True]
+
+
+def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(kept, tmp_path) -> None:
+    (tmp_path / "out").write_text("a file in the place of the folder")
+    for _ in range(3):
+        kept.history.add(part())
+        assert kept.look() == {}
+    assert len(kept.notes) == 1
+    assert "the history is not kept" in kept.notes[0]
+    (tmp_path / "out").unlink()
+    assert kept.look()["today"]["parts"] == 3
+    assert kept.path is not None
+    with closing(sqlite3.connect(kept.path)) as other:  # a program that holds it for a while
+        other.execute("BEGIN EXCLUSIVE")
+        kept.history.add(part())
+        kept.look()
+        assert "locked" in kept.notes[-1]
+    assert kept.look()["today"]["parts"] == 4
+
+
+def test_a_damaged_file_is_moved_away_and_one_of_another_version_is_left(kept: Kept) -> None:
+    kept.path.parent.mkdir()
+    kept.path.write_bytes(b"no data base at all, but long enough to be looked at" * 100)
+    kept.history.add(part())
+    kept.look()
+    assert "a new history begins; the damaged file is now" in kept.notes[-1]
+    assert kept.look()["today"]["parts"] == 1
+    kept.history._close_link()
+    with closing(sqlite3.connect(kept.path)) as link:
+        link.execute("PRAGMA user_version = 2")
+    before = kept.path.read_bytes()
+    kept.history.add(part())
+    kept.look()
+    assert "has tables of version 2, but tactile-cell" in kept.notes[-1]
+    assert kept.path.read_bytes() == before
+    with pytest.raises(CellError, match="cannot read the history"):
+        read_day(kept.path.with_name("none.sqlite3"), date(2027, 3, 1))
+
+
+@pytest.mark.slow
+def test_the_service_keeps_it_and_http_shows_it(tmp_path: Path, serve: Any) -> None:
+    folder = tmp_path / "out" / "serve-20270301-060000"
+    folder.mkdir(parents=True)
+    served = serve("http", cell={"folder": folder})
+    service, found = served.service, served.interfaces
+    lease = service.lease.acquire("test")
+    service.start(lease, {"task": "identify", "present": "box"})
+    assert served.ended().label == "box"
+    until(lambda: service.history.values().get("today", {}).get("parts"))
+    address = f"http://127.0.0.1:{found['http_port']}/api/history"
+    asked = Request(address, headers={"Authorization": f"Bearer {found['token']}"})
+    with urlopen(asked) as answer:
+        assert json.load(answer) == service.history.values()
+    asked.full_url = f"{address}?day={date.today()}"
+    with urlopen(asked) as answer:
+        assert [row["kind"] for row in json.load(answer)["rows"]] == ["start", "part"]
+    service.close()
+    path = history_file(tmp_path / "out", small_config().name)
+    (row,) = (one for one in read_day(path, date.today()) if one["kind"] == "part")
+    assert (row["label"], row["held"]) == ("box", "box")
+
+
+# -- Photos of taught objects: what is kept, where, and what is refused ----------------------------
+
+
+JPEG = b"\xff\xd8\xff\xe0 a photo"
+PNG = b"\x89PNG\r\n\x1a\n a drawing"
+
+
+def test_a_photo_stands_beside_the_model_and_outlives_the_program(tmp_path: Path) -> None:
+    model = tmp_path / "parts.model.npz"
+    label = "../up/and away"
+    Photos(model).put(label, JPEG)
+    assert [path.parent.name for path in tmp_path.rglob("*.jpg")] == ["parts.model.photos"]
+    photos = Photos(model)
+    assert photos.get(label) == (JPEG, "image/jpeg")
+    photos.put(label, PNG)
+    assert photos.get(label) == (PNG, "image/png")
+    assert len([path for path in tmp_path.rglob("*") if path.is_file()]) == 1
+    photos.remove(label)
+    assert photos.get(label) is None
+    assert photos.revision == 2
+
+
+def test_without_a_model_photos_are_few_and_in_memory() -> None:
+    photos = Photos(None)
+    for number in range(64):
+        photos.put(str(number), JPEG)
+    photos.put("0", PNG)
+    with pytest.raises(RequestRefused, match="--save"):
+        photos.put("64", JPEG)
+    assert photos.get("0") == (PNG, "image/png")
+
+
+@pytest.mark.parametrize(
+    "photo", [b"", b"<svg/>", b"GIF89a", JPEG + bytes(LONGEST_PHOTO)], ids=lambda p: str(p[:6])
+)
+def test_what_is_no_photo_is_refused(photo: bytes) -> None:
+    with pytest.raises(RequestRefused):
+        Photos(None).put("ball", photo)
