@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Protocol, TypeVar
 
@@ -14,7 +15,9 @@ from recognition.evaluation.metrics import (
     auroc,
     confusion_matrix,
     expected_calibration_error,
-    wilson_interval,
+    interval_by_object,
+    object_weights,
+    percentile_interval,
 )
 from recognition.evaluation.splits import TrainTest
 from recognition.grasp import Grasp, by_label
@@ -25,8 +28,8 @@ _BEFORE = 10
 """Grasps of a shift that are tracked before the first counted grasp."""
 _MIN_LABELS_FOR_UNKNOWN = 4
 """Fewest labels for tests of unknown objects: with fewer, too few would remain to be taught."""
-_RANDOM_SUBSETS = 20
-"""Random sets of grasps of each label and size that are fused."""
+_UNKNOWN_EDGES = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
+"""Edges of the rows of the reliability of ``unknown``."""
 _CHUNK = 64
 """Grasps answered in one piece of work: long enough for a small overhead."""
 
@@ -58,7 +61,7 @@ class ShiftFigures:
     """Number of counted grasps."""
     accuracy: float
     interval: tuple[float, float]
-    """Share of counted grasps with the right likeliest label, and its 95 % Wilson interval."""
+    """Share of counted grasps with the right likeliest label, and its 95 % interval by objects."""
     named_right: float
     named_wrong: float
     """Shares of counted grasps that are named rightly and wrongly."""
@@ -79,11 +82,11 @@ class Evaluation:
     """Number of tested grasps of other objects; no accuracy includes them."""
     single_accuracy: float
     interval: tuple[float, float]
-    """Share of grasps with the right likeliest label, and its 95 % Wilson interval."""
+    """Share of grasps with the right likeliest label, and its 95 % interval by objects (cluster
+    bootstrap): grasps of one object in one series resemble each other."""
     fused_accuracy: Mapping[int, float]
-    """The same for k consecutive grasps of one label in time, all runs of k, by k."""
-    random_fused_accuracy: Mapping[int, float]
-    """The same for random sets of k grasps of one label."""
+    fused_interval: Mapping[int, tuple[float, float]]
+    """The same for k consecutive grasps of one label in time, by k; no grasp counts twice."""
     calibration_error: float
     """Expected calibration error of the probability of the likeliest label, ten bins."""
     named_right: float
@@ -95,6 +98,11 @@ class Evaluation:
     unknown_auroc: float
     """Area under the curve of ``unknown`` for objects that were left out of teaching against the
     others; NaN where it was not measured."""
+    auroc_interval: tuple[float, float]
+    """Its 95 % interval by objects."""
+    unknown_reliability: tuple[tuple[float, float, int, int], ...]
+    """Rows of ``unknown`` in that test: lower and upper edge, grasps, and those of left-out
+    objects. Objects are left out one group at a time; their share is the prior of the test."""
     unknown_rejected: float
     """Share of grasps of left-out objects with ``unknown`` above 0.5; NaN where not measured."""
     confusion: NDArray[np.int64]
@@ -146,8 +154,7 @@ def evaluate(
     known: list[Grasp] = []
     posteriors: list[Posterior] = []
     runs: list[tuple[str, list[Posterior]]] = []
-    areas: list[float] = []
-    new_scores: list[float] = []
+    scored: list[_Scores] = []
     labels: set[str] = set()
     n_untaught = 0
     shift = None
@@ -164,14 +171,16 @@ def evaluate(
             (label, [p for p, g in zip(answered, here, strict=True) if g.label == label])
             for label in by_known
         ]
-        part_areas, part_scores = _leave_out(train, here, trainer, unknown_groups, mapper)
+        scored += _leave_out(train, here, trainer, unknown_groups, mapper)
         if untaught and here:
             n_untaught += len(untaught)
-            scores = [p.unknown for p in answers(recognizer, untaught, mapper)]
-            part_areas.append(auroc([p.unknown for p in answered], scores))
-            part_scores += scores
-        areas += part_areas
-        new_scores += part_scores
+            new = answers(recognizer, untaught, mapper)
+            scored.append(
+                tuple(
+                    [(p.unknown, g.label) for p, g in zip(found, grasps, strict=True)]
+                    for found, grasps in ((answered, here), (new, untaught))
+                )
+            )
         if len(parts) == 1:
             shift = evaluate_shift(recognizer, here, seed)
     if not known:
@@ -182,6 +191,9 @@ def evaluate(
     truth = [g.label for g in known]
     right = np.array([p.best == t for p, t in zip(posteriors, truth, strict=True)])
     names = [p.name for p in posteriors]
+    fused = {k: _consecutive(runs, k) for k in fuse}
+    area, auroc_interval = _separation(scored)
+    new_scores = [score for _, new in scored for score, _ in new]
     return Evaluation(
         trainer=trainer.name,
         uses_aperture=trainer.uses_aperture,
@@ -189,9 +201,9 @@ def evaluate(
         n=len(known),
         n_untaught=n_untaught,
         single_accuracy=int(right.sum()) / len(right),
-        interval=wilson_interval(int(right.sum()), len(right)),
-        fused_accuracy=MappingProxyType({k: _consecutive(runs, k) for k in fuse}),
-        random_fused_accuracy=MappingProxyType({k: _random(runs, k, seed) for k in fuse}),
+        interval=interval_by_object(right.tolist(), truth),
+        fused_accuracy=MappingProxyType({k: share for k, (share, _) in fused.items()}),
+        fused_interval=MappingProxyType({k: interval for k, (_, interval) in fused.items()}),
         calibration_error=expected_calibration_error(
             [float(p.probability.max()) for p in posteriors], right
         ),
@@ -200,7 +212,9 @@ def evaluate(
             np.mean([name not in (t, UNKNOWN) for name, t in zip(names, truth, strict=True)])
         ),
         known_rejected=float(np.mean([p.unknown > 0.5 for p in posteriors])),
-        unknown_auroc=float(np.mean(areas)) if areas else float("nan"),
+        unknown_auroc=area,
+        auroc_interval=auroc_interval,
+        unknown_reliability=_reliability(scored),
         unknown_rejected=float(np.mean(np.array(new_scores) > 0.5)) if new_scores else float("nan"),
         confusion=confusion_matrix(truth, [p.best for p in posteriors], tuple(sorted(labels))),
         shift=shift,
@@ -214,7 +228,7 @@ def evaluate_shift(recognizer: object, grasps: Sequence[Grasp], seed: int) -> Sh
     """
     if not isinstance(recognizer, DriftFollowing) or len(grasps) <= _BEFORE:
         return None
-    right, names = [], []
+    right, names = list[bool](), list[tuple[str, str]]()
     for number, i in enumerate(np.random.default_rng(seed).permutation(len(grasps)).tolist()):
         grasp = grasps[i]
         if number >= _BEFORE:
@@ -226,7 +240,7 @@ def evaluate_shift(recognizer: object, grasps: Sequence[Grasp], seed: int) -> Sh
         before=_BEFORE,
         n=len(right),
         accuracy=sum(right) / len(right),
-        interval=wilson_interval(sum(right), len(right)),
+        interval=interval_by_object(right, [truth for _, truth in names]),
         named_right=sum(name == truth for name, truth in names) / len(names),
         named_wrong=sum(name not in (truth, UNKNOWN) for name, truth in names) / len(names),
     )
@@ -244,57 +258,75 @@ def _posteriors(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[Posteri
     return [recognizer.posterior(g) for g in grasps]
 
 
+_Scores = tuple[list[tuple[float, str]], ...]
+"""``unknown`` and label of each tested grasp: of taught labels, and of those left out."""
+
+
 def _leave_out(
     train: Sequence[Grasp],
     test: Sequence[Grasp],
     trainer: Trainer,
     n_groups: int,
     mapper: Mapper,
-) -> tuple[list[float], list[float]]:
-    """Return the area under the curve for each group of left-out labels, and unknown scores."""
+) -> list[_Scores]:
+    """Return the scores for each group of left-out labels."""
     labels = sorted({g.label for g in train})
     if len(labels) < _MIN_LABELS_FOR_UNKNOWN:
-        return [], []
+        return []
     n_groups = min(n_groups, len(labels))
     groups = [frozenset(labels[group::n_groups]) for group in range(n_groups)]
     groups = [
         out for out in groups if len(labels) - len(out) >= 2 and any(g.label in out for g in test)
     ]
-    scored = list(mapper(partial(_scores_without, train, test, trainer), groups))
-    return (
-        [auroc(known, new_scores) for known, new_scores in scored],
-        [score for _, new_scores in scored for score in new_scores],
-    )
+    return list(mapper(partial(_scores_without, train, test, trainer), groups))
 
 
 def _scores_without(
     train: Sequence[Grasp], test: Sequence[Grasp], trainer: Trainer, out: frozenset[str]
-) -> tuple[list[float], list[float]]:
-    """Return the unknown scores of tested grasps of other labels and of the left-out labels."""
+) -> _Scores:
     recognizer = trainer.fit([g for g in train if g.label not in out])
-    score = {True: list[float](), False: list[float]()}
-    for grasp in test:
-        score[grasp.label in out].append(recognizer.posterior(grasp).unknown)
-    return score[False], score[True]
+    scored = [(recognizer.posterior(g).unknown, g.label) for g in test]
+    known = [one for one in scored if one[1] not in out]
+    return known, [one for one in scored if one[1] in out]
 
 
-def _consecutive(runs: Sequence[tuple[str, Sequence[Posterior]]], k: int) -> float:
-    """Return the share of right answers over all runs of k grasps; NaN without a run."""
+def _separation(scored: Sequence[_Scores]) -> tuple[float, tuple[float, float]]:
+    """Return the mean area under the curve, and its 95 % interval; NaN without scores."""
+    if not scored:
+        return float("nan"), (float("nan"), float("nan"))
+    weights = object_weights([label for group in scored for part in group for _, label in part])
+    areas, drawn = [], []
+    for group in scored:
+        known, new = ([score for score, _ in part] for part in group)
+        each = tuple(np.array([weights[label] for _, label in part]).T for part in group)
+        areas.append(auroc(known, new))
+        drawn.append(auroc(known, new, (each[0], each[1])))
+    # A draw may have none of the objects of a group; the mean of the others counts.
+    with_group = [draw[np.isfinite(draw)] for draw in np.array(drawn).T]
+    means = [np.mean(draw) for draw in with_group if len(draw)]
+    return float(np.mean(areas)), percentile_interval(means)
+
+
+def _reliability(scored: Sequence[_Scores]) -> tuple[tuple[float, float, int, int], ...]:
+    known, new = (
+        np.histogram([score for group in scored for score, _ in group[part]], _UNKNOWN_EDGES)[0]
+        for part in (0, 1)
+    )
+    counts = zip((known + new).tolist(), new.tolist(), strict=True)
+    rows = ((*edges, *each) for edges, each in zip(pairwise(_UNKNOWN_EDGES), counts, strict=True))
+    return tuple(rows) if scored else ()
+
+
+def _consecutive(
+    runs: Sequence[tuple[str, Sequence[Posterior]]], k: int
+) -> tuple[float, tuple[float, float]]:
+    """Return the share of right answers over runs of k grasps, and its interval; NaN without."""
     right = [
-        fusion.fuse(members[i : i + k]).best == label
+        (fusion.fuse(members[i : i + k]).best == label, label)
         for label, members in runs
-        for i in range(len(members) - k + 1)
+        for i in range(0, len(members) - k + 1, k)
     ]
-    return float(np.mean(right)) if right else float("nan")
-
-
-def _random(runs: Sequence[tuple[str, Sequence[Posterior]]], k: int, seed: int) -> float:
-    """Return the share of right answers over random sets of k grasps; NaN without a set."""
-    rng = np.random.default_rng(seed)
-    right = [
-        fusion.fuse([members[i] for i in rng.choice(len(members), k, replace=False)]).best == label
-        for label, members in runs
-        if len(members) >= k
-        for _ in range(_RANDOM_SUBSETS)
-    ]
-    return float(np.mean(right)) if right else float("nan")
+    if not right:
+        return float("nan"), (float("nan"), float("nan"))
+    share = float(np.mean([one for one, _ in right]))
+    return share, interval_by_object([one for one, _ in right], [label for _, label in right])

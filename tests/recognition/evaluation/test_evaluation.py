@@ -13,6 +13,7 @@ from recognition.evaluation.metrics import (
     auroc,
     confusion_matrix,
     expected_calibration_error,
+    interval_by_object,
     paired_difference,
     wilson_interval,
 )
@@ -117,6 +118,20 @@ def test_auroc_counts_pairs_in_order():
     assert auroc([0, 2], [1, 3]) == 0.75
     assert auroc([1, 1], [1, 1]) == 0.5
     assert np.isnan(auroc([], [1]))
+    weighted = auroc([0, 2], [1, 3], (np.array([[1, 1], [0, 2]]), np.ones((2, 2))))
+    assert weighted.tolist() == [0.75, 0.5]
+
+
+def test_an_interval_by_objects_is_wider_where_grasps_of_an_object_agree():
+    objects = [name for name in "abcdefghij" for _ in range(20)]
+    alike = [name != "a" for name in objects]
+    apart = [n % 10 != 0 for n in range(200)]
+    wide, narrow = (interval_by_object(right, objects) for right in (alike, apart))
+    assert wide[1] - wide[0] > 3.0 * (narrow[1] - narrow[0])
+    assert wide[0] < 0.9 < wide[1]
+    assert interval_by_object([True] * 200, objects) == wilson_interval(10, 10)
+    assert interval_by_object([False] * 200, objects) == wilson_interval(0, 10)
+    assert interval_by_object([], []) == (0.0, 1.0)
 
 
 def test_a_paired_difference_has_the_interval_of_agresti_and_min():
@@ -160,7 +175,9 @@ def test_figures_fit_each_other(found, fresh):
     assert set(found.fused_accuracy) == {1, 2, 3, 5}
     assert found.fused_accuracy[1] == pytest.approx(found.single_accuracy)
     assert 0.0 <= found.calibration_error <= 0.3
-    assert 0.5 <= found.unknown_auroc <= 1.0
+    assert 0.5 <= found.auroc_interval[0] <= found.unknown_auroc <= found.auroc_interval[1] <= 1.0
+    assert sum(n for _, _, n, _ in found.unknown_reliability) == 5 * found.n
+    assert sum(new for *_, new in found.unknown_reliability) == found.n
     assert 0.0 <= found.known_rejected <= 0.5
     assert found.trainer == "shrinkage_lda"
 
@@ -168,7 +185,7 @@ def test_figures_fit_each_other(found, fresh):
 def test_more_grasps_than_there_are_give_no_figure(train, fresh):
     short = evaluate([(train, fresh)], make_trainer("shrinkage_lda"), fuse=(50,), unknown_groups=0)
     assert np.isnan(short.fused_accuracy[50])
-    assert np.isnan(short.random_fused_accuracy[50])
+    assert np.isnan(short.fused_interval[50][0])
     assert np.isnan(short.unknown_auroc)
 
 

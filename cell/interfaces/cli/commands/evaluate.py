@@ -20,6 +20,7 @@ from recognition.recognizers import trainer_names
 if TYPE_CHECKING:
     from cell.jobs.evaluate import EvaluationResult
     from recognition.drift.drift import Drift
+    from recognition.evaluation.evaluation import Evaluation
 
 _PAIRS = 5
 """Number of pairs of confused objects that are printed, the most frequent first."""
@@ -128,8 +129,13 @@ def _numbers(text: str) -> tuple[int, ...]:
     return numbers
 
 
-def _figure(value: float, digits: int) -> str:
-    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+def _with_interval(
+    value: float, interval: tuple[float, float], unit: float = 100.0, digits: int = 1
+) -> str:
+    if math.isnan(value):
+        return "-"
+    low, high = (f"{unit * end:.{digits}f}" for end in interval)
+    return f"{unit * value:.{digits}f} ({low} to {high})"
 
 
 def _drift(text: str | None) -> "Drift":
@@ -145,7 +151,7 @@ def _drift(text: str | None) -> "Drift":
 def _print_evaluation(result: "EvaluationResult") -> None:
     from rich.table import Table
 
-    from cell.interfaces.cli.terminal import percent, print_line, print_note, print_table
+    from cell.interfaces.cli.terminal import print_line, print_note, print_table
     from recognition.drift.drift import NO_DRIFT, drift_text
     from recognition.recognizer import UNKNOWN
 
@@ -181,20 +187,23 @@ def _print_evaluation(result: "EvaluationResult") -> None:
                 shown,
                 f"{100 * evaluation.single_accuracy:.1f}",
                 f"{100 * low:.1f} to {100 * high:.1f}",
-                *(_figure(100 * evaluation.fused_accuracy[k], 1) for k in fused),
+                *(
+                    _with_interval(evaluation.fused_accuracy[k], evaluation.fused_interval[k])
+                    for k in fused
+                ),
             )
             named.add_row(
                 shown,
                 f"{100 * evaluation.named_right:.1f}",
                 f"{100 * evaluation.named_wrong:.1f}",
                 f"{100 * (1.0 - evaluation.named_right - evaluation.named_wrong):.1f}",
-                _figure(evaluation.unknown_auroc, 3),
+                _with_interval(evaluation.unknown_auroc, evaluation.auroc_interval, 1.0, 3),
             )
     print_table(right)
     print_table(named)
     print_line(
         "AUROC: separation of taught objects from objects left out of teaching; 1 is perfect, 0.5 "
-        "is chance"
+        "is chance. Intervals at 95 % draw objects, not grasps, and no fused grasp counts twice"
     )
     if any(math.isnan(f.full.unknown_auroc) for f in result.recognizers.values()):
         print_line(
@@ -202,16 +211,29 @@ def _print_evaluation(result: "EvaluationResult") -> None:
             f"objects (here {len(result.labels)}) and a split within each"
         )
     for name, figures in result.recognizers.items():
-        if pairs := figures.full.confused:
-            shown_pairs = [f"{n} x {truth} as {answer}" for truth, answer, n in pairs[:_PAIRS]]
-            rest = f", and {len(pairs) - _PAIRS} more pairs" if len(pairs) > _PAIRS else ""
-            print_line(f"{name} confuses, one grasp each: {', '.join(shown_pairs)}{rest}")
-        shift = figures.full.shift
-        if shift is not None:
-            print_line(
-                f"{name} with drift correction, after the first {shift.before}: "
-                f"{percent(shift.accuracy, shift.interval)}, "
-                f"named rightly {100 * shift.named_right:.1f} %, wrongly "
-                f"{100 * shift.named_wrong:.1f} %"
-            )
+        _print_details(name, figures.full)
     print_line(f"took {result.seconds:.1f} s")
+
+
+def _print_details(name: str, evaluation: "Evaluation") -> None:
+    """Print the confusions of a recogniser, its `unknown` and its figures with drift correction."""
+    from cell.interfaces.cli.terminal import percent, print_line
+
+    if pairs := evaluation.confused:
+        shown_pairs = [f"{n} x {truth} as {answer}" for truth, answer, n in pairs[:_PAIRS]]
+        rest = f", and {len(pairs) - _PAIRS} more pairs" if len(pairs) > _PAIRS else ""
+        print_line(f"{name} confuses, one grasp each: {', '.join(shown_pairs)}{rest}")
+    rows = [row for row in evaluation.unknown_reliability if row[2]]
+    if rows:
+        shares = (
+            f"{low:g} to {high:g}: {100 * new / n:.0f} % of {n}" for low, high, n, new in rows
+        )
+        print_line(f"{name}, unknown and share of left-out objects there: {', '.join(shares)}")
+    shift = evaluation.shift
+    if shift is not None:
+        print_line(
+            f"{name} with drift correction, after the first {shift.before}: "
+            f"{percent(shift.accuracy, shift.interval)}, "
+            f"named rightly {100 * shift.named_right:.1f} %, wrongly "
+            f"{100 * shift.named_wrong:.1f} %"
+        )
