@@ -15,9 +15,12 @@ from tactile.errors import FrameTimeout
 from tests.cell.conftest import COARSE_PADS
 
 PIN = {"pin": "cylinder:diameter=6mm,length=20mm"}
-QUICK = {"tactile.tare_frames": 25, "gripper.approach_speed_mm_s": 20.0}
+QUICK = {
+    "tactile.tare_frames": 25,
+    "tactile.layout": COARSE_PADS,
+    "gripper.approach_speed_mm_s": 20.0,
+}
 SHORT = QUICK | {"sequence.force_n": [2.0, 3.0], "sequence.max_grasps": 2}
-SHORT["tactile.layout"] = COARSE_PADS
 REAL = """
 gripper: {port: /dev/ttyUSB7, servos: [{id: 11}, {id: 12}], force_max_n: 9.0}
 tactile: {interface: socketcan, channel: can7, node_id: 9}

@@ -17,7 +17,7 @@ from cell.control.states import CellState
 from cell.data import retention
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, RecordingError
-from cell.plugin.goals import TeachGoal
+from cell.plugin.goals import GripGoal, TeachGoal
 from cell.plugin.health import health_values
 from cell.plugin.lease import Lease
 from cell.plugin.plugin import TactileCellPlugin
@@ -204,8 +204,8 @@ def test_nothing_is_stopped_where_no_job_runs(monkeypatch: pytest.MonkeyPatch) -
             plugin.alive()
             until(lambda: not plugin._lease.number)
         assert stopped == []
-        job = plugin.start(TeachGoal(label="ball", grasps=3))
-        assert plugin.result(job, LIMIT_S) == 3
+        job = plugin.start(GripGoal(force_n=3.0, present="ball"))
+        assert plugin.result(job, LIMIT_S).held
 
 
 @pytest.mark.slow
