@@ -15,7 +15,6 @@ from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.errors import ConfigError
 from cell.simulation import simulation_of
-from tests.cell.conftest import COARSE_PADS
 from tests.faults.campaign import campaign_config
 from tests.marks import LONG
 
@@ -96,7 +95,7 @@ ENDS = tuple(ends())
 
 def config_at(*at: End) -> CellConfig:
     """Return a config with short jobs and some keys at an end; ConfigError where it is refused."""
-    changes: dict[str, Any] = {"tactile.layout": COARSE_PADS}
+    changes: dict[str, Any] = {"gripper.aperture_open_mm": 16.0}
     for end in at:
         changes |= _BESIDE.get(str(end), {}) | {end.path: end.value}
     return campaign_config(changes)

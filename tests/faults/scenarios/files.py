@@ -242,7 +242,8 @@ def bad_model(_row: FaultRow, *, content: Callable[[Path], bytes]) -> Observed:
         path, marker = Path(folder) / "m.npz", Path(folder) / "code-was-run"
         path.write_bytes(content(marker))
         refusal, touched = _before_hardware(
-            lambda: TactileCellPlugin(campaign_config(), model=path), ModelError
+            lambda: TactileCellPlugin(campaign_config({"tactile.layout": "paper"}), model=path),
+            ModelError,
         )
         run = marker.exists()
     refused = refusal != "" and not touched and not run

@@ -285,11 +285,13 @@ def _simulator() -> CellProcess:
     """Return the simulated cell of all rows: its process ends with this one."""
     config = campaign_config(
         {
+            "gripper.aperture_open_mm": 16.0,
             "gripper.loop_rate_hz": 100.0,
             "gripper.approach_speed_mm_s": 30.0,
             "gripper.watchdog_ms": 500.0,
             "gripper.force_stale_ms": 400.0,
             "gripper.bus_loss_ms": 500.0,
+            "tactile.layout": "paper",
             "tactile.sync_period_ms": 50.0,
             "tactile.force_period_ms": 10,
             "sequence.x_mm": [0, 0],
