@@ -2,6 +2,8 @@
 
 import pytest
 
+from tests.processor_time import REFERENCE_LOOP_S, slowness
+
 
 def run(pytester: pytest.Pytester, *options: str) -> pytest.RunResult:
     pytester.makepyfile(
@@ -32,6 +34,14 @@ def test_a_run_above_its_budget_fails(pytester, budget, code, text) -> None:
     result = run(pytester, f"--processor-budget={budget}")
     assert result.ret == code
     result.stdout.fnmatch_lines([f"* s of processor in 2 tests, {text}the budget of *"])
+
+
+@pytest.mark.parametrize(("load", "factor"), [(0.1, 1.0), (1.5, 1.0), (2.25, 1.5), (9.0, 2.0)])
+def test_a_crowded_processor_gets_more(monkeypatch, load, factor) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 4)
+    monkeypatch.setattr("os.getloadavg", lambda: (0.0, 4 * load, 0.0))
+    assert slowness([REFERENCE_LOOP_S]) == pytest.approx(factor)
+    assert slowness([2.0 * REFERENCE_LOOP_S]) == pytest.approx(2.0 * factor)
 
 
 def test_the_list_has_the_time_of_each_test(pytester) -> None:
