@@ -372,7 +372,8 @@ class Approach:
         rate_n_s = _CREEP_N_S if brake.drive_n < most_n else _LATE_CREEP_N_S
         brake.drive_n += rate_n_s * moment.dt_s
         current_a = min(
-            self._free_a[finger] + brake.drive_n / path.n_per_a,
+            # A finger that slowed down has shown less current than its friction, even below 0 A.
+            max(0.0, self._free_a[finger]) + brake.drive_n / path.n_per_a,
             MOST_FRICTION * self._closing_a[finger],
             self._most_a[finger],
         )
