@@ -289,7 +289,7 @@ class LoopRunner:
                 break
             if newest.t_s >= opened_s:
                 left = max(least, left - settings.period_s / _LOWERING_S)
-                servos.goals.write(lowered(goals, left, state, settings), state)
+                servos.goals.write(lowered(goals, servos.goals.last, left, state, settings), state)
             elif left < 0.0:
                 servos.goals.write(holding_position(asked, asked, state, share), state)
             self._clock.sleep(settings.period_s)

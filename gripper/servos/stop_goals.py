@@ -47,11 +47,21 @@ def holding_position(
 
 
 def lowered(
-    last: Sequence[ServoGoal], share: float, state: ServoFeedback, settings: GripperSettings
+    first: Sequence[ServoGoal],
+    last: Sequence[ServoGoal],
+    share: float,
+    state: ServoFeedback,
+    settings: GripperSettings,
 ) -> list[ServoGoal]:
-    """Return goals with a share of the last currents; below 0 they drive the fingers open."""
+    """Return goals with a share of the first currents; below 0 they drive the fingers open.
+
+    The last goals may brake: then their currents are less than the share, and they stay.
+    """
     if share >= 0.0:
-        return [replace(goal, current_a=share * goal.current_a) for goal in last]
+        return [
+            replace(goal, current_a=min(share * goal.current_a, now.current_a))
+            for goal, now in zip(first, last, strict=True)
+        ]
     models = (one.servo_model for one in settings.servos)
     return [
         replace(
@@ -59,7 +69,7 @@ def lowered(
             angle_rad=servo.angle_rad + closing_margin_rad(model, -share * goal.current_a),
             current_a=-share * goal.current_a,
         )
-        for goal, servo, model in zip(last, state.servos, models, strict=True)
+        for goal, servo, model in zip(first, state.servos, models, strict=True)
     ]
 
 
