@@ -270,7 +270,7 @@ class LoopRunner:
         """Lower the currents evenly until the force is below its cap.
 
         A spring between the fingers would throw them open after one large step: once they open,
-        the next sample is awaited, and at the end they hold their positions. Where friction alone
+        they hold their positions until the next sample, and at the end. Where friction alone
         holds the force, they are driven open, as long as the samples follow: no signal alone lets a
         part go. One pad that shows the force alone may be at fault: then ``over_force_share`` of
         the currents is left. Raises as `ServoGroup.read`.
@@ -290,7 +290,7 @@ class LoopRunner:
             if newest.t_s >= opened_s:
                 left = max(least, left - settings.period_s / _LOWERING_S)
                 servos.goals.write(lowered(goals, servos.goals.last, left, state, settings), state)
-            elif left < 0.0:
+            else:
                 servos.goals.write(holding_position(asked, asked, state, share), state)
             self._clock.sleep(settings.period_s)
             before, state = state, servos.read()
