@@ -65,7 +65,10 @@ def least_quotient(P: Array, N: Array, *, seed: int = 0) -> float:
         return value, 2.0 * ((P - value * N) @ v)[:n] / below
 
     starts = np.random.default_rng(seed).normal(size=(8, n)) * np.geomspace(0.1, 100.0, 8)[:, None]
-    return min(float(optimize.minimize(quotient, x, jac=True).fun) for x in starts)
+    return min(
+        float(optimize.minimize(quotient, x, jac=True, method="BFGS", options={"gtol": 1e-12}).fun)
+        for x in starts
+    )
 
 
 def column_sums(M_inv: Array) -> Array:
