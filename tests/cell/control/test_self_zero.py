@@ -467,15 +467,26 @@ def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("seed", "kt"), [(10, [1.3, 1.0]), *(LONG(seed, [1.0, 1.0]) for seed in (38, 45))]
+    "seed",
+    [
+        10,
+        LONG(38),
+        pytest.param(
+            45,
+            marks=[
+                pytest.mark.long,
+                pytest.mark.xfail(strict=True, reason="13.3 N at a set-point of 10 N, limit 12.5"),
+            ],
+        ),
+    ],
 )
 def test_pads_on_each_other_stay_below_the_cap_and_contradict_no_message(
-    make_bench, seed: int, kt: list[float]
+    make_bench, seed: int
 ) -> None:
-    """At twice the noise, which moves the centre of a load on all taxels far, and in the first row
-    with one stronger motor. The set-point ends at 10 N, the cap is 15 N, and no servo was ever
+    """At twice the noise, which moves the centre of a load on all taxels far, and with one stronger
+    motor. The set-point ends at 10 N, the cap is 15 N, and no servo was ever
     measured."""
-    unlike = {"simulator__servos__friction": [0.5, 1.0], "simulator__servos__kt": kt}
+    unlike = {"simulator__servos__friction": [0.5, 1.0], "simulator__servos__kt": [1.3, 1.0]}
     noisy = {"simulator__noise_level": 2.0, "tactile__tare_frames": 100}
     bench = make_bench(small_config(self_zero="always", seed=seed, **unlike, **noisy))
     forces_n: list[float] = []
