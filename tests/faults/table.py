@@ -473,7 +473,7 @@ SERVO_BUS = (
              changes=LONG_HOLD | {"gripper.bus_loss_ms": 500.0}, number=105),
     *(FaultRow(20, variant, f"another device sends {what} from the ramp on, into answers too",
                f"{text}@contact+0.2s", "HOLD", LOSSY_S, changes=LONG_HOLD | PAPER_PADS | WIDE,
-               number=106)
+               number=(106, 103))  # the bus, or the one servo whose answers the bytes meet
       for variant, what, text in (
           ("chatter", "one byte each 0.7 ms", "servos.chatter=0.7ms"),
           ("bursts", "40 bytes each 2.3 ms", "servos.bursts=2.3ms"),
