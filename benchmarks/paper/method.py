@@ -147,7 +147,7 @@ def invariance() -> None:
     for form, matrices in (("full quadrics", FULL), ("form (7)", caps())):
         for reading in Reading:
             for kind, settings in KINDS.items():
-                line(f"{form}", f"{reading.value}, {kind}: {spread(matrices, settings, reading)}")
+                line(form, f"{reading.value}, {kind}: {spread(matrices, settings, reading)}")
 
 
 def solvers(n: int) -> None:

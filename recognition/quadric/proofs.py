@@ -54,7 +54,7 @@ def sdp_bound(P: Array, N: Array) -> float:
     return low
 
 
-def least_quotient(P: Array, N: Array, *, seed: int = 0) -> float:
+def least_quotient(P: Array, N: Array) -> float:
     """Return the least value of the quotient of eq. (4) that descents from eight points reach."""
     n = len(P) - 1
 
@@ -64,7 +64,7 @@ def least_quotient(P: Array, N: Array, *, seed: int = 0) -> float:
         value = float(v @ P @ v) / below
         return value, 2.0 * ((P - value * N) @ v)[:n] / below
 
-    starts = np.random.default_rng(seed).normal(size=(8, n)) * np.geomspace(0.1, 100.0, 8)[:, None]
+    starts = np.random.default_rng(0).normal(size=(8, n)) * np.geomspace(0.1, 100.0, 8)[:, None]
     return min(
         float(optimize.minimize(quotient, x, jac=True, method="BFGS", options={"gtol": 1e-12}).fun)
         for x in starts
@@ -125,11 +125,15 @@ def _polynomial(Q: NDArray[np.floating]) -> Array:
     return np.abs(x)
 
 
+def _qr(Q: NDArray[np.floating]) -> Array:
+    return np.array([np.abs(linalg.eigvals(one, check_finite=False)).min() for one in Q])
+
+
 def _companion(Q: NDArray[np.floating]) -> Array:
     c, C = _coefficients(Q), np.zeros_like(Q)
     C[:, 0, :] = -c[:, 1:]
     C[:, range(1, Q.shape[-1]), range(Q.shape[-1] - 1)] = 1
-    return np.array([np.abs(linalg.eigvals(one, check_finite=False)).min() for one in C])
+    return _qr(C)
 
 
 def _power(Q: NDArray[np.floating]) -> Array:
@@ -139,10 +143,6 @@ def _power(Q: NDArray[np.floating]) -> Array:
         v = inverse @ v
         v /= np.linalg.norm(v, axis=1, keepdims=True)
     return np.abs(1 / (np.swapaxes(v, 1, 2) @ inverse @ v)[:, 0, 0])
-
-
-def _qr(Q: NDArray[np.floating]) -> Array:
-    return np.array([np.abs(linalg.eigvals(one, check_finite=False)).min() for one in Q])
 
 
 def _symmetric_qr(Q: NDArray[np.floating]) -> Array:

@@ -144,7 +144,10 @@ class TactileLink:
         refuse_mismatch(layout_checks(session.objects, self.layout, self._node_id), other)
         refuse_stored_values(session.objects, session.name)
         set_up(session.objects, self.settings)
-        if self._force_table is not None and session.objects.find(object_dictionary.FORCE_MESSAGE):
+        if (
+            self._force_table is not None
+            and session.objects.find(object_dictionary.FORCE_MESSAGE) is not None
+        ):
             session.expect_forces(
                 set_up_forces(session.objects, self.settings, self._node_id, self._force_table)
             )
