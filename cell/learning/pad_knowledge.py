@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.config.model import CellConfig
-from cell.config.tactile import layout_from_config
+from cell.config.tactile import PaperCalibrationConfig, layout_from_config, make_calibration
 from cell.control.records import pad_array
 from cell.data.dataset import read_grasps
 from cell.errors import CellError, ConfigError, raised_as
 from cell.learning.blas import one_blas_thread
-from cell.simulation import drawn_shape, sensor_law
+from cell.simulation import drawn_shape
 from recognition.drift.self_zero import common_zero, drawn_zero
 from recognition.errors import ContactError
 from recognition.grasp import Grasp, PadArray, SelfZero
@@ -101,8 +101,8 @@ class PadKnowledge:
             f"foam {1e-3 * foam.modulus_pa:.0f} kPa, spread {1e3 * foam.spread_m:.2f} mm, "
             f"sensor gain {foam.gain:.3f}, opening {1e3 * foam.aperture_offset_m:+.2f} mm"
         )
-        if foam.full_scale_n is not None:
-            text += f", linear up to {foam.full_scale_n:.3g} N a taxel"
+        if foam.nodes is not None:
+            text += f", full scale at {foam.nodes[0][-1]:.3g} N a taxel"
         if self.fit is None:
             return f"{text}: not calibrated, add --gauge"
         modulus, gain, _, aperture, _ = self.fit.sd
@@ -115,8 +115,14 @@ class PadKnowledge:
 
 def usual_foam(config: CellConfig) -> FoamModel:
     """Return the usual foam on a sensor with the config's law from force to counts."""
-    law = sensor_law(config)
-    return FoamModel(gain=law.gain, full_scale_n=law.full_scale_n)
+    layout, law = layout_from_config(config.tactile), config.tactile.calibration
+    if isinstance(law, PaperCalibrationConfig):
+        return FoamModel(gain=1.0 / law.gain)
+    one_law = config.tactile.model_copy(update={"pad_gains": (1.0, 1.0)})
+    counts = np.unique([0.0, *getattr(law, "counts", ()), layout.adc_max])
+    counts = counts[counts <= layout.adc_max]
+    force_n = make_calibration(one_law, layout).force_n(counts)
+    return FoamModel(nodes=(tuple(force_n), tuple(counts / layout.adc_max)))
 
 
 def gauge_shape(grasps: Sequence[Grasp], text: str | None, config: CellConfig) -> Drawing:

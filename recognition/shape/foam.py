@@ -4,8 +4,8 @@ The foam is a bed of columns side by side. At the strain e a column has the pres
 E e (1 + d (e / (1 - e))^2), beyond a largest strain along the tangent. On its way through
 the sheet the pressure spreads as a Gaussian, mirrored at the rims of the pad, so that no force is
 lost. With F newtons a taxel reads the share 1 - exp(-0.449 gain F) of the full scale:
-equation (11) of the paper under constant current, inverted. A linear sensor reads gain F over the
-force of its full scale.
+equation (11) of the paper under constant current, inverted. A sensor with another law has nodes of
+force and reading, with straight lines between them; a linear one has two.
 
 Columns may push their neighbours in. This is between separate columns and an elastic body. A
 surface point yields under its own column and under the pressure around it. With ``sideways`` = m
@@ -115,11 +115,12 @@ class FoamModel:
     spread_m: float = 1.5e-3
     """Standard deviation of the spread of the pressure in m."""
     gain: float = 1.0
-    """Factor on the force on a taxel; 1 is equation (11), or the force of the full scale."""
+    """Factor on the force on a taxel before the law."""
     aperture_offset_m: float = 0.0
     """Offset of the measured opening in m: measured less true."""
-    full_scale_n: float | None = None
-    """Force on a taxel in N at which a linear sensor reads its full scale; None: equation (11)."""
+    nodes: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    """Forces on a taxel in N from 0 on, and its readings as shares of the full scale; None:
+    equation (11)."""
     sideways: float = 0.0
     """Share, from 0 to below 1, of a point's displacement by the pressure around it."""
     sideways_m: float = 1.2e-3
@@ -138,9 +139,10 @@ class FoamModel:
             raise ValueError(f"foam: sideways is {self.sideways}, must be within [0, 1)")
         if not np.isfinite(self.aperture_offset_m):
             raise ValueError(f"foam: aperture_offset_m is {self.aperture_offset_m}, not finite")
-        full_n = self.full_scale_n
-        if full_n is not None and not (np.isfinite(full_n) and full_n > 0.0):
-            raise ValueError(f"foam: full_scale_n is {full_n}, must be positive and finite")
+        nodes = np.zeros((2, 1)) if self.nodes is None else np.array(self.nodes)
+        rises = np.isfinite(nodes).all() and (np.diff(nodes) > 0.0).all()
+        if not rises or nodes[:, 0].any() or nodes[1, -1] > 1.0:
+            raise ValueError("foam: forces and shares of nodes must rise from 0, shares up to 1")
 
     def relative_pressure(
         self, indentation_m: NDArray[np.floating[Any]], stiffening: ArrayLike = 1.0
@@ -163,14 +165,14 @@ class FoamModel:
     def response(self, force_n: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the reading of taxels under ``force_n`` N as a share of the full scale."""
         felt_n = self.gain * force_n
-        if self.full_scale_n is not None:
-            return np.minimum(felt_n / self.full_scale_n, 1.0)
+        if self.nodes is not None:
+            return np.interp(felt_n, *self.nodes)
         return -np.expm1(-DECAY_PER_N * felt_n)
 
-    def as_dict(self) -> dict[str, float]:
+    def as_dict(self) -> dict[str, Any]:
         """Return all set values by their names, with units in the names."""
         values = {name: getattr(self, name) for name in self.__slots__}
-        return {name: float(value) for name, value in values.items() if value is not None}
+        return {name: value for name, value in values.items() if value is not None}
 
 
 class PadBed:

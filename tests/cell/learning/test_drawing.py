@@ -153,16 +153,17 @@ def test_the_calibration_follows_another_foam() -> None:
 
 EXACT = {f"{name}_sd": 1e-6 for name in ("modulus", "gain", "spread", "densification", "thickness")}
 LINEAR = {"layout": "pinch", "calibration": {"kind": "linear", "force_per_count_n": 0.001}}
-
-
-def linear_config() -> CellConfig:
-    return CellConfig.model_validate({"tactile": LINEAR, "simulator": {"noise": "none"}})
+TABLE = {
+    "layout": "pinch",
+    "calibration": {"kind": "table", "counts": (900, 2000, 5000), "force_n": (0.5, 2.0, 9.0)},
+}
+"""A sensor that flattens later than equation (11), with a node beyond its full scale."""
 
 
 @pytest.mark.parametrize(
     "tactile",
-    [LINEAR, {"calibration": {"kind": "paper", "gain": 1.3}}],
-    ids=["linear", "paper with a gain"],
+    [LINEAR, TABLE, {"calibration": {"kind": "paper", "gain": 1.3}}],
+    ids=["linear", "table", "paper with a gain"],
 )
 def test_simulated_and_virtual_pads_read_as_the_config_says(tactile) -> None:
     config = CellConfig.model_validate({"tactile": tactile})
@@ -174,14 +175,18 @@ def test_simulated_and_virtual_pads_read_as_the_config_says(tactile) -> None:
     assert layout.adc_max * usual_foam(config).response(force_n) == pytest.approx(counts)
 
 
-def test_virtual_grasps_follow_a_linear_sensor() -> None:
-    config = linear_config()
+@pytest.mark.parametrize("tactile", [LINEAR, TABLE], ids=["linear", "table"])
+def test_virtual_grasps_and_sizes_follow_the_law_of_the_sensor(tactile) -> None:
+    config = CellConfig.model_validate({"tactile": tactile, "simulator": {"noise": "none"}})
+    calibration = make_calibration(config.tactile, layout_from_config(config.tactile))
     known = PadKnowledge(foam=usual_foam(config), **EXACT)
     grasps = teach_drawing(config, "ball", drawn_shape(BALL), 4, known=known)
     for grasp in grasps:
+        pads_n = calibration.force_n(grasp.counts[-3:].mean(axis=0))
         for pad in (0, 1):
-            pad_n = 0.001 * grasp.counts[-3:, grasp.pads.taxels_of(pad)].sum(axis=1).mean()
-            assert pad_n == pytest.approx(grasp.force_n[-1], rel=0.2)
+            assert pads_n[grasp.pads.taxels_of(pad)].sum() == pytest.approx(
+                grasp.force_n[-1], rel=0.2
+            )
     read = reader_under(PadKnowledge(foam=usual_foam(config)))
     for answer in map(read, grasps):
         assert 1e3 * answer.size_m == pytest.approx(9.5, abs=0.8)

@@ -283,6 +283,8 @@ def test_a_foam_that_explains_all_grasps_is_that_of_the_cell() -> None:
 
 
 FOAM = FoamModel()
+LINEAR = ((0.0, 4.0), (0.0, 1.0))
+"""Law of a linear sensor, as of `FoamModel.nodes`."""
 SIZES_MM = {"sphere": 9.0, "oval": 10.0, "cylinder": 7.0, "flat": 8.0, "dumbbell": 9.0}
 OWN = {
     "sphere": [],
@@ -369,7 +371,7 @@ def test_an_untaught_object_is_named_and_measured(pads: PadArray, kind: str) -> 
 
 @pytest.mark.parametrize("kind", ["sphere", "cylinder", "flat"])
 def test_a_linear_sensor_is_read_under_its_own_law(pads: PadArray, kind: str) -> None:
-    linear = FoamModel(full_scale_n=4.0)
+    linear = FoamModel(nodes=LINEAR)
     grasp = pressed(pads, Body(kind, SIZES_MM[kind]), seed=3, foam=linear, noise=0.004)
     answer, wrong = shape_of(grasp, foam=linear), shape_of(grasp)
     assert answer.kind == kind
@@ -464,11 +466,11 @@ def test_pads_that_show_no_shape_are_refused(factory, shapes, why) -> None:
 
 @pytest.mark.slow
 def test_a_gauge_finds_stiffness_and_gain_of_a_linear_sensor(pads: PadArray) -> None:
-    true = FoamModel(modulus_pa=220e3, gain=0.8, full_scale_n=4.0)
+    true = FoamModel(modulus_pa=220e3, gain=0.8, nodes=LINEAR)
     body = Body("sphere", 9.0)
     grasps = [pressed(pads, body, seed=s, foam=true) for s in range(6)]
-    fit = fit_foam(grasps, body, FoamModel(full_scale_n=4.0))
-    assert (fit.foam.full_scale_n, fit.foam.gain) == (4.0, pytest.approx(0.8, rel=0.1))
+    fit = fit_foam(grasps, body, FoamModel(nodes=LINEAR))
+    assert (fit.foam.nodes, fit.foam.gain) == (LINEAR, pytest.approx(0.8, rel=0.1))
     assert fit.foam.modulus_pa == pytest.approx(220e3, rel=0.15)
     assert abs(fit_foam(grasps, body).foam.modulus_pa / 220e3 - 1.0) > 0.3
 

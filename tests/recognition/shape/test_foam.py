@@ -1,5 +1,7 @@
 """Foam and sensor as a formula: exact values, forces conserved, grids of all kinds."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -28,16 +30,19 @@ def test_the_response_is_equation_11() -> None:
     assert foam.response(np.array([2.0])) == pytest.approx([1 - np.exp(-0.449 * 1.2 * 2.0)])
 
 
-def test_a_linear_sensor_reads_in_proportion_up_to_its_full_scale() -> None:
-    foam = FoamModel(gain=0.5, full_scale_n=4.0)
-    assert foam.response(np.array([0.0, 2.0, 8.0, 50.0])) == pytest.approx([0.0, 0.25, 1.0, 1.0])
+def test_another_law_has_lines_between_its_nodes_up_to_its_full_scale() -> None:
+    foam = FoamModel(gain=0.5, nodes=((0.0, 1.0, 4.0), (0.0, 0.4, 1.0)))
+    force_n = np.array([0.0, 1.0, 4.0, 8.0, 50.0])
+    assert foam.response(force_n) == pytest.approx([0.0, 0.2, 0.6, 1.0, 1.0])
 
 
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"full_scale_n": 0.0}, "full_scale_n is 0.0"),
-        ({"full_scale_n": float("inf")}, "full_scale_n is inf"),
+        ({"nodes": ((0.0, 0.0), (0.0, 1.0))}, "nodes must rise"),
+        ({"nodes": ((0.0, float("inf")), (0.0, 1.0))}, "nodes must rise"),
+        ({"nodes": ((0.5, 1.0), (0.0, 1.0))}, "nodes must rise from 0"),
+        ({"nodes": ((0.0, 1.0), (0.0, 1.1))}, "shares up to 1"),
         ({"modulus_pa": 0.0}, "modulus_pa is 0.0"),
         ({"gain": float("nan")}, "gain is nan"),
         ({"densification": -1.0}, "densification is -1.0"),
@@ -45,7 +50,7 @@ def test_a_linear_sensor_reads_in_proportion_up_to_its_full_scale() -> None:
         ({"aperture_offset_m": float("inf")}, "aperture_offset_m is inf"),
     ],
 )
-def test_values_out_of_range_are_named(values: dict[str, float], message: str) -> None:
+def test_values_out_of_range_are_named(values: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         FoamModel(**values)
 
@@ -53,8 +58,8 @@ def test_values_out_of_range_are_named(values: dict[str, float], message: str) -
 def test_a_dictionary_holds_the_values_that_are_set() -> None:
     foam = FoamModel(modulus_pa=2e5, gain=0.9)
     assert FoamModel(**foam.as_dict()) == foam
-    assert "full_scale_n" not in foam.as_dict()
-    linear = FoamModel(full_scale_n=2.5)
+    assert "nodes" not in foam.as_dict()
+    linear = FoamModel(nodes=((0.0, 2.5), (0.0, 1.0)))
     assert FoamModel(**linear.as_dict()) == linear
 
 
