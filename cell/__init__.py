@@ -2,7 +2,7 @@
 
 The composition root and the only package that imports all others. `build_cell` makes a cell from a
 config, `CellController` runs its sequences, a host program loads `TactileCellPlugin`.
-`cell.interfaces` has the command line and the interfaces, `cell.jobs` the jobs of the commands.
+`cell.interfaces` has the command line and the interfaces, `cell.runtime` the jobs of a cell.
 """
 
 import lazy_loader

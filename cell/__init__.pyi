@@ -3,4 +3,4 @@ from .config.file import load_config as load_config
 from .config.model import CellConfig as CellConfig
 from .control.controller import CellController as CellController
 from .errors import CellError as CellError
-from .plugin.plugin import TactileCellPlugin as TactileCellPlugin
+from .runtime.plugin import TactileCellPlugin as TactileCellPlugin

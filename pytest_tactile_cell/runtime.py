@@ -3,7 +3,7 @@
 from typing import Any
 
 from cell.errors import CellStateError
-from cell.plugin.plugin import TactileCellPlugin
+from cell.runtime.plugin import TactileCellPlugin
 from pytest_tactile_cell.process import RequestedFault
 
 

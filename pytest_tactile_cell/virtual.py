@@ -9,9 +9,9 @@ from cell.control.controller import CellController
 from cell.control.identification import Identification
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import GraspRecord
-from cell.jobs.collection import grasps_of
 from cell.learning.shape_reading import shape_reader
 from cell.learning.training import train
+from cell.runtime.collection import grasps_of
 from recognition.recognizer import Recognizer
 from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock

@@ -75,7 +75,7 @@ def loaded(modules: str) -> set[str]:
 @pytest.mark.parametrize(
     ("modules", "later"),
     [
-        ("cell.plugin.plugin", ("scipy", "matplotlib", *CAN, "dynamixel_sdk")),
+        ("cell.runtime.plugin", ("scipy", "matplotlib", *CAN, "dynamixel_sdk")),
         LONG("cell.interfaces.web", ("prometheus_client",)),
         (
             "pytest_tactile_cell",

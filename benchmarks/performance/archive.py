@@ -23,8 +23,8 @@ from cell.archive.questions import ask
 from cell.archive.table import grasp_key
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.files import json_bytes
-from cell.jobs.common import silent
-from cell.jobs.parallel import workers
+from cell.learning.parallel import workers
+from cell.learning.progress import silent
 from recognition.features.groups import features_of
 from recognition.grasp import Grasp
 from recognition.ramp.levels import load_levels

@@ -16,11 +16,10 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.keeping import Keep
-from cell.jobs.collection import Collection
-from cell.jobs.identify import identify
-from cell.jobs.sort import Places, Tally, simulated_feed, sort_parts
-from cell.jobs.teach import teach
 from cell.learning.taught_model import TaughtModel
+from cell.runtime.collection import Collection, teach
+from cell.runtime.identify import identify
+from cell.runtime.sort import Places, Tally, simulated_feed, sort_parts
 from recognition.recognizer import UNKNOWN
 
 WAYS = (

@@ -38,7 +38,7 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.states import Command
 from cell.interfaces.opening import open_interfaces
-from cell.jobs.collection import grasps_of
+from cell.runtime.collection import grasps_of
 from cell.service.opening import open_service
 from cell.service.service import RELEASE_KEY, JobView, Service
 

@@ -16,7 +16,7 @@ from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.data.dataset import read_dataset
-from cell.jobs.collection import grasps_of
+from cell.runtime.collection import grasps_of
 from cell.simulation import simulator_settings
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Recognizer

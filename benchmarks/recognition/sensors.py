@@ -20,10 +20,9 @@ from cell.build import build_cell
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.keeping import Keep
-from cell.jobs.collection import Collection
-from cell.jobs.identify import identify
-from cell.jobs.teach import teach
 from cell.learning.taught_model import TaughtModel
+from cell.runtime.collection import Collection, teach
+from cell.runtime.identify import identify
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 

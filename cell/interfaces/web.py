@@ -48,7 +48,7 @@ from cell.interfaces.http_server import (
 from cell.interfaces.live_socket import LiveFeed, LiveMessage
 from cell.interfaces.page import mount_page
 from cell.interfaces.page_address import page_address, qr_code, view_note
-from cell.plugin.goals import goal_schema
+from cell.runtime.goals import goal_schema
 from cell.service.photos import LONGEST_PHOTO
 from cell.service.service import Service
 from cell.service.state import plain_data, state_values

@@ -18,7 +18,7 @@ from cell.control.answer import Answer
 from cell.data.files import free_name, name_in_file
 from cell.data.formats import PROGRAM
 from cell.errors import CellError
-from cell.plugin.host_status import HostStatus
+from cell.runtime.host_status import HostStatus
 from cell.service.shift import Shift
 from recognition.recognizer import UNKNOWN
 

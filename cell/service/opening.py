@@ -7,7 +7,7 @@ from typing import Any
 
 from cell.build import kept_folder
 from cell.config.model import CellConfig
-from cell.plugin.plugin import TactileCellPlugin
+from cell.runtime.plugin import TactileCellPlugin
 from cell.service.history import history_file
 from cell.service.pose_handshake import PoseHandshake
 from cell.service.service import Service

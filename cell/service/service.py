@@ -27,7 +27,7 @@ from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import CellError, HeldByClient, RequestRefused, raised_as
 from cell.fault_catalogue import error_text
-from cell.plugin.goals import (
+from cell.runtime.goals import (
     TASKS,
     Goal,
     GripGoal,
@@ -36,10 +36,10 @@ from cell.plugin.goals import (
     checked_goal,
     goal_of,
 )
-from cell.plugin.host_status import HostStatus
-from cell.plugin.lease import Lease
-from cell.plugin.plugin import TactileCellPlugin
-from cell.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
+from cell.runtime.host_status import HostStatus
+from cell.runtime.lease import Lease
+from cell.runtime.plugin import TactileCellPlugin
+from cell.runtime.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from cell.service.history import History
 from cell.service.photos import Photos
 from cell.service.pose_handshake import PoseHandshake

@@ -9,7 +9,7 @@ from pydantic_core import to_jsonable_python
 
 from cell.control.states import CellStatus
 from cell.fault_catalogue import BY_NUMBER, Refusal
-from cell.plugin.host_status import HostStatus
+from cell.runtime.host_status import HostStatus
 from cell.service.service import Service
 
 plain_data = partial(to_jsonable_python, inf_nan_mode="null")

@@ -22,7 +22,7 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.terminal import print_line
-from cell.jobs.simulate import client_config
+from cell.runtime.simulate import client_config
 from cell.simulation import simulation_of
 from tests.cell.commissioning.hands import Person, SimulatedLines
 

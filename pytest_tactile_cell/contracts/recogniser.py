@@ -8,8 +8,8 @@ import pytest
 from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.jobs.collection import grasps_of
 from cell.plugins import RECOGNISERS
+from cell.runtime.collection import grasps_of
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 

@@ -18,8 +18,8 @@ from cell.control.self_zero import zero_text
 from cell.control.zeroing import Zeroing
 from cell.data.dataset import read_dataset
 from cell.interfaces.cli.app import app
-from cell.plugin.main_job import MainResult, teach_and_identify
-from cell.plugin.plugin import TactileCellPlugin
+from cell.runtime.main_job import MainResult, teach_and_identify
+from cell.runtime.plugin import TactileCellPlugin
 from gripper.values.state import GripperPhase
 from pytest_tactile_cell.virtual import VirtualCell
 from recognition.drift.self_zero import ZeroMeasurement

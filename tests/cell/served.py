@@ -14,7 +14,7 @@ import pytest
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.interfaces.opening import open_interfaces
-from cell.plugin.plugin import TactileCellPlugin
+from cell.runtime.plugin import TactileCellPlugin
 from cell.service.opening import open_service
 from cell.service.service import JobView, Service
 from tests.cell.conftest import quick_config, small_config

@@ -17,10 +17,10 @@ from cell.control.live import LiveValues
 from cell.control.states import CellState, Command, GraspState, command_effect, refusal
 from cell.errors import CellStateError, CellStopped
 from cell.fault_catalogue import error_text, fault_number
-from cell.plugin.goals import TASKS, Goal, GripGoal, IdentifyGoal, TeachGoal, VerifyGoal
-from cell.plugin.host_status import HostStatus
-from cell.plugin.part_report import OnPart
-from cell.plugin.worker import Job, JobOutcome, JobStatus
+from cell.runtime.goals import TASKS, Goal, GripGoal, IdentifyGoal, TeachGoal, VerifyGoal
+from cell.runtime.host_status import HostStatus
+from cell.runtime.part_report import OnPart
+from cell.runtime.worker import Job, JobOutcome, JobStatus
 from recognition.recognizer import UNKNOWN
 from tests.values import make_shape
 

@@ -14,8 +14,8 @@ from cell.errors import ConfigError, PositionerError
 from gripper.errors import PortLost
 from gripper.values.outcome import GraspResult
 from tactile.errors import BusNotOpened, TactileError
+from tests.cell.commissioning.test_doctor import REAL
 from tests.cell.conftest import small_config
-from tests.cell.jobs.test_doctor import REAL
 from tests.fuzz.harness import Clock
 from tests.marks import LONG
 

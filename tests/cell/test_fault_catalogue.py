@@ -14,7 +14,7 @@ import recognition
 import tactile
 from cell.errors import CellError, CellStopped, ConfigError, PartInGrip
 from cell.fault_catalogue import CATALOGUE, Fault, error_text, fault_number, fault_of
-from cell.plugin.worker import Job, JobFailed, JobOutcome, JobStatus
+from cell.runtime.worker import Job, JobFailed, JobOutcome, JobStatus
 from gripper.errors import BusTimeout, FingerSilent, GripperError, PartLost, ServoMissing
 from motion.errors import MotionError
 from recognition.errors import RecognitionError

@@ -21,7 +21,7 @@ ROOT = Path(cell.__file__).parents[1]
         ("gripper", "from cell import build_cell"),
         ("tactile", "import cell.build"),
         ("motion", "from cell import TactileCellPlugin"),
-        ("simulator", "import cell.plugin.plugin"),
+        ("simulator", "import cell.runtime.plugin"),
         ("recognition", "from cell.interfaces.cli import main; main()"),
     ],
 )

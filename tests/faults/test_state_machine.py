@@ -13,7 +13,7 @@ from cell.control.kept_part import KeptPart
 from cell.control.lifecycle import CellLifecycle
 from cell.interfaces.host_calls import Calls
 from cell.interfaces.modbus.registers import ModbusInterface
-from cell.plugin.lease import Lease
+from cell.runtime.lease import Lease
 from cell.service.service import RELEASE_KEY, Service
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.force.loop import Action

@@ -6,9 +6,9 @@ from math import radians
 import pytest
 
 from cell.config.file import changed_config, load_config, parse_config
-from cell.plugin.goals import IdentifyGoal, TeachGoal
-from cell.plugin.plugin import TactileCellPlugin
-from cell.plugin.worker import JobFailed
+from cell.runtime.goals import IdentifyGoal, TeachGoal
+from cell.runtime.plugin import TactileCellPlugin
+from cell.runtime.worker import JobFailed
 from pytest_tactile_cell.process import CellProcess
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.hil.program import first

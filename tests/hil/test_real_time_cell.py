@@ -13,8 +13,8 @@ import pytest
 
 from cell.config.file import changed_config, load_config, parse_config
 from cell.data.recording_reader import read_recording
-from cell.plugin.goals import IdentifyGoal, TeachGoal
-from cell.plugin.plugin import TactileCellPlugin
+from cell.runtime.goals import IdentifyGoal, TeachGoal
+from cell.runtime.plugin import TactileCellPlugin
 from gripper.errors import ServoFault
 from pytest_tactile_cell.process import CellProcess
 from recognition.recognizer import UNKNOWN

@@ -32,9 +32,9 @@ from cell.interfaces.cli.terminal import (
     progress_bar,
     write_json,
 )
-from cell.jobs.common import Progress, job_folder
-from cell.plugin.goals import Goal
-from cell.plugin.plugin import TactileCellPlugin
+from cell.learning.progress import Progress, job_folder
+from cell.runtime.goals import Goal
+from cell.runtime.plugin import TactileCellPlugin
 from gripper.clock import Clock
 from gripper.errors import (
     FeedbackImplausible,

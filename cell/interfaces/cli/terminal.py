@@ -168,7 +168,7 @@ class _Bars(Progress):
 
 @contextmanager
 def progress_bar(line: Callable[[], str] = str) -> Iterator[Callable[[str, int, int], None]]:
-    """Draw a bar on standard error for each task of a job; see `cell.jobs.common`.
+    """Draw a bar on standard error for each task of a job; see `cell.learning.progress`.
 
     ``line`` returns what a terminal shows below the bars meanwhile; it is called in a thread.
     """

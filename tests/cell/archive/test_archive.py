@@ -26,7 +26,7 @@ from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import recording_grasps
 from cell.errors import ArchiveError, CellError, ConfigError, ReportError
-from cell.jobs.common import silent
+from cell.learning.progress import silent
 from cell.report.pictures import confusion_figure, grasp_figure, write_picture
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
 from recognition.statistics.day_effects import day_effects

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from cell.checks.findings import Verdict
+from cell.commissioning.doctor import examine
 from cell.config.file import changed_config, config_text, parse_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
@@ -20,10 +21,9 @@ from cell.data.dataset import read_grasps
 from cell.data.formats import SELF_ZERO, write_json
 from cell.errors import CellError, PartInGrip, PlanRefused, ZeroRefused
 from cell.interfaces.cli.session import cell_config
-from cell.jobs.doctor import examine
-from cell.plugin import tasks
-from cell.plugin.goals import ZeroGoal, checked_goal
-from cell.plugin.health import health_values
+from cell.runtime import tasks
+from cell.runtime.goals import ZeroGoal, checked_goal
+from cell.runtime.health import health_values
 from cell.service.history import history_file
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import MODELS

@@ -18,8 +18,8 @@ from cell.data.recorder_sink import LEFT_BYTES, DirectFile, free_bytes
 from cell.data.recording_reader import Recording, read_recording
 from cell.data.retention import LEAST_FREE_BYTES, Retention, mark, recordings, unmark
 from cell.errors import RecordingError
-from cell.plugin.goals import GripGoal, IdentifyGoal
-from cell.plugin.plugin import TactileCellPlugin
+from cell.runtime.goals import GripGoal, IdentifyGoal
+from cell.runtime.plugin import TactileCellPlugin
 from cell.service.history import History
 from recognition.recognizer import UNKNOWN
 from tests.cell.conftest import Taught, call

@@ -16,7 +16,7 @@ from cell.data.dataset import read_grasps
 from cell.errors import ConfigError
 from cell.hand.build import sensor_settings
 from cell.hand.connections import MISSING, HandConnections
-from cell.jobs.collection import grasps_of
+from cell.runtime.collection import grasps_of
 from cell.simulation import simulation_of
 from gripper.errors import PortLost
 from gripper.values.state import GripperPhase

@@ -21,7 +21,7 @@ from rich.console import Console
 from typer.main import get_command
 from typer.testing import CliRunner
 
-import cell.jobs.doctor
+import cell.commissioning.doctor
 from cell.checks.findings import CheckResult, Verdict
 from cell.config.file import changed_config, config_text, load_config
 from cell.config.model import CellConfig
@@ -173,8 +173,8 @@ def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(monkeypatch, width
 
 
 def test_the_paper_is_put_beside_its_five_objects(capsys) -> None:
-    from cell.plugin.main_job import MainResult
     from cell.report.build import score
+    from cell.runtime.main_job import MainResult
 
     labels = ("box", "ball", "oval", "cylinder", "dumbbell")
     result = MainResult(
@@ -370,7 +370,7 @@ def test_after_a_fault_of_real_ports_the_command_that_lets_go_is_printed_whole(
 
 def test_the_first_line_names_the_cell(config, tmp_path, monkeypatch, capfd) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cell.jobs.doctor, "examine", lambda *_: iter(()))
+    monkeypatch.setattr(cell.commissioning.doctor, "examine", lambda *_: iter(()))
 
     def first_line(*arguments: object) -> str:
         return RUNNER.invoke(app, ["doctor", *map(str, arguments)]).stderr.splitlines()[0]
@@ -469,7 +469,7 @@ def test_replay_sends_and_compares(config, dataset, tmp_path) -> None:
 
 
 def test_a_replay_that_differs_fails(dataset, monkeypatch, fail) -> None:
-    from cell.jobs import replay as replaying
+    from cell.runtime import replay as replaying
 
     play = replaying._Rig.play
 
@@ -518,7 +518,7 @@ def test_examples_are_the_configs_of_the_repository(tmp_path, fail) -> None:
 
 def test_doctor_passes_and_fails(tmp_path, config, fail, monkeypatch) -> None:
     found = [CheckResult(what="disk", verdict=Verdict.PASS, found="room", advice="none")]
-    monkeypatch.setattr(cell.jobs.doctor, "examine", lambda *_: iter(found))
+    monkeypatch.setattr(cell.commissioning.doctor, "examine", lambda *_: iter(found))
     assert call("doctor", "-c", config, "--json", tmp_path / "d.json") == (
         "pass  disk: room  -> none\n"
     )
@@ -538,7 +538,7 @@ def test_simulate_prints_one_line_and_adds_to_the_faults_of_the_config(
         served.append((config, options))
         announce({"servo_port": "/dev/pts/7"})
 
-    monkeypatch.setattr("cell.jobs.simulate.serve_simulated_cell", serve)
+    monkeypatch.setattr("cell.runtime.simulate.serve_simulated_cell", serve)
     config.write_text(config.read_text().replace("faults: []", "faults: [unit.stuck@9s]"))
     fault = ("--fault", "can.loss=0.05@2s")
     output = call("simulate", "-c", config, "--out", tmp_path / "sim", "--seed", 11, *fault)
@@ -549,7 +549,7 @@ def test_simulate_prints_one_line_and_adds_to_the_faults_of_the_config(
 
 
 def test_simulate_plays_records_that_fit(tmp_path, dataset, monkeypatch, fail) -> None:
-    from cell.jobs import simulate as simulating
+    from cell.runtime import simulate as simulating
     from simulator.errors import EndpointError
 
     served: list[Any] = []
@@ -710,7 +710,7 @@ def run_at_once(taught: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have `run` return what was taught already, and write no whole report of it."""
     monkeypatch.setattr("cell.report.page.render_report", str)
     result = replace(taught.result)
-    monkeypatch.setattr("cell.plugin.main_job.teach_and_identify", lambda *_a, **_k: result)
+    monkeypatch.setattr("cell.runtime.main_job.teach_and_identify", lambda *_a, **_k: result)
 
 
 @pytest.mark.usefixtures("run_at_once")
@@ -820,7 +820,7 @@ def test_help_and_completion_load_nothing_heavy(arguments, environment) -> None:
 
 
 def test_an_interrupt_outside_a_sequence_is_one(monkeypatch, fail) -> None:
-    monkeypatch.setattr(cell.jobs.doctor, "examine", raising(KeyboardInterrupt()))
+    monkeypatch.setattr(cell.commissioning.doctor, "examine", raising(KeyboardInterrupt()))
     assert fail("doctor") == f"{BUILT_IN} error: interrupted"
 
 

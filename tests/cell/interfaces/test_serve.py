@@ -24,7 +24,7 @@ from cell.interfaces.access import view_token
 from cell.interfaces.cli import terminal
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands import serve as serving
-from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
+from cell.learning.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.service.service import RELEASE_KEY
 from tests import ROOT
 from tests.cell.conftest import once, small_config

@@ -16,7 +16,7 @@ from cell.errors import CellError, CellStopped, ModelError, RecordingError
 from cell.interfaces.cli import session, terminal
 from cell.interfaces.cli.session import doing, running_cell
 from cell.interfaces.cli.terminal import progress_bar
-from cell.plugin.goals import TeachGoal
+from cell.runtime.goals import TeachGoal
 from simulator.clock import VirtualClock
 from tests.cell.conftest import quick_config
 

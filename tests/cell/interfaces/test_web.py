@@ -26,7 +26,7 @@ from websockets.sync.client import connect as open_socket
 from cell.errors import ModelError, PlanRefused
 from cell.interfaces.http_server import HttpConnection
 from cell.interfaces.web import WebInterface
-from cell.plugin.goals import TASKS, checked_goal
+from cell.runtime.goals import TASKS, checked_goal
 from tactile.errors import HeartbeatLost
 from tests import ROOT
 from tests.cell.conftest import COARSE_PADS, REAL

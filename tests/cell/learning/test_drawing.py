@@ -14,11 +14,11 @@ from cell.control.records import pad_array
 from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.app import app
-from cell.jobs.teach_from_drawing import course_of, teach_drawing
 from cell.learning.pad_knowledge import PadKnowledge, calibrate_on_gauge, gauge_shape, usual_foam
 from cell.learning.shape_reading import reader_under
+from cell.learning.teach_from_drawing import course_of, teach_drawing
 from cell.learning.virtual_grasps import reaches_m
-from cell.plugin.goals import checked_goal
+from cell.runtime.goals import checked_goal
 from cell.simulation import drawn_shape, simulator_settings
 from recognition.ramp.ramp import find_ramp, learn_rest
 from recognition.recognizer import UNKNOWN

@@ -18,16 +18,15 @@ from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStopped, ConfigError, ModelError
 from cell.interfaces.cli.app import app
-from cell.jobs.calibrate import calibrate_model
-from cell.jobs.collection import Collection
-from cell.jobs.identify import identify, identify_recorded
-from cell.jobs.teach import teach
+from cell.learning.calibrate import calibrate_model
 from cell.learning.model import load_model, save_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import Trained, train
-from cell.plugin import tasks
-from cell.plugin.goals import IdentifyGoal, TeachGoal
-from cell.plugin.plugin import TactileCellPlugin
+from cell.runtime import tasks
+from cell.runtime.collection import Collection, teach
+from cell.runtime.goals import IdentifyGoal, TeachGoal
+from cell.runtime.identify import identify, identify_recorded
+from cell.runtime.plugin import TactileCellPlugin
 from gripper.errors import ServoFault
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift

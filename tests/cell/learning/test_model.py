@@ -14,7 +14,7 @@ from cell.errors import CellError, ModelError, RequestRefused
 from cell.learning.model import layout_hash, load_model, save_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.teaching_summary import ToldApart, summarise_teaching, told_apart
-from cell.plugin.tasks import ModelFile
+from cell.runtime.tasks import ModelFile
 from recognition.drift.self_zero import drawn_zero
 from recognition.evaluation.splits import a_day_later
 from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray

@@ -8,11 +8,11 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from cell.control.answer import Answer
-from cell.jobs.identify import identify
 from cell.learning.blas import one_blas_thread
 from cell.learning.shape_reading import beside, in_words
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
+from cell.runtime.identify import identify
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.shape.answer import UNCLEAR, ShapeAnswer, Thickness
 

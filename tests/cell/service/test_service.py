@@ -26,8 +26,8 @@ from cell.errors import (
     NoPartFound,
     RequestRefused,
 )
-from cell.plugin import tasks, worker
-from cell.plugin.goals import IdentifyGoal
+from cell.runtime import tasks, worker
+from cell.runtime.goals import IdentifyGoal
 from cell.service import history, service as service_module
 from cell.service.history import History, history_file, read_day
 from cell.service.photos import LONGEST_PHOTO, Photos

@@ -23,7 +23,7 @@ from cell.data.recording_reader import read_recording, recording_grasps
 from cell.data.recording_recovery import recover_recording
 from cell.errors import CellError, ConfigError, ModelError, RecordingError
 from cell.learning.model import save_model
-from cell.plugin.plugin import TactileCellPlugin
+from cell.runtime.plugin import TactileCellPlugin
 from gripper.dynamixel.serial_port import SerialStream
 from gripper.errors import PortLost
 from recognition.recognizers import make_trainer

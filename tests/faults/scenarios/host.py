@@ -14,9 +14,9 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.records import GraspCollector, GraspRecord
 from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped
-from cell.plugin.goals import TeachGoal
-from cell.plugin.plugin import TactileCellPlugin
-from cell.plugin.worker import JobFailed
+from cell.runtime.goals import TeachGoal
+from cell.runtime.plugin import TactileCellPlugin
+from cell.runtime.worker import JobFailed
 from gripper.values.state import GripperPhase
 from recognition.recognizer import Posterior
 from tests.faults.campaign import (

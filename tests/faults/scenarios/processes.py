@@ -27,8 +27,8 @@ from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStateError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.session import running_cell
-from cell.plugin.goals import TeachGoal
-from cell.plugin.plugin import TactileCellPlugin
+from cell.runtime.goals import TeachGoal
+from cell.runtime.plugin import TactileCellPlugin
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import BUS_WATCHDOG
 from gripper.dynamixel.serial_port import SerialStream

@@ -50,7 +50,7 @@ def add(
     """
     from cell.installation import extra
     from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
-    from cell.jobs.parallel import workers
+    from cell.learning.parallel import workers
 
     with extra("archive", needed_by="the archive"):
         from cell.archive.ingest import ingest, sources
@@ -110,7 +110,7 @@ def report(
     from cell.archive.selection import parse_selection
     from cell.installation import extra
     from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
-    from cell.jobs.parallel import workers
+    from cell.learning.parallel import workers
 
     with extra("archive", needed_by="the archive"):
         from cell.archive.page import lines, write_page

@@ -30,12 +30,12 @@ def compare(
     json_file: JsonOption = None,
 ) -> None:
     """Compare two models on the same grasps: paired, with an interval of 95 %."""
+    from cell.archive.compare import compare as compare_models
+    from cell.archive.selected_grasps import selected_grasps
     from cell.archive.selection import parse_selection
     from cell.interfaces.cli.terminal import percent, print_line, write_json
-    from cell.jobs.compare import compare as compare_models
-    from cell.jobs.parallel import workers
-    from cell.jobs.selected_grasps import selected_grasps
     from cell.learning.model import load_model
+    from cell.learning.parallel import workers
 
     models = load_model(first), load_model(second)
     selection = parse_selection(cells, days, objects)

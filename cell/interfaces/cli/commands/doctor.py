@@ -33,11 +33,11 @@ def doctor(
     from cell.checks.findings import CheckResult, Verdict
     from cell.commissioning.baseline import gauge_again
     from cell.commissioning.bench import Bench
+    from cell.commissioning.doctor import examine
     from cell.errors import CellError
     from cell.interfaces.cli.dialog import TerminalDialog
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.terminal import out, print_line, write_json
-    from cell.jobs.doctor import examine
 
     if plugins:
         _list_plugins(json_file)

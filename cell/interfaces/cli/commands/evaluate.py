@@ -18,7 +18,7 @@ from cell.interfaces.cli.options import (
 from recognition.recognizers import trainer_names
 
 if TYPE_CHECKING:
-    from cell.jobs.evaluate import EvaluationResult
+    from cell.archive.evaluate import EvaluationResult
     from recognition.drift.drift import Drift
     from recognition.evaluation.evaluation import Evaluation
 
@@ -83,12 +83,12 @@ def evaluate(
 
     With 95 % intervals. Unknown objects are left out of teaching.
     """
+    from cell.archive.evaluate import evaluate_recognizers
+    from cell.archive.selected_grasps import selected_grasps
     from cell.archive.selection import EVERYTHING, parse_selection
     from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
-    from cell.jobs.evaluate import evaluate_recognizers
-    from cell.jobs.parallel import workers
-    from cell.jobs.selected_grasps import selected_grasps
-    from cell.jobs.teach import duplicate_grasps
+    from cell.learning.labelled_grasps import duplicate_grasps
+    from cell.learning.parallel import workers
 
     names = recognizers or trainer_names()
     selection = parse_selection(cells, days, objects)

@@ -52,11 +52,11 @@ def identify(
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, release_command, running_cell
     from cell.interfaces.cli.terminal import percent, print_line, write_json
-    from cell.jobs.identify import drawn_object
     from cell.learning.model import load_model
     from cell.learning.pad_knowledge import pad_knowledge
     from cell.learning.shape_reading import NO_SHAPE, beside, shape_reader
-    from cell.plugin.goals import IdentifyGoal
+    from cell.runtime.goals import IdentifyGoal
+    from cell.runtime.identify import drawn_object
     from recognition.recognizer import UNKNOWN
     from recognition.statistics.fusion import fuse
 
@@ -141,10 +141,10 @@ def _identify_recorded(
 ) -> None:
     from cell.data.dataset import read_grasps
     from cell.interfaces.cli.terminal import percent, print_line, write_json
-    from cell.jobs.identify import identify_recorded
     from cell.learning.model import load_model
     from cell.learning.shape_reading import NO_SHAPE
     from cell.learning.training import loaded
+    from cell.runtime.identify import identify_recorded
     from recognition.drift.drift import drift_text
 
     found, recorded = load_model(model), read_grasps(dataset)

@@ -38,7 +38,7 @@ def replay(
         progress_bar,
         write_json,
     )
-    from cell.jobs.replay import replay_grasps
+    from cell.runtime.replay import replay_grasps
 
     with progress_bar() as progress:
         result = replay_grasps(

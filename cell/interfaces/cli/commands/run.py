@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from cell.config.model import CellConfig
-    from cell.plugin.main_job import MainResult
     from cell.report.data import ConfusionTable
+    from cell.runtime.main_job import MainResult
 
 ObjectsOption = Annotated[
     list[str] | None,
@@ -52,9 +52,9 @@ def run(
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import print_note, write_json
     from cell.learning.model import load_model
-    from cell.plugin.main_job import teach_and_identify
     from cell.report.page import write_report
     from cell.report.recorded import recorded_report
+    from cell.runtime.main_job import teach_and_identify
     from cell.simulation import true_sizes
 
     checked = cell_config(config, seed=seed, faults=faults)
@@ -106,7 +106,7 @@ def _keep_for_serve(result: "MainResult", config: "CellConfig") -> None:
     import shutil
 
     from cell.interfaces.cli.terminal import print_note
-    from cell.jobs.taught_cache import MODEL_FILE, keep_model
+    from cell.learning.taught_cache import MODEL_FILE, keep_model
 
     model, dataset = result.model, result.dataset
     if model is None or dataset is None:

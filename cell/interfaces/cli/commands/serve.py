@@ -99,8 +99,8 @@ def serve(
     from cell.interfaces.cli.session import cell_config, with_faults
     from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
     from cell.interfaces.cli.terminal import print_note
-    from cell.jobs.common import job_folder
-    from cell.jobs.taught_cache import cached_model
+    from cell.learning.progress import job_folder
+    from cell.learning.taught_cache import cached_model
     from cell.service.opening import open_service
 
     own = cell_config(config)
@@ -227,8 +227,8 @@ def _teach_first(
     """Teach the objects of the built-in cell, visible on the page; keep the model with ``keep``."""
     from cell.errors import CellError
     from cell.interfaces.cli.terminal import print_note
-    from cell.jobs.taught_cache import MODEL_FILE, keep_model
-    from cell.plugin.worker import JobOutcome
+    from cell.learning.taught_cache import MODEL_FILE, keep_model
+    from cell.runtime.worker import JobOutcome
 
     labels = [entry.label for entry in config.simulator.objects]
     print_note(

@@ -46,7 +46,7 @@ def simulate(
     """
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.terminal import print_line
-    from cell.jobs.simulate import serve_simulated_cell
+    from cell.runtime.simulate import serve_simulated_cell
     from cell.simulation import fault_table
 
     if ask is not None:

@@ -42,10 +42,10 @@ def sort(
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import print_note, write_json
-    from cell.jobs.sort import Places, simulated_feed
     from cell.learning.model import load_model
-    from cell.plugin.goals import FEED_MAX, SortGoal
-    from cell.plugin.main_job import teach_objects
+    from cell.runtime.goals import FEED_MAX, SortGoal
+    from cell.runtime.main_job import teach_objects
+    from cell.runtime.sort import Places, simulated_feed
 
     checked = cell_config(config, seed=seed, faults=faults)
     simulated = checked.brings_objects

@@ -18,7 +18,7 @@ from cell.interfaces.cli.options import (
 
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
-    from cell.plugin.goals import TeachGoal
+    from cell.runtime.goals import TeachGoal
 
 _GRASPS = 20
 """Default number of grasps of an object."""
@@ -78,7 +78,7 @@ def teach(
     from cell.config.simulator import checked_label
     from cell.errors import ConfigError, raised_as
     from cell.interfaces.cli.session import cell_config
-    from cell.plugin.goals import TeachGoal
+    from cell.runtime.goals import TeachGoal
 
     with raised_as(ConfigError, ValueError):
         checked_label(label)
@@ -119,7 +119,7 @@ def _teach_grasps(
     from cell.errors import DatasetError
     from cell.interfaces.cli.session import pads_of, running_cell
     from cell.interfaces.cli.terminal import print_line, write_json
-    from cell.jobs.teach import append_to_dataset, dataset_to_extend
+    from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend
 
     before = dataset_to_extend(dataset, pads_of(config))
     goal = goal.model_copy(update={"seed": config.seed + len(before)})
@@ -153,7 +153,7 @@ def _teach_grasps(
 
 def _name_recorded(source: Path, label: str, dataset: Path, json_file: Path | None) -> None:
     from cell.interfaces.cli.terminal import print_line, write_json
-    from cell.jobs.teach import name_recorded
+    from cell.learning.labelled_grasps import name_recorded
 
     added, before = name_recorded(source, label, dataset)
     print_line(f"{added} grasps of {source} added to {dataset} as {label} ({before} were there)")
@@ -176,9 +176,9 @@ def _teach_drawing(
 ) -> None:
     from cell.data.dataset import read_dataset
     from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
-    from cell.jobs.teach import append_to_dataset
-    from cell.jobs.teach_from_drawing import teach_drawing
+    from cell.learning.labelled_grasps import append_to_dataset
     from cell.learning.pad_knowledge import pad_knowledge
+    from cell.learning.teach_from_drawing import teach_drawing
     from cell.simulation import drawn_shape
 
     shape = drawn_shape(drawing)

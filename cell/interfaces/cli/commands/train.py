@@ -44,7 +44,9 @@ def train(
     json_file: JsonOption = None,
 ) -> None:
     """Train a recogniser on data sets and write a model file."""
+    from cell.archive.selected_grasps import selected_grasps
     from cell.archive.selection import is_archive, parse_selection
+    from cell.archive.spread import spread_gains, spread_values, with_spread
     from cell.errors import CellError
     from cell.interfaces.cli.terminal import (
         percent,
@@ -53,11 +55,9 @@ def train(
         progress_bar,
         write_json,
     )
-    from cell.jobs.parallel import workers
-    from cell.jobs.selected_grasps import selected_grasps
-    from cell.jobs.spread import spread_gains, spread_values, with_spread
-    from cell.jobs.teach import duplicate_grasps
+    from cell.learning.labelled_grasps import duplicate_grasps
     from cell.learning.model import save_model
+    from cell.learning.parallel import workers
     from cell.learning.teaching_summary import summarise_teaching
     from cell.learning.training import train as train_model
 

@@ -14,7 +14,7 @@ def zero(
     """
     from cell.interfaces.cli.session import cell_config, running_cell
     from cell.interfaces.cli.terminal import print_line, print_note, write_json
-    from cell.plugin.goals import ZeroGoal
+    from cell.runtime.goals import ZeroGoal
 
     checked = cell_config(config)
     if checked.self_zero in ("always", "daily"):

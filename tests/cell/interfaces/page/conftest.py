@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from cell.config.model import CellConfig
-from cell.plugin.goals import Goal
-from cell.plugin.plugin import cell_values
+from cell.runtime.goals import Goal
+from cell.runtime.plugin import cell_values
 from cell.service.service import Service
 from cell.service.state import state_values
 from gripper.errors import PartSlipped

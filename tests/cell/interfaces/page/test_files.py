@@ -11,7 +11,7 @@ from cell.control.states import CellState, GraspState
 from cell.fault_catalogue import CATALOGUE, RecoveryStep
 from cell.interfaces.http_server import REMEDIES
 from cell.interfaces.page import FOLDER
-from cell.plugin.goals import TASKS
+from cell.runtime.goals import TASKS
 from recognition.shape.answer import UNCLEAR
 from recognition.shape.models import SHAPE_MODELS
 from simulator.faults.injector import VOCABULARY

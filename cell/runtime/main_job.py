@@ -11,14 +11,14 @@ import numpy as np
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.records import GraspRecord
-from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
+from cell.learning.progress import Progress
 from cell.learning.taught_model import training_set_file
 from cell.learning.training import train
-from cell.plugin.goals import IdentifyGoal, TeachGoal
-from cell.plugin.plugin import TactileCellPlugin
 from cell.report.build import BASELINE, score_tables
 from cell.report.data import ConfusionTable
+from cell.runtime.goals import IdentifyGoal, TeachGoal
+from cell.runtime.plugin import TactileCellPlugin
 from recognition.drift.grid import DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior, Recognizer

@@ -12,9 +12,9 @@ from cell.config.tactile import layout_from_config
 from cell.control.plan import plan
 from cell.control.records import pad_array
 from cell.errors import CellError, raised_as
-from cell.jobs.common import Progress, silent
 from cell.learning.blas import one_blas_thread
 from cell.learning.pad_knowledge import PadKnowledge, usual_foam
+from cell.learning.progress import Progress, silent
 from cell.learning.virtual_grasps import Course, Noise, VirtualPads
 from cell.simulation import converter_noise
 from recognition.grasp import Grasp, PadArray

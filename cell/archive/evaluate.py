@@ -6,12 +6,12 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
+from cell.archive.selected_grasps import GROUPS
 from cell.errors import CellError, raised_as
-from cell.jobs.calibrate import GAUGE_GRASPS
-from cell.jobs.common import Progress
-from cell.jobs.selected_grasps import GROUPS
 from cell.learning import training
 from cell.learning.blas import one_blas_thread
+from cell.learning.calibrate import GAUGE_GRASPS
+from cell.learning.progress import Progress
 from cell.plugins import RECOGNISERS
 from recognition.drift.drift import NO_DRIFT, Drift, drift_values
 from recognition.drift.grid import DriftGrid
@@ -107,7 +107,7 @@ def evaluate_recognizers(
     fuse
         Numbers of grasps to fuse.
     mapper
-        Map function for the work, from `cell.jobs.parallel.workers`.
+        Map function for the work, from `cell.learning.parallel.workers`.
     drift
         Applied to the tested grasps, which then count as grasps of another day.
     gauge

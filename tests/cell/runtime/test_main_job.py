@@ -10,13 +10,13 @@ from cell.data.dataset import read_grasps, write_dataset
 from cell.data.files import json_bytes
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, NoPartFound
-from cell.jobs.collection import Collection, grasps_of
-from cell.jobs.common import job_folder
-from cell.jobs.teach import name_recorded, read_labelled_grasps
+from cell.learning.labelled_grasps import name_recorded, read_labelled_grasps
 from cell.learning.model import load_model
+from cell.learning.progress import job_folder
 from cell.learning.training import train
-from cell.plugin.main_job import baseline
 from cell.report.build import BASELINE, score, score_tables
+from cell.runtime.collection import Collection, grasps_of
+from cell.runtime.main_job import baseline
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 

@@ -10,8 +10,8 @@ from cell.control.answer import Answer
 from cell.control.positioner import Destination
 from cell.control.states import CellState
 from cell.errors import CellStopped, ConfigError, NoPartFound, PositionerError
-from cell.jobs.sort import Places, Tally, simulated_feed, sort_parts
 from cell.learning.taught_model import TaughtModel
+from cell.runtime.sort import Places, Tally, simulated_feed, sort_parts
 from recognition.recognizer import UNKNOWN
 from tests.cell.conftest import MakeBench
 

@@ -13,8 +13,8 @@ from cell.config.gripper import GripperConfig, RackPinionConfig, ServoConfig
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_pads, link_settings
 from cell.errors import CellError, raised_as
-from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
+from cell.learning.progress import Progress
 from cell.learning.training import train
 from cell.simulation import capture_traffic, largest_aperture_m, simulator_settings
 from gripper.gripper import open_gripper

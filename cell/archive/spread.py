@@ -5,9 +5,9 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
-from cell.jobs.common import Progress
-from cell.jobs.selected_grasps import GROUPS, day_and_cell
+from cell.archive.selected_grasps import GROUPS, day_and_cell
 from cell.learning.blas import one_blas_thread
+from cell.learning.progress import Progress
 from cell.learning.training import Trained, train
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.drift.spread import learn_spread

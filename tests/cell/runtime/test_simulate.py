@@ -10,7 +10,7 @@ from cell.config.file import changed_config, load_config
 from cell.config.tactile import link_settings
 from cell.errors import CellError
 from cell.interfaces.cli.app import app
-from cell.jobs import simulate
+from cell.runtime import simulate
 from simulator.settings import SimulatorSettings
 from tests.cell.conftest import small_config
 from tests.faults.scenarios.axes import CHANGES

@@ -1,4 +1,4 @@
-"""Teaching: grasps of known objects, and the data sets to which they are added."""
+"""Labelled grasps of data sets and recordings, and the data sets to which they are added."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -6,34 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.control.controller import CellController
 from cell.data.dataset import read_dataset, read_grasps, write_dataset
 from cell.errors import CellError
-from cell.jobs.collection import Collection
 from cell.learning.model import what_differs
-from cell.learning.taught_model import TaughtModel
 from recognition.grasp import Grasp, PadArray
-
-
-def teach(
-    controller: CellController,
-    model: TaughtModel,
-    collection: Collection,
-    *,
-    seed: int,
-    on_grasp: Callable[[Collection], None],
-) -> None:
-    """Grasp a known object and add its grasps to the training set; call `train` next.
-
-    Grasps before an error stay in the training set. Raises CellStateError if the training set of
-    the loaded model is not available, because its objects would be lost. Else it raises as
-    `Collection.fill`.
-    """
-    model.check_extendable()
-    try:
-        collection.fill(controller, model.config.sequence, seed=seed, on_grasp=on_grasp)
-    finally:
-        model.add(collection.grasps)
 
 
 def name_recorded(source: Path, label: str, dataset: Path) -> tuple[int, int]:

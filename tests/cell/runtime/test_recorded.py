@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.archive.evaluate import evaluate_recognizers
 from cell.config.file import changed_config, config_text
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.files import json_bytes
 from cell.errors import CellError, ConfigError, ModelError, PositionerError, RequestRefused
-from cell.jobs.calibrate import calibrate_model
-from cell.jobs.common import silent
-from cell.jobs.evaluate import evaluate_recognizers
-from cell.jobs.identify import drawn_object, identify_recorded
-from cell.jobs.replay import replay_grasps
+from cell.learning.calibrate import calibrate_model
 from cell.learning.model import load_model
+from cell.learning.progress import silent
 from cell.learning.taught_model import TaughtModel
-from cell.plugin import tasks
-from cell.plugin.goals import GaugeGoal, IdentifyGoal
-from cell.plugin.plugin import TactileCellPlugin
+from cell.runtime import tasks
+from cell.runtime.goals import GaugeGoal, IdentifyGoal
+from cell.runtime.identify import drawn_object, identify_recorded
+from cell.runtime.plugin import TactileCellPlugin
+from cell.runtime.replay import replay_grasps
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import NO_DRIFT, Drift
 from recognition.recognizers import make_trainer

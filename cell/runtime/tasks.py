@@ -15,12 +15,9 @@ from cell.control.plan import Pose
 from cell.control.records import GraspRecord
 from cell.control.self_zero import zero_text
 from cell.errors import CellError, ModelError, NoPartFound, raised_as
-from cell.jobs.collection import Collection
-from cell.jobs.identify import identify
-from cell.jobs.sort import Places, Tally, sort_parts
-from cell.jobs.teach import teach
 from cell.learning.taught_model import TaughtModel, training_set_file
-from cell.plugin.goals import (
+from cell.runtime.collection import Collection, teach
+from cell.runtime.goals import (
     GaugeGoal,
     GripGoal,
     IdentifyGoal,
@@ -29,8 +26,10 @@ from cell.plugin.goals import (
     VerifyGoal,
     ZeroGoal,
 )
-from cell.plugin.part_report import PartReporter
-from cell.plugin.worker import Report
+from cell.runtime.identify import identify
+from cell.runtime.part_report import PartReporter
+from cell.runtime.sort import Places, Tally, sort_parts
+from cell.runtime.worker import Report
 from recognition.drift.drift import Drift
 from recognition.grasp import SelfZero
 from recognition.recognizer import UNKNOWN, Posterior
@@ -105,7 +104,7 @@ class Tasks:
         Raises
         ------
         cell.errors.NoPartFound, cell.errors.CellStopped, and errors of the devices
-            As `cell.jobs.teach.teach`; the next teaching uses the grasps until then.
+            As `cell.learning.labelled_grasps.teach`; the next teaching uses the grasps until then.
         CellError
             If there are too few taught grasps for a training; they are kept too.
         ModelError, DatasetError
@@ -186,7 +185,7 @@ class Tasks:
         """Grasp an object until its name is sure enough, and return the answer.
 
         ``goal.keep`` decides whether the part stays in the grip. Raises as
-        `cell.jobs.identify.identify`.
+        `cell.runtime.identify.identify`.
         """
         seen, posteriors = self.reporter(), list[Posterior]()
 
@@ -253,7 +252,7 @@ class Tasks:
     def sort(self, goal: SortGoal, report: Report) -> SortAnswer:
         """Name parts and release each at its place; return the counts.
 
-        Raises as `cell.jobs.sort.sort_parts`; the part is then kept, and the progress has the
+        Raises as `cell.runtime.sort.sort_parts`; the part is then kept, and the progress has the
         counts so far.
         """
         seen, tally = self.reporter(), Tally(places=self.places())

@@ -6,7 +6,7 @@ from pathlib import Path
 from cell.archive.selection import Selection, cell_of, day_of, is_archive
 from cell.errors import CellError
 from cell.installation import extra
-from cell.jobs.teach import read_labelled_grasps
+from cell.learning.labelled_grasps import read_labelled_grasps
 from recognition.grasp import Grasp
 
 GROUPS: dict[str, Callable[[Grasp], str]] = {

@@ -23,9 +23,9 @@ from cell.errors import (
     NoPartFound,
 )
 from cell.learning.taught_model import TaughtModel
-from cell.plugin.goals import GripGoal, IdentifyGoal, TeachGoal, VerifyGoal, checked_goal
-from cell.plugin.plugin import TactileCellPlugin
-from cell.plugin.worker import Job, JobFailed, JobOutcome
+from cell.runtime.goals import GripGoal, IdentifyGoal, TeachGoal, VerifyGoal, checked_goal
+from cell.runtime.plugin import TactileCellPlugin
+from cell.runtime.worker import Job, JobFailed, JobOutcome
 from gripper.errors import ServoFault, VerificationFailed
 from gripper.values.state import GripperPhase
 from tactile.errors import NodeMissing

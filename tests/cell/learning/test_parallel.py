@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.paper.grasps import PAPER_NOISE, random_grasp
 from cell.errors import CellError
-from cell.jobs.parallel import workers
+from cell.learning.parallel import workers
 from recognition.evaluation.evaluation import Evaluation, evaluate
 from recognition.grasp import Grasp
 from recognition.recognizers import make_trainer

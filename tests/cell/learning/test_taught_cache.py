@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from cell.interfaces.cli.commands.run import _keep_for_serve
-from cell.jobs import taught_cache
-from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
+from cell.learning import taught_cache
+from cell.learning.taught_cache import MODEL_FILE, cached_model, keep_model
 from tests.cell.conftest import small_config
 from tests.values import raising
 

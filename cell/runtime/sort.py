@@ -16,9 +16,9 @@ from cell.control.keeping import Keep
 from cell.control.plan import Pose
 from cell.control.positioner import Destination
 from cell.errors import ConfigError, NoPartFound
-from cell.jobs.collection import MISSES_IN_A_ROW
-from cell.jobs.identify import identify
 from cell.learning.taught_model import TaughtModel
+from cell.runtime.collection import MISSES_IN_A_ROW
+from cell.runtime.identify import identify
 from recognition.recognizer import UNKNOWN
 
 
@@ -157,7 +157,7 @@ def sort_parts(
     seed
         Seed of the poses and forces of the first part; each further one has the next.
     max_grasps, force_n
-        As `cell.jobs.identify.identify`.
+        As `cell.runtime.identify.identify`.
     on_part
         Called after each part with its identification.
     on_missed

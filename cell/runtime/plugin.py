@@ -31,7 +31,7 @@ from cell.errors import (
     RequestRefused,
 )
 from cell.fault_catalogue import error_text
-from cell.plugin.goals import (
+from cell.runtime.goals import (
     TASKS,
     GaugeGoal,
     Goal,
@@ -42,9 +42,9 @@ from cell.plugin.goals import (
     ZeroGoal,
     checked_goal,
 )
-from cell.plugin.host_status import HostStatus
-from cell.plugin.lease import Lease
-from cell.plugin.worker import (
+from cell.runtime.host_status import HostStatus
+from cell.runtime.lease import Lease
+from cell.runtime.worker import (
     SIGNAL_LOOK_S,
     CellWorker,
     Job,
@@ -61,8 +61,8 @@ if TYPE_CHECKING:
 
     from cell.control.controller import CellController
     from cell.control.positioner import CarryCallback
-    from cell.jobs.sort import Places
-    from cell.plugin.part_report import OnPart
+    from cell.runtime.part_report import OnPart
+    from cell.runtime.sort import Places
     from cell.simulation import SimulationRequests
     from gripper.clock import Clock
     from gripper.values.outcome import ReleaseReport
@@ -174,9 +174,9 @@ class TactileCellPlugin:
         from cell.build import build_cell  # noqa: PLC0415
         from cell.learning.pad_knowledge import pad_knowledge  # noqa: PLC0415
         from cell.learning.taught_model import TaughtModel  # noqa: PLC0415
-        from cell.plugin import tasks  # noqa: PLC0415
-        from cell.plugin.health import health_values  # noqa: PLC0415
-        from cell.plugin.part_report import TaxelNewtons, part_reporter  # noqa: PLC0415
+        from cell.runtime import tasks  # noqa: PLC0415
+        from cell.runtime.health import health_values  # noqa: PLC0415
+        from cell.runtime.part_report import TaxelNewtons, part_reporter  # noqa: PLC0415
         from cell.simulation import SimulationRequests  # noqa: PLC0415
 
         self._config = checked
@@ -279,7 +279,7 @@ class TactileCellPlugin:
         }
 
     def _place_names(self) -> tuple[str, ...]:
-        from cell.jobs.sort import Places  # noqa: PLC0415
+        from cell.runtime.sort import Places  # noqa: PLC0415
 
         try:
             return self._places().names

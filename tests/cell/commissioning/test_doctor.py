@@ -10,15 +10,15 @@ from typing import Any
 
 import pytest
 
-import cell.jobs.doctor
+import cell.commissioning.doctor
 from cell.build import build_cell
 from cell.checks.findings import CheckResult, Verdict
+from cell.commissioning.doctor import _boards, examine
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.data.formats import COMMISSIONING, write_json
 from cell.errors import CellError
-from cell.jobs.doctor import _boards, examine
 from cell.simulation import simulation_of
 from tests.cell.conftest import once, small_config
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
@@ -193,7 +193,9 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
         held.controller.start()
         held.controller.moves.present("ball")
         held.controller.grip(6.0, Pose())
-    monkeypatch.setattr(cell.jobs.doctor, "build_cell", partial(build_cell, simulated=simulated))
+    monkeypatch.setattr(
+        cell.commissioning.doctor, "build_cell", partial(build_cell, simulated=simulated)
+    )
     file = tmp_path / "my cell.yaml"
     findings = by_name(list(examine(small_config(), file)))
     release = f"tactile-cell release --config '{file}' --confirm"
@@ -249,7 +251,7 @@ BOARDS = {"kind": "flexitac", "ports": ("/dev/no-board", "/dev/no-other-board")}
     ],
 )
 def test_each_wrong_port_is_named_with_what_to_do(monkeypatch, changes, keys) -> None:
-    monkeypatch.setattr(cell.jobs.doctor, "_devices", lambda *_: ())
+    monkeypatch.setattr(cell.commissioning.doctor, "_devices", lambda *_: ())
     findings = examine(changed_config(small_config(**REAL), changes))
     missing = [finding for finding in findings if finding.verdict is Verdict.FAIL]
     assert [finding.what for finding in missing] == ["gripper.port", *keys]

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from cell.jobs.common import silent
-from cell.plugin.main_job import teach_and_identify
-from cell.plugin.plugin import TactileCellPlugin
+from cell.learning.progress import silent
+from cell.runtime.main_job import teach_and_identify
+from cell.runtime.plugin import TactileCellPlugin
 from simulator.can.capture import PcapWriter
 from tests.cell.conftest import small_config
 

@@ -1,1 +1,0 @@
-"""The jobs of the commands, without arguments and printing; one job per file."""
