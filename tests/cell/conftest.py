@@ -175,7 +175,7 @@ def meddle(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Any], object]
         # All are imported first: one that is imported under the patch would keep it for good.
         users = [
             import_module(f"cell.{name}")
-            for name in ("build", "interfaces.cli.session", "jobs.doctor")
+            for name in ("build", "interfaces.cli.session", "commissioning.doctor")
         ]
         for user in users:
             monkeypatch.setattr(user, "build_cell", build)
