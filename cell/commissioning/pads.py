@@ -19,7 +19,7 @@ from cell.config.model import TAXELS_OF_SMALL_PART, CellConfig
 from cell.errors import ConfigError
 from cell.hand.build import sensor_settings
 from tactile.clock import Clock
-from tactile.control_unit.mounting import Mounting
+from tactile.control_unit.node import Mounting
 from tactile.errors import TareRefused
 from tactile.layout import PadMount, TaxelLayout
 from tactile.sensor.calibration import Calibration

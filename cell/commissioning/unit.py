@@ -26,8 +26,6 @@ from cell.config.tactile import (
 from cell.errors import ConfigError
 from cell.hand.build import frame_source, sensor_settings
 from tactile.can.bus import CanBus, MissingBus
-from tactile.control_unit.bus_load import least_sync_period_s, message_bits
-from tactile.control_unit.commissioning import identity_checks
 from tactile.control_unit.search import (
     BusTraffic,
     FoundUnit,
@@ -36,7 +34,8 @@ from tactile.control_unit.search import (
     read_vendor,
     scan_nodes,
 )
-from tactile.control_unit.settings import ExpectedIdentity
+from tactile.control_unit.settings import ExpectedIdentity, least_sync_period_s, message_bits
+from tactile.control_unit.setup import identity_checks
 from tactile.errors import BusNotOpened, TactileError
 from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
 from tactile.layout import LAYOUTS, TaxelLayout

@@ -13,8 +13,7 @@ from cell.config.tactile import (
     link_settings,
     make_calibration,
 )
-from tactile.control_unit.bus_load import bus_load, least_sync_period_s
-from tactile.control_unit.settings import WINDOW_SHARE
+from tactile.control_unit.settings import WINDOW_SHARE, bus_load, least_sync_period_s
 from tactile.frames.codec import FrameFormat
 from tactile.layout import TaxelLayout
 from tactile.source import FrameSource

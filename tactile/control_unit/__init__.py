@@ -1,6 +1,6 @@
 """The control unit as a CANopen node, for the cell.
 
-`link` is the entry: it starts the unit and returns frames. Its parts are `session`, `sdo`,
-`commissioning` and `supervision`. `settings` has its periods and limits, and `object_dictionary`
-the unit's objects (``control_unit.eds``).
+`node` is the entry: it starts the unit and returns frames. `setup` checks the unit and writes its
+objects, `watch` supervises it, and `search` finds an unknown unit. `settings` has periods and
+limits, `object_dictionary` the unit's objects (``control_unit.eds``).
 """

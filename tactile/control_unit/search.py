@@ -12,12 +12,12 @@ from typing import Self
 import can
 
 from tactile.can.receiver import message_source, of_another_kind
+from tactile.can.sdo_client import ObjectAccess
 from tactile.clock import Clock
 from tactile.control_unit import object_dictionary as od
-from tactile.control_unit.commissioning import read_identity
-from tactile.control_unit.sdo import ObjectAccess
-from tactile.control_unit.session import LinkSession
+from tactile.control_unit.node import UnitNode
 from tactile.control_unit.settings import LinkSettings, NodeIdentity
+from tactile.control_unit.setup import read_identity
 from tactile.errors import BusOff, NodeMissing, TactileError
 from tactile.layout import TaxelLayout, paper_layout
 
@@ -207,9 +207,7 @@ def _objects_of(bus: can.BusABC, node_id: int) -> Iterator[ObjectAccess]:
     clock: Clock = getattr(bus, "clock", time)
     source = message_source(bus, clock, threaded=clock is time)
     layout, settings = paper_layout(), LinkSettings()
-    session = LinkSession(
-        bus, source, node_id=node_id, layout=layout, clock=clock, settings=settings
-    )
+    node = UnitNode(bus, source, node_id=node_id, layout=layout, clock=clock, settings=settings)
     with closing(source):
         source.start()
-        yield session.objects
+        yield node.objects

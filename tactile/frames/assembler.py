@@ -49,15 +49,9 @@ class FrameAssembler:
         self.counts = FrameStatistics()
         """Counts so far; they are updated."""
 
-    def push(self, data: bytes | bytearray, dlc: int, t_s: float) -> TactileFrame | None:
-        """Add one message and return the frame that it completes, if any.
-
-        Parameters
-        ----------
-        dlc
-            Length field of the message; must be 8 and fit ``data``.
-        """
-        if dlc != MESSAGE_BYTES or len(data) != MESSAGE_BYTES:
+    def push(self, data: bytes | bytearray, t_s: float) -> TactileFrame | None:
+        """Add one message and return the frame that it completes, if any."""
+        if len(data) != MESSAGE_BYTES:
             self.counts.short += 1
             return None
         head = data[0]

@@ -8,7 +8,7 @@ import numpy as np
 
 from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.clock import Clock
-from tactile.control_unit.link import TactileLink
+from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
 from tactile.frames.force_message import TABLE_NODES, encode_table
 from tactile.layout import TaxelLayout, paper_layout

@@ -38,7 +38,7 @@ from pytest_tactile_cell.faults import FaultRegistry
 from pytest_tactile_cell.options import HardwareOptions, config_path
 from simulator.servo.protocol2 import crc16
 from tactile.can.bus import CanBus, close_bus
-from tactile.control_unit.link import TactileLink
+from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
 from tactile.source import TactileFrame
 from tests.faults.scenarios.axes import CHANGES

@@ -61,7 +61,7 @@ class Host:
     def frame(self) -> TactileFrame:
         self.cell.can_bus.send(can.Message(arbitration_id=0x80, is_extended_id=False))
         while (message := self.cell.can_bus.recv(0.02)) is not None:
-            frame = self.assembler.push(bytes(message.data), 8, self.cell.clock.monotonic())
+            frame = self.assembler.push(bytes(message.data), self.cell.clock.monotonic())
             if frame is not None:
                 return frame
         pytest.fail("the burst ended before the frame was whole")

@@ -10,7 +10,7 @@ from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
 from simulator.can.memory_bus import InMemoryCanBus
 from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
-from tactile.control_unit.link import TactileLink
+from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.source import ForceMessage, FrameSource, TactileFrame

@@ -118,8 +118,7 @@ class Line:
         frames = [
             frame
             for can_id, data in self.tell(SYNC)
-            if can_id == TPDO1
-            and (frame := assembler.push(data, len(data), self.now_s)) is not None
+            if can_id == TPDO1 and (frame := assembler.push(data, self.now_s)) is not None
         ]
         self.wait(0.02)
         [frame] = frames

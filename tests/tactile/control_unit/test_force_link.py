@@ -13,7 +13,7 @@ from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
 from tactile.control_unit import object_dictionary as od
-from tactile.control_unit.mounting import Mounting
+from tactile.control_unit.node import Mounting
 from tactile.control_unit.settings import LinkSettings
 from tactile.errors import FrameTimeout, IdentityMismatch, LayoutError, LinkFault
 from tactile.frames.force_message import encode_zero

@@ -10,9 +10,13 @@ import pytest
 
 from simulator.can.wire import mean_bits
 from tactile.control_unit import object_dictionary as od
-from tactile.control_unit.bus_load import bus_load, least_sync_period_s, message_bits
-from tactile.control_unit.settings import LinkSettings
-from tactile.control_unit.supervision import NodeSupervisor, emergency_text
+from tactile.control_unit.settings import (
+    LinkSettings,
+    bus_load,
+    least_sync_period_s,
+    message_bits,
+)
+from tactile.control_unit.watch import NodeWatch, emergency_text
 from tactile.errors import BusErrorPassive
 from tactile.frames.codec import FrameFormat
 from tactile.layout import paper_layout
@@ -116,13 +120,13 @@ def test_texts(code: int, text: str) -> None:
 
 
 def test_restart_of_the_controller_ends_error_passive() -> None:
-    supervisor = NodeSupervisor("the unit", heartbeat_s=0.1)
-    supervisor.on_error_frame(0x04, bytes([0, 0x30]), 1.0)
-    supervisor.on_error_frame(0x100, b"", 1.2)
-    supervisor.check(2.0)
-    supervisor.on_error_frame(0x04, bytes([0, 0x10]), 3.0)
-    supervisor.on_error_frame(0x04, bytes([0, 0x10]), 3.4)
-    supervisor.on_error_frame(0x04, b"", 3.4)
+    watch = NodeWatch("the unit", LinkSettings())
+    watch.on_error_frame(0x04, bytes([0, 0x30]), 1.0)
+    watch.on_error_frame(0x100, b"", 1.2)
+    watch.check(2.0, 0)
+    watch.on_error_frame(0x04, bytes([0, 0x10]), 3.0)
+    watch.on_error_frame(0x04, bytes([0, 0x10]), 3.4)
+    watch.on_error_frame(0x04, b"", 3.4)
     with pytest.raises(BusErrorPassive, match=r"0\.50 s"):
-        supervisor.check(3.5)
-    assert supervisor.error_frames == 5
+        watch.check(3.5, 0)
+    assert watch.error_frames == 5

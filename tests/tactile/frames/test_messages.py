@@ -82,7 +82,7 @@ def test_round_trip(*, n_taxels, sample_bytes, counter, status, seed, shuffle) -
     if shuffle:
         rng.shuffle(messages)
     assembler = FrameAssembler(frame_format)
-    frames = [assembler.push(message, 8, 1.5) for message in messages]
+    frames = [assembler.push(message, 1.5) for message in messages]
     assert frames[:-1] == [None] * (len(messages) - 1)
     frame = frames[-1]
     assert (frame.counter, frame.status, frame.t_s) == (counter, status, 1.5)
@@ -227,7 +227,7 @@ def stream_of(frames: dict[int, np.ndarray]) -> Stream:
 
 
 def received(assembler: FrameAssembler, stream: Stream) -> list[TactileFrame]:
-    frames = (assembler.push(m, len(m), i * 1e-4) for i, m in enumerate(stream))
+    frames = (assembler.push(m, i * 1e-4) for i, m in enumerate(stream))
     return [frame for frame in frames if frame is not None]
 
 
@@ -321,16 +321,15 @@ def test_repeated_and_older_frames_are_stale(assembler) -> None:
 
 
 @pytest.mark.parametrize("length", [0, 1, 3, 7])
-def test_short_messages_are_dropped_even_if_the_dlc_says_eight(assembler, length: int) -> None:
+def test_short_messages_are_dropped(assembler, length: int) -> None:
     messages = SENT.burst(np.zeros(408, int), 0, 0)
-    assert assembler.push(messages[0][:length], 8, 0.0) is None
-    assert assembler.push(messages[0], length, 0.0) is None
-    assert assembler.counts.short == 2
+    assert assembler.push(messages[0][:length], 0.0) is None
+    assert assembler.counts.short == 1
     assert len(received(assembler, messages)) == 1
 
 
 def test_index_beyond_the_burst_is_refused(assembler) -> None:
-    assert assembler.push(bytes([59]) + bytes(7), 8, 0.0) is None
+    assert assembler.push(bytes([59]) + bytes(7), 0.0) is None
     assert assembler.counts.corrupt == 1
 
 
@@ -352,7 +351,7 @@ def test_a_buffer_that_the_caller_reuses_does_no_harm(assembler) -> None:
     frame = None
     for message in SENT.burst(np.arange(408) & 255, 1, 0):
         buffer[:] = message
-        frame = assembler.push(buffer, 8, 0.0)
+        frame = assembler.push(buffer, 0.0)
     np.testing.assert_array_equal(frame.counts, np.arange(408) & 255)
 
 

@@ -1,10 +1,10 @@
-"""Commissioning of the control unit: checks of its identity and taxels, and its set-up."""
+"""Setup of the control unit: checks of its identity and taxels, then its periods and its table."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from tactile.can.sdo_client import ObjectAccess
 from tactile.control_unit import object_dictionary as od
-from tactile.control_unit.sdo import ObjectAccess
 from tactile.control_unit.settings import ExpectedIdentity, LinkSettings, NodeIdentity
 from tactile.errors import IdentityMismatch
 from tactile.frames.codec import FrameFormat
@@ -14,6 +14,10 @@ _COB_ID_MASK = 0xFFFF_FFFF & ~(1 << 30)
 """Compared bits of a PDO's COB-ID entry: bit 30 only forbids RTR (CiA 301, 7.5.2.37)."""
 _CHECK_CONFIG = (
     "Check which unit is plugged in, and the node-ID, serial number and layout in the configuration"
+)
+_CHECK_STORED = (
+    "Write the expected ones with a CANopen tool (1019h while 1006h is 0), store them in the "
+    "unit, then start again"
 )
 
 
@@ -31,13 +35,26 @@ class Check:
         return self.expected is None or self.expected == self.found
 
 
+_Row = tuple[str, int, int, int]
+"""Name of an unsigned object, its index and sub-index, and its expected value."""
+
+
 def read_identity(objects: ObjectAccess) -> NodeIdentity:
     """Read the identity object, the device name and the boards of the pads."""
+    vendor_id, product_code, revision, serial = (
+        objects.read_unsigned(od.IDENTITY, sub)
+        for sub in (
+            od.IDENTITY_VENDOR,
+            od.IDENTITY_PRODUCT,
+            od.IDENTITY_REVISION,
+            od.IDENTITY_SERIAL,
+        )
+    )
     return NodeIdentity(
-        vendor_id=objects.read_unsigned(od.IDENTITY, od.IDENTITY_VENDOR),
-        product_code=objects.read_unsigned(od.IDENTITY, od.IDENTITY_PRODUCT),
-        revision=objects.read_unsigned(od.IDENTITY, od.IDENTITY_REVISION),
-        serial=objects.read_unsigned(od.IDENTITY, od.IDENTITY_SERIAL),
+        vendor_id=vendor_id,
+        product_code=product_code,
+        revision=revision,
+        serial=serial,
         name=objects.read_text(od.DEVICE_NAME),
         boards=(objects.read_unsigned(od.BOARDS, 1), objects.read_unsigned(od.BOARDS, 2)),
     )
@@ -58,20 +75,43 @@ def identity_checks(identity: NodeIdentity, expected: ExpectedIdentity) -> list[
     ]
 
 
-def refuse_swapped_boards(identity: NodeIdentity, expected: ExpectedIdentity, name: str) -> None:
-    """Raise IdentityMismatch if each finger has the pads of the other one."""
-    boards = expected.boards
+def refuse_other_unit(
+    objects: ObjectAccess, layout: TaxelLayout, node_id: int, expected: ExpectedIdentity
+) -> NodeIdentity:
+    """Return the identity of the unit; IdentityMismatch if it is not the one of the config.
+
+    SYNC is sent without a counter, so a unit with an overflow value answers by emergency 8240h.
+    """
+    identity, boards = read_identity(objects), expected.boards
     if boards is not None and boards[0] != boards[1] and identity.boards == boards[::-1]:
         raise IdentityMismatch(
-            f"the pads of the two fingers are exchanged at {name}: the board of finger 0 is "
-            f"{identity.boards[0]}, expected {boards[0]}, that of finger 1 is "
+            f"the pads of the two fingers are exchanged at {objects.name}: the board of finger 0 "
+            f"is {identity.boards[0]}, expected {boards[0]}, that of finger 1 is "
             f"{identity.boards[1]}, expected {boards[1]}. Exchange their cables at the unit, or "
             "correct tactile.board_serial_numbers"
         )
-
-
-_Row = tuple[str, int, int, int]
-"""Name of an unsigned object, its index and sub-index, and its expected value."""
+    other = f"{objects.name} is not the configured unit"
+    refuse_mismatch(identity_checks(identity, expected), other)
+    form = FrameFormat.of(layout)
+    rows = (
+        ("taxels", od.LAYOUT, od.LAYOUT_TAXELS, layout.n_taxels),
+        ("full scale", od.LAYOUT, od.LAYOUT_ADC_MAX, layout.adc_max),
+        ("sample bytes", od.FORMAT, od.FORMAT_SAMPLE_BYTES, layout.sample_bytes),
+        ("messages per frame", od.FORMAT, od.FORMAT_MESSAGES, form.n_messages),
+        ("header bytes", od.FORMAT, od.FORMAT_HEADER_BYTES, form.header_bytes),
+        ("TPDO1 entries", od.TPDO1_MAPPING, 0, len(od.TPDO1_ENTRIES)),
+        *_mapping("TPDO1", od.TPDO1_MAPPING, od.TPDO1_ENTRIES),
+    )
+    found_hash = objects.read_text(od.LAYOUT, od.LAYOUT_HASH)
+    checks = [Check("layout hash", layout.layout_hash, found_hash), *_read_rows(objects, rows)]
+    checks.append(_cob_id_check(objects, "TPDO1", od.TPDO1_PARAMETER, od.COB_TPDO1 + node_id))
+    refuse_mismatch(checks, other)
+    overflow = int.from_bytes(objects.find(od.SYNC_OVERFLOW) or b"", "little")
+    kind = od.PDO_OF_MANUFACTURER
+    row = ("TPDO1 transmission type (1800h:02)", od.TPDO1_PARAMETER, od.PDO_TRANSMISSION, kind)
+    stored = [*_read_rows(objects, [row]), Check("SYNC counter overflow (1019h)", 0, overflow)]
+    refuse_mismatch(stored, f"{objects.name} has stored values that do not fit", _CHECK_STORED)
+    return identity
 
 
 def _read_rows(objects: ObjectAccess, rows: Iterable[_Row]) -> list[Check]:
@@ -91,26 +131,6 @@ def _mapping(name: str, index: int, entries: Sequence[int]) -> list[_Row]:
     return [(f"{name} entry {sub}", index, sub, one) for sub, one in enumerate(entries, start=1)]
 
 
-def layout_checks(objects: ObjectAccess, layout: TaxelLayout, node_id: int) -> list[Check]:
-    """Return the comparison of taxels, frame format and mapping of the frame messages."""
-    form = FrameFormat.of(layout)
-    rows = (
-        ("taxels", od.LAYOUT, od.LAYOUT_TAXELS, layout.n_taxels),
-        ("full scale", od.LAYOUT, od.LAYOUT_ADC_MAX, layout.adc_max),
-        ("sample bytes", od.FORMAT, od.FORMAT_SAMPLE_BYTES, layout.sample_bytes),
-        ("messages per frame", od.FORMAT, od.FORMAT_MESSAGES, form.n_messages),
-        ("header bytes", od.FORMAT, od.FORMAT_HEADER_BYTES, form.header_bytes),
-        ("TPDO1 entries", od.TPDO1_MAPPING, 0, len(od.TPDO1_ENTRIES)),
-        *_mapping("TPDO1", od.TPDO1_MAPPING, od.TPDO1_ENTRIES),
-    )
-    found = objects.read_text(od.LAYOUT, od.LAYOUT_HASH)
-    return [
-        Check("layout hash", layout.layout_hash, found),
-        *_read_rows(objects, rows),
-        _cob_id_check(objects, "TPDO1", od.TPDO1_PARAMETER, od.COB_TPDO1 + node_id),
-    ]
-
-
 def _shown(value: int | str | None) -> str:
     return f"{value} (0x{value:X})" if isinstance(value, int) else str(value)
 
@@ -124,24 +144,6 @@ def refuse_mismatch(checks: list[Check], problem: str, advice: str = _CHECK_CONF
             for check in failed
         )
         raise IdentityMismatch(f"{problem}: {rows}. {advice}")
-
-
-def refuse_stored_values(objects: ObjectAccess, name: str) -> None:
-    """Raise IdentityMismatch for stored values of the unit that do not fit and are never written.
-
-    SYNC is sent without a counter, so a unit with an overflow value answers by emergency 8240h.
-    """
-    overflow = int.from_bytes(objects.find(od.SYNC_OVERFLOW) or b"", "little")
-    parameter, kind = od.TPDO1_PARAMETER, od.PDO_TRANSMISSION
-    row = ("TPDO1 transmission type (1800h:02)", parameter, kind, od.PDO_OF_MANUFACTURER)
-    checks = _read_rows(objects, [row])
-    checks.append(Check("SYNC counter overflow (1019h)", 0, overflow))
-    refuse_mismatch(
-        checks,
-        f"{name} has stored values that do not fit",
-        "Write the expected ones with a CANopen tool (1019h while 1006h is 0), store them in the "
-        "unit, then start again",
-    )
 
 
 def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:

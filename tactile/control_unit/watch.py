@@ -1,0 +1,416 @@
+"""Watch over the control unit: its state, its messages, and the host's CAN controller.
+
+Time is an argument. canopen does not supervise: it has no heartbeat consumer, hides boot-ups
+and drops error frames. Every method raises a `LinkFault` at once if its message is a fault.
+"""
+
+from collections import deque
+from math import ceil, inf
+
+from canopen.emcy import EMCY_STRUCT, EmcyError
+from canopen.nmt import COMMAND_TO_STATE, NMT_COMMANDS, NMT_STATES
+
+from tactile.can.bus import ACTIVE, CLASS_CONTROLLER, PASSIVE
+from tactile.control_unit.settings import LinkSettings
+from tactile.errors import (
+    BusDisturbed,
+    BusErrorPassive,
+    BusOff,
+    DuplicateNode,
+    FrameTimeout,
+    HeartbeatLost,
+    NodeEmergency,
+    NodeRebooted,
+    NodeStateChanged,
+)
+from tactile.frames.force_stream import ForceStream
+from tactile.source import COUNTER_MASK, ForceMessage
+
+BOOT_UP = 0
+"""State byte of a boot-up message (CiA 301, 7.2.8.3.3); canopen calls that state INITIALISING."""
+OPERATIONAL = COMMAND_TO_STATE[NMT_COMMANDS["OPERATIONAL"]]
+_STATE_BITS = 0x7F
+"""Bits of the state in a heartbeat; the top bit is reserved."""
+
+_EMERGENCY_TEXTS = {
+    0x0000: "no error",
+    0xFF01: "a burst was cut short, it does not fit into the synchronous window",
+    0xFF02: "a SYNC came while the burst before it was still being sent",
+    0xFF03: "converter self-test failed",
+    0xFF04: "multiplexer self-test failed",
+    0xFF05: "the stored zero is damaged",
+    0x8110: "CAN overrun, messages lost",
+    0x8120: "CAN error-passive",
+    0x8130: "heartbeat or life guard error",
+    0x8140: "recovered from bus-off",
+    0x8150: "CAN identifier collision",
+    0x8210: "PDO not processed, too short",
+    0x8220: "PDO too long",
+    0x8230: "MPDO not processed, its destination object is missing",
+    0x8240: "unexpected SYNC length",
+    0x8250: "RPDO time-out",
+}
+"""Emergency codes with one meaning: FF01h to FF05h of the unit, and those of CiA 301, 7.2.7.1, that
+canopen has only as groups."""
+
+_EMERGENCY_CODE_BYTES = 2
+"""Length of the code at the start of an emergency message (CiA 301, 7.2.7)."""
+
+_CLASS_BUS_OFF = 0x0040
+_CLASS_RESTARTED = 0x0100
+"""Further classes of error frames in SocketCAN's identifier (linux/can/error.h)."""
+
+_BURST_S, _LEAST_BURST = 0.05, 10.0
+"""Foreign or damaged messages allowed at once: those of this time in s, at least this number."""
+_LATE_FORCES = 0.3
+"""Allowed share of force messages that are older than the previous one. If all messages are sent
+twice, it is at least a half."""
+_STALL_SHOWS_S = 0.2
+"""Time in s after a stall of the host in which force messages of the stall still count in
+`ForceStream.behind_s`, whose window is half of it."""
+_LAG_FRAMES = 250
+"""Number of frames after which the earlier least lag is discarded, once or twice."""
+_LATE_SYNCS = 3
+"""Number of successive SYNCs with late frames that counts: after a stall frames catch up."""
+_SURPLUS_SHARE = 1.5
+_SURPLUS_LIMIT = 0.9
+_SURPLUS_SUSPECT = 0.4
+_DEFICIT_LIMIT = 1.0
+"""Limits in bursts. A sustained rate of one and a half bursts for each SYNC is allowed (an adapter
+that sometimes doubles messages, a late burst). Two bursts each time are two units. Without complete
+frames at the same time half of that is the limit."""
+
+
+def emergency_text(code: int) -> str:
+    """Return the meaning of an emergency code, or of its group if it has no own meaning."""
+    group: str = EmcyError(code, 0, b"", 0.0).get_desc()
+    return _EMERGENCY_TEXTS.get(code) or group.lower() or "unknown code"
+
+
+class TrafficLimit:
+    """Limit of useless messages, a leaky bucket: messages fill it, time empties it.
+
+    Parameters
+    ----------
+    what
+        The messages, in the plural, for the error.
+    advice
+        Remedy.
+    rate_hz
+        Sustained rate allowed in 1/s.
+    burst
+        Least allowed number of messages at once.
+    """
+
+    def __init__(self, what: str, advice: str, rate_hz: float, burst: float = _LEAST_BURST) -> None:
+        self._what, self._advice = what, advice
+        self._rate_hz, self._burst = rate_hz, max(burst, _BURST_S * rate_hz)
+        self._total = self._n = 0
+        self._level = self._at_s = 0.0
+        self._since_s: float | None = None
+
+    def reach(self, total: int, t_s: float) -> None:
+        """Add the messages up to a total at ``t_s`` s; BusDisturbed if they are too many."""
+        n, self._total = total - self._total, total
+        self._level = max(0.0, self._level - self._rate_hz * max(0.0, t_s - self._at_s))
+        if self._level == 0.0 or self._since_s is None:
+            self._since_s, self._n = t_s, 0
+        self._at_s = t_s
+        self._level += n
+        self._n += n
+        if self._level > self._burst:
+            raise BusDisturbed(
+                f"{self._n} {self._what} came within {1e3 * (t_s - self._since_s):.0f} ms, "
+                f"allowed are {self._rate_hz:g} a second: {self._advice}, then start the link again"
+            )
+
+
+class NodeWatch:
+    """Watch over one node: state, heartbeat, emergencies, useless messages, the host's controller.
+
+    Its ``on_`` methods are handlers of messages for ``canopen.Network.subscribe``.
+    """
+
+    def __init__(self, name: str, settings: LinkSettings) -> None:
+        self._name = name
+        self._silence_s = settings.heartbeat_factor * settings.heartbeat_s
+        self._passive_s = settings.error_passive_s
+        self._foreign_limit = TrafficLimit(
+            "messages of other nodes or unknown COB-IDs",
+            "find out who sends them, or raise tactile.foreign_max_hz where they belong there",
+            settings.max_foreign_hz,
+        )
+        self._unusable_limit = TrafficLimit(
+            "damaged messages",
+            "check cable, termination, bit rate and adapter",
+            settings.max_malformed_hz,
+        )
+        self._in_operation = False
+        self._heartbeat_at_s: float | None = None
+        self._passive_since_s: float | None = None
+        self.state: int | None = None
+        self.boot_ups = self.unusable = self.error_frames = self.foreign = 0
+
+    def enter_operation(self, now_s: float) -> None:
+        """Require from now on that the unit is operational and sends its heartbeat."""
+        self._in_operation = True
+        self._heartbeat_at_s = now_s
+
+    def wait_longer(self, late_s: float) -> None:
+        """Extend all deadlines by a stall of the host in s."""
+        if self._heartbeat_at_s is not None:
+            self._heartbeat_at_s += late_s
+        if self._passive_since_s is not None:
+            self._passive_since_s += late_s
+
+    def on_foreign(self, t_s: float) -> None:
+        """Process a message of another node."""
+        self.foreign += 1
+        self._foreign_limit.reach(self.foreign, t_s)
+
+    def on_heartbeat(self, _cob_id: int, data: bytes | bytearray, t_s: float) -> None:
+        """Process a message of COB-ID 0x700 + node; some units send a boot-up without data."""
+        state = data[0] & _STATE_BITS if data else BOOT_UP
+        if state != BOOT_UP and state not in NMT_STATES:
+            # This state does not exist: a bit was flipped on the bus.
+            self.unusable += 1
+            return
+        self.state = state
+        self._heartbeat_at_s = max(t_s, self._heartbeat_at_s or t_s)
+        if self.state == BOOT_UP:
+            self.boot_ups += 1
+            if self._in_operation:
+                raise NodeRebooted(
+                    f"{self._name} sent a boot-up message while in operation: it restarted, or a "
+                    "second unit has the same node-ID; its set-up is gone, check its supply, then "
+                    "start the link and tare again"
+                )
+        elif self._in_operation and self.state != OPERATIONAL:
+            raise NodeStateChanged(
+                f"{self._name} is {NMT_STATES[state].lower()}, expected operational: check for "
+                "another NMT master and an error of the unit (1029h), then start the link again"
+            )
+
+    def on_emergency(self, _cob_id: int, data: bytes | bytearray, _t_s: float) -> None:
+        """Process a message of COB-ID 0x080 + node: code, error register, 5 more bytes (CiA 301).
+
+        A shorter one with its code is an emergency, too: its sender has an error.
+        """
+        if len(data) < _EMERGENCY_CODE_BYTES:
+            self.unusable += 1
+            return
+        code, register, _ = EMCY_STRUCT.unpack(data.ljust(EMCY_STRUCT.size, b"\0"))
+        if code:
+            text = emergency_text(code)
+            if len(data) < EMCY_STRUCT.size:
+                text += f"; only {len(data)} of {EMCY_STRUCT.size} bytes arrived"
+            raise NodeEmergency(code, register, text, self._name)
+
+    def on_error_frame(self, classes: int, data: bytes | bytearray, t_s: float) -> None:
+        """Process an error frame of the host's own CAN controller."""
+        self.error_frames += 1
+        if classes & _CLASS_BUS_OFF:
+            raise BusOff(
+                "the CAN controller of the host is bus-off: check wiring, termination and bit "
+                "rate, restart the interface, then start the link again"
+            )
+        controller = data[1] if classes & CLASS_CONTROLLER and len(data) > 1 else 0
+        if controller & ACTIVE or classes & _CLASS_RESTARTED:
+            self._passive_since_s = None
+        elif controller & PASSIVE and self._passive_since_s is None:
+            self._passive_since_s = t_s
+
+    def check(self, now_s: float, unusable: int) -> None:
+        """Raise the fault of a missed deadline, or of too many unusable messages in total."""
+        self._unusable_limit.reach(unusable, now_s)
+        passive_since_s = self._passive_since_s
+        if passive_since_s is not None and now_s - passive_since_s >= self._passive_s:
+            raise BusErrorPassive(
+                f"the CAN controller of the host has been error-passive for "
+                f"{now_s - passive_since_s:.2f} s, allowed are {self._passive_s:g} s: check "
+                "wiring, termination and bit rate, then start the link again"
+            )
+        if not self._in_operation or self._heartbeat_at_s is None:
+            return
+        silent_s = now_s - self._heartbeat_at_s
+        if silent_s > self._silence_s:
+            raise HeartbeatLost(
+                f"no heartbeat from {self._name} for {silent_s:.3f} s, allowed are "
+                f"{self._silence_s:g} s: check its supply and its CAN cable, then start the link "
+                "again"
+            )
+
+
+class FrameFlow:
+    """Supervision of unanswered SYNCs, lost frames, late frames and double messages.
+
+    Parameters
+    ----------
+    burst_messages
+        Messages of one unit after each SYNC.
+    """
+
+    def __init__(self, name: str, settings: LinkSettings, burst_messages: int) -> None:
+        self._name = name
+        allowed = ceil(settings.silence_s / settings.sync_period_s)
+        self._timeout_periods = max(settings.frame_timeout_periods, allowed)
+        self._late_periods = max(settings.late_periods, allowed)
+        self._max_loss_rate = settings.max_loss_rate
+        self._window_frames = settings.loss_window_frames
+        self._burst_messages = burst_messages
+        self._arrived: deque[bool] = deque(maxlen=self._window_frames)
+        self._last_counter: int | None = None
+        self._unanswered = 0
+        self._ahead = 0
+        """SYNCs sent, less the scans of the unit's counter since its first frame."""
+        self._least: int | None = None
+        self._least_before: int | None = None
+        self._lag_frames = 0
+        self._late_syncs = 0
+        self.messages = 0
+        """Frame messages since the last SYNC."""
+        self._surplus = 0.0
+
+    @property
+    def recent_loss_rate(self) -> float:
+        """Share of frames lost in the window, 0 to 1."""
+        return self._arrived.count(False) / len(self._arrived) if self._arrived else 0.0
+
+    def before_sync(self) -> None:
+        """Check the answers to the SYNCs so far; call it when the next SYNC is due.
+
+        Raises FrameTimeout for too many SYNCs without an answer or with late ones, DuplicateNode
+        for two answers.
+        """
+        n = self._weigh_messages()
+        out = self._unanswered >= self._timeout_periods
+        if self._surplus > (_SURPLUS_SUSPECT if out else _SURPLUS_LIMIT):
+            raise DuplicateNode(
+                f"{n} frame messages came after one SYNC, {self._name} sends "
+                f"{self._burst_messages}: a second unit has the same node-ID, or the adapter "
+                "doubles messages; leave one unit on the bus, then start the link again"
+            )
+        if out:
+            raise FrameTimeout(
+                f"no whole frame from {self._name} after {self._unanswered} SYNCs: check bus "
+                "load, cable and the unit's mode, then start the link again"
+            )
+        self._check_late()
+        self._unanswered += 1
+        self._ahead += 1
+
+    def on_frame(self, counter: int) -> None:
+        """Add the counter of a complete frame; FrameTimeout if too many before it were lost."""
+        self._unanswered = 0
+        step = 1
+        if self._last_counter is not None:
+            step = (counter - self._last_counter) & COUNTER_MASK
+            self._arrived.extend([False] * min(step - 1, self._window_frames))
+        self._arrived.append(True)
+        self._last_counter = counter
+        self._ahead -= step
+        lost_frames = self._arrived.count(False)
+        if lost_frames > self._max_loss_rate * self._window_frames:
+            raise FrameTimeout(
+                f"{lost_frames} of the last {self._window_frames} frames from {self._name} were "
+                f"lost, allowed are {self._max_loss_rate:.0%}: check bus load, cable and "
+                "termination, then start the link again"
+            )
+        self._note_lag()
+
+    @property
+    def _late(self) -> int:
+        """Number of SYNCs with outstanding frames, beyond the usual one."""
+        before = self._least if self._least_before is None else self._least_before
+        known = [least for least in (before, self._least) if least is not None]
+        return max(0, self._ahead - min(known, default=0))
+
+    def _check_late(self) -> None:
+        if self._last_counter is None:
+            return
+        late = self._late
+        self._late_syncs = self._late_syncs + 1 if late >= self._late_periods else 0
+        if self._late_syncs >= _LATE_SYNCS:
+            raise FrameTimeout(
+                f"the frames of {self._name} come {late} periods later than before, allowed are "
+                f"{self._late_periods - 1}: the adapter or the host delays messages, or SYNCs do "
+                "not reach the unit; check both, then start the link again"
+            )
+
+    def _note_lag(self) -> None:
+        self._lag_frames += 1
+        if self._least is None or self._ahead < self._least:
+            self._least = self._ahead
+        if self._lag_frames >= _LAG_FRAMES:
+            self._lag_frames, self._least_before, self._least = 0, self._least, None
+
+    def _weigh_messages(self) -> int:
+        n, self.messages = self.messages, 0
+        surplus = self._surplus + n / self._burst_messages - _SURPLUS_SHARE
+        # Late messages will arrive all at once.
+        self._surplus = max(surplus, -_DEFICIT_LIMIT - _SURPLUS_SHARE * self._late)
+        return n
+
+
+class ForceFlow:
+    """Supervision of the force messages: few lost, none late, none silent for long."""
+
+    def __init__(self, name: str, settings: LinkSettings) -> None:
+        self._name, self._settings = name, settings
+        self.stream = ForceStream(settings.force_period_s)
+        """Order and counts of the messages."""
+        rate_hz, burst = 1.0 / settings.force_period_s, settings.force_timeout_s
+        self._lost = TrafficLimit(
+            "lost force messages",
+            "check bus load, cable and termination",
+            settings.max_loss_rate * rate_hz,
+            burst * rate_hz,
+        )
+        self._late = TrafficLimit(
+            "force messages that are older than the one before",
+            "look for a gateway or a second unit that sends old messages again",
+            _LATE_FORCES * rate_hz,
+            burst * rate_hz,
+        )
+        self._last_s, self._stalled_s, self._stall_s = -inf, -inf, 0.0
+
+    def enter_operation(self, now_s: float) -> None:
+        """Require force messages from now on."""
+        self._last_s = now_s
+
+    def wait_longer(self, now_s: float, late_s: float) -> None:
+        """Extend all deadlines by a stall of the host in s that ends now."""
+        self._last_s += late_s
+        self._stalled_s, self._stall_s = now_s, self._settings.sync_period_s + late_s
+
+    def push(self, data: bytes | bytearray, t_s: float) -> ForceMessage | None:
+        """Add a message and return it if it is valid and newer."""
+        message = self.stream.push(data, t_s)
+        if message is not None:
+            self._last_s = max(self._last_s, t_s)
+        self._lost.reach(self.stream.counts.lost, t_s)
+        self._late.reach(self.stream.counts.late, t_s)
+        return message
+
+    def too_late(self, late_s: float) -> FrameTimeout:
+        """Return the error of force messages that are late by a time in s."""
+        return FrameTimeout(
+            f"the force messages of {self._name} come {1e3 * late_s:.0f} ms late, allowed are "
+            f"{1e3 * self._settings.force_late_s:.0f} ms: the unit sends them later or more "
+            "seldom than it was set to, or many were lost at once; check its firmware and the bus "
+            "load, then start the link again"
+        )
+
+    def check(self, now_s: float) -> None:
+        """Raise FrameTimeout for late or missing force messages."""
+        # Messages of a stall of the host were read at its end, and look late for a while.
+        excuse_s = self._stall_s if now_s - self._stalled_s < _STALL_SHOWS_S else 0.0
+        if self.stream.behind_s - excuse_s > self._settings.force_late_s:
+            raise self.too_late(self.stream.behind_s)
+        silent_s, limit_s = now_s - self._last_s, self._settings.force_timeout_s
+        if silent_s > limit_s:
+            raise FrameTimeout(
+                f"no force message from {self._name} for {1e3 * silent_s:.0f} ms, allowed are "
+                f"{1e3 * limit_s:.0f} ms: check that the control unit has power, its cable and the "
+                "bus load, then start the link again"
+            )
