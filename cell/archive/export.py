@@ -1,6 +1,6 @@
 """Export of a part of an archive: one file of CSV or Parquet, or a data set."""
 
-from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ def export(archive: Archive, path: Path, selection: Selection = EVERYTHING) -> i
     """
     if path.suffix not in KINDS:
         raise ArchiveError(f"{path}: name a file that ends in {', '.join(KINDS)}")
-    n = archive.n_rows(selection)
+    n: int = archive.table(["key"], selection).num_rows
     if not n:
         raise nothing_selected(archive.target)
     if path.suffix == ".npz":
@@ -46,23 +46,25 @@ def export(archive: Archive, path: Path, selection: Selection = EVERYTHING) -> i
             grasps.append(grasp)
         write_dataset(path, grasps)
         return n
-    names = list(SCHEMA.names) if path.suffix == ".parquet" else list(LIGHT)
-    write_atomically(
-        path,
-        lambda file: _write(file, path.suffix, _pieces(archive, selection, names)),
-        error=ArchiveError,
-        what="export",
-    )
+    csv = path.suffix == ".csv"
+    names = LIGHT if csv else SCHEMA.names
+    rows = archive.batches(["cell", "day", *names], selection)
+
+    def write(file: Any) -> None:
+        pieces = map(_flat, rows) if csv else rows
+        first = next(pieces)
+        with (
+            pyarrow.csv.CSVWriter(file, first.schema)
+            if csv
+            else pq.ParquetWriter(
+                file, first.schema.with_metadata(SCHEMA.metadata), compression="zstd"
+            )
+        ) as writer:
+            for piece in chain([first], pieces):
+                writer.write_batch(piece)
+
+    write_atomically(path, write, error=ArchiveError, what="export")
     return n
-
-
-def _pieces(archive: Archive, selection: Selection, names: list[str]) -> Iterator[pa.RecordBatch]:
-    for partition, batch in archive.batches(names, selection):
-        n = batch.num_rows
-        texts = (pa.array([text] * n) for text in (partition.cell, partition.day))
-        columns = dict(zip(("cell", "day"), texts, strict=True))
-        columns |= dict(zip(names, batch.columns, strict=True))
-        yield pa.RecordBatch.from_pydict(columns)
 
 
 def _flat(batch: pa.RecordBatch) -> pa.RecordBatch:
@@ -75,20 +77,3 @@ def _flat(batch: pa.RecordBatch) -> pa.RecordBatch:
         elif not pa.types.is_nested(values.type):
             columns[name] = values
     return pa.RecordBatch.from_pydict(columns)
-
-
-def _write(file: Any, kind: str, pieces: Iterator[pa.RecordBatch]) -> None:
-    writer = None
-    for piece in pieces:
-        rows = _flat(piece) if kind == ".csv" else piece
-        if writer is None:
-            writer = (
-                pyarrow.csv.CSVWriter(file, rows.schema)
-                if kind == ".csv"
-                else pq.ParquetWriter(
-                    file, rows.schema.with_metadata(SCHEMA.metadata), compression="zstd"
-                )
-            )
-        writer.write_batch(rows)
-    if writer is not None:
-        writer.close()

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, ZipFile
 
-from cell.archive.store import Archive, StagedFile
-from cell.archive.table import Row, dataset_rows, recording_rows, tables
+from cell.archive.store import Archive
+from cell.archive.table import Row, batches, dataset_rows, recording_rows
 from cell.data.dataset import read_dataset
 from cell.data.recorder_sink import in_use
 from cell.data.recording_reader import read_recording
@@ -28,9 +28,8 @@ class Piece:
 
     source: Path
     sha256: str = ""
-    staged: tuple[StagedFile, ...] = ()
-    there: bool = False
-    """Whether the file is already in the archive."""
+    staged: str = ""
+    """Name of its staged rows; empty where the file is already in the archive."""
     left: str = ""
     """Reason to leave it for the next run; empty where it is not left."""
 
@@ -94,31 +93,28 @@ def ingest(
     cell
         Cell of grasps that name no cell.
     mapper
-        Reads the files, in this or other processes; the results are added here.
+        Reads the files, in this or other processes, or on other machines with the same folders; the
+        results are added here, in the order of the files.
     """
     archive, done = Archive(target, create=True), Ingested()
     archive.clear_staged()
     every = sorted(paths, key=lambda path: path.suffix != _KINDS[0])
-    n_recordings = sum(path.suffix == _KINDS[0] for path in every)
-    n_done = 0
     progress("archive", 0, len(every))
-    for group in (every[:n_recordings], every[n_recordings:]):
-        for piece in mapper(partial(read_piece, target, cell), group):
-            n_done += 1
-            progress("archive", n_done, len(every))
-            if piece.left:
-                done.left[str(piece.source)] = piece.left
-            elif piece.there or archive.has_source(piece.sha256):  # or a copy of it, meanwhile
-                done.n_there += 1
-            else:
-                try:
-                    new, before = archive.add(piece.sha256, str(piece.source), piece.staged)
-                except ArchiveError as why:
-                    Archive(target)  # raises where the whole archive is out of reach
-                    done.left[str(piece.source)] = str(why)
-                    continue
-                done.n_files += 1
-                done.n_grasps, done.n_before = done.n_grasps + new, done.n_before + before
+    for number, piece in enumerate(mapper(partial(read_piece, target, cell), every), start=1):
+        progress("archive", number, len(every))
+        if piece.left:
+            done.left[str(piece.source)] = piece.left
+        elif not piece.staged or archive.has_source(piece.sha256):  # or a copy of it, meanwhile
+            done.n_there += 1
+        else:
+            try:
+                new, before = archive.add(piece.sha256, str(piece.source), piece.staged)
+            except ArchiveError as why:
+                Archive(target)  # raises where the whole archive is out of reach
+                done.left[str(piece.source)] = str(why)
+                continue
+            done.n_files += 1
+            done.n_grasps, done.n_before = done.n_grasps + new, done.n_before + before
     archive.clear_staged()
     return done
 
@@ -133,19 +129,19 @@ def read_piece(target: str, cell: str, path: Path) -> Piece:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         archive = Archive(target)
         if archive.has_source(sha256):
-            return Piece(source=path, sha256=sha256, there=True)
-        staged = archive.stage(sha256, _tables(path, cell, sha256))
+            return Piece(source=path, sha256=sha256)
+        staged = archive.stage(sha256, _batches(path, cell, sha256))
     except ArchiveError:
         raise
     except (CellError, OSError) as why:
         return Piece(source=path, left=str(why))
-    return Piece(source=path, sha256=sha256, staged=tuple(staged))
+    return Piece(source=path, sha256=sha256, staged=staged)
 
 
-def _tables(path: Path, cell: str, sha256: str) -> Iterator[tuple[str, str, Any]]:
-    """Yield the tables of a file; CellError for any content that does not fit."""
+def _batches(path: Path, cell: str, sha256: str) -> Iterator[Any]:
+    """Yield the rows of a file; CellError for any content that does not fit."""
     try:
-        yield from tables(_rows(path, cell), str(path), sha256)
+        yield from batches(_rows(path, cell), str(path), sha256)
     except CellError:
         raise
     except Exception as why:

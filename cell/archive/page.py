@@ -100,9 +100,9 @@ def _view(answers: Answers, target: str) -> dict[str, Any]:
     days = sorted({day for those in answers.cells.values() for day in those})
     colours = {cell: i for i, cell in enumerate(answers.cells)}
     plots = [
-        (signal.title, signal.question, _trends_figure(signal, trends, colours, f"s{number}"))
-        for number, signal in enumerate(SIGNALS)
-        if (trends := [one for one in answers.trends if one.signal == signal.name])
+        (signal.title, signal.question, _trends_figure(signal, trends, colours, name))
+        for name, signal in SIGNALS.items()
+        if (trends := [one for one in answers.trends if one.signal == name])
     ]
     return {
         "target": target,

@@ -1,30 +1,29 @@
 """Questions to an archive: confused objects, drifting cells, ageing pads, friction, few grasps.
 
-Each cell and day is one piece of work and gives a few sums, so the answers of any archive fit into
-memory. A value of a grasp also depends on its object. Day effects of a cell are the rest after the
-object effects.
+The archive is read once, without its frames. A value of a grasp also depends on its object: day
+effects of a cell are the rest after the object effects.
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import date
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 from scipy.special import stdtrit, xlogy
 
 from cell.archive.selection import EVERYTHING, Selection
-from cell.archive.store import Archive, Partition, nothing_selected
-from recognition.evaluation.evaluation import Mapper, one_by_one
+from cell.archive.store import Archive, nothing_selected
 from recognition.evaluation.metrics import wilson_interval
 from recognition.recognizer import UNKNOWN
 from recognition.statistics.day_effects import day_effects
 
 _COLUMNS = (
-    "label", "taught", "answer", "of_part", "part_grasps", "zero", "closing_current_a",
+    "cell", "day", "label", "answer", "of_part", "part_grasps", "zero", "closing_current_a",
     "hold_current_a", "touch_aperture_m", "pad_load",
 )  # fmt: skip
 LEAST_DAYS = 3
@@ -34,35 +33,16 @@ _LEAST_EVIDENCE = 5.0
 _FEW_GRASPS, _ENOUGH_RIGHT = 10, 0.95
 """Fewest grasps of an object, and the required share of right names."""
 
-
-def _log(value: float) -> float:
-    return float(np.log(value)) if value > 0.0 else float("nan")
+Row = Mapping[str, Any]
 
 
-def _response(row: Mapping[str, Any], pad: int) -> float:
-    """Return the logarithm of a pad's load for each A of current without friction."""
-    loads, hold = row["pad_load"] or (), row["hold_current_a"]
-    if len(loads) <= pad or hold is None or row["closing_current_a"] is None:
-        return float("nan")
-    return _log(loads[pad]) - _log(hold - row["closing_current_a"])
-
-
-def _apart(row: Mapping[str, Any]) -> float:
-    loads: list[float] = row["pad_load"] or []
-    return _log(loads[0]) - _log(loads[1]) if len(loads) == 2 else float("nan")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Signal:
+class Signal(NamedTuple):
     """A value of each grasp whose trend answers a question."""
 
-    name: str
     title: str
     unit: str
     question: str
     """Key of the question that the signal answers."""
-    value: Callable[[Mapping[str, Any]], float]
-    """Value of a row; NaN where unknown."""
     least: float
     """Smallest change from the first day to the last that counts."""
     signs: tuple[int, ...] = (-1, 1)
@@ -70,77 +50,37 @@ class Signal:
 
 
 _LOG = "log"
-"""Unit of logarithms of ratios; pages show their changes in per cent."""
-SIGNALS: tuple[Signal, ...] = (
-    Signal(
-        name="opening", title="Opening at the first touch", unit="mm", question="drift", least=0.5,
-        value=lambda row: 1e3 * (row["touch_aperture_m"] or np.nan),
-    ),
-    Signal(
-        name="zero", title="Self-zero of the opening", unit="mm", question="drift", least=0.3,
-        value=lambda row: np.nan if row["zero"] is None else 1e3 * row["zero"]["opening_m"],
-    ),
-    Signal(
-        name="pad 0", title="Response of pad 0 for each A", unit=_LOG, question="ageing",
-        least=0.1, signs=(-1,), value=lambda row: _response(row, 0),
-    ),
-    Signal(
-        name="pad 1", title="Response of pad 1 for each A", unit=_LOG, question="ageing",
-        least=0.1, signs=(-1,), value=lambda row: _response(row, 1),
-    ),
-    Signal(
-        name="pad 0 against pad 1", title="Load of pad 0 over that of pad 1", unit=_LOG,
-        question="ageing", least=0.1, value=_apart,
-    ),
-    Signal(
-        name="friction", title="Current of the closing, empty fingers", unit=_LOG,
-        question="friction", least=0.1, signs=(1,),
-        value=lambda row: _log(row["closing_current_a"] or 0.0),
-    ),
-)  # fmt: skip
-"""All signals; a change of a logarithm by 0.1 is 10 %."""
+"""Unit of logarithms of ratios; pages show their changes in per cent. 0.1 is 10 %."""
+SIGNALS: Mapping[str, Signal] = {
+    "opening": Signal("Opening at the first touch", "mm", "drift", 0.5),
+    "zero": Signal("Self-zero of the opening", "mm", "drift", 0.3),
+    "pad 0": Signal("Response of pad 0 for each A", _LOG, "ageing", 0.1, (-1,)),
+    "pad 1": Signal("Response of pad 1 for each A", _LOG, "ageing", 0.1, (-1,)),
+    "pad 0 against pad 1": Signal("Load of pad 0 over that of pad 1", _LOG, "ageing", 0.1),
+    "friction": Signal("Current of the closing, empty fingers", _LOG, "friction", 0.1, (1,)),
+}
+"""All signals by their names."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DaySums:
-    """Sums over the grasps of a cell on a day."""
+def _signals(rows: pa.Table) -> dict[str, NDArray[np.float64]]:
+    """Return the signals of all rows, (n_rows,) float64 each; NaN where unknown."""
 
-    cell: str
-    day: str
-    n_grasps: int
-    answers: Mapping[tuple[str, str], int]
-    """Number of parts by true label and answer."""
-    objects: Mapping[str, tuple[int, int]]
-    """Grasps of each label, and grasps of all its identifications."""
-    values: Mapping[str, NDArray[np.float64]]
-    """(n_signals, 3) float64 of each label: number, sum and sum of squares."""
+    def log(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.log(np.where(values > 0.0, values, np.nan))
 
-
-def day_sums(target: str, selection: Selection, partition: Partition) -> DaySums:
-    """Return the sums of one cell and day."""
-    answers, n_grasps = Counter[tuple[str, str]](), 0
-    objects: defaultdict[str, list[int]] = defaultdict(lambda: [0, 0])
-    values: defaultdict[str, NDArray[np.float64]] = defaultdict(lambda: np.zeros((len(SIGNALS), 3)))
-    for _, batch in Archive(target).batches(_COLUMNS, selection, [partition]):
-        for row in batch.to_pylist():
-            n_grasps += 1
-            label = row["label"]
-            found = np.array([signal.value(row) for signal in SIGNALS])
-            known = np.isfinite(found)
-            found = np.where(known, found, 0.0)
-            values[label] += np.stack([known, found, found**2], axis=1)
-            objects[label][0] += 1
-            if row["of_part"] == 0:
-                answers[label, row["answer"]] += 1
-                objects[label][1] += row["part_grasps"]
-    return DaySums(
-        cell=partition.cell,
-        day=partition.day,
-        n_grasps=n_grasps,
-        answers=dict(answers),
-        objects={label: (n, k) for label, (n, k) in objects.items()},
-        values=dict(values),
-    )
+    closing_a, hold_a = (rows[f"{name}_current_a"].to_numpy() for name in ("closing", "hold"))
+    first, second = np.array(
+        [(*(loads or ()), np.nan, np.nan)[:2] for loads in rows["pad_load"].to_pylist()]
+    ).T
+    current = log(hold_a - closing_a)  # without friction
+    return {
+        "opening": 1e3 * rows["touch_aperture_m"].to_numpy(),
+        "zero": 1e3 * pc.struct_field(rows["zero"], "opening_m").to_numpy(),
+        "pad 0": log(first) - current,
+        "pad 1": log(second) - current,
+        "pad 0 against pad 1": log(first) - log(second),
+        "friction": log(closing_a),
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -234,55 +174,67 @@ class Answers:
         }
 
 
-def ask(
-    target: str,
-    selection: Selection = EVERYTHING,
-    *,
-    mapper: Mapper = one_by_one,
-    progress: Callable[[str, int, int], None] = lambda *_: None,
-) -> Answers:
-    """Return the answers of the selected part of an archive; the mapper works day by day.
+def ask(target: str, selection: Selection = EVERYTHING) -> Answers:
+    """Return the answers of the selected part of an archive.
 
     Raises ArchiveError where no grasp is selected.
     """
-    partitions = list(Archive(target).partitions(selection))
-    sums = []
-    for one in mapper(partial(day_sums, target, selection), partitions):
-        sums.append(one)
-        progress("report", len(sums), len(partitions))
-    sums = [one for one in sums if one.n_grasps]
-    if not sums:
+    rows = Archive(target).table(_COLUMNS, selection)
+    if not rows.num_rows:
         raise nothing_selected(target)
-    of_cell: defaultdict[str, list[DaySums]] = defaultdict(list)
-    parts = Counter[tuple[str, str]]()
-    for one in sums:
-        of_cell[one.cell].append(one)
-        parts.update(one.answers)
+    keys = {name: rows[name] for name in ("cell", "day", "label")}
+    signals = {name: pa.array(one, from_pandas=True) for name, one in _signals(rows).items()}
+    means = _grouped(
+        pa.table(keys | signals),
+        ["cell", "day", "label"],
+        [(n, how) for n in SIGNALS for how in ("count", "mean")],
+    )
+    parts = _grouped(
+        rows.filter(pc.field("of_part") == 0),
+        ["cell", "day", "label", "answer"],
+        [([], "count_all"), ("part_grasps", "sum")],
+    )
+    of_cell: defaultdict[str, list[Row]] = defaultdict(list)
+    for row in means:
+        of_cell[row["cell"]].append(row)
+    asked = Counter[tuple[str, str]]()
+    for row in parts:
+        asked[row["label"], row["answer"]] += row["count_all"]
     return Answers(
-        n_grasps=sum(one.n_grasps for one in sums),
-        cells={cell: tuple(one.day for one in days) for cell, days in of_cell.items()},
-        confusions=tuple(_confusions(sums, parts)),
-        trends=tuple(trend for days in of_cell.values() for trend in _trends(days)),
-        objects=tuple(_needs(sums)),
-        parts=dict(parts),
+        n_grasps=rows.num_rows,
+        cells={
+            cell: tuple(dict.fromkeys(one["day"] for one in some)) for cell, some in of_cell.items()
+        },
+        confusions=tuple(_confusions(parts, asked)),
+        trends=tuple(trend for cell, some in of_cell.items() for trend in _trends(cell, some)),
+        objects=tuple(_needs(rows, parts)),
+        parts=dict(asked),
     )
 
 
-def _trends(days: Sequence[DaySums]) -> Iterable[Trend]:
+def _grouped(rows: pa.Table, keys: list[str], values: list[tuple[Any, str]]) -> list[Row]:
+    """Return the values of each group, sorted by the keys."""
+    found = rows.group_by(keys, use_threads=False).aggregate(values)
+    return list(found.sort_by([(key, "ascending") for key in keys]).to_pylist())
+
+
+def _trends(cell: str, rows: Sequence[Row]) -> Iterable[Trend]:
     """Yield the trend of each signal with enough days of a cell."""
-    labels = sorted({label for one in days for label in one.values})
-    nothing = np.zeros((len(SIGNALS), 3))
-    every = np.array([[one.values.get(label, nothing) for label in labels] for one in days])
-    ordinal = np.array([date.fromisoformat(one.day).toordinal() for one in days], dtype=np.float64)
-    for number, signal in enumerate(SIGNALS):
-        n, total = every[:, :, number, 0], every[:, :, number, 1]
+    days, labels = (sorted({row[name] for row in rows}) for name in ("day", "label"))
+    places = tuple(
+        np.array([(days.index(row["day"]), labels.index(row["label"])) for row in rows]).T
+    )
+    ordinal = np.array([date.fromisoformat(day).toordinal() for day in days], dtype=np.float64)
+    for name, signal in SIGNALS.items():
+        n, mean = np.zeros((2, len(days), len(labels)))
+        n[places] = [row[f"{name}_count"] for row in rows]
+        mean[places] = [row[f"{name}_mean"] or 0.0 for row in rows]
         shared = n * (np.count_nonzero(n, axis=0) > 1)  # an object of one day shows no change
-        rows = shared.sum(axis=1) > 0
-        if np.count_nonzero(rows) < LEAST_DAYS:
+        taken = shared.sum(axis=1) > 0
+        if np.count_nonzero(taken) < LEAST_DAYS:
             continue
-        mean = np.divide(total, n, out=np.zeros_like(total), where=n > 0)
-        effect = day_effects(mean[rows], shared[rows])
-        x = ordinal[rows] - ordinal[rows].mean()
+        effect = day_effects(mean[taken], shared[taken])
+        x = ordinal[taken] - ordinal[taken].mean()
         slope = float(x @ effect / (x @ x))
         rest = effect - effect.mean() - slope * x
         freedom = len(x) - 2
@@ -295,11 +247,11 @@ def _trends(days: Sequence[DaySums]) -> Iterable[Trend]:
             and low * high > 0.0
             and int(np.sign(change)) in signal.signs
         )
-        shown = [one.day for one, taken in zip(days, rows, strict=True) if taken]
+        shown = [day for day, one in zip(days, taken, strict=True) if one]
         moved = np.sign(change) * (effect - effect[0]) >= 0.5 * signal.least
         yield Trend(
-            cell=days[0].cell,
-            signal=signal.name,
+            cell=cell,
+            signal=name,
             unit=signal.unit,
             question=signal.question,
             days=tuple(shown),
@@ -317,27 +269,25 @@ def _last_run(holds: NDArray[np.bool_]) -> int:
     return int(others[-1]) + 1 if len(others) else 0
 
 
-def _confusions(
-    sums: Sequence[DaySums], parts: Mapping[tuple[str, str], int]
-) -> Iterable[Confusion]:
-    days = sorted({one.day for one in sums})
-    for (label, answer), n in sorted(parts.items(), key=lambda item: -item[1]):
+def _confusions(parts: Sequence[Row], asked: Mapping[tuple[str, str], int]) -> Iterable[Confusion]:
+    days = sorted({row["day"] for row in parts})
+    for (label, answer), n in sorted(asked.items(), key=lambda item: -item[1]):
         if not label or answer in (label, UNKNOWN):
             continue
-        k_of, n_of = Counter[str](), Counter[str]()
-        cells = Counter[str]()
-        for one in sums:
-            found = one.answers.get((label, answer), 0)
-            k_of[one.day] += found
-            n_of[one.day] += sum(k for (was, _), k in one.answers.items() if was == label)
-            cells[one.cell] += found
+        k_of, n_of, cells = Counter[str](), Counter[str](), Counter[str]()
+        for row in parts:
+            if row["label"] == label:
+                n_of[row["day"]] += row["count_all"]
+                if row["answer"] == answer:
+                    k_of[row["day"]] += row["count_all"]
+                    cells[row["cell"]] += row["count_all"]
         met = [day for day in days if k_of[day]]
         yield Confusion(
             label=label,
             answer=answer,
             n=n,
-            n_parts=sum(n_of.values()),
-            cells={cell: k for cell, k in cells.items() if k},
+            n_parts=n_of.total(),
+            cells=dict(cells),
             first=met[0],
             last=met[-1],
             since=_since(days, k_of, n_of),
@@ -363,30 +313,33 @@ def _likelihood(k: NDArray[np.float64], n: NDArray[np.float64]) -> NDArray[np.fl
     return np.asarray(xlogy(k, share) + xlogy(n - k, 1.0 - share), dtype=np.float64)
 
 
-def _needs(sums: Sequence[DaySums]) -> list[ObjectNeed]:
+def _needs(rows: pa.Table, parts: Sequence[Row]) -> list[ObjectNeed]:
     found = []
-    for label in sorted({label for one in sums for label in one.objects} - {""}):
-        here = [one for one in sums if label in one.objects]
-        n_grasps = sum(one.objects[label][0] for one in here)
-        n_asked = sum(one.objects[label][1] for one in here)
-        n_parts = sum(k for one in here for (was, _), k in one.answers.items() if was == label)
-        n_right = sum(one.answers.get((label, label), 0) for one in here)
+    counted = [([], "count_all"), ("day", "count_distinct"), ("cell", "count_distinct")]
+    for one in _grouped(rows, ["label"], counted):
+        if not (label := one["label"]):
+            continue
+        here = [row for row in parts if row["label"] == label]
+        n_parts = sum(row["count_all"] for row in here)
+        n_right = sum(row["count_all"] for row in here if row["answer"] == label)
         low, high = wilson_interval(n_right, n_parts)
         reasons = []
-        if n_grasps < _FEW_GRASPS:
-            reasons.append(f"{n_grasps} grasps, {_FEW_GRASPS} are needed")
+        if one["count_all"] < _FEW_GRASPS:
+            reasons.append(f"{one['count_all']} grasps, {_FEW_GRASPS} are needed")
         if high < _ENOUGH_RIGHT:
             reasons.append(f"named rightly {n_right} of {n_parts} times")
         found.append(
             ObjectNeed(
                 label=label,
-                n_grasps=n_grasps,
-                n_days=len({one.day for one in here}),
-                n_cells=len({one.cell for one in here}),
+                n_grasps=one["count_all"],
+                n_days=one["day_count_distinct"],
+                n_cells=one["cell_count_distinct"],
                 n_parts=n_parts,
                 n_right=n_right,
                 interval=(low, high),
-                grasps_per_part=n_asked / n_parts if n_parts else float("nan"),
+                grasps_per_part=sum(row["part_grasps_sum"] for row in here) / n_parts
+                if n_parts
+                else float("nan"),
                 reasons=tuple(reasons),
             )
         )

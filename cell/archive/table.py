@@ -3,18 +3,21 @@
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from functools import lru_cache
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.dataset as ds
 from numpy.typing import NDArray
 
 from cell.archive.selection import cell_of, day_of, of_cell
 from cell.data.formats import ARCHIVE
 from cell.data.recording_reader import Recording
 from cell.data.recording_values import to_json
+from cell.errors import CellError
 from gripper.values.state import GripperPhase
 from recognition.features.aperture import sizes_mm
 from recognition.features.groups import FEATURE_VERSION, features_of
@@ -31,8 +34,10 @@ from recognition.ramp.ramp import Rest, learn_rest
 
 _BEFORE_S = 3.0
 """Time in s before the first frame of a grasp in which its fingers close."""
-_SLICE = 64
-"""Grasps in a piece of a table: a group of rows."""
+GROUP = 64
+"""Rows in a piece of the table."""
+_NAME_BYTES = 255
+"""Longest name of a folder in bytes (NAME_MAX of Linux)."""
 
 _NUMBER, _TEXT = pa.float64(), pa.string()
 _FRAME = pa.struct(
@@ -83,6 +88,11 @@ SCHEMA = pa.schema(
     [pa.field(name, kind) for name, kind, _ in _COLUMNS], metadata={"format": str(ARCHIVE)}
 )
 """Schema of the Parquet files."""
+_BY = pa.schema([("cell", _TEXT), ("day", _TEXT)])
+PARTITION = ds.partitioning(_BY, flavor="hive")
+"""Folders of the Parquet files, such as ``cell=press/day=2027-01-04``."""
+TABLE = pa.schema([*SCHEMA, *_BY])
+"""Columns of the files and of their folders."""
 LIGHT = tuple(name for name in COLUMNS if name not in ("pads", "frames", "features"))
 """Columns that are small: all but frames, features and pads."""
 
@@ -94,20 +104,13 @@ def grasp_key(grasp: Grasp) -> str:
     return digest.hexdigest()[:32]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
-    """A grasp and the further values of its file."""
-
-    grasp: Grasp
-    number: int
-    """Number in the file."""
-    beside: Mapping[str, Any] = field(default_factory=dict)
-    """Values of further columns."""
+Row = tuple[Grasp, dict[str, Any]]
+"""A grasp and the further columns of its row."""
 
 
 def dataset_rows(grasps: Sequence[Grasp], cell: str) -> list[Row]:
     """Return the rows of a data set; ``cell`` is the cell of grasps that name no cell."""
-    return [Row(grasp=of_cell(grasp, cell), number=i) for i, grasp in enumerate(grasps)]
+    return [(of_cell(grasp, cell), {"grasp": i}) for i, grasp in enumerate(grasps)]
 
 
 def recording_rows(recording: Recording, cell: str = "") -> list[Row]:
@@ -115,10 +118,9 @@ def recording_rows(recording: Recording, cell: str = "") -> list[Row]:
     cell = recording.metadata.get("cell", "") or cell
     answered = _answers(recording)
     return [
-        Row(
-            grasp=of_cell(grasp, cell),
-            number=number,
-            beside=_servos(recording, grasp, t_s) | answered.get(i, {}),
+        (
+            of_cell(grasp, cell),
+            {"grasp": number} | _servos(recording, grasp, t_s) | answered.get(i, {}),
         )
         for i, (grasp, number, t_s) in enumerate(
             zip(recording.grasps, recording.grasp_numbers, recording.grasp_t_s, strict=True)
@@ -176,35 +178,31 @@ def _servos(recording: Recording, grasp: Grasp, t_s: float) -> dict[str, Any]:
     return found
 
 
-def tables(rows: Sequence[Row], recording: str, sha256: str) -> Iterator[tuple[str, str, pa.Table]]:
-    """Yield cell, day and table of rows that share their pads, in pieces."""
+def batches(rows: Sequence[Row], recording: str, sha256: str) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of a file, which share their pads, in pieces with the columns of `TABLE`.
+
+    Raises CellError for a cell whose folder cannot be made.
+    """
     try:
-        rest = learn_rest([row.grasp for row in rows])
+        rest = learn_rest([grasp for grasp, _ in rows])
     except ValueError:  # ramps that are too short have no features
         rest = None
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((cell_of(row.grasp), day_of(row.grasp.start_ms)), []).append(row)
-    pads = _pads_text(rows[0].grasp.pads) if rows else ""
-    common = {"recording": recording, "recording_sha256": sha256, "pads": pads}
-    for (cell, day), members in sorted(groups.items(), key=lambda item: item[0]):
-        for start in range(0, len(members), _SLICE):
-            yield cell, day, _table(members[start : start + _SLICE], rest, common)
-
-
-def _table(rows: Sequence[Row], rest: Rest | None, common: Mapping[str, str]) -> pa.Table:
-    described = _described([row.grasp for row in rows], rest)
-    plain = [
-        {**common, **_plain(row.grasp), **found, "grasp": row.number, **row.beside}
-        for row, found in zip(rows, described, strict=True)
-    ]
-    columns = [
-        _frames([row.grasp for row in rows])
-        if one.name == "frames"
-        else pa.array([_known(row.get(one.name)) for row in plain], one.type)
-        for one in SCHEMA
-    ]
-    return pa.Table.from_arrays(columns, schema=SCHEMA)
+    for start in range(0, len(rows), GROUP):
+        part = rows[start : start + GROUP]
+        grasps = [grasp for grasp, _ in part]
+        values = [
+            {"recording": recording, "recording_sha256": sha256} | _plain(grasp) | found | beside
+            for (grasp, beside), found in zip(part, _described(grasps, rest), strict=True)
+        ]
+        yield pa.RecordBatch.from_arrays(
+            [
+                _frames(grasps)
+                if one.name == "frames"
+                else pa.array([_known(row.get(one.name)) for row in values], one.type)
+                for one in TABLE
+            ],
+            schema=TABLE,
+        )
 
 
 def _known(value: Any) -> Any:
@@ -212,7 +210,17 @@ def _known(value: Any) -> Any:
 
 
 def _plain(grasp: Grasp) -> dict[str, Any]:
+    cell = cell_of(grasp)
+    n_bytes = len(quote(cell)) + len("cell=")
+    if n_bytes > _NAME_BYTES:
+        raise CellError(
+            f"its cell {cell!r:.40} makes a folder name of {n_bytes} bytes, at most {_NAME_BYTES} "
+            "are possible: give the cell a shorter name"
+        )
     return {
+        "cell": cell,
+        "day": day_of(grasp.start_ms),
+        "pads": _pads_text(grasp.pads),
         "key": grasp_key(grasp),
         "start_ms": grasp.start_ms,
         "source": grasp.source,
@@ -269,6 +277,7 @@ def _frames(grasps: Sequence[Grasp]) -> pa.Array:
     return pa.ListArray.from_arrays(ends, pa.StructArray.from_arrays(arrays, fields=list(_FRAME)))
 
 
+@lru_cache(maxsize=16)
 def _pads_text(pads: PadArray) -> str:
     return to_json({name: array.tolist() for name, array in pads.to_arrays().items()})
 

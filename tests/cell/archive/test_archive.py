@@ -1,9 +1,13 @@
 """An archive has each grasp once, as it was recorded, whatever is archived how often."""
 
+import itertools
 import json
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,6 +18,7 @@ import fsspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from fsspec.implementations.local import LocalFileSystem
 
 from cell.archive.export import export
 from cell.archive.ingest import ingest, sources
@@ -21,11 +26,12 @@ from cell.archive.page import confusion_table, lines, write_page
 from cell.archive.questions import ask
 from cell.archive.selection import Selection, parse_selection
 from cell.archive.store import Archive
-from cell.archive.table import COLUMNS, SCHEMA, grasp_key
+from cell.archive.table import COLUMNS, TABLE, grasp_key
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import recording_grasps
 from cell.errors import ArchiveError, CellError, ConfigError, ReportError
+from cell.learning.model import load_model
 from cell.learning.progress import silent
 from cell.report.pictures import confusion_figure, grasp_figure, write_picture
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
@@ -33,8 +39,10 @@ from recognition.statistics.day_effects import day_effects
 from tests.cell.archive.fleet import PADS, SIZES_MM, ramp, record, record_fleet
 from tests.cell.conftest import call
 from tests.fuzz.harness import Clock
+from tests.waiting import until
 
 add = partial(ingest, progress=silent)
+EXAMPLE = Path(__file__).parents[3] / "docs/examples/train_on_a_cluster.py"
 
 
 @pytest.fixture(scope="session")
@@ -53,7 +61,7 @@ def archived(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def every(target: str) -> list[dict[str, Any]]:
     return sorted(
-        (row for _, batch in Archive(target).batches(SCHEMA.names) for row in batch.to_pylist()),
+        (row for batch in Archive(target).batches(TABLE.names) for row in batch.to_pylist()),
         key=lambda row: row["key"],
     )
 
@@ -116,7 +124,7 @@ def test_a_data_set_comes_back_as_it_was(tmp_path) -> None:
         assert_same(after, Grasp(**{n: getattr(before, n) for n in Grasp.__dataclass_fields__}
                                  | {"source": after.source}))  # fmt: skip
         np.testing.assert_equal(after.thickness_m, before.thickness_m)
-    assert {(one.cell, one.day) for one in archive.partitions()} == {
+    assert {(row["cell"], row["day"]) for row in every(target)} == {
         ("press/3", "1970-01-01"),
         ("press/3", "1970-01-02"),
     }
@@ -165,30 +173,69 @@ def test_what_is_torn_foreign_or_unfinished_is_named_and_left_for_the_next_run(
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_goes_on_where_it_was(fleet, archived, tmp_path) -> None:
-    target = str(tmp_path / "archive")
+def test_a_kill_at_any_moment_gives_each_row_once_after_the_next_run(tmp_path, monkeypatch) -> None:
+    """Of each step that changes the disk: a kill before it, and after it."""
+    first, shared, last = (
+        Grasp(
+            pads=PADS,
+            counts=np.full((1, PADS.n_taxels), n),
+            t_s=[0.0],
+            aperture_m=[0.03],
+            force_n=[1.0],
+            start_ms=n // 3 * 10**9,
+        )
+        for n in (1, 2, 3)
+    )
+    for name, grasps in {"a": (first, shared), "b": (shared, last, last)}.items():
+        write_dataset(tmp_path / f"{name}.npz", grasps)
+    add(str(tmp_path / "whole"), sources([tmp_path]))
+    whole = every(str(tmp_path / "whole"))
+    assert len(whole) == 3
+    steps, kill_at = list[str](), -1
 
-    def dies(work: Callable[[Any], Any], items: Any, /) -> Iterator[Any]:
-        yield work(items[0])
-        work(items[1])
-        raise KeyboardInterrupt
+    def stepping(name: str) -> None:
+        step = getattr(LocalFileSystem, name)
 
-    with pytest.raises(KeyboardInterrupt):
-        add(target, sources([fleet]), mapper=dies)
-    assert len(every(target)) == 6
-    note = next(Path(target, "_sources").iterdir())
-    note.unlink()  # as if it had ended before the note
+        def counted(*given: Any, **named: Any) -> Any:
+            steps.append(name)
+            if len(steps) == kill_at:
+                raise KeyboardInterrupt
+            done = step(*given, **named)
+            steps.append(name)
+            if len(steps) == kill_at:
+                raise KeyboardInterrupt
+            return done
 
+        monkeypatch.setattr(LocalFileSystem, name, counted)
+
+    for name in ("makedirs", "mv", "pipe_file", "rm", "open"):
+        stepping(name)
+    for kill_at in itertools.count(1):
+        target = str(tmp_path / f"killed {kill_at}")
+        steps.clear()
+        try:
+            add(target, sources([tmp_path]))
+        except KeyboardInterrupt:
+            steps[:] = [""] * kill_at  # no further one
+            add(target, sources([tmp_path]))
+        else:
+            break
+        assert every(target) == whole
+        assert not Path(target, "_staged").exists()
+    assert kill_at > 40
+
+
+@pytest.mark.slow
+def test_work_that_is_done_twice_adds_nothing(fleet, archived, tmp_path) -> None:
     def twice(work: Callable[[Any], Any], items: Any, /) -> Iterator[Any]:
         """Do each piece again, as after the death of a worker that had done it."""
         for item in items:
             work(item)
             yield work(item)
 
-    done = add(target, sources([fleet]), mapper=twice)
-    assert (done.n_files, done.n_grasps, done.n_before) == (6, 30, 6)
-    assert every(target) == every(archived)
-    assert not Path(target, "_staged").exists()
+    done = add(str(tmp_path / "archive"), sources([fleet]), mapper=twice)
+    assert (done.n_files, done.n_grasps, done.n_before) == (6, 36, 0)
+    assert every(str(tmp_path / "archive")) == every(archived)
 
 
 def test_an_object_store_is_an_archive_too(fleet, archived) -> None:
@@ -226,12 +273,14 @@ def test_the_repair_of_a_damaged_file_loses_no_grasp(tmp_path) -> None:
     keys = [row["key"] for row in every(str(target))]
     assert len(keys) == 3
     damaged.write_bytes(damaged.read_bytes()[:100])
-    with pytest.raises(ArchiveError, match=damaged.name) as named:
-        every(str(target))
     write_dataset(tmp_path / "c.npz", [first])
     done = add(str(target), [tmp_path / "c.npz"])
-    assert (done.n_files, *done.left.values()) == (0, str(named.value))
-    assert "remove it and _sources of the archive, and archive its recording" in str(named.value)
+    assert done.n_files == 0
+    with pytest.raises(ArchiveError) as read:
+        every(str(target))
+    for said in (str(read.value), *done.left.values()):
+        assert f"{damaged} cannot be read" in said
+        assert "remove it and _sources of the archive, and archive its recording" in said
     damaged.unlink()
     shutil.rmtree(target / "_sources")
     add(str(target), sources([tmp_path]))
@@ -242,21 +291,21 @@ def test_the_repair_of_a_damaged_file_loses_no_grasp(tmp_path) -> None:
     ("changes", "why"),
     [
         ({"n_grasps": 2**40}, "does not fit an archive: .*1099511627776"),
-        ({"cell": 150 * "ü"}, "makes a folder name of 305 bytes, at most 255 are possible"),
+        ({"cell": 50 * "ü"}, "makes a folder name of 305 bytes, at most 255 are possible"),
     ],
 )
 def test_a_file_that_does_not_fit_is_named_and_the_others_are_archived(
     tmp_path, changes, why
 ) -> None:
-    for name, values in {"a": changes, "b": {"cell": 80 * "ü"}}.items():
+    for name, values in {"a": changes, "b": {"cell": 40 * "ü"}}.items():
         cell = values.get("cell", "press")
         grasps = [ramp("pen", np.random.default_rng(5), cell=cell)]
         record(tmp_path / f"{name}.mcap", grasps, answers=["pen"], **values)
     done = add(str(tmp_path / "archive"), sources([tmp_path]))
     assert (done.n_files, done.n_grasps, list(done.left)) == (1, 1, [str(tmp_path / "a.mcap")])
     assert re.search(why, done.left[str(tmp_path / "a.mcap")])
-    (partition,) = Archive(str(tmp_path / "archive")).partitions()
-    assert partition.cell == 80 * "ü"
+    (row,) = every(str(tmp_path / "archive"))
+    assert row["cell"] == 40 * "ü"
 
 
 def test_a_selection_reads_only_its_cells_days_and_objects(archived) -> None:
@@ -314,6 +363,39 @@ def test_duckdb_reads_the_table(archived) -> None:
     ).fetchall()
     assert [row[:2] for row in found] == [("press 1", 18), ("press 2", 18)]
     assert all(row[2] > 0 for row in found)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_the_example_trains_and_evaluates_with_a_scheduler_and_two_workers(
+    fleet, archived, tmp_path
+) -> None:
+    place, model, target = tmp_path / "scheduler", tmp_path / "m.npz", tmp_path / "archive"
+    dask = [sys.executable, "-m", "dask"]
+    with ExitStack() as running:
+        for command in (
+            ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"],
+            *[["worker", "--nthreads", "1", "--no-dashboard", "--no-nanny"]] * 2,
+        ):
+            started = subprocess.Popen(
+                [*dask, *command, "--scheduler-file", str(place)],
+                cwd=tmp_path,
+                stderr=subprocess.DEVNULL,
+            )
+            running.callback(started.wait)
+            running.callback(started.terminate)
+        until(place.exists)
+        example = [sys.executable, str(EXAMPLE), json.loads(place.read_text())["address"]]
+        out = subprocess.run(
+            [*example, str(fleet), str(target), str(model)],
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+    assert "36 grasps of 6 files, 0 files left" in out
+    assert re.search(r"force_ramp: [0-9.]+% of the grasps of new days named rightly", out)
+    assert every(str(target)) == every(archived)
+    assert load_model(model).labels == tuple(SIZES_MM)
 
 
 # -- The questions to an archive are answered by its recordings ------------------------------------

@@ -100,7 +100,6 @@ def report(
     cells: CellsOption = None,
     days: DaysOption = None,
     objects: ObjectsOption = None,
-    jobs: JobsOption = 1,
     json_file: JsonOption = None,
 ) -> None:
     """Answer what is confused, drifts, ages or needs grasps: a page with plots, and JSON.
@@ -109,16 +108,14 @@ def report(
     """
     from cell.archive.selection import parse_selection
     from cell.installation import extra
-    from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
-    from cell.learning.parallel import workers
+    from cell.interfaces.cli.terminal import print_line, write_json
 
     with extra("archive", needed_by="the archive"):
         from cell.archive.page import lines, write_page
         from cell.archive.questions import ask
 
     selection = parse_selection(cells, days, objects)
-    with workers(jobs) as mapper, progress_bar() as progress:
-        answers = ask(archive, selection, mapper=mapper, progress=progress)
+    answers = ask(archive, selection)
     write_page(output, answers, archive)
     for line in lines(answers):
         print_line(line)
