@@ -2,8 +2,9 @@
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,15 +28,56 @@ _WAIT_SHARE = 0.1
 """Share of the period between two checks for the first frame."""
 
 
-class PolledBoards(ABC):
+class Board:
+    """One board of a source: the time of its newest frame, and the share of damaged frames."""
+
+    def __init__(self, name: str, n_frames: int = _LOSS_FRAMES) -> None:
+        self.name = name
+        self.sound: deque[bool] = deque(maxlen=n_frames)
+        """Whether each of its newest frames was whole."""
+        self.restart(0.0)
+
+    def restart(self, now_s: float) -> None:
+        """Discard all frames at the start of the source."""
+        self.sound.clear()
+        self.last_s, self.seen = now_s, False
+
+    def saw(self, t_s: float) -> None:
+        """Count a whole and new frame."""
+        self.sound.append(True)
+        self.last_s, self.seen = t_s, True
+
+    @property
+    def loss_rate(self) -> float:
+        """Share of its newest frames that were damaged; 0 until there are enough."""
+        n = len(self.sound)
+        return 1.0 - sum(self.sound) / n if n == self.sound.maxlen else 0.0
+
+    @property
+    def trouble(self) -> str:
+        """Reason of its silence and next step."""
+        return "check its cable and supply"
+
+
+_Board = TypeVar("_Board", bound=Board)
+
+
+class PolledBoards(ABC, Generic[_Board]):
     """Common part of `tactile.source.FrameSource` for boards without forces.
 
-    It latches faults, and makes numbered frames of the samples of both pads.
+    It latches faults, detects silence and loss, and makes numbered frames of the samples of both
+    pads.
 
     Parameters
     ----------
+    name
+        Name of the device, for people.
+    boards
+        Its boards.
     period_s
         Usual time between two frames in s.
+    line_errors
+        Errors of a line that cannot be opened or is gone.
     mounts
         Pads mounted differently than in the layout.
     silence_s, max_loss_rate, startup_timeout_s
@@ -45,29 +87,94 @@ class PolledBoards(ABC):
     sends_forces = False
     silent_periods = 8.0
     """Least silence without a new frame that is a fault, in periods. [chosen]"""
+    unit = "new frame"
+    """What each board sends, for messages."""
 
     def __init__(
         self,
+        name: str,
+        boards: Sequence[_Board],
         *,
         layout: TaxelLayout,
         clock: Clock,
         period_s: float,
+        line_errors: tuple[type[Exception], ...] = (OSError,),
         mounts: Sequence[PadMount] = (),
         silence_s: float = 0.0,
         max_loss_rate: float = 0.05,
         startup_timeout_s: float = 3.0,
     ) -> None:
+        self._name, self._boards, self._line_errors = name, boards, line_errors
         self.layout, self.clock, self.period_s = layout, clock, period_s
         self._order = taxel_order(layout, mounts)
         self._silence_s = max(silence_s, self.silent_periods * period_s)
         self._max_loss_rate, self._startup_s = max_loss_rate, startup_timeout_s
         self._frames = FrameStatistics()
+        self._foreign = self._malformed = self._errors = 0
         self._fault: LinkFault | None = None
         self._running = False
 
     @abstractmethod
-    def _look(self) -> Sequence[TactileFrame]:
-        """Return the frames since the last call; raises LinkFault."""
+    def _open(self) -> None:
+        """Open the lines and request frames; may raise LinkFault."""
+
+    @abstractmethod
+    def _receive(self) -> Sequence[TactileFrame]:
+        """Return the frames since the last call, and tell the boards; may raise LinkFault."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Close the lines; may be called twice, and before `_open`."""
+
+    def _absent(self, board: _Board) -> str:
+        """Return what was not received of a board at the start."""
+        return f"{board.name} sent no {self.unit} within {self._startup_s:g} s: {board.trouble}"
+
+    @contextmanager
+    def _line_of(self, name: str) -> Iterator[None]:
+        """Convert the errors of a board's line."""
+        try:
+            yield
+        except self._line_errors as error:
+            if self._running:
+                raise LinkFault(f"the line of {name} is gone: {error}") from error
+            raise NodeMissing(f"the line of {name} cannot be opened: {error}") from error
+
+    @property
+    def statistics(self) -> SourceStatistics:
+        """Counts since the last start."""
+        return SourceStatistics(
+            frames=self._frames,
+            recent_loss_rate=max(board.loss_rate for board in self._boards),
+            foreign=self._foreign,
+            malformed=self._malformed,
+            error_frames=self._errors,
+        )
+
+    def start(self) -> SourceIdentity:
+        """Open the lines and wait for a frame of each board.
+
+        Raises NodeMissing if a line cannot be opened, and FrameTimeout if a board sends no frames.
+        """
+        self.stop()
+        self._frames = FrameStatistics()
+        self._foreign = self._malformed = self._errors = 0
+        began_s = self.clock.monotonic()
+        for board in self._boards:
+            board.restart(began_s)
+        try:
+            self._open()
+            self._fault = None
+            while absent := [board for board in self._boards if not board.seen]:
+                if self.clock.monotonic() - began_s > self._startup_s:
+                    raise FrameTimeout(self._absent(absent[0]))
+                self.clock.sleep(_WAIT_SHARE * self.period_s)
+                self._receive()
+        except BaseException:
+            self.stop()
+            raise
+        self._running = True
+        return SourceIdentity(name=self._name)
 
     def poll(self) -> Arrivals:
         """Return the frames since the last call; does not wait."""
@@ -76,10 +183,28 @@ class PolledBoards(ABC):
         if not self._running:
             raise LinkStateError("the sensor is not running: start it first")
         try:
-            return Arrivals(tuple(self._look()))
+            frames = self._receive()
+            for board in self._boards:
+                self._check(board)
         except LinkFault as fault:
             self._fault = fault
             raise
+        return Arrivals(tuple(frames))
+
+    def _check(self, board: Board) -> None:
+        """Raise the fault of a board that is silent or damaged."""
+        silent_s = self.clock.monotonic() - board.last_s
+        if silent_s > self._silence_s:
+            raise FrameTimeout(
+                f"{board.name} has sent no {self.unit} for {silent_s:.3f} s, allowed are "
+                f"{self._silence_s:g} s: {board.trouble}"
+            )
+        if board.loss_rate > self._max_loss_rate:
+            raise FrameTimeout(
+                f"{board.loss_rate:.0%} of the last {board.sound.maxlen} frames of {board.name} "
+                f"were damaged, allowed are {self._max_loss_rate:.0%} (tactile.loss_max_share): "
+                "check its cable, and what else loads its line and the computer"
+            )
 
     def _frame(
         self,
@@ -94,24 +219,27 @@ class PolledBoards(ABC):
         """
         counts = samples[self._order]
         counts.setflags(write=False)
-        extra = None if extra is None else extra[self._order]
         self._frames.complete += 1
         full = FrameStatus.SATURATED if counts.max() >= self.layout.adc_max else 0
-        counter = self._frames.complete & 0xFFFF
         return TactileFrame(
             t_s=t_s,
             begun_s=begun_s,
-            counter=counter,
+            counter=self._frames.complete & 0xFFFF,
             status=int(full),
             counts=counts,
-            extra=extra,
+            extra=None if extra is None else extra[self._order],
         )
 
-    def set_zero(self, zero: PadZero) -> None:  # noqa: B027
+    def set_zero(self, zero: PadZero) -> None:
         """Do nothing: the boards send no forces."""
 
+    def stop(self) -> None:
+        """Close the lines."""
+        self._running = False
+        self._close()
 
-class BoardSource(PolledBoards):
+
+class BoardSource(PolledBoards[Board]):
     """Implements `tactile.source.FrameSource` with `open`, `receive` and `close` of a subclass.
 
     It latches faults, numbers frames, removes repeated ones, and detects silence and loss.
@@ -120,24 +248,14 @@ class BoardSource(PolledBoards):
     ----------
     name
         Name of the device, for people.
-    line_errors
-        Errors of a line that cannot be opened or is gone.
     options
         Further arguments of `PolledBoards`.
     """
 
-    def __init__(
-        self, name: str, *, line_errors: tuple[type[Exception], ...] = (OSError,), **options: Any
-    ) -> None:
-        super().__init__(**options)
-        self._name, self._line_errors = name, line_errors
-        self._reset()
-
-    def _reset(self) -> None:
-        self._frames = FrameStatistics()
-        self._sound: deque[bool] = deque(maxlen=_LOSS_FRAMES)
+    def __init__(self, name: str, **options: Any) -> None:
+        self._board = Board(name)
+        super().__init__(name, (self._board,), **options)
         self._last: NDArray[np.uint16] | None = None
-        self._new_s = self.clock.monotonic()
 
     @abstractmethod
     def open(self) -> None:
@@ -160,81 +278,27 @@ class BoardSource(PolledBoards):
     def damaged(self) -> None:
         """Count an unusable frame."""
         self._frames.corrupt += 1
-        self._sound.append(False)
+        self._board.sound.append(False)
 
-    @property
-    def statistics(self) -> SourceStatistics:
-        """Counts since the last start."""
-        full = len(self._sound) == _LOSS_FRAMES
-        loss = 1.0 - sum(self._sound) / _LOSS_FRAMES if full else 0.0
-        return SourceStatistics(frames=self._frames, recent_loss_rate=loss)
-
-    def start(self) -> SourceIdentity:
-        """Open the lines and wait for a frame; raises NodeMissing or FrameTimeout."""
-        self.stop()
-        self._reset()
-        try:
+    def _open(self) -> None:
+        self._last = None
+        with self._line_of(self._name):
             self.open()
-            while self._last is None:
-                if self.clock.monotonic() - self._new_s > self._startup_s:
-                    raise FrameTimeout(
-                        f"{self._name} sent no whole frame within {self._startup_s:g} s: check "
-                        "cable, supply and address"
-                    )
-                self.clock.sleep(_WAIT_SHARE * self.period_s)
-                self._take()
-        except self._line_errors as error:
-            self.close()
-            raise NodeMissing(f"the line of {self._name} cannot be opened: {error}") from error
-        except BaseException:
-            self.close()
-            raise
-        self._running = True
-        return SourceIdentity(name=self._name)
 
-    def _look(self) -> Sequence[TactileFrame]:
-        try:
-            frames = self._take()
-        except self._line_errors as error:
-            raise LinkFault(f"the line of {self._name} is gone: {error}") from error
-        self._check()
-        return frames
-
-    def _take(self) -> list[TactileFrame]:
-        now_s = self.clock.monotonic()
-        frames = [
-            self._frame(samples, begun_s, now_s)
-            for begun_s, samples in self.receive(now_s)
-            if self._is_new(samples)
-        ]
-        if frames:
-            self._new_s = now_s
-        return frames
-
-    def _is_new(self, samples: NDArray[np.uint16]) -> bool:
-        """Return whether a frame differs from the last one: noise does not repeat itself."""
-        if self._last is not None and np.array_equal(samples, self._last):
-            self._frames.duplicate += 1
-            return False
-        self._last = samples
-        self._sound.append(True)
-        return True
-
-    def _check(self) -> None:
-        silent_s = self.clock.monotonic() - self._new_s
-        if silent_s > self._silence_s:
-            raise FrameTimeout(
-                f"{self._name} has sent no new frame for {silent_s:.3f} s, allowed are "
-                f"{self._silence_s:g} s: check cable and supply"
-            )
-        loss = self.statistics.recent_loss_rate
-        if loss > self._max_loss_rate:
-            raise FrameTimeout(
-                f"{loss:.0%} of the last {_LOSS_FRAMES} frames of {self._name} were damaged, "
-                f"allowed are {self._max_loss_rate:.0%} (tactile.loss_max_share): check its cable"
-            )
-
-    def stop(self) -> None:
-        """Close the lines."""
-        self._running, self._fault = False, None
+    def _close(self) -> None:
         self.close()
+
+    def _receive(self) -> Sequence[TactileFrame]:
+        now_s = self.clock.monotonic()
+        with self._line_of(self._name):
+            received = self.receive(now_s)
+        frames = []
+        for begun_s, samples in received:
+            # Noise does not repeat itself.
+            if self._last is not None and np.array_equal(samples, self._last):
+                self._frames.duplicate += 1
+                continue
+            self._last = samples
+            self._board.saw(now_s)
+            frames.append(self._frame(samples, begun_s, now_s))
+        return frames

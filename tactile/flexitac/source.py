@@ -11,18 +11,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.board_source import PolledBoards
-from tactile.errors import FrameTimeout, LayoutError, LinkFault, LinkStateError, NodeMissing
+from tactile.board_source import Board, PolledBoards
+from tactile.errors import LayoutError, LinkStateError
 from tactile.flexitac.stream import PERIOD_S, BoardFrame, FrameStream, Profile
 from tactile.layout import TaxelLayout
-from tactile.source import FrameStatistics, SourceIdentity, SourceStatistics, TactileFrame
+from tactile.source import FrameStatistics, TactileFrame
 
 _READ_BYTES = 65536
 _STALL_PERIODS = 6.0
 """Periods after which unread bytes are dropped: a port keeps 4,096 bytes, without their times.
 [chosen]"""
-_LOSS_FRAMES = 50
-"""Number of newest frames for the loss rate."""
 _LIVELY_FRAMES, _LIVELY_SHARE = 25, 0.9
 """Newest frames, and the share of them that must differ from the previous one. Then an equal frame
 is a repeat, because the noise of hundreds of taxels does not repeat itself. [chosen]"""
@@ -38,29 +36,35 @@ class BoardLine(Protocol):
         """Close the line; may be called twice."""
 
 
-class _Board:
-    """One board: its line, its frames that wait for the other board, and its frame statistics."""
+class _Board(Board):
+    """One board: its line, and its frames that wait for the other board."""
 
     def __init__(self, finger: int, open_line: Callable[[], BoardLine], profile: Profile) -> None:
-        self.name = f"the board of finger {finger}"
         self._open_line = open_line
         self._line: BoardLine | None = None
         self.stream = FrameStream(profile)
         self.waiting: list[BoardFrame] = []
-        self.last: BoardFrame | None = None
-        self.changes: deque[bool] = deque(maxlen=_LIVELY_FRAMES)
-        self.sound: deque[bool] = deque(maxlen=_LOSS_FRAMES)
-        self.repeated = False
+        self._changes: deque[bool] = deque(maxlen=_LIVELY_FRAMES)
+        super().__init__(f"the board of finger {finger}")
+
+    def restart(self, now_s: float) -> None:
+        """Discard all frames at the start of the source."""
+        super().restart(now_s)
+        self.stream.reset()
+        self.waiting.clear()
+        self._changes.clear()
+        self._samples, self._repeated = b"", False
+
+    @property
+    def trouble(self) -> str:
+        """Reason of its silence and next step."""
+        why = "it repeats one frame" if self._repeated else self.stream.trouble
+        return why or super().trouble
 
     def open(self) -> None:
         """Open the line anew."""
         self.close()
         self._line = self._open_line()
-        self.stream.reset()
-        self.waiting.clear()
-        self.changes.clear()
-        self.sound.clear()
-        self.last, self.repeated = None, False
 
     def close(self) -> None:
         """Close the line."""
@@ -78,6 +82,8 @@ class _Board:
         if stalled:
             self.stream.reset()
             self.waiting.clear()
+            # The board may be silent until the stream has locked again.
+            self.last_s = now_s
             return
         torn = self.stream.torn
         frames = self.stream.feed(data, now_s)
@@ -88,22 +94,17 @@ class _Board:
             self._take(frame, statistics)
 
     def _take(self, frame: BoardFrame, statistics: FrameStatistics) -> None:
-        same = self.last is not None and frame.samples == self.last.samples
-        lively = sum(self.changes) >= _LIVELY_SHARE * _LIVELY_FRAMES
+        same = frame.samples == self._samples
+        lively = sum(self._changes) >= _LIVELY_SHARE * _LIVELY_FRAMES
         # A pad at an end of its scale, or without supply, has no noise.
-        self.repeated = same and lively and len(set(frame.samples)) > 1
-        if self.repeated:
+        self._repeated = same and lively and len(set(frame.samples)) > 1
+        if self._repeated:
             statistics.duplicate += 1
             return
-        self.changes.append(not same)
-        self.sound.append(True)
-        self.last = frame
+        self._changes.append(not same)
+        self.saw(frame.t_s)
+        self._samples = frame.samples
         self.waiting.append(frame)
-
-    @property
-    def loss_rate(self) -> float:
-        """Share of the newest frames that were torn."""
-        return 1.0 - sum(self.sound) / _LOSS_FRAMES if len(self.sound) == _LOSS_FRAMES else 0.0
 
 
 def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> None:
@@ -117,7 +118,7 @@ def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> 
         )
 
 
-class FlexiTacSource(PolledBoards):
+class FlexiTacSource(PolledBoards[_Board]):
     """Two FlexiTac boards; implements `tactile.source.FrameSource`.
 
     A frame consists of the newest frames of both boards, as soon as both have a new one. Raises
@@ -131,8 +132,6 @@ class FlexiTacSource(PolledBoards):
         Size of the matrix that both boards send.
     rows_along
         Whether the rows of a board follow each other along the finger; otherwise across it.
-    line_errors
-        Errors of a line that cannot be opened or is gone.
     options
         Further arguments of `PolledBoards`.
     """
@@ -144,50 +143,33 @@ class FlexiTacSource(PolledBoards):
         profile: Profile,
         layout: TaxelLayout,
         rows_along: bool = False,
-        line_errors: tuple[type[Exception], ...] = (OSError,),
         **options: Any,
     ) -> None:
         check_layout(layout, profile, rows_along=rows_along)
-        super().__init__(layout=layout, period_s=PERIOD_S, **options)
+        boards = [_Board(n, line, profile) for n, line in enumerate(open_lines)]
+        super().__init__("FlexiTac", boards, layout=layout, period_s=PERIOD_S, **options)
         self._profile, self._transposed = profile, not rows_along
-        self._line_errors = line_errors
-        self._boards = [_Board(n, line, profile) for n, line in enumerate(open_lines)]
         self._polled_s = 0.0
 
-    @property
-    def statistics(self) -> SourceStatistics:
-        """Counts since the last start."""
-        loss = max(board.loss_rate for board in self._boards)
-        return SourceStatistics(frames=self._frames, recent_loss_rate=loss)
+    def _absent(self, board: _Board) -> str:
+        size = f"{self._profile.rows} x {self._profile.columns}"
+        return f"{board.name} sent no frame of {size} within {self._startup_s:g} s: {board.trouble}"
 
-    def start(self) -> SourceIdentity:
-        """Open both lines and wait for a frame of both boards.
-
-        Raises NodeMissing if a line cannot be opened, and FrameTimeout if a board sends no frames.
-        """
-        self._fault, self._frames, self._running = None, FrameStatistics(), True
-        try:
-            for board in self._boards:
+    def _open(self) -> None:
+        for board in self._boards:
+            with self._line_of(board.name):
                 board.open()
-        except self._line_errors as error:
-            self.stop()
-            raise NodeMissing(f"{board.name} cannot be opened: {error}") from error
-        self._polled_s = began_s = self.clock.monotonic()
-        while missing := [board for board in self._boards if board.last is None]:
-            if self.clock.monotonic() - began_s > self._startup_s:
-                self.stop()
-                raise FrameTimeout(
-                    f"{missing[0].name} sent no frame of {self._profile.rows} x "
-                    f"{self._profile.columns} within {self._startup_s:g} s: "
-                    f"{missing[0].stream.trouble}"
-                )
-            self.clock.sleep(0.1 * PERIOD_S)
-            self._receive()
-        return SourceIdentity(name="FlexiTac")
+        self._polled_s = self.clock.monotonic()
 
-    def _look(self) -> list[TactileFrame]:
-        self._receive()
-        self._check()
+    def _receive(self) -> list[TactileFrame]:
+        now_s = self.clock.monotonic()
+        stalled = now_s - self._polled_s > _STALL_PERIODS * PERIOD_S
+        if stalled:
+            self._frames.lost += int((now_s - self._polled_s) / PERIOD_S)
+        self._polled_s = now_s
+        for board in self._boards:
+            with self._line_of(board.name):
+                board.receive(now_s, self._frames, stalled=stalled)
         n = min(len(board.waiting) for board in self._boards)
         newest = (board.waiting[len(board.waiting) - n :] for board in self._boards)
         pairs = list(zip(*newest, strict=True))
@@ -195,39 +177,6 @@ class FlexiTacSource(PolledBoards):
             # Without a frame of the other board its newest frame waits.
             board.waiting = [] if n else board.waiting[-1:]
         return [self._frame_of(pair) for pair in pairs]
-
-    def _receive(self) -> None:
-        now_s = self.clock.monotonic()
-        stalled = now_s - self._polled_s > _STALL_PERIODS * PERIOD_S
-        if stalled:
-            self._frames.lost += int((now_s - self._polled_s) / PERIOD_S)
-        self._polled_s = now_s
-        for board in self._boards:
-            try:
-                board.receive(now_s, self._frames, stalled=stalled)
-            except self._line_errors as error:
-                raise LinkFault(f"the line of {board.name} is gone: {error}") from error
-            if stalled and board.last is not None:
-                # The board may be silent until the stream has locked again.
-                board.last = BoardFrame(t_s=now_s, samples=board.last.samples)
-
-    def _check(self) -> None:
-        """Raise the fault of a board that is silent, frozen or damaged."""
-        now_s = self.clock.monotonic()
-        for board in self._boards:
-            silent_s = now_s - (board.last.t_s if board.last is not None else self._polled_s)
-            if silent_s > self._silence_s:
-                why = "it repeats one frame" if board.repeated else board.stream.trouble
-                raise FrameTimeout(
-                    f"{board.name} has sent no new frame for {silent_s:.3f} s, allowed are "
-                    f"{self._silence_s:g} s: {why or 'check its cable and supply'}"
-                )
-            if board.loss_rate > self._max_loss_rate:
-                raise FrameTimeout(
-                    f"{board.loss_rate:.0%} of the last {_LOSS_FRAMES} frames of {board.name} were "
-                    f"torn, allowed are {self._max_loss_rate:.0%} (tactile.loss_max_share): check "
-                    "its cable and what else loads the computer"
-                )
 
     def _frame_of(self, pair: Sequence[BoardFrame]) -> TactileFrame:
         pads = [self._pad(pair[pad.finger].samples) for pad in self.layout.pads]
@@ -240,8 +189,6 @@ class FlexiTacSource(PolledBoards):
         )
         return (matrix.T if self._transposed else matrix).astype(np.uint16).ravel()
 
-    def stop(self) -> None:
-        """Close the lines."""
-        self._running = False
+    def _close(self) -> None:
         for board in self._boards:
             board.close()

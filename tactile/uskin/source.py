@@ -12,18 +12,13 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.board_source import PolledBoards
+from tactile.board_source import Board, PolledBoards
 from tactile.can.bus import MissingBus
 from tactile.can.receiver import interface_failed, message_source, of_another_kind
 from tactile.clock import Clock
-from tactile.errors import (
-    BusOff,
-    DuplicateNode,
-    FrameTimeout,
-    ReceiveLoopDead,
-)
+from tactile.errors import BusOff, DuplicateNode, ReceiveLoopDead
 from tactile.layout import TaxelLayout
-from tactile.source import FrameStatistics, SourceIdentity, SourceStatistics, TactileFrame
+from tactile.source import TactileFrame
 from tactile.uskin.messages import FULL_SCALE, PERIOD_S, START, BoardIds, check_layout, samples
 
 _GAP_SHARE = 0.3
@@ -40,21 +35,26 @@ _BUS_OFF = 0x40
 """Class of an error frame in SocketCAN's identifier (linux/can/error.h)."""
 
 
-class _Board:
+class _Board(Board):
     """One board: its incoming cycle, and its newest whole one."""
 
     def __init__(self, finger: int, ids: BoardIds) -> None:
-        self.name = f"the board of finger {finger} (start {ids.start:X}h)"
         self.ids = ids
         self._place = {identifier: n for n, identifier in enumerate(ids.taxels)}
-        self.restart(0.0)
+        super().__init__(f"the board of finger {finger} (start {ids.start:X}h)", _CYCLES)
 
     def restart(self, now_s: float) -> None:
         """Discard all samples."""
+        super().restart(now_s)
         self._xyz: dict[int, tuple[int, int, int]] = {}
-        self._begun_s = self._message_s = self.last_s = now_s
+        self._begun_s = self._message_s = now_s
         self.waiting: tuple[float, float, NDArray[np.uint16]] | None = None
-        self._cycles: deque[tuple[float, bool]] = deque(maxlen=_CYCLES)
+        self._ends_s: deque[float] = deque(maxlen=_CYCLES)
+
+    @property
+    def trouble(self) -> str:
+        """Reason of its silence and next step."""
+        return f"{super().trouble}; a board that restarted sends after the next start"
 
     def take(self, identifier: int, xyz: tuple[int, int, int], t_s: float) -> bool:
         """Add the samples of a taxel; return whether it ended a cycle without another taxel."""
@@ -62,7 +62,8 @@ class _Board:
         gap_s, self._message_s = t_s - self._message_s, t_s
         torn = place in self._xyz or (bool(self._xyz) and gap_s > _GAP_SHARE * PERIOD_S)
         if torn:
-            self._cycles.append((t_s, False))
+            self._ends_s.append(t_s)
+            self.sound.append(False)
             self._xyz.clear()
         if not self._xyz:
             self._begun_s = t_s
@@ -70,33 +71,33 @@ class _Board:
         if len(self._xyz) == len(self._place):
             found = np.array([self._xyz[n] for n in range(len(self._place))], dtype=np.uint16)
             self.waiting = (self._begun_s, t_s, found)
-            self.last_s = t_s
-            self._cycles.append((t_s, True))
+            self._ends_s.append(t_s)
+            self.saw(t_s)
             self._xyz.clear()
         return torn
 
     @property
     def loss_rate(self) -> float:
-        """Share of the newest cycles without a taxel."""
-        if len(self._cycles) < _CYCLES:
-            return 0.0
-        return 1.0 - sum(whole for _, whole in self._cycles) / _CYCLES
+        """Share of the newest cycles that lack a taxel; 0 where they may be those of two boards."""
+        # More than two in a period are no loss: the check for a doubled board follows soon.
+        return super().loss_rate if self.mixed <= 2.0 * _MIXED_PERIODS else 0.0
 
     @property
     def mixed(self) -> int:
         """Cycles of the last periods that ended too early."""
         since_s = self._message_s - _MIXED_PERIODS * PERIOD_S
-        return sum(t_s > since_s and not whole for t_s, whole in self._cycles)
+        ended = zip(self._ends_s, self.sound, strict=True)
+        return sum(t_s > since_s and not whole for t_s, whole in ended)
 
     @property
     def doubled(self) -> bool:
         """Whether the rate of the taxels is so high that two boards must send them."""
-        full = len(self._cycles) == _CYCLES
-        span_s = self._cycles[-1][0] - self._cycles[0][0] if full else _CYCLES * PERIOD_S
+        full = len(self._ends_s) == _CYCLES
+        span_s = self._ends_s[-1] - self._ends_s[0] if full else _CYCLES * PERIOD_S
         return self.mixed >= _MIXED or span_s < _CYCLES * PERIOD_S / _DOUBLED
 
 
-class UskinSource(PolledBoards):
+class UskinSource(PolledBoards[_Board]):
     """Two uSkin boards on one CAN bus; implements `tactile.source.FrameSource`.
 
     Raises LayoutError where the layout has other pads than the boards' taxels.
@@ -119,6 +120,7 @@ class UskinSource(PolledBoards):
 
     silent_periods = 6.0
     """Least silence without a whole cycle that is a fault, in periods. [chosen]"""
+    unit = "whole cycle"
 
     def __init__(
         self,
@@ -133,68 +135,32 @@ class UskinSource(PolledBoards):
         **options: Any,
     ) -> None:
         check_layout(layout, boards)
-        super().__init__(layout=layout, clock=clock, period_s=PERIOD_S, **options)
+        parts = [_Board(finger, ids) for finger, ids in enumerate(boards)]
+        super().__init__("uSkin", parts, layout=layout, clock=clock, period_s=PERIOD_S, **options)
         self._bus, self._reopen, self._threaded = bus, reopen, threaded
-        self._boards = [_Board(finger, ids) for finger, ids in enumerate(boards)]
         self._owner = {i: board for board in self._boards for i in board.ids.taxels}
         self._falling = falling
-        self._foreign = self._malformed = self._errors = 0
         self._source = message_source(self._bus, self.clock, threaded=self._threaded)
 
-    @property
-    def statistics(self) -> SourceStatistics:
-        """Counts since the last start."""
-        return SourceStatistics(
-            frames=self._frames,
-            recent_loss_rate=max(board.loss_rate for board in self._boards),
-            malformed=self._malformed,
-            foreign=self._foreign,
-            error_frames=self._errors,
+    def _absent(self, board: _Board) -> str:
+        n_taxels = len(board.ids.taxels)
+        return (
+            f"{board.name} sent no whole cycle of {n_taxels} taxels within {self._startup_s:g} s; "
+            f"{self._foreign} messages have identifiers that tactile.sensor.boards does not name: "
+            "check cable, supply, address and that map"
         )
 
-    def start(self) -> SourceIdentity:
-        """Start both boards and wait for a whole cycle of each.
-
-        Raises FrameTimeout where a board sends no cycle, DuplicateNode where two have one address.
-        """
+    def _open(self) -> None:
         lost = isinstance(self._fault, BusOff | ReceiveLoopDead)
         if self._reopen is not None and (lost or isinstance(self._bus, MissingBus)):
             self._bus = self._reopen()
             self._source = message_source(self._bus, self.clock, threaded=self._threaded)
-        self._fault, self._frames, self._running = None, FrameStatistics(), True
-        self._foreign = self._malformed = self._errors = 0
-        try:
-            self._begin()
-        except BaseException:
-            self.stop()
-            raise
-        return SourceIdentity(name="uSkin")
-
-    def _begin(self) -> None:
         self._source.start()
-        began_s = self.clock.monotonic()
         for board in self._boards:
-            board.restart(began_s)
             try:
                 self._bus.send(can.Message(0.0, board.ids.start, False, data=START))
             except (can.CanError, OSError) as error:
                 raise interface_failed(error) from error
-        while not self._receive():
-            self._check_doubled()
-            missing = [board for board in self._boards if board.waiting is None]
-            if self.clock.monotonic() - began_s > self._startup_s:
-                raise FrameTimeout(
-                    f"{missing[0].name} sent no whole cycle of {len(missing[0].ids.taxels)} taxels "
-                    f"within {self._startup_s:g} s; {self._foreign} messages have identifiers that "
-                    "tactile.sensor.boards does not name: check cable, supply, address and that map"
-                )
-            self._source.wait(PERIOD_S)
-
-    def _look(self) -> list[TactileFrame]:
-        frames = self._receive()
-        self._check_doubled()
-        self._check()
-        return frames
 
     def _receive(self) -> list[TactileFrame]:
         frames = []
@@ -217,33 +183,13 @@ class UskinSource(PolledBoards):
             self._frames.torn += board.take(message.arbitration_id, found, t_s)
             if all(board.waiting is not None for board in self._boards):
                 frames.append(self._newest())
-        return frames
-
-    def _check_doubled(self) -> None:
         for board in self._boards:
             if board.doubled:
                 raise DuplicateNode(
                     f"the taxels of {board.name} come more than {_DOUBLED:g} times as often as "
                     "usual: two boards have its address; set one to another, then start again"
                 )
-
-    def _check(self) -> None:
-        now_s = self.clock.monotonic()
-        for board in self._boards:
-            silent_s = now_s - board.last_s
-            if silent_s > self._silence_s:
-                raise FrameTimeout(
-                    f"{board.name} has sent no whole cycle for {silent_s:.3f} s, allowed are "
-                    f"{self._silence_s:g} s: check its cable and supply; a board that restarted "
-                    "sends after the next start"
-                )
-            # More than two in a period are no loss: the check for a doubled board follows soon.
-            if board.loss_rate > self._max_loss_rate and board.mixed <= 2.0 * _MIXED_PERIODS:
-                raise FrameTimeout(
-                    f"{board.loss_rate:.0%} of the last {_CYCLES} cycles of {board.name} lack a "
-                    f"taxel, allowed are {self._max_loss_rate:.0%} (tactile.loss_max_share): check "
-                    "cable, termination and bus load"
-                )
+        return frames
 
     def _newest(self) -> TactileFrame:
         found = [board.waiting for board in self._boards if board.waiting is not None]
@@ -254,7 +200,5 @@ class UskinSource(PolledBoards):
         begun_s, end_s = min(one[0] for one in found), max(one[1] for one in found)
         return self._frame(z, begun_s, end_s, xyz[:, :2])
 
-    def stop(self) -> None:
-        """Stop receiving; the boards continue and the bus stays open."""
-        self._running = False
+    def _close(self) -> None:
         self._source.close()

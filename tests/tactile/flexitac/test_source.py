@@ -103,8 +103,8 @@ def test_a_layout_of_another_size_is_refused(cell) -> None:
         ("board.off=0", "the board of finger 0 has sent no new frame for"),
         ("board.frozen=1", "the board of finger 1 has sent no new frame .*: it repeats one frame"),
         ("board.rows=16", "its frames are 16x32: set tactile.sensor.profile"),
-        ("board.lost_byte=0.5", "were torn|no new frame"),
-        ("board.torn=0.5", "were torn|no new frame"),
+        ("board.lost_byte=0.5", "were damaged|no new frame"),
+        ("board.torn=0.5", "were damaged|no new frame"),
     ],
 )
 def test_a_fault_in_operation_is_raised_by_each_call_until_a_new_start(

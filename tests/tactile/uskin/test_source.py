@@ -103,7 +103,7 @@ def test_frames_come_at_the_rate_of_the_boards_and_in_the_mounted_order(cell) ->
         ("uskin.off=1", FrameTimeout, r"finger 1 \(start 202h\) has sent no whole cycle"),
         ("uskin.low_supply=0", FrameTimeout, "a board that restarted sends after the next start"),
         ("uskin.doubled=1", DuplicateNode, r"finger 1 .*: two boards have its address"),
-        ("can.loss=0.2", FrameTimeout, "lack a taxel|no whole cycle"),
+        ("can.loss=0.2", FrameTimeout, "were damaged|no whole cycle"),
         ("can.off", BusOff, "off the bus"),
         ("can.unplugged", BusOff, "CAN interface failed"),
     ],
