@@ -15,6 +15,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -112,9 +113,7 @@ class TaxelLayout:
     taxel_xy_m: NDArray[np.float64] = field(init=False)
     """(n_taxels, 2) float64: position in the pad's plane in m: x along the finger, y across."""
     position_m: NDArray[np.float64] = field(init=False)
-    normal: NDArray[np.float64] = field(init=False)
-    """(n_taxels, 3) float64: position in m and outward normal in the frame of the taxel's finger.
-    """
+    """(n_taxels, 3) float64: position in m in the frame of the taxel's finger."""
     gripping_pads: tuple[int, int] = field(init=False)
     """Index of the inner pad of finger 0 and of finger 1."""
     layout_hash: str = field(init=False)
@@ -153,9 +152,6 @@ class TaxelLayout:
             "taxel_pad": _read_only(np.repeat(np.arange(len(sizes)), sizes), np.int64),
             "taxel_xy_m": _read_only(np.concatenate(xy_m), np.float64),
             "position_m": _read_only(np.concatenate(position_m), np.float64),
-            "normal": _read_only(
-                np.repeat([pad.normal for pad in self.pads], sizes, axis=0), np.float64
-            ),
             "gripping_pads": (inner[0][0], inner[1][0]),
             "layout_hash": _layout_hash(self),
         }
@@ -340,32 +336,13 @@ def pinch_layout() -> TaxelLayout:
     return inner_pads("pinch", 13, 6, 3.4e-3, adc_max=4095)
 
 
-def flexitac_12x32_layout() -> TaxelLayout:
-    """Return two pads of FlexiTac whose long side lies along the finger, at 2 mm pitch."""
-    return inner_pads("flexitac_12x32", 32, 12, 2e-3)
-
-
-def flexitac_16x32_layout() -> TaxelLayout:
-    """Return two pads of FlexiTac whose long side lies along the finger, at 2 mm pitch."""
-    return inner_pads("flexitac_16x32", 32, 16, 2e-3)
-
-
-def flexitac_16x16_layout() -> TaxelLayout:
-    """Return two square pads of FlexiTac at 2 mm pitch; boards come in several pitches."""
-    return inner_pads("flexitac_16x16", 16, 16, 2e-3)
-
-
-def uskin_4x4_layout() -> TaxelLayout:
-    """Return two pads of uSkin at 4.7 mm pitch, 16 bit."""
-    return inner_pads("uskin_4x4", 4, 4, 4.7e-3, adc_max=65535)
-
-
 LAYOUTS: Mapping[str, Callable[[], TaxelLayout]] = {
-    "flexitac_12x32": flexitac_12x32_layout,
-    "flexitac_16x16": flexitac_16x16_layout,
-    "flexitac_16x32": flexitac_16x32_layout,
+    "flexitac_12x32": partial(inner_pads, "flexitac_12x32", 32, 12, 2e-3),
+    "flexitac_16x16": partial(inner_pads, "flexitac_16x16", 16, 16, 2e-3),
+    "flexitac_16x32": partial(inner_pads, "flexitac_16x32", 32, 16, 2e-3),
     "paper": paper_layout,
     "pinch": pinch_layout,
-    "uskin_4x4": uskin_4x4_layout,
+    "uskin_4x4": partial(inner_pads, "uskin_4x4", 4, 4, 4.7e-3, adc_max=65535),
 }
-"""Layouts that a config names."""
+"""Layouts that a config names. The long side of FlexiTac's pads lies along the finger; square
+boards come in several pitches."""

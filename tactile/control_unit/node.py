@@ -39,7 +39,7 @@ from tactile.errors import (
 )
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
-from tactile.frames.force_message import encode_zero, reordered_zero
+from tactile.frames.force_message import encode_zero
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.source import (
     Arrivals,
@@ -296,11 +296,10 @@ class Mounting:
         one centre for both."""
         self._signs = (-1 if first.rows_mirrored else 1, -1 if first.columns_mirrored else 1)
         own = np.concatenate([np.arange(layout.n_taxels)[layout.taxels_of(p)] for p in gripping])
-        order = own if self._order is None else self._order[own]
-        place = np.full(layout.n_taxels, -1)
-        place[own] = np.arange(len(own))
-        # Place of each taxel of the layout's gripping pads among those that the unit sums.
-        self._zero_order = place[order] if self.unit_can_sum else np.arange(len(own))
+        self.zero_order = np.arange(len(own))
+        """(n,) int64: for each taxel that the unit sums its place on the layout's gripping pads."""
+        if self._order is not None and self.unit_can_sum:
+            self.zero_order[np.searchsorted(own, self._order[own])] = np.arange(len(own))
 
     def arrivals(self, arrived: Arrivals) -> Arrivals:
         """Return frames and force messages of the unit in the order of the layout."""
@@ -323,12 +322,6 @@ class Mounting:
             force_n=(second_n, first_n) if self._exchanged else message.force_n,
             centre_taxels=None if centre is None else (along * centre[0], across * centre[1]),
         )
-
-    def zero(self, zero: bytes) -> bytes:
-        """Return object 0x2142 for the unit, given in the order of the layout."""
-        if self._order is None:
-            return zero
-        return reordered_zero(zero, self._zero_order)
 
 
 class TactileLink:
@@ -459,7 +452,8 @@ class TactileLink:
             return
         noise_counts, adc_max = float(np.median(zero.noise_counts)), self.layout.adc_max
         touch_counts = max(_TOUCH_SIGMAS * noise_counts * _UNIT_GAIN, _TOUCH_SHARE * adc_max)
-        sent = self._mounting.zero(encode_zero(touch_counts, zero.offset_counts, zero.bad, adc_max))
+        order = self._mounting.zero_order
+        sent = encode_zero(touch_counts, zero.offset_counts[order], zero.bad[order], adc_max)
 
         def write() -> None:
             node.objects.write(od.FORCE_ZERO, 0, sent)

@@ -24,8 +24,6 @@ COB_SDO_REQUEST = 0x600
 COB_HEARTBEAT = 0x700
 """Identifiers of the pre-defined connection set (CiA 301, 7.3.5). Except for NMT and SYNC, add the
 node-ID."""
-FUNCTION_BITS, NODE_BITS = 0x780, 0x07F
-"""Bits of the function and of the node-ID in an identifier."""
 
 VENDOR_ID = 0x00005443
 """Placeholder, not assigned by CiA."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import can
+from canopen.network import NodeScanner
 
 from tactile.can.receiver import message_source, of_another_kind
 from tactile.can.sdo_client import ObjectAccess
@@ -51,7 +52,7 @@ class _Listener:
         self.clock: Clock = getattr(bus, "clock", time)
         self._source = message_source(bus, self.clock, threaded=self.clock is time)
         self._messages = self._errors = 0
-        self._nodes: set[int] = set()
+        self._scanner = NodeScanner()
 
     def __enter__(self) -> Self:
         self._source.start()
@@ -68,18 +69,17 @@ class _Listener:
                     self._errors += 1
                     continue
                 self._messages += 1
-                node = message.arbitration_id & od.NODE_BITS
-                kind = message.arbitration_id & od.FUNCTION_BITS
-                of_node = node and kind in (od.COB_HEARTBEAT, od.COB_SDO_RESPONSE)
-                if of_node and not of_another_kind(message):
-                    self._nodes.add(node)
+                # Other devices may have the lower identifiers, of PDOs and emergencies.
+                cob_id = message.arbitration_id
+                if cob_id >= od.COB_SDO_RESPONSE and not of_another_kind(message):
+                    self._scanner.on_message_received(cob_id)
             if (left_s := end_s - self.clock.monotonic()) <= 0.0:
                 return
             self.clock.sleep(min(left_s, _POLL_S))
 
     def heard(self) -> BusTraffic:
         return BusTraffic(
-            messages=self._messages, errors=self._errors, nodes=tuple(sorted(self._nodes))
+            messages=self._messages, errors=self._errors, nodes=tuple(sorted(self._scanner.nodes))
         )
 
 

@@ -116,13 +116,6 @@ def encode_zero(
     return _with_crc(steps)
 
 
-def reordered_zero(zero: bytes, place: NDArray[np.intp]) -> bytes:
-    """Return the object of a zero with taxel i at ``place[i]``, (n,)."""
-    steps = np.frombuffer(zero, "<u2", 1 + len(place)).copy()
-    steps[1:][place] = steps[1:].copy()
-    return _with_crc(steps)
-
-
 def _with_crc(numbers: NDArray[Any]) -> bytes:
     content = numbers.astype("<u2").tobytes()
     return content + crc16_ccitt(content).to_bytes(CRC_BYTES, "little")

@@ -203,7 +203,8 @@ def test_forces_and_zero_of_exchanged_and_turned_pads_go_both_ways() -> None:
     zeros = np.arange(156.0)
     bad = zeros == 5
     for mounting in (exchanged, turned):
-        sent = mounting.zero(encode_zero(9.0, zeros, bad, PINCH.adc_max))
+        place = mounting.zero_order
+        sent = encode_zero(9.0, zeros[place], bad[place], PINCH.adc_max)
         _, found, found_bad = read_zero(sent, 156, PINCH.adc_max)
         order = taxel_order(PINCH, EXCHANGED if mounting is exchanged else TURNED)
         assert found[order][~bad] == pytest.approx(zeros[~bad], abs=0.1)
