@@ -68,6 +68,49 @@ _TOUCH_SHARE = 0.012
 """Least threshold as a share of the full scale: above the allowed drift of a zero."""
 
 
+class Mounting:
+    """Converts the order of the control unit's pads to that of the layout, and back.
+
+    Raises LayoutError as `tactile.layout.taxel_order`.
+
+    Parameters
+    ----------
+    layout
+        The taxels.
+    mounts
+        Pads with another mounting than in the layout.
+    """
+
+    def __init__(self, layout: TaxelLayout, mounts: Sequence[PadMount]) -> None:
+        self.order = taxel_order(layout, mounts)
+        """(n_taxels,) int64: place of each taxel of the layout in the unit's frames."""
+        gripping = layout.gripping_pads
+        by_pad = {mount.pad: mount for mount in mounts}
+        first, second = (by_pad.get(pad, PadMount(pad=pad, sent_as=pad)) for pad in gripping)
+        self._exchanged = (first.sent_as, second.sent_as) == gripping[::-1]
+        turns = {(one.rows_mirrored, one.columns_mirrored) for one in (first, second)}
+        self.unit_can_sum = {first.sent_as, second.sent_as} == set(gripping) and len(turns) == 1
+        """Whether the unit's force messages are valid. It sums its own two gripping pads and sends
+        one centre for both."""
+        self._signs = (-1 if first.rows_mirrored else 1, -1 if first.columns_mirrored else 1)
+        own = np.concatenate([np.arange(layout.n_taxels)[layout.taxels_of(p)] for p in gripping])
+        self.zero_order = np.arange(len(own))
+        """(n,) int64: for each taxel that the unit sums its place on the layout's gripping pads."""
+        if self.unit_can_sum:
+            self.zero_order[np.searchsorted(own, self.order[own])] = np.arange(len(own))
+
+    def force(self, message: ForceMessage) -> ForceMessage:
+        """Return a force message of the unit with the forces of the layout's fingers."""
+        first_n, second_n = message.force_n
+        centre = message.centre_taxels
+        along, across = self._signs
+        return replace(
+            message,
+            force_n=(second_n, first_n) if self._exchanged else message.force_n,
+            centre_taxels=None if centre is None else (along * centre[0], across * centre[1]),
+        )
+
+
 class UnitNode:
     """One control unit from the start of the link to its end.
 
@@ -104,7 +147,8 @@ class UnitNode:
         self.objects = ObjectAccess(self._client, name=self.name)
         self.watch = NodeWatch(self.name, settings)
         frame_format = FrameFormat.of(layout)
-        self._assembler = FrameAssembler(frame_format)
+        self.mounting = Mounting(layout, settings.mounts)
+        self._assembler = FrameAssembler(frame_format, self.mounting.order)
         self._flow = FrameFlow(self.name, settings, frame_format.n_messages)
         self.force_flow: ForceFlow | None = None
         """Supervision of the force messages; None if the unit was not set up to send any."""
@@ -144,7 +188,7 @@ class UnitNode:
         return self._malformed + self.watch.unusable + bad_lines(self._bus) - self._bad_lines
 
     def take(self) -> Arrivals:
-        """Return frames and force messages since the last call, in the order of the unit."""
+        """Return frames and force messages since the last call."""
         arrived = Arrivals(tuple(self._frames), self.take_forces())
         self._frames.clear()
         return arrived
@@ -268,60 +312,7 @@ class UnitNode:
         assert self.force_flow is not None
         message = self.force_flow.push(data, t_s)
         if message is not None:
-            self._new_forces.append(message)
-
-
-class Mounting:
-    """Converts data of a control unit to the order of the layout, and back.
-
-    Raises LayoutError as `tactile.layout.taxel_order`.
-
-    Parameters
-    ----------
-    layout
-        The taxels.
-    mounts
-        Pads with another mounting; without any the data stay unchanged.
-    """
-
-    def __init__(self, layout: TaxelLayout, mounts: Sequence[PadMount]) -> None:
-        self._order = taxel_order(layout, mounts) if mounts else None
-        gripping = layout.gripping_pads
-        by_pad = {mount.pad: mount for mount in mounts}
-        first, second = (by_pad.get(pad, PadMount(pad=pad, sent_as=pad)) for pad in gripping)
-        self._exchanged = (first.sent_as, second.sent_as) == gripping[::-1]
-        turns = {(one.rows_mirrored, one.columns_mirrored) for one in (first, second)}
-        self.unit_can_sum = {first.sent_as, second.sent_as} == set(gripping) and len(turns) == 1
-        """Whether the unit's force messages are valid. It sums its own two gripping pads and sends
-        one centre for both."""
-        self._signs = (-1 if first.rows_mirrored else 1, -1 if first.columns_mirrored else 1)
-        own = np.concatenate([np.arange(layout.n_taxels)[layout.taxels_of(p)] for p in gripping])
-        self.zero_order = np.arange(len(own))
-        """(n,) int64: for each taxel that the unit sums its place on the layout's gripping pads."""
-        if self._order is not None and self.unit_can_sum:
-            self.zero_order[np.searchsorted(own, self._order[own])] = np.arange(len(own))
-
-    def arrivals(self, arrived: Arrivals) -> Arrivals:
-        """Return frames and force messages of the unit in the order of the layout."""
-        if self._order is None:
-            return arrived
-        frames = []
-        for frame in arrived.frames:
-            counts = frame.counts[self._order]
-            counts.setflags(write=False)
-            frames.append(replace(frame, counts=counts))
-        return Arrivals(tuple(frames), tuple(map(self._force, arrived.forces)))
-
-    def _force(self, message: ForceMessage) -> ForceMessage:
-        """Return a force message of the unit with the forces of the layout's fingers."""
-        first_n, second_n = message.force_n
-        centre = message.centre_taxels
-        along, across = self._signs
-        return replace(
-            message,
-            force_n=(second_n, first_n) if self._exchanged else message.force_n,
-            centre_taxels=None if centre is None else (along * centre[0], across * centre[1]),
-        )
+            self._new_forces.append(self.mounting.force(message))
 
 
 class TactileLink:
@@ -366,12 +357,11 @@ class TactileLink:
         self._clock = clock
         self.settings = settings or LinkSettings()
         """Periods and limits."""
-        self._mounting = Mounting(layout, self.settings.mounts)
-        # The unit's sums are valid only for the gripping pads in their mounting.
-        sums = self.settings.force_period_s and self._mounting.unit_can_sum
-        self._force_table = force_table if sums else None
         self._source = message_source(self._bus, self._clock, threaded=self.settings.threaded)
         self._node = self._new_node()
+        # The unit's sums are valid only for the gripping pads in their mounting.
+        sums = self.settings.force_period_s and self._node.mounting.unit_can_sum
+        self._force_table = force_table if sums else None
         self._running = False
         self.fault: LinkFault | None = None
         """The latched fault, None without one."""
@@ -433,7 +423,7 @@ class TactileLink:
     def poll(self) -> Arrivals:
         """Return the complete frames and force messages since the last call; does not wait."""
         self._guarded(self._node.service)
-        return self._mounting.arrivals(self._node.take())
+        return self._node.take()
 
     @property
     def sends_forces(self) -> bool:
@@ -452,7 +442,7 @@ class TactileLink:
             return
         noise_counts, adc_max = float(np.median(zero.noise_counts)), self.layout.adc_max
         touch_counts = max(_TOUCH_SIGMAS * noise_counts * _UNIT_GAIN, _TOUCH_SHARE * adc_max)
-        order = self._mounting.zero_order
+        order = node.mounting.zero_order
         sent = encode_zero(touch_counts, zero.offset_counts[order], zero.bad[order], adc_max)
 
         def write() -> None:

@@ -1,6 +1,7 @@
 """The assembler of frames from bursts of messages; incomplete frames are dropped."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile.frames.codec import (
     CRC_BYTES,
@@ -36,10 +37,15 @@ class FrameAssembler:
     own phase, so a late message completes its own frame and never another one. A frame is returned
     if all its messages are present, the CRC over all data is right, and its counter fits its phase
     and is newer than that of the last frame.
+
+    Parameters
+    ----------
+    order : (n_taxels,) int64
+        Place in a burst of each taxel of a frame; None for the same order.
     """
 
-    def __init__(self, frame_format: FrameFormat) -> None:
-        self._format = frame_format
+    def __init__(self, frame_format: FrameFormat, order: NDArray[np.int64] | None = None) -> None:
+        self._format, self._order = frame_format, order
         self._n = frame_format.n_messages
         self._long_header = frame_format.header_bytes == 2
         self._dtype = "<u1" if frame_format.sample_bytes == 1 else "<u2"
@@ -124,6 +130,8 @@ class FrameAssembler:
         self.counts.complete += 1
         counts = np.frombuffer(payload, dtype=self._dtype, count=self._format.n_taxels)
         counts = counts.astype(np.uint16)
+        if self._order is not None:
+            counts = counts[self._order]
         counts.setflags(write=False)
         return TactileFrame(
             t_s=t_s, counter=counter, status=status, counts=counts, begun_s=burst.begun_s

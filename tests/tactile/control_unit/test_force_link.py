@@ -20,7 +20,7 @@ from tactile.frames.force_message import encode_zero
 from tactile.layout import PadMount, paper_layout, pinch_layout, taxel_order
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.opening import force_table, open_sensor
-from tactile.source import Arrivals, ForceMessage, ForceStatus, PadZero
+from tactile.source import ForceMessage, ForceStatus, PadZero
 from tests.tactile.conftest import Bench
 
 LAYOUT = paper_layout()
@@ -196,10 +196,9 @@ def test_forces_and_zero_of_exchanged_and_turned_pads_go_both_ways() -> None:
         t_s=1.0, counter=3, status=ForceStatus.ZEROED, force_n=(1.0, 2.0), centre_taxels=(1.5, -0.5)
     )
     exchanged, turned = Mounting(PINCH, EXCHANGED), Mounting(PINCH, TURNED)
-    arrived = Arrivals(forces=(message,))
-    assert exchanged.arrivals(arrived).forces[0].force_n == (2.0, 1.0)
-    assert exchanged.arrivals(arrived).forces[0].centre_taxels == (1.5, -0.5)
-    assert turned.arrivals(arrived).forces[0].centre_taxels == (-1.5, 0.5)
+    assert exchanged.force(message).force_n == (2.0, 1.0)
+    assert exchanged.force(message).centre_taxels == (1.5, -0.5)
+    assert turned.force(message).centre_taxels == (-1.5, 0.5)
     zeros = np.arange(156.0)
     bad = zeros == 5
     for mounting in (exchanged, turned):
