@@ -34,9 +34,9 @@ from benchmarks.paper.grasps import (
 )
 from cell.data.files import write_text
 from cell.errors import ReportError
+from cell.report.confusion import TABLE_1, TABLE_1_LABELS as LABELS
+from cell.report.figures import INK, MUTED, colour, drawing, new_figure, picture
 from cell.report.page import page_template
-from cell.report.paper_table import TABLE_1, TABLE_1_LABELS as LABELS
-from cell.report.plots import INK, MUTED, colour, drawing, new_figure, to_svg
 from recognition.errors import ContactError, QuadricError
 from recognition.evaluation.metrics import confusion_matrix, wilson_interval
 from recognition.grasp import Grasp
@@ -435,7 +435,7 @@ def svg(name: str, draw: Callable[..., None], n_panels: int = 1) -> str:
     with drawing():
         figure = new_figure(10.2, 4.0)
         draw(*np.atleast_1d(figure.subplots(1, n_panels)))
-        return to_svg(figure, name, name)
+        return picture(figure, name)
 
 
 def draw_resistance(axes: Any) -> None:

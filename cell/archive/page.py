@@ -1,43 +1,82 @@
-"""Report page of an archive: its answers with plots, as one self-contained HTML file."""
+"""Report page of an archive: its answers with figures, as one self-contained HTML file."""
 
 import math
 from collections.abc import Sequence
 from datetime import date
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from cell.archive.questions import LEAST_DAYS, SIGNALS, Answers, Signal, Trend
-from cell.data.files import write_atomically
-from cell.errors import ReportError
-from cell.report.build import score
-from cell.report.data import ConfusionTable
-from cell.report.page import confusion_view, page_template
-from cell.report.plots import N_COLOURS, colour, drawing, new_figure, to_svg
+from cell.archive.questions import LEAST_DAYS, SIGNALS, Answers, Trend
+from cell.report.confusion import ConfusionTable, score
+from cell.report.figures import colour, drawing, new_figure, picture
+from cell.report.page import Page
 from recognition.recognizer import UNKNOWN
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _QUESTIONS = {
     "drift": ("Which cell drifts", "No cell drifts by more than chance."),
     "ageing": ("Which pad ages", "No pad responds less than before by more than chance."),
     "friction": ("Whose friction grows", "No friction grows by more than chance."),
 }
+_OBJECT = (
+    "object", "grasps", "days", "cells", "named rightly", "95 % interval", "grasps until sure",
+    "needs more",
+)  # fmt: skip
+"""Columns of the table of objects."""
 _MOST_CONFUSIONS = 20
 """Largest number of listed pairs."""
 
 
-def write_page(path: Path, answers: Answers, target: str) -> None:
-    """Write the page, whole or not at all.
-
-    Raises ReportError if the disk refuses, and MissingExtraError without the extra ``report``.
-    """
-    page = page_template("archive.html.j2").render(_view(answers, target))
-    data = page.encode("utf-8", errors="replace")
-    write_atomically(path, lambda file: file.write(data), error=ReportError, what="report")
+def archive_report(answers: Answers, target: str) -> Page:
+    """Return the page. Raises MissingExtraError without the extra ``report``."""
+    table = confusion_table(answers)
+    days = sorted({day for some in answers.cells.values() for day in some})
+    objects: list[tuple[str, ...]] = [_OBJECT]
+    for one in answers.objects:
+        named = ("-", "-", "-")
+        if one.n_parts:
+            shown = "{:.0%} to {:.0%}".format(*one.interval)
+            named = (f"{one.n_right} of {one.n_parts}", shown, f"{one.grasps_per_part:.1f}")
+        counts = (f"{n}" for n in (one.n_grasps, one.n_days, one.n_cells))
+        objects.append((one.label, *counts, *named, "; ".join(one.reasons)))
+    sections: dict[str, dict[str, Any]] = {
+        "confusions": {
+            "title": "Which object is confused with which, and since when",
+            "lines": _confusion_lines(answers),
+            "tables": [table.in_order(table.labels)] if table else [],
+        }
+    }
+    for question, (title, _) in _QUESTIONS.items():
+        sections[question] = {
+            "title": title,
+            "lead": "Change of each day beside the objects that were grasped on it. A change "
+            "counts where its 95 % interval leaves 0 out.",
+            "lines": _trend_lines(answers, question),
+            "figures": {
+                signal.title: picture(trends_figure(some, [*answers.cells]), signal.title)
+                for name, signal in SIGNALS.items()
+                if signal.question == question
+                and (some := [one for one in answers.trends if one.signal == name])
+            },
+        }
+    sections["objects"] = {"title": "Which object needs more grasps", "rows": objects}
+    return Page(
+        title="Archive of grasps",
+        subtitle=f"{target} · {days[0]} to {days[-1]}",
+        tiles=[
+            (f"{answers.n_grasps:,}", "grasps", ""),
+            (f"{len(answers.cells)}", "cells", ""),
+            (f"{len(answers.objects)}", "objects", ""),
+        ],
+        labels=[*answers.cells],
+        sections=sections,
+    )
 
 
 def lines(answers: Answers) -> list[str]:
     """Return the answers as lines of text."""
-    found = [_confusion_line(one) for one in answers.confusions[:_MOST_CONFUSIONS]]
-    found = found or ["no object was confused with another one"]
+    found = _confusion_lines(answers)
     for question in _QUESTIONS:
         found += _trend_lines(answers, question)
     needs = [f"{one.label}: {'; '.join(one.reasons)}" for one in answers.objects if one.reasons]
@@ -88,70 +127,25 @@ def _shown(value: float, unit: str) -> float:
     return 100.0 * math.expm1(value) if unit == "log" else value
 
 
-def _confusion_line(one: Any) -> str:
-    cells = ", ".join(f"{cell} {k}" for cell, k in one.cells.items())
-    since = f"more often since {one.since}" if one.since else f"{one.first} to {one.last}"
-    return f"{one.n} x {one.label} as {one.answer} (of {one.n_parts}), {since}: {cells}"
+def _confusion_lines(answers: Answers) -> list[str]:
+    found = []
+    for one in answers.confusions[:_MOST_CONFUSIONS]:
+        cells = ", ".join(f"{cell} {k}" for cell, k in one.cells.items())
+        since = f"more often since {one.since}" if one.since else f"{one.first} to {one.last}"
+        found.append(f"{one.n} x {one.label} as {one.answer} (of {one.n_parts}), {since}: {cells}")
+    return found or ["No object was confused with another one."]
 
 
-def _view(answers: Answers, target: str) -> dict[str, Any]:
-    table = confusion_table(answers)
-    places = {label: i for i, label in enumerate(table.labels)} if table else {}
-    days = sorted({day for those in answers.cells.values() for day in those})
-    colours = {cell: i for i, cell in enumerate(answers.cells)}
-    plots = [
-        (signal.title, signal.question, _trends_figure(signal, trends, colours, name))
-        for name, signal in SIGNALS.items()
-        if (trends := [one for one in answers.trends if one.signal == name])
-    ]
-    return {
-        "target": target,
-        "n_grasps": f"{answers.n_grasps:,}",
-        "n_cells": len(answers.cells),
-        "n_objects": len(answers.objects),
-        "days": f"{days[0]} to {days[-1]}" if days else "no day",
-        "cells": [
-            (cell, f"c{colours[cell] % N_COLOURS}", len(those))
-            for cell, those in answers.cells.items()
-        ],
-        "confusion": confusion_view(table, places) if table else None,
-        "confusions": [_confusion_line(one) for one in answers.confusions[:_MOST_CONFUSIONS]],
-        "questions": [
-            {
-                "key": key,
-                "title": title,
-                "answers": _trend_lines(answers, key),
-                "plots": [(name, plot) for name, question, plot in plots if question == key],
-            }
-            for key, (title, _) in _QUESTIONS.items()
-        ],
-        "objects": [
-            {
-                "label": one.label,
-                "n_grasps": one.n_grasps,
-                "n_days": one.n_days,
-                "n_cells": one.n_cells,
-                "right": f"{one.n_right} of {one.n_parts}" if one.n_parts else "-",
-                "interval": "{:.0%} to {:.0%}".format(*one.interval) if one.n_parts else "-",
-                "per_part": f"{one.grasps_per_part:.1f}" if one.n_parts else "-",
-                "reasons": "; ".join(one.reasons),
-            }
-            for one in answers.objects
-        ],
-    }
-
-
-def _trends_figure(
-    signal: Signal, trends: Sequence[Trend], colours: dict[str, int], name: str
-) -> str:
-    """Draw the effects of the days of all cells."""
+def trends_figure(trends: Sequence[Trend], cells: Sequence[str]) -> "Figure":
+    """Draw the effects of the days of all cells, of one signal."""
+    unit = trends[0].unit
     with drawing():
         figure = new_figure(6.4, 3.0)
         axes = figure.subplots()
         for one in trends:
             days: Any = [date.fromisoformat(day) for day in one.days]
-            look: Any = {"color": colour(colours[one.cell]), "lw": 2.0 if one.found else 0.9}
-            axes.plot(days, [_shown(v, one.unit) for v in one.effect], marker="o", ms=2.6, **look)
-        axes.set_ylabel("change / " + ("%" if signal.unit == "log" else signal.unit))
+            look: Any = {"color": colour(cells.index(one.cell)), "lw": 2.0 if one.found else 0.9}
+            axes.plot(days, [_shown(v, unit) for v in one.effect], marker="o", ms=2.6, **look)
+        axes.set_ylabel("change / " + ("%" if unit == "log" else unit))
         axes.tick_params(axis="x", labelrotation=30)
-        return to_svg(figure, name, f"{signal.title} by day and cell")
+    return figure

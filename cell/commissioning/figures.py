@@ -1,6 +1,6 @@
-"""Figures of the findings: numbers in JSON, and their drawing as SVG.
+"""Figures of the findings: numbers in JSON, and their drawing.
 
-`curves` and `pads` make the numbers; `svg` draws them in the style of the report, for the record.
+`curves` and `pads` make the numbers; `element` draws them for the record.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cell.report.pad_pictures import pad_svg
-from cell.report.plots import MUTED, colour, drawing, new_figure, to_svg
+from cell.report.figures import MUTED, colour, drawing, new_figure, pad_svg, picture
 from tactile.layout import TaxelLayout
 
 _MOST_POINTS = 600
@@ -76,12 +75,12 @@ def pads(title: str, layout: TaxelLayout, values: ArrayLike, *, unit: str) -> Fi
     }
 
 
-def svg(figure: Figure, name: str) -> str:
-    """Return a figure as SVG elements; ``name`` is unique within a page.
+def element(figure: Figure) -> str:
+    """Return a figure as an element of a page.
 
     Raises MissingExtraError if matplotlib is missing.
     """
-    return _pads_svg(figure) if figure["kind"] == "pads" else _curves_svg(figure, name)
+    return _pads(figure) if figure["kind"] == "pads" else _curves(figure)
 
 
 def _kept(values: ArrayLike, every: int) -> list[float | None]:
@@ -93,7 +92,7 @@ def _floats(values: Sequence[float | None]) -> NDArray[np.float64]:
     return np.array(values, dtype=np.float64)  # None becomes NaN
 
 
-def _pads_svg(figure: Figure) -> str:
+def _pads(figure: Figure) -> str:
     """Return the pictures of all pads, with one scale."""
     values = [_floats(pad["values"]) for pad in figure["pads"]]
     full = max([1e-9, *(float(np.nanmax(v)) for v in values if np.isfinite(v).any())])
@@ -106,7 +105,7 @@ def _pads_svg(figure: Figure) -> str:
     return f'<div class="pads">{"".join(cells)}</div>'
 
 
-def _curves_svg(figure: Figure, name: str) -> str:
+def _curves(figure: Figure) -> str:
     x = _floats(figure["x"])
     with drawing():
         drawn = new_figure(6.4, 3.2)
@@ -120,4 +119,4 @@ def _curves_svg(figure: Figure, name: str) -> str:
         axes.margins(x=0.01)
         if len(figure["series"]) + len(figure["limits"]) > 1:
             axes.legend(loc="best")
-        return to_svg(drawn, name, figure["title"])
+    return picture(drawn, figure["title"])

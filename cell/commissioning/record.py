@@ -9,7 +9,7 @@ from typing import Any
 
 from cell.checks.findings import Finding, Verdict
 from cell.commissioning.engine import Engine, Step
-from cell.commissioning.figures import svg
+from cell.commissioning.figures import element
 from cell.data.files import write_text
 from cell.errors import CellError
 from cell.report.page import page_template
@@ -70,10 +70,7 @@ def _step_view(engine: Engine, step: Step) -> dict[str, Any]:
         "time": f"{_time(finding.began)} to {_time(finding.ended)}" if done else "",
         "lines": finding.lines,
         "measured": list(_flat(finding.values)),
-        "figures": [
-            (figure["title"], svg(figure, f"{step.key}-{name}"))
-            for name, figure in finding.figures.items()
-        ],
+        "figures": [(figure["title"], element(figure)) for figure in finding.figures.values()],
     }
 
 

@@ -4,7 +4,8 @@ It uses only the recording, so `run` and `report` write the same page.
 """
 
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
 from math import nan
@@ -14,186 +15,163 @@ import numpy as np
 
 from cell.config.file import recorded_config
 from cell.config.model import CellConfig
-from cell.config.tactile import (
-    TactileConfig,
-    layout_from_config,
-    layout_from_pads,
-)
+from cell.config.tactile import layout_from_config, layout_from_pads
 from cell.control.plan import Pose
 from cell.control.records import pad_array
 from cell.data.recording_reader import Recording
 from cell.errors import CellError, RecordingError, reason_text
 from cell.learning.blas import one_blas_thread
+from cell.learning.shape_reading import in_words
 from cell.learning.training import train
-from cell.report.build import (
-    BASELINE,
-    level_windows,
-    loop_health,
-    paper_table,
-    score_tables,
-    servo_health,
-    source_health,
-)
-from cell.report.data import (
-    Answered,
-    ConfusionTable,
-    HealthGroup,
-    KeyFigure,
-    ObjectTrajectory,
-    ReportData,
-    ShownGrasp,
-    Trajectories,
-)
+from cell.report.confusion import BASELINE, ConfusionTable, paper_table, score_tables
+from cell.report.figures import pad_svg, picture, timeline_figure
+from cell.report.health import health
+from cell.report.page import Page
+from cell.report.shapes import shapes_view
 from cell.simulation import true_sizes
-from recognition.errors import ContactError, QuadricError
 from recognition.grasp import Grasp
-from recognition.quadric.level import grip_surfaces, ramp_levels
-from recognition.quadric.trajectory import sweep
 from recognition.recognizer import DEPENDENCE, UNKNOWN, Posterior
-from recognition.recognizers.level_check import LevelCheckRecognizer
 from recognition.shape.answer import ShapeAnswer, Thickness
+from recognition.statistics.fusion import fuse
 from tactile.layout import TaxelLayout
 
-_RAMP_SHARES = tuple(np.linspace(0.2, 1.0, 9).tolist())
-"""Shares of the grip force for the plot of the eigenvalue along the ramp."""
-_FILES = (("Data set", "model.grasps.npz"), ("Model", "model.npz"))
-"""Files that `run` writes beside the recording."""
+MAX_SEQUENCES = 80
+"""Most identifications on a page; the page counts the others."""
+_SEQUENCES_PER_OBJECT = 2
+"""Most identifications of each object on a page."""
+_LEVELS, _LEVEL_FRAMES = 4, 5
+"""Number of forces of the ramp with a picture, and of frames in the mean of a picture."""
+UNTOUCHED_SHARE = 0.10
+"""Largest reading of an untouched pad as a share of full scale: noise stays below 8 %."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Answered:
+    """A recorded identification."""
+
+    held: str
+    """True name if known, else empty."""
+    label: str
+    """The answer."""
+    fused: Posterior
+    """Answer of all grasps together."""
+    n_grasps: int
+    whole_ramps: bool = True
+    """Number of grasps, and whether no ramp ended early."""
+    posteriors: tuple[Posterior, ...] = ()
+    """Answer of each single grasp, in order; empty if not known."""
+    notes: tuple[str, ...] = ()
+    """Pose and force of each grasp; not of further ramps in the same grip."""
+    grasps: tuple[Grasp, ...] = ()
+    """The grasps, without further ramps in the same grip."""
+    shape: ShapeAnswer | None = None
+    place: str = ""
+    """Shape and size, and the place of release; empty if not known."""
+
+    @property
+    def name(self) -> str:
+        """True name if known, else the answer."""
+        return self.held or self.label
+
+    @property
+    def verdict(self) -> str:
+        """Return ``right``, ``unknown``, ``wrong``, or ``named`` where the truth is not known."""
+        if self.label == self.held:
+            return "right"
+        return "unknown" if self.label == UNKNOWN else "wrong" if self.held else "named"
+
+    @property
+    def share(self) -> float:
+        """Probability of the answer; with those of all others it is 1."""
+        if self.label == UNKNOWN:
+            return self.fused.unknown
+        place = self.fused.labels.index(self.label)
+        return (1.0 - self.fused.unknown) * float(self.fused.probability[place])
+
+    @property
+    def shape_text(self) -> str:
+        """Shape and size as text."""
+        if self.shape is None:
+            return ""
+        return in_words(self.shape) if self.label == UNKNOWN else str(self.shape)
+
+    @property
+    def steps(self) -> list[tuple[int, str, Posterior, Posterior | None]]:
+        """Number and note of each grasp, the answer of all grasps so far, and that of this one."""
+        notes = (*self.notes, *[""] * self.n_grasps)
+        return [
+            (i, notes[i - 1], fuse(self.posteriors[:i]), self.posteriors[i - 1])
+            for i in range(1, len(self.posteriors) + 1)
+        ] or [(self.n_grasps, "", self.fused, None)]
 
 
 @one_blas_thread()
-def recorded_report(recording: Recording) -> ReportData:
-    """Return the values of the page of a recording.
+def recorded_report(recording: Recording) -> Page:
+    """Return the page of a recording.
 
     Raises RecordingError if it has neither grasps nor answers, or impossible values, and
-    ConfigError if its pads are not those of two fingers.
+    ConfigError if its pads are not those of two fingers. Raises MissingExtraError without
+    matplotlib.
     """
     path = recording.path
     if not recording.grasps and not recording.results:
         raise RecordingError(f"{path} has no whole grasp and no answer; name another recording")
     try:
-        return _Story(recording).data()
+        return _page(recording)
     except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as cause:
         raise RecordingError(
             f"{path}: a message has impossible values ({reason_text(cause)})"
         ) from cause
 
 
-class _Story:
-    """Contents of a recording: teaching, identifications and the cell."""
-
-    def __init__(self, recording: Recording) -> None:
-        self.recording = recording
-        self.config = recorded_config(recording.metadata.get("config", ""))
-        self.layout = _layout(recording, self.config)
-        self.pose_stamps = [float(row["t_s"]) for row in recording.poses]
-        self.taught = [grasp for grasp in recording.grasps if grasp.label]
-        self.answers = _answers(self)
-        self.baseline = self._baseline()
-
-    def data(self) -> ReportData:
-        recording, config = self.recording, self.config
-        name = config.name if config else recording.metadata.get("cell", "recorded cell")
-        started = datetime.fromtimestamp(1e-9 * recording.wall_clock_start_ns)
-        scores = self._scores()
-        examples = self._examples()
-        paper = paper_table()
-        tables = tuple(scores.values())
-        known = {one.presented for one in self.answers}
-        return ReportData(
-            title="Report of the cell",
-            subtitle=f"{name}: {len(self.taught)} grasps taught, "
-            f"{len(self.answers)} identifications",
-            created=started.strftime("%Y-%m-%d %H:%M"),
-            key_figures=_key_figures(scores, self),
-            facts=_facts(config, self.layout),
-            layout=self.layout,
-            examples=examples,
-            trajectories=_trajectories(self.baseline, examples),
-            sequences=tuple(self.answers),
-            true_sizes=true_sizes(config) if config else {},
-            confusions=(paper, *tables) if set(paper.labels) == known else tables,
-            health=_health(recording),
-            files=(
-                ("Recording", str(recording.path)),
-                *(
-                    (what, str(file))
-                    for what, file_name in _FILES
-                    if (file := recording.path.with_name(file_name)).is_file()
-                ),
-            ),
-            notes=(
-                *_remarks(recording),
-                *_notes(config, drawn=bool(self.taught and scores), baseline=BASELINE in scores),
-            ),
-        )
-
-    def note(self, grasp: Grasp, t_s: float) -> tuple[str, float]:
-        """Return the pose of a grasp that began at ``t_s``, and its final force in N."""
-        place = bisect_right(self.pose_stamps, t_s)
-        if not place:
-            return "pose not recorded", _force_n(grasp)
-        row = self.recording.poses[place - 1]
-        pose = Pose(**{key: value for key, value in row.items() if key != "t_s"})
-        return str(pose), _force_n(grasp)
-
-    def _baseline(self) -> LevelCheckRecognizer | None:
-        """Return the paper's classifier, taught with the same grasps; None with too few grasps."""
-        try:
-            recognizer = train(self.taught, BASELINE).recognizer if self.taught else None
-        except CellError:  # too few grasps
-            return None
-        return recognizer if isinstance(recognizer, LevelCheckRecognizer) else None
-
-    def _scores(self) -> dict[str, ConfusionTable]:
-        """Return the tables of the identifications whose held object is known.
-
-        The paper's method needs whole ramps.
-        """
-        default = self.config.recognition.recognizer if self.config else "cell"
-        trials = []
-        for one in self.answers:
-            first: dict[str, Posterior] = {}
-            if one.posteriors and one.grasps:
-                first[default] = one.posteriors[0]
-                if self.baseline is not None and default != BASELINE and not one.n_ended_early:
-                    first[BASELINE] = self.baseline.posterior(one.grasps[0])
-            if one.presented:
-                trials.append((one.presented, one.label, first))
-        named = (label for truth, label, _ in trials for label in (truth, label))
-        labels = tuple(dict.fromkeys(label for label in named if label != UNKNOWN))
-        common = set.intersection(*(set(first) for *_, first in trials)) if trials else set()
-        return score_tables(
-            [
-                (truth, label, {name: first[name] for name in first if name in common})
-                for truth, label, first in trials
-            ],
-            labels,
-            default,
-        )
-
-    def _examples(self) -> tuple[ShownGrasp, ...]:
-        """Return the strongest taught grasp of each object, else its first identified grasp."""
-        of_label: dict[str, Grasp] = {}
-        for grasp in sorted(self.taught, key=_force_n, reverse=True):
-            of_label.setdefault(grasp.label, grasp)
-        for one in self.answers if not of_label else ():
-            if one.grasps:
-                of_label.setdefault(one.name, one.grasps[0])
-        order = {id(grasp): place for place, grasp in enumerate(self.recording.grasps)}
-        shown = []
-        for label, grasp in sorted(of_label.items(), key=lambda item: order[id(item[1])]):
-            begin_s = self.recording.grasp_t_s[order[id(grasp)]]
-            cycles = self.recording.cycles.between(begin_s, begin_s + float(grasp.t_s[-1]))
-            if not len(cycles) or not np.all(np.isfinite(grasp.force_n)):
-                continue
-            pose, force_n = self.note(grasp, begin_s)
-            note = f"{pose}; ramp to {force_n:.1f} N"
-            shown.append(ShownGrasp(label=label, note=note, grasp=grasp, cycles=cycles))
-        return tuple(shown)
-
-
-def _force_n(grasp: Grasp) -> float:
-    return grasp.command.force_n if grasp.command else float(np.nanmax(grasp.force_n))
+def _page(recording: Recording) -> Page:
+    config = recorded_config(recording.metadata.get("config", ""))
+    layout = _layout(recording, config)
+    answers = list(answers_of(recording, config))
+    taught = [grasp for grasp in recording.grasps if grasp.label]
+    scores = _scores(answers, taught, config.recognition.recognizer if config else "cell")
+    tables = [*scores.values()]
+    if {one.held for one in answers} == set(paper_table().labels):
+        tables.insert(0, paper_table())
+    named = [table.labels for table in tables] + [one.fused.labels for one in answers]
+    labels = tuple(dict.fromkeys(label for some in named for label in some))
+    drawn = drawn_answers(answers)
+    sizes = true_sizes(config) if config else {}
+    felt = shapes_view([(one.held, one.label, one.shape) for one in answers], sizes)
+    name = config.name if config else recording.metadata.get("cell", "recorded cell")
+    started = datetime.fromtimestamp(1e-9 * recording.wall_clock_start_ns)
+    loop_s = recording.cycles.t_s
+    period_s = float(np.median(np.diff(loop_s))) if len(loop_s) > 1 else None
+    grasps = [
+        _grasp_view(recording, layout, label, i) for label, i in _examples(recording, answers)
+    ]
+    sections: dict[str, dict[str, Any]] = {
+        "result": {"title": "Confusion", "tables": [one.in_order(labels) for one in tables]},
+        "shapes": {"title": "Shape and size", "shapes": felt},
+        "sequences": {
+            "title": "Identifications",
+            "answers": drawn,
+            "n_hidden": len(answers) - len(drawn),
+        },
+        "examples": {"title": "Grasps", "grasps": grasps},
+        "health": {
+            "title": "Links",
+            "groups": health(recording.statistics[-1], period_s) if recording.statistics else {},
+        },
+        "cell": {
+            "title": "Cell and files",
+            "facts": {"Cell": _facts(config, layout), "Files": _files(recording)},
+        },
+        "notes": {"title": "Notes", "notes": _notes(recording, config, compared=len(scores) > 2)},
+    }
+    return Page(
+        title="Report of the cell",
+        subtitle=f"{started:%Y-%m-%d %H:%M} · {name}: {len(taught)} grasps taught, "
+        f"{len(answers)} identifications",
+        tiles=_tiles(scores, answers, len(taught)),
+        labels=labels,
+        sections=sections,
+    )
 
 
 def _layout(recording: Recording, config: CellConfig | None) -> TaxelLayout:
@@ -204,151 +182,241 @@ def _layout(recording: Recording, config: CellConfig | None) -> TaxelLayout:
     return layout_from_pads(recording.pads)
 
 
-def _answers(story: _Story) -> list[Answered]:
-    """Return the identifications, each with the unlabelled grasps before its answer."""
-    recording, config = story.recording, story.config
+def answers_of(recording: Recording, config: CellConfig | None) -> Iterator[Answered]:
+    """Yield the identifications, each with the unlabelled grasps before its answer."""
     in_one_grip = config is not None and config.sequence.regrasp == "none"
-    found = []
     ends_s = [*(float(row["t_s"]) for row in recording.results), np.inf]
-    placed = [(float(row["t_s"]), row) for row in recording.events if row["kind"] == "place"]
-    for (row, every), (end_s, next_s) in zip(recording.identified, pairwise(ends_s), strict=True):
-        met = [
-            (recording.grasps[i], recording.grasp_t_s[i])
-            for i in (every[-1:] if in_one_grip else every)
-        ]
-        labels = tuple(map(str, row["labels"]))
-        places = [str(event["text"]) for t_s, event in placed if end_s <= t_s < next_s]
-        found.append(
-            Answered(
-                presented=str(row.get("held", "")),
-                label=str(row["label"]),
-                fused=_posterior(labels, row),
-                posteriors=tuple(_posterior(labels, one) for one in row.get("grasp_answers", ())),
-                n_grasps=int(row["n_grasps"]),
-                n_ended_early=int(row.get("n_ended_early", 0)),
-                grasps=tuple(grasp for grasp, _ in met),
-                notes=tuple("{}; {:.1f} N".format(*story.note(*one)) for one in met),
-                shape=_shape(row["shape"]) if row.get("shape") else None,
-                place=places[-1].rpartition(" at ")[2] if places else None,
-            )
+    placed = [
+        (float(row["t_s"]), row["text"]) for row in recording.events if row["kind"] == "place"
+    ]
+    for (row, met), (end_s, next_s) in zip(recording.identified, pairwise(ends_s), strict=True):
+        labels = tuple(row["labels"])
+        shown = met[-1:] if in_one_grip else met
+        places = [text.rpartition(" at ")[2] for t_s, text in placed if end_s <= t_s < next_s]
+        yield Answered(
+            held=row.get("held", ""),
+            label=row["label"],
+            fused=_posterior(labels, row),
+            posteriors=tuple(_posterior(labels, one) for one in row.get("grasp_answers", ())),
+            n_grasps=row["n_grasps"],
+            whole_ramps=not row.get("n_ended_early"),
+            grasps=tuple(recording.grasps[i] for i in shown),
+            notes=tuple(
+                f"{_pose(recording, i)}; {_force_n(recording.grasps[i]):.1f} N" for i in shown
+            ),
+            shape=_shape(row["shape"]) if row.get("shape") else None,
+            place=places[-1] if places else "",
         )
-    return found
 
 
 def _posterior(labels: tuple[str, ...], row: Mapping[str, Any]) -> Posterior:
     return Posterior(
         labels=labels,
         probability=np.array(row["probabilities"], dtype=np.float64),
-        unknown=float(row["unknown"]),
-        dependence=float(row.get("dependence", DEPENDENCE)),
+        unknown=row["unknown"],
+        dependence=row.get("dependence", DEPENDENCE),
     )
 
 
 def _shape(row: Mapping[str, Any]) -> ShapeAnswer:
-    """Return shape and size from a recording."""
     return ShapeAnswer(
-        kind=str(row["kind"]),
-        probability={str(row["kind"]): float(row["probability"])},
-        size_m=float(row["size_m"]),
-        low_m=float(row["low_m"]),
-        high_m=float(row["high_m"]),
+        kind=row["kind"],
+        probability={row["kind"]: row["probability"]},
+        **{name: row[name] for name in ("size_m", "low_m", "high_m")},
         dimensions_m=row.get("dimensions_m", {}),
         misfit=nan,
         thicknesses=tuple(Thickness(**one) for one in row["thicknesses"]),
     )
 
 
-def _key_figures(scores: Mapping[str, ConfusionTable], story: _Story) -> tuple[KeyFigure, ...]:
-    answers = story.answers
-    if not answers:
-        return (KeyFigure(value=str(len(story.taught)), caption="grasps taught"),)
-    captions = [("right", "; 95 % interval {:.0%} to {:.0%}"), ("right with one grasp", "")]
-    captions.append(("right by the paper's method", ", with one grasp"))
-    figures = [
-        KeyFigure(
-            value=f"{score.accuracy:.0%}",
-            caption=caption,
-            note=f"{score.n_right} of {score.n}{note.format(*score.interval)}",
-        )
-        for score, (caption, note) in zip(scores.values(), captions, strict=False)
+def _pose(recording: Recording, grasp: int) -> str:
+    """Return the pose of a grasp by its number."""
+    stamps_s = [row["t_s"] for row in recording.poses]
+    place = bisect_right(stamps_s, recording.grasp_t_s[grasp])
+    if not place:
+        return "pose not recorded"
+    row = recording.poses[place - 1]
+    return str(Pose(**{key: value for key, value in row.items() if key != "t_s"}))
+
+
+def _force_n(grasp: Grasp) -> float:
+    return grasp.command.force_n if grasp.command else float(np.nanmax(grasp.force_n))
+
+
+def _scores(
+    answers: list[Answered], taught: list[Grasp], default: str
+) -> dict[str, ConfusionTable]:
+    """Return the tables of the identifications whose held object is known.
+
+    The paper's classifier is taught with the same grasps. It needs whole ramps.
+    """
+    try:
+        baseline = train(taught, BASELINE).recognizer if taught else None
+    except CellError:  # too few grasps
+        baseline = None
+    known = [one for one in answers if one.held]
+    first = all(one.posteriors and one.grasps for one in known)
+    compared = first and default != BASELINE and all(one.whole_ramps for one in known)
+    trials = []
+    for one in known:
+        posteriors = {default: one.posteriors[0]} if first else {}
+        if compared and baseline is not None:
+            posteriors[BASELINE] = baseline.posterior(one.grasps[0])
+        trials.append((one.held, one.label, posteriors))
+    named = (label for truth, label, _ in trials for label in (truth, label))
+    return score_tables(
+        trials, tuple(dict.fromkeys(label for label in named if label != UNKNOWN)), default
+    )
+
+
+def drawn_answers(answers: list[Answered]) -> list[Answered]:
+    """Return some identifications of each object: first the wrong ones, then the longest.
+
+    They are the most useful ones for a reader; the tables count all.
+    """
+    drawn = []
+    for name in dict.fromkeys(one.name for one in answers):
+        found = [one for one in answers if one.name == name]
+        found.sort(key=lambda one: (one.label == one.held, -one.n_grasps))
+        drawn += found[:_SEQUENCES_PER_OBJECT]
+    return drawn[:MAX_SEQUENCES]
+
+
+def _examples(recording: Recording, answers: list[Answered]) -> list[tuple[str, int]]:
+    """Return label and number of the strongest taught grasp of each object, else of its first."""
+    grasps = recording.grasps
+    named = {id(one.grasps[0]): one.name for one in answers if one.grasps}
+    taught = {i: grasp.label for i, grasp in enumerate(grasps) if grasp.label}
+    found: dict[str, int] = {}
+    for i, label in (taught or {i: named.get(id(g), "") for i, g in enumerate(grasps)}).items():
+        best = found.setdefault(label, i)
+        if taught and _force_n(grasps[i]) > _force_n(grasps[best]):
+            found[label] = i
+    return sorted(
+        ((label, i) for label, i in found.items() if label and grasps[i].commanded),
+        key=lambda item: item[1],
+    )
+
+
+def _grasp_view(
+    recording: Recording, layout: TaxelLayout, label: str, number: int
+) -> dict[str, Any]:
+    """Return one grasp: its pads at rising force, and force, current and opening over time."""
+    grasp, begin_s = recording.grasps[number], recording.grasp_t_s[number]
+    cycles = recording.cycles.between(begin_s, begin_s + float(grasp.t_s[-1]))
+    return {
+        "label": label,
+        "note": f"{_pose(recording, number)}; ramp to {_force_n(grasp):.1f} N",
+        **pressure_view(layout, grasp),
+        "timeline": picture(timeline_figure(cycles), f"force, current and opening of {label}")
+        if len(cycles)
+        else "",
+    }
+
+
+def pressure_view(layout: TaxelLayout, grasp: Grasp) -> dict[str, Any]:
+    """Return the touched pads at four equal steps of the force ramp, all on one scale.
+
+    Each is the mean of the frames nearest to its force, the set-point.
+    """
+    levels = {}
+    for wanted_n in np.linspace(0, float(grasp.force_n.max()), _LEVELS + 1)[1:]:
+        # Of equally near frames take the later ones: their pressure has settled.
+        near = np.lexsort((-np.arange(grasp.n_frames), np.abs(grasp.force_n - wanted_n)))
+        force = f"{wanted_n:.1f} N"
+        levels[force] = grasp.counts[near[:_LEVEL_FRAMES]].mean(axis=0)
+    full = max([1.0, *(float(counts.max()) for counts in levels.values())])
+    shown = [
+        pad
+        for pad in range(layout.n_pads)
+        if pad in layout.gripping_pads
+        or levels[force][layout.taxels_of(pad)].max() > UNTOUCHED_SHARE * layout.adc_max
     ]
-    if not figures:
+    return {
+        "levels": {
+            force: [
+                (
+                    layout.pads[pad].name,
+                    pad_svg(
+                        1e3 * layout.taxel_xy_m[layout.taxels_of(pad)],
+                        counts[layout.taxels_of(pad)],
+                        full,
+                        f"pressure map, peak {counts[layout.taxels_of(pad)].max():.0f} counts",
+                    ),
+                )
+                for pad in shown
+            ]
+            for force, counts in levels.items()
+        },
+        "peaks": [float(counts.max()) for counts in levels.values()],
+        "n_untouched": layout.n_pads - len(shown),
+        "full": full,
+        "adc_max": layout.adc_max,
+    }
+
+
+def _tiles(
+    scores: Mapping[str, ConfusionTable], answers: list[Answered], n_taught: int
+) -> list[tuple[str, str, str]]:
+    if not answers:
+        return [(str(n_taught), "grasps taught", "")]
+    captions = ("right", "right with one grasp", "right by the paper's method")
+    tiles = [
+        (f"{one.accuracy:.0%}", caption, f"{one.n_right} of {one.n}")
+        for one, caption in zip(scores.values(), captions, strict=False)
+    ]
+    if not tiles:
         n_named = sum(one.label != UNKNOWN for one in answers)
-        figures.append(KeyFigure(value=f"{n_named} of {len(answers)}", caption="with a name"))
+        tiles.append((f"{n_named} of {len(answers)}", "with a name", ""))
     per_answer = np.mean([one.n_grasps for one in answers])
-    return (*figures, KeyFigure(value=f"{per_answer:.1f}", caption="grasps until sure"))
+    return [*tiles, (f"{per_answer:.1f}", "grasps until sure", "")]
 
 
-def _line(tactile: TactileConfig) -> dict[str, str]:
-    if tactile.serial_ports:
-        return {"Sensor boards": tactile.place}
-    can = f"{tactile.place}, {tactile.bitrate:,} bit/s"
-    unit = tactile.sensor.canopen
-    return {"CAN": f"{can}, node {tactile.node_id}" if unit else can}
-
-
-def _facts(config: CellConfig | None, layout: TaxelLayout) -> tuple[tuple[str, str], ...]:
-    sensor = {"Sensor": f"{layout.n_taxels} taxels on {layout.n_pads} pads"}
+def _facts(config: CellConfig | None, layout: TaxelLayout) -> dict[str, str]:
+    facts = {"Sensor": f"{layout.n_taxels} taxels on {layout.n_pads} pads"}
     if config is None:
-        return tuple(sensor.items())
-    sequence = config.sequence
-    shown = {
-        "Servos": ", ".join(f"{servo.model} (id {servo.id})" for servo in config.gripper.servos),
-        "Servo bus": f"{config.gripper.port}, {config.gripper.baud_rate:,} baud",
-        **sensor,
-        **_line(config.tactile),
-        "Force": f"{sequence.force_n[0]:g} to {sequence.force_n[1]:g} N",
+        return facts
+    gripper, tactile, sequence = config.gripper, config.tactile, config.sequence
+    servos = ", ".join(f"{servo.model} (id {servo.id})" for servo in gripper.servos)
+    facts |= {"Servos": servos, "Servo bus": f"{gripper.port}, {gripper.baud_rate:,} baud"}
+    if tactile.serial_ports:
+        facts["Sensor boards"] = tactile.place
+    else:
+        node = f", node {tactile.node_id}" if tactile.sensor.canopen else ""
+        facts["CAN"] = f"{tactile.place}, {tactile.bitrate:,} bit/s{node}"
+    facts |= {
+        "Force": "{:g} to {:g} N".format(*sequence.force_n),
         "Ramp": sequence.ramp.kind,
-        "Position": f"x {sequence.x_mm[0]:g} to {sequence.x_mm[1]:g} mm, "
-        f"y {sequence.y_mm[0]:g} to {sequence.y_mm[1]:g} mm",
-        "Rotation": f"{sequence.rotation_deg[0]:g} to {sequence.rotation_deg[1]:g} deg",
+        "Position": "x {:g} to {:g} mm, y {:g} to {:g} mm".format(*sequence.x_mm, *sequence.y_mm),
+        "Rotation": "{:g} to {:g} deg".format(*sequence.rotation_deg),
         "Seed": str(config.seed),
     }
     if config.simulated:
-        shown["Noise"] = f"{config.simulator.noise}, level {config.simulator.noise_level:g}"
-    return tuple(shown.items())
+        facts["Noise"] = f"{config.simulator.noise}, level {config.simulator.noise_level:g}"
+    return facts
 
 
-def _health(recording: Recording) -> tuple[HealthGroup, ...]:
-    """Return the values of the last loop message; counts only of links that the cell has."""
-    if not recording.statistics:
-        return ()
-    last = recording.statistics[-1]
-    groups = [
-        health(last[name])
-        for name, health in (("tactile", source_health), ("servo_bus", servo_health))
-        if name in last
-    ]
-    if len(recording.cycles) > 1:
-        period_s = float(np.median(np.diff(recording.cycles.t_s)))
-        groups.append(loop_health(last, period_s))
-    return tuple(groups)
+def _files(recording: Recording) -> dict[str, str]:
+    """Return the recording and the files that `run` writes beside it."""
+    files = {"Recording": recording.path}
+    for what, name in (("Data set", "model.grasps.npz"), ("Model", "model.npz")):
+        if (file := recording.path.with_name(name)).is_file():
+            files[what] = file
+    return {what: str(file) for what, file in files.items()}
 
 
-def _remarks(recording: Recording) -> list[str]:
-    """Return events that the operator should read with the results."""
-    remarks = []
-    if recording.lost_reason:
-        remarks.append(f"The recording is not complete: {recording.lost_reason}.")
-    kinds = [str(row["kind"]) for row in recording.events]
-    if missed := kinds.count("no part"):
-        remarks.append(f"{missed} grasps found no part.")
-    shown = ("drift", "fault")
-    remarks += [str(row["text"]) for row in recording.events if row["kind"] in shown]
-    return list(dict.fromkeys(remarks))
-
-
-def _notes(config: CellConfig | None, *, drawn: bool, baseline: bool) -> tuple[str, ...]:
+def _notes(recording: Recording, config: CellConfig | None, *, compared: bool) -> list[str]:
+    """Return events that the operator should read with the results, and the results' basis."""
     notes = []
-    if drawn:
-        notes.append("Poses and forces of the identifications differ from those of the teaching.")
-    if baseline:
-        opening = config is None or config.recognition.use_aperture
+    if recording.lost_reason:
+        notes.append(f"The recording is not complete: {recording.lost_reason}.")
+    if missed := sum(row["kind"] == "no part" for row in recording.events):
+        notes.append(f"{missed} grasps found no part.")
+    notes += [row["text"] for row in recording.events if row["kind"] in ("drift", "fault")]
+    if compared:
         notes.append(
             "The level check names the likeliest object by the taxels of one grasp, never UNKNOWN, "
-            "as in the paper. The default recogniser uses the whole ramp, both pads"
-            + (", the opening of the fingers" if opening else "")
-            + " and several grasps."
+            "as in the paper. The default recogniser uses whole ramps and several grasps."
         )
     if config is None:
         notes.append("The config in the recording is not valid in this version.")
@@ -357,35 +425,4 @@ def _notes(config: CellConfig | None, *, drawn: bool, baseline: bool) -> tuple[s
             "Simulated cell: rigid objects in 3 mm foam, servos and control unit with their real "
             "protocols. A real sensor drifts and wears; repeat the measurement on your cell."
         )
-    return tuple(notes)
-
-
-def _trajectories(
-    recognizer: LevelCheckRecognizer | None, examples: Sequence[ShownGrasp]
-) -> Trajectories | None:
-    if recognizer is None:
-        return None
-    shown = {one.label: one.grasp for one in examples}
-    objects = []
-    for index, label in enumerate(recognizer.labels):
-        grasp = shown.get(label)
-        if grasp is None:
-            continue
-        try:
-            swept = sweep(grip_surfaces(grasp)[0][np.newaxis]).value
-        except (ContactError, QuadricError):
-            swept = np.array([])
-        objects.append(
-            ObjectTrajectory(
-                label=label,
-                sweep=np.asarray(swept).ravel(),
-                ramp_force_n=np.array(_RAMP_SHARES) * float(np.nanmax(grasp.force_n)),
-                ramp_value=ramp_levels(grasp, _RAMP_SHARES),
-                low=float(recognizer.low[index]),
-                high=float(recognizer.high[index]),
-            )
-        )
-    return Trajectories(
-        objects=tuple(objects),
-        windows=level_windows(recognizer.levels, recognizer.labels),
-    )
+    return list(dict.fromkeys(notes))

@@ -36,43 +36,24 @@ def shapes_view(
     ]
     step_mm = _step_mm(max(ends_mm) - min(ends_mm))
     low_mm = step_mm * np.floor(min(ends_mm) / step_mm)
-    high_mm = step_mm * np.ceil(max(ends_mm) / step_mm)
-    span_mm = max(high_mm - low_mm, step_mm)
-    counts = Counter(truth or label for truth, label, _ in rows)
+    high_mm = max(step_mm * np.ceil(max(ends_mm) / step_mm), low_mm + step_mm)
     groups = []
-    for name, count in counts.items():
+    for name, count in Counter(truth or label for truth, label, _ in rows).items():
         shapes = [shape for truth, label, shape in felt if (truth or label) == name]
         groups.append(
             {
                 "label": name,
                 "kinds": _kinds(shapes, count),
-                "bars": [
-                    {
-                        "text": str(shape),
-                        "marks": [
-                            {
-                                "left": f"{100 * (1e3 * t.low_m - low_mm) / span_mm:.2f}",
-                                "width": f"{100 * 1e3 * (t.high_m - t.low_m) / span_mm:.2f}",
-                                "at": f"{100 * (1e3 * t.size_m - low_mm) / span_mm:.2f}",
-                            }
-                            for t in shape.thicknesses
-                        ],
-                    }
-                    for shape in shapes[:MAX_BARS]
-                ],
+                "shapes": shapes[:MAX_BARS],
                 "text": "; ".join(filter(None, (_sizes(shapes), true_sizes.get(name)))),
             }
         )
-    strangers = [(truth, shape) for truth, label, shape in felt if label == UNKNOWN]
-    ticks = np.arange(low_mm, high_mm + 0.5 * step_mm, step_mm)
+    strangers = [(truth, in_words(shape)) for truth, label, shape in felt if label == UNKNOWN]
     return {
         "groups": groups,
-        "ticks": [
-            {"at": f"{100 * (tick - low_mm) / span_mm:.2f}", "text": f"{tick:g}"} for tick in ticks
-        ],
-        "strangers": [
-            {"truth": truth, "text": in_words(shape)} for truth, shape in strangers[:MAX_BARS]
-        ],
+        "at": lambda x_m: 100.0 * (1e3 * x_m - low_mm) / (high_mm - low_mm),
+        "ticks_mm": np.arange(low_mm, high_mm + 0.5 * step_mm, step_mm).tolist(),
+        "strangers": strangers[:MAX_BARS],
         "n_hidden": len(strangers[MAX_BARS:]),
     }
 

@@ -15,8 +15,7 @@ from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress
 from cell.learning.taught_model import training_set_file
 from cell.learning.training import train
-from cell.report.build import BASELINE, score_tables
-from cell.report.data import ConfusionTable
+from cell.report.confusion import BASELINE, ConfusionTable, score_tables
 from cell.runtime.goals import IdentifyGoal, TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from recognition.drift.grid import DriftGrid

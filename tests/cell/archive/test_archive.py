@@ -22,7 +22,7 @@ from fsspec.implementations.local import LocalFileSystem
 
 from cell.archive.export import export
 from cell.archive.ingest import ingest, sources
-from cell.archive.page import confusion_table, lines, write_page
+from cell.archive.page import archive_report, confusion_table, lines
 from cell.archive.questions import ask
 from cell.archive.selection import Selection, parse_selection
 from cell.archive.store import Archive
@@ -33,7 +33,8 @@ from cell.data.recording_reader import recording_grasps
 from cell.errors import ArchiveError, CellError, ConfigError, ReportError
 from cell.learning.model import load_model
 from cell.learning.progress import silent
-from cell.report.pictures import confusion_figure, grasp_figure, write_picture
+from cell.report.figures import confusion_figure, grasp_figure, write_picture
+from cell.report.page import render_report
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
 from recognition.statistics.day_effects import day_effects
 from tests.cell.archive.fleet import PADS, SIZES_MM, ramp, record, record_fleet
@@ -461,11 +462,10 @@ def test_day_effects_are_found_beside_objects_that_are_not_grasped_each_day() ->
 
 
 @pytest.mark.slow
-def test_the_page_has_the_answers_and_no_markup_of_labels(aged: str, tmp_path: Path) -> None:
+def test_the_page_has_the_answers_and_no_markup_of_labels(aged: str) -> None:
     answers = ask(aged)
     cells = {**answers.cells, "<script>": ()}
-    write_page(tmp_path / "a.html", replace(answers, cells=cells), "<script>")
-    page = (tmp_path / "a.html").read_text()
+    page = render_report(archive_report(replace(answers, cells=cells), "<script>"))
     assert "<script>" not in page
     for line in lines(answers):
         assert line.removeprefix("needs more grasps: box: ") in page
@@ -478,10 +478,10 @@ def test_an_archive_without_answers_says_so(tmp_path: Path) -> None:
     add(untaught, [tmp_path / "a.npz"])
     answers = ask(untaught)
     assert confusion_table(answers) is None
-    assert lines(answers)[0] == "no object was confused with another one"
+    assert lines(answers)[0] == "No object was confused with another one."
     for line, question in zip(lines(answers)[1:], ("drift", "ageing", "friction"), strict=False):
         assert line.startswith(f"No answer about {question}: fewer than 3 days of the same objects")
-    write_page(tmp_path / "a.html", answers, untaught)
+    render_report(archive_report(answers, untaught))
     with pytest.raises(CellError, match="evaluate"):
         call("plot", "confusion", untaught, "-o", tmp_path / "a.png")
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from cell.checks.findings import STORE_NAME, Finding, ProposedChange, Verdict
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import CONFIG_NAME, Dialog, Engine, Question, Step, WizardAborted
-from cell.commissioning.figures import curves, pads, svg
+from cell.commissioning.figures import curves, element, pads
 from cell.commissioning.record import RECORD_NAME, write_record
 from cell.config.file import changed_config, config_text, load_config
 from cell.data.formats import COMMISSIONING, write_json
@@ -253,7 +253,7 @@ def test_the_record_has_steps_writes_pictures_and_a_place_to_sign(tmp_path: Path
     assert page.count("<td>ID (7)</td><td>1</td><td>2 &lt;b&gt;</td>") == 2
     assert page.count('<svg class="pad"') == 2
     assert 'aria-label="finger1.inner: 0.78 to 1.55 counts"' in page
-    assert 'aria-label="Ramp"' in page
+    assert 'alt="Ramp"' in page
     assert "Signature" in page
     assert '<h2>Errors found and corrected</h2>\n<div class="card"><p>servos was wrong' in page
     assert "<dt><code>gripper.port</code></dt><dd>/dev/ttyUSB0</dd>" in page
@@ -285,5 +285,5 @@ def test_values_that_name_hardware_stand_at_the_top(tmp_path: Path) -> None:
 def test_a_long_curve_is_thinned_and_a_gap_stays_one() -> None:
     assert len(RAMP["x"]) <= 600
     assert set(RAMP["series"]["measured"]) == {None}
-    assert svg(RAMP, "a").count("<svg") == 1
-    assert svg(NOISE, "b").count("<svg") == 2
+    assert element(RAMP).count("<img") == 1
+    assert element(NOISE).count("<svg") == 2

@@ -173,7 +173,7 @@ def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(monkeypatch, width
 
 
 def test_the_paper_is_put_beside_its_five_objects(capsys) -> None:
-    from cell.report.build import score
+    from cell.report.confusion import score
     from cell.runtime.main_job import MainResult
 
     labels = ("box", "ball", "oval", "cylinder", "dumbbell")

@@ -14,7 +14,7 @@ from cell.learning.labelled_grasps import name_recorded, read_labelled_grasps
 from cell.learning.model import load_model
 from cell.learning.progress import job_folder
 from cell.learning.training import train
-from cell.report.build import BASELINE, score, score_tables
+from cell.report.confusion import BASELINE, score, score_tables
 from cell.runtime.collection import Collection, grasps_of
 from cell.runtime.main_job import baseline
 from gripper.values.state import GripperPhase

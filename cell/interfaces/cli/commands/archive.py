@@ -111,12 +111,13 @@ def report(
     from cell.interfaces.cli.terminal import print_line, write_json
 
     with extra("archive", needed_by="the archive"):
-        from cell.archive.page import lines, write_page
+        from cell.archive.page import archive_report, lines
         from cell.archive.questions import ask
+    from cell.report.page import write_report
 
     selection = parse_selection(cells, days, objects)
     answers = ask(archive, selection)
-    write_page(output, answers, archive)
+    write_report(output, archive_report(answers, archive))
     for line in lines(answers):
         print_line(line)
     print_line(f"report: {output}")

@@ -32,7 +32,7 @@ def grasp(
     from cell.errors import CellError
     from cell.installation import extra
     from cell.interfaces.cli.terminal import print_line
-    from cell.report.pictures import grasp_figure, write_picture
+    from cell.report.figures import grasp_figure, write_picture
 
     selection = parse_selection(cells, days, objects)
     if is_archive(source):
@@ -65,7 +65,7 @@ def confusion(
     from cell.errors import CellError
     from cell.installation import extra
     from cell.interfaces.cli.terminal import print_line
-    from cell.report.pictures import confusion_figure, write_picture
+    from cell.report.figures import confusion_figure, write_picture
 
     with extra("archive", needed_by="an archive"):
         from cell.archive.page import confusion_table

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from cell.config.model import CellConfig
-    from cell.report.data import ConfusionTable
+    from cell.report.confusion import ConfusionTable
     from cell.runtime.main_job import MainResult
 
 ObjectsOption = Annotated[
@@ -150,8 +150,7 @@ def print_result(result: "MainResult", true_sizes: Mapping[str, str]) -> None:
     ``true_sizes`` are those of simulated objects, texts by label.
     """
     from cell.interfaces.cli.terminal import percent, print_line, print_table
-    from cell.report.build import paper_table
-    from cell.report.paper_table import TABLE_1, TABLE_1_LABELS
+    from cell.report.confusion import TABLE_1, TABLE_1_LABELS, paper_table
     from cell.report.shapes import shapes_view
 
     if set(result.labels) == set(TABLE_1_LABELS):
