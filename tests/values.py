@@ -73,14 +73,11 @@ def make_source_statistics(**changes: Any) -> SourceStatistics:
 
 def make_identification(*posteriors: Posterior, **changes: Any) -> Identification:
     decision = decide(posteriors, StopRule(max_grasps=len(posteriors)))
-    fused = fuse(posteriors)
     found = Identification(
         label=decision.label,
-        probabilities=fused.probabilities,
-        n_grasps=len(changes.get("records", ())),
         decision=decision,
         posteriors=posteriors,
-        fused=fused,
+        fused=fuse(posteriors),
         records=(),
     )
     return replace(found, **changes)

@@ -17,9 +17,10 @@ from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.keeping import Keep
 from cell.learning.taught_model import TaughtModel
-from cell.runtime.collection import Collection, teach
-from cell.runtime.identify import identify
-from cell.runtime.sort import Places, Tally, simulated_feed, sort_parts
+from cell.runtime.goals import IdentifyGoal, SortGoal, TeachGoal
+from cell.runtime.sort import simulated_feed
+from cell.runtime.tasks import ModelFile, Tasks
+from cell.runtime.worker import Report
 from recognition.recognizer import UNKNOWN
 
 WAYS = (
@@ -50,10 +51,11 @@ def from_the_command(n_teach: int, rounds: int) -> None:
     with closing(build_cell(config)) as cell:
         controller, model = cell.controller, TaughtModel(config)
         clock, spent_s = cell.simulated.clock, Counter[str]()
+        tasks, unshown = Tasks(controller, ModelFile(model, None)), Report(0, lambda _fields: None)
         controller.start()
         for seed, label in enumerate(labels):
-            one = Collection(label=label, n_planned=n_teach)
-            teach(controller, model, one, seed=seed, on_grasp=lambda _so_far: None)
+            goal = TeachGoal(label=label, grasps=n_teach, seed=seed, train=False)
+            tasks.teach(goal, unshown)
         model.train()
         last_s = [clock.monotonic()]
 
@@ -74,8 +76,8 @@ def from_the_command(n_teach: int, rounds: int) -> None:
             names = Counter[str]()
             for turn, held in enumerate(labels * rounds):
                 spent_s.clear()
-                how = {"seed": 1000 + turn, "keep": keep, "whole_ramps": whole}
-                found = identify(controller, model, presented=held, **how)
+                how = {"seed": 1000 + turn, "keep": keep.value, "whole_ramps": whole}
+                found, _ = tasks.named(IdentifyGoal(present=held, **how))
                 motion_s = dict(spent_s)
                 if found.kept:
                     controller.release()
@@ -93,17 +95,17 @@ def from_the_command(n_teach: int, rounds: int) -> None:
             )
             for name, values_s in phases_s.items():
                 line(f"  {name}", f"{statistics.median(values_s):.3f} s, {max(values_s):.3f} s")
-        tally, feed = Tally(places=Places(config, labels)), simulated_feed(CellConfig(), 5 * rounds)
+        feed = simulated_feed(CellConfig(), 5 * rounds)
         started_s = clock.monotonic()
-        sort_parts(controller, model, tally, n_parts=len(feed), feed=feed.__getitem__)
-        part_s = (clock.monotonic() - started_s) / max(1, tally.n_parts)
+        count = tasks.sort(SortGoal(parts=len(feed), feed=tuple(feed), seed=0), unshown)
+        part_s = (clock.monotonic() - started_s) / max(1, count.n_parts)
         line("sort", f"{3600.0 / part_s:.0f} parts an hour, {part_s:.2f} s a part, n = {len(feed)}")
         # At the end: fingers that have met a wider part slow down earlier.
         for what, keep, whole, _ in WAYS[:2]:
             names = Counter[str]()
             for turn, held in enumerate([*NEVER_TAUGHT] * rounds):
-                how = {"seed": 2000 + turn, "keep": keep, "whole_ramps": whole}
-                names[identify(controller, model, presented=held, **how).label] += 1
+                how = {"seed": 2000 + turn, "keep": keep.value, "whole_ramps": whole}
+                names[tasks.named(IdentifyGoal(present=held, **how))[0].label] += 1
             line(f"  {what}, never taught", f"{names[UNKNOWN]} of {names.total()} {UNKNOWN}")
 
 

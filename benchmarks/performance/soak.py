@@ -39,8 +39,8 @@ from cell.config.model import CellConfig
 from cell.control.states import Command
 from cell.interfaces.opening import open_interfaces
 from cell.runtime.collection import grasps_of
-from cell.service.opening import open_service
-from cell.service.service import RELEASE_KEY, JobView, Service
+from cell.runtime.worker import Job
+from cell.service.service import RELEASE_KEY, Service, open_service
 
 USUAL: dict[str, float] = {"grasps": 10_000, "connects": 10_000, "hours": 8.0, "starts": 42}
 LIMITS = {
@@ -115,9 +115,9 @@ def _service(**options: Any) -> Service:
     return open_service(config, **options)
 
 
-def _ended(service: Service, lease: int, number: int) -> JobView:
+def _ended(service: Service, lease: int, number: int) -> Job:
     end_s = time.monotonic() + _JOB_S
-    while (job := service.job(number)).outcome in ("ACCEPTED", "EXECUTING"):
+    while (job := service.plugin.job(number)).outcome in ("ACCEPTED", "EXECUTING"):
         if time.monotonic() > end_s:
             raise SystemExit(f"{job.task} is not over after {_JOB_S:g} s")
         service.lease.alive(lease)
@@ -125,7 +125,7 @@ def _ended(service: Service, lease: int, number: int) -> JobView:
     return job
 
 
-def _run(service: Service, lease: int, **goal: Any) -> JobView:
+def _run(service: Service, lease: int, **goal: Any) -> Job:
     """Run a job to its end. SystemExit where it does not succeed."""
     job = _ended(service, lease, service.start(lease, goal))
     if job.outcome != "SUCCEEDED":
@@ -172,8 +172,8 @@ def connects(n: int) -> list[ResourceUse]:
                 time.sleep(REST_S)
                 if not all(ask(port, request) for port, request in requests.items()):
                     raise SystemExit(f"an interface gives no answer after {number} connections")
-                if not service.status().holding:
-                    raise SystemExit(f"the part is not held any more: {service.status()}")
+                if not service.plugin.status().holding:
+                    raise SystemExit(f"the part is not held any more: {service.plugin.status()}")
                 samples.append(look(number))
     return samples
 
@@ -225,11 +225,11 @@ def starts(n: int) -> list[ResourceUse]:
                     continue
                 lease = service.lease.acquire("soak")
                 _run(service, lease, task="sort", parts=_PARTS, seed=number)
-                service.simulate_fault("unit.off")
+                service.plugin.simulate({"inject": "unit.off"})
                 goal = {"task": "grip", "force_n": 3.0}
                 if not _ended(service, lease, service.start(lease, goal)).fault_number:
                     raise SystemExit("a control unit without power was no fault")
-                service.simulate_fault("unit.off", end=True)
+                service.plugin.simulate({"clear": "unit.off"})
                 for command in (Command.CLEAR, Command.RELEASE, Command.RESET):
                     _ended(service, lease, service.command(lease, command, key=RELEASE_KEY))
                 shift = service.shift.values()

@@ -19,10 +19,10 @@ from benchmarks._measure import line, quantile, repeats
 from cell.build import build_cell
 from cell.config.file import load_config
 from cell.config.model import CellConfig
-from cell.control.keeping import Keep
 from cell.learning.taught_model import TaughtModel
-from cell.runtime.collection import Collection, teach
-from cell.runtime.identify import identify
+from cell.runtime.collection import Collection
+from cell.runtime.goals import IdentifyGoal
+from cell.runtime.tasks import ModelFile, Tasks
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 
@@ -66,12 +66,14 @@ def row(case: str, effort: float) -> str:
         clock.on_advance.append(look)
         for seed, label in enumerate(labels):
             one = Collection(label=label, n_planned=repeats(_N_TEACH, effort, least=6))
-            teach(controller, model, one, seed=seed, on_grasp=held)
+            one.fill(controller, config.sequence, seed=seed, on_grasp=held)
+            model.add(one.grasps)
         model.train()
         names, took_s = Counter[str](), list[float]()
+        tasks = Tasks(controller, ModelFile(model, None))
         for turn in range(repeats(_N_NAMED, effort) * len(labels)):
             label, start_s = labels[turn % len(labels)], clock.monotonic()
-            found = identify(controller, model, presented=label, seed=1000 + turn, keep=Keep.NEVER)
+            found, _ = tasks.named(IdentifyGoal(present=label, seed=1000 + turn))
             took_s.append(clock.monotonic() - start_s)
             names[{label: "right", UNKNOWN: UNKNOWN}.get(found.label, "wrong")] += 1
         frames = controller.hand.statistics.source.frames

@@ -1,7 +1,6 @@
 """The controller of a cell: runs grasp-then-classify sequences, latches faults, shuts down."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TypeVar
 
 from cell.config.model import CellConfig
@@ -317,7 +316,6 @@ class CellController:
             on_grasp=on_grasp,
             execute=self._start_answer,
         )
-        found = replace(found, presented=self.journal.brought or "")
         self.journal.result(found)
         return found
 

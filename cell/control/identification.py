@@ -1,15 +1,14 @@
 """The grasp-then-classify sequence: grasp, classify, then stop or grasp again."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
-from cell.control.answer import Answer
 from cell.control.early_end import EarlyDecider
 from cell.control.keeping import Judge, Keep, PartDecision
 from cell.control.plan import GraspStep
 from cell.control.records import GraspRecord
 from cell.fault_catalogue import error_text
-from recognition.drift.grid import DriftFollowing
+from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior, Recognizer
 from recognition.shape.answer import ShapeAnswer
@@ -27,9 +26,11 @@ ReadShape = Callable[[Grasp], ShapeAnswer | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Identification(Answer):
+class Identification:
     """The answer of one grasp-then-classify sequence, with all its grasps: megabytes."""
 
+    label: str
+    """A taught label, or ``UNKNOWN``."""
     decision: Decision
     """Why the sequence ended. Its probability is that of the label, given that the object was
     taught; for ``UNKNOWN`` that of not being the likeliest object. The stop rule uses it."""
@@ -45,12 +46,17 @@ class Identification(Answer):
     """Shape and size by each grasp, in order; None if its pads do not show them. Empty if not
     requested."""
 
+    shape: ShapeAnswer | None = None
+    """Shape and size by all grasps together."""
+    drift: DriftGrid | None = None
+    """The sensor drift that the answer assumes; None if drift is not followed."""
+    kept: bool = False
+    """Whether the part stays in the grip."""
+
     @property
-    def answer(self) -> Answer:
-        """The answer without the grasps; without a remark of its own it has that of a ramp."""
-        shorts = (record.outcome.short for record in self.records)
-        known = {one.name: getattr(self, one.name) for one in fields(Answer)}
-        return Answer(**known | {"remark": self.remark or next(filter(None, shorts), "")})
+    def n_ended_early(self) -> int:
+        """Number of grasps whose ramp ended early because the answer was sure enough."""
+        return sum(record.early is not None for record in self.records)
 
 
 OnGrasp = Callable[[int, GraspRecord, Posterior, ShapeAnswer | None], None]
@@ -138,15 +144,12 @@ class SequenceAnswers:
 
     def identification(self, *, kept: bool) -> Identification:
         """Return the answer of the sequence."""
-        shape, fused = self._fused_shape(), fuse(self.posteriors)
+        shape = self._fused_shape()
         return Identification(
             label=self.decision.label,
-            probabilities=fused.probabilities,
-            n_grasps=len(self.records),
-            n_ended_early=sum(record.early is not None for record in self.records),
             decision=self.decision,
             posteriors=tuple(self.posteriors),
-            fused=fused,
+            fused=fuse(self.posteriors),
             records=tuple(self.records),
             drift=self.recognizer.grid if isinstance(self.recognizer, DriftFollowing) else None,
             complaints=tuple(self._complaints),

@@ -131,7 +131,7 @@ class Journal:
             "labels": list(found.fused.labels),
             "probabilities": found.fused.probability.tolist(),
             "unknown": float(found.fused.unknown),
-            "n_grasps": found.n_grasps,
+            "n_grasps": len(found.records),
             "n_ended_early": found.n_ended_early,
             "grasp_answers": [
                 {
@@ -142,8 +142,8 @@ class Journal:
                 for one in found.posteriors
             ],
         }
-        if found.presented:
-            values["held"] = found.presented
+        if self.brought:
+            values["held"] = self.brought
         if found.shape is not None:
             values["shape"] = shape_values(found.shape)
         if found.shapes:

@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.control.answer import Verification
+from cell.control.part import Verification
 from cell.control.plan import GraspStep
 from cell.control.records import GraspCollector, GraspRecord
 from recognition.grasp import Grasp

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.control.answer import Verification
 from cell.control.journal import Journal
 from cell.control.keeping import HELD_LOOK_S, HeldPart, compared, measure_held_part
 from cell.control.lifecycle import CellLifecycle
+from cell.control.part import Verification
 from cell.control.states import Event
 from cell.control.watch import MotionWatch
 from cell.control.zeroing import BORNE_SHARE

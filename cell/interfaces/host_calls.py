@@ -126,17 +126,17 @@ class Calls:
 
     def next_job(self) -> int:
         """Return the number of the next job: a command with it can be repeated safely."""
-        return self._service.job().number + 1
+        return self._service.plugin.job().number + 1
 
     def job_text(self, job: int) -> str:
         """Return why a job failed, the remedy first; else an empty text."""
-        found = self._service.job(job)
+        found = self._service.plugin.job(job)
         return for_display(found.fault_number, found.error)
 
     def same(self, job: int) -> int:
         """Return the result of a verification: 1 same part, 0 another or no part, -1 running."""
-        found = self._service.job(job)
-        return -1 if found.held is None else int(bool(found.held and found.same))
+        found = self._service.plugin.job(job).verification
+        return -1 if found is None else int(bool(found.held and found.same))
 
     def next_pose(self) -> dict[str, float]:
         """Return the requested pose of the object in the grip frame."""
@@ -157,10 +157,11 @@ class Calls:
 
 def _reader(value: Value) -> Callable[..., Any]:
     """Return the method that reads a value of the cell, or of a job or part by its number."""
+    unmeasured = "; -516 if it is not measured" if ".live." in value.source else ""
 
     def checked(shown: Any) -> Any:
         found = value.of(shown)
-        if found is None and value.kind is float:
+        if found is None and unmeasured:
             raise NotMeasured("the value is not measured at the moment; read the state of the cell")
         return value.kind() if found is None else found
 
@@ -168,15 +169,14 @@ def _reader(value: Value) -> Callable[..., Any]:
         return checked(self._service.snapshot())
 
     def of_job(self: Calls, job: int) -> Any:
-        return checked(SimpleNamespace(job=self._service.job(job)))
+        return checked(SimpleNamespace(job=self._service.plugin.job(job)))
 
     def of_part(self: Calls, part: int) -> Any:
-        return checked(SimpleNamespace(part=self._service.part(part)))
+        return checked(SimpleNamespace(part=self._service.shift.part(part)))
 
     of_one = {"job": of_job, "part": of_part}
     numbered = not value.source.endswith(".number")
     method: Callable[..., Any] = of_one.get(value.source.split(".")[0] * numbered, of_cell)
-    unmeasured = "; -516 if it is not measured" if ".live." in value.source else ""
     method.__doc__ = f"{value.text}{unmeasured}."
     method.__annotations__["return"] = value.kind
     return method

@@ -15,7 +15,7 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 from cell.service.service import Service
-from cell.service.totals import Distribution
+from cell.service.shift import Distribution
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 """Format of `metrics_text`."""
@@ -38,7 +38,7 @@ _COUNTERS = (
     ("loop_overruns", "Periods whose work was not done in time", "loop", "overruns"),
     ("loop_missed_reads", "Periods without an answer of the servos", "loop", "missed_reads"),
 )
-"""Name, meaning, and group and key in `Service.counters` of each plain counter."""
+"""Name, meaning, and group and key in `TactileCellPlugin.counters` of each plain counter."""
 _DRIVES: tuple[tuple[str, str, dict[str, str]], ...] = (
     ("servo_friction_amperes", "Measured friction of a servo at rest", {"": "breakaway_a"}),
     (
@@ -73,7 +73,7 @@ class _Cell(Collector):
         yield from _state(self._service)
         yield from _parts(self._service)
         yield from _links(self._service.plugin.counters())
-        yield from _health(self._service.health())
+        yield from _health(self._service.plugin.health())
         if (free := _free_bytes(self._service)) is not None:
             yield _gauge("disk_free_bytes", "Space left where recordings are written", free)
 
@@ -101,7 +101,7 @@ def _histogram(name: str, meaning: str, found: Distribution) -> Metric:
 
 
 def _state(service: Service) -> Iterator[Metric]:
-    status = service.status()
+    status = service.plugin.status()
     info = {"version": service.version, "cell": service.config.name}
     yield _labelled(
         GaugeMetricFamily, "info", "Version and name of the cell", list(info),

@@ -7,10 +7,10 @@ Origin are refused. Requests and answers are JSON; a refusal has a fault number.
 import asyncio
 import json
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from datetime import date
-from functools import cache
+from functools import cache, partial
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 from starlette.exceptions import HTTPException as StarletteHTTPException
 from starlette.websockets import WebSocketDisconnect
 
-from cell.config.simulator import LONGEST_LABEL
+from cell.config.simulator import LONGEST_LABEL, checked_label
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import (
@@ -34,6 +34,7 @@ from cell.errors import (
     NotInCommand,
     PlanRefused,
     RequestRefused,
+    raised_as,
 )
 from cell.fault_catalogue import CATALOGUE, Refusal
 from cell.installation import extra
@@ -50,8 +51,8 @@ from cell.interfaces.page import mount_page
 from cell.interfaces.page_address import page_address, qr_code, view_note
 from cell.runtime.goals import goal_schema
 from cell.service.photos import LONGEST_PHOTO
-from cell.service.service import Service
-from cell.service.state import plain_data, state_values
+from cell.service.service import Service, plain_data, state_values
+from cell.simulation import shape_of_stl
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 
@@ -182,24 +183,17 @@ class PartBody(LeasedBody):
     """Offset of the part from the pose of the job."""
 
 
-def taught_values(one: dict[str, Any]) -> dict[str, Any]:
-    """Return a taught object with the address of its photo, null without a photo."""
-    address = f"/api/taught/{quote(one['label'], safe='')}/photo"
-    return dict(plain_data(one | {"photo": address if one["photo"] else None}))
-
-
 def state_moment(service: Service) -> LiveMessage:
     """Return the state of a service now; frames are counts (``1``) or ``newtons`` of the taxels."""
 
     @cache
     def frame(kind: str) -> bytes | None:
         if kind == "newtons":
-            force_n = service.frame_n()
+            force_n = None if counts is None else service.plugin.newtons(counts)
             return None if force_n is None else force_n.astype("<f4").tobytes()
-        counts = service.status().live.counts if kind == "1" else None
-        return None if counts is None else counts.astype("<u2").tobytes()
+        return counts.astype("<u2").tobytes() if kind == "1" and counts is not None else None
 
-    state = state_values(service)
+    state, counts = state_values(service), service.plugin.status().live.counts
     return LiveMessage(json.dumps(state, allow_nan=False), frame, tuple(state["shift"]["answers"]))
 
 
@@ -220,7 +214,7 @@ class WebInterface(HttpServer):
     """
 
     def __init__(self, service: Service) -> None:
-        self._service = service
+        self._service, self._plugin = service, service.plugin
         config = service.config.serve
         file = config.token_file
         self.token = read_secret(file) if file else secrets.token_urlsafe(24)
@@ -269,10 +263,10 @@ class WebInterface(HttpServer):
         )
         if service.config.simulated:
             paths += (
-                ("/simulation/faults", "GET", service.simulated_faults),
+                ("/simulation/faults", "GET", self.simulated_faults),
                 ("/simulation/faults", "POST", self.begin_fault),
                 ("/simulation/faults", "DELETE", self.end_fault),
-                ("/simulation/part", "GET", service.simulated_part),
+                ("/simulation/part", "GET", self.simulated_part),
                 ("/simulation/part", "POST", self.choose_part),
                 ("/simulation/objects/{label:path}", "PUT", self.define_object),
                 ("/simulation/reset", "POST", self.reset_simulation),
@@ -389,7 +383,7 @@ class WebInterface(HttpServer):
 
         With a fault the answer is 200 with the number of the fault: a restart does not help.
         """
-        status, problem = self._service.status(), self._service.problem
+        status, problem = self._plugin.status(), self._service.problem
         shown = {
             "working": not problem,
             "problem": problem,
@@ -412,7 +406,12 @@ class WebInterface(HttpServer):
 
     def info(self) -> dict[str, Any]:
         """Name, mode, version, pads, limits, forces, taught objects, labels by id, places."""
-        return self._service.info() | {"objects": self.taught()}
+        return self._plugin.info() | {
+            "mode": "cell",
+            "version": self._service.version,
+            "lease_timeout_s": self._service.config.serve.lease_timeout_s,
+            "objects": self.taught(),
+        }
 
     def state(self) -> dict[str, Any]:
         """States, newest job, last answer, live values (null: not measured), awaited pose.
@@ -433,38 +432,46 @@ class WebInterface(HttpServer):
         """List the fault catalogue: number, text, cause, remedy, state of the grip, steps."""
         return [asdict(fault) for fault in sorted(CATALOGUE.values(), key=lambda one: one.number)]
 
-    def grasp(self, number: int) -> dict[str, Any]:
+    def grasp(self, number: int) -> Mapping[str, Any]:
         """Return the curves of the last grasp of a part by its number in ``shift.answers``.
 
         ``frame`` has the force in N on each taxel under the highest load.
         """
-        part = self._service.shift.part(number)
-        if part is None or part.curves is None:
+        curves = self._service.shift.curves(number)
+        if curves is None:
             raise NotThere(f"grasp {number} is not stored", "grasp")
-        return part.curves
+        return curves
 
     def jobs(self) -> list[dict[str, Any]]:
         """List the newest jobs, oldest first."""
-        return list(plain_data(self._service.jobs()))
+        return list(plain_data(self._plugin.jobs()))
 
     def job(self, number: int) -> dict[str, Any]:
         """One job: outcome, progress, answer."""
         try:
-            found: dict[str, Any] = plain_data(self._service.job(number))
+            found: dict[str, Any] = plain_data(self._plugin.job(number))
         except RequestRefused as error:
             raise NotThere(str(error), "job") from error
         return found
 
     def taught(self) -> list[dict[str, Any]]:
         """List the taught objects: stored grasps, shape and size in mm, address of the photo."""
-        return [taught_values(one) for one in self._service.taught()]
+        photos = self._service.photos
+        return [
+            plain_data(one)
+            | {"photo": _photo_path(one["label"]) if photos.has(one["label"]) else None}
+            for one in self._plugin.taught()
+        ]
 
     def forget(self, label: str, lease: int, last: bool = False) -> dict[str, int]:
         """Start to delete a taught object, or with ``last=true`` its newest grasp.
 
         It is deleted when the job has succeeded.
         """
-        return {"job": self._service.forget(lease, label, last=last)}
+        forgotten = partial(self._service.photos.remove, label)
+        start = partial(self._plugin.forget, label, last=last, forgotten=forgotten)
+        given = {"label": label, "last": last}
+        return {"job": self._service.begin(lease, "forget", start, given=given)}
 
     def photo(self, label: str) -> Response:
         """Return the photo of a taught object."""
@@ -478,7 +485,10 @@ class WebInterface(HttpServer):
     async def put_photo(self, label: str, lease: int, request: Request) -> dict[str, Any]:
         """Store a photo of a taught object; the body is a JPEG or PNG of at most 512 kB."""
         photo = await request.body()
-        await asyncio.to_thread(self._service.put_photo, lease, label, photo)
+        self._service.lease.alive(lease)
+        if label not in self._plugin.labels:
+            raise RequestRefused(f"{label!r:.80} is not taught")
+        await asyncio.to_thread(self._service.photos.put, label, photo)
         return {}
 
     def start(
@@ -493,7 +503,9 @@ class WebInterface(HttpServer):
         ``forget_drift`` discards the estimated drift, for example after work on the sensors.
         """
         if body.command == "forget_drift":
-            return {"job": self._service.forget_drift(body.lease, number=body.job)}
+            start = self._plugin.start_forget_drift
+            number = self._service.begin(body.lease, body.command, start, number=body.job)
+            return {"job": number}
         command = Command(body.command)
         number = self._service.command(
             body.lease, command, key=body.key, reboot=body.reboot, number=body.job
@@ -506,15 +518,36 @@ class WebInterface(HttpServer):
         self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
         return {"seq": body.seq}
 
+    def simulated_faults(self) -> dict[str, Any]:
+        """List the possible faults of this simulated cell, and the active faults.
+
+        A fault is a text ``NAME[=VALUE][@START[..END]]``; a waiting fault has not begun.
+        """
+        injected = self._plugin.simulate({"state": True})["faults"]
+        running = [
+            {"fault": text, "begun": began_s is not None} for text, began_s in injected.items()
+        ]
+        return self._plugin.simulate({"kinds": True}) | {"running": running}
+
     def begin_fault(self, body: FaultBody) -> dict[str, Any]:
         """Begin a fault of the simulated cell; it needs no lease. Returns the same as GET."""
-        self._service.simulate_fault(body.fault)
-        return self._service.simulated_faults()
+        return self._simulate_fault("inject", body.fault)
 
     def end_fault(self, fault: str) -> dict[str, Any]:
         """End the faults with this text or name, also those of `serve --fault`."""
-        self._service.simulate_fault(fault, end=True)
-        return self._service.simulated_faults()
+        return self._simulate_fault("clear", fault)
+
+    def _simulate_fault(self, act: str, fault: str) -> dict[str, Any]:
+        self._plugin.simulate({act: fault})
+        self._plugin.remark("simulation", f"{act} {fault}")
+        return self.simulated_faults()
+
+    def simulated_part(self) -> dict[str, Any]:
+        """Return the chosen part and its pose, the part between the fingers, and all objects."""
+        found = self._plugin.simulate({"state": True})
+        pose = {name: found["offset"][name] for name in asdict(Pose())}
+        shown = {name: found[name] for name in ("placed", "objects")}
+        return {"part": self._service.chosen_part, "pose": pose} | shown
 
     def choose_part(self, body: PartBody) -> dict[str, Any]:
         """Put a part between the open fingers, for all jobs from now on. Returns the same as GET.
@@ -522,16 +555,24 @@ class WebInterface(HttpServer):
         Release a part in the grip first: it cannot be replaced.
         """
         self._service.choose_part(body.lease, body.part, Pose(**body.pose.model_dump()))
-        return self._service.simulated_part()
+        return self.simulated_part()
 
     async def define_object(self, label: str, lease: int, request: Request) -> dict[str, Any]:
         """Add an object to the simulated cell; the body is an STL file in mm of at most 10 MB."""
         stl = await request.body()
-        return {"objects": await asyncio.to_thread(self._service.define_object, lease, label, stl)}
+
+        def define() -> list[str]:
+            with raised_as(RequestRefused, ValueError):
+                shape = shape_of_stl(stl, checked_label(label))
+            return list(self._plugin.simulate({"define": label, "shape": shape})["objects"])
+
+        self._service.lease.alive(lease)
+        return {"objects": await asyncio.to_thread(define)}
 
     def reset_simulation(self, body: LeasedBody) -> dict[str, int]:
         """Start to reset the simulated cell: faults end, the part is released and removed."""
-        return {"job": self._service.reset_simulation(body.lease)}
+        start = self._plugin.begin_simulation_reset
+        return {"job": self._service.begin(body.lease, "simulation_reset", start)}
 
     def hold(
         self,
@@ -546,7 +587,11 @@ class WebInterface(HttpServer):
         """
         host = "" if request.client is None else request.client.host
         self._service.stop_as(f"HTTP {host} {name}".rstrip(), latch)
-        return {"state": self._service.status().state, "held_by": self._service.held_by}
+        return {"state": self._plugin.status().state, "held_by": self._service.held_by}
+
+
+def _photo_path(label: str) -> str:
+    return f"/api/taught/{quote(label, safe='')}/photo"
 
 
 def _token_of(message: str) -> str:

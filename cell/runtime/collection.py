@@ -9,7 +9,6 @@ from cell.control.plan import plan
 from cell.control.records import GraspRecord
 from cell.errors import NoPartFound
 from cell.learning.blas import one_blas_thread
-from cell.learning.taught_model import TaughtModel
 from recognition.grasp import Grasp
 
 MISSES_IN_A_ROW = 3
@@ -79,27 +78,6 @@ class Collection:
             on_grasp(self)
         if missed is not None and not self.records:
             raise missed
-
-
-def teach(
-    controller: CellController,
-    model: TaughtModel,
-    collection: Collection,
-    *,
-    seed: int,
-    on_grasp: Callable[[Collection], None],
-) -> None:
-    """Grasp a known object and add its grasps to the training set; call `train` next.
-
-    Grasps before an error stay in the training set. Raises CellStateError if the training set of
-    the loaded model is not available, because its objects would be lost. Else it raises as
-    `Collection.fill`.
-    """
-    model.check_extendable()
-    try:
-        collection.fill(controller, model.config.sequence, seed=seed, on_grasp=on_grasp)
-    finally:
-        model.add(collection.grasps)
 
 
 def grasps_of(

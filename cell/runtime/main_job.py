@@ -10,6 +10,7 @@ import numpy as np
 
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
+from cell.control.part import Part
 from cell.control.records import GraspRecord
 from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress
@@ -18,6 +19,7 @@ from cell.learning.training import train
 from cell.report.confusion import BASELINE, ConfusionTable, score_tables
 from cell.runtime.goals import IdentifyGoal, TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
+from cell.runtime.worker import Job
 from recognition.drift.grid import DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior, Recognizer
@@ -37,8 +39,9 @@ class MainResult:
     """Duration in s."""
     scores: dict[str, ConfusionTable]
     """Answers counted, by recogniser."""
+    parts: tuple[Part, ...]
     trials: tuple[Identification, ...]
-    """The identifications of known objects, in order."""
+    """The parts of known objects, in order, and their grasps."""
     dataset: Path | None
     model: Path | None
     recording: Path | None
@@ -64,12 +67,12 @@ class MainResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
+        n_grasps = [float(part.n_grasps) for part in self.parts] or [0.0]
         names = ("seconds", "n_taught", "labels", "default", "remarks")
         files = ("report", "recording", "dataset", "model")
-        counts = [float(trial.n_grasps) for trial in self.trials]
         return {
             **{name: getattr(self, name) for name in (*names, *files)},
-            "n_trials": len(self.trials),
+            "n_trials": len(self.parts),
             "recognizers": {
                 name: {
                     key: getattr(counted, key) for key in ("accuracy", "interval", "n", "n_right")
@@ -77,17 +80,8 @@ class MainResult:
                 | {"confusion": counted.counts, "confusion_columns": counted.columns}
                 for name, counted in self.scores.items()
             },
-            "identifications": [
-                {
-                    "held": trial.presented,
-                    "label": trial.label,
-                    "probability": trial.decision.probability,
-                    "n_grasps": trial.n_grasps,
-                    "shape": trial.shape and trial.shape.as_dict(),
-                }
-                for trial in self.trials
-            ],
-            "grasps_per_trial": float(np.mean(counts or [0.0])),
+            "identifications": self.parts,
+            "grasps_per_trial": float(np.mean(n_grasps)),
             "grasp_seconds": self.grasp_s,
             "drift": self.drift and self.drift.values,
             **self.extra,
@@ -130,13 +124,14 @@ def teach_and_identify(
         progress("train", 2, 2)
     else:
         default = plugin.trainer_name
+    parts: list[Part] = []
     trials: list[Identification] = []
     plugin.watch_parts(lambda _, found: trials.append(found) if found else None)
     firsts: list[dict[str, Posterior]] = []
     for number, label in enumerate(labels):
         for repeat in range(n_trials):
             seed = _seed(config, 1 + repeat, number)
-            plugin.run(IdentifyGoal(present=label, seed=seed, whole_ramps=True))
+            parts.append(plugin.run(IdentifyGoal(present=label, seed=seed, whole_ramps=True)))
             first = trials[-1].records[0].grasp
             others = {name: one.posterior(first) for name, one in recognizers.items()}
             firsts.append({default: trials[-1].posteriors[0]} | others)
@@ -147,16 +142,17 @@ def teach_and_identify(
         n_taught=n_taught,
         seconds=round(time.monotonic() - started_s, 2),
         scores=score_tables(
-            [(one.presented, one.label, first) for one, first in zip(trials, firsts, strict=True)],
+            [(one.presented, one.label, first) for one, first in zip(parts, firsts, strict=True)],
             labels,
             default,
         ),
+        parts=tuple(parts),
         trials=tuple(trials),
         dataset=None if model is None else training_set_file(model),
         model=model,
         recording=plugin.recording_path,
         drift=plugin.drift,
-        remarks=(*remarks, *(trial.remark for trial in trials if trial.remark)),
+        remarks=(*remarks, *(part.remark for part in parts if part.remark)),
     )
 
 
@@ -181,9 +177,9 @@ def teach_objects(
     for number, label in enumerate(labels):
         shown: dict[str, Any] = {}
 
-        def on_progress(now: dict[str, Any], shown: dict[str, Any] = shown) -> None:
-            shown.update(now)
-            progress(f"teach {now['label']}", now["grasps"] + now["missed"], n_grasps)
+        def on_progress(job: Job, shown: dict[str, Any] = shown) -> None:
+            shown.update(job.progress)
+            progress(f"teach {shown['label']}", shown["grasps"] + shown["missed"], n_grasps)
 
         seed = _seed(config, 0, number)
         goal = TeachGoal(label=label, grasps=n_grasps, seed=seed, train=False)

@@ -14,15 +14,15 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, wait as wait_for
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from cell.config.file import load_config
 from cell.config.model import CellConfig
-from cell.control.answer import Answer
+from cell.control.part import Part
 from cell.control.plan import Pose
-from cell.control.states import CellState, Command, command_effect
+from cell.control.states import CellState, CellStatus, Command, command_effect
 from cell.errors import (
     CellError,
     ConfigError,
@@ -42,7 +42,6 @@ from cell.runtime.goals import (
     ZeroGoal,
     checked_goal,
 )
-from cell.runtime.host_status import HostStatus
 from cell.runtime.lease import Lease
 from cell.runtime.worker import (
     SIGNAL_LOOK_S,
@@ -50,7 +49,6 @@ from cell.runtime.worker import (
     Job,
     JobFailed,
     JobOutcome,
-    JobStatus,
     Report,
 )
 from gripper.errors import LinkTooSlow, ServoFault, VerificationFailed, fingers_left
@@ -60,9 +58,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cell.control.controller import CellController
+    from cell.control.identification import Identification
+    from cell.control.live import LiveValues
     from cell.control.positioner import CarryCallback
-    from cell.runtime.part_report import OnPart
-    from cell.runtime.sort import Places
+    from cell.runtime.parts import OnPart
     from cell.simulation import SimulationRequests
     from gripper.clock import Clock
     from gripper.values.outcome import ReleaseReport
@@ -76,8 +75,23 @@ _NAMING = ("identify", "sort")
 """Tasks that name parts: they clear the last answer."""
 _CLOSE_S = 30.0
 """Time in s in which a job ends after a stop; longer waits are errors."""
+_HEALTH_S = 0.5
+"""Time in s for which the computed health is reused."""
 _REMARKS_MAX = 1000
 """Most remarks that wait for the thread of the cell; the oldest are dropped."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HostStatus(CellStatus):
+    """States of cell and grip, live values and the last answer, for a host."""
+
+    live: "LiveValues" = field(compare=False)
+    """Present force, opening, temperature and taxels."""
+    recording_fault: str = ""
+    """Why the recording has stopped; empty while it is written or without a recording."""
+    last_answer: Part | None
+    """Part of the last identification, also after other jobs. None from the start of the next
+    identification or sort until an identification succeeds."""
 
 
 class TactileCellPlugin:
@@ -176,12 +190,14 @@ class TactileCellPlugin:
         from cell.learning.taught_model import TaughtModel  # noqa: PLC0415
         from cell.runtime import tasks  # noqa: PLC0415
         from cell.runtime.health import health_values  # noqa: PLC0415
-        from cell.runtime.part_report import TaxelNewtons, part_reporter  # noqa: PLC0415
+        from cell.runtime.parts import TaxelNewtons  # noqa: PLC0415
         from cell.simulation import SimulationRequests  # noqa: PLC0415
 
         self._config = checked
         self._starting = threading.Lock()
         self._health = health_values
+        self._levels: dict[str, Any] = {}
+        self._health_s = float("-inf")
         known = pad_knowledge(checked, None if gauge is None else Path(gauge), gauge_shape)
         self._model = (
             TaughtModel(checked, known=known)
@@ -200,20 +216,12 @@ class TactileCellPlugin:
             note=note,
             wall_s=wall_s,
         )
-        controller, file = self._cell.controller, self._file
-        listeners: list[OnPart] = []
-        newtons = TaxelNewtons(checked, controller)
-        self._part_listeners, self._newtons = listeners, newtons
+        controller = self._cell.controller
+        self._newtons = TaxelNewtons(checked, controller)
+        self._tasks = tasks.Tasks(controller, self._file, wall_s)
+        self._parts = self._tasks.parts
         self._reading: threading.Thread | None = None
-        self._places: Callable[[], Places] = lambda: tasks.Places(checked, file.model.labels)
-        self._tasks = tasks.Tasks(
-            controller,
-            file,
-            self._places,
-            lambda: part_reporter(controller, newtons, listeners),
-        )
         self._remarks: deque[tuple[str, str]] = deque(maxlen=_REMARKS_MAX)
-        self._last_answer: deque[Answer] = deque(maxlen=1)
         self._worker = CellWorker(
             idle=self._cell.idle,
             idle_period_s=1.0 / checked.gripper.loop_rate_hz if self._cell.realtime else None,
@@ -272,9 +280,9 @@ class TactileCellPlugin:
     # -- questions -----------------------------------------------------------------------------
 
     def info(self) -> dict[str, Any]:
-        """Return name, pads in the order of the layout, limits, forces, taught labels, places."""
+        """Return name, pads in the order of the layout, limits, forces, labels by id, places."""
         return cell_values(self._config, self._cell.controller.hand.layout) | {
-            "labels": self.labels,
+            "labels": self.labels_by_id,
             "places": self._place_names(),
         }
 
@@ -282,7 +290,7 @@ class TactileCellPlugin:
         from cell.runtime.sort import Places  # noqa: PLC0415
 
         try:
-            return self._places().names
+            return self._tasks.places().names
         except ConfigError:  # a taught part has no place: a sort is refused
             return Places(self._config, ()).names
 
@@ -291,11 +299,20 @@ class TactileCellPlugin:
 
         It runs in the thread of the cell.
         """
-        self._part_listeners.append(on_part)
+        self._parts.listeners.append(on_part)
 
     def health(self) -> dict[str, Any]:
-        """Return the levels of servos, CAN, loop, drift and recording, and figures behind them."""
-        return self._health(self._config, self._cell, self._model.drift)
+        """Return the levels of servos, CAN, loop, drift and recording, and figures behind them.
+
+        They are at most `_HEALTH_S` old.
+        """
+        now_s = time.monotonic()
+        if now_s - self._health_s >= _HEALTH_S:
+            self._levels, self._health_s = (
+                self._health(self._config, self._cell, self._model.drift),
+                now_s,
+            )
+        return self._levels
 
     def counters(self) -> dict[str, Any]:
         """Return the counters of links, sensor, loop and recording as plain data."""
@@ -358,6 +375,10 @@ class TactileCellPlugin:
         """Return the force in N on each taxel from its counts; None before the first zero."""
         return self._newtons.of(counts)
 
+    def curves(self, found: "Identification") -> dict[str, Any]:
+        """Return the last grasp of an identification; see `TaxelNewtons.curves`."""
+        return self._newtons.curves(found.records[-1])
+
     @property
     def recording_path(self) -> Path | None:
         """The recording, if one is made."""
@@ -367,6 +388,11 @@ class TactileCellPlugin:
     def labels(self) -> tuple[str, ...]:
         """The taught objects."""
         return self._model.labels
+
+    @property
+    def labels_by_id(self) -> tuple[str, ...]:
+        """Names by label id, from 1: ``serve.objects`` of the config, then other taught labels."""
+        return self._parts.labels
 
     def state(self) -> str:
         """Return the state of the cell, a PackML name."""
@@ -381,7 +407,7 @@ class TactileCellPlugin:
                 **asdict(controller.life.status),
                 live=controller.live,
                 recording_fault=self._cell.recording_fault or "",
-                last_answer=next(iter(self._last_answer), None),
+                last_answer=self._parts.last,
             )
 
     def fault(self) -> str | None:
@@ -413,6 +439,7 @@ class TactileCellPlugin:
         return [
             {
                 "label": label,
+                "label_id": self._parts.label_id(label),
                 "n_grasps": n_grasps,
                 "shape": None if shape is None else shape.kind,
                 "size_mm": None if shape is None else 1e3 * shape.size_m,
@@ -426,11 +453,12 @@ class TactileCellPlugin:
         self,
         goal: Goal | Mapping[str, Any],
         *,
-        on_progress: Callable[[dict[str, Any]], None] = lambda _progress: None,
+        on_progress: Callable[[Job], None] = lambda _job: None,
     ) -> Any:
         """Run a job to its end and return its result; raises the error that ended it.
 
-        ``on_progress`` is called in the thread of the cell with each report. Raises as `start`.
+        ``on_progress`` is called in the thread of the cell with the job after each report. Raises
+        as `start`.
         """
         return self._finish(self.start(goal, on_progress=on_progress), None)
 
@@ -438,9 +466,9 @@ class TactileCellPlugin:
         self,
         goal: Goal | Mapping[str, Any],
         *,
-        on_progress: Callable[[dict[str, Any]], None] = lambda _progress: None,
+        on_progress: Callable[[Job], None] = lambda _job: None,
     ) -> Job:
-        """Start a job and return its handle at once.
+        """Start a job and return it at once.
 
         A goal is a `TeachGoal`, `GaugeGoal`, `ZeroGoal`, `IdentifyGoal`, `GripGoal`, `VerifyGoal`
         or `SortGoal`, or a mapping with ``task`` ``teach``, ``gauge``, ``zero``, ``identify``,
@@ -469,15 +497,11 @@ class TactileCellPlugin:
         task, simulation = getattr(self._tasks, checked.task), self._simulation
 
         def work(report: Report) -> Any:
-            def reported(progress: dict[str, Any]) -> None:
-                report(progress)
-                on_progress(progress)
-
             if simulation is not None and isinstance(checked, TeachGoal | GaugeGoal):
                 simulation.name(checked.label, checked.present)
-            return task(checked, reported)
+            return task(checked, report)
 
-        return self._accept(work, _COMMANDS[checked.task], checked.task)
+        return self._accept(work, _COMMANDS[checked.task], checked.task, on_progress)
 
     def _with_part(self, goal: Goal) -> Goal:
         """Return a goal with the parts for the simulated cell, which refuses unknown ones.
@@ -532,7 +556,7 @@ class TactileCellPlugin:
         elif task in (*_NAMING, "gauge"):
             self._model.check_taught()
             if task == "sort":
-                self._places()
+                self._tasks.places()
 
     def _needed(self, command: Command) -> Command:
         """Return the controller's command for a host's command in the present state."""
@@ -546,7 +570,7 @@ class TactileCellPlugin:
     def forget(
         self, label: str, *, last: bool = False, forgotten: Callable[[], None] = lambda: None
     ) -> Job:
-        """Start to forget a taught object and return the handle of the job at once.
+        """Start to forget a taught object and return the job at once.
 
         Parameters
         ----------
@@ -574,19 +598,30 @@ class TactileCellPlugin:
 
         return self._accept(work, Command.GRASP, "forget")
 
-    def feedback(self, job: Job) -> JobStatus:
-        """Return state and progress of a job; never waits.
+    def feedback(self, job: Job) -> Job:
+        """Return a job as it is now; never waits.
 
         Raises CellStateError for a job of another plugin, as `result` and `cancel` do.
         """
         with self._calling():
             return self._worker.status(job)
 
+    def job(self, number: int | None = None) -> Job:
+        """Return a job by its number, the newest by default.
+
+        Raises RequestRefused if there is no such job, or it is not kept.
+        """
+        return self._worker.job(number)
+
+    def jobs(self) -> tuple[Job, ...]:
+        """Return the newest jobs, at most `KEPT_JOBS`, oldest first."""
+        return self._worker.jobs()
+
     def result(self, job: Job, timeout_s: float) -> Any:
         """Wait for a job and return its result.
 
-        An `Answer` of an identification, a `Verification` of a grip or a verify, a `SortAnswer` of
-        a sort, a `Drift` of a gauge, a `SelfZero` of a zero, or the number of taught grasps.
+        A `Part` of an identification, a `Verification` of a grip or a verify, a `SortAnswer` of a
+        sort, a `Drift` of a gauge, a `SelfZero` of a zero, or the number of taught grasps.
 
         Raises
         ------
@@ -597,15 +632,15 @@ class TactileCellPlugin:
             it, a `CellStopped` after a cancel.
         """
         with self._calling():
-            status = self._worker.wait(job, timeout_s)
-        if status.outcome is not JobOutcome.SUCCEEDED:
-            raise JobFailed(job, status) from status.exception
-        return status.value
+            ended = self._worker.wait(job, timeout_s)
+        if ended.outcome is not JobOutcome.SUCCEEDED:
+            raise JobFailed(ended) from ended.exception
+        return ended.value
 
     def cancel(self, job: Job, reason: str = "on request") -> None:
         """Stop a job; a held part stays held. Does nothing after the end of the job."""
         with self._starting:
-            if not self.feedback(job).outcome.terminal:
+            if not self.feedback(job).terminal:
                 self._cell.controller.life.cancel(reason)
 
     def interrupt(self) -> None:
@@ -620,7 +655,7 @@ class TactileCellPlugin:
     def start_command(
         self, command: Command, *, reboot: bool = False, needless: bool = False
     ) -> Job:
-        """Start `release`, `clear`, `reset` or a shutdown as a job and return its handle at once.
+        """Start `release`, `clear`, `reset` or a shutdown as a job and return it at once.
 
         Parameters
         ----------
@@ -791,7 +826,7 @@ class TactileCellPlugin:
         self._finish(self.start_forget_drift(), timeout_s)
 
     def start_forget_drift(self) -> Job:
-        """Start `forget_drift` as a job and return its handle at once."""
+        """Start `forget_drift` as a job and return it at once."""
         model = self._model
         return self._accept(lambda _report: model.forget_drift(), None, "forget_drift")
 
@@ -862,29 +897,30 @@ class TactileCellPlugin:
             raise status.exception
         return status.value
 
-    def _accept(self, work: Callable[[Report], Any], command: Command | None, task: str) -> Job:
+    def _accept(
+        self,
+        work: Callable[[Report], Any],
+        command: Command | None,
+        task: str,
+        on_change: Callable[[Job], None] = lambda _job: None,
+    ) -> Job:
         """Start a job if its command is allowed now; an earlier `cancel` does not stop it."""
-        controller, remarks, file = self._cell.controller, self._remarks, self._file
-        last_answer, number = self._last_answer, 0
+        controller, remarks, file, parts = (
+            self._cell.controller, self._remarks, self._file, self._parts,
+        )  # fmt: skip
 
-        def accepted(job: Job) -> None:
-            nonlocal number
+        def accepted() -> None:
             if command is not None:
                 controller.life.check(command)
             controller.life.forget_cancel()
-            number = job.number
             if task in _NAMING:
-                last_answer.clear()
+                parts.last = None
 
         def recorded(report: Report) -> Any:
             _write_remarks(controller, remarks)
             end = "succeeded"
             try:
-                value = work(report)
-                if isinstance(value, Answer):
-                    value = replace(value, job=number)
-                    last_answer.append(value)
-                return value
+                return work(report)
             except BaseException as error:
                 end = f"failed: {error_text(error)}"
                 raise
@@ -896,7 +932,7 @@ class TactileCellPlugin:
                         file.write()
 
         with self._calling(), self._starting:
-            return self._worker.start(recorded, accepted=accepted)
+            return self._worker.start(task, recorded, accepted=accepted, on_change=on_change)
 
     def _calling(self) -> AbstractContextManager[None]:
         return nullcontext() if self._lease is None else self._lease.calling("the host")

@@ -1,24 +1,18 @@
-"""Sorting: each part is named, kept, brought to its place and released there."""
+"""Sorting: the places of parts, and the counts at each."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from cell.config.model import CellConfig
 from cell.config.sort import PlacePoseConfig
-from cell.control.answer import Answer
-from cell.control.controller import CellController
-from cell.control.identification import Identification
-from cell.control.keeping import Keep
+from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.control.positioner import Destination
-from cell.errors import ConfigError, NoPartFound
-from cell.learning.taught_model import TaughtModel
-from cell.runtime.collection import MISSES_IN_A_ROW
-from cell.runtime.identify import identify
+from cell.errors import ConfigError
 from recognition.recognizer import UNKNOWN
 
 
@@ -74,7 +68,7 @@ class Tally:
     n_missed: int = 0
     """Number of turns without a part."""
 
-    def add(self, part: Answer) -> None:
+    def add(self, part: Part) -> None:
         """Count a part that was released at its place."""
         self.placed[part.presented, str(part.place)] += 1
         right = (self.places.of(part.presented).place, self.places.reject.place)
@@ -126,97 +120,16 @@ class Tally:
         }
 
 
-def sort_parts(
-    controller: CellController,
-    model: TaughtModel,
-    tally: Tally,
-    *,
-    n_parts: int,
-    feed: Callable[[int], str | None] = lambda number: None,
-    seed: int = 0,
-    max_grasps: int | None = None,
-    force_n: float | None = None,
-    on_part: Callable[[Answer, Identification], None] = lambda part, found: None,
-    on_missed: Callable[[], object] = lambda: None,
-) -> None:
-    """Name parts, keep each, bring it to its place, look at it once more, and let it go there.
-
-    A part that has changed in the grip on the way goes to the rejects: its name is of no use any
-    more. A fault, a stop or a place that is refused ends the sort with the part kept.
-
-    Parameters
-    ----------
-    controller, model
-        The started cell and its taught model.
-    tally
-        Counts each released part.
-    n_parts
-        Number of turns.
-    feed
-        Returns the object for the positioner in a turn, from 0; None: the present object.
-    seed
-        Seed of the poses and forces of the first part; each further one has the next.
-    max_grasps, force_n
-        As `cell.runtime.identify.identify`.
-    on_part
-        Called after each part with its identification.
-    on_missed
-        Called after each turn without a part.
-
-    Raises
-    ------
-    NoPartFound
-        If no part was found in `MISSES_IN_A_ROW` turns in a row.
-    PositionerError
-        If a place was refused or cannot be reached.
-    cell.errors.CellStopped, and errors of the devices
-        As `CellController.identify` and `cell.control.moves.Moves.carry_to`.
-    """
-    misses = 0
-    for turn in range(n_parts):
-        truth = feed(turn)
-        try:
-            found = identify(
-                controller,
-                model,
-                presented=truth,
-                seed=seed + turn,
-                max_grasps=max_grasps,
-                force_n=force_n,
-                keep=Keep.ALWAYS,
-            )
-        except NoPartFound:
-            tally.n_missed += 1
-            misses += 1
-            on_missed()
-            if misses == MISSES_IN_A_ROW:
-                raise
-            continue
-        misses = 0
-        destination = tally.places.of(found.label)
-        controller.moves.carry_to(destination)
-        check = controller.kept.verify()
-        if not check.same and destination.place != tally.places.reject.place:
-            destination = tally.places.reject
-            controller.moves.carry_to(destination)
-        controller.put_down()
-        part = replace(
-            found.answer,
-            task="sort",
-            kept=False,
-            number=turn + 1,
-            place=destination.place,
-            place_id=tally.places.names.index(destination.place) + 1,
-            changed=check.reasons,
-            rejected=destination.place == tally.places.reject.place,
-        )
-        tally.add(part)
-        on_part(part, found)
-
-
 def simulated_feed(config: CellConfig, n_parts: int) -> list[str]:
     """Return a mixed feed of the simulated objects, each kind equally often."""
     kinds = [entry.label for entry in config.simulator.objects]
     feed = [kinds[number % len(kinds)] for number in range(n_parts)]
     np.random.default_rng(config.seed).shuffle(feed)
     return feed
+
+
+def drawn_object(config: CellConfig) -> str | None:
+    """Return the object that a simulated cell draws by its seed; None if it cannot choose."""
+    objects = [entry.label for entry in config.simulator.objects]
+    draw = np.random.default_rng(config.seed)
+    return str(draw.choice(objects)) if config.brings_objects else None

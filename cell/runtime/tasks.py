@@ -1,22 +1,23 @@
 """Tasks of a host's jobs: teach, identify, grip, verify and sort, with progress as plain data."""
 
+import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from cell.config.model import CellConfig
-from cell.control.answer import Answer, SortAnswer, Verification
 from cell.control.controller import CellController
-from cell.control.identification import Identification
+from cell.control.identification import Identification, OnGrasp
 from cell.control.keeping import Keep
-from cell.control.plan import Pose
+from cell.control.part import Part, SortAnswer, Verification
+from cell.control.plan import Pose, plan
 from cell.control.records import GraspRecord
 from cell.control.self_zero import zero_text
 from cell.errors import CellError, ModelError, NoPartFound, raised_as
+from cell.learning.blas import one_blas_thread
 from cell.learning.taught_model import TaughtModel, training_set_file
-from cell.runtime.collection import Collection, teach
+from cell.runtime.collection import MISSES_IN_A_ROW, Collection
 from cell.runtime.goals import (
     GaugeGoal,
     GripGoal,
@@ -26,19 +27,14 @@ from cell.runtime.goals import (
     VerifyGoal,
     ZeroGoal,
 )
-from cell.runtime.identify import identify
-from cell.runtime.part_report import PartReporter
-from cell.runtime.sort import Places, Tally, sort_parts
+from cell.runtime.parts import PartLog
+from cell.runtime.sort import Places, Tally
 from cell.runtime.worker import Report
 from recognition.drift.drift import Drift
 from recognition.grasp import SelfZero
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import fuse
 
-__all__ = ["ModelFile", "Places", "Tasks"]
-
-_SORTED = ("number", "label", "probability", "place", "n_grasps", "changed")
-"""Values of the newest part in the progress of a sort; ``was`` is its true object."""
 _SHOWN_GRASPS = 100
 """Number of newest grasps in the progress of a teaching."""
 
@@ -81,22 +77,26 @@ class ModelFile:
         self.write()
 
 
-@dataclass(frozen=True, slots=True)
 class Tasks:
-    """The tasks of a cell, by their names in goals; each runs in the thread of the cell."""
+    """The tasks of a cell, by their names in goals; each runs in the thread of the cell.
 
-    controller: CellController
-    file: ModelFile
-    """The model and its file."""
-    places: Callable[[], Places] = lambda: Places(CellConfig(), ())
-    """Returns the places of a sort for the objects taught now."""
-    reporter: Callable[[], PartReporter] = lambda: lambda answer, _found=None: answer
-    """Starts the reports of the parts of a task, as `part_reporter`; by default no reports."""
+    Parameters
+    ----------
+    file
+        The model and its file.
+    wall_s
+        Returns the unix time in s.
+    """
 
-    @property
-    def model(self) -> TaughtModel:
-        """The taught model."""
-        return self.file.model
+    def __init__(
+        self,
+        controller: CellController,
+        file: ModelFile,
+        wall_s: Callable[[], float] = time.time,
+    ) -> None:
+        self.controller, self.file, self.model = controller, file, file.model
+        self.parts = PartLog(controller, file.model, wall_s)
+        """Makes the parts."""
 
     def teach(self, goal: TeachGoal, report: Report) -> int:
         """Grasp an object, train the model, write it, and return the object's number of grasps.
@@ -106,7 +106,8 @@ class Tasks:
         cell.errors.NoPartFound, cell.errors.CellStopped, and errors of the devices
             As `cell.learning.labelled_grasps.teach`; the next teaching uses the grasps until then.
         CellError
-            If there are too few taught grasps for a training; they are kept too.
+            If there are too few taught grasps for a training; they are kept too. CellStateError if
+            the training set of the loaded model is not available: its objects would be lost.
         ModelError, DatasetError
             If the model cannot be written; it is in use.
         """
@@ -124,7 +125,13 @@ class Tasks:
         collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
         report(dict(shown))
         self.file.due |= goal.train
-        teach(self.controller, self.model, collection, seed=goal.seed, on_grasp=progress)
+        self.model.check_extendable()
+        try:
+            collection.fill(
+                self.controller, self.model.config.sequence, seed=goal.seed, on_grasp=progress
+            )
+        finally:
+            self.model.add(collection.grasps)
         if not goal.train:
             return len(collection.records)
         self.model.train()
@@ -181,20 +188,20 @@ class Tasks:
         report({"task": "zero", "zero": values, "text": zero_text(found)})
         return found.zero
 
-    def identify(self, goal: IdentifyGoal, report: Report) -> Answer:
-        """Grasp an object until its name is sure enough, and return the answer.
+    def identify(self, goal: IdentifyGoal, report: Report) -> Part:
+        """Grasp an object until its name is sure enough, and return the part.
 
-        ``goal.keep`` decides whether the part stays in the grip. Raises as
-        `cell.runtime.identify.identify`.
+        ``goal.keep`` decides whether the part stays in the grip. Raises as `named`.
         """
-        seen, posteriors = self.reporter(), list[Posterior]()
+        posteriors = list[Posterior]()
+        self.parts.begin(report.number, goal.task)
 
         def progress(number: int, record: GraspRecord, posterior: Posterior, shape: Any) -> None:
             posteriors.append(posterior)
             answer = fuse(posteriors)
             report(
                 {
-                    "task": "identify",
+                    "task": goal.task,
                     "grasps": number,
                     "of": goal.max_grasps or self.model.config.sequence.max_grasps,
                     "best": answer.name,
@@ -203,28 +210,45 @@ class Tasks:
                     "shape": None if shape is None else str(shape),
                     "ended_early": record.early is not None,
                     "short": record.outcome.short,
-                }
+                },
+                part=Part(job=report.number, label=answer.name, n_grasps=number),
             )
 
         try:
-            found = identify(
-                self.controller,
-                self.model,
-                presented=goal.present,
-                seed=goal.seed,
-                max_grasps=goal.max_grasps,
-                force_n=goal.force_n,
-                keep=Keep(goal.keep),
-                whole_ramps=goal.whole_ramps,
-                on_grasp=progress,
-            )
+            found, remark = self.named(goal, progress)
         except NoPartFound:
-            seen(Answer())
+            self.parts.miss()
             raise
-        answer = seen(replace(found.answer, rejected=found.label == UNKNOWN), found)
-        if found.remark:
-            report({"task": "identify", "remark": found.remark})
-        return answer
+        rejected = found.label == UNKNOWN
+        part = self.parts.last = self.parts.add(found, remark, kept=found.kept, rejected=rejected)
+        return part
+
+    @one_blas_thread()
+    def named(
+        self, goal: IdentifyGoal, on_grasp: OnGrasp | None = None
+    ) -> tuple[Identification, str]:
+        """Grasp an object until its name is sure enough, then follow the drift that it shows.
+
+        Returns the answer with all grasps, and a remark on the drift or an empty text. Raises
+        CellStateError if nothing was taught yet. Else it raises as `CellController.identify`.
+        """
+        controller, model = self.controller, self.model
+        recognizer, sequence = model.recognizer, model.config.sequence
+        if goal.force_n is not None:
+            sequence = sequence.with_force(goal.force_n)
+        controller.moves.present(goal.present)
+        found = controller.identify(
+            recognizer,
+            plan(sequence, goal.max_grasps or sequence.max_grasps, seed=goal.seed),
+            early=model.ends_early and not goal.whole_ramps,
+            read_shape=model.shapes.reader,
+            on_grasp=on_grasp,
+            keep=Keep(goal.keep),
+        )
+        remark = model.remark_on(found.records)
+        if remark:
+            controller.journal.note("drift", remark)
+        return found, remark
 
     def grip(self, goal: GripGoal, report: Report) -> Verification:
         """Grip a part and keep it; return its measurement.
@@ -250,43 +274,78 @@ class Tasks:
         return self.controller.kept.verify()
 
     def sort(self, goal: SortGoal, report: Report) -> SortAnswer:
-        """Name parts and release each at its place; return the counts.
+        """Name parts, keep each, bring it to its place, verify it there, and let it go.
 
-        Raises as `cell.runtime.sort.sort_parts`; the part is then kept, and the progress has the
-        counts so far.
+        A part that has changed in the grip on the way goes to the rejects: its name may be wrong. A
+        fault, a stop or a place that is refused ends the sort with the part kept; the progress has
+        the counts so far.
+
+        Raises
+        ------
+        NoPartFound
+            If no part was found in `MISSES_IN_A_ROW` turns in a row.
+        PositionerError
+            If a place was refused or cannot be reached.
+        cell.errors.CellStopped, and errors of the devices
+            As `CellController.identify` and `cell.control.moves.Moves.carry_to`.
         """
-        seen, tally = self.reporter(), Tally(places=self.places())
+        tally = Tally(places=self.places())
+        self.parts.begin(report.number, goal.task)
+        feed, misses = goal.feed, 0
 
-        def progress(part: dict[str, Any]) -> None:
-            counts = {"task": "sort", "of": goal.parts, "parts": tally.n_parts} | tally.as_json()
-            report(counts | part)
+        def progress(**part: Any) -> None:
+            counts = {"task": goal.task, "of": goal.parts, "parts": tally.n_parts}
+            report(counts | tally.as_json(), **part)
 
-        def sorted_part(part: Answer, found: Identification) -> None:
-            seen(part, found)
-            progress(
-                {name: getattr(part, name) for name in _SORTED} | {"was": part.presented or None}
+        progress()
+        for turn in range(goal.parts):
+            one = IdentifyGoal(
+                max_grasps=goal.max_grasps,
+                seed=(goal.seed + turn) % 2**32,
+                present=feed[turn % len(feed)] if feed else None,
+                keep="always",
+                force_n=goal.force_n,
             )
-
-        progress({})
-        feed = goal.feed
-        sort_parts(
-            self.controller,
-            self.model,
-            tally,
-            n_parts=goal.parts,
-            feed=lambda turn: feed[turn % len(feed)] if feed else None,
-            seed=goal.seed,
-            max_grasps=goal.max_grasps,
-            force_n=goal.force_n,
-            on_part=sorted_part,
-            on_missed=lambda: seen(Answer(task="sort")),
-        )
+            try:
+                found, remark = self.named(one)
+            except NoPartFound:
+                tally.n_missed += 1
+                misses += 1
+                self.parts.miss()
+                progress()
+                if misses == MISSES_IN_A_ROW:
+                    raise
+                continue
+            misses = 0
+            part = self.parts.add(found, remark, **self._brought(tally.places, found.label))
+            tally.add(part)
+            progress(part=part)
         return SortAnswer(
             n_parts=tally.n_parts,
             n_missed=tally.n_missed,
             n_rejected=tally.n_rejected,
             places=tally.counts,
         )
+
+    def places(self) -> Places:
+        """Return the places of a sort. Raises ConfigError if a taught object has no place."""
+        return Places(self.model.config, self.model.labels)
+
+    def _brought(self, places: Places, label: str) -> dict[str, Any]:
+        """Bring the kept part to its place and let it go; return what became of it."""
+        controller, destination = self.controller, places.of(label)
+        controller.moves.carry_to(destination)
+        check = controller.kept.verify()
+        if not check.same and destination.place != places.reject.place:
+            destination = places.reject
+            controller.moves.carry_to(destination)
+        controller.put_down()
+        return {
+            "place": destination.place,
+            "place_id": places.names.index(destination.place) + 1,
+            "changed": check.reasons,
+            "rejected": destination.place == places.reject.place,
+        }
 
 
 def _felt(record: GraspRecord, model: TaughtModel) -> dict[str, Any]:

@@ -7,17 +7,20 @@ import threading
 import time
 import uuid
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from cell.errors import CellError, CellStateError, CellStopped
+from pydantic import BaseModel, ConfigDict, Field, computed_field
+
+from cell.control.part import Part, Verification
+from cell.errors import CellError, CellStateError, CellStopped, RequestRefused
 from cell.fault_catalogue import error_text, fault_number
 
 KEPT_JOBS = 100
-"""Newest jobs whose status is kept, so that the memory of a resident program stays bounded."""
+"""Newest jobs that are kept, so that the memory of a resident program stays bounded."""
 SIGNAL_LOOK_S = 0.02
 """Longest time in s that a waiting main thread leaves a signal unanswered.
 
@@ -44,53 +47,91 @@ class JobOutcome(StrEnum):
     @property
     def terminal(self) -> bool:
         """Whether the job is over."""
-        return self in (JobOutcome.SUCCEEDED, JobOutcome.CANCELED, JobOutcome.ABORTED)
+        return self.number >= _NUMBERS["SUCCEEDED"]
+
+    @property
+    def number(self) -> int:
+        """Its number for hosts: GoalStatus of ROS 2 actions."""
+        return _NUMBERS[self.value]
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
-    """Handle of a started job."""
-
-    number: int
-    """Its number among the jobs of its worker, from 1."""
-    worker: str
-    """Name of its worker: jobs of two cells have the same numbers."""
+_NUMBERS = {"ACCEPTED": 1, "EXECUTING": 2, "SUCCEEDED": 4, "CANCELED": 5, "ABORTED": 6}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JobStatus:
-    """State and progress of a job."""
+class Job(BaseModel):
+    """A job at one moment, as all programs read it."""
 
-    outcome: JobOutcome
-    """Its state."""
-    progress: dict[str, Any]
-    """Its last report; the keys depend on the job."""
-    value: Any = None
-    """Its result after success."""
+    model_config = ConfigDict(
+        frozen=True, use_attribute_docstrings=True, arbitrary_types_allowed=True
+    )
+
+    number: int = 0
+    """Its number among the jobs of its cell, from 1; 0: there is no job yet."""
+    task: str = ""
+    """Its task or command."""
+    since_s: float = 0.0
+    """Unix time in s of its start."""
+    outcome: JobOutcome | None = None
+    """Its state; None: there is no job yet."""
+    part: Part | None = None
+    """Part of an identification, before its end the name so far without an id; newest part of a
+    sort."""
+    verification: Verification | None = None
+    """Answer of a grip or a verify."""
+    progress: Mapping[str, Any] = Field(default_factory=dict)
+    """Its last report; the keys depend on the task."""
     error: str = ""
     """Why it failed, as text; else empty."""
-    exception: BaseException | None = None
+    value: Any = Field(default=None, exclude=True, repr=False)
+    """Its result after success."""
+    exception: BaseException | None = Field(default=None, exclude=True, repr=False)
     """The error that ended it; None without an error."""
+    worker: str = Field(default="", exclude=True, repr=False)
+    """Name of its worker: jobs of two cells have the same numbers."""
 
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def outcome_number(self) -> int:
+        """Number of its state for hosts; 0: there is no job yet."""
+        return 0 if self.outcome is None else self.outcome.number
+
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def fault_number(self) -> int:
         """Number of the error in the fault catalogue; 0 without an error."""
         return fault_number(self.exception)
 
+    @property
+    def terminal(self) -> bool:
+        """Whether it is over."""
+        return self.outcome is not None and self.outcome.terminal
+
 
 class JobFailed(CellError):
     """A job was cancelled or aborted; ``__cause__`` is the error that ended it."""
 
-    def __init__(self, job: Job, status: JobStatus) -> None:
-        super().__init__(f"job {job.number} {status.outcome.value}: {status.error}")
+    def __init__(self, job: Job) -> None:
+        assert job.outcome is not None
+        super().__init__(f"job {job.number} {job.outcome.value}: {job.error}")
         self.job = job
-        self.outcome = status.outcome
+        self.outcome = job.outcome
         """``CANCELED`` or ``ABORTED``."""
-        self.fault_number = status.fault_number
+        self.fault_number = job.fault_number
         """Number of the error that ended the job, in the fault catalogue."""
 
 
-Report = Callable[[dict[str, Any]], None]
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Reports the progress of one job, in the thread of the cell."""
+
+    number: int
+    """Number of the job."""
+    show: Callable[[dict[str, Any]], None]
+    """Replaces fields of the job."""
+
+    def __call__(self, progress: dict[str, Any], **fields: Any) -> None:
+        """Report progress, and further fields of the `Job`, for example its part."""
+        self.show({"progress": progress} | fields)
 
 
 class CellWorker:
@@ -126,9 +167,9 @@ class CellWorker:
         self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._name = uuid.uuid4().hex
         self._refusing = False
-        self._changed = threading.Condition()
-        self._status: dict[Job, JobStatus] = {}
-        self._newest = 0
+        self._changed = threading.Condition()  # of a reentrant lock
+        self._jobs: dict[int, Job] = {}
+        self._newest = self._named = 0
         self._thread = threading.Thread(
             target=_serve,
             args=(weakref.ref(self), self._queue),
@@ -138,24 +179,36 @@ class CellWorker:
         self._thread.start()
 
     def start(
-        self, work: Callable[[Report], Any], *, accepted: Callable[[Job], None] = lambda _job: None
+        self,
+        task: str,
+        work: Callable[[Report], Any],
+        *,
+        accepted: Callable[[], None] = lambda: None,
+        on_change: Callable[[Job], None] = lambda _job: None,
     ) -> Job:
         """Accept a job; return at once.
 
-        ``work`` gets a function to report its progress. ``accepted`` is called with the job before
-        it runs and after other jobs have ended; an error that it raises refuses the job. Raises
-        CellStateError if another job has not ended, or the cell is being closed.
+        ``work`` gets what reports its progress, and returns the result. ``accepted`` is called
+        before it runs and after other jobs have ended; an error that it raises refuses the job.
+        ``on_change`` is called on the thread with the job after each report. Raises CellStateError
+        if another job has not ended, or the cell is being closed.
         """
         with self._changed:
             self.check_free()
-            job = Job(self._newest + 1, self._name)
-            accepted(job)
+            accepted()
+            job = Job(
+                number=self._newest + 1,
+                task=task,
+                since_s=time.time(),
+                outcome=JobOutcome.ACCEPTED,
+                worker=self._name,
+            )
             self._newest, self.looked_s = job.number, time.monotonic()
-            self._status[job] = JobStatus(outcome=JobOutcome.ACCEPTED, progress={})
-            if len(self._status) > KEPT_JOBS:
-                del self._status[next(iter(self._status))]
+            self._jobs[job.number] = job
+            if len(self._jobs) > KEPT_JOBS:
+                del self._jobs[next(number for number in self._jobs if number != self._named)]
             # Within the lock: accepted jobs come before the end of the queue.
-            self._queue.put(functools.partial(self._execute, job, work))
+            self._queue.put(functools.partial(self._execute, job.number, work, on_change))
         return job
 
     def check_free(self) -> None:
@@ -163,40 +216,54 @@ class CellWorker:
         with self._changed:
             if self._refusing:
                 raise CellStateError("the cell is closed; load the plugin again")
-            running = [job for job, status in self._status.items() if not status.outcome.terminal]
-            if running:
+            if self.running:
                 raise CellStateError(
-                    f"job {running[0].number} is not over; wait for its result or cancel it"
+                    f"job {self._newest} is not over; wait for its result or cancel it"
                 )
 
-    def status(self, job: Job) -> JobStatus:
-        """Return the state of a job. Raises CellStateError for a job of another worker."""
+    def jobs(self) -> tuple[Job, ...]:
+        """Return the newest jobs, at most `KEPT_JOBS`, oldest first."""
         with self._changed:
-            try:
-                return self._status[job]
-            except KeyError:
-                raise CellStateError(f"there is no job {job.number} in this cell") from None
+            return tuple(self._jobs.values())
 
-    def wait(self, job: Job, timeout_s: float | None) -> JobStatus:
+    def job(self, number: int | None = None) -> Job:
+        """Return a job, the newest by default. Raises RequestRefused for an unknown number.
+
+        The newest job with a named part stays among the kept jobs.
+        """
+        with self._changed:
+            if number is None:
+                return self._jobs.get(self._newest, Job())
+            if number not in self._jobs:
+                raise RequestRefused(f"there is no job {number}; the newest is {self._newest}")
+            return self._jobs[number]
+
+    def status(self, job: Job) -> Job:
+        """Return a job as it is now. Raises CellStateError for a job of another worker."""
+        if job.worker != self._name:
+            raise CellStateError(f"there is no job {job.number} in this cell")
+        return self.job(job.number)
+
+    def wait(self, job: Job, timeout_s: float | None) -> Job:
         """Wait for the end of a job; None: without a limit.
 
         Raises TimeoutError if it does not end in time; it continues.
         """
         end_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
-        while not (status := self.status(job)).outcome.terminal:
+        while not (now := self.status(job)).terminal:
             if (left_s := end_s - time.monotonic()) <= 0.0:
                 raise TimeoutError(f"job {job.number} is not over after {timeout_s:g} s")
             with self._changed:
                 self._changed.wait_for(
-                    lambda: self._status[job].outcome.terminal, min(left_s, SIGNAL_LOOK_S)
+                    lambda: self._jobs[job.number].terminal, min(left_s, SIGNAL_LOOK_S)
                 )
-        return status
+        return now
 
     @property
     def running(self) -> bool:
         """Whether a job has not ended yet."""
-        with self._changed:
-            return any(not status.outcome.terminal for status in self._status.values())
+        job = self.job()
+        return job.number > 0 and not job.terminal
 
     @property
     def working(self) -> bool:
@@ -246,28 +313,33 @@ class CellWorker:
         with suppress(Exception):
             self._idle()
 
-    def _execute(self, job: Job, work: Callable[[Report], Any]) -> None:
-        def report(progress: dict[str, Any]) -> None:
-            self._set(job, JobStatus(outcome=JobOutcome.EXECUTING, progress=progress))
+    def _execute(
+        self, number: int, work: Callable[[Report], Any], on_change: Callable[[Job], None]
+    ) -> None:
+        def show(fields: dict[str, Any]) -> None:
+            on_change(self._set(number, **fields))
 
-        report({})
+        self._set(number, outcome=JobOutcome.EXECUTING)
         try:
-            value = work(report)
+            value = work(Report(number, show))
         except CellStopped as stop:
-            self._end(job, JobOutcome.CANCELED, error=str(stop), exception=stop)
+            end = {"outcome": JobOutcome.CANCELED, "error": str(stop), "exception": stop}
         except BaseException as error:
-            self._end(job, JobOutcome.ABORTED, error=error_text(error), exception=error)
+            end = {"outcome": JobOutcome.ABORTED, "error": error_text(error), "exception": error}
         else:
-            self._end(job, JobOutcome.SUCCEEDED, value=value)
+            end = {"outcome": JobOutcome.SUCCEEDED, "value": value}
+            if isinstance(value, Part):
+                end["part"], self._named = value, number
+            elif isinstance(value, Verification):
+                end["verification"] = value
+        self._set(number, **end)
 
-    def _end(self, job: Job, outcome: JobOutcome, **end: Any) -> None:
-        progress = self.status(job).progress
-        self._set(job, JobStatus(outcome=outcome, progress=progress, **end))
-
-    def _set(self, job: Job, status: JobStatus) -> None:
+    def _set(self, number: int, **fields: Any) -> Job:
         with self._changed:
-            self._status[job], self.looked_s = status, time.monotonic()
+            job = self._jobs[number] = self._jobs[number].model_copy(update=fields)
+            self.looked_s = time.monotonic()
             self._changed.notify_all()
+        return job
 
 
 def _serve(

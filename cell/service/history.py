@@ -14,11 +14,11 @@ from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
-from cell.control.answer import Answer
+from cell.control.part import Part
 from cell.data.files import free_name, name_in_file
 from cell.data.formats import PROGRAM
 from cell.errors import CellError
-from cell.runtime.host_status import HostStatus
+from cell.runtime.plugin import HostStatus
 from cell.service.shift import Shift
 from recognition.recognizer import UNKNOWN
 
@@ -106,7 +106,7 @@ class History:
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
 
-    def add(self, part: Answer) -> None:
+    def add(self, part: Part) -> None:
         """Add a part, or a turn without one; nothing is written yet."""
         if not part.label:
             self._add(kind="miss", held=part.presented)

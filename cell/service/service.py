@@ -10,23 +10,23 @@ import threading
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, fields
+from functools import partial
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
-import numpy as np
-from numpy.typing import NDArray
+from pydantic_core import to_jsonable_python
 
+from cell.build import kept_folder
 from cell.config.model import CellConfig
-from cell.config.simulator import checked_label
-from cell.control.answer import Answer, Verification
 from cell.control.identification import Identification
+from cell.control.part import Part
 from cell.control.plan import Pose
-from cell.control.states import Command
-from cell.errors import CellError, HeldByClient, RequestRefused, raised_as
-from cell.fault_catalogue import error_text
+from cell.control.states import CellStatus, Command
+from cell.errors import CellError, HeldByClient, RequestRefused
+from cell.fault_catalogue import BY_NUMBER, Refusal, error_text
 from cell.runtime.goals import (
     TASKS,
     Goal,
@@ -36,16 +36,13 @@ from cell.runtime.goals import (
     checked_goal,
     goal_of,
 )
-from cell.runtime.host_status import HostStatus
 from cell.runtime.lease import Lease
-from cell.runtime.plugin import TactileCellPlugin
-from cell.runtime.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
-from cell.service.history import History
+from cell.runtime.plugin import HostStatus, TactileCellPlugin
+from cell.runtime.worker import Job
+from cell.service.history import History, history_file
 from cell.service.photos import Photos
 from cell.service.pose_handshake import PoseHandshake
-from cell.service.shift import KEPT_ANSWERS, Shift
-from cell.service.totals import Totals
-from cell.simulation import shape_of_stl
+from cell.service.shift import Shift, Totals
 from gripper.clock import Clock
 
 RELEASE_KEY = 0x4F50
@@ -58,16 +55,9 @@ _KEEPING = (*_UNMOVING, Command.RESET.value, "verify", "forget", "forget_drift")
 """Tasks and commands that leave the part in the grip."""
 _COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
 """Commands of clients."""
-_HEALTH_S = 0.5
-"""Time in s for which a computed health of the cell is reused."""
-OUTCOME_NUMBERS = {
-    JobOutcome.ACCEPTED: 1,
-    JobOutcome.EXECUTING: 2,
-    JobOutcome.SUCCEEDED: 4,
-    JobOutcome.CANCELED: 5,
-    JobOutcome.ABORTED: 6,
-}
-"""Number of each outcome for hosts: GoalStatus of ROS 2 actions; 0 is no job."""
+
+plain_data = partial(to_jsonable_python, inf_nan_mode="null")
+"""Returns JSON types, also of dataclasses; null for each number that is not finite."""
 
 
 class RequestFields(TypedDict, total=False):
@@ -85,59 +75,18 @@ class RequestFields(TypedDict, total=False):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JobView:
-    """A job in the form that every interface shows."""
-
-    number: int = 0
-    task: str = ""
-    """Its number, 0 before the first job, and its task or command."""
-    since_s: float = 0.0
-    """Unix time in s of its start."""
-    outcome: str = ""
-    outcome_number: int = 0
-    """Its state."""
-    fault_number: int = 0
-    error: str = ""
-    """Why it failed; else 0 and empty."""
-    label: str = ""
-    label_id: int = 0
-    probability: float = 0.0
-    n_grasps: int = 0
-    """Answer of an identification; before its end the answer so far, with label id 0. For a sort
-    the answer of its newest part."""
-    shape: str = ""
-    size_mm: float = 0.0
-    """Shape of the part and its size in mm; empty and 0 if not known."""
-    kept: bool = False
-    """Whether the answer leaves the part in the grip."""
-    held: bool | None = None
-    same: bool | None = None
-    """Answer of a verification."""
-    taught: Mapping[str, Any] | None = None
-    """Answer of a teaching: label, its available grasps, the nearest other object, and the share of
-    grasps that are more similar to another object."""
-    gauged: Mapping[str, Any] | None = None
-    """Answer of a gauge: label, and the drift ``before`` and ``after`` it: ``gain``,
-    ``opening_mm``."""
-    progress: Mapping[str, Any] = field(default_factory=dict)
-    """Last report of the job."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
     """Everything that an interface shows, at one moment."""
 
     status: HostStatus
     """States, live values, last answer."""
-    job: JobView
+    job: Job
     """The newest job."""
-    last_answer: JobView | None
-    """The job of the last answer of an identification, as `HostStatus.last_answer`."""
     commander: str
     """Name of the client with the lease; empty for none."""
     held_by: tuple[str, ...]
     """Clients that keep the cell on hold; "(gone)" follows the name of a disconnected client."""
-    part: Answer | None
+    part: Part | None
     """The newest part of an identification or sort; None before the first."""
     held_part: int | None
     """Number of the part in the grip; None if nothing is held or the part has no name."""
@@ -157,7 +106,7 @@ class _Stop:
 class Service:
     """One cell, its lease, its jobs and its pose handshake; every method from any thread.
 
-    `cell.service.opening.open_service` opens a cell with its service.
+    `open_service` opens a cell with its service.
 
     Parameters
     ----------
@@ -166,7 +115,7 @@ class Service:
         the service.
     poses
         Mover of a cell with a positioner of kind ``callback``.
-    history_file
+    history_path
         SQLite file of the history; None keeps it in memory.
     photos_beside
         Model file; the photos of taught objects are beside it. None keeps them in memory.
@@ -184,7 +133,7 @@ class Service:
         config: CellConfig,
         *,
         poses: PoseHandshake | None = None,
-        history_file: Path | None = None,
+        history_path: Path | None = None,
         photos_beside: Path | None = None,
         note: Callable[[str], None] = lambda _text: None,
         clock: Clock = time,
@@ -200,7 +149,7 @@ class Service:
         self.totals = Totals()
         """Growing totals, for metrics."""
         self.history = History(
-            history_file, plugin.status, note=note, shift=self.shift, wall_s=wall_s
+            history_path, plugin.status, note=note, shift=self.shift, wall_s=wall_s
         )
         """Parts and faults of the days."""
         self.history.start()
@@ -221,80 +170,34 @@ class Service:
         )
         """Commands need it; its loss stops the running job."""
         self._stops: dict[Hashable, _Stop] = {}
-        self._jobs: dict[int, tuple[Job, str, int, float]] = {}
-        self._newest = self._gripped_by = 0
-        self._health: tuple[float, dict[str, Any]] = (-inf, {})
-        self._part: str | None = None
+        self._newest_lease = self._gripped_by = 0
+        self.chosen_part: str | None = None
+        """Part between the fingers of the simulated cell for all jobs; None: the next one for each.
+        """
         self._n_in_turn = 0
         self._watched: dict[str, Callable[[], bool]] = {}
         self.lease.watch(note)
 
     # -- questions -----------------------------------------------------------------------------
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names by label id, from 1: ``serve.objects``, then other taught labels."""
-        listed = self.config.serve.objects
-        return (*listed, *(label for label in self.plugin.labels if label not in listed))
-
-    def label_id(self, label: str) -> int:
-        """Return the id of a label; 0 for UNKNOWN and for a label without an id."""
-        names = self.labels
-        return names.index(label) + 1 if label in names else 0
-
     def snapshot(self) -> Snapshot:
         """Return everything that interfaces show."""
         with self._lock:
             # Read the job before the answer: the answer is set before the job succeeds.
-            job = self.job()
-            status = self.status()
+            job, status = self.plugin.job(), self.plugin.status()
             seq, pose = self._poses.awaited
-            last = self._answered(status)
-            part = next(iter(self.shift.parts[-1:]), None)
-            named = last is not None and last.kept and last.number >= self._gripped_by
+            last = status.last_answer
+            named = last is not None and last.kept and last.job >= self._gripped_by
             return Snapshot(
                 status=status,
                 job=job,
-                last_answer=last,
                 commander=self.lease.name,
                 held_by=self.held_by,
-                part=part,
-                held_part=part.number if part and named and status.holding else None,
+                part=next(iter(self.shift.parts[-1:]), None),
+                held_part=last.number if last and named and status.holding else None,
                 pose_seq=seq,
                 pose=pose,
             )
-
-    def status(self) -> HostStatus:
-        """Return the states of cell and grip, the live values, and the last answer."""
-        return self.plugin.status()
-
-    def job(self, number: int | None = None) -> JobView:
-        """Return a job, the newest by default. Raises RequestRefused for an unknown number."""
-        with self._lock:
-            wanted = self._newest if number is None else number
-            if wanted == 0 and number is None:
-                return JobView()
-            if wanted not in self._jobs:
-                last = self._answered(self.status())
-                if last is not None and last.number == wanted:
-                    return last
-                raise RequestRefused(f"there is no job {wanted}; the newest is {self._newest}")
-            job, task, _, since_s = self._jobs[wanted]
-            return self._view(wanted, task, self.plugin.feedback(job), since_s)
-
-    def part(self, number: int) -> Answer:
-        """Return the answer of a part by its number. Raises RequestRefused if it is not kept."""
-        if (found := self.shift.part(number)) is None:
-            newest = self.shift.parts[-1].number if self.shift.parts else 0
-            raise RequestRefused(
-                f"part {number} is not kept; the newest is {newest}, and {KEPT_ANSWERS} are kept"
-            )
-        return found
-
-    def jobs(self) -> tuple[JobView, ...]:
-        """Return the newest jobs, at most `KEPT_JOBS`, oldest first."""
-        with self._lock:
-            return tuple(self.job(number) for number in sorted(self._jobs))
 
     def allowed(self) -> dict[str, CellError | None]:
         """Return the error that each task and command would raise now, for a client with the lease.
@@ -311,15 +214,6 @@ class Service:
                     found[task] = None
                 except CellError as error:
                     found[task] = error
-        return found
-
-    def health(self) -> dict[str, Any]:
-        """Return the values of `TactileCellPlugin.health`, at most `_HEALTH_S` old."""
-        now_s = time.monotonic()
-        seen_s, found = self._health
-        if now_s - seen_s >= _HEALTH_S:
-            found = self.plugin.health()
-            self._health = (now_s, found)
         return found
 
     @property
@@ -340,20 +234,6 @@ class Service:
             yield
         finally:
             del self._watched[name]
-
-    def frame_n(self) -> NDArray[np.float32] | None:
-        """Return the newest force in N on each taxel, (n_taxels,); None without a measurement."""
-        counts = self.status().live.counts
-        return None if counts is None else self.plugin.newtons(counts)
-
-    def info(self) -> dict[str, Any]:
-        """Return the constant values as plain data; lengths in mm, forces in N."""
-        return self.plugin.info() | {
-            "mode": "cell",
-            "version": self.version,
-            "labels": list(self.labels),
-            "lease_timeout_s": self.config.serve.lease_timeout_s,
-        }
 
     # -- commands ------------------------------------------------------------------------------
 
@@ -385,14 +265,14 @@ class Service:
             return job
 
         given = checked.model_dump(exclude_defaults=True)
-        return self._begin(lease, checked.task, given, number, begin)
+        return self.begin(lease, checked.task, begin, number=number, given=given)
 
     def _with_part(self, goal: Goal) -> tuple[Goal, bool]:
         """Return a goal with the chosen part, or the next one, for the simulated cell.
 
         The second value is whether the part is the next one.
         """
-        part, in_turn = self._part, False
+        part, in_turn = self.chosen_part, False
         if not (self.config.simulated or self.config.positioner.kind == "simulated"):
             return goal, False
         if isinstance(goal, SortGoal) and not goal.feed and part is not None:
@@ -433,7 +313,7 @@ class Service:
             return job
 
         given = {"reboot": True} if reboot else {}
-        return self._begin(lease, command.value, given, number, begin)
+        return self.begin(lease, command.value, begin, number=number, given=given)
 
     def request(
         self, lease: int, name: str, *, number: int = 0, **fields: Unpack[RequestFields]
@@ -457,88 +337,7 @@ class Service:
             fields["keep"] = "always" if keep else "never"
         return self.start(lease, goal_of(name, **fields), number=number)
 
-    def forget_drift(self, lease: int, *, number: int = 0) -> int:
-        """Start to reset the followed drift and return the number of the job.
-
-        Raises as `start`.
-        """
-        return self._begin(lease, "forget_drift", {}, number, self.plugin.start_forget_drift)
-
-    # -- taught objects ------------------------------------------------------------------------
-
-    @property
-    def taught_revision(self) -> int:
-        """A number that changes with the taught objects and their photos."""
-        return self.plugin.taught_revision + self.photos.revision
-
-    def taught(self) -> list[dict[str, Any]]:
-        """Return `TactileCellPlugin.taught` with id and whether there is a photo."""
-        return [
-            one
-            | {
-                "label_id": self.label_id(one["label"]),
-                "photo": self.photos.has(one["label"]),
-            }
-            for one in self.plugin.taught()
-        ]
-
-    def forget(self, lease: int, label: str, *, last: bool = False) -> int:
-        """Start to forget a taught object, or its newest grasp; return the number of the job.
-
-        Raises as `start`.
-        """
-        return self._begin(
-            lease,
-            "forget",
-            {"label": label, "last": last},
-            0,
-            lambda: self.plugin.forget(
-                label, last=last, forgotten=lambda: self.photos.remove(label)
-            ),
-        )
-
-    def put_photo(self, lease: int, label: str, photo: bytes) -> None:
-        """Save a photo of a taught object.
-
-        Raises NotInCommand as `Lease.alive`, RequestRefused if the object is not taught, and as
-        `Photos.put`.
-        """
-        self.lease.alive(lease)
-        if label not in self.plugin.labels:
-            raise RequestRefused(f"{label!r:.80} is not taught")
-        self.photos.put(label, photo)
-
     # -- the simulated cell --------------------------------------------------------------------
-
-    def simulated_faults(self) -> dict[str, Any]:
-        """List the possible faults of this simulated cell, and the active faults.
-
-        A fault is a text ``NAME[=VALUE][@START[..END]]``; a waiting fault has not begun.
-        """
-        injected = self.plugin.simulate({"state": True})["faults"]
-        running = [
-            {"fault": text, "begun": began_s is not None} for text, began_s in injected.items()
-        ]
-        return self.plugin.simulate({"kinds": True}) | {"running": running}
-
-    def simulate_fault(self, text: str, *, end: bool = False) -> None:
-        """Begin a fault of the simulated cell, or end those with this text or name.
-
-        Raises RequestRefused and CellStateError as `TactileCellPlugin.simulate`.
-        """
-        self.plugin.simulate({"clear" if end else "inject": text})
-        self.plugin.remark("simulation", f"{text} {'ended' if end else 'injected'}")
-
-    def simulated_part(self) -> dict[str, Any]:
-        """Return the chosen part and its pose, the part between the fingers, and all objects."""
-        found = self.plugin.simulate({"state": True})
-        pose = {name: found["offset"][name] for name in asdict(Pose())}
-        return {
-            "part": self._part,
-            "pose": pose,
-            "placed": found["placed"],
-            "objects": found["objects"],
-        }
 
     def choose_part(self, lease: int, part: str | None, pose: Pose) -> None:
         """Put a part between the fingers of the simulated cell, for all later jobs.
@@ -557,37 +356,17 @@ class Service:
         self.plugin.check_free()
         placed = self.plugin.simulate({"state": True})["placed"] if part is None else part
         self.plugin.simulate({"place": placed or "nothing", "offset": asdict(pose)})
-        self._part = part
+        self.chosen_part = part
         self.plugin.remark("simulation", f"part {part or 'in turn'} at {pose}")
-
-    def define_object(self, lease: int, label: str, stl: bytes) -> list[str]:
-        """Add an object from an STL file to the simulated cell; return the names of all objects.
-
-        Raises NotInCommand as `Lease.alive`, ConfigError if the file has no part, RequestRefused
-        if the name is taken or invalid.
-        """
-        self.lease.alive(lease)
-        with raised_as(RequestRefused, ValueError):
-            shape = shape_of_stl(stl, checked_label(label))
-        return list(self.plugin.simulate({"define": label, "shape": shape})["objects"])
-
-    def reset_simulation(self, lease: int) -> int:
-        """Start to make the simulated cell ready and empty; return the number of the job.
-
-        Raises as `start`, and as `TactileCellPlugin.begin_simulation_reset`.
-        """
-        number = self._begin(lease, "simulation_reset", {}, 0, self.plugin.begin_simulation_reset)
-        self._part = None
-        return number
 
     def stop(self, reason: str = "on request") -> None:
         """Stop the running job and keep the grip; any client may call this."""
         with self._lock:
-            entry = self._jobs.get(self._newest)
-            if entry is not None and not self.plugin.feedback(entry[0]).outcome.terminal:
+            job = self.plugin.job()
+            if job.number and not job.terminal:
                 self.plugin.remark("hold", reason)
                 # First the cell, then the pose: the job ends as held, not as refused by the host.
-                self.plugin.cancel(entry[0], reason)
+                self.plugin.cancel(job, reason)
                 self._poses.stop()
 
     @property
@@ -656,44 +435,55 @@ class Service:
                 "clear the hold of a client that is gone"
             )
 
-    def _begin(
+    def begin(
         self,
         lease: int,
         task: str,
-        given: Mapping[str, Any],
-        number: int,
-        begin: Callable[[], Job],
+        start: Callable[[], Job],
+        *,
+        number: int = 0,
+        given: Mapping[str, Any] | None = None,
     ) -> int:
+        """Start any job of the cell for the client in command, and return its number.
+
+        Parameters
+        ----------
+        lease, number
+            As `start`.
+        task, given
+            Its name and its values, for the recording.
+        start
+            Starts it.
+
+        Raises as `start`, and the errors of ``start``.
+        """
         self._poses.settle()
         with self._lock:
             self.lease.alive(lease)
-            if number and number <= self._newest:
-                _, last_task, last_lease, _ = self._jobs.get(number, (None, "", 0, 0.0))
-                if number == self._newest and (last_task, last_lease) == (task, lease):
+            newest = self.plugin.job()
+            next_ = newest.number + 1
+            if number and number < next_:
+                last = (newest.number, newest.task, self._newest_lease)
+                if (number, task, lease) == last:
                     return number
-                raise RequestRefused(f"job {number} is another request; the next is {self._next}")
-            if number > self._next:
-                raise RequestRefused(f"job {number} is not the next job; the next is {self._next}")
-            name = self.lease.name
-            values = "".join(f", {field} {value}" for field, value in given.items())
-            self.plugin.remark("command", f"job {self._next}: {task}{values}, by {name!r}")
+                raise RequestRefused(f"job {number} is another request; the next is {next_}")
+            if number > next_:
+                raise RequestRefused(f"job {number} is not the next job; the next is {next_}")
+            values = "".join(f", {field} {value}" for field, value in (given or {}).items())
+            self.plugin.remark("command", f"job {next_}: {task}{values}, by {self.lease.name!r}")
             try:
                 self._check_stopped(task)
                 with self._poses.beginning():
-                    job = begin()
+                    job = start()
             except Exception as error:
-                self.plugin.remark("command", f"job {self._next} refused: {error_text(error)}")
+                self.plugin.remark("command", f"job {next_} refused: {error_text(error)}")
                 raise
-            self._jobs[job.number] = (job, task, lease, time.time())
-            self._jobs.pop(job.number - KEPT_JOBS, None)
-            self._newest = job.number
+            self._newest_lease = lease
             if task not in _KEEPING:
                 self._gripped_by = job.number
+            if task == "simulation_reset":
+                self.chosen_part = None
             return job.number
-
-    @property
-    def _next(self) -> int:
-        return self._newest + 1
 
     # -- the pose handshake --------------------------------------------------------------------
 
@@ -722,47 +512,93 @@ class Service:
         self.history.close()
         self.plugin.close(timeout_s)
 
-    def _count(self, answer: Answer, found: Identification | None) -> None:
-        """Count a part with the present id of its label."""
-        self.totals.add(answer, found)
-        part = replace(answer, label_id=self.label_id(answer.label))
-        self.shift.add(part)
+    def _count(self, part: Part, found: Identification | None) -> None:
+        self.totals.add(part, found)
+        self.shift.add(part, None if found is None else self.plugin.curves(found))
         self.history.add(part)
 
-    def _answered(self, status: HostStatus) -> JobView | None:
-        """Return the job of the last answer, even if it is no longer among the kept jobs."""
-        answer = status.last_answer
-        if answer is None:
-            return None
-        ended = JobStatus(outcome=JobOutcome.SUCCEEDED, progress={}, value=answer)
-        since_s = self._jobs[answer.job][3] if answer.job in self._jobs else 0.0
-        return self._view(answer.job, "identify", ended, since_s)
 
-    def _view(self, number: int, task: str, status: JobStatus, since_s: float) -> JobView:
-        progress, answer = status.progress, status.value
-        found: dict[str, Any] = {
-            "label": progress.get("best", ""),
-            "n_grasps": progress.get("grasps", 0),
+def open_service(
+    config: CellConfig,
+    *,
+    note: Callable[[str], None] = lambda _text: None,
+    clock: Clock = time,
+    wall_s: Callable[[], float] = time.time,
+    **cell: Any,
+) -> Service:
+    """Open a cell and return its service.
+
+    Parameters
+    ----------
+    config
+        The cell. A positioner of kind ``callback`` is the pose handshake. ``host_timeout_s`` has no
+        effect, because the lease supervises the clients.
+    note, clock, wall_s
+        As `Service`.
+    cell
+        Model, folder of the recording and other arguments of `TactileCellPlugin`.
+
+    Raises
+    ------
+    As `TactileCellPlugin`.
+    """
+    poses = PoseHandshake()
+    plugin = TactileCellPlugin(
+        config.model_copy(update={"host_timeout_s": None}),
+        mover=poses.move if config.positioner.kind == "callback" else None,
+        note=note,
+        wall_s=wall_s,
+        **cell,
+    )
+    kept = kept_folder(config, cell.get("folder"))
+    beside = cell.get("save") or cell.get("model")
+    return Service(
+        plugin,
+        config,
+        poses=poses,
+        history_path=None if kept is None else history_file(kept, config.name),
+        photos_beside=None if beside is None else Path(beside),
+        note=note,
+        clock=clock,
+        wall_s=wall_s,
+    )
+
+
+def state_values(service: Service) -> dict[str, Any]:
+    """Return everything except the taxels: JSON types, null for a number that is not finite."""
+    now = service.snapshot()
+    live = now.status.live
+    state: dict[str, Any] = plain_data(
+        {
+            "time_s": time.time(),
+            "status": {one.name: getattr(now.status, one.name) for one in fields(CellStatus)},
+            "job": now.job,
+            "last_answer": now.status.last_answer,
+            "live": {name: getattr(live, name) for name in live.__slots__ if name != "counts"},
+            "commander": now.commander,
+            "held_by": now.held_by,
+            "held_part": now.held_part,
+            "pose_seq": now.pose_seq,
+            "pose": now.pose,
+            "allowed": {
+                task: None if error is None else Refusal.of(error)
+                for task, error in service.allowed().items()
+            },
+            "fault": _fault(service, now.status),
+            "taught_revision": service.plugin.taught_revision + service.photos.revision,
+            "health": service.plugin.health(),
+            "shift": service.shift.values(),
         }
-        if task == "sort" and progress.get("label"):
-            found = {name: progress[name] for name in ("label", "probability")}
-            found["label_id"] = self.label_id(found["label"])
-        if isinstance(answer, Answer):
-            names = ("label", "probability", "n_grasps", "size_mm", "kept")
-            found = {name: getattr(answer, name) for name in names}
-            found |= {"label_id": self.label_id(answer.label), "shape": answer.kind}
-        elif isinstance(answer, Verification):
-            found |= {"held": answer.held, "same": answer.same, "kept": answer.held}
-        return JobView(
-            number=number,
-            task=task,
-            since_s=since_s,
-            outcome=status.outcome.value,
-            outcome_number=OUTCOME_NUMBERS[status.outcome],
-            fault_number=status.fault_number,
-            error=status.error,
-            taught=progress.get("taught"),
-            gauged=progress.get("gauged"),
-            progress=progress,
-            **found,
-        )
+    )
+    return state
+
+
+def _fault(service: Service, status: HostStatus) -> dict[str, Any] | None:
+    if status.fault is None or not status.fault_number:
+        return None
+    path = service.plugin.recording_path
+    return asdict(BY_NUMBER[status.fault_number]) | {
+        "detail": status.fault,
+        "since_s": status.fault_since_s,
+        "recording": None if path is None else str(path),
+    }

@@ -1,27 +1,31 @@
-"""The ledger of a shift, bounded: its parts and faults, and the newest answers of this program."""
+"""The ledger of a shift, bounded, and the totals of this program: parts, faults, cycle times."""
 
 import statistics
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
+from itertools import accumulate
+from math import inf
 from typing import Any
 
-from cell.control.answer import Answer
+from cell.control.identification import Identification
+from cell.control.part import Part
+from cell.errors import RequestRefused
+from recognition.recognizer import UNKNOWN
 
 KEPT_ANSWERS = 20
 """Number of newest answers that are kept, each with its last grasp."""
 _KEPT_CYCLES = 1000
 """Number of newest parts whose cycle times are kept."""
-_SHOWN = (
-    *("number", "time_s", "task", "label", "label_id", "probability", "runner_up"),
-    *("n_grasps", "seconds", "place", "place_id"),
-)
-"""Values of a part in the ledger."""
 _HOUR_S = 3600.0
 """Time in s before now in which recent parts are counted."""
+
+_CYCLES_S = (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 30.0, 60.0)
+"""Upper edges of the classes of cycle times in s."""
+_ERRORS_N = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+"""Upper edges of the classes of force errors in N."""
 
 
 class Shift:
@@ -46,10 +50,10 @@ class Shift:
         self._begins_h, self._n_faults, self._now_s = begins_h, n_faults, wall_clock
         self._lock = threading.Lock()
         self._started_s = wall_clock()
-        self._number = 0
         self._times_s = deque[float]()
-        self.parts: tuple[Answer, ...] = ()
+        self.parts: tuple[Part, ...] = ()
         """The newest parts, at most `KEPT_ANSWERS`, oldest first; replaced with each part."""
+        self._curves: dict[int, Mapping[str, Any] | None] = {}
         self._begin(wall_clock(), 0)
 
     def _begin(self, since_s: float, n_faults: int) -> None:
@@ -65,18 +69,19 @@ class Shift:
         if (now_s := began_s(self._now_s(), self._begins_h)) != self.began_s:
             self._begin(now_s, n_faults)
 
-    def add(self, answer: Answer) -> None:
-        """Count a part, or a turn without one."""
+    def add(self, part: Part, curves: Mapping[str, Any] | None = None) -> None:
+        """Count a part and keep the curves of its last grasp, or count a turn without a part."""
         n_faults = self._n_faults()
         with self._lock:
             self._look(n_faults)
-            if not answer.label:
+            if not part.label:
                 self._n_missed += 1
                 return
-            self._number += 1
-            part = replace(answer, number=self._number, time_s=self._now_s())
             self._count(part.label, part.rejected, part.seconds, part.time_s)
             self.parts = (*self.parts, part)[-KEPT_ANSWERS:]
+            self._curves[part.number] = curves
+            if len(self._curves) > KEPT_ANSWERS:
+                del self._curves[next(iter(self._curves))]
 
     def _count(self, label: str, rejected: bool, seconds: float, time_s: float) -> None:
         self._n_rejected += rejected
@@ -104,7 +109,7 @@ class Shift:
             self._times_s += own_s
 
     def values(self) -> dict[str, Any]:
-        """Return the ledger as plain data; times in s."""
+        """Return the ledger, with its newest parts as ``answers``; times in s."""
         n_faults = self._n_faults()
         with self._lock:
             self._look(n_faults)
@@ -119,22 +124,22 @@ class Shift:
                 "cycle_s": statistics.median(self._cycles_s) if self._cycles_s else None,
                 "parts_last_hour": len(self._times_s),
                 "counts": dict(self._counts),
-                "answers": [part_values(part) for part in self.parts],
+                "answers": list(self.parts),
             }
 
-    def part(self, number: int) -> Answer | None:
-        """Return a part by its number; None if it is no longer kept."""
-        return next((part for part in self.parts if part.number == number), None)
+    def part(self, number: int) -> Part:
+        """Return a part by its number. Raises RequestRefused if it is not kept."""
+        for part in self.parts:
+            if part.number == number:
+                return part
+        newest = self.parts[-1].number if self.parts else 0
+        raise RequestRefused(
+            f"part {number} is not kept; the newest is {newest}, and {KEPT_ANSWERS} are kept"
+        )
 
-
-def part_values(part: Answer) -> dict[str, Any]:
-    """Return a part as plain data, without its curves; lengths in mm."""
-    shape = part.shape
-    return {name: getattr(part, name) for name in _SHOWN} | {
-        "shape": part.kind or None,
-        "size_mm": part.size_mm or None,
-        "interval_mm": shape and (1e3 * shape.low_m, 1e3 * shape.high_m),
-    }
+    def curves(self, number: int) -> Mapping[str, Any] | None:
+        """Return the last grasp of a part by its number; None if it is not kept."""
+        return self._curves.get(number)
 
 
 def began_s(now_s: float, begins_h: Sequence[float]) -> float:
@@ -146,3 +151,47 @@ def began_s(now_s: float, begins_h: Sequence[float]) -> float:
     midnight = now.replace(hour=0, minute=0, second=0, microsecond=0)
     begins = (midnight + timedelta(hours=hour - 24.0 * day) for hour in begins_h for day in (0, 1))
     return max(begin for begin in begins if begin <= now).timestamp()
+
+
+class Distribution:
+    """Counts values in classes; each class includes its upper edge."""
+
+    def __init__(self, edges: tuple[float, ...]) -> None:
+        self._edges = (*edges, inf)
+        self._counts = [0] * len(self._edges)
+        self.sum = 0.0
+        """Sum of all values."""
+
+    def add(self, value: float) -> None:
+        """Count one value."""
+        self._counts[next(n for n, edge in enumerate(self._edges) if value <= edge)] += 1
+        self.sum += value
+
+    def cumulated(self) -> Iterator[tuple[float, int]]:
+        """Yield each edge with the number of values up to it; the last edge is inf."""
+        return zip(self._edges, accumulate(self._counts), strict=True)
+
+
+class Totals:
+    """Growing totals; one thread adds, any thread reads."""
+
+    def __init__(self) -> None:
+        self.parts: Counter[tuple[str, str]] = Counter()
+        """Parts by label and result: ``named``, ``unknown``, ``rejected`` (named, but released at
+        the place of the rejects) or ``missed`` (no part found; without label)."""
+        self.cycles_s = Distribution(_CYCLES_S)
+        """Time of each part in s, as `Part.seconds`."""
+        self.force_errors_n = Distribution(_ERRORS_N)
+        """Distance in N between force and set-point at the end of each grasp of a part."""
+
+    def add(self, part: Part, found: Identification | None) -> None:
+        """Count a part with its grasps, or a turn without a part."""
+        if not part.label:
+            self.parts["", "missed"] += 1
+            return
+        named = "rejected" if part.rejected else "named"
+        self.parts[part.label, "unknown" if part.label == UNKNOWN else named] += 1
+        self.cycles_s.add(part.seconds)
+        for record in () if found is None else found.records:
+            wanted_n = record.cycles[-1].setpoint_n
+            self.force_errors_n.add(abs(record.outcome.final_force_n - wanted_n))

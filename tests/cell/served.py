@@ -15,8 +15,8 @@ from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.interfaces.opening import open_interfaces
 from cell.runtime.plugin import TactileCellPlugin
-from cell.service.opening import open_service
-from cell.service.service import JobView, Service
+from cell.runtime.worker import Job
+from cell.service.service import Service, open_service
 from tests.cell.conftest import quick_config, small_config
 from tests.cell.stub_plugin import GRIP_N, StubPlugin
 from tests.fuzz.harness import Clock
@@ -59,11 +59,11 @@ class Served:
 
     @property
     def state(self) -> str:
-        return self.service.status().state
+        return self.plugin.status().state
 
-    def ended(self, number: int | None = None) -> JobView:
+    def ended(self, number: int | None = None) -> Job:
         """Wait for the end of a job and return it."""
-        return until(lambda: (job := self.service.job(number)).outcome_number >= 4 and job)
+        return until(lambda: (job := self.plugin.job(number)).outcome_number >= 4 and job)
 
     def pass_lease(self) -> None:
         """Let the time of the lease pass."""
@@ -89,7 +89,7 @@ def serving(
     config = small_config(**{"serve__lease_timeout_s": LEASE_S, **ports, **changes})
     clock = Clock()
     if cell is None:
-        service = Service(StubPlugin(), config, note=note, clock=clock)
+        service = Service(StubPlugin(config.serve.objects), config, note=note, clock=clock)
     else:
         service = open_service(config, clock=clock, **cell)
     with closing(service):

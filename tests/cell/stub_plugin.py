@@ -4,23 +4,26 @@ A job is over as it is started, unless the test has paused it: that one runs unt
 go on or fail, or a client holds it.
 """
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.control.answer import Answer, Verification
 from cell.control.live import LiveValues
+from cell.control.part import Part, Verification
 from cell.control.states import CellState, Command, GraspState, command_effect, refusal
-from cell.errors import CellStateError, CellStopped
+from cell.errors import CellStateError, CellStopped, RequestRefused
 from cell.fault_catalogue import error_text, fault_number
 from cell.runtime.goals import TASKS, Goal, GripGoal, IdentifyGoal, TeachGoal, VerifyGoal
-from cell.runtime.host_status import HostStatus
-from cell.runtime.part_report import OnPart
-from cell.runtime.worker import Job, JobOutcome, JobStatus
+from cell.runtime.parts import OnPart
+from cell.runtime.plugin import HostStatus
+from cell.runtime.worker import Job, JobOutcome
 from recognition.recognizer import UNKNOWN
 from tests.values import make_shape
 
@@ -42,7 +45,8 @@ FOUND = Verification(held=True, same=True, force_n=GRIP_N, opening_m=9.5e-3)
 class StubPlugin:
     """A cell that does as it is asked."""
 
-    def __init__(self) -> None:
+    def __init__(self, listed: tuple[str, ...] = ()) -> None:
+        self.listed = listed
         self.objects: dict[str, dict[str, Any]] = {
             label: {"n_grasps": 5, "shape": "sphere", "size_mm": 9.5} for label in ("ball", "box")
         }
@@ -57,11 +61,11 @@ class StubPlugin:
         self.asked: list[Goal | tuple[str, bool]] = []
         """What was accepted: goals, and commands with their ``reboot``."""
         self.remarks: list[tuple[str, str]] = []
-        self._jobs: dict[Job, JobStatus] = {}
-        self._running: Job | None = None
+        self._jobs: list[Job] = []
         self._end: tuple[CellState, bool, Any] = (CellState.IDLE, False, None)
         self._paused = self._closed = False
-        self._last_answer: Answer | None = None
+        self._last_answer: Part | None = None
+        self._part_numbers = count(1)
         self._error: Exception | None = None
         self.recording_path: Path | None = None
         self.working = True
@@ -75,8 +79,7 @@ class StubPlugin:
 
     def report(self, **progress: Any) -> None:
         """Have the job that runs report so much more."""
-        job = self._jobs[self._running]
-        self._jobs[self._running] = replace(job, progress=job.progress | progress)
+        self._set(progress=self.job().progress | progress)
 
     def ready(self) -> None:
         """Be idle with empty fingers, whatever was before; the job that runs is cancelled."""
@@ -87,9 +90,14 @@ class StubPlugin:
         """Let the job that runs, if any, succeed."""
         if (job := self._running) is not None:
             state, holding, value = self._end
-            if isinstance(value, Answer):
-                value = self._last_answer = replace(value, job=job.number, seconds=9.4)
-                self.on_part(replace(value, curves=CURVES), None)
+            if isinstance(value, Part):
+                now = {"job": job.number, "number": next(self._part_numbers), "seconds": 9.4}
+                known = {"label_id": self.label_id(value.label), "time_s": time.time()}
+                value = self._last_answer = value.model_copy(update=now | known)
+                self.on_part(value, SimpleNamespace(records=()))
+                self._set(part=value)
+            elif isinstance(value, Verification):
+                self._set(verification=value)
             if isinstance(self._goal, TeachGoal):
                 taught = self.objects.setdefault(self._goal.label, {"n_grasps": 0, **FLAT})
                 taught["n_grasps"] += self._goal.grasps
@@ -112,7 +120,7 @@ class StubPlugin:
     # -- what the service asks -----------------------------------------------------------------
 
     def info(self) -> dict[str, Any]:
-        return {"name": "stub", "simulated": True, "n_taxels": 408, "labels": self.labels}
+        return {"name": "stub", "simulated": True, "n_taxels": 408, "labels": self.labels_by_id}
 
     def status(self) -> HostStatus:
         return self._status
@@ -124,8 +132,19 @@ class StubPlugin:
     def labels(self) -> tuple[str, ...]:
         return tuple(self.objects)
 
+    @property
+    def labels_by_id(self) -> tuple[str, ...]:
+        return (*self.listed, *(label for label in self.objects if label not in self.listed))
+
+    def label_id(self, label: str) -> int:
+        labels = self.labels_by_id
+        return labels.index(label) + 1 if label in labels else 0
+
     def taught(self) -> list[dict[str, Any]]:
-        return [{"label": label} | values for label, values in self.objects.items()]
+        return [
+            {"label": label, "label_id": self.label_id(label)} | values
+            for label, values in self.objects.items()
+        ]
 
     def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> Job:
         self.taught_revision += 1
@@ -149,8 +168,25 @@ class StubPlugin:
         command = {"grip": Command.GRIP, "verify": Command.VERIFY}.get(task, Command.GRASP)
         self._check(command if goal else self._needed(Command(task)))
 
-    def feedback(self, job: Job) -> JobStatus:
-        return self._jobs[job]
+    def job(self, number: int | None = None) -> Job:
+        if number is None:
+            return self._jobs[-1] if self._jobs else Job()
+        if not 1 <= number <= len(self._jobs):
+            raise RequestRefused(f"there is no job {number}; the newest is {len(self._jobs)}")
+        return self._jobs[number - 1]
+
+    def jobs(self) -> tuple[Job, ...]:
+        return tuple(self._jobs)
+
+    def curves(self, _found: Any) -> dict[str, Any]:
+        return CURVES
+
+    @property
+    def _running(self) -> Job | None:
+        return None if not self._jobs or self._jobs[-1].terminal else self._jobs[-1]
+
+    def _set(self, **fields: Any) -> None:
+        self._jobs[-1] = self._jobs[-1].model_copy(update=fields)
 
     def remark(self, kind: str, text: str) -> None:
         self.remarks.append((kind, text))
@@ -160,7 +196,7 @@ class StubPlugin:
         if isinstance(goal, IdentifyGoal):
             label, keeps = self.finds or goal.present or "ball", goal.keep != "never"
             found = {UNKNOWN: 0.1, label: 0.9}
-            value = Answer(label=label, probabilities=found, n_grasps=1, kept=keeps, shape=ROUND)
+            value = Part(label=label, probabilities=found, n_grasps=1, kept=keeps, shape=ROUND)
         elif isinstance(goal, GripGoal | VerifyGoal):
             command, value, keeps = Command(goal.task), FOUND, True
         end = CellState.COMPLETE if keeps else CellState.IDLE
@@ -194,7 +230,7 @@ class StubPlugin:
             raise CellStateError(refusal(self._cell, needed))
 
     def cancel(self, job: Job, reason: str) -> None:
-        if job == self._running:
+        if (running := self._running) is not None and job.number == running.number:
             stop = CellStopped(f"stopped {reason}")
             self._over(JobOutcome.CANCELED, CellState.HELD, error=str(stop), exception=stop)
 
@@ -214,25 +250,26 @@ class StubPlugin:
             self._last_answer = None
         if needed is Command.CLEAR:
             self._error = None
-        job = self._running = Job(len(self._jobs) + 1, "stub")
-        self._jobs[job] = JobStatus(outcome=JobOutcome.EXECUTING, progress={})
         self._end = end
+        task = asked.task if hasattr(asked, "task") else str(asked[0])
+        number = len(self._jobs) + 1
+        self._jobs.append(
+            Job(number=number, task=task, outcome=JobOutcome.EXECUTING, since_s=time.time())
+        )
         self._show(acting, holding=self._status.holding or acting is CellState.EXECUTE)
         if not self._paused:
             self.go_on()
         self._paused = False
         # At last: a test in another thread goes on as soon as it is there.
         self.asked.append(asked)
-        return job
+        return self.job(number)
 
     def _over(
         self, outcome: JobOutcome, state: CellState, *, holding: bool | None = None, **end: Any
     ) -> None:
-        job, self._running = self._running, None
         self._show(state, holding=self._status.holding if holding is None else holding)
-        if job is not None:
-            progress = self._jobs[job].progress
-            self._jobs[job] = JobStatus(outcome=outcome, progress=progress, **end)
+        if self._running is not None:
+            self._set(outcome=outcome, **end)
 
     def _show(self, state: CellState, *, holding: bool) -> None:
         """Set the states in one assignment: interfaces read them in threads of their own."""

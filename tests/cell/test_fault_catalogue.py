@@ -14,7 +14,7 @@ import recognition
 import tactile
 from cell.errors import CellError, CellStopped, ConfigError, PartInGrip
 from cell.fault_catalogue import CATALOGUE, Fault, error_text, fault_number, fault_of
-from cell.runtime.worker import Job, JobFailed, JobOutcome, JobStatus
+from cell.runtime.worker import Job, JobFailed, JobOutcome
 from gripper.errors import BusTimeout, FingerSilent, GripperError, PartLost, ServoMissing
 from motion.errors import MotionError
 from recognition.errors import RecognitionError
@@ -128,10 +128,9 @@ def test_a_subclass_has_the_most_specific_entry() -> None:
 
 def test_an_error_that_reports_another_has_its_number() -> None:
     lost = PartLost("gone")
-    status = JobStatus(outcome=JobOutcome.ABORTED, progress={}, error="x", exception=lost)
-    failed = JobFailed(Job(1, "w"), status)
+    job = Job(number=1, outcome=JobOutcome.ABORTED, error="x", exception=lost)
+    failed = JobFailed(job)
     failed.__cause__ = lost
-    assert (status.fault_number, failed.fault_number, fault_of(failed).number) == (205, 205, 205)
-    stopped = JobStatus(outcome=JobOutcome.CANCELED, progress={}, exception=CellStopped("x"))
-    assert stopped.fault_number == 512
-    assert JobStatus(outcome=JobOutcome.EXECUTING, progress={}).fault_number == 0
+    assert (job.fault_number, failed.fault_number, fault_of(failed).number) == (205, 205, 205)
+    assert Job(outcome=JobOutcome.CANCELED, exception=CellStopped("x")).fault_number == 512
+    assert Job(outcome=JobOutcome.EXECUTING).fault_number == 0

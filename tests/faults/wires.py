@@ -20,8 +20,8 @@ from cell.control.states import CellState, Command, command_effect
 from cell.errors import CellError, HeldByClient
 from cell.fault_catalogue import fault_number
 from cell.interfaces.opening import open_interfaces
-from cell.service.opening import open_service
-from cell.service.service import RELEASE_KEY, JobView, Service
+from cell.runtime.worker import Job
+from cell.service.service import RELEASE_KEY, Service, open_service
 from tests.cell.interfaces.hosts import HOSTS, NOT_IN_COMMAND, Request
 from tests.faults.campaign import PRODUCT_ERRORS
 from tests.faults.driver import COMMAND_BOUND_S, Driver
@@ -139,7 +139,7 @@ class WireDriver(Driver):
             Request(task="reset"),
         )
         for request in moving if self._service.lease.has(self._lease()) else ():
-            found = self._wire.send(request, self._service.job().number + 1)
+            found = self._wire.send(request, self._service.plugin.job().number + 1)
             self._expect(found == -ON_HOLD, f"{request.task}: {found} while a button is pressed")
             if found != -ON_HOLD:
                 break
@@ -202,7 +202,7 @@ class WireDriver(Driver):
             yield
 
     def _sent(self, request: Request, command: Command | None, before: tuple[Any, ...]) -> bool:
-        state, number = self.controller.life.state, self._service.job().number + 1
+        state, number = self.controller.life.state, self._service.plugin.job().number + 1
         found = self._wire.send(request, number)
         self._expect(self._wire.repeat() == found, "a repeated request has another answer")
         allowed = command is not None and command_effect(state, command).accepted
@@ -214,8 +214,8 @@ class WireDriver(Driver):
         self._expect(allowed, f"{request.task} is accepted in {state}")
         self._expect(found == number, f"the job has number {found}, not {number}")
         service = self._service
-        service.plugin._worker.wait(service._jobs[found][0], PATIENCE_S)
-        job, after = service.job(found), self._seen()
+        service.plugin._worker.wait(service.plugin.job(found), PATIENCE_S)
+        job, after = service.plugin.job(found), self._seen()
         self.log[-1] += f" -> {job.outcome} {job.error[:100]}"
         if allowed and command is not None:
             self._judge_end(job, state, command)
@@ -224,9 +224,9 @@ class WireDriver(Driver):
             self._expect(self._seen() == after, f"a late repetition has changed {after}")
         return job.outcome_number == SUCCEEDED
 
-    def _judge_end(self, job: JobView, before: CellState, command: Command) -> None:
+    def _judge_end(self, job: Job, before: CellState, command: Command) -> None:
         """Judge where the cell is after a job, by the table of states and the fault catalogue."""
-        state, fault = self.controller.life.state, self._service.status().fault_number
+        state, fault = self.controller.life.state, self._service.plugin.status().fault_number
         path = command_effect(before, command).path
         if command is Command.RESET:  # over a link a reset starts the cell too
             path += command_effect(CellState.STOPPED, Command.START).path
@@ -253,7 +253,7 @@ class WireDriver(Driver):
     def _refuse_without_lease(self, request: Request) -> None:
         """See that nothing is done for a client without the lease, then take it again."""
         before = self._seen()
-        found = self._wire.send(request, self._service.job().number + 1)
+        found = self._wire.send(request, self._service.plugin.job().number + 1)
         self._expect(found == -NOT_IN_COMMAND, f"{found} for a client without the lease")
         self._expect(self._seen() == before, f"a client without the lease has changed {before}")
         self._expect(self._wire.acquire() == 0, "the lease is free, and is not given")
@@ -270,11 +270,11 @@ class WireDriver(Driver):
     def _seen(self) -> tuple[Any, ...]:
         """Return what a request that is refused or repeated may not change."""
         now_s = self.simulated.clock.monotonic()
-        return now_s, self._service.status(), self._service.job()
+        return now_s, self._service.plugin.status(), self._service.plugin.job()
 
     def _look_at_interface(self) -> None:
         """Judge that the interface shows what is, and that state and fault number agree."""
-        status, job = self._service.status(), self._service.job()
+        status, job = self._service.plugin.status(), self._service.plugin.job()
         expected = {
             "state": status.state_number,
             "needs_reset": status.needs_reset,

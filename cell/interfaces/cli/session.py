@@ -35,6 +35,7 @@ from cell.interfaces.cli.terminal import (
 from cell.learning.progress import Progress, job_folder
 from cell.runtime.goals import Goal
 from cell.runtime.plugin import TactileCellPlugin
+from cell.runtime.worker import Job
 from gripper.clock import Clock
 from gripper.errors import (
     FeedbackImplausible,
@@ -139,14 +140,12 @@ class RunningCell:
     progress: Progress
     """Draws a bar for each task."""
 
-    def run(
-        self, goal: Goal, on_progress: Callable[[dict[str, Any]], None] = lambda _progress: None
-    ) -> Any:
+    def run(self, goal: Goal, on_progress: Callable[[Job], None] = lambda _job: None) -> Any:
         """Run a job, show its bar, return its result. Raises as `TactileCellPlugin.run`."""
 
-        def shown(progress: dict[str, Any]) -> None:
-            on_progress(progress)
-            show_steps(self.progress, progress)
+        def shown(job: Job) -> None:
+            on_progress(job)
+            show_steps(self.progress, job.progress)
 
         return self.plugin.run(goal, on_progress=shown)
 

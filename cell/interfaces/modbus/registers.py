@@ -12,6 +12,7 @@ from functools import partial
 from math import degrees
 from typing import Any
 
+from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
 from cell.errors import CellError, ConfigError, NotInCommand, RequestRefused
@@ -26,7 +27,7 @@ from cell.interfaces.modbus.protocol import (
     ModbusError,
     ModbusServer,
 )
-from cell.service.service import JobView, Service
+from cell.service.service import Service
 from recognition.recognizer import UNKNOWN
 
 SIGNATURE = 0x5443
@@ -90,7 +91,8 @@ def input_registers(
     """Return all input registers of this moment."""
     now = service.snapshot()
     status, job, pose = now.status, now.job, now.pose or Pose()
-    answer = now.last_answer or JobView()
+    answer, part = status.last_answer or Part(), job.part or Part()
+    held, same = (True, True) if (check := job.verification) is None else (check.held, check.same)
     flags = (
         (ANSWERED, answer.number > 0),
         (ANSWER_UNKNOWN, answer.label == UNKNOWN),
@@ -104,9 +106,12 @@ def input_registers(
         (REFUSED, result != 0),
         (FAULT, status.fault is not None),
         (HOLDING, status.holding),
-        (NO_PART, status.grasp == GraspState.NO_PART_FOUND or job.held is False),
+        (
+            NO_PART,
+            status.grasp == GraspState.NO_PART_FOUND or not held,
+        ),
         (LOST, status.grasp == GraspState.PART_LOST),
-        (UNNAMED, job.label == UNKNOWN or job.same is False),
+        (UNNAMED, part.label == UNKNOWN or same is False),
         (NEEDS_RESET, status.needs_reset),
         (ON_HOLD, bool(now.held_by)),
         (NOT_RECORDED, bool(status.recording_fault)),
@@ -326,9 +331,10 @@ def _field(service: Service, asked: Sequence[int], name: str) -> Any:
     """Return a field of a command from the registers of the host."""
     match name:
         case "label":
-            if not 1 <= asked[OBJECT] <= len(service.labels):
+            labels = service.plugin.labels_by_id
+            if not 1 <= asked[OBJECT] <= len(labels):
                 raise RequestRefused(f"object {asked[OBJECT]} has no label; serve.objects names it")
-            return service.labels[asked[OBJECT] - 1]
+            return labels[asked[OBJECT] - 1]
         case "force_n":
             return 0.01 * asked[FORCE]
         case "keep":

@@ -222,8 +222,8 @@ SHOWN = {
     "job": Place("", "8", "job.number"),
     "outcome": Place("job_state job", "9", "job.outcome_number"),
     "job_fault": Place("job_fault job", "", "job.fault_number"),
-    "n_grasps": Place("", "12", "job.n_grasps"),
-    "answer_job": Place("last_answer", "24", "last_answer.number"),
+    "n_grasps": Place("", "12", "job.part.n_grasps"),
+    "answer_job": Place("last_answer", "24", "last_answer.job"),
     "label": Place("label last_answer", "", "last_answer.label"),
     "label_id": Place(
         "label_id last_answer", "10", "last_answer.label_id"),
@@ -421,9 +421,10 @@ class HttpHost:
         found = {}
         for name, place in SHOWN.items():
             if place.path:
-                group, _, key = place.path.rpartition(".")
-                values = state[group] if group else state
-                found[name] = None if values is None else values[key]
+                value: Any = state
+                for key in place.path.split("."):
+                    value = None if value is None else value[key]
+                found[name] = value
         return found
 
     def refusal(self) -> tuple[int, str]:

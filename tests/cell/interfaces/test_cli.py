@@ -183,6 +183,7 @@ def test_the_paper_is_put_beside_its_five_objects(capsys) -> None:
         n_taught=0,
         seconds=1.0,
         scores=dict.fromkeys(("force_ramp", "level_check"), score("", labels, labels, labels)),
+        parts=(),
         trials=(),
         dataset=None,
         model=None,
@@ -235,12 +236,12 @@ def test_identify_on_the_cell(config, model, tmp_path, monkeypatch) -> None:
     )
     data = read_json(tmp_path / "i.json")
     assert "(it was box)" in text
-    assert (data["label"], data["held"], data["kept"]) == ("box", "box", True)
+    assert (data["label"], data["presented"], data["kept"]) == ("box", "box", True)
     assert "the part was kept until the simulated cell ended" in text
     assert set(data["probabilities"]) == {"ball", "box", UNKNOWN}
     assert f"answer: box {percent(data['probabilities']['box'])}" in text
-    low, high = data["shape"]["interval_mm"]
-    size = f"{data['shape']['size_mm']:.1f} mm ({low:.1f} to {high:.1f})"
+    low, high = data["interval_mm"]
+    size = f"{data['size_mm']:.1f} mm ({low:.1f} to {high:.1f})"
     assert f"; flat, {size}; ended early at 2.5 N\n" in text
     recording = read_recording(data["recording"])
     assert recording.results[0]["label"] == "box"

@@ -10,8 +10,8 @@ from xmlrpc.client import ServerProxy
 import numpy as np
 import pytest
 
-from cell.control.answer import Answer
 from cell.control.keeping import Keep
+from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.interfaces.host_calls import COMMANDS
@@ -123,7 +123,7 @@ def test_a_second_host_is_refused_and_may_hold(connect: Connect) -> None:
     check_shown(first, state=EXECUTE, outcome=2)
     assert second.send(RELEASE, 2) == second.reached(1, ok=True) == -NOT_IN_COMMAND
     second.hold(False)
-    assert served.service.job().outcome_number == 2
+    assert served.plugin.job().outcome_number == 2
     second.hold()
     assert served.ended().outcome == "CANCELED"
     check_shown(second, state=HELD, outcome=CANCELED, holding=True, on_hold=False)
@@ -155,7 +155,7 @@ def test_a_silent_host_loses_the_lease_and_nothing_resumes(connect: Connect) -> 
     served.pass_lease()
     assert (served.ended().outcome, served.grip_n > 1.0) == ("CANCELED", True)
     check_shown(host, state=HELD, outcome=CANCELED)
-    assert served.service.job().fault_number == HELD_ON_REQUEST
+    assert served.plugin.job().fault_number == HELD_ON_REQUEST
     lease = served.service.lease.acquire("robot")
     assert host.acquire() == NOT_IN_COMMAND
     assert host.send(RELEASE, 2) == -NOT_IN_COMMAND
@@ -225,9 +225,11 @@ def test_each_part_reaches_plc_robot_and_program_once(serve) -> None:
             (("ball", 2, 1), ("box", 1, 2), (UNKNOWN, 0, 3)), start=1
         ):
             place, probability = PLACES[place_id - 1], 0.9 - 0.01 * number
-            part = Answer(
+            part = Part(
+                number=number,
                 task="sort",
                 label=label,
+                label_id=label_id,
                 probabilities={label: probability},
                 shape=ROUND,
                 place=place,

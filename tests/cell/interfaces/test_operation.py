@@ -23,7 +23,7 @@ from typer.testing import CliRunner, Result
 
 from cell.config.file import changed_config, config_text, load_config, parse_config
 from cell.config.model import CellConfig
-from cell.control.answer import Answer
+from cell.control.part import Part
 from cell.control.zeroing import Zeroing
 from cell.data.recording_messages import RecordedMessages
 from cell.interfaces.access import view_token
@@ -31,7 +31,7 @@ from cell.interfaces.cli.app import app
 from cell.interfaces.cli.service_manager import ServiceManager
 from cell.interfaces.cli.support_bundle import REMOVED
 from cell.interfaces.cli.system_files import UNIT_FILE, closed_to_others, system_files
-from cell.service.totals import Totals
+from cell.service.shift import Totals
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import GripperError
 from recognition.recognizer import UNKNOWN
@@ -370,8 +370,8 @@ def test_each_result_of_a_part_is_counted() -> None:
     )
     found = SimpleNamespace(records=(record, record))
     for label, rejected in (("ball", False), ("ball", True), (UNKNOWN, True)):
-        totals.add(Answer(label=label, rejected=rejected, seconds=70.0), found)
-    totals.add(Answer(seconds=70.0), None)
+        totals.add(Part(label=label, rejected=rejected, seconds=70.0), found)
+    totals.add(Part(seconds=70.0), None)
     assert dict(totals.parts) == {
         ("ball", "named"): 1,
         ("ball", "rejected"): 1,

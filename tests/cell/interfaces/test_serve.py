@@ -88,12 +88,12 @@ def test_a_signal_first_stops_the_motion(meddle, monkeypatch, tmp_path, moment, 
         lease = service.lease.acquire("host")
         service.start(lease, {"task": "grip", "force_n": 9.0, "present": "ball"})
         assert over.wait(LIMIT_S)
-        until(lambda: service.job().outcome_number >= 4)
-        assert service.job().outcome == "CANCELED"
+        until(lambda: service.plugin.job().outcome_number >= 4)
+        assert service.plugin.job().outcome == "CANCELED"
         # What a client asks for meanwhile moves nothing.
         service.command(lease, Command.RELEASE, key=RELEASE_KEY)
-        until(lambda: service.job().outcome_number >= 4)
-        assert service.job().outcome == "CANCELED"
+        until(lambda: service.plugin.job().outcome_number >= 4)
+        assert service.plugin.job().outcome == "CANCELED"
 
     monkeypatch.setattr(serving, "report_until", command)
     built = meddle(arrange)
@@ -145,7 +145,9 @@ def test_without_a_config_the_taught_cell_is_there_and_others_are_warned_of(
     monkeypatch.setattr("cell.interfaces.cli.session.load_config", lambda _file: small_config())
     monkeypatch.setattr(serving, "free_page_port", lambda _listen: 0)
     seen: list[Any] = []
-    monkeypatch.setattr(serving, "report_until", lambda _over, it, _to: seen.append(it.labels))
+    monkeypatch.setattr(
+        serving, "report_until", lambda _over, it, _to: seen.append(it.plugin.labels)
+    )
     text = (ROOT / "docs/how-to/watch-and-command-in-a-browser.md").read_text("utf-8")
     (typed,) = re.findall(r"tactile-cell serve (--listen .*)", text)
     ended = CliRunner().invoke(app, ["serve", *typed.split(), *PORTS[:4]], catch_exceptions=False)

@@ -17,6 +17,7 @@ from cell.interfaces.cli import session, terminal
 from cell.interfaces.cli.session import doing, running_cell
 from cell.interfaces.cli.terminal import progress_bar
 from cell.runtime.goals import TeachGoal
+from cell.runtime.worker import Job
 from simulator.clock import VirtualClock
 from tests.cell.conftest import quick_config
 
@@ -74,6 +75,9 @@ def test_a_disk_that_is_full_in_a_grasp_loses_neither_the_grip_nor_the_grasp_bef
             raise OSError(28, "No space left on device")
         return write(file, data)
 
+    def show(job: Job) -> None:
+        progress.update(job.progress)
+
     def grip_n() -> float:
         return min(cell.plugin._cell.simulated.world.contact_force_n())
 
@@ -86,7 +90,7 @@ def test_a_disk_that_is_full_in_a_grasp_loses_neither_the_grip_nor_the_grasp_bef
         ) as told,
         running_cell(config, "teach", tmp_path, config_file=None, json_file=found) as cell,
     ):
-        cell.run(TeachGoal(label="ball", grasps=2, train=False), progress.update)
+        cell.run(TeachGoal(label="ball", grasps=2, train=False), show)
     assert json.loads(found.read_text("utf-8"))["ended_early"] == str(told.value)
     assert grip_n() > PRESSED_N
     assert len(cell.plugin.training_set) == 1

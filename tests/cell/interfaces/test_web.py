@@ -45,9 +45,14 @@ def test_the_state_names_who_commands_and_keeps_the_last_answer(served, host) ->
     assert host.post(f"/api/lease/{lease}/alive") == {"lease": lease}
     host.post("/api/jobs", lease=lease, goal={"task": "identify", "present": "box"})
     job, now = host.get("/api/jobs/1"), host.get("/api/state")
-    assert (job["outcome"], job["shape"], now["status"]["state"]) == ("SUCCEEDED", "sphere", "IDLE")
+    part = job["part"]
+    assert (job["outcome"], part["shape"], now["status"]["state"]) == (
+        "SUCCEEDED",
+        "sphere",
+        "IDLE",
+    )
     assert (now["commander"], now["job"]) == ("host", job)
-    assert now["last_answer"] == job | {"progress": {}}
+    assert now["last_answer"] == now["shift"]["answers"][-1] == part
     assert now["live"].keys() == {
         *("force_n", "force_age_s", "setpoint_n", "opening_mm", "temperature_c", "frame_age_s")
     }
@@ -99,7 +104,7 @@ def test_refusals_have_a_status_and_a_fault_number(served, host) -> None:
     ):
         check_refusal(*(found := host.ask("POST", "/api/lease", **more)), status=status)
         assert remedy in found[1]["remedy"], more
-    assert served.service.job().number == 0
+    assert served.plugin.job().number == 0
 
 
 def test_what_the_config_does_not_allow_is_no_defect_of_the_cell(served, host) -> None:
@@ -298,7 +303,7 @@ def test_a_trainer_exchanges_the_part_and_an_own_name_is_taught(connect) -> None
     assert (found["pose"]["x_m"], "my mug" in found["objects"]) == (0.002, True)
     # What is in the grip is not exchanged.
     goal = {"task": "grip", "force_n": 3.0}
-    assert served.ended(host.post("/api/jobs", lease=lease, goal=goal)["job"]).held
+    assert served.ended(host.post("/api/jobs", lease=lease, goal=goal)["job"]).verification.held
     status, refused = host.ask("POST", place, {"lease": lease, "part": None})
     check_refusal(status, refused, status=409)
     assert "release it first" in refused["error"]
@@ -381,7 +386,12 @@ def test_the_description_has_a_text_for_each_path(host) -> None:
 @pytest.mark.slow
 def test_the_example_of_the_page_runs(served, host, capsys) -> None:
     exec(compile(page_examples(host)[0], "use-it-over-http.md", "exec"), {})
-    assert [job.task for job in served.service.jobs()] == ["identify", "verify", "release", "sort"]
+    assert [job.task for job in served.plugin.jobs()] == [
+        "identify",
+        "verify",
+        "release",
+        "sort",
+    ]
     assert "ball 0.9 sphere 9.5" in capsys.readouterr().out
     for path in re.findall(r"`(?:GET|POST|PUT|DELETE) ([a-z{][^`?]*)", PAGE.read_text("utf-8")):
         assert f"/api/{path.strip()}" in openapi_paths(host), path
@@ -497,7 +507,7 @@ def test_a_page_whose_name_leads_here_is_refused_everywhere(connect) -> None:
     upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
     upgrade["Sec-WebSocket-Key"] = "MDEyMzQ1Njc4OWFiY2RlZg=="
     assert host.ask("GET", f"/api/live?token={host.token}", **upgrade, **rebound)[0] == 403
-    assert served.service.job().number == 0
+    assert served.plugin.job().number == 0
 
 
 def test_the_second_request_of_a_connection_has_its_limit_too(connect) -> None:

@@ -263,10 +263,10 @@ def test_the_robot_program_of_the_example_sorts_parts(robot, kind, cell, n_parts
     served, ur = robot(cell=cell, positioner__kind=kind)
     assert ur.sort_parts(n_parts) == n_parts
     assert ur.messages == []
-    jobs = list(served.service.jobs())
+    jobs = list(served.plugin.jobs())
     assert [job.task for job in jobs] == ["identify", "verify", "release"] * n_parts
     assert "alive" in ur.calls
-    assert places(ur) == [job.label_id for job in jobs[::3]]
+    assert places(ur) == [job.part.label_id for job in jobs[::3]]
     assert ("pose_reached" in ur.calls) is (kind == "callback")
     assert (served.state, served.grip_n) == ("IDLE", 0.0)
     assert served.service.snapshot().commander == ""
@@ -337,7 +337,7 @@ def test_the_robot_program_of_the_example_ends_with_the_part_where_it_is_held(ro
     served.plugin.pause()
 
     def hold() -> None:
-        until(lambda: served.service.job().number)
+        until(lambda: served.plugin.job().number)
         served.service.stop()
 
     operator = threading.Thread(target=hold)
@@ -370,7 +370,7 @@ def test_what_a_web_page_can_send_is_refused(connect) -> None:
     ):
         for call in (dumps((lease, RELEASE_KEY), "release"), dumps((), "hold")):
             assert post(served, call.encode(), *hosts, **headers)[0] in (400, 403), (hosts, headers)
-    assert (served.service.job().number, served.grip_n > 1.0) == (1, True)
+    assert (served.plugin.job().number, served.grip_n > 1.0) == (1, True)
 
 
 def test_who_commands_names_the_secret_where_there_is_one(connect, tmp_path) -> None:
@@ -428,4 +428,4 @@ def test_torn_requests_change_nothing(connect) -> None:
         with suppress(OSError), socket.create_connection(place, timeout=20.0) as link:
             link.sendall(request[:cut])
     assert cell.held_by() == ""
-    assert (served.service.job().number, served.grip_n > 1.0) == (1, True)
+    assert (served.plugin.job().number, served.grip_n > 1.0) == (1, True)

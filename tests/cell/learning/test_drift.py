@@ -18,15 +18,15 @@ from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStopped, ConfigError, ModelError
 from cell.interfaces.cli.app import app
-from cell.learning.calibrate import calibrate_model
 from cell.learning.model import load_model, save_model
+from cell.learning.recorded import calibrate_model, identify_recorded
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import Trained, train
 from cell.runtime import tasks
-from cell.runtime.collection import Collection, teach
+from cell.runtime.collection import Collection
 from cell.runtime.goals import IdentifyGoal, TeachGoal
-from cell.runtime.identify import identify, identify_recorded
 from cell.runtime.plugin import TactileCellPlugin
+from cell.runtime.worker import Report
 from gripper.errors import ServoFault
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift
@@ -36,6 +36,7 @@ from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule, fuse
 from tests.cell.conftest import REAL, UNSURE, Scripted, plain_grasp, small_config
+from tests.fuzz.harness import Clock
 from tests.values import raising
 
 DRIFT = Drift(gains=(float(np.exp(-1 / 3)),), aperture_offset_m=-4e-3)
@@ -96,7 +97,13 @@ def model_of(recognizer: Any, **changes: object) -> TaughtModel:
 def identified(model: TaughtModel, *records: Any) -> str:
     """Identify once; return the remark."""
     controller: Any = Grasping(records[0].grasp, records)
-    return identify(controller, model, presented=None, seed=0).remark
+    return named(controller, model)[1]
+
+
+def named(controller: Any, model: TaughtModel, **goal: Any) -> tuple[Identification, str]:
+    """Identify once; return the answer and the remark."""
+    cell = tasks.Tasks(controller, tasks.ModelFile(model, None))
+    return cell.named(IdentifyGoal(**goal))
 
 
 def test_it_learns_after_each_answer_and_speaks_once() -> None:
@@ -151,7 +158,7 @@ class Grasping:
     def __init__(self, grasp: Grasp, records: Sequence[Any] = ()) -> None:
         self.given, self.remarks = grasp, list[tuple[str, str]]()
         self.records = tuple(records) or (record(grasp),)
-        self.moves, self.journal = self, self
+        self.moves, self.journal, self.clock, self.brought = self, self, Clock(), None
 
     def present(self, label: object) -> None:
         pass
@@ -188,16 +195,16 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(monkeypat
     controller: Any = Grasping(plain_grasp("ball"))
     model, told = TaughtModel(small_config()), list[Any]()
     cell = tasks.Tasks(controller, tasks.ModelFile(model, None))
-    cell.teach(TeachGoal(label="ball", grasps=1), told.append)
+    report = Report(1, told.append)
+    cell.teach(TeachGoal(label="ball", grasps=1), report)
     assert np.array_equal(taught_with[0][0].counts, controller.given.counts)
     answers = []
     for _ in range(3):
-        answers.append(cell.identify(IdentifyGoal(), told.append))
+        answers.append(cell.identify(IdentifyGoal(), report))
     assert [bool(answer.remark) for answer in answers] == [False, True, False]
     assert controller.remarks == [("drift", answers[1].remark)]
-    assert told[-1] == {"task": "identify", "remark": answers[1].remark}
     assert [a.drift.likely for a in answers if a.drift] == [False, False, True]
-    cell.teach(TeachGoal(label="box", grasps=1), told.append)
+    cell.teach(TeachGoal(label="box", grasps=1), report)
     first, second = taught_with[1]
     assert np.array_equal(first.counts, controller.given.counts)
     assert second.aperture_m == pytest.approx(controller.given.aperture_m + 4e-3, abs=1e-4)
@@ -277,9 +284,9 @@ def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
 def test_a_model_that_was_taught_without_a_self_zero_is_named_once(taught, make_bench) -> None:
     bench = make_bench(small_config(self_zero="always")).ready()
     model = TaughtModel.load(bench.config, taught.result.model)
-    first, second = (identify(bench.controller, model, presented="ball", seed=s) for s in (1, 2))
-    assert "was taught without a self-zero" in first.remark
-    assert "without a self-zero" not in second.remark
+    first, second = (named(bench.controller, model, present="ball", seed=s)[1] for s in (1, 2))
+    assert "was taught without a self-zero" in first
+    assert "without a self-zero" not in second
 
 
 # -- Ramps that end as soon as the data so far suffice ---------------------------------------------
@@ -420,16 +427,15 @@ def test_objects_are_named_in_less_time_and_none_wrongly(make_bench, taught) -> 
     for whole, times_s in grasp_s.items():
         ended = 0
         for number, label in enumerate(["ball", "box"] * 2):
-            found = identify(
-                bench.controller, model, presented=label, seed=20 + number, whole_ramps=whole
-            )
+            goal = {"present": label, "seed": 20 + number, "whole_ramps": whole}
+            found, _ = named(bench.controller, model, **goal)
             assert found.label in (label, UNKNOWN)
             times_s += [record.duration_s for record in found.records]
             ended += sum(record.early is not None for record in found.records)
         assert ended == 0 if whole else ended >= 1
     assert np.mean(grasp_s[False]) < np.mean(grasp_s[True])
     more = Collection(label="ball", n_planned=1)
-    teach(bench.controller, model, more, seed=30, on_grasp=lambda _: None)
+    more.fill(bench.controller, model.config.sequence, seed=30, on_grasp=lambda _: None)
     assert all(one.cycles[-1].setpoint_n == one.step.force_n for one in more.records)
 
 

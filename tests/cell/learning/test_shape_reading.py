@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from cell.control.answer import Answer
+from cell.control.part import Part
 from cell.learning.blas import one_blas_thread
 from cell.learning.shape_reading import beside, in_words
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
-from cell.runtime.identify import identify
+from cell.runtime.goals import IdentifyGoal
+from cell.runtime.tasks import ModelFile, Tasks
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.shape.answer import UNCLEAR, ShapeAnswer, Thickness
 
@@ -49,9 +50,10 @@ def test_all_thicknesses_are_told() -> None:
 
 
 def test_a_host_gets_millimetres() -> None:
-    answer = Answer(shape=shape("flat", THIN, THICK))
-    assert answer.size_mm == pytest.approx(15.9)
-    assert isinstance(hash(answer), int)
+    part = Part(shape=shape("flat", THIN, THICK))
+    assert part.size_mm == pytest.approx(15.9)
+    shown = part.model_dump()
+    assert (shown["shape"], shown["interval_mm"]) == ("flat", pytest.approx((15.5, 16.3)))
 
 
 HOST_THREADS = 2
@@ -104,6 +106,6 @@ def test_training_and_answering_have_one_thread(make_bench, taught, monkeypatch)
     model.train()
     bench = make_bench(taught.config)
     bench.controller.start()
-    identify(bench.controller, model, presented="ball", seed=1)
+    Tasks(bench.controller, ModelFile(model, None)).named(IdentifyGoal(present="ball"))
     assert seen == [{1}] * 3
     assert threads() == {HOST_THREADS}

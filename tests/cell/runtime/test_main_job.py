@@ -73,9 +73,9 @@ def test_json_has_what_was_promised(taught) -> None:
         assert figures["confusion_columns"] == ["ball", "box", UNKNOWN]
     assert 1.0 <= data["grasps_per_trial"] <= 4.0
     felt = data["identifications"]
-    assert [one["held"] for one in felt] == ["ball", "box"]
-    kinds = [trial.shape.kind for trial in taught.result.trials]
-    assert [one["shape"]["kind"] for one in felt] == kinds
+    assert [one["presented"] for one in felt] == ["ball", "box"]
+    kinds = [part.shape.kind for part in taught.result.parts]
+    assert [one["shape"] for one in felt] == kinds
     assert kinds[0] in ("sphere", "oval")  # one ball in forty is felt as an oval
     assert kinds[1] == "flat"
     for name in ("recording", "dataset", "model"):

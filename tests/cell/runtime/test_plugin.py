@@ -188,7 +188,7 @@ def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
         with pytest.raises(CellStateError, match="cell is HELD; allowed: release, shutdown"):
             refused()
     with pytest.raises(CellStateError, match="no job 3"):
-        plugin.feedback(Job(3, "another"))
+        plugin.feedback(Job(number=3, worker="another"))
     plugin.release(LIMIT_S)
     assert plugin.state() == "IDLE"
     assert grip_n(plugin) == 0.0
@@ -200,7 +200,7 @@ def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
 
 def test_a_job_that_is_cancelled_as_soon_as_it_is_accepted_is_cancelled(plugin: Any) -> None:
     hold = threading.Event()
-    blocker = plugin._worker.start(lambda _report: hold.wait(LIMIT_S))
+    blocker = plugin._worker.start("wait", lambda _report: hold.wait(LIMIT_S))
     hold.set()
     plugin.result(blocker, LIMIT_S)
     for _ in range(3):

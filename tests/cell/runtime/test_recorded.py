@@ -14,15 +14,15 @@ from cell.config.file import changed_config, config_text
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.files import json_bytes
 from cell.errors import CellError, ConfigError, ModelError, PositionerError, RequestRefused
-from cell.learning.calibrate import calibrate_model
 from cell.learning.model import load_model
 from cell.learning.progress import silent
+from cell.learning.recorded import calibrate_model, identify_recorded
 from cell.learning.taught_model import TaughtModel
 from cell.runtime import tasks
 from cell.runtime.goals import GaugeGoal, IdentifyGoal
-from cell.runtime.identify import drawn_object, identify_recorded
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.replay import replay_grasps
+from cell.runtime.sort import drawn_object
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import NO_DRIFT, Drift
 from recognition.recognizers import make_trainer

@@ -6,12 +6,15 @@ from typing import Any
 import pytest
 
 from cell.config.file import changed_config
-from cell.control.answer import Answer
+from cell.control.part import Part
 from cell.control.positioner import Destination
 from cell.control.states import CellState
 from cell.errors import CellStopped, ConfigError, NoPartFound, PositionerError
 from cell.learning.taught_model import TaughtModel
-from cell.runtime.sort import Places, Tally, simulated_feed, sort_parts
+from cell.runtime.goals import SortGoal
+from cell.runtime.sort import Places, Tally, simulated_feed
+from cell.runtime.tasks import ModelFile, Tasks
+from cell.runtime.worker import Report
 from recognition.recognizer import UNKNOWN
 from tests.cell.conftest import MakeBench
 
@@ -33,19 +36,14 @@ class Sorter:
         self.controller = self.bench.controller
         self.controller.start()
         self.model = TaughtModel.load(config, taught.result.model)
-        self.tally = Tally(places=Places(config, self.model.labels))
-        self.parts: list[Answer] = []
+        self.tasks = Tasks(self.controller, ModelFile(self.model, None))
+        self.parts: list[Part] = []
+        self.tasks.parts.listeners.append(lambda part, _found: self.parts.append(part))
+        self.progress: dict[str, Any] = {}
 
     def sort(self, *feed: str) -> None:
-        sort_parts(
-            self.controller,
-            self.model,
-            self.tally,
-            n_parts=len(feed),
-            feed=lambda turn: feed[turn],
-            seed=7,
-            on_part=lambda part, _found: self.parts.append(part),
-        )
+        goal = SortGoal(parts=len(feed), feed=feed, seed=7)
+        self.tasks.sort(goal, Report(1, lambda job: self.progress.update(job["progress"])))
 
     def _places(self, destination: Destination) -> Any:
         placed = self.bench.simulated.devices.physical.placed
@@ -69,11 +67,12 @@ def test_each_part_is_held_until_it_is_at_its_place(sorter: Sorter) -> None:
     ]
     assert min(force_n for _, _, force_n in sorter.seen) > 3.0
     assert (sorter.controller.life.state, sorter.bench.grip_n) == (CellState.IDLE, 0.0)
-    tally = sorter.tally
-    assert tally.counts == {"bin 1": 1, "bin 2": 1, "reject": 1}
-    assert (tally.share_named, tally.mistakes) == (pytest.approx(2 / 3), [])
-    assert tally.matrix()["rod"] == {"bin 1": 0, "bin 2": 0, "reject": 1}
-    assert [part.label for part in sorter.parts] == ["ball", "box", UNKNOWN]
+    tally = sorter.progress
+    assert tally["places"] == {"bin 1": 1, "bin 2": 1, "reject": 1}
+    assert (tally["share_named"], tally["mistakes"]) == (pytest.approx(2 / 3), [])
+    assert tally["matrix"]["rod"] == {"bin 1": 0, "bin 2": 0, "reject": 1}
+    found = [(part.number, part.label, part.job, part.task) for part in sorter.parts]
+    assert found == [(1, "ball", 1, "sort"), (2, "box", 1, "sort"), (3, UNKNOWN, 1, "sort")]
 
 
 def test_a_part_in_another_bin_is_a_mistake_and_a_reject_is_none(taught: Any) -> None:
@@ -82,7 +81,7 @@ def test_a_part_in_another_bin_is_a_mistake_and_a_reject_is_none(taught: Any) ->
     for number, (truth, place) in enumerate(
         [("ball", "bin 1"), ("ball", "bin 2"), ("box", "reject"), ("", "bin 1")]
     ):
-        tally.add(Answer(number=number, presented=truth, place=place))
+        tally.add(Part(number=number, presented=truth, place=place))
     assert tally.mistakes == [{"number": 1, "was": "ball", "place": "bin 2"}]
     assert tally.n_rejected == 1
     assert tally.matrix() == {
@@ -103,7 +102,7 @@ def test_a_part_that_changed_in_the_grip_goes_to_the_rejects(sorter: Sorter) -> 
     (part,) = sorter.parts
     assert (part.label, part.place) == ("ball", "reject")
     assert any("footprint" in reason for reason in part.changed)
-    assert sorter.tally.mistakes == []
+    assert sorter.progress["mistakes"] == []
 
 
 @pytest.mark.slow
@@ -164,7 +163,7 @@ def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
     with pytest.raises(NoPartFound):
         sorter.sort(*["ball"] * 8)
     assert len(turns) == 5
-    assert (sorter.tally.n_missed, sorter.tally.counts["bin 1"]) == (4, 1)
+    assert (sorter.progress["n_missed"], sorter.progress["places"]["bin 1"]) == (4, 1)
 
 
 def test_places_are_checked_before_anything_is_sorted(taught: Any) -> None:

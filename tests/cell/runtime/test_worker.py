@@ -37,16 +37,16 @@ def worker() -> Iterator[CellWorker]:
 
 def test_jobs_of_others_and_closed_worker_are_refused(worker: CellWorker) -> None:
     with pytest.raises(CellStateError, match="no job 77"):
-        worker.status(Job(77, "another"))
+        worker.status(Job(number=77, worker="another"))
     other = CellWorker(idle=lambda: None, idle_period_s=None)
-    ours, theirs = (each.start(lambda _report: None) for each in (worker, other))
+    ours, theirs = (each.start("work", lambda _report: None) for each in (worker, other))
     assert ours.number == theirs.number
     for ask in (worker.status, lambda job: worker.wait(job, 0.0)):
         with pytest.raises(CellStateError, match="no job 1 in this cell"):
             ask(theirs)
     other.close(5.0)
     with pytest.raises(CellStateError, match="closed"):
-        other.start(lambda _report: None)
+        other.start("work", lambda _report: None)
 
 
 def test_what_is_started_while_the_end_is_awaited_is_refused() -> None:
@@ -61,7 +61,7 @@ def test_what_is_started_while_the_end_is_awaited_is_refused() -> None:
     with pytest.raises(TimeoutError, match="has not ended after 0 s"):
         worker.close(0.0)
     with pytest.raises(CellStateError, match="closed"):
-        worker.start(lambda _report: None)
+        worker.start("work", lambda _report: None)
     go_on.set()
     worker.close(10.0)
 
@@ -74,7 +74,7 @@ def test_every_job_that_is_accepted_beside_a_close_ends() -> None:
         def start(worker=worker, accepted=accepted, first=first) -> None:
             while True:
                 try:
-                    accepted.append(worker.start(lambda _report: None))
+                    accepted.append(worker.start("work", lambda _report: None))
                 except CellStateError as error:
                     if "closed" in str(error):
                         return
@@ -89,10 +89,10 @@ def test_every_job_that_is_accepted_beside_a_close_ends() -> None:
 
 
 def test_a_job_cannot_wait_for_its_own_end(worker: CellWorker) -> None:
-    status = worker.wait(worker.start(lambda _report: worker.close(5.0)), 10.0)
+    status = worker.wait(worker.start("work", lambda _report: worker.close(5.0)), 10.0)
     assert isinstance(status.exception, CellStateError)
     assert "close from another thread" in status.error
-    assert worker.wait(worker.start(lambda _report: "goes on"), 10.0).value == "goes on"
+    assert worker.wait(worker.start("work", lambda _report: "goes on"), 10.0).value == "goes on"
 
 
 def test_a_thread_that_is_stuck_between_jobs_does_not_work() -> None:
@@ -102,7 +102,7 @@ def test_a_thread_that_is_stuck_between_jobs_does_not_work() -> None:
     assert worker.working
     worker.looked_s -= 60.0
     assert not worker.working
-    worker.start(lambda _report: None)
+    worker.start("work", lambda _report: None)
     assert worker.working  # it has a job
     go_on.set()
     worker.close(10.0)
@@ -121,7 +121,7 @@ def test_a_job_has_a_longest_time_without_progress(way: str) -> None:
 
     reported = threading.Event()
     worker = CellWorker(idle=lambda: None, idle_period_s=None, progressed_s=lambda: moved_s[0])
-    job = worker.start(hangs)
+    job = worker.start("work", hangs)
     while worker.status(job).outcome is not JobOutcome.EXECUTING:
         go_on.wait(0.001)
     worker.looked_s -= JOB_SILENT_S - 1.0
@@ -142,7 +142,7 @@ def test_a_job_has_a_longest_time_without_progress(way: str) -> None:
 @pytest.mark.slow
 def test_a_worker_that_nobody_uses_is_collected_and_its_thread_ends() -> None:
     worker = CellWorker(idle=lambda: None, idle_period_s=0.001)
-    worker.wait(worker.start(lambda _report: None), 10.0)
+    worker.wait(worker.start("work", lambda _report: None), 10.0)
     thread, gone = worker._thread, weakref.ref(worker)
     del worker
     gc.collect()
@@ -164,7 +164,7 @@ def test_a_wait_answers_a_signal_that_another_thread_got(worker: CellWorker) -> 
 
     before = signal.signal(signal.SIGUSR1, lambda *_given: answered.set())
     try:
-        status = worker.wait(worker.start(job), 20.0)
+        status = worker.wait(worker.start("work", job), 20.0)
     finally:
         signal.signal(signal.SIGUSR1, before)
     assert status.value is True

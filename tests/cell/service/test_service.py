@@ -10,11 +10,12 @@ from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 from urllib.request import Request, urlopen
 
 import pytest
 
-from cell.control.answer import Answer
+from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.data.recording_reader import read_recording
@@ -28,7 +29,7 @@ from cell.errors import (
 )
 from cell.runtime import tasks, worker
 from cell.runtime.goals import IdentifyGoal
-from cell.service import history, service as service_module
+from cell.service import history
 from cell.service.history import History, history_file, read_day
 from cell.service.photos import LONGEST_PHOTO, Photos
 from cell.service.service import RELEASE_KEY
@@ -37,6 +38,7 @@ from gripper.values.state import GripperPhase
 from tactile.errors import FrameTimeout
 from tests.cell.conftest import once, small_config
 from tests.cell.served import LEASE_S, until
+from tests.fuzz.harness import Clock
 from tests.values import raising
 
 IDENTIFY = {"task": "identify", "max_grasps": 1, "present": "ball"}
@@ -92,7 +94,7 @@ def test_a_button_holds_the_cell_until_each_client_has_let_go(served) -> None:
             service.start(lease, IDENTIFY)
         service.end_stop(left)
         service.end_stop(left)
-    assert (service.held_by, service.job().number, served.grip_n > 1.0) == ((), 1, True)
+    assert (service.held_by, service.plugin.job().number, served.grip_n > 1.0) == ((), 1, True)
     service.command(lease, Command.RELEASE, key=RELEASE_KEY)
     assert served.ended(2).outcome == "SUCCEEDED"
 
@@ -157,7 +159,7 @@ def test_many_holds_do_not_grow_and_still_stop_the_job(served) -> None:
         service.end_stop(number)
     for number in range(99):
         service.begin_stop(number, f"{number}")
-    assert service.job().number == 0
+    assert service.plugin.job().number == 0
     service.begin_stop("last", "last")
     service.begin_stop("last", "last")
     with pytest.raises(RequestRefused, match="100 clients"):
@@ -184,13 +186,13 @@ def test_jobs_of_a_simulated_cell_are_recorded_with_who_asked(serve: Any, tmp_pa
     served = serve(cell={"folder": tmp_path})
     service, lease = served.service, served.service.lease.acquire("first")
     service.start(lease, KEEP)
-    assert served.ended(1).kept
+    assert served.ended(1).part.kept
     service.command(lease, Command.RELEASE, key=RELEASE_KEY)
     assert served.ended(2).outcome == "SUCCEEDED"
     served.plugin._cell.simulated.inject("unit.off@contact+50ms")
     service.start(lease, {"task": "grip", "force_n": 3.0})
     job = served.ended(3)
-    assert (job.outcome, job.fault_number) == ("ABORTED", service.status().fault_number)
+    assert (job.outcome, job.fault_number) == ("ABORTED", service.plugin.status().fault_number)
     service.close()
     recording = read_recording(tmp_path / "recording.mcap")
     assert recording.complete
@@ -209,19 +211,18 @@ def test_jobs_of_a_simulated_cell_are_recorded_with_who_asked(serve: Any, tmp_pa
 
 
 def test_the_last_answer_outlives_the_jobs_that_are_kept(serve: Any, monkeypatch: Any) -> None:
-    for module in (worker, service_module):
-        monkeypatch.setattr(module, "KEPT_JOBS", 2)
-    served = serve()
+    monkeypatch.setattr(worker, "KEPT_JOBS", 2)
+    served = serve(cell={})
     lease = served.service.lease.acquire("first")
     served.service.start(lease, KEEP)
     served.ended()
     for _ in range(3):
         served.service.start(lease, {"task": "verify"})
         served.ended()
-    assert served.service.job(1) == served.service.snapshot().last_answer
-    assert served.service.job(1).label == "ball"
+    assert served.plugin.job(1).part == served.plugin.status().last_answer
+    assert served.plugin.job(1).part.label == "ball"
     with pytest.raises(RequestRefused, match="no job 2"):
-        served.service.job(2)
+        served.plugin.job(2)
 
 
 def test_a_repeated_request_is_not_done_twice(served) -> None:
@@ -230,7 +231,7 @@ def test_a_repeated_request_is_not_done_twice(served) -> None:
         assert served.service.start(lease, KEEP, number=1) == 1
     served.ended()
     assert served.service.start(lease, KEEP, number=1) == 1
-    assert served.service.job().number == 1
+    assert served.plugin.job().number == 1
     with pytest.raises(RequestRefused, match="job 1 is another request; the next is 2"):
         served.service.command(lease, Command.RELEASE, key=RELEASE_KEY, number=1)
     with pytest.raises(RequestRefused, match="job 3 is not the next job; the next is 2"):
@@ -243,11 +244,11 @@ def test_a_repeated_request_is_not_done_twice(served) -> None:
 
 
 def test_labels_have_ids_that_the_config_fixes(serve: Any) -> None:
-    assert serve().service.labels == ("ball", "box")
+    assert serve().service.plugin.labels_by_id == ("ball", "box")
     service = serve(serve__objects=["cube", "box"]).service
-    assert service.labels == ("cube", "box", "ball")
-    assert [service.label_id(label) for label in ("cube", "ball", "UNKNOWN")] == [1, 3, 0]
-    assert service.info()["labels"] == ["cube", "box", "ball"]
+    assert service.plugin.labels_by_id == ("cube", "box", "ball")
+    assert [service.plugin.label_id(label) for label in ("cube", "ball", "UNKNOWN")] == [1, 3, 0]
+    assert service.plugin.info()["labels"] == ("cube", "box", "ball")
 
 
 def test_each_command_is_remarked_with_its_client(served) -> None:
@@ -257,7 +258,7 @@ def test_each_command_is_remarked_with_its_client(served) -> None:
         with pytest.raises(RequestRefused, match="is not the key"):
             service.command(lease, Command.RELEASE, key=key)
     with pytest.raises(RequestRefused, match="no job 2; the newest is 1"):
-        service.job(2)
+        service.plugin.job(2)
     del served.plugin.remarks[4:]
     with pytest.raises(CellStateError):
         service.command(lease, Command.RESET)
@@ -389,7 +390,7 @@ def test_no_part_is_exchanged_while_a_job_closes_on_it(serve: Any) -> None:
         exchange,
     )
     service.start(lease, IDENTIFY)
-    assert (served.ended().label, refused) == (
+    assert (served.ended().part.label, refused) == (
         "ball",
         ["job 1 is not over; wait for its result or cancel it"],
     )
@@ -403,16 +404,22 @@ class Wall:
     """A wall clock that the test sets."""
 
     def __init__(self) -> None:
-        self.now_s = datetime(2027, 3, 1, 8, 0).timestamp()
+        self.now_s, self.n_parts = datetime(2027, 3, 1, 8, 0).timestamp(), 0
 
     def __call__(self) -> float:
         return self.now_s
 
+    def part(self, label: str = "ball", seconds: float = 4.0, **fields: Any) -> Part:
+        """A part of this moment, with the next number."""
+        self.n_parts += 1
+        known = {"number": self.n_parts, "time_s": self.now_s}
+        return part(label, seconds, **known | fields)
 
-def part(label: str = "ball", seconds: float = 4.0, **fields: Any) -> Answer:
+
+def part(label: str = "ball", seconds: float = 4.0, **fields: Any) -> Part:
     others = {"ball": 0.1, "box": 0.05, "UNKNOWN": 0.02, label: 0.83}
     known = {"label": label, "probabilities": others, "n_grasps": 2, "seconds": seconds}
-    return Answer(task="sort", **known | fields)
+    return Part(task="sort", **known | fields)
 
 
 def test_parts_rejects_misses_and_faults_are_counted_apart() -> None:
@@ -425,22 +432,22 @@ def test_parts_rejects_misses_and_faults_are_counted_apart() -> None:
         {},
         [],
     )
-    for answer in (
-        part("ball", seconds=3.0, place="left"),
-        part("box", seconds=5.0, place="right"),
-        part("UNKNOWN", seconds=9.0, place="reject", rejected=True),
-        Answer(task="sort", seconds=7.0),
+    for label, fields in (
+        ("ball", {"seconds": 3.0, "place": "left"}),
+        ("box", {"seconds": 5.0, "place": "right"}),
+        ("UNKNOWN", {"seconds": 9.0, "place": "reject", "rejected": True}),
     ):
         clock.now_s += 60.0
-        shift.add(answer)
+        shift.add(clock.part(label, **fields))
+    shift.add(Part(task="sort", seconds=7.0))
     found = shift.values()
     assert (found["parts"], found["rejected"], found["missed"], found["faults"]) == (3, 1, 1, 2)
     assert found["counts"] == {"ball": 1, "box": 1, "UNKNOWN": 1}
     assert (found["cycle_s"], found["parts_last_hour"]) == (5.0, 3)
     first = found["answers"][0]
-    assert (first["number"], first["label"], first["place"]) == (1, "ball", "left")
-    assert first["runner_up"] == {"label": "box", "probability": 0.05}
-    assert first["time_s"] == found["since_s"] + 60.0
+    assert (first.number, first.label, first.place) == (1, "ball", "left")
+    assert first.runner_up == {"label": "box", "probability": 0.05}
+    assert first.time_s == found["since_s"] + 60.0
 
 
 def test_the_parts_of_the_last_hour_are_counted() -> None:
@@ -448,7 +455,7 @@ def test_the_parts_of_the_last_hour_are_counted() -> None:
     shift = Shift(wall_clock=clock)
     counted = []
     for _ in range(30):
-        shift.add(part())
+        shift.add(clock.part())
         clock.now_s += 1.0
         counted.append(shift.values()["parts_last_hour"])
     assert counted == list(range(1, 31))
@@ -456,7 +463,7 @@ def test_the_parts_of_the_last_hour_are_counted() -> None:
     assert shift.values()["parts_last_hour"] == 15
     clock.now_s += 3600.0
     assert shift.values()["parts_last_hour"] == 0
-    shift.add(part())
+    shift.add(clock.part())
     assert shift.values()["parts_last_hour"] == 1
 
 
@@ -465,14 +472,16 @@ def test_the_ledger_stays_small() -> None:
     shift = Shift(wall_clock=clock)
     for number in range(5000):
         clock.now_s += 1.0
-        shift.add(part(curves={"t_s": [float(number)]}))
+        shift.add(clock.part(), {"t_s": [float(number)]})
     found = shift.values()
     assert (found["parts"], found["parts_last_hour"]) == (5000, 3600)
-    assert [one["number"] for one in found["answers"]] == list(range(5001 - KEPT_ANSWERS, 5001))
-    newest = shift.part(5000)
-    assert newest.curves == {"t_s": [4999.0]}
-    assert shift.part(5000 - KEPT_ANSWERS) is None
-    assert (len(shift._times_s), len(shift._cycles_s), len(shift.parts)) == (3600, 1000, 20)
+    assert [one.number for one in found["answers"]] == list(range(5001 - KEPT_ANSWERS, 5001))
+    assert shift.curves(5000) == {"t_s": [4999.0]}
+    assert shift.part(5001 - KEPT_ANSWERS).number == 5001 - KEPT_ANSWERS
+    with pytest.raises(RequestRefused, match="part 4980 is not kept; the newest is 5000"):
+        shift.part(5000 - KEPT_ANSWERS)
+    kept = (shift._times_s, shift._cycles_s, shift.parts, shift._curves)
+    assert tuple(map(len, kept)) == (3600, 1000, 20, 20)
 
 
 @pytest.mark.parametrize(
@@ -495,7 +504,7 @@ def test_a_new_shift_begins_with_no_figures_and_parts_keep_their_numbers() -> No
     shift = Shift((6.0, 14.0), lambda: faults[0], clock)
     for n_parts in (3, 0, 2):
         for _ in range(n_parts):
-            shift.add(part())
+            shift.add(clock.part())
         faults[0] += 1
         found = shift.values()
         assert (found["parts"], found["faults"], found["counts"].get("ball", 0)) == (
@@ -511,23 +520,25 @@ def test_a_clock_that_leaps_lets_no_times_grow(leap_s: float) -> None:
     clock = Wall()
     shift = Shift(wall_clock=clock)
     for _ in range(10):
-        shift.add(part())
+        shift.add(clock.part())
     clock.now_s += leap_s
-    shift.add(part())
+    shift.add(clock.part())
     assert shift.values()["parts_last_hour"] == len(shift._times_s) == 1
     assert shift.values()["parts"] == (11 if abs(leap_s) < 1e4 else 1)
 
 
-def test_a_turn_without_a_part_is_reported_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_turn_without_a_part_is_reported_as_such() -> None:
     seen: list[Any] = []
-    nothing: Any = None
-    model: Any = SimpleNamespace(max_grasps=1)
-
-    monkeypatch.setattr(tasks, "identify", raising(NoPartFound("no contact")))
-    cell = tasks.Tasks(nothing, tasks.ModelFile(model, None), nothing, lambda: seen.append)
+    controller: Any = SimpleNamespace(
+        clock=Clock(), journal=SimpleNamespace(brought="rod"), moves=Mock()
+    )
+    model: Any = Mock()
+    model.config, controller.identify = small_config(), raising(NoPartFound("no contact"))
+    cell = tasks.Tasks(controller, tasks.ModelFile(model, None), wall_s=lambda: 5.0)
+    cell.parts.listeners.append(lambda part, _found: seen.append(part))
     with pytest.raises(NoPartFound):
-        cell.identify(IdentifyGoal(), lambda _now: None)
-    assert seen == [Answer()]
+        cell.identify(IdentifyGoal(), worker.Report(3, lambda _fields: None))
+    assert seen == [Part(job=3, time_s=5.0, presented="rod")]
 
 
 # -- The history of a cell: a week of shifts in a table per day, and what it survives --------------
@@ -615,7 +626,9 @@ def test_a_shift_goes_on_after_a_restart_and_ends_with_its_hours(kept: Kept) -> 
         return (found["since_s"] - MONDAY_S, *(found[name] for name in names))
 
     def work(seconds: float) -> None:
-        for report in (part("pin", seconds=seconds), part("box", rejected=True), part("")):
+        now = {"time_s": kept.now_s}
+        pin, box = part("pin", seconds=seconds, **now), part("box", rejected=True, **now)
+        for report in (pin, box, part("")):
             kept.history.add(report)
             kept.shift.add(report)
         kept.fault(301, "a servo is hot")
@@ -631,10 +644,9 @@ def test_a_shift_goes_on_after_a_restart_and_ends_with_its_hours(kept: Kept) -> 
     before = figures()
     assert before == (0.0, 4, 2, 2, 2, 4.0, 2, {"pin": 2, "box": 2})
     kept.begin()
-    kept.shift.add(part("pin"))  # a part before the disk has answered
+    kept.shift.add(part("pin", time_s=kept.now_s))  # a part before the disk has answered
     kept.look()
     assert figures()[1:5] == (5, 2, 2, 2)
-    assert kept.shift.parts[-1].number == 1
     kept.look()
     assert figures()[1] == 5
     # A night shift has two days; nothing of the late shift counts.
@@ -744,7 +756,7 @@ def test_the_service_keeps_it_and_http_shows_it(tmp_path: Path, serve: Any) -> N
     service, found = served.service, served.interfaces
     lease = service.lease.acquire("test")
     service.start(lease, {"task": "identify", "present": "box"})
-    assert served.ended().label == "box"
+    assert served.ended().part.label == "box"
     until(lambda: service.history.values().get("today", {}).get("parts"))
     address = f"http://127.0.0.1:{found['http_port']}/api/history"
     asked = Request(address, headers={"Authorization": f"Bearer {found['token']}"})

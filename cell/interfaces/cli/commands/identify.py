@@ -56,7 +56,7 @@ def identify(
     from cell.learning.pad_knowledge import pad_knowledge
     from cell.learning.shape_reading import NO_SHAPE, beside, shape_reader
     from cell.runtime.goals import IdentifyGoal
-    from cell.runtime.identify import drawn_object
+    from cell.runtime.sort import drawn_object
     from recognition.recognizer import UNKNOWN
     from recognition.statistics.fusion import fuse
 
@@ -79,7 +79,7 @@ def identify(
         present=drawn_object(checked) if held is None else held,
         keep=keep.replace("-", "_"),  # type: ignore[arg-type]
     )
-    parts: list[Identification] = []
+    trials: list[Identification] = []
     with running_cell(
         *(checked, "identify", out_folder),
         config_file=config,
@@ -88,9 +88,9 @@ def identify(
         gauge=gauge,
         gauge_shape=gauge_shape,
     ) as cell:
-        cell.plugin.watch_parts(lambda _, found: parts.append(found) if found else None)
-        cell.run(goal)
-    found, truth = parts[0], goal.present
+        cell.plugin.watch_parts(lambda _, found: trials.append(found) if found else None)
+        part = cell.run(goal)
+    (found,) = trials
     for number, (record, posterior, shape) in enumerate(
         zip_longest(found.records, found.posteriors, found.shapes), start=1
     ):
@@ -101,32 +101,22 @@ def identify(
             + (f"; {shape or NO_SHAPE}" if found.shapes else "")
             + (f"; {record.ended}" if record.ended else "")
         )
-    was = f" (it was {truth})" if truth else ""
-    if found.remark:
-        print_line(found.remark)
-    felt = beside(found.label, found.shape)
-    print_line(f"answer: {found.label} {percent(found.fused.name_probability)}{felt}{was}")
-    if found.kept and config is not None and not checked.simulated:
+    was = f" (it was {part.presented})" if part.presented else ""
+    if part.remark not in ("", *(record.ended for record in found.records)):
+        print_line(part.remark)
+    felt = beside(part.label, part.shape)
+    print_line(f"answer: {part.label} {percent(found.fused.name_probability)}{felt}{was}")
+    if part.kept and config is not None and not checked.simulated:
         print_line(f"the part is kept; to release it: {release_command(config)}")
-    elif found.kept:
+    elif part.kept:
         print_line("the part was kept until the simulated cell ended with this command")
-    write_json(
-        json_file,
-        {
-            "label": found.label,
-            "probability": found.decision.probability,
-            "probabilities": found.probabilities,
-            "unknown": found.fused.unknown,
-            "n_grasps": len(found.posteriors),
-            "kept": found.kept,
-            "shape": found.shape and found.shape.as_dict(),
-            "shapes": [shape and shape.as_dict() for shape in found.shapes],
-            "ramps": [record.ramp_as_json() for record in found.records],
-            "drift": None if found.drift is None else found.drift.values,
-            "held": truth,
-        }
-        | cell.made,
-    )
+    values = {
+        "probabilities": part.probabilities,
+        "shapes": [shape and shape.as_dict() for shape in found.shapes],
+        "ramps": [record.ramp_as_json() for record in found.records],
+        "drift": part.drift and part.drift.values,
+    }
+    write_json(json_file, part.model_dump() | values | cell.made)
     cell.plugin.check_recording()
 
 
@@ -142,9 +132,9 @@ def _identify_recorded(
     from cell.data.dataset import read_grasps
     from cell.interfaces.cli.terminal import percent, print_line, write_json
     from cell.learning.model import load_model
+    from cell.learning.recorded import identify_recorded
     from cell.learning.shape_reading import NO_SHAPE
     from cell.learning.training import loaded
-    from cell.runtime.identify import identify_recorded
     from recognition.drift.drift import drift_text
 
     found, recorded = load_model(model), read_grasps(dataset)

@@ -172,7 +172,7 @@ def print_result(result: "MainResult", true_sizes: Mapping[str, str]) -> None:
     for remark in result.remarks:
         print_line(remark)
     shapes = shapes_view(
-        [(one.presented, one.label, one.shape) for one in result.trials], true_sizes
+        [(one.presented, one.label, one.shape) for one in result.parts], true_sizes
     )
     for group in [] if shapes is None else shapes["groups"]:
         sizes = f"; {group['text']}" if group["text"] else ""

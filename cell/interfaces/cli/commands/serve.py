@@ -101,7 +101,7 @@ def serve(
     from cell.interfaces.cli.terminal import print_note
     from cell.learning.progress import job_folder
     from cell.learning.taught_cache import cached_model
-    from cell.service.opening import open_service
+    from cell.service.service import open_service
 
     own = cell_config(config)
     if config is None and http_port is None:
@@ -144,7 +144,7 @@ def serve(
         suppress(CellStopped),
     ):
         service.plugin.connect()
-        if zero_note := service.health()["zero"]["text"]:
+        if zero_note := service.plugin.health()["zero"]["text"]:
             print_note(zero_note)
         with _announced_interfaces(service):
             if untaught and model is None:
@@ -172,7 +172,7 @@ def report_until(over: threading.Event, service: "Service", manager: "ServiceMan
 
 def _status_line(service: "Service") -> str:
     """Return state, grip and fault of the cell as one line."""
-    status = service.status()
+    status = service.plugin.status()
     held = ", a part is held" if status.holding else ""
     return f"{status.state}{held}" + (f", fault {status.fault_number}" if status.fault else "")
 
@@ -228,7 +228,6 @@ def _teach_first(
     from cell.errors import CellError
     from cell.interfaces.cli.terminal import print_note
     from cell.learning.taught_cache import MODEL_FILE, keep_model
-    from cell.runtime.worker import JobOutcome
 
     labels = [entry.label for entry in config.simulator.objects]
     print_note(
@@ -240,7 +239,7 @@ def _teach_first(
         for seed, label in enumerate(labels):
             goal = {"task": "teach", "label": label, "grasps": _FIRST_GRASPS, "seed": seed}
             number = service.start(lease, goal)
-            while not JobOutcome((job := service.job(number)).outcome).terminal:
+            while not (job := service.plugin.job(number)).terminal:
                 if over.wait(SIGNAL_LOOK_S):
                     return
                 service.lease.alive(lease)

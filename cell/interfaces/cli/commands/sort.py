@@ -1,6 +1,6 @@
 """`sort`: identifies parts and releases each at its place."""
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,11 +13,13 @@ from cell.interfaces.cli.options import (
     SeedOption,
 )
 
-PART_KEYS = ("number", "label", "probability", "place", "n_grasps", "changed", "was")
+if TYPE_CHECKING:
+    from cell.control.part import Part
+
 TALLY_KEYS = (
     *("n_parts", "n_missed", "n_rejected", "share_named", "places", "matrix", "mistakes"),
 )
-"""Keys of the progress of a sort for its newest part, and for all parts together."""
+"""Keys of the progress of a sort."""
 
 
 def sort(
@@ -56,13 +58,7 @@ def sort(
     feed = simulated_feed(checked, min(parts, FEED_MAX)) if simulated else ()
     goal = SortGoal(parts=parts, feed=tuple(feed), seed=checked.seed + 1)
     tally: dict[str, Any] = {}
-    each: list[dict[str, Any]] = []
-
-    def on_progress(progress: dict[str, Any]) -> None:
-        tally.update(progress)
-        if progress.get("number", 0) > len(each):
-            each.append({name: progress[name] for name in PART_KEYS})
-
+    each: list[Part] = []
     try:
         with running_cell(
             *(checked, "sort", out_folder), config_file=config, json_file=json_file, model=model
@@ -74,7 +70,8 @@ def sort(
                 )
                 teach_objects(cell.plugin, checked, objects, teach_grasps, cell.progress)
                 cell.plugin.train()
-            cell.run(goal, on_progress)
+            cell.plugin.watch_parts(lambda part, found: each.append(part) if found else None)
+            cell.run(goal, lambda job: tally.update(job.progress))
     finally:
         print_tally(tally)
     write_json(json_file, {name: tally[name] for name in TALLY_KEYS} | {"parts": each} | cell.made)

@@ -128,7 +128,7 @@ def _teach_grasps(
         *(config, "teach", out_folder), config_file=config_file, json_file=json_file
     ) as cell:
         try:
-            cell.run(goal, shown.update)
+            cell.run(goal, lambda job: shown.update(job.progress))
         finally:
             if taken := cell.plugin.training_set:
                 try:

@@ -22,7 +22,7 @@ def zero(
         checked = checked.model_copy(update={"self_zero": "on_demand"})
     found: dict[str, Any] = {}
     with running_cell(checked, "zero", out_folder, config_file=config, json_file=json_file) as cell:
-        cell.run(ZeroGoal(), found.update)
+        cell.run(ZeroGoal(), lambda job: found.update(job.progress))
         if zero_note := cell.plugin.health()["zero"]["text"]:
             print_note(zero_note)
     print_line(found["text"])

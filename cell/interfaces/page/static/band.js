@@ -47,7 +47,7 @@ export function doing(state) {
   if (!runs(job)) {
     const reason = job.fault_number && job.outcome === "ABORTED"
       ? faultText(state.fault?.number === job.fault_number ? state.fault : { number: job.fault_number, text: job.error }) : "";
-    const named = job.outcome === "SUCCEEDED" && job.label ? `${labelWord(job.label)}, ${percent(job.probability)}` : "";
+    const named = job.outcome === "SUCCEEDED" && job.part ? `${labelWord(job.part.label)}, ${percent(job.part.probability)}` : "";
     return [t(`ended.${job.outcome}`, { task: taskWord(job.task) }), reason || named];
   }
   const first = job.task === "teach" && progress.label

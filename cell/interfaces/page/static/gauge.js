@@ -49,7 +49,7 @@ export function renderGauge(view) {
   if (!drift) return;
   const { job } = state;
   const gauging = job?.task === "gauge";
-  const gauged = gauging ? job.gauged : null;
+  const gauged = gauging ? job.progress.gauged ?? null : null;
   if (gauging && runs(job)) byId("gauge").open = true;
   setText(byId("gauge_now"), t("gauge.now", { gain: gainText(drift.gain ?? 1), opening: millimetres(drift.opening_mm) }));
   renew(byId("gauge_label"), taught.map((one) => one.label), () => taught.map((one) => make("option", { value: one.label }, one.label)));

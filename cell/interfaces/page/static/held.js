@@ -121,9 +121,9 @@ export function renderHeld({ state, info, taught, photo, link }) {
   if (object && !picture) drawShape(byId("held_taught"), object.shape, object.size_mm);
   else show(byId("held_taught_box"), false);
 
-  const checked = !runs(job) && ["verify", "grip"].includes(job?.task) && job.held !== null;
-  const check = !checked ? "" : !job.held ? "check.nothing" : job.same === false ? "check.other" : "check.same";
+  const checked = !runs(job) && job?.verification;
+  const check = !checked ? "" : !checked.held ? "check.nothing" : checked.same === false ? "check.other" : "check.same";
   const short = job?.task !== "teach" && job?.progress?.short ? t("held.short", { force: number(job.progress.force_n, 1) }) : "";
-  setText(byId("held_check"), check && (job.task === "verify" || !job.held) ? t(check) : short);
+  setText(byId("held_check"), check && (job.task === "verify" || !checked.held) ? t(check) : short);
   byId("held_check").classList.toggle("bad", check === "check.nothing" || check === "check.other");
 }

@@ -2,7 +2,7 @@
 
 import { allow, byId, isAllowed, make, renew, setText } from "./dom.js";
 import { labelWord, runs } from "./band.js";
-import { number, percent, t } from "./words.js";
+import { number, t } from "./words.js";
 
 export function setupSort(view) {
   byId("sort_form").addEventListener("submit", (event) => {
@@ -20,17 +20,16 @@ export function renderSort(view) {
   const parts = Array.isArray(progress.parts) ? progress.parts.length : progress.parts ?? 0;
   setText(byId("sort_progress"), progress.of ? t("sort.progress", { parts, of: progress.of }) : "");
   const running = job?.task === "sort" && runs(job);
-  setText(byId("sort_way"), !running ? "" : progress.best ? t("sort.feeling", { label: labelWord(progress.best), probability: percent(progress.probability) })
-    : progress.place ? t("sort.brought", { label: labelWord(progress.label), place: progress.place }) : t("sort.first"));
+  const latest = running ? job.part : null;
+  setText(byId("sort_way"), !running ? "" : latest ? t("sort.brought", { label: labelWord(latest.label), place: latest.place }) : t("sort.first"));
   const counts = progress.places ?? Object.fromEntries((info?.places ?? []).map((name) => [name, 0]));
   const names = Object.keys(counts);
   const most = Math.max(1, ...Object.values(counts));
-  const latest = running ? progress.place : null;
-  renew(byId("sort_places"), [counts, latest], () => (names.length ? names.map((name, i) => {
+  renew(byId("sort_places"), [counts, latest?.place], () => (names.length ? names.map((name, i) => {
     const reject = i === names.length - 1 && names.length > 1;
     const bar = make("i");
     bar.style.width = `${(100 * counts[name]) / most}%`;
-    return make("li", { class: [reject ? "reject" : "", name === latest ? "latest" : ""].join(" ") },
+    return make("li", { class: [reject ? "reject" : "", name === latest?.place ? "latest" : ""].join(" ") },
       make("span", {}, name, reject ? make("small", {}, t("sort.reject")) : ""),
       make("div", { class: "bar" }, bar), make("b", {}, number(counts[name])));
   }) : [make("li", { class: "muted" }, t("sort.none"))]));

@@ -268,7 +268,7 @@ def test_unknown_commands_objects_and_addresses_are_refused(connect) -> None:
     assert plc.link.read_input_registers(132, count=5).exception_code == 2
     assert plc.link.read_holding_registers(0, count=10).exception_code == 2
     assert plc.link.read_coils(0, count=1).exception_code == 1
-    assert served.service.job().number == 0
+    assert served.plugin.job().number == 0
 
 
 def test_function_23_writes_then_reads_or_does_neither(connect) -> None:
@@ -315,7 +315,7 @@ def test_a_client_that_never_reads_holds_nobody_up(connect) -> None:
         greedy.setblocking(False)
         until(lambda: _full(greedy, read * 500))
         assert plc.command(GRIP, 0, 300) == 0
-        assert served.ended().kept
+        assert served.ended().verification.held
 
 
 @pytest.fixture
@@ -378,7 +378,7 @@ def test_the_function_block_stays_busy_through_the_poses_of_a_job(block) -> None
     assert (plc["ErrorId"], plc["Busy"]) == (505, True)
     plc.begin(REACHED, Object=seq)
     until(lambda: plc.cycle()["Done"])
-    assert (plc["Busy"], plc["Error"], served.service.job().number) == (False, False, 1)
+    assert (plc["Busy"], plc["Error"], served.plugin.job().number) == (False, False, 1)
     plc.ready().begin(IDENTIFY, MaxGrasps=1)
     plc.begin(REFUSE, Object=until(lambda: plc.cycle()["PoseSeq"]))
     until(lambda: not plc.cycle()["Busy"])
@@ -405,19 +405,23 @@ def test_the_function_block_loses_no_edge_in_silence(block) -> None:
     assert (plc["Error"], plc["ErrorId"]) == (True, 1)
     for _ in range(5):
         plc.cycle(Execute=True)
-    assert (plc["Ready"], plc["Busy"], served.service.job().number) == (True, False, 0)
+    assert (plc["Ready"], plc["Busy"], served.plugin.job().number) == (True, False, 0)
     plc.cycle()
     plc.cycle(Execute=True, Command=GRIP, Force=300)
     plc.block.call(Connected=True, Execute=False)
     plc.block.call(Execute=True, Command=RELEASE)  # before the answer was read
     assert (plc["ErrorId"], plc["Busy"]) == (2, True)
     until(lambda: plc.cycle()["Done"])
-    assert (plc["ErrorId"], served.service.job().task, served.grip_n > 1.0) == (0, "grip", True)
+    assert (plc["ErrorId"], served.plugin.job().task, served.grip_n > 1.0) == (
+        0,
+        "grip",
+        True,
+    )
     # Held Execute is no second command.
     for _ in range(3):
         plc.cycle(Execute=True, Command=VERIFY)
     until(lambda: plc.cycle(Execute=True)["Done"])
-    assert served.service.job().number == 2
+    assert served.plugin.job().number == 2
 
 
 def test_the_function_block_begins_anew_after_a_lost_connection(block) -> None:
@@ -431,7 +435,7 @@ def test_the_function_block_begins_anew_after_a_lost_connection(block) -> None:
     assert plc.plc.link.connect()
     served.plugin.go_on()
     plc.ready()
-    assert served.service.job().number == 1
+    assert served.plugin.job().number == 1
     # Another client takes command: the block says so, and comes back by itself.
     lease = served.service.lease.acquire("person", take=True)
     until(lambda: not plc.cycle()["Ready"])

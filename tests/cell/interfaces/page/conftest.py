@@ -11,8 +11,7 @@ import pytest
 from cell.config.model import CellConfig
 from cell.runtime.goals import Goal
 from cell.runtime.plugin import cell_values
-from cell.service.service import Service
-from cell.service.state import state_values
+from cell.service.service import Service, state_values
 from gripper.errors import PartSlipped
 from recognition.recognizer import UNKNOWN
 from tactile.layout import paper_layout

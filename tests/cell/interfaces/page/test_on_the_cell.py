@@ -125,7 +125,7 @@ def test_a_part_is_named_kept_verified_and_let_go(served, open_page) -> None:
     # What is gripped next has no name until it is identified.
     served.plugin.pause()
     page.click("#do_identify")
-    until(lambda: served.service.job().outcome_number == 2)
+    until(lambda: served.plugin.job().outcome_number == 2)
     click(page, "#command", "#state", "On hold")
     becomes(page, "#held_when", "In the grip")
     becomes(page, "#held_name", "Not named")
@@ -269,7 +269,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, tmp_
     page.click("#sim_running button")
     page.wait_for_selector("#sim_running li", state="detached")
     page.click("#sim_reset")
-    until(lambda: served.service.job().task == "simulation_reset")
+    until(lambda: served.plugin.job().task == "simulation_reset")
     assert served.ended().error == ""
     becomes(page, "#sim_placed", "nothing")
     (tmp_path / "pyramid.stl").write_bytes(stl(12.0))

@@ -1,19 +1,27 @@
-"""Calibration of a taught model for sensor drift, by known objects or any grasps of a shift."""
+"""Recorded grasps and a taught model: their names, and the sensor drift that they show."""
 
 from collections.abc import Mapping, Sequence
 
-from cell.errors import CellError
+from cell.control.identification import ReadShape
+from cell.errors import CellError, ModelError
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import LoadedModel, check_pads
 from cell.learning.training import gaugeable, gauged
+from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
+from recognition.recognizer import Posterior
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
+from recognition.shape.answer import ShapeAnswer
 
 GAUGE_GRASPS = 3
 """Grasps of each gauge object at the start of a shift."""
 
 MIN_UNNAMED_GRASPS = 5
 """Least number of unnamed grasps that show a drift."""
+
+AnsweredGrasp = tuple[Posterior, ShapeAnswer | None, DriftGrid | None]
+"""Answer to one recorded grasp, its shape and size, and the drift that it assumes; None: shape or
+drift are not requested, or the pads do not show the shape."""
 
 
 @one_blas_thread()
@@ -52,3 +60,37 @@ def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRampRecogn
     for grasp in sorted(grasps, key=lambda g: g.start_ms):
         recognizer = recognizer.follow(grasp)
     return recognizer.with_grid(recognizer.grid.with_unnamed_kept())
+
+
+@one_blas_thread()
+def identify_recorded(
+    model: LoadedModel,
+    grasps: Sequence[Grasp],
+    *,
+    follow: bool = False,
+    read_shape: ReadShape | None = None,
+) -> list[AnsweredGrasp]:
+    """Answer each recorded grasp, in the order of the file.
+
+    With ``follow`` they are answered in the order of time, and the drift is followed from grasp to
+    grasp. Raises ModelError for grasps on other pads, and if the recogniser cannot follow a drift.
+    """
+    check_pads(model, grasps[0].pads)
+    recognizer = model.recognizer
+    if follow and not isinstance(recognizer, DriftFollowing):
+        raise ModelError(
+            f"a model of {model.trainer_name} cannot follow a drift; train a force_ramp model"
+        )
+    answers: dict[int, AnsweredGrasp] = {}
+    order = range(len(grasps))
+    for number in sorted(order, key=lambda i: grasps[i].start_ms) if follow else order:
+        grasp = grasps[number]
+        posterior = recognizer.posterior(grasp)
+        shape = None if read_shape is None else read_shape(grasp)
+        if shape is not None:
+            posterior = posterior.with_size(shape.low_m, shape.high_m)
+        followed = recognizer if follow and isinstance(recognizer, DriftFollowing) else None
+        answers[number] = posterior, shape, None if followed is None else followed.grid
+        if followed is not None:
+            recognizer = followed.follow(grasp)
+    return [answers[number] for number in order]
