@@ -6,6 +6,7 @@ import os
 import time
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -299,7 +300,8 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     bench.simulated.remove()
     goal = checked_goal({"task": "zero"})
     assert isinstance(goal, ZeroGoal)
-    found = tasks.Tasks(bench.controller, None).zero(goal, reports.append)
+    file: Any = SimpleNamespace(model=None)
+    found = tasks.Tasks(bench.controller, file).zero(goal, reports.append)
     assert reports[-1]["zero"] == asdict(found) | {"moved_mm": None}
     assert bench.controller.zeros.newest == found
 
