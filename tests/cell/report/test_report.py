@@ -383,9 +383,7 @@ def test_figures_tables_and_files_of_a_run(recording, report, taught) -> None:
             counted.text,
         )
     answers = list(answers_of(recording, taught.config))
-    for one, part, trial in zip(
-        answers, taught.result.parts, taught.result.trials, strict=True
-    ):
+    for one, part, trial in zip(answers, taught.result.parts, taught.result.trials, strict=True):
         assert (one.held, one.label) == (part.presented, part.label)
         assert one.n_grasps == len(one.posteriors) == len(trial.records)
         assert str(one.shape) == str(trial.shape)
