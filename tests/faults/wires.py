@@ -231,7 +231,7 @@ class WireDriver(Driver):
         if command is Command.RESET:  # over a link a reset starts the cell too
             path += command_effect(CellState.STOPPED, Command.START).path
         at_end = path[-1] if path else before
-        if job.kept and command is Command.GRASP:
+        if job.part is not None and job.part.kept:
             at_end = CellState.COMPLETE
         for word in ("InvariantBroken", "Overrun"):
             self._expect(word not in job.error, job.error)
