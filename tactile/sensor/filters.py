@@ -9,89 +9,81 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from tactile.layout import TaxelLayout
 
 Values = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 """One value for each taxel, (n_taxels,)."""
-_OFFSETS = tuple((row, column) for row in (-1, 0, 1) for column in (-1, 0, 1))
-"""Steps in rows and columns to the 3 x 3 neighbours, row by row."""
-_BINOMIAL = {0: 4.0, 1: 2.0, 2: 1.0}
-"""Weights of the 3 x 3 binomial kernel by distance in steps; sum 16."""
+_BINOMIAL = np.array([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]])
+"""Weights of the 3 x 3 binomial kernel."""
+_ALL = np.ones((3, 3), dtype=np.bool_)
+_BESIDE = _ALL & (_BINOMIAL < 4.0)
+"""The 3 x 3 neighbours with the taxel itself, and without it."""
 
 
 class Neighbourhood:
-    """The 3 x 3 neighbours of each taxel on its own pad."""
+    """The 3 x 3 neighbours of each taxel on its own pad: an image of all pads with gaps."""
 
     def __init__(self, layout: TaxelLayout) -> None:
         self.layout = layout
-        n = layout.n_taxels
-        self.index = index = np.full((n, len(_OFFSETS)), n, dtype=np.int64)
-        """(n_taxels, 9) int64: neighbours row by row, the taxel itself in the middle; n_taxels
-        beyond the border."""
-        self.weight = weight = np.zeros((n, len(_OFFSETS)))
-        """(n_taxels, 9) float64: binomial weights, 0 beyond the border."""
-        for pad_index, pad in enumerate(layout.pads):
-            first = layout.taxels_of(pad_index).start
-            row, column = np.divmod(np.arange(pad.n_taxels), pad.columns)
-            for place, (row_step, column_step) in enumerate(_OFFSETS):
-                r, c = row + row_step, column + column_step
-                inside = (r >= 0) & (r < pad.rows) & (c >= 0) & (c < pad.columns)
-                taxels = first + np.flatnonzero(inside)
-                index[taxels, place] = first + (r * pad.columns + c)[inside]
-                weight[taxels, place] = _BINOMIAL[abs(row_step) + abs(column_step)]
-        index.setflags(write=False)
-        weight.setflags(write=False)
-        self.total: Values = weight.sum(axis=1)
-        """(n_taxels,) float64: sum of the weights of each taxel."""
+        rows, columns = layout.pad_shape.T
+        starts = np.cumsum(columns + 1) - columns - 1
+        self._shape = (int(rows.max()), int((columns + 1).sum()))
+        image = np.arange(self._shape[0] * self._shape[1]).reshape(self._shape)
+        self._place = np.concatenate(
+            [
+                image[:height, start : start + width].ravel()
+                for height, width, start in zip(rows, columns, starts, strict=True)
+            ]
+        )
+        self._total = self.weighted(np.ones(layout.n_taxels))
 
-    def gather(self, values: NDArray[Any], outside: float) -> NDArray[Any]:
-        """Return each taxel's neighbours' values, ``outside`` beyond the border, (n_taxels, 9)."""
-        extended = np.empty(len(values) + 1, dtype=values.dtype)
-        extended[:-1] = values
-        extended[-1] = outside
-        return extended[self.index]
+    def _image(self, values: NDArray[Any]) -> NDArray[Any]:
+        image = np.zeros((*values.shape[:-1], *self._shape), dtype=values.dtype)
+        image.reshape(*values.shape[:-1], -1)[..., self._place] = values
+        return image
+
+    def _taxels(self, image: NDArray[Any]) -> NDArray[Any]:
+        taxels: NDArray[Any] = image.reshape(*image.shape[:-2], -1)[..., self._place]
+        return taxels
+
+    def weighted(self, values: Values) -> Values:
+        """Return the sum of the neighbours' values (..., n_taxels) by the binomial weights."""
+        image = self._image(values)
+        weights = _BINOMIAL.reshape((1,) * (image.ndim - 2) + _BINOMIAL.shape)
+        return self._taxels(ndimage.convolve(image, weights, mode="constant"))
+
+    def mean(self, values: Values) -> Values:
+        """Return the binomial mean over 3 x 3 taxels (a Gaussian of 0.7 taxels).
+
+        At a border the remaining weights are scaled up, so that a constant stays constant.
+        """
+        return self.weighted(values) / self._total
+
+    def highest_beside(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the highest value of each taxel's up to eight neighbours, which are at least 0."""
+        return self._taxels(
+            ndimage.maximum_filter(self._image(values), footprint=_BESIDE, mode="constant")
+        )
+
+    def connected(self, seed: Mask, allowed: Mask) -> Mask:
+        """Return all allowed taxels with a connection to a seed through allowed ones."""
+        return self._taxels(
+            ndimage.binary_propagation(self._image(seed & allowed), _ALL, self._image(allowed))
+        )
 
 
-def spatial_mean(hood: Neighbourhood, values: Values) -> Values:
-    """Return the binomial mean over 3 x 3 taxels (a Gaussian of 0.7 taxels).
-
-    At a border the remaining weights are scaled up, so that a constant stays constant.
-    """
-    result: Values = np.einsum("ij,ij->i", hood.gather(values, 0.0), hood.weight)
-    result /= hood.total
-    return result
-
-
-def fill_bad(hood: Neighbourhood, values: Values, bad: NDArray[np.bool_]) -> Values:
+def fill_bad(hood: Neighbourhood, values: Values, bad: Mask) -> Values:
     """Replace bad taxels by the weighted mean of their good neighbours; 0 without good ones."""
     if not bad.any():
         return values
-    weight = hood.weight[bad] * hood.gather(~bad, outside=0.0)[bad]
-    total = weight.sum(axis=1)
+    total = hood.weighted((~bad).astype(np.float64))[bad]
     filled = values.copy()
-    weighted = (hood.gather(values, 0.0)[bad] * weight).sum(axis=1)
+    weighted = hood.weighted(np.where(bad, 0.0, values))[bad]
     filled[bad] = np.divide(weighted, total, out=np.zeros(len(total)), where=total > 0.0)
     return filled
-
-
-def dilate(hood: Neighbourhood, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the mask grown by one taxel in all eight directions."""
-    neighbours: NDArray[np.bool_] = hood.gather(mask, outside=0.0)
-    grown: NDArray[np.bool_] = np.any(neighbours, axis=1)
-    return grown
-
-
-def regions_from(
-    hood: Neighbourhood, seed: NDArray[np.bool_], allowed: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Return all allowed taxels with a connection to a seed through allowed ones."""
-    region: NDArray[np.bool_] = seed & allowed
-    while True:
-        grown: NDArray[np.bool_] = dilate(hood, region) & allowed
-        if np.array_equal(grown, region):
-            return region
-        region = grown
 
 
 class MovingMean:
@@ -147,13 +139,11 @@ class TouchThresholds:
 
 
 def smoothing_gain(hood: Neighbourhood, passes: int) -> Values:
-    """Return the factor of ``passes`` of `spatial_mean` on independent noise, (n_taxels,)."""
-    n = hood.layout.n_taxels
-    kernel = np.zeros((n, n + 1))
-    np.add.at(kernel, (np.arange(n)[:, None], hood.index), hood.weight)
-    step = kernel[:, :n] / hood.total[:, None]
-    gain: Values = np.linalg.norm(np.linalg.matrix_power(step, passes), axis=1)
-    return gain
+    """Return the factor of ``passes`` of the mean on independent noise, (n_taxels,)."""
+    answers = np.eye(hood.layout.n_taxels)
+    for _ in range(passes):
+        answers = hood.mean(answers)
+    return np.asarray(np.linalg.norm(answers, axis=0), dtype=np.float64)
 
 
 def typical_noise(layout: TaxelLayout, noise_counts: Values, least_counts: float) -> Values:
@@ -194,14 +184,14 @@ class ActiveTaxels:
         self._per_large = 1.0 / (noise_counts * smoothing_gain(hood, 2))
         self._active = np.zeros(hood.layout.n_taxels, dtype=np.bool_)
 
-    def step(self, counts: Values) -> NDArray[np.bool_]:
+    def step(self, counts: Values) -> Mask:
         """Take tared counts smoothed in time and return the active taxels, (n_taxels,) bool."""
-        small = spatial_mean(self._hood, counts)
-        large = spatial_mean(self._hood, small) * self._per_large
+        small = self._hood.mean(counts)
+        large = self._hood.mean(small) * self._per_large
         small *= self._per_small
         highest = np.maximum(small, large)
         limits = self._thresholds
         allowed = (small > limits.join) | (self._active & (small > limits.leave))
         seed = (highest > limits.start) | (self._active & (highest > limits.keep))
-        self._active = regions_from(self._hood, seed, allowed)
+        self._active = self._hood.connected(seed, allowed)
         return self._active.copy()

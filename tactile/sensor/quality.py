@@ -11,14 +11,10 @@ from numpy.typing import NDArray
 
 from tactile.errors import FrameTimeout, require_at_least
 from tactile.layout import TaxelLayout
-from tactile.sensor.filters import Neighbourhood, Values
+from tactile.sensor.filters import Mask, Neighbourhood, Values
 from tactile.sensor.tare import TareResult
 from tactile.source import COUNTER_MASK, TactileFrame
 
-Mask = NDArray[np.bool_]
-
-_MIDDLE = 4
-"""Index of a taxel among its own 3 x 3 neighbours."""
 _JUMP_SHARE, _DROP_SHARE, _CALM_SHARE = 0.5, 0.25, 0.1
 """Shares of the full scale. A taxel is broken if it jumps to full scale from below the first, or to
 0 from above the second, while its neighbours change by less than the third. It is not a touch,
@@ -162,11 +158,9 @@ class QualityWatch:
         odd = jumped | dropped
         if not odd.any():
             return
-        change = np.append(np.abs(now.astype(np.int64) - before), 0)
-        neighbours = np.delete(self._hood.index[odd], _MIDDLE, axis=1)
-        alone = ~np.append(odd, False)[neighbours].any(axis=1)
-        calm = change[neighbours].max(axis=1) < _CALM_SHARE * full
-        self._broken[np.flatnonzero(odd)[alone & calm]] = True
+        change = np.abs(now.astype(np.int64) - before)
+        calm = self._hood.highest_beside(change) < _CALM_SHARE * full
+        self._broken |= odd & calm & ~self._hood.highest_beside(odd)
 
     def drift_beside(self, tared: Values, void: Mask) -> str:
         """Return a message if the pads that no grasp presses are not at their zero, else "".

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import TareRefused
-from tactile.sensor.filters import Neighbourhood, Values, fill_bad, spatial_mean
-
-Mask = NDArray[np.bool_]
+from tactile.sensor.filters import Mask, Neighbourhood, Values, fill_bad
 
 LEAST_FRAMES = 8
 """Fewest frames: in fewer a healthy taxel may be constant by chance."""
@@ -142,7 +140,7 @@ def compute_tare(
     _refuse_touch(hood, offset, limits)
     half = len(frames) // 2
     change = frames[half:].mean(axis=0) - frames[:half].mean(axis=0)
-    drift = np.abs(spatial_mean(hood, fill_bad(hood, change, health.bad)))
+    drift = np.abs(hood.mean(fill_bad(hood, change, health.bad)))
     worst = int(np.argmax(drift))
     if drift[worst] > limits.drift_share * layout.adc_max:
         raise TareRefused(
@@ -175,7 +173,7 @@ def _refuse_touch(hood: Neighbourhood, offset: Values, limits: TareLimits) -> No
             f"{_place(hood, worst)} reads {offset[worst]:.1f} counts, allowed are {limit:.1f} for "
             "an untouched taxel: clear the pads and try again"
         )
-    smooth = spatial_mean(hood, offset)
+    smooth = hood.mean(offset)
     limit = limits.bump_share * layout.adc_max
     for index in range(layout.n_pads):
         taxels = layout.taxels_of(index)

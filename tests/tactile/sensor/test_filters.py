@@ -12,11 +12,8 @@ from tactile.sensor.filters import (
     MovingMean,
     Neighbourhood,
     TouchThresholds,
-    dilate,
     fill_bad,
-    regions_from,
     smoothing_gain,
-    spatial_mean,
 )
 from tactile.sensor.tare import TareLimits, compute_tare
 from tactile.sensor.taxel_forces import TaxelForces
@@ -38,13 +35,13 @@ def mask(*taxels: int) -> np.ndarray:
 
 def test_constants_stay_constant_up_to_the_border() -> None:
     values = np.full(N, 7.0)
-    np.testing.assert_allclose(spatial_mean(HOOD, values), values)
+    np.testing.assert_allclose(HOOD.mean(values), values)
 
 
 def test_spatial_mean_is_binomial_inside() -> None:
     values = np.zeros(N)
     values[taxel(8, 1)] = 16.0
-    smooth = spatial_mean(HOOD, values)
+    smooth = HOOD.mean(values)
     assert [smooth[taxel(8, c)] for c in (0, 1, 2, 3)] == pytest.approx([16 * 2 / 12, 4, 2, 0])
     assert smooth[taxel(7, 2)] == pytest.approx(1.0)
 
@@ -54,8 +51,9 @@ def test_nothing_reaches_across_pads() -> None:
     values[LAYOUT.taxels_of(0)] = 5.0
     other = np.ones(N, dtype=bool)
     other[LAYOUT.taxels_of(0)] = False
-    assert not spatial_mean(HOOD, values)[other].any()
-    assert not dilate(HOOD, values > 0)[other].any()
+    assert not HOOD.mean(values)[other].any()
+    assert not HOOD.highest_beside(values)[other].any()
+    np.testing.assert_array_equal(HOOD.connected(mask(0), np.ones(N, dtype=bool)), ~other)
 
 
 def test_bad_taxels_take_their_neighbours_mean() -> None:
@@ -75,9 +73,9 @@ def test_a_bad_taxel_without_good_neighbours_is_zero() -> None:
 def test_regions_grow_through_allowed_taxels_only() -> None:
     seed = mask(taxel(2, 0))
     allowed = mask(taxel(2, 0), taxel(3, 1), taxel(4, 2), taxel(7, 0))
-    region = regions_from(HOOD, seed, allowed)
+    region = HOOD.connected(seed, allowed)
     np.testing.assert_array_equal(region, mask(taxel(2, 0), taxel(3, 1), taxel(4, 2)))
-    assert not regions_from(HOOD, mask(taxel(9, 0)), allowed).any()
+    assert not HOOD.connected(mask(taxel(9, 0)), allowed).any()
 
 
 def test_moving_mean_settles_after_its_window() -> None:
@@ -101,7 +99,7 @@ def test_smoothing_gain_is_what_noise_shrinks_by(passes: int) -> None:
     for _ in range(400):
         values = rng.normal(size=N)
         for _ in range(passes):
-            values = spatial_mean(HOOD, values)
+            values = HOOD.mean(values)
         smooth.append(values)
     measured = np.std(smooth, axis=0) / smoothing_gain(HOOD, passes)
     assert np.mean(measured) == pytest.approx(1.0, abs=0.01)
@@ -139,7 +137,7 @@ def test_a_light_flat_touch_is_seen_at_the_large_scale() -> None:
     touch = ActiveTaxels(HOOD, TouchThresholds(), np.ones(N))
     counts = np.zeros(N)
     counts[[taxel(r, c) for r in range(6, 11) for c in range(4)]] = 1.9
-    assert np.all(spatial_mean(HOOD, counts)[taxel(8, 1)] / 0.375 < 5.5)
+    assert np.all(HOOD.mean(counts)[taxel(8, 1)] / 0.375 < 5.5)
     assert touch.step(counts)[taxel(8, 1)]
 
 
