@@ -250,18 +250,17 @@ def any_key(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def done_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    begin, write = Service._begin, ModbusInterface.write
+    begin, write = Service.begin, ModbusInterface.write
 
-    def forgetful(service: Service, *given: Any) -> int:
-        *asked, _number, act = given
-        return begin(service, *asked, 0, act)
+    def forgetful(service: Service, *asked: Any, **named: Any) -> int:
+        return begin(service, *asked, **named | {"number": 0})
 
     def again(modbus: ModbusInterface, client: Any, address: int, values: Any) -> None:
         if len(values) > 1:
             modbus._seq = -1
         write(modbus, client, address, values)
 
-    monkeypatch.setattr(Service, "_begin", forgetful)
+    monkeypatch.setattr(Service, "begin", forgetful)
     monkeypatch.setattr(ModbusInterface, "write", again)
 
 

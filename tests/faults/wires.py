@@ -302,7 +302,10 @@ class WireDriver(Driver):
         with patch("cell.build.build_cell", built):
             self._service = self._new_service()
         plugin: Any = self._service.plugin
-        plugin._model = plugin._file.model = WitnessModel(plugin._config, self.witness)
+        model = WitnessModel(plugin._config, self.witness)
+        for user in (plugin._file, plugin._tasks, plugin._tasks.parts):
+            user.model = model
+        plugin._model = model
         interfaces = open_interfaces(self._service)
         self._wire = HOSTS[self.interface](interfaces.__enter__())
         self._ending = [self._wire.close, lambda: interfaces.__exit__(None, None, None)]
