@@ -1,15 +1,16 @@
-"""History of a cell: parts and faults in one SQLite table per day, kept after the program's end.
+"""History of a cell: parts and faults in an SQLite table, kept after the program's end.
 
 A separate thread writes new rows each second, so a slow or full disk delays neither the force loop
-nor a client. Days are those of the local wall clock, and at most `KEPT_DAYS` have a table.
+nor a client. Days are those of the local wall clock, and at most `KEPT_DAYS` are kept.
 """
 
 import sqlite3
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, suppress
+from dataclasses import dataclass, field
 from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
@@ -22,15 +23,16 @@ from cell.runtime.plugin import HostStatus
 from cell.service.shift import Shift
 from recognition.recognizer import UNKNOWN
 
-VERSION = 1
-"""Version of the tables, ``user_version`` of the file."""
+VERSION = 2
+"""Version of the table, ``user_version`` of the file."""
 KEPT_DAYS = 400
-"""Most days with a table; the oldest are dropped."""
+"""Most days; the rows of the oldest are deleted."""
 COLUMNS = {
+    "day": "TEXT NOT NULL",
     "time_s": "REAL NOT NULL",
     "kind": "TEXT NOT NULL",
     "label": "TEXT",
-    "held": "TEXT",
+    "presented": "TEXT",
     "probability": "REAL",
     "second": "TEXT",
     "second_probability": "REAL",
@@ -41,8 +43,27 @@ COLUMNS = {
     "fault_number": "INTEGER",
     "text": "TEXT",
 }
-"""Columns of each table and their types. ``kind`` is ``start``, ``part``, ``miss`` or ``fault``;
-``held`` is the label of the brought object according to host, person or simulator, or empty."""
+"""Columns of the table and their types. ``kind`` is ``start``, ``part``, ``miss`` or ``fault``. The
+values of a part have the names of `Part`; ``second`` is the label of its runner-up."""
+_TABLE = f"""
+    CREATE TABLE IF NOT EXISTS events ({", ".join(map(" ".join, COLUMNS.items()))});
+    CREATE INDEX IF NOT EXISTS by_day ON events (day);
+    PRAGMA user_version = {VERSION}"""
+_FIRST_KEPT = """
+    DELETE FROM events WHERE day < (
+        SELECT MIN(day) FROM (SELECT DISTINCT day FROM events ORDER BY day DESC LIMIT ?)
+    )"""
+_OF_PART = (
+    "time_s",
+    "label",
+    "presented",
+    "probability",
+    "place",
+    "rejected",
+    "n_grasps",
+    "seconds",
+)
+"""Columns that are values of a part."""
 _NEAR = 0.1
 """Least probability of the second label at which an unconfirmed answer counts as near."""
 _MOST_CONFUSED = 5
@@ -51,11 +72,52 @@ _WAITING_MAX = 10_000
 """Most rows that wait for the disk; the oldest are dropped."""
 _LOOK_S = 1.0
 """Time in s from one write to the next."""
-_FRESH_S = 60.0
-"""Time in s after which the sums are computed again: a new day may have begun."""
-_SUM_SHARE = 0.02
-"""Largest share of the time for the sums: those of a full week take tenths of a second."""
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+
+
+@dataclass(slots=True)
+class _Sums:
+    """Sums of the rows of one day."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    """Rows by their kind, and ``rejected`` parts."""
+    seconds: float = 0.0
+    """Time of all parts in s."""
+    pairs: Counter[tuple[str, str, bool]] = field(default_factory=Counter)
+    """Confused parts: presented or second label, name, whether the first was given."""
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        self.counts[row["kind"]] += 1
+        if row["kind"] != "part":
+            return
+        self.counts["rejected"] += bool(row["rejected"])
+        self.seconds += row["seconds"]
+        presented, named = row["presented"], row["label"]
+        near = not presented and row["second_probability"] >= _NEAR
+        if named != UNKNOWN and (presented not in ("", named) or near):
+            self.pairs[presented or row["second"], named, bool(presented)] += 1
+
+
+def _together(days: Iterable[_Sums]) -> dict[str, Any]:
+    """Return the sums of some days, in the form of `History.values`."""
+    counts, pairs, seconds = Counter[str](), Counter[tuple[str, str, bool]](), 0.0
+    for day in days:
+        counts.update(day.counts)
+        pairs.update(day.pairs)
+        seconds += day.seconds
+    most = sorted(pairs.items(), key=lambda pair: (-pair[1], pair[0]))[:_MOST_CONFUSED]
+    return {
+        "parts": counts["part"],
+        "rejected": counts["rejected"],
+        "missed": counts["miss"],
+        "faults": counts["fault"],
+        "starts": counts["start"],
+        "cycle_s": seconds / counts["part"] if counts["part"] else None,
+        "confused": [
+            {"held": held, "named": named, "n": n, "confirmed": given}
+            for (held, named, given), n in most
+        ],
+    }
 
 
 class History:
@@ -90,8 +152,8 @@ class History:
         self._waiting = deque[dict[str, Any]](maxlen=_WAITING_MAX)
         self._link: sqlite3.Connection | None = None
         self._refused = ""
-        self._summed_s, self._sum_took_s, self._old = float("-inf"), 0.0, False
-        self._values: dict[str, Any] = {}
+        self._days: dict[str, _Sums] = {}
+        self._written = set[str]()
         self._over, self._updating = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
         self._add(kind="start")
@@ -108,17 +170,12 @@ class History:
 
     def add(self, part: Part) -> None:
         """Add a part, or a turn without one; nothing is written yet."""
-        if not part.label:
-            self._add(kind="miss", held=part.presented)
-            return
         second = part.runner_up or {"label": "", "probability": 0.0}
-        names = ("label", "probability", "place", "rejected", "n_grasps", "seconds")
         self._add(
-            kind="part",
-            held=part.presented,
+            kind="part" if part.label else "miss",
             second=second["label"],
             second_probability=second["probability"],
-            **{name: getattr(part, name) for name in names},
+            **{name: getattr(part, name) for name in _OF_PART},
         )
 
     def values(self) -> dict[str, Any]:
@@ -129,7 +186,19 @@ class History:
         first. In a pair that is not ``confirmed`` the held object was not given: ``held`` is then
         the second label. The sums are empty until the first `update`.
         """
-        return self._values
+        days = dict(self._days)
+        if not days:
+            return {}
+        today = date.fromtimestamp(self._wall_s())
+        asked = {
+            "today": [today],
+            "yesterday": [today - timedelta(days=1)],
+            "week": [today - timedelta(days=n) for n in range(today.weekday() + 1)],
+        }
+        return {
+            name: _together(days[str(day)] for day in some if str(day) in days)
+            for name, some in asked.items()
+        }
 
     def day(self, day: date) -> list[Mapping[str, Any]]:
         """Return the rows of a day as `read_day`; empty if the history is in memory."""
@@ -151,11 +220,8 @@ class History:
         self._n_faults = now.n_faults
         try:
             self._resume_shift()
-            self._old |= self._write()
-            age_s = self._wall_s() - self._summed_s
-            due = self._old and _SUM_SHARE * max(_LOOK_S, age_s) >= self._sum_took_s
-            if due or not 0.0 <= age_s < _FRESH_S:
-                self._sum()
+            self._read_days()
+            self._write()
             self._refused = ""
         except (sqlite3.Error, OSError, CellError) as error:
             if str(error) != self._refused:
@@ -173,7 +239,8 @@ class History:
         self._close_link()
 
     def _add(self, **row: Any) -> None:
-        self._waiting.append({"time_s": self._wall_s()} | row)
+        row = {"time_s": self._wall_s()} | row
+        self._waiting.append({"day": str(date.fromtimestamp(row["time_s"]))} | row)
 
     def _resume_shift(self) -> None:
         """Give the shift its earlier rows once, before this program writes its first ones.
@@ -184,40 +251,38 @@ class History:
             return
         begin, now = (date.fromtimestamp(s) for s in (self._shift.began_s, self._wall_s()))
         with self._opened() as link:
-            rows = [row for day in sorted({begin, now}) for row in _rows(link, day)]
+            rows = [row for day in sorted({begin, now}) for row in _rows(link, str(day))]
         self._shift.add_earlier(rows)
         self._resumed = True
 
-    def _write(self) -> bool:
-        """Write all waiting rows in one transaction; return whether there were any."""
+    def _read_days(self) -> None:
+        """Sum the written rows of the days of the sums; each day is read once."""
+        today = date.fromtimestamp(self._wall_s())
+        days = [str(today - timedelta(days=n)) for n in range(max(1, today.weekday()) + 1)]
+        for day in days:
+            if day not in self._days:
+                sums = _Sums()
+                for row in _rows(self._opened(), day):
+                    sums.add(row)
+                self._days[day] = sums
+        self._days = {day: self._days[day] for day in days}
+
+    def _write(self) -> None:
+        """Write all waiting rows in one transaction, and add them to the sums."""
         rows = list(self._waiting)
         if not rows:
-            return False
+            return
         with self._opened() as link:
             for row in rows:
-                table = _table(date.fromtimestamp(row["time_s"]))
-                columns = ", ".join(f"{name} {kind}" for name, kind in COLUMNS.items())
-                link.execute(f"CREATE TABLE IF NOT EXISTS {table} ({columns})")
                 names, places = ", ".join(row), ", ".join("?" * len(row))
-                link.execute(f"INSERT INTO {table} ({names}) VALUES ({places})", [*row.values()])
-            for old in sorted(_tables(link))[:-KEPT_DAYS]:
-                link.execute(f"DROP TABLE {old}")
-        for _ in rows:
+                link.execute(f"INSERT INTO events ({names}) VALUES ({places})", [*row.values()])
+            if not self._written.issuperset(row["day"] for row in rows):
+                link.execute(_FIRST_KEPT, (KEPT_DAYS,))
+        self._written.update(row["day"] for row in rows)
+        for row in rows:
             self._waiting.popleft()
-        return True
-
-    def _sum(self) -> None:
-        began_s = time.perf_counter()
-        today = date.fromtimestamp(self._wall_s())
-        week = [today - timedelta(days=n) for n in range(today.weekday() + 1)]
-        with self._opened() as link:
-            self._values = {
-                "today": _sums(link, [today]),
-                "yesterday": _sums(link, [today - timedelta(days=1)]),
-                "week": _sums(link, week),
-            }
-        self._sum_took_s, self._old = time.perf_counter() - began_s, False
-        self._summed_s = self._wall_s()
+            if row["day"] in self._days:
+                self._days[row["day"]].add(row)
 
     def _opened(self) -> sqlite3.Connection:
         """Return the connection. Raises CellError if the tables are of another version."""
@@ -225,7 +290,7 @@ class History:
             if self._path is not None:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
             self._link = _connected(":memory:" if self._path is None else str(self._path))
-            self._link.execute(f"PRAGMA user_version = {VERSION}")
+            self._link.executescript(_TABLE)
         return self._link
 
     def _close_link(self) -> None:
@@ -247,13 +312,13 @@ def history_file(directory: Path, cell_name: str) -> Path:
 
 
 def read_day(path: Path, day: date) -> list[Mapping[str, Any]]:
-    """Return the rows of a day, oldest first, with `COLUMNS`; empty if the day has no table.
+    """Return the rows of a day, oldest first, with `COLUMNS`.
 
     Raises CellError if the file cannot be read.
     """
     try:
         with closing(_connected(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as link:
-            return _rows(link, day)
+            return list(_rows(link, str(day)))
     except sqlite3.Error as error:
         raise CellError(f"cannot read the history {path}: {error}; check the path") from error
 
@@ -264,7 +329,7 @@ def _connected(name: str, *, uri: bool = False) -> sqlite3.Connection:
         (version,) = link.execute("PRAGMA user_version").fetchone()
         if version not in (0, VERSION):  # 0: a new file
             raise CellError(
-                f"{name} has tables of version {version}, but {PROGRAM} reads version {VERSION}; "
+                f"{name} has a table of version {version}, but {PROGRAM} reads version {VERSION}; "
                 "move it away, or use the tactile-cell that wrote it"
             )
     except BaseException:
@@ -273,42 +338,6 @@ def _connected(name: str, *, uri: bool = False) -> sqlite3.Connection:
     return link
 
 
-def _table(day: date) -> str:
-    return f"day_{day:%Y%m%d}"
-
-
-def _tables(link: sqlite3.Connection) -> set[str]:
-    query = "SELECT name FROM sqlite_master WHERE type = 'table' AND name GLOB 'day_*'"
-    return {name for (name,) in link.execute(query)}
-
-
-def _rows(link: sqlite3.Connection, day: date) -> list[Mapping[str, Any]]:
-    if _table(day) not in _tables(link):
-        return []
-    rows = link.execute(f"SELECT * FROM {_table(day)} ORDER BY rowid").fetchall()
-    return [dict(zip(COLUMNS, row, strict=True)) for row in rows]
-
-
-def _sums(link: sqlite3.Connection, days: list[date]) -> dict[str, Any]:
-    """Return the sums of some days, in the form of `History.values`."""
-    tables = [_table(day) for day in days if _table(day) in _tables(link)]
-    all_rows = " UNION ALL ".join(f"SELECT * FROM {table}" for table in tables)
-    counts: dict[str, Any] = dict.fromkeys(("parts", "rejected", "missed", "faults", "starts"), 0)
-    if not tables:
-        return counts | {"cycle_s": None, "confused": []}
-    query = f"SELECT kind, COUNT(*), SUM(rejected), AVG(seconds) FROM ({all_rows}) GROUP BY kind"
-    by_kind = {kind: found for kind, *found in link.execute(query)}
-    for name, kind in zip(counts, ("part", "", "miss", "fault", "start"), strict=True):
-        counts[name] = by_kind.get(kind, [0])[0]
-    _, rejected, cycle_s = by_kind.get("part", (0, 0, None))
-    pairs = f"""
-        SELECT held, label, COUNT(*) AS n, 1 FROM ({all_rows}) WHERE kind = 'part'
-        AND held <> '' AND held <> label AND label <> '{UNKNOWN}' GROUP BY held, label
-        UNION ALL SELECT second, label, COUNT(*) AS n, 0 FROM ({all_rows}) WHERE kind = 'part'
-        AND held = '' AND second_probability >= {_NEAR} AND label <> '{UNKNOWN}'
-        GROUP BY second, label ORDER BY n DESC, held, label LIMIT {_MOST_CONFUSED}"""
-    confused = [
-        {"held": held, "named": label, "n": n, "confirmed": bool(known)}
-        for held, label, n, known in link.execute(pairs)
-    ]
-    return counts | {"rejected": rejected or 0, "cycle_s": cycle_s, "confused": confused}
+def _rows(link: sqlite3.Connection, day: str) -> Iterator[dict[str, Any]]:
+    for row in link.execute("SELECT * FROM events WHERE day = ? ORDER BY rowid", (day,)):
+        yield dict(zip(COLUMNS, row, strict=True))
