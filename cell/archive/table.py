@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from cell.archive.selection import cell_of, day_of, of_cell
 from cell.data.formats import ARCHIVE
 from cell.data.recording_reader import Recording
-from cell.data.recording_values import to_json
 from cell.errors import CellError
 from gripper.values.state import GripperPhase
 from recognition.features.aperture import sizes_mm
@@ -279,7 +278,7 @@ def _frames(grasps: Sequence[Grasp]) -> pa.Array:
 
 @lru_cache(maxsize=16)
 def _pads_text(pads: PadArray) -> str:
-    return to_json({name: array.tolist() for name, array in pads.to_arrays().items()})
+    return json.dumps({name: array.tolist() for name, array in pads.to_arrays().items()})
 
 
 @lru_cache(maxsize=16)

@@ -9,7 +9,7 @@ from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
 from cell.data import recording_schema as schema
 from cell.data.recorder import Recorder
-from cell.data.recording_values import estimate_values, plain_fields, shape_values
+from cell.data.recording_schema import estimate_values, shape_values
 from cell.hand.interface import HandStatistics
 from gripper.force.timing import Distribution, LoopStatistics
 from gripper.values.state import Cycle
@@ -109,7 +109,7 @@ class Journal:
 
     def pose(self, pose: Pose) -> None:
         """Record the pose that was reached."""
-        self._now(schema.POSE, plain_fields(pose))
+        self._now(schema.POSE, asdict(pose))
 
     def grasp(self, grasp: Grasp) -> None:
         """Record that the newest frames belong to this grasp."""

@@ -140,6 +140,9 @@ def write_dataset(path: Path | str, grasps: Sequence[Grasp]) -> None:
     if not grasps:
         raise DatasetError(f"cannot write data set {path}: there is no grasp to write")
     arrays = _arrays_of(path, grasps)
+    with raised_as(DatasetError, ValueError, where=f"cannot write data set {path}"):
+        _check_arrays(arrays)
+        _grasps_of(arrays)
     write_atomically(
         path, lambda file: savez(file, arrays), error=DatasetError, what="grasp data set"
     )
@@ -153,7 +156,7 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
                 f"cannot write data set {path}: grasp {i} was taken on other pads than grasp 0; "
                 "write one data set for each kind of pads"
             )
-        for name in ("label", "shape", "source"):
+        for name in ("label", "shape", "source"):  # an array loses a zero at the end of a text
             if wrong := text_refused(name, getattr(grasp, name)):
                 raise DatasetError(f"cannot write data set {path}: {name} of grasp {i} {wrong}")
     arrays: dict[str, NDArray[Any]] = {
@@ -185,10 +188,6 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
         if any(rows):
             unknown = (np.nan,) * len(columns)
             arrays[name] = np.array([row.values if row else unknown for row in rows])
-    for name in RANGES.keys() & arrays.keys():
-        values = arrays[name][:, :2] if name == "pose" else arrays[name]
-        if wrong := beyond_range(name, values):
-            raise DatasetError(f"cannot write data set {path}: {name} {wrong}")
     return arrays
 
 

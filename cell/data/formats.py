@@ -3,10 +3,9 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from cell.data.files import json_bytes, read_plain, write_text
 from cell.errors import CellError
@@ -19,8 +18,7 @@ _MAX_BYTES = 4 << 20
 """Largest JSON file that is read: ten times the largest file, findings of 400 taxels."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Format:
+class Format(NamedTuple):
     """Format of one kind of file, and its version."""
 
     what: str
@@ -40,43 +38,26 @@ class Format:
             raise error(f"{source}: {named}, but {PROGRAM} reads {self}; {self.remedy}")
 
 
-CONFIG = Format(
-    what="config",
-    text="tactile-cell-config/1",
-    remedy="write that, or leave the key out",
-)
-DATASET = Format(
-    what="grasp data set", text="grasp-dataset/1", remedy="use the tactile-cell that wrote it"
-)
-RECORDING = Format(
-    what="recording",
-    text="tactile-cell-recording/1",
-    remedy="use the tactile-cell that wrote it",
-)
+_SAME = "use the tactile-cell that wrote it"
+CONFIG = Format("config", "tactile-cell-config/1", "write that, or leave the key out")
+DATASET = Format("grasp data set", "grasp-dataset/1", _SAME)
+RECORDING = Format("recording", "tactile-cell-recording/1", _SAME)
 MODEL = Format(
-    what="model",
-    text="tactile-cell-model/1",
-    remedy="train it again: `tactile-cell train DATASETS -o MODEL`",
+    "model",
+    "tactile-cell-model/1",
+    "train it again: `tactile-cell train DATASETS -o MODEL`",
 )
 COMMISSIONING = Format(
-    what="commissioning",
-    text="tactile-cell-commissioning/1",
-    remedy="move it away to commission anew",
+    "commissioning", "tactile-cell-commissioning/1", "move it away to commission anew"
 )
 SERVO_BACKUP = Format(
-    what="backup of a servo",
-    text="tactile-cell-servo-backup/1",
-    remedy="use another copy of it, or the tactile-cell that wrote it",
+    "backup of a servo",
+    "tactile-cell-servo-backup/1",
+    "use another copy of it, or the tactile-cell that wrote it",
 )
-SELF_ZERO = Format(
-    what="self-zero",
-    text="tactile-cell-self-zero/2",
-    remedy="`tactile-cell zero` measures it anew",
-)
+SELF_ZERO = Format("self-zero", "tactile-cell-self-zero/2", "`tactile-cell zero` measures it anew")
 ARCHIVE = Format(
-    what="archive",
-    text="tactile-cell-archive/1",
-    remedy="archive the recordings again, to a new place",
+    "archive", "tactile-cell-archive/1", "archive the recordings again, to a new place"
 )
 
 

@@ -4,16 +4,16 @@ import itertools
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
-import numpy as np
+from mcap.writer import CompressionType, Writer
 
 from cell.data import recording_schema as schema
-from cell.data.recorder_sink import LEFT_BYTES, free_bytes
-from cell.data.recording_file import RecordingFile
-from cell.data.recording_values import cycle_values, grasp_values, metadata_values, to_ns
+from cell.data.formats import RECORDING
+from cell.data.recorder_sink import LEFT_BYTES, BackgroundFile, DirectFile, free_bytes
 from cell.errors import RecordingError
 from gripper.clock import Clock
 from recognition.grasp import Grasp, PadArray
@@ -26,11 +26,131 @@ ROOM_BYTES = 4 * LEFT_BYTES
 """Free bytes of a disk at which a recording begins again: two minutes of grasping."""
 LONG_BYTES = 256 << 20
 """Size of a file in bytes after which the recording continues in a new file: 2 h of grasping."""
-
+CHUNK_BYTES = 64 << 10
+"""Size of a chunk in bytes before compression: the largest loss of a killed program."""
 _NEWEST_FRAMES = 65536
 """Most frames of a grasp; 20 minutes at 50 frames a second."""
-_TIME_TOLERANCE_S = 1e-6
-"""Difference in s between a frame's time in the recording and in its grasp: rounding only."""
+
+
+class MessageWriter:
+    """Writes messages with their schemas after a description of the recording."""
+
+    def __init__(self, file: "BinaryIO | DirectFile") -> None:
+        self._writer = Writer(
+            file,  # type: ignore[arg-type]
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+        self._channels: dict[str, int] = {}
+
+    def start(self, entries: Mapping[str, str]) -> None:
+        """Write the description and the schemas."""
+        self._writer.start(profile="", library="tactile-cell")
+        described = {**entries, "crc32": schema.metadata_crc32(entries)}
+        self._writer.add_metadata(schema.METADATA, described)
+        for topic in schema.MODELS:
+            content = schema.json_schema(topic)
+            number = self._writer.register_schema(
+                content["title"], "jsonschema", schema.to_json(content)
+            )
+            self._channels[topic] = self._writer.register_channel(topic, "json", number)
+
+    def add(self, topic: str, t_s: float, data: bytes) -> None:
+        """Write a message of a monotonic time in s."""
+        stamp_ns = schema.to_ns(t_s)
+        self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns)
+
+    def finish(self) -> None:
+        """Write the end of the file."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+
+
+class RecordingFile:
+    """One file of a recording; a failure of the disk stops it and is in ``fault``, never raised.
+
+    Raises RecordingError if the file cannot be made; an existing one is never overwritten.
+    ``note`` gets the fault as a message for the operator.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        entries: Mapping[str, str],
+        *,
+        background: bool,
+        note: Callable[[str], None],
+    ) -> None:
+        self.path = path
+        self.fault: RecordingError | None = None
+        """Why the file ended early; None while it is written."""
+        self.n_frames = 0
+        """Frames so far."""
+        self._note = note
+        try:
+            self.sink = (BackgroundFile if background else DirectFile)(path)
+        except FileExistsError as cause:
+            raise RecordingError(
+                f"{path} exists; recordings are never overwritten, choose another name"
+            ) from cause
+        except OSError as cause:
+            raise RecordingError(
+                f"cannot record to {path}: {cause.strerror}; check folder and rights"
+            ) from cause
+        self._writer = MessageWriter(self.sink)
+        self._guarded(lambda: self._writer.start(entries))
+
+    def add(self, topic: str, t_s: float, values: Mapping[str, Any]) -> None:
+        """Add a message of a monotonic time in s; does nothing after a fault.
+
+        On a nearly full disk the file ends with a NOTE.
+        """
+        if self.fault is not None:
+            return
+        data = schema.to_json({"t_s": t_s, **values})
+        self.n_frames += topic == schema.FRAME
+        self._guarded(lambda: self._writer.add(topic, t_s, data))
+        if self.fault is None and self.sink.nearly_full:
+            fault = self._stopped("the disk is nearly full")
+            note = schema.to_json({"t_s": t_s, "kind": "note", "text": str(fault)})
+            self._guarded(lambda: self._writer.add(schema.EVENT, t_s, note))
+            self._guarded(self._writer.finish)
+            self._stop(fault)
+
+    def check(self) -> None:
+        """Check whether the disk has failed since the last message."""
+        self._guarded(self.sink.check)
+
+    def close(self) -> None:
+        """Finish the file, as far as its disk allows; wait for the disk."""
+        self._guarded(self._writer.finish)
+        if self.fault is None:
+            self._guarded(self.sink.close)
+        else:
+            with suppress(OSError):  # the fault is already known
+                self.sink.close()
+
+    def _guarded(self, act: Callable[[], object]) -> None:
+        if self.fault is not None:
+            return
+        try:
+            act()
+        except OSError as cause:
+            fault = self._stopped(cause.strerror or str(cause))
+            fault.__cause__ = cause
+            self._stop(fault)
+
+    def _stopped(self, reason: str) -> RecordingError:
+        return RecordingError(
+            f"the recording {self.path} stopped after {self.n_frames} frames: {reason}; free "
+            "space or choose another disk: the next job records again"
+        )
+
+    def _stop(self, fault: RecordingError) -> None:
+        if self.fault is None:
+            self.fault = fault
+            self._note(str(fault))
+            self.sink.end()
 
 
 class Recorder:
@@ -83,7 +203,7 @@ class Recorder:
         self._background = background
         self._note = note
         self._closed = False
-        self._newest: deque[tuple[float, int]] = deque(maxlen=_NEWEST_FRAMES)
+        self._newest_s: deque[float] = deque(maxlen=_NEWEST_FRAMES)
         self._file = self._new_file(self._first_path)
 
     @property
@@ -102,18 +222,18 @@ class Recorder:
         Return whether a new file begins. Without room on the disk the recording stays stopped.
         """
         before = self._file
-        if before.fault is None and before.n_bytes < LONG_BYTES:
+        if before.fault is None and before.sink.tell() < LONG_BYTES:
             return False
         folder = self._first_path.parent
         try:
-            if before.busy or free_bytes(folder) < ROOM_BYTES:
+            if before.sink.busy or free_bytes(folder) < ROOM_BYTES:
                 return False
             if before.fault is not None and not before.n_frames:
                 before.path.unlink(missing_ok=True)
             self._file = self._new_file(self._free_path())
         except (OSError, RecordingError):
             return False
-        self._newest.clear()
+        self._newest_s.clear()
         if before.fault is None:
             before.close()
         else:
@@ -129,16 +249,30 @@ class Recorder:
             "number": self._file.n_frames,
             "counter": int(frame.counter),
             "status": int(frame.status),
-            "counts": counts.tolist(),
+            "counts": counts,
+            "extra": None if frame.extra is None else frame.extra.ravel(),
         }
-        if frame.extra is not None:
-            values["extra"] = frame.extra.ravel().tolist()
         self._put(schema.FRAME, frame.t_s, values)
-        self._newest.append((frame.t_s, schema.counts_crc32(counts)))
+        self._newest_s.append(frame.t_s)
 
     def cycle(self, cycle: "Cycle") -> None:
         """Record one period of the force loop."""
-        self._put(schema.CYCLE, cycle.t_s, cycle_values(cycle))
+        state, force = cycle.state, cycle.force
+        names = (
+            *("aperture_m", "aperture_velocity_m_s", "current_a", "force_from_current_n"),
+            *("temperature_c", "voltage_v", "servos"),
+        )
+        values = {
+            "phase": cycle.phase.name,
+            "level": cycle.level,
+            "setpoint_n": cycle.setpoint_n,
+            "goal_current_a": cycle.goal_current_a,
+            **{name: getattr(state, name) for name in names},
+        }
+        if force is not None:
+            values |= {f"force_{one}": getattr(force, one) for one in ("t_s", "valid")}
+            values["force_n"] = force.force_n
+        self._put(schema.CYCLE, cycle.t_s, values)
 
     def now(self, topic: str, values: Mapping[str, Any]) -> None:
         """Record a message of the present time; see `recording_schema` for its fields."""
@@ -147,24 +281,23 @@ class Recorder:
     def grasp(self, grasp: Grasp) -> None:
         """Record that the newest frames belong to this grasp.
 
-        They must be the frames given to `frame` before; else raises ValueError. A grasp during
-        which the recording stopped is in no file.
+        They must be the frames given to `frame` before; else a reader refuses the grasp. A grasp
+        during which the recording stopped is in no file. Raises ValueError for too few frames.
         """
+        n_frames, newest_s = grasp.n_frames, self._newest_s
         if self.fault is not None:
             return
-        newest = list(self._newest)[-grasp.n_frames :]
-        stamps_s = np.array([t_s for t_s, _ in newest])
-        if len(newest) < grasp.n_frames or np.any(
-            np.abs(stamps_s - stamps_s[0] - grasp.t_s) > _TIME_TOLERANCE_S
-        ):
-            raise ValueError(
-                f"the newest {len(newest)} recorded frames are not the {grasp.n_frames} of the "
-                "grasp; record each of its frames, then the grasp"
-            )
-        if schema.counts_crc32(grasp.counts[-1]) != newest[-1][1]:
-            raise ValueError("the counts of the grasp are not the raw counts that were recorded")
-        values = grasp_values(grasp, first_frame=self._file.n_frames - grasp.n_frames)
-        self._put(schema.GRASP, float(stamps_s[0]), values)
+        if len(newest_s) < n_frames:
+            raise ValueError(f"{len(newest_s)} frames are recorded, the grasp has {n_frames}")
+        names = ("label", "shape", "source", "start_ms", "n_frames", "aperture_m", "force_n")
+        values = {name: getattr(grasp, name) for name in names} | {
+            "first_frame": self._file.n_frames - n_frames,
+            "frame_t_s": grasp.t_s,
+            "asked": grasp.command and grasp.command.values,
+            "self_zero": grasp.zero and grasp.zero.values,
+            "counts_crc32": schema.counts_crc32(grasp.counts),
+        }
+        self._put(schema.GRASP, newest_s[-n_frames], values)
 
     def check(self) -> None:
         """Check the file while nothing is recorded; call it now and then."""
@@ -201,11 +334,16 @@ class Recorder:
         self._file.add(topic, t_s, values)
 
     def _new_file(self, path: Path) -> RecordingFile:
-        clocks_and_pads = metadata_values(
-            self._pads, self.wall_clock_ns(), to_ns(self._clock.monotonic())
-        )
-        described = self._metadata | clocks_and_pads
-        return RecordingFile(path, described, background=self._background, note=self._note)
+        pads = self._pads
+        places = {name: getattr(pads, name) for name in ("pad_shape", "taxel_pad", "adc_max")}
+        described = {
+            "format": str(RECORDING),
+            "wall_clock_start_ns": str(self.wall_clock_ns()),
+            "monotonic_start_ns": str(schema.to_ns(self._clock.monotonic())),
+            "pads": schema.to_json(places | {"taxel_xy_m": pads.taxel_xy_m}).decode(),
+        }
+        entries = self._metadata | described
+        return RecordingFile(path, entries, background=self._background, note=self._note)
 
     def _free_path(self) -> Path:
         first = self._first_path

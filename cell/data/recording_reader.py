@@ -1,24 +1,227 @@
-"""Reading recordings: all valid data of an MCAP file, as arrays and grasps."""
+"""Reading recordings: all whole messages of an MCAP file, as arrays and grasps, and a new file.
 
+No checksum or value in the file is trusted: what does not fit is left out and named.
+"""
+
+import os
+import struct
 import sys
 from array import array
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, BinaryIO, NamedTuple, Self
 
 import numpy as np
+import zstandard
+from mcap.exceptions import McapError
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Statistics
+from mcap.stream_reader import StreamReader, breakup_chunk
 from numpy.typing import NDArray
+from pydantic import ValidationError
+from pydantic_core import from_json
 
 from cell.data import recording_schema as schema
-from cell.data.grasp_limits import beyond_range, text_refused, times_refused
-from cell.data.recording_messages import RecordedMessages
-from cell.errors import RecordingError
+from cell.data.files import DAMAGE, open_plain, write_atomically
+from cell.data.formats import RECORDING
+from cell.data.grasp_limits import times_refused
+from cell.data.recorder import MessageWriter
+from cell.errors import RecordingError, reason_text
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 
+MAX_FILE_BYTES = 1 << 30
+"""Largest recording that is read, in bytes: 8 hours of grasping."""
+MAX_CHUNK_BYTES = 32 << 20
+"""Largest record and unpacked chunk that is read, in bytes. The recorder makes chunks of 64 KiB,
+the tools of MCAP those of 8 MiB."""
+MAX_EXTRA = 8
+"""Most further samples of a taxel in a frame."""
+_PACKINGS = ("", "zstd", "lz4")
+_DAMAGE = (*DAMAGE, McapError, zstandard.ZstdError, struct.error)
 _TIME_TOLERANCE_S = 1e-5
 """Difference in s between the times of a grasp and those of its frames: rounding only."""
+
+
+class RecordedMessage(NamedTuple):
+    """A message that fits its model."""
+
+    topic: str
+    content: dict[str, Any]
+    """Its fields in `recording_schema`."""
+    data: bytes
+    """Its JSON."""
+
+
+class RecordedMessages:
+    """Yields the messages of a recording in the order of the file; iterate once.
+
+    Raises RecordingError if the file cannot be read, is too large, or is not a recording of this
+    package.
+    """
+
+    metadata: dict[str, str]
+    pads: PadArray
+    """Its metadata, and the pads of its frames; there from the first message on."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._first_loss, self._n_lost = "", 0
+        self._topics: dict[int, str] = {}
+        self.n_of = Counter[str]()
+        """Messages of each topic so far, also those that are left out."""
+        self._chunks: set[tuple[int, int, int]] = set()
+        self._n_extra: int | None = None
+
+    @property
+    def lost_reason(self) -> str:
+        """Why data are missing, and how many more losses there are; empty if complete."""
+        return self._first_loss + (f" ({self._n_lost} losses)" if self._n_lost > 1 else "")
+
+    def lose(self, reason: str) -> None:
+        """Note a loss."""
+        self._first_loss = self._first_loss or reason
+        self._n_lost += 1
+
+    def __iter__(self) -> Iterator[RecordedMessage]:
+        with open_plain(self.path, error=RecordingError, what="recording") as file:
+            if os.fstat(file.fileno()).st_size > MAX_FILE_BYTES:
+                raise RecordingError(
+                    f"{self.path}: too long; at most {MAX_FILE_BYTES} bytes are read"
+                )
+            try:
+                self._describe(file)
+                file.seek(0)
+                yield from self._messages(file)
+            except OSError as cause:
+                raise RecordingError(
+                    f"cannot read recording {self.path}: {cause.strerror}"
+                ) from cause
+
+    def _describe(self, file: BinaryIO) -> None:
+        """Read the metadata, wherever they are in the file."""
+        try:
+            found: dict[str, str] = next(
+                record.metadata
+                for record in _records(file)
+                if isinstance(record, Metadata) and record.name == schema.METADATA
+            )
+        except (StopIteration, *_DAMAGE) as cause:
+            why = f" ({reason_text(cause)})" if str(cause) else ""
+            raise RecordingError(
+                f"{self.path} is not a recording: it has no description, as {RECORDING} has{why}"
+            ) from cause
+        RECORDING.check(found.get("format"), self.path, RecordingError)
+        if found.get("crc32") != schema.metadata_crc32(found):
+            raise RecordingError(f"{self.path}: its description of clocks and pads is damaged")
+        try:
+            self.pads = PadArray(**from_json(found["pads"]))
+            self.wall_clock_start_ns = int(found["wall_clock_start_ns"])
+            self.monotonic_start_ns = int(found["monotonic_start_ns"])
+            self.metadata = found
+        except _DAMAGE as cause:
+            raise RecordingError(
+                f"{self.path}: its description does not fit {RECORDING} ({reason_text(cause)}); "
+                "another program wrote it"
+            ) from cause
+
+    def _messages(self, file: BinaryIO) -> Iterator[RecordedMessage]:
+        n_read, ended = 0, False
+        try:
+            for record in _records(file, validate_crcs=True):
+                if isinstance(record, DataEnd):
+                    ended = True
+                elif isinstance(record, Statistics):
+                    if n_read < record.message_count and not self._n_lost:
+                        self.lose(f"{n_read} of its {record.message_count} messages are there")
+                elif ended and isinstance(record, Chunk | Message):
+                    # The checksum of the data does not include this part.
+                    self.lose("data follow its end")
+                elif not ended:
+                    for part in self._parts(record):
+                        n_read += isinstance(part, Message)
+                        if (message := self._message(part)) is not None:
+                            yield message
+            if not ended:
+                self.lose("its end is missing")
+        except _DAMAGE as cause:
+            self.lose(f"the file is cut off or damaged ({reason_text(cause)})")
+
+    def _parts(self, record: McapRecord) -> list[McapRecord]:
+        """Return the records of a chunk, or the record itself."""
+        if not isinstance(record, Chunk):
+            return [record]
+        identity = (record.message_start_time, record.uncompressed_size, record.uncompressed_crc)
+        try:
+            if identity in self._chunks:
+                # Its frames and grasps would count twice.
+                raise ValueError("it repeats an earlier chunk")
+            if record.compression not in _PACKINGS:
+                raise ValueError(f"its compression {record.compression!r} is not read")
+            if record.uncompressed_size > MAX_CHUNK_BYTES:
+                raise ValueError(f"it unpacks to more than {MAX_CHUNK_BYTES} bytes")
+            parts = breakup_chunk(record, validate_crc=True)
+        except _DAMAGE as cause:
+            self.lose(f"a chunk is left out: {reason_text(cause)}")
+            return []
+        self._chunks.add(identity)
+        return parts
+
+    def _message(self, record: McapRecord) -> RecordedMessage | None:
+        """Return a message of a known topic that fits its model; another one is reported."""
+        if isinstance(record, Channel):
+            topic = record.topic if record.message_encoding == "json" else ""
+            self._topics.setdefault(record.id, topic)
+        if not isinstance(record, Message):
+            return None
+        if record.channel_id not in self._topics:
+            self.lose("a channel is not described")
+            return None
+        topic = self._topics[record.channel_id]
+        if topic not in schema.MODELS:
+            return None
+        self.n_of[topic] += 1
+        try:
+            content = schema.MODELS[topic].validate_json(record.data, strict=True)
+            if topic == schema.FRAME:
+                self._check_frame(content["counts"], content.get("extra", []))
+        except ValueError as cause:
+            self.lose(f"message {self.n_of[topic]} of {topic} is left out: {_refusal(cause)}")
+            return None
+        return RecordedMessage(topic, content, record.data)
+
+    def _check_frame(self, counts: list[int], extra: list[int]) -> None:
+        """Raise ValueError if a frame does not fit the pads, or the frames before it."""
+        n, most = self.pads.n_taxels, self.pads.adc_max
+        if len(counts) != n or max(counts) > most:
+            raise ValueError(
+                f"it has {len(counts)} counts up to {max(counts, default=0)}, expected {n} up to "
+                f"{most}"
+            )
+        allowed = (
+            [i * n for i in range(MAX_EXTRA + 1)] if self._n_extra is None else [self._n_extra]
+        )
+        if len(extra) not in allowed:
+            raise ValueError(f"it has {len(extra)} further samples, allowed are {allowed}")
+        self._n_extra = len(extra)
+
+
+def _records(file: BinaryIO, *, validate_crcs: bool = False) -> Iterator[McapRecord]:
+    return StreamReader(
+        file,
+        emit_chunks=True,
+        validate_crcs=validate_crcs,
+        record_size_limit=MAX_CHUNK_BYTES,
+    ).records
+
+
+def _refusal(cause: ValueError) -> str:
+    if not isinstance(cause, ValidationError):
+        return str(cause)
+    first = cause.errors(include_url=False)[0]
+    where = ".".join(map(str, first["loc"])) or "it"
+    value = "" if first["type"] in ("missing", "json_invalid") else f" is {first['input']!r:.40}"
+    return f"{where}{value}: {first['msg']}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,10 +299,13 @@ class Recording:
     """Monotonic time in s of the first frame of each grasp."""
     n_broken_grasps: int = 0
     """Number of grasps that are damaged or lack frames; they are not in ``grasps``."""
-    complete: bool = True
-    """Whether the file was closed and nothing in it is damaged."""
     lost_reason: str = ""
     """Why it is not complete, or empty."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the file was closed and nothing in it is damaged."""
+        return not self.lost_reason
 
     @property
     def identified(self) -> Iterator[tuple[dict[str, Any], list[int]]]:
@@ -120,60 +326,57 @@ def read_recording(path: Path | str) -> Recording:
     is missing.
     """
     messages = RecordedMessages(Path(path))
-    frames, cycles = _Columns(_FRAME_COLUMNS), _Columns(_CYCLE_COLUMNS)
-    counts, extra, forces_n = array("H"), array("H"), array("d")
+    arrays: list[array[Any]] = [array(kind) for kind in "dqHHd"]
+    times_s, numbers, counts, extra, cycles = arrays
     phases: list[str] = []
     rows: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
     for topic, content, _ in messages:
         if topic == schema.FRAME:
-            frames.add(content)
+            times_s.append(content["t_s"])
+            numbers.extend(content[name] for name in ("number", "counter", "status"))
             counts.extend(content["counts"])
             extra.extend(content.get("extra", ()))
         elif topic == schema.CYCLE:
-            cycles.add(content)
+            force_n = content.get("force_n", ())
+            cycles.extend(content.get(name, np.nan) for name in _CYCLE_COLUMNS)
+            cycles.extend(force_n if len(force_n) == 2 else (np.nan, np.nan))
             phases.append(sys.intern(content["phase"]))
-            both_n = content.get("force_n", ())
-            forces_n.extend(both_n if len(both_n) == 2 else (np.nan, np.nan))
         else:
             rows[topic].append(content)
-    samples = _read_only(counts).reshape(-1, messages.pads.n_taxels)
-    recorded = RecordedFrames(
-        t_s=frames["t_s"],
-        **{name: frames[name].astype(np.int64) for name in _FRAME_COLUMNS[1:]},
-        counts=samples,
-        extra=_read_only(extra).reshape(*samples.shape, len(extra) // max(1, len(counts))),
+    number, counter, status = _rows(numbers, 3).T
+    known = _rows(cycles, len(_CYCLE_COLUMNS) + 2)
+    n_frames, n_taxels = len(times_s), messages.pads.n_taxels
+    frames = RecordedFrames(
+        t_s=_rows(times_s, 1)[:, 0],
+        number=number,
+        counter=counter,
+        status=status,
+        counts=_rows(counts, n_taxels),
+        extra=_rows(extra, len(extra) // max(1, n_frames) or n_taxels).reshape(
+            n_frames, n_taxels, -1 if n_frames else 0
+        ),
     )
-    grasps = _grasps(rows[schema.GRASP], recorded, messages)
-    n_frames = len(recorded)
+    grasps = _grasps(rows[schema.GRASP], frames, messages)
     if (
         not messages.lost_reason
         and schema.RECOVERED not in messages.metadata
-        and np.any(recorded.number != np.arange(n_frames))
+        and np.any(number != np.arange(n_frames))
     ):
         messages.lose(f"its {n_frames} frames are not all that were recorded")
+    plain: dict[str, Any] = {name: getattr(messages, name) for name in _OF_MESSAGES}
+    plain |= {name: tuple(rows[topic]) for name, topic in _OF_TOPICS.items()}
     return Recording(
-        path=messages.path,
-        metadata=messages.metadata,
-        pads=messages.pads,
-        wall_clock_start_ns=messages.wall_clock_start_ns,
-        monotonic_start_ns=messages.monotonic_start_ns,
-        frames=recorded,
+        **plain,
+        frames=frames,
         cycles=RecordedCycles(
-            **{name: cycles[name] for name in _CYCLE_COLUMNS},
+            **dict(zip(_CYCLE_COLUMNS, known.T, strict=False)),
             phase=tuple(phases),
-            force_n=_read_only(forces_n).reshape(-1, 2),
+            force_n=known[:, -2:],
         ),
-        poses=tuple(rows[schema.POSE]),
-        events=tuple(rows[schema.EVENT]),
-        results=tuple(rows[schema.RESULT]),
-        states=tuple(rows[schema.STATE]),
-        statistics=tuple(rows[schema.LOOP]),
         grasps=tuple(grasp for _, grasp, _ in grasps),
         grasp_numbers=tuple(number for number, _, _ in grasps),
         grasp_t_s=tuple(begin_s for _, _, begin_s in grasps),
-        n_broken_grasps=len(rows[schema.GRASP]) - len(grasps),
-        complete=not messages.lost_reason,
-        lost_reason=messages.lost_reason,
+        n_broken_grasps=messages.n_of[schema.GRASP] - len(grasps),
     )
 
 
@@ -193,26 +396,29 @@ def recording_grasps(path: Path | str) -> tuple[Grasp, ...]:
     return recording.grasps
 
 
-_FRAME_COLUMNS = ("t_s", "number", "counter", "status")
 _CYCLE_COLUMNS = (
     "t_s", "setpoint_n", "goal_current_a", "aperture_m", "current_a", "temperature_c",
 )  # fmt: skip
-"""Columns of `RecordedFrames` and `RecordedCycles` with one number each."""
+"""Columns of `RecordedCycles` with one number each."""
+_OF_MESSAGES = (
+    "path", "metadata", "pads", "wall_clock_start_ns", "monotonic_start_ns", "lost_reason",
+)  # fmt: skip
+"""Fields of a `Recording` that its messages have."""
+_OF_TOPICS = {
+    "poses": schema.POSE,
+    "events": schema.EVENT,
+    "results": schema.RESULT,
+    "states": schema.STATE,
+    "statistics": schema.LOOP,
+}
+"""Fields of a `Recording` with all messages of a topic."""
 
 
-class _Columns:
-    """Numbers of messages as columns, which take far less memory than the messages."""
-
-    def __init__(self, names: tuple[str, ...]) -> None:
-        self._columns = {name: array("d") for name in names}
-
-    def add(self, content: dict[str, Any]) -> None:
-        """Add a message; an unknown number is NaN."""
-        for name, column in self._columns.items():
-            column.append(content.get(name, np.nan))
-
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
-        return _read_only(self._columns[name])
+def _rows(values: "array[Any]", n: int) -> NDArray[Any]:
+    """Return rows of ``n`` numbers; they take less memory than the messages."""
+    rows = np.asarray(values).reshape(-1, n)
+    rows.setflags(write=False)
+    return rows
 
 
 def _grasps(
@@ -244,17 +450,12 @@ def _grasp(row: dict[str, Any], pads: PadArray, frames: RecordedFrames, part: sl
     n_frames = row["n_frames"]
     if not 0 < n_frames == len(row["frame_t_s"]):
         raise ValueError(f"it has {len(row['frame_t_s'])} times for {n_frames} frames")
-    unknown = [np.nan] * n_frames
+    known = ("label", "shape", "source", "start_ms", "aperture_m", "force_n")
     grasp = Grasp(
         pads=pads,
         counts=frames.counts[part].copy(),
-        t_s=np.array(row["frame_t_s"]),
-        aperture_m=np.array(row.get("aperture_m", unknown)),
-        force_n=np.array(row.get("force_n", unknown)),
-        label=row["label"],
-        shape=row["shape"],
-        source=row["source"],
-        start_ms=row["start_ms"],
+        t_s=row["frame_t_s"],
+        **{name: row[name] for name in known if name in row},
         command=GraspCommand.from_values(row["asked"]) if "asked" in row else None,
         zero=SelfZero.from_values(row["self_zero"]) if "self_zero" in row else None,
     )
@@ -263,20 +464,64 @@ def _grasp(row: dict[str, Any], pads: PadArray, frames: RecordedFrames, part: sl
     since_first_s = frames.t_s[part] - frames.t_s[part.start]
     if np.any(np.abs(since_first_s - grasp.t_s) > _TIME_TOLERANCE_S):
         raise ValueError("its times differ from those of its frames")
-    refusals = {
-        "times": times_refused(grasp.t_s, np.array([0, n_frames])),
-        "opening": beyond_range("aperture_mm", 1e3 * grasp.aperture_m),
-        "force": beyond_range("force_n", grasp.force_n),
-        "start": beyond_range("start_ms", np.array([grasp.start_ms])),
-        "pose": grasp.command and beyond_range("pose", np.array(grasp.command.values[:2])),
-    } | {name: text_refused(name, row[name]) for name in ("label", "shape", "source")}
-    for name, wrong in refusals.items():
-        if wrong:
-            raise ValueError(f"its {name} {wrong}")
+    if wrong := times_refused(grasp.t_s, np.array([0, n_frames])):
+        raise ValueError(f"its times {wrong}")
     return grasp
 
 
-def _read_only(values: "array[float] | array[int]") -> NDArray[Any]:
-    found = np.asarray(values)
-    found.setflags(write=False)
-    return found
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recovered:
+    """Result of a recovery."""
+
+    recording: Path
+    """The new recording."""
+    n_frames: int
+    n_cycles: int
+    n_grasps: int
+    """Number of whole frames, periods of the loop, and grasps in it."""
+    n_broken_grasps: int
+    """Number of omitted grasps with missing or damaged frames."""
+    lost_reason: str
+    """Why the old recording is not complete, or empty."""
+
+
+def recover_recording(path: Path | str, target: Path | str) -> Recovered:
+    """Write all valid data of a recording to a new one; the old one does not change.
+
+    Raises RecordingError if the old file is not a recording or has lost every message, or if the
+    new file exists or cannot be written.
+    """
+    path, target = Path(path), Path(target)
+    if target.exists():
+        raise RecordingError(f"{target} exists; recordings are never overwritten, choose another")
+    recording = read_recording(path)
+    write_atomically(
+        target, lambda file: _write(file, recording), error=RecordingError, what="recording"
+    )
+    return Recovered(
+        recording=target,
+        n_frames=len(recording.frames),
+        n_cycles=len(recording.cycles),
+        n_grasps=len(recording.grasps),
+        n_broken_grasps=recording.n_broken_grasps,
+        lost_reason=recording.lost_reason,
+    )
+
+
+def _write(file: BinaryIO, recording: Recording) -> None:
+    entries = {key: value for key, value in recording.metadata.items() if key != "crc32"}
+    if recording.lost_reason:
+        entries[schema.RECOVERED] = f"from {recording.path.name}: {recording.lost_reason}"
+    writer = MessageWriter(file)
+    writer.start(entries)
+    n_written = n_grasps = 0
+    for topic, content, data in RecordedMessages(recording.path):
+        n_grasps += topic == schema.GRASP
+        if topic != schema.GRASP or n_grasps - 1 in recording.grasp_numbers:
+            writer.add(topic, content["t_s"], data)
+            n_written += 1
+    if recording.lost_reason and not n_written:
+        raise RecordingError(
+            f"nothing of {recording.path} can be recovered: {recording.lost_reason}"
+        )
+    writer.finish()

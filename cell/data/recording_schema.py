@@ -1,4 +1,6 @@
-"""Schema of recordings: topics of the MCAP file, and a record model for each.
+"""Records of a recording: topics of the MCAP file, a model for each, and its encoding.
+
+A model gives the schema in the file and the check of each message that is read.
 
 Messages are JSON with a schema of plain types (no unions, no references), which Foxglove and other
 viewers plot without a plug-in. An unknown value is omitted, never written as NaN or null. Counts
@@ -9,17 +11,25 @@ are plain lists of integers, so that a viewer can plot a single taxel
 the wall clock and describes the pads.
 """
 
+import json
+import math
 import zlib
 from collections.abc import Mapping
-from typing import Annotated, Any, Final, NotRequired
+from dataclasses import fields, is_dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Final, NotRequired
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, TypeAdapter, with_config
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, with_config
 from pydantic.json_schema import GenerateJsonSchema
 from typing_extensions import TypedDict
 
+from cell.data.grasp_limits import RANGES, text_refused
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS
+
+if TYPE_CHECKING:
+    from recognition.drift.grid import DriftGrid
+    from recognition.shape.answer import ShapeAnswer
 
 METADATA: Final = "tactile-cell"
 """Name of the metadata record with format, clocks and pads."""
@@ -46,9 +56,25 @@ Integer = Annotated[int, Field(ge=-(1 << 63), le=(1 << 63) - 1)]
 """A number of 64 bits."""
 Sample = Annotated[int, Field(ge=0, le=0xFFFF)]
 """A raw count of a taxel."""
+
+
+def _within(name: str, unit: float = 1.0) -> Any:
+    low, high, _ = RANGES[name]
+    return Field(ge=unit * low, le=unit * high)
+
+
+def _text(text: str) -> str:
+    if wrong := text_refused("label", text):
+        raise ValueError(wrong)
+    return text
+
+
+Text = Annotated[str, AfterValidator(_text)]
+"""A text of a grasp."""
 _ASKED = "pose and force asked for: " + ", ".join(COMMAND_COLUMNS)
 _SELF_ZERO = "what the empty fingers showed before: " + ", ".join(ZERO_COLUMNS)
 
+_ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 _record = with_config(
     ConfigDict(extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
 )
@@ -210,13 +236,13 @@ class Grasp(TypedDict):
 
     t_s: Time
     """monotonic time of the grasp's first frame, s"""
-    label: str
+    label: Text
     """what was grasped; empty where unknown"""
-    shape: str
+    shape: Text
     """class of shape; empty where unknown"""
-    source: str
+    source: Text
     """where it came from"""
-    start_ms: Integer
+    start_ms: Annotated[int, _within("start_ms")]
     """wall clock of the first frame, ms"""
     first_frame: Natural
     """number of the first frame"""
@@ -224,9 +250,9 @@ class Grasp(TypedDict):
     """frames of the grasp, consecutive numbers"""
     frame_t_s: list[Number]
     """time of each frame since the first, s"""
-    aperture_m: NotRequired[list[Number]]
+    aperture_m: NotRequired[list[Annotated[float, _within("aperture_mm", 1e-3)]]]
     """opening at each frame, m; left out unless known for each"""
-    force_n: NotRequired[list[Number]]
+    force_n: NotRequired[list[Annotated[float, _within("force_n")]]]
     """commanded grip force at each frame, N; left out unless known for each"""
     asked: NotRequired[Annotated[list[Number], Field(description=_ASKED)]]
     self_zero: NotRequired[Annotated[list[Number], Field(description=_SELF_ZERO)]]
@@ -249,17 +275,9 @@ class Thickness(TypedDict, total=False):
 
 
 @_record
-class Shape(TypedDict, total=False):
+class Shape(Thickness, total=False):
     """Shape and size of a part; a viewer plots its numbers."""
 
-    size_m: Number
-    """thickness along the closing axis, m: the diameter of what is round"""
-    low_m: Number
-    """lower end of the interval that holds it with 90 %, m"""
-    high_m: Number
-    """upper end, m"""
-    n_grasps: Natural
-    """grasps that met it"""
     kind: str
     """sphere, oval, cylinder, flat, dumbbell or unclear"""
     probability: Number
@@ -353,6 +371,56 @@ def json_schema(topic: str) -> dict[str, Any]:
 
     plain: dict[str, Any] = inlined(found)
     return plain | {"title": f"tactile_cell.{plain['title']}"}
+
+
+def to_json(value: Any) -> bytes:
+    """Return compact JSON, numbers to 1e-9 of their unit.
+
+    A value that is None, NaN or infinite is left out, as is an array with one.
+    """
+    return _ENCODER.encode(_plain(value)).encode()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return round(float(value), 9) if math.isfinite(value) else None
+    if isinstance(value, np.ndarray):
+        return value.tolist() if value.dtype.kind in "iu" else _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        items = [_plain(one) for one in value]
+        return None if None in items else items
+    if is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    if isinstance(value, Mapping):
+        known = {name: _plain(one) for name, one in value.items()}
+        return {name: one for name, one in known.items() if one is not None}
+    return value
+
+
+def to_ns(t_s: float) -> int:
+    """Return a monotonic time in ns. Raises ValueError if it is negative or not finite."""
+    if not (math.isfinite(t_s) and t_s >= 0):
+        raise ValueError(f"{t_s} s is not a monotonic time; it must be finite and not negative")
+    return round(t_s * 1e9)
+
+
+def shape_values(shape: "ShapeAnswer | None") -> dict[str, Any]:
+    """Return the recorded values of shape and size; empty without a shape."""
+    if shape is None:
+        return {}
+    names = ("kind", "size_m", "low_m", "high_m", "n_grasps", "thicknesses", "dimensions_m")
+    probability = shape.probability[shape.likeliest]
+    return {name: getattr(shape, name) for name in names} | {"probability": probability}
+
+
+def estimate_values(drift: "DriftGrid") -> dict[str, float]:
+    """Return the sensor drift that an answer assumes."""
+    return {
+        "drift_gain": drift.drift.gain,
+        "drift_aperture_m": drift.drift.aperture_offset_m,
+        "drift_unchanged": drift.unchanged,
+        "drift_n_grasps": drift.n_followed,
+    }
 
 
 def counts_crc32(counts: NDArray[np.uint16]) -> int:

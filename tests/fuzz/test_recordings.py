@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 
 from cell.control.journal import Journal
 from cell.data.recorder import Recorder
-from cell.data.recording_reader import Recording, read_recording
-from cell.data.recording_recovery import recover_recording
+from cell.data.recording_reader import Recording, read_recording, recover_recording
 from cell.errors import RecordingError
 from tactile.source import TactileFrame
 from tests.fuzz.harness import (

@@ -22,7 +22,7 @@ from cell.config.model import CellConfig
 from cell.config.serve import ServeConfig
 from cell.data import recording_schema as schema
 from cell.data.files import json_bytes, write_atomically
-from cell.data.recording_messages import RecordedMessages
+from cell.data.recording_reader import RecordedMessages
 from cell.errors import CellError, ConfigError
 from cell.interfaces.access import read_secret, view_token
 from cell.interfaces.cli.system_files import NAME

@@ -25,7 +25,7 @@ from cell.config.file import changed_config, config_text, load_config, parse_con
 from cell.config.model import CellConfig
 from cell.control.part import Part
 from cell.control.zeroing import Zeroing
-from cell.data.recording_messages import RecordedMessages
+from cell.data.recording_reader import RecordedMessages
 from cell.interfaces.access import view_token
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.service_manager import ServiceManager

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from cell.config.model import CellConfig
-from cell.data import recording_file
+from cell.data import recorder
 from cell.data.recorder_sink import DirectFile
 from cell.errors import CellError, CellStopped, ModelError, RecordingError
 from cell.interfaces.cli import session, terminal
@@ -81,7 +81,7 @@ def test_a_disk_that_is_full_in_a_grasp_loses_neither_the_grip_nor_the_grasp_bef
     def grip_n() -> float:
         return min(cell.plugin._cell.simulated.world.contact_force_n())
 
-    monkeypatch.setattr(recording_file, "CHUNK_BYTES", 1 << 12)
+    monkeypatch.setattr(recorder, "CHUNK_BYTES", 1 << 12)
     monkeypatch.setattr(DirectFile, "write", take_one_grasp)
     config, found = quick_config(recording__when_lost="hold"), tmp_path / "found.json"
     with (

@@ -19,8 +19,7 @@ from cell.build import build_cell
 from cell.control.records import pad_array
 from cell.data.recorder import Recorder
 from cell.data.recorder_sink import BackgroundFile, DirectFile
-from cell.data.recording_reader import read_recording, recording_grasps
-from cell.data.recording_recovery import recover_recording
+from cell.data.recording_reader import read_recording, recording_grasps, recover_recording
 from cell.errors import CellError, ConfigError, ModelError, RecordingError
 from cell.learning.model import save_model
 from cell.runtime.plugin import TactileCellPlugin

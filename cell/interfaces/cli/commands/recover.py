@@ -14,7 +14,7 @@ def recover(
     json_file: JsonOption = None,
 ) -> None:
     """Save the undamaged data of a damaged recording to a new file."""
-    from cell.data.recording_recovery import recover_recording
+    from cell.data.recording_reader import recover_recording
     from cell.interfaces.cli.terminal import print_line, write_json
 
     target = output or recording.with_name(f"{recording.stem}-recovered.mcap")
