@@ -33,12 +33,15 @@ class Calibration(Protocol):
         """Return the tared counts of forces in N, not rounded."""
 
 
-def _checked_gain(gain: Array | float) -> Array:
-    array = np.array(gain, dtype=np.float64)
-    if not np.all(np.isfinite(array) & (array > 0.0)):
+def _check(calibration: "FoamCalibration | TableCalibration") -> None:
+    """Check full scale and gain, and keep a copy of the gain that is not written."""
+    if calibration.adc_max < 1:
+        raise CalibrationError(f"adc_max is {calibration.adc_max}, must be at least 1")
+    gain = np.array(calibration.gain, dtype=np.float64)
+    if not np.all(np.isfinite(gain) & (gain > 0.0)):
         raise CalibrationError("taxel gains must be finite and above 0")
-    array.setflags(write=False)
-    return array
+    gain.setflags(write=False)
+    object.__setattr__(calibration, "gain", gain)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,14 +59,7 @@ class FoamCalibration:
     """(n_taxels,) float64 or scalar: true force over the law's force of each taxel."""
 
     def __post_init__(self) -> None:
-        if self.adc_max < 1:
-            raise CalibrationError(f"adc_max is {self.adc_max}, must be at least 1")
-        object.__setattr__(self, "gain", _checked_gain(self.gain))
-
-    @property
-    def force_max_n(self) -> float:
-        """Force in N at which a taxel without offset and gain saturates."""
-        return float(-np.log(0.5 / self.adc_max) / FOAM_EXPONENT_PER_N)
+        _check(self)
 
     def force_n(self, tared_counts: Array) -> Array:
         """Return the force on each taxel in N."""
@@ -77,29 +73,6 @@ class FoamCalibration:
         share = FOAM_EXPONENT_PER_N * np.asarray(force_n, dtype=np.float64) / self.gain
         law = -np.expm1(-np.maximum(share, 0.0)) + np.minimum(share, 0.0)
         return np.asarray(self.adc_max * law, dtype=np.float64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LinearCalibration:
-    """A sensor whose counts are proportional to the force."""
-
-    force_per_count_n: Array | float
-    """(n_taxels,) float64 or scalar: force of one count in N."""
-    adc_max: int
-    """Full scale in counts."""
-
-    def __post_init__(self) -> None:
-        if self.adc_max < 1:
-            raise CalibrationError(f"adc_max is {self.adc_max}, must be at least 1")
-        object.__setattr__(self, "force_per_count_n", _checked_gain(self.force_per_count_n))
-
-    def force_n(self, tared_counts: Array) -> Array:
-        """Return the force on each taxel in N."""
-        return np.asarray(self.force_per_count_n * np.asarray(tared_counts), dtype=np.float64)
-
-    def counts(self, force_n: Array) -> Array:
-        """Return the tared counts of forces in N, not rounded."""
-        return np.asarray(np.asarray(force_n) / self.force_per_count_n, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,10 +92,10 @@ class TableCalibration:
     """(n_taxels,) float64 or scalar: true force over that of the table."""
 
     def __post_init__(self) -> None:
+        _check(self)
         nodes = np.array([(0.0, *self.node_counts), (0.0, *self.node_force_n)])
         if nodes.shape[1] < 2 or not (np.isfinite(nodes).all() and (np.diff(nodes) > 0.0).all()):
             raise CalibrationError("counts and forces of a table must rise from above 0, together")
-        object.__setattr__(self, "gain", _checked_gain(self.gain))
 
     def force_n(self, tared_counts: Array) -> Array:
         """Return the force on each taxel in N."""
@@ -132,6 +105,23 @@ class TableCalibration:
     def counts(self, force_n: Array) -> Array:
         """Return the tared counts of forces in N, not rounded."""
         return _along(self.node_force_n, self.node_counts, np.asarray(force_n) / self.gain)
+
+
+class LinearCalibration(TableCalibration):
+    """A sensor whose counts are proportional to the force.
+
+    Parameters
+    ----------
+    force_per_count_n : (n_taxels,) float64 or scalar
+        Force of one count in N.
+    adc_max
+        Full scale in counts.
+    """
+
+    __slots__ = ()
+
+    def __init__(self, force_per_count_n: Array | float, adc_max: int) -> None:
+        super().__init__((1.0,), (1.0,), adc_max, force_per_count_n)
 
 
 def _along(x: tuple[float, ...], y: tuple[float, ...], at: Array) -> Array:
