@@ -5,7 +5,8 @@ and emergencies, are not used: an exception there is one log line, and they fail
 and unknown states, which some units send.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from math import sqrt
 from typing import TypeVar
@@ -16,7 +17,7 @@ import numpy as np
 from canopen.nmt import NMT_COMMANDS
 
 from tactile.can.bus import MissingBus, bad_lines
-from tactile.can.receiver import MessageSource, interface_failed, message_source, of_another_kind
+from tactile.can.receiver import interface_failed, message_source, of_another_kind
 from tactile.can.sdo_client import ObjectAccess, PolledSdoClient
 from tactile.clock import Clock
 from tactile.control_unit import object_dictionary as od
@@ -111,210 +112,6 @@ class Mounting:
         )
 
 
-class UnitNode:
-    """One control unit from the start of the link to its end.
-
-    Parameters
-    ----------
-    source
-        Source of its messages; already started.
-    """
-
-    def __init__(
-        self,
-        bus: can.BusABC,
-        source: MessageSource,
-        *,
-        node_id: int,
-        layout: TaxelLayout,
-        clock: Clock,
-        settings: LinkSettings,
-    ) -> None:
-        self.name = f"the control unit (node-ID {node_id})"
-        self._bus, self._source, self._clock, self._settings = bus, source, clock, settings
-        self.node_id = node_id
-        self._network = canopen.Network(bus)
-        self._network.unsubscribe(self._network.lss.LSS_RX_COBID)
-        self._client = PolledSdoClient(
-            node_id=node_id,
-            dictionary=od.of_node(node_id),
-            clock=clock,
-            service=self.service,
-            wait=source.wait,
-            timeout_s=settings.sdo_timeout_s,
-        )
-        self._client.network = self._network
-        self.objects = ObjectAccess(self._client, name=self.name)
-        self.watch = NodeWatch(self.name, settings)
-        frame_format = FrameFormat.of(layout)
-        self.mounting = Mounting(layout, settings.mounts)
-        self._assembler = FrameAssembler(frame_format, self.mounting.order)
-        self._flow = FrameFlow(self.name, settings, frame_format.n_messages)
-        self.force_flow: ForceFlow | None = None
-        """Supervision of the force messages; None if the unit was not set up to send any."""
-        self._frames: list[TactileFrame] = []
-        self._new_forces: list[ForceMessage] = []
-        self._frame_id = od.COB_TPDO1 + node_id
-        self._looked_s = 0.0
-        self._next_sync_s: float | None = None
-        self._syncs = self._late_syncs = self._malformed = 0
-        self._bad_lines = bad_lines(bus)
-        for cob_id, handler in (
-            (self._frame_id, self._on_frame),
-            (od.COB_EMCY + node_id, self.watch.on_emergency),
-            (od.COB_SDO_RESPONSE + node_id, self._client.on_response),
-            (od.COB_HEARTBEAT + node_id, self.watch.on_heartbeat),
-        ):
-            self._network.subscribe(cob_id, handler)
-
-    @property
-    def statistics(self) -> SourceStatistics:
-        """Counts since the start."""
-        flow = self.force_flow
-        return SourceStatistics(
-            frames=replace(self._assembler.counts),
-            forces=ForceStatistics() if flow is None else replace(flow.stream.counts),
-            recent_loss_rate=self._flow.recent_loss_rate,
-            foreign=self.watch.foreign,
-            malformed=self._unusable,
-            error_frames=self.watch.error_frames,
-            requests=self._syncs,
-            late_requests=self._late_syncs,
-        )
-
-    @property
-    def _unusable(self) -> int:
-        """Number of unusable messages without frame messages of a wrong length."""
-        return self._malformed + self.watch.unusable + bad_lines(self._bus) - self._bad_lines
-
-    def take(self) -> Arrivals:
-        """Return frames and force messages since the last call."""
-        arrived = Arrivals(tuple(self._frames), self.take_forces())
-        self._frames.clear()
-        return arrived
-
-    def take_forces(self) -> tuple[ForceMessage, ...]:
-        """Return the force messages since the last call."""
-        forces = tuple(self._new_forces)
-        self._new_forces.clear()
-        return forces
-
-    def expect_forces(self, frame_id: int) -> None:
-        """Accept force messages from now on, and the frames with another COB-ID."""
-        self.force_flow = ForceFlow(self.name, self._settings)
-        self._network.unsubscribe(self._frame_id)
-        self._network.subscribe(frame_id, self._on_frame)
-        self._network.subscribe(od.COB_TPDO2 + self.node_id, self._on_force)
-
-    def enter_operation(self) -> None:
-        """Send SYNC from now on, and supervise heartbeat, state, frames and force messages."""
-        now_s = self._looked_s = self._next_sync_s = self._clock.monotonic()
-        self.watch.enter_operation(now_s)
-        if self.force_flow is not None:
-            self.force_flow.enter_operation(now_s)
-
-    def leave_operation(self) -> None:
-        """Stop SYNC."""
-        self._next_sync_s = None
-
-    def command(self, name: str) -> None:
-        """Send an NMT command to the unit, by its name in ``canopen.nmt.NMT_COMMANDS``."""
-        self._send(od.COB_NMT, bytes((NMT_COMMANDS[name], self.node_id)))
-
-    def service(self) -> None:
-        """Process received messages, check the deadlines, send SYNC when due.
-
-        If the time since the last call exceeds a period of SYNC, the host is late. All deadlines
-        are then extended by this lateness.
-        """
-        now_s = self._clock.monotonic()
-        late_s = now_s - self._looked_s - self._settings.sync_period_s
-        operating, forces = self._next_sync_s is not None, self.force_flow
-        if operating and late_s > 0.0:
-            self.watch.wait_longer(late_s)
-            if forces is not None:
-                forces.wait_longer(now_s, late_s)
-        self._dispatch()
-        now_s = self._looked_s = self._clock.monotonic()
-        self.watch.check(now_s, self._unusable + self._assembler.counts.short)
-        if self._next_sync_s is None:
-            self._check_answers()
-            return
-        if forces is not None:
-            forces.check(now_s)
-        if now_s >= self._next_sync_s - _SYNC_EARLY_S:
-            self._sync(now_s, self._next_sync_s)
-
-    def wait_for(self, condition: Callable[[], bool], failure: str) -> None:
-        """Service until a condition holds; NodeMissing with ``failure`` after the start-up time."""
-        timeout_s = self._settings.startup_timeout_s
-        deadline_s = self._clock.monotonic() + timeout_s
-        self.service()
-        while not condition():
-            left_s = deadline_s - self._clock.monotonic()
-            if left_s <= 0.0:
-                heard = ", ".join(str(node) for node in sorted(self._network.scanner.nodes))
-                found = f"node-IDs heard: {heard}" if heard else "no node is heard on this bus"
-                raise NodeMissing(
-                    f"{self.name} {failure} within {timeout_s:g} s; {found}. Check the unit's "
-                    "supply, node-ID, bit rate, CAN cable and termination"
-                )
-            self._source.wait(left_s)
-            self.service()
-
-    def _send(self, cob_id: int, data: bytes) -> None:
-        try:
-            self._network.send_message(cob_id, data)
-        except (can.CanError, OSError) as error:
-            raise interface_failed(error) from error
-
-    def _dispatch(self) -> None:
-        network, watch = self._network, self.watch
-        for t_s, message in self._source.drain():
-            if message.is_error_frame:
-                watch.on_error_frame(message.arbitration_id, message.data, t_s)
-            elif of_another_kind(message):
-                watch.on_foreign(t_s)
-            elif len(message.data) != message.dlc:
-                self._malformed += 1
-            else:
-                if message.arbitration_id not in network.subscribers:
-                    watch.on_foreign(t_s)
-                network.notify(message.arbitration_id, message.data, t_s)
-
-    def _check_answers(self) -> None:
-        """Raise DuplicateNode if there were more answers than requests."""
-        if self._client.surplus >= _SURPLUS_ANSWERS:
-            raise DuplicateNode(
-                f"{self._client.surplus} SDO answers more came from {self.name} than were asked "
-                "for: a second unit has the same node-ID, or another program talks to the unit; "
-                "leave one of them on the bus, then start the link again"
-            )
-
-    def _sync(self, now_s: float, due_s: float) -> None:
-        self._flow.before_sync()
-        self._send(od.COB_SYNC, b"")
-        self._syncs += 1
-        period_s = self._settings.sync_period_s
-        if now_s - due_s >= period_s:
-            self._late_syncs += 1
-            due_s = now_s
-        self._next_sync_s = max(due_s + period_s, now_s + _LEAST_GAP * period_s)
-
-    def _on_frame(self, _cob_id: int, data: bytes | bytearray, t_s: float) -> None:
-        self._flow.messages += 1
-        frame = self._assembler.push(data, t_s)
-        if frame is not None:
-            self._frames.append(frame)
-            self._flow.on_frame(frame.counter)
-
-    def _on_force(self, _cob_id: int, data: bytes | bytearray, t_s: float) -> None:
-        assert self.force_flow is not None
-        message = self.force_flow.push(data, t_s)
-        if message is not None:
-            self._new_forces.append(self.mounting.force(message))
-
-
 class TactileLink:
     """One control unit on one CAN bus; implements `tactile.source.FrameSource`.
 
@@ -349,37 +146,78 @@ class TactileLink:
     ) -> None:
         if not 1 <= node_id <= 127:
             raise ValueError(f"node-ID is {node_id}, must be 1 to 127")
-        self._bus = bus
-        self._reopen = reopen
-        self._node_id = node_id
+        self._name = f"the control unit (node-ID {node_id})"
+        self._bus, self._reopen, self._node_id = bus, reopen, node_id
         self.layout = layout
         """The taxels of the unit."""
         self._clock = clock
         self.settings = settings or LinkSettings()
         """Periods and limits."""
-        self._source = message_source(self._bus, self._clock, threaded=self.settings.threaded)
-        self._node = self._new_node()
+        self._mounting = Mounting(layout, self.settings.mounts)
         # The unit's sums are valid only for the gripping pads in their mounting.
-        sums = self.settings.force_period_s and self._node.mounting.unit_can_sum
+        sums = self.settings.force_period_s and self._mounting.unit_can_sum
         self._force_table = force_table if sums else None
+        self._source = message_source(self._bus, self._clock, threaded=self.settings.threaded)
         self._running = False
         self.fault: LinkFault | None = None
         """The latched fault, None without one."""
+        self._reset()
 
-    def _new_node(self) -> UnitNode:
-        return UnitNode(
-            self._bus,
-            self._source,
-            node_id=self._node_id,
-            layout=self.layout,
+    def _reset(self) -> None:
+        """Forget the unit: what was received, counted and set up since a start."""
+        node_id = self._node_id
+        self._network = canopen.Network(self._bus)
+        self._network.unsubscribe(self._network.lss.LSS_RX_COBID)
+        self._client = PolledSdoClient(
+            node_id=node_id,
+            dictionary=od.of_node(node_id),
             clock=self._clock,
-            settings=self.settings,
+            service=self._service,
+            wait=self._source.wait,
+            timeout_s=self.settings.sdo_timeout_s,
         )
+        self._client.network = self._network
+        self.objects = ObjectAccess(self._client, name=self._name)
+        """Reads and writes the unit's objects."""
+        self._watch = NodeWatch(self._name, self.settings)
+        frame_format = FrameFormat.of(self.layout)
+        self._assembler = FrameAssembler(frame_format, self._mounting.order)
+        self._flow = FrameFlow(self._name, self.settings, frame_format.n_messages)
+        self._force_flow: ForceFlow | None = None
+        self._frames: list[TactileFrame] = []
+        self._new_forces: list[ForceMessage] = []
+        self._frame_id = od.COB_TPDO1 + node_id
+        self._looked_s = 0.0
+        self._next_sync_s: float | None = None
+        self._syncs = self._late_syncs = self._malformed = 0
+        self._bad_lines = bad_lines(self._bus)
+        for cob_id, handler in (
+            (self._frame_id, self._on_frame),
+            (od.COB_EMCY + node_id, self._watch.on_emergency),
+            (od.COB_SDO_RESPONSE + node_id, self._client.on_response),
+            (od.COB_HEARTBEAT + node_id, self._watch.on_heartbeat),
+        ):
+            self._network.subscribe(cob_id, handler)
 
     @property
     def statistics(self) -> SourceStatistics:
         """Counts since the last start."""
-        return self._node.statistics
+        flow = self._force_flow
+        return SourceStatistics(
+            frames=replace(self._assembler.counts),
+            forces=ForceStatistics() if flow is None else replace(flow.stream.counts),
+            recent_loss_rate=self._flow.recent_loss_rate,
+            foreign=self._watch.foreign,
+            malformed=self._unusable,
+            error_frames=self._watch.error_frames,
+            requests=self._syncs,
+            late_requests=self._late_syncs,
+        )
+
+    @property
+    def _unusable(self) -> int:
+        """Number of unusable messages without frame messages of a wrong length."""
+        return self._malformed + self._watch.unusable + bad_lines(self._bus) - self._bad_lines
 
     def start(self) -> NodeIdentity:
         """Reset the unit's communication, check it, set it up and start its frames.
@@ -396,39 +234,47 @@ class TactileLink:
             self._source = message_source(self._bus, self._clock, threaded=self.settings.threaded)
         self._running = True
         self.fault = None
-        self._node = self._new_node()
+        self._reset()
         return self._guarded(self._commission)
 
-    def _commission(self) -> NodeIdentity:
-        node, settings = self._node, self.settings
-        objects, watch = node.objects, node.watch
+    @contextmanager
+    def reading(self) -> Iterator[ObjectAccess]:
+        """Give access to the objects of a unit, whatever it is, without a start."""
         self._source.start()
-        node.command("RESET COMMUNICATION")
-        node.wait_for(lambda: watch.boot_ups > 0, "did not boot")
-        identity = refuse_other_unit(objects, self.layout, node.node_id, settings.identity)
+        try:
+            yield self.objects
+        finally:
+            self._source.close()
+
+    def _commission(self) -> NodeIdentity:
+        objects, watch, settings = self.objects, self._watch, self.settings
+        self._source.start()
+        self._command("RESET COMMUNICATION")
+        self._wait_for(lambda: watch.boot_ups > 0, "did not boot")
+        identity = refuse_other_unit(objects, self.layout, self._node_id, settings.identity)
         set_up(objects, settings)
         if self._force_table is not None and objects.find(od.FORCE_MESSAGE) is not None:
-            node.expect_forces(set_up_forces(objects, settings, node.node_id, self._force_table))
+            self._expect_forces(set_up_forces(objects, settings, self._node_id, self._force_table))
         if watch.boot_ups > 1:
             raise NodeMissing(
-                f"{node.name} booted {watch.boot_ups} times while it was set up: its "
+                f"{self._name} booted {watch.boot_ups} times while it was set up: its "
                 "supply is unstable, or two units have the same node-ID"
             )
-        node.command("OPERATIONAL")
-        node.wait_for(lambda: watch.state == OPERATIONAL, "did not become operational")
-        node.enter_operation()
-        node.service()
+        self._command("OPERATIONAL")
+        self._wait_for(lambda: watch.state == OPERATIONAL, "did not become operational")
+        self._enter_operation()
+        self._service()
         return replace(identity, sends_forces=self.sends_forces)
 
     def poll(self) -> Arrivals:
         """Return the complete frames and force messages since the last call; does not wait."""
-        self._guarded(self._node.service)
-        return self._node.take()
+        self._guarded(self._service)
+        return self._take()
 
     @property
     def sends_forces(self) -> bool:
         """Whether the unit was set up to send force messages."""
-        return self._node.force_flow is not None
+        return self._force_flow is not None
 
     def set_zero(self, zero: PadZero) -> None:
         """Write object 0x2142, the zero of the force messages, and read it back.
@@ -437,27 +283,27 @@ class TactileLink:
         and FrameTimeout if messages from before the write still come after it. Takes tens of ms;
         the messages of that time are dropped.
         """
-        node, flow = self._node, self._node.force_flow
+        flow = self._force_flow
         if flow is None:
             return
         noise_counts, adc_max = float(np.median(zero.noise_counts)), self.layout.adc_max
         touch_counts = max(_TOUCH_SIGMAS * noise_counts * _UNIT_GAIN, _TOUCH_SHARE * adc_max)
-        order = node.mounting.zero_order
+        order = self._mounting.zero_order
         sent = encode_zero(touch_counts, zero.offset_counts[order], zero.bad[order], adc_max)
 
         def write() -> None:
-            node.objects.write(od.FORCE_ZERO, 0, sent)
-            node.take_forces()
-            found = node.objects.read(od.FORCE_ZERO)
-            old = [one for one in node.take_forces() if not one.status & ForceStatus.ZEROED]
+            self.objects.write(od.FORCE_ZERO, 0, sent)
+            self._take_forces()
+            found = self.objects.read(od.FORCE_ZERO)
+            old = [one for one in self._take_forces() if not one.status & ForceStatus.ZEROED]
             late_s = len(old) * self.settings.force_period_s
             if late_s > self.settings.force_late_s:
                 raise flow.too_late(late_s)
             refuse_mismatch(
                 [Check("zero of the force", sent.hex(), found.hex())],
-                f"{node.name} did not keep its zero",
+                f"{self._name} did not keep its zero",
             )
-            node.take_forces()
+            self._take_forces()
 
         self._guarded(write)
 
@@ -465,9 +311,9 @@ class TactileLink:
         """Stop the frames and the receiver; does not raise on a dead bus, leaves the bus open."""
         if self._running:
             self._running = False
-            self._node.leave_operation()
+            self._next_sync_s = None
             try:
-                self._node.command("PRE-OPERATIONAL")
+                self._command("PRE-OPERATIONAL")
             except LinkFault as fault:
                 # The command does not reach the unit; its frames end without SYNCs.
                 self.fault = self.fault or fault
@@ -483,5 +329,128 @@ class TactileLink:
             return action()
         except LinkFault as fault:
             self.fault = fault
-            self._node.leave_operation()
+            self._next_sync_s = None
             raise
+
+    def _take(self) -> Arrivals:
+        """Return frames and force messages since the last call."""
+        arrived = Arrivals(tuple(self._frames), self._take_forces())
+        self._frames.clear()
+        return arrived
+
+    def _take_forces(self) -> tuple[ForceMessage, ...]:
+        """Return the force messages since the last call."""
+        forces = tuple(self._new_forces)
+        self._new_forces.clear()
+        return forces
+
+    def _expect_forces(self, frame_id: int) -> None:
+        """Accept force messages from now on, and the frames with another COB-ID."""
+        self._force_flow = ForceFlow(self._name, self.settings)
+        self._network.unsubscribe(self._frame_id)
+        self._network.subscribe(frame_id, self._on_frame)
+        self._network.subscribe(od.COB_TPDO2 + self._node_id, self._on_force)
+
+    def _enter_operation(self) -> None:
+        """Send SYNC from now on, and supervise heartbeat, state, frames and force messages."""
+        now_s = self._looked_s = self._next_sync_s = self._clock.monotonic()
+        self._watch.enter_operation(now_s)
+        if self._force_flow is not None:
+            self._force_flow.enter_operation(now_s)
+
+    def _command(self, name: str) -> None:
+        """Send an NMT command to the unit, by its name in ``canopen.nmt.NMT_COMMANDS``."""
+        self._send(od.COB_NMT, bytes((NMT_COMMANDS[name], self._node_id)))
+
+    def _service(self) -> None:
+        """Process received messages, check the deadlines, send SYNC when due.
+
+        If the time since the last call exceeds a period of SYNC, the host is late. All deadlines
+        are then extended by this lateness.
+        """
+        now_s = self._clock.monotonic()
+        late_s = now_s - self._looked_s - self.settings.sync_period_s
+        operating, forces = self._next_sync_s is not None, self._force_flow
+        if operating and late_s > 0.0:
+            self._watch.wait_longer(late_s)
+            if forces is not None:
+                forces.wait_longer(now_s, late_s)
+        self._dispatch()
+        now_s = self._looked_s = self._clock.monotonic()
+        self._watch.check(now_s, self._unusable + self._assembler.counts.short)
+        if self._next_sync_s is None:
+            self._check_answers()
+            return
+        if forces is not None:
+            forces.check(now_s)
+        if now_s >= self._next_sync_s - _SYNC_EARLY_S:
+            self._sync(now_s, self._next_sync_s)
+
+    def _wait_for(self, condition: Callable[[], bool], failure: str) -> None:
+        """Service until a condition holds; NodeMissing with ``failure`` after the start-up time."""
+        timeout_s = self.settings.startup_timeout_s
+        deadline_s = self._clock.monotonic() + timeout_s
+        self._service()
+        while not condition():
+            left_s = deadline_s - self._clock.monotonic()
+            if left_s <= 0.0:
+                heard = ", ".join(str(node) for node in sorted(self._network.scanner.nodes))
+                found = f"node-IDs heard: {heard}" if heard else "no node is heard on this bus"
+                raise NodeMissing(
+                    f"{self._name} {failure} within {timeout_s:g} s; {found}. Check the unit's "
+                    "supply, node-ID, bit rate, CAN cable and termination"
+                )
+            self._source.wait(left_s)
+            self._service()
+
+    def _send(self, cob_id: int, data: bytes) -> None:
+        try:
+            self._network.send_message(cob_id, data)
+        except (can.CanError, OSError) as error:
+            raise interface_failed(error) from error
+
+    def _dispatch(self) -> None:
+        network, watch = self._network, self._watch
+        for t_s, message in self._source.drain():
+            if message.is_error_frame:
+                watch.on_error_frame(message.arbitration_id, message.data, t_s)
+            elif of_another_kind(message):
+                watch.on_foreign(t_s)
+            elif len(message.data) != message.dlc:
+                self._malformed += 1
+            else:
+                if message.arbitration_id not in network.subscribers:
+                    watch.on_foreign(t_s)
+                network.notify(message.arbitration_id, message.data, t_s)
+
+    def _check_answers(self) -> None:
+        """Raise DuplicateNode if there were more answers than requests."""
+        if self._client.surplus >= _SURPLUS_ANSWERS:
+            raise DuplicateNode(
+                f"{self._client.surplus} SDO answers more came from {self._name} than were asked "
+                "for: a second unit has the same node-ID, or another program talks to the unit; "
+                "leave one of them on the bus, then start the link again"
+            )
+
+    def _sync(self, now_s: float, due_s: float) -> None:
+        self._flow.before_sync()
+        self._send(od.COB_SYNC, b"")
+        self._syncs += 1
+        period_s = self.settings.sync_period_s
+        if now_s - due_s >= period_s:
+            self._late_syncs += 1
+            due_s = now_s
+        self._next_sync_s = max(due_s + period_s, now_s + _LEAST_GAP * period_s)
+
+    def _on_frame(self, _cob_id: int, data: bytes | bytearray, t_s: float) -> None:
+        self._flow.messages += 1
+        frame = self._assembler.push(data, t_s)
+        if frame is not None:
+            self._frames.append(frame)
+            self._flow.on_frame(frame.counter)
+
+    def _on_force(self, _cob_id: int, data: bytes | bytearray, t_s: float) -> None:
+        assert self._force_flow is not None
+        message = self._force_flow.push(data, t_s)
+        if message is not None:
+            self._new_forces.append(self._mounting.force(message))

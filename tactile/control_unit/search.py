@@ -4,8 +4,7 @@ For commissioning, while the unit is still unknown. Nothing is written to it.
 """
 
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from typing import Self
 
@@ -16,7 +15,7 @@ from tactile.can.receiver import message_source, of_another_kind
 from tactile.can.sdo_client import ObjectAccess
 from tactile.clock import Clock
 from tactile.control_unit import object_dictionary as od
-from tactile.control_unit.node import UnitNode
+from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings, NodeIdentity
 from tactile.control_unit.setup import read_identity
 from tactile.errors import BusOff, NodeMissing, TactileError
@@ -201,13 +200,11 @@ def read_device(bus: can.BusABC, node_id: int) -> tuple[int, str]:
             return profile, ""
 
 
-@contextmanager
-def _objects_of(bus: can.BusABC, node_id: int) -> Iterator[ObjectAccess]:
-    """Read the objects of a node, whatever it is; its frames are not looked at."""
+def _objects_of(bus: can.BusABC, node_id: int) -> AbstractContextManager[ObjectAccess]:
+    """Return access to the objects of a node, whatever it is; its frames are not looked at."""
     clock: Clock = getattr(bus, "clock", time)
-    source = message_source(bus, clock, threaded=clock is time)
-    layout, settings = paper_layout(), LinkSettings()
-    node = UnitNode(bus, source, node_id=node_id, layout=layout, clock=clock, settings=settings)
-    with closing(source):
-        source.start()
-        yield node.objects
+    settings = LinkSettings(threaded=clock is time)
+    layout = paper_layout()
+    return TactileLink(
+        bus, node_id=node_id, layout=layout, clock=clock, settings=settings
+    ).reading()

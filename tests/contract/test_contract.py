@@ -245,8 +245,8 @@ def test_without_sync_no_frame_comes(unit) -> None:
 def test_the_last_frame_can_be_read_by_sdo_too(unit) -> None:
     unit.link.start()
     frames = unit.frames(0.1)
-    samples = unit.link._node.objects.read(od.LAST_FRAME)
-    counter = unit.link._node.objects.read_unsigned(od.LAST_FRAME_COUNTER)
+    samples = unit.link.objects.read(od.LAST_FRAME)
+    counter = unit.link.objects.read_unsigned(od.LAST_FRAME_COUNTER)
     frames += unit.frames(0.1)
     (same,) = [frame for frame in frames if frame.counter == counter]
     assert same.counts.astype(f"<u{unit.link.layout.sample_bytes}").tobytes() == samples

@@ -35,8 +35,7 @@ from simulator.servo.protocol2 import (
 from tactile.can.bus import BulkSlcanBus
 from tactile.can.sdo_client import MAX_OBJECT_BYTES, ObjectAccess, PolledSdoClient
 from tactile.control_unit import object_dictionary as od
-from tactile.control_unit.node import UnitNode
-from tactile.control_unit.settings import LinkSettings
+from tactile.control_unit.node import TactileLink
 from tactile.errors import NodeMissing, TactileError
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
@@ -164,22 +163,14 @@ strangers = st.builds(
 def test_a_link_in_operation_gives_frames_that_came_or_its_own_errors(bus, before, harm, after):
     sent = [message(0x180 + NODE, data) for data in disturbed(burst(PAPER, 9), harm)]
     messages = [*before, *sent, *after]
-    node = UnitNode(
-        bus,
-        SimpleNamespace(
-            drain=lambda: [(0.0, one) for one in messages], wait=lambda timeout_s: None
-        ),
-        node_id=NODE,
-        layout=paper_layout(),
-        clock=Clock(),
-        settings=LinkSettings(),
-    )
-    node.enter_operation()
+    link = TactileLink(bus, node_id=NODE, layout=paper_layout(), clock=Clock())
+    link._source = SimpleNamespace(drain=lambda: [(0.0, one) for one in messages])
+    link._running = True
+    link._enter_operation()
     try:
-        node.service()
+        frames = link.poll().frames
     except TactileError:
         return "refused"
-    frames = node.take().frames
     for frame in frames:
         assert_came(frame, PAPER, [bytes(one.data) for one in messages])
     return "whole frames" if frames else "dropped"
