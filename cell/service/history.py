@@ -8,9 +8,8 @@ import sqlite3
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
 from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
@@ -75,47 +74,33 @@ _LOOK_S = 1.0
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
-@dataclass(slots=True)
-class _Sums:
-    """Sums of the rows of one day."""
+_Sums = Counter[Any]
+"""Sums of a day: rows by ``kind``, ``rejected`` parts, ``seconds`` of all parts, and pairs of
+objects: presented or second label, name, whether the first was given."""
 
-    counts: Counter[str] = field(default_factory=Counter)
-    """Rows by their kind, and ``rejected`` parts."""
-    seconds: float = 0.0
-    """Time of all parts in s."""
-    pairs: Counter[tuple[str, str, bool]] = field(default_factory=Counter)
-    """Confused parts: presented or second label, name, whether the first was given."""
 
-    def add(self, row: Mapping[str, Any]) -> None:
-        self.counts[row["kind"]] += 1
-        if row["kind"] != "part":
-            return
-        self.counts["rejected"] += bool(row["rejected"])
-        self.seconds += row["seconds"]
+def _add(sums: _Sums, row: Mapping[str, Any]) -> None:
+    """Add a row to the sums of its day."""
+    sums[row["kind"]] += 1
+    if row["kind"] == "part":
+        sums["rejected"] += bool(row["rejected"])
+        sums["seconds"] += row["seconds"]
         presented, named = row["presented"], row["label"]
         near = not presented and row["second_probability"] >= _NEAR
         if named != UNKNOWN and (presented not in ("", named) or near):
-            self.pairs[presented or row["second"], named, bool(presented)] += 1
+            sums[presented or row["second"], named, bool(presented)] += 1
 
 
-def _together(days: Iterable[_Sums]) -> dict[str, Any]:
-    """Return the sums of some days, in the form of `History.values`."""
-    counts, pairs, seconds = Counter[str](), Counter[tuple[str, str, bool]](), 0.0
-    for day in days:
-        counts.update(day.counts)
-        pairs.update(day.pairs)
-        seconds += day.seconds
-    most = sorted(pairs.items(), key=lambda pair: (-pair[1], pair[0]))[:_MOST_CONFUSED]
-    return {
-        "parts": counts["part"],
-        "rejected": counts["rejected"],
-        "missed": counts["miss"],
-        "faults": counts["fault"],
-        "starts": counts["start"],
-        "cycle_s": seconds / counts["part"] if counts["part"] else None,
+def _shown(sums: _Sums) -> dict[str, Any]:
+    """Return sums in the form of `History.values`."""
+    pairs = [(-n, pair) for pair, n in sums.items() if isinstance(pair, tuple)]
+    kinds = {"parts": "part", "missed": "miss", "faults": "fault", "starts": "start"}
+    return {name: sums[kind] for name, kind in kinds.items()} | {
+        "rejected": sums["rejected"],
+        "cycle_s": sums["seconds"] / sums["part"] if sums["part"] else None,
         "confused": [
-            {"held": held, "named": named, "n": n, "confirmed": given}
-            for (held, named, given), n in most
+            {"held": held, "named": named, "n": -n, "confirmed": given}
+            for n, (held, named, given) in sorted(pairs)[:_MOST_CONFUSED]
         ],
     }
 
@@ -153,6 +138,7 @@ class History:
         self._link: sqlite3.Connection | None = None
         self._refused = ""
         self._days: dict[str, _Sums] = {}
+        self._values: dict[str, Any] = {}
         self._written = set[str]()
         self._over, self._updating = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
@@ -186,19 +172,7 @@ class History:
         first. In a pair that is not ``confirmed`` the held object was not given: ``held`` is then
         the second label. The sums are empty until the first `update`.
         """
-        days = dict(self._days)
-        if not days:
-            return {}
-        today = date.fromtimestamp(self._wall_s())
-        asked = {
-            "today": [today],
-            "yesterday": [today - timedelta(days=1)],
-            "week": [today - timedelta(days=n) for n in range(today.weekday() + 1)],
-        }
-        return {
-            name: _together(days[str(day)] for day in some if str(day) in days)
-            for name, some in asked.items()
-        }
+        return self._values
 
     def day(self, day: date) -> list[Mapping[str, Any]]:
         """Return the rows of a day as `read_day`; empty if the history is in memory."""
@@ -222,6 +196,7 @@ class History:
             self._resume_shift()
             self._read_days()
             self._write()
+            self._values = self._summed()
             self._refused = ""
         except (sqlite3.Error, OSError, CellError) as error:
             if str(error) != self._refused:
@@ -263,7 +238,7 @@ class History:
             if day not in self._days:
                 sums = _Sums()
                 for row in _rows(self._opened(), day):
-                    sums.add(row)
+                    _add(sums, row)
                 self._days[day] = sums
         self._days = {day: self._days[day] for day in days}
 
@@ -282,7 +257,17 @@ class History:
         for row in rows:
             self._waiting.popleft()
             if row["day"] in self._days:
-                self._days[row["day"]].add(row)
+                _add(self._days[row["day"]], row)
+
+    def _summed(self) -> dict[str, Any]:
+        """Return the sums of `values`, for other threads."""
+        days = [*self._days]  # today, yesterday and so on
+        n_week = date.fromisoformat(days[0]).weekday() + 1
+        spans = {"today": days[:1], "yesterday": days[1:2], "week": days[:n_week]}
+        return {
+            name: _shown(sum((self._days[day] for day in some), _Sums()))
+            for name, some in spans.items()
+        }
 
     def _opened(self) -> sqlite3.Connection:
         """Return the connection. Raises CellError if the tables are of another version."""
