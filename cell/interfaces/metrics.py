@@ -72,7 +72,7 @@ class _Cell(Collector):
     def collect(self) -> Iterator[Metric]:
         yield from _state(self._service)
         yield from _parts(self._service)
-        yield from _links(self._service.plugin.counters())
+        yield from _links(self._service.plugin.cell.health())
         yield from _health(self._service.plugin.health())
         if (free := _free_bytes(self._service)) is not None:
             yield _gauge("disk_free_bytes", "Space left where recordings are written", free)

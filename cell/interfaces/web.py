@@ -189,7 +189,7 @@ def state_moment(service: Service) -> LiveMessage:
     @cache
     def frame(kind: str) -> bytes | None:
         if kind == "newtons":
-            force_n = None if counts is None else service.plugin.newtons(counts)
+            force_n = None if counts is None else service.plugin.newtons.of(counts)
             return None if force_n is None else force_n.astype("<f4").tobytes()
         return counts.astype("<u2").tobytes() if kind == "1" and counts is not None else None
 
@@ -503,7 +503,7 @@ class WebInterface(HttpServer):
         ``forget_drift`` discards the estimated drift, for example after work on the sensors.
         """
         if body.command == "forget_drift":
-            start = self._plugin.start_forget_drift
+            start = self._plugin.forget_drift
             number = self._service.begin(body.lease, body.command, start, number=body.job)
             return {"job": number}
         command = Command(body.command)

@@ -114,16 +114,16 @@ def teach_and_identify(
     recognizers: dict[str, Recognizer] = {}
     if not plugin.labels:
         remarks += teach_objects(plugin, config, labels, n_teach, progress)
-        n_taught = len(plugin.training_set)
+        n_taught = len(plugin.model.training_set)
         progress("train", 0, 2)
         plugin.train()
         model = folder / "model.npz"
         plugin.save(model)
         progress("train", 1, 2)
-        recognizers = baseline(default, plugin.training_set)
+        recognizers = baseline(default, plugin.model.training_set)
         progress("train", 2, 2)
     else:
-        default = plugin.trainer_name
+        default = plugin.model.check_taught().trainer_name
     parts: list[Part] = []
     trials: list[Identification] = []
     plugin.watch_parts(lambda _, found: trials.append(found) if found else None)
@@ -151,7 +151,7 @@ def teach_and_identify(
         dataset=None if model is None else training_set_file(model),
         model=model,
         recording=plugin.recording_path,
-        drift=plugin.drift,
+        drift=plugin.model.drift,
         remarks=(*remarks, *(part.remark for part in parts if part.remark)),
     )
 

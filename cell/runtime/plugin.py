@@ -26,7 +26,6 @@ from cell.control.states import CellState, CellStatus, Command, command_effect
 from cell.errors import (
     CellError,
     ConfigError,
-    HandLost,
     PartInGrip,
     RequestRefused,
 )
@@ -51,22 +50,16 @@ from cell.runtime.worker import (
     JobOutcome,
     Report,
 )
-from gripper.errors import LinkTooSlow, ServoFault, VerificationFailed, fingers_left
+from gripper.errors import ServoFault
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from cell.control.controller import CellController
-    from cell.control.identification import Identification
     from cell.control.live import LiveValues
     from cell.control.positioner import CarryCallback
     from cell.runtime.parts import OnPart
     from cell.simulation import SimulationRequests
     from gripper.clock import Clock
     from gripper.values.outcome import ReleaseReport
-    from recognition.drift.grid import DriftGrid
-    from recognition.grasp import Grasp
     from tactile.layout import TaxelLayout
 
 _COMMANDS = dict.fromkeys(TASKS, Command.GRASP) | {"grip": Command.GRIP, "verify": Command.VERIFY}
@@ -97,7 +90,7 @@ class HostStatus(CellStatus):
 class TactileCellPlugin:
     """A cell for host programs without ROS.
 
-    Calls return at once, except `result`, `release`, `clear`, `reset`, `forget_drift` and `close`,
+    Calls return at once, except `result`, `release`, `clear`, `reset` and `close`,
     which wait up to their time-out. A fault or a cancelled job keeps the grip until `release`. A
     command that the state of the cell does not allow raises CellStateError at once.
 
@@ -199,14 +192,15 @@ class TactileCellPlugin:
         self._levels: dict[str, Any] = {}
         self._health_s = float("-inf")
         known = pad_knowledge(checked, None if gauge is None else Path(gauge), gauge_shape)
-        self._model = (
+        self.model = (
             TaughtModel(checked, known=known)
             if model is None
             else TaughtModel.load(checked, model, training_set=training_set, known=known)
         )
+        """What is taught; only the thread of the plugin changes it."""
         _check_save(save, model)
-        self._file = tasks.ModelFile(self._model, None if save is None else Path(save))
-        self._cell = build_cell(
+        self._file = tasks.ModelFile(self.model, None if save is None else Path(save))
+        self.cell = build_cell(
             checked,
             folder=folder,
             mover=mover,
@@ -216,15 +210,17 @@ class TactileCellPlugin:
             note=note,
             wall_s=wall_s,
         )
-        controller = self._cell.controller
-        self._newtons = TaxelNewtons(checked, controller)
+        """The cell itself; only the thread of the plugin moves it."""
+        controller = self.cell.controller
+        self.newtons = TaxelNewtons(checked, controller)
+        """Converts counts of the taxels into forces."""
         self._tasks = tasks.Tasks(controller, self._file, wall_s)
         self._parts = self._tasks.parts
         self._reading: threading.Thread | None = None
         self._remarks: deque[tuple[str, str]] = deque(maxlen=_REMARKS_MAX)
         self._worker = CellWorker(
-            idle=self._cell.idle,
-            idle_period_s=1.0 / checked.gripper.loop_rate_hz if self._cell.realtime else None,
+            idle=self.cell.idle,
+            idle_period_s=1.0 / checked.gripper.loop_rate_hz if self.cell.realtime else None,
             progressed_s=lambda: controller.life.progressed_s,
         )
         if start:
@@ -233,34 +229,39 @@ class TactileCellPlugin:
             except BaseException:
                 controller.life.cancel()
                 self._worker.close(_CLOSE_S)
-                self._cell.close()
+                self.cell.close()
                 raise
         self._simulation = (
             None
-            if self._cell.simulated is None
-            else SimulationRequests(self._cell.simulated, self._worker.between_jobs)
+            if self.cell.simulated is None
+            else SimulationRequests(self.cell.simulated, self._worker.between_jobs)
         )
         self._ending = threading.Lock()
         self._lease: Lease | None = None
         self._closed = False
         if checked.host_timeout_s is not None:
-            # A weak reference: the thread of the lease must not keep a dropped cell alive.
-            worker, cell = weakref.ref(self._worker), weakref.ref(controller.life)
+            self._lease = self._lease_of_host(checked.host_timeout_s)
 
-            def lost(reason: str) -> None:
-                working, watched = worker(), cell()
-                if working is not None and watched is not None and working.running:
-                    watched.cancel(reason)
+    def _lease_of_host(self, timeout_s: float) -> Lease:
+        """Return the lease of the host; its loss stops the job."""
+        # Weak references: the thread of the lease must not keep a dropped cell alive.
+        worker, life = weakref.ref(self._worker), weakref.ref(self.cell.controller.life)
 
-            self._lease = Lease(checked.host_timeout_s, given=lambda _name: None, lost=lost)
-            self._lease.watch(warnings.warn)
+        def lost(reason: str) -> None:
+            working, watched = worker(), life()
+            if working is not None and watched is not None and working.running:
+                watched.cancel(reason)
+
+        lease = Lease(timeout_s, given=lambda _name: None, lost=lost)
+        lease.watch(warnings.warn)
+        return lease
 
     def connect(self) -> None:
         """Verify the devices and take the zero of the taxels; raises as the constructor.
 
         Raises CellStopped after `interrupt`.
         """
-        controller, done = self._cell.controller, Future[None]()
+        controller, done = self.cell.controller, Future[None]()
 
         def start() -> None:
             try:
@@ -281,7 +282,7 @@ class TactileCellPlugin:
 
     def info(self) -> dict[str, Any]:
         """Return name, pads in the order of the layout, limits, forces, labels by id, places."""
-        return cell_values(self._config, self._cell.controller.hand.layout) | {
+        return cell_values(self._config, self.cell.controller.hand.layout) | {
             "labels": self.labels_by_id,
             "places": self._place_names(),
         }
@@ -309,14 +310,10 @@ class TactileCellPlugin:
         now_s = time.monotonic()
         if now_s - self._health_s >= _HEALTH_S:
             self._levels, self._health_s = (
-                self._health(self._config, self._cell, self._model.drift),
+                self._health(self._config, self.cell, self.model.drift),
                 now_s,
             )
         return self._levels
-
-    def counters(self) -> dict[str, Any]:
-        """Return the counters of links, sensor, loop and recording as plain data."""
-        return self._cell.health()
 
     @property
     def working(self) -> bool:
@@ -327,67 +324,14 @@ class TactileCellPlugin:
         return self._worker.working
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes for the operator: state of the force loop, and why there is no self-zero."""
-        return tuple(filter(None, (*self._cell.notes, self._cell.controller.zeroing.note)))
-
-    @property
-    def loop_text(self) -> str:
-        """Timing of the force loop as text; empty in virtual time."""
-        from cell.control.journal import loop_line  # noqa: PLC0415
-
-        hand = self._cell.controller.hand
-        return loop_line(hand.statistics.loop, hand.period_s) if self._cell.realtime else ""
-
-    def grip_left(self, error: BaseException) -> str:
-        """Return the grip after an error as text, as far as it is known."""
-        from cell.control.lifecycle import NO_GRIP  # noqa: PLC0415
-
-        life = self._cell.controller.life
-        if left := fingers_left(error):
-            return left
-        if isinstance(error, HandLost):
-            return "a part may still be gripped" if life.holding else NO_GRIP[False]
-        if isinstance(error, PartInGrip | VerificationFailed | LinkTooSlow):
-            return "nothing was moved"
-        return "the grip is kept" if life.holding else NO_GRIP[life.shows_nothing]
-
-    def check_recording(self) -> None:
-        """Raise RecordingError if a part of the recording is lost."""
-        self._cell.check_recording()
-
-    @property
-    def training_set(self) -> "tuple[Grasp, ...]":
-        """The taught grasps, as far as they are available."""
-        return self._model.training_set
-
-    @property
-    def trainer_name(self) -> str:
-        """The recogniser of the model. Raises CellStateError before teaching."""
-        return self._model.check_taught().trainer_name
-
-    @property
-    def drift(self) -> "DriftGrid | None":
-        """The drift of the sensors since teaching; None if drift is not followed."""
-        return self._model.drift
-
-    def newtons(self, counts: "NDArray[np.uint16]") -> "NDArray[np.float32] | None":
-        """Return the force in N on each taxel from its counts; None before the first zero."""
-        return self._newtons.of(counts)
-
-    def curves(self, found: "Identification") -> dict[str, Any]:
-        """Return the last grasp of an identification; see `TaxelNewtons.curves`."""
-        return self._newtons.curves(found.records[-1])
-
-    @property
     def recording_path(self) -> Path | None:
         """The recording, if one is made."""
-        return self._cell.recording_path
+        return self.cell.recording_path
 
     @property
     def labels(self) -> tuple[str, ...]:
         """The taught objects."""
-        return self._model.labels
+        return self.model.labels
 
     @property
     def labels_by_id(self) -> tuple[str, ...]:
@@ -397,23 +341,23 @@ class TactileCellPlugin:
     def state(self) -> str:
         """Return the state of the cell, a PackML name."""
         with self._calling():
-            return self._cell.controller.life.state.value
+            return self.cell.controller.life.state.value
 
     def status(self) -> HostStatus:
         """Return the states of cell and grip, the live values, and the last answer."""
         with self._calling():
-            controller = self._cell.controller
+            controller = self.cell.controller
             return HostStatus(
                 **asdict(controller.life.status),
                 live=controller.live,
-                recording_fault=self._cell.recording_fault or "",
+                recording_fault=self.cell.recording_fault or "",
                 last_answer=self._parts.last,
             )
 
     def fault(self) -> str | None:
         """Return the latched fault as text; None without a fault."""
         with self._calling():
-            return self._cell.controller.life.fault
+            return self.cell.controller.life.fault
 
     def alive(self) -> None:
         """Count as a call of the host, and do nothing else; see ``host_timeout_s``."""
@@ -423,7 +367,7 @@ class TactileCellPlugin:
     @property
     def taught_revision(self) -> int:
         """Changes of what is taught so far."""
-        return self._model.revision
+        return self.model.revision
 
     def taught(self) -> list[dict[str, Any]]:
         """Return the taught objects as plain data: available grasps, shape and size in mm.
@@ -432,8 +376,8 @@ class TactileCellPlugin:
         with each.
         """
         with self._starting:
-            if not self._model.shapes_read and not (self._reading and self._reading.is_alive()):
-                read = self._model.read_shapes
+            if not self.model.shapes_read and not (self._reading and self._reading.is_alive()):
+                read = self.model.read_shapes
                 self._reading = threading.Thread(target=read, name="taught-shapes", daemon=True)
                 self._reading.start()
         return [
@@ -444,7 +388,7 @@ class TactileCellPlugin:
                 "shape": None if shape is None else shape.kind,
                 "size_mm": None if shape is None else 1e3 * shape.size_m,
             }
-            for label, (n_grasps, shape) in self._model.objects().items()
+            for label, (n_grasps, shape) in self.model.objects().items()
         ]
 
     # -- jobs ----------------------------------------------------------------------------------
@@ -491,9 +435,9 @@ class TactileCellPlugin:
             self._worker.check_free()
         checked = self._with_part(checked)
         if isinstance(checked, GaugeGoal):
-            self._model.check_gauge(checked.label)
+            self.model.check_gauge(checked.label)
         if isinstance(checked, ZeroGoal):
-            self._cell.controller.zeros.check()
+            self.cell.controller.zeros.check()
         task, simulation = getattr(self._tasks, checked.task), self._simulation
 
         def work(report: Report) -> Any:
@@ -544,23 +488,23 @@ class TactileCellPlugin:
         """
         self._worker.check_free()
         if task in _COMMANDS:
-            self._cell.controller.life.check(_COMMANDS[task])
+            self.cell.controller.life.check(_COMMANDS[task])
             self._check_taught(task)
         else:
-            self._cell.controller.life.check(self._needed(Command(task)))
+            self.cell.controller.life.check(self._needed(Command(task)))
 
     def _check_taught(self, task: str) -> None:
         """Raise CellStateError or ConfigError if the taught objects do not allow a task."""
         if task == "teach":
-            self._model.check_extendable()
+            self.model.check_extendable()
         elif task in (*_NAMING, "gauge"):
-            self._model.check_taught()
+            self.model.check_taught()
             if task == "sort":
                 self._tasks.places()
 
     def _needed(self, command: Command) -> Command:
         """Return the controller's command for a host's command in the present state."""
-        state = self._cell.controller.life.state
+        state = self.cell.controller.life.state
         if command is Command.RESET and state is CellState.STOPPED:
             return Command.START
         if command is Command.RELEASE and state in (CellState.RESETTING, CellState.STOPPED):
@@ -588,8 +532,8 @@ class TactileCellPlugin:
         CellStateError
             If its grasps are not available, or the cell is not IDLE.
         """
-        self._model.check_extendable()
-        if label not in self._model.labels:
+        self.model.check_extendable()
+        if label not in self.model.labels:
             raise RequestRefused(f"{label!r:.80} is not taught")
         file = self._file
 
@@ -641,14 +585,14 @@ class TactileCellPlugin:
         """Stop a job; a held part stays held. Does nothing after the end of the job."""
         with self._starting:
             if not self.feedback(job).terminal:
-                self._cell.controller.life.cancel(reason)
+                self.cell.controller.life.cancel(reason)
 
     def interrupt(self) -> None:
         """Stop the running job and each later job, before the program ends.
 
         A held part stays held. A signal handler may call it.
         """
-        self._cell.controller.life.interrupt()
+        self.cell.controller.life.interrupt()
 
     # -- commands ------------------------------------------------------------------------------
 
@@ -672,7 +616,7 @@ class TactileCellPlugin:
         CellStateError
             If the state of the cell does not allow it, or another job runs.
         """
-        controller = self._cell.controller
+        controller = self.cell.controller
         if needless and not command_effect(controller.life.state, command).accepted:
             return self._accept(lambda _report: None, None, command.value)
         stopped = controller.life.state is CellState.STOPPED
@@ -734,9 +678,9 @@ class TactileCellPlugin:
         """
 
         def follow() -> None:
-            self._worker.idle_period_s = self._cell.follow(clock, speed)
+            self._worker.idle_period_s = self.cell.follow(clock, speed)
 
-        if not self._cell.realtime:
+        if not self.cell.realtime:
             self._worker.between_jobs(follow)
 
     def simulate(self, request: Mapping[str, Any]) -> dict[str, Any]:
@@ -763,7 +707,7 @@ class TactileCellPlugin:
         removes the part. Raises RequestRefused if the cell has real ports, CellStateError while a
         job runs.
         """
-        simulation, controller = self._simulated(), self._cell.controller
+        simulation, controller = self._simulated(), self.cell.controller
 
         def work(_report: Report) -> None:
             simulation.end_faults()
@@ -799,11 +743,11 @@ class TactileCellPlugin:
         ModelError, DatasetError
             If a file cannot be written.
         """
-        self._model.save(path, followed=followed)
+        self.model.save(path, followed=followed)
 
     def remark(self, kind: str, text: str) -> None:
         """Write an event into the recording, with the next job or its end."""
-        if self._cell.recording_path is not None:
+        if self.cell.recording_path is not None:
             self._remarks.append((kind, text))
 
     def train(self, timeout_s: float | None = None) -> None:
@@ -821,13 +765,9 @@ class TactileCellPlugin:
 
         self._finish(self._accept(work, None, "train"), timeout_s)
 
-    def forget_drift(self, timeout_s: float = 5.0) -> None:
-        """Reset the followed drift, e.g. after work on the sensors."""
-        self._finish(self.start_forget_drift(), timeout_s)
-
-    def start_forget_drift(self) -> Job:
-        """Start `forget_drift` as a job and return it at once."""
-        model = self._model
+    def forget_drift(self) -> Job:
+        """Start to reset the followed drift, e.g. after work on the sensors; return the job."""
+        model = self.model
         return self._accept(lambda _report: model.forget_drift(), None, "forget_drift")
 
     def close(self, timeout_s: float = _CLOSE_S) -> None:
@@ -854,10 +794,10 @@ class TactileCellPlugin:
                 self._lease.close()
             self._stop_jobs()
             self._worker.close(timeout_s)
-            _write_remarks(self._cell.controller, self._remarks)
+            _write_remarks(self.cell.controller, self._remarks)
             self._closed = True
             try:
-                self._cell.close()
+                self.cell.close()
             finally:
                 if self._reading is not None:
                     self._reading.join()
@@ -869,7 +809,7 @@ class TactileCellPlugin:
         if self._lease is not None:
             self._lease.end_watch()
         self._stop_jobs()
-        self._worker.end(self._cell.close)
+        self._worker.end(self.cell.close)
         warnings.warn(
             f"the plugin of the cell {self._config.name!r} was dropped without close",
             ResourceWarning,
@@ -887,7 +827,7 @@ class TactileCellPlugin:
         """Refuse further jobs first, then stop the accepted ones: a later job would run."""
         with self._starting:
             self._worker.refuse()
-            self._cell.controller.life.cancel()
+            self.cell.controller.life.cancel()
 
     def _finish(self, job: Job, timeout_s: float | None) -> Any:
         """Wait for a command and return its result, or raise its error."""
@@ -906,7 +846,7 @@ class TactileCellPlugin:
     ) -> Job:
         """Start a job if its command is allowed now; an earlier `cancel` does not stop it."""
         controller, remarks, file, parts = (
-            self._cell.controller, self._remarks, self._file, self._parts,
+            self.cell.controller, self._remarks, self._file, self._parts,
         )  # fmt: skip
 
         def accepted() -> None:

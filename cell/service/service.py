@@ -514,7 +514,9 @@ class Service:
 
     def _count(self, part: Part, found: Identification | None) -> None:
         self.totals.add(part, found)
-        self.shift.add(part, None if found is None else self.plugin.curves(found))
+        self.shift.add(
+            part, None if found is None else self.plugin.newtons.curves(found.records[-1])
+        )
         self.history.add(part)
 
 

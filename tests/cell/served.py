@@ -163,4 +163,4 @@ def done(plugin: Any, goal: Any) -> Any:
 
 
 def grip_n(plugin: Any) -> float:
-    return min(plugin._cell.simulated.world.contact_force_n())
+    return min(plugin.cell.simulated.world.contact_force_n())

@@ -13,7 +13,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.control.live import LiveValues
 from cell.control.part import Part, Verification
@@ -38,6 +37,10 @@ CURVES = {
     "opening_mm": [18.0, 9.5, 9.4], "frame": [0.1] * 408,
 }  # fmt: skip
 """Last grasp of each part."""
+GRASP = SimpleNamespace(
+    cycles=(SimpleNamespace(setpoint_n=5.0),), outcome=SimpleNamespace(final_force_n=4.9)
+)
+"""Record of each grasp."""
 FOUND = Verification(held=True, same=True, force_n=GRIP_N, opening_m=9.5e-3)
 """Answer of each grip and verify."""
 
@@ -54,6 +57,9 @@ class StubPlugin:
         self.taught_revision = 0
         self.finds = ""
         """What the next part is named; as it is presented where it is empty."""
+        self.newtons = SimpleNamespace(
+            of=lambda counts: counts.astype(np.float32), curves=lambda _record: CURVES
+        )
         self.levels: dict[str, Any] = {
             "servos": {"level": "ok", "temperature_c": [41.0, 40.0], "load": [0.18, 0.2]}
         }
@@ -94,7 +100,7 @@ class StubPlugin:
                 now = {"job": job.number, "number": next(self._part_numbers), "seconds": 9.4}
                 known = {"label_id": self.label_id(value.label), "time_s": time.time()}
                 value = self._last_answer = value.model_copy(update=now | known)
-                self.on_part(value, SimpleNamespace(records=()))
+                self.on_part(value, SimpleNamespace(records=[GRASP]))
                 self._set(part=value)
             elif isinstance(value, Verification):
                 self._set(verification=value)
@@ -154,14 +160,11 @@ class StubPlugin:
             forgotten()
         return self._accept(("forget", last), Command.GRASP, CellState.EXECUTE, self._end)
 
-    def start_forget_drift(self) -> Job:
+    def forget_drift(self) -> Job:
         return self._accept(("forget_drift", False), None, self._cell, (self._cell, False, None))
 
     def health(self) -> dict[str, Any]:
         return self.levels
-
-    def newtons(self, counts: NDArray[np.uint16]) -> NDArray[np.float32]:
-        return counts.astype(np.float32)
 
     def check(self, task: str) -> None:
         goal = task in TASKS
@@ -177,9 +180,6 @@ class StubPlugin:
 
     def jobs(self) -> tuple[Job, ...]:
         return tuple(self._jobs)
-
-    def curves(self, _found: Any) -> dict[str, Any]:
-        return CURVES
 
     @property
     def _running(self) -> Job | None:

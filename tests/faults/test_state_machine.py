@@ -271,7 +271,7 @@ def no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def hold_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        Service, "stop", lambda service, _why="": service.plugin._cell.controller.life.cancel()
+        Service, "stop", lambda service, _why="": service.plugin.cell.controller.life.cancel()
     )
     monkeypatch.setattr(CellLifecycle, "forget_cancel", lambda _life: None)
 

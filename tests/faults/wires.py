@@ -305,12 +305,12 @@ class WireDriver(Driver):
         model = WitnessModel(plugin._config, self.witness)
         for user in (plugin._file, plugin._tasks, plugin._tasks.parts):
             user.model = model
-        plugin._model = model
+        plugin.model = model
         interfaces = open_interfaces(self._service)
         self._wire = HOSTS[self.interface](interfaces.__enter__())
         self._ending = [self._wire.close, lambda: interfaces.__exit__(None, None, None)]
         assert self._wire.acquire() == 0
-        return self._service.plugin._cell
+        return self._service.plugin.cell
 
     def _new_service(self) -> Service:
         """Start the service; one that a fault keeps from it is started again without faults."""

@@ -12,6 +12,7 @@ from cell.build import Cell, build_cell
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
+from cell.control.journal import loop_line
 from cell.control.lifecycle import NO_GRIP
 from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
@@ -19,6 +20,8 @@ from cell.errors import (
     CellError,
     CellStopped,
     ConfigError,
+    HandLost,
+    PartInGrip,
     PositionerFault,
     RecordingError,
 )
@@ -40,9 +43,11 @@ from gripper.clock import Clock
 from gripper.errors import (
     FeedbackImplausible,
     GripperError,
+    LinkTooSlow,
     ServoFault,
     ServoMissing,
     VerificationFailed,
+    fingers_left,
 )
 from recognition.grasp import PadArray
 from tactile.errors import TactileError
@@ -152,7 +157,7 @@ class RunningCell:
     @property
     def made(self) -> dict[str, Any]:
         """Recording and counters of the run, for ``--json``."""
-        return {"recording": self.plugin.recording_path, "health": self.plugin.counters()}
+        return {"recording": self.plugin.recording_path, "health": self.plugin.cell.health()}
 
 
 @contextmanager
@@ -171,7 +176,7 @@ def running_cell(
     text names the state of the grip, the recording and, on real ports, the command that lets go.
     ``json_file`` gets the same text, and the health of loop and links. If only the recording
     failed, the job still has an answer: the caller shows it, then calls
-    `TactileCellPlugin.check_recording`.
+    `Cell.check_recording`.
 
     Parameters
     ----------
@@ -200,11 +205,11 @@ def running_cell(
             stopping(plugin.interrupt, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO),
             _closing(plugin),
         ):
-            for note in (before := plugin.notes):
+            for note in (before := _notes(plugin)):
                 print_note(note)
             with progress_bar(doing(plugin)) as progress:
                 plugin.reset(timeout_s=None)
-                for note in plugin.notes:
+                for note in _notes(plugin):
                     if note not in before:
                         print_note(note)
                 yield RunningCell(plugin=plugin, folder=folder, progress=progress)
@@ -216,7 +221,7 @@ def running_cell(
         if isinstance(error, CellStopped):
             text = f"{error}. Recording so far: {recording}"
         else:
-            text = f"{error}\n{plugin.grip_left(error)}; recording so far: {recording}"
+            text = f"{error}\n{_grip_left(plugin, error)}; recording so far: {recording}"
         if config_file is not None and not config.simulated:
             limp = isinstance(error, FeedbackImplausible | VerificationFailed) and not isinstance(
                 error, ServoMissing
@@ -233,7 +238,7 @@ def running_cell(
                 "ended_early": text,
                 "fault_number": fault_number(error),
                 "recording": recording,
-                "health": plugin.counters(),
+                "health": plugin.cell.health(),
             },
         )
         raise CellError(text) from error
@@ -275,5 +280,23 @@ def _closing(plugin: TactileCellPlugin) -> Iterator[None]:
         try:
             plugin.close()
         finally:
-            if text := plugin.loop_text:
-                print_line(text)
+            if plugin.cell.realtime:
+                hand = plugin.cell.controller.hand
+                print_line(loop_line(hand.statistics.loop, hand.period_s))
+
+
+def _notes(plugin: TactileCellPlugin) -> list[str]:
+    """Return the state of the force loop, and why there is no self-zero."""
+    return [*filter(None, (*plugin.cell.notes, plugin.cell.controller.zeroing.note))]
+
+
+def _grip_left(plugin: TactileCellPlugin, error: BaseException) -> str:
+    """Return the grip after an error as text, as far as it is known."""
+    life = plugin.cell.controller.life
+    if left := fingers_left(error):
+        return left
+    if isinstance(error, HandLost):
+        return "a part may still be gripped" if life.holding else NO_GRIP[False]
+    if isinstance(error, PartInGrip | VerificationFailed | LinkTooSlow):
+        return "nothing was moved"
+    return "the grip is kept" if life.holding else NO_GRIP[life.shows_nothing]

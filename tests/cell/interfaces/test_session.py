@@ -79,7 +79,7 @@ def test_a_disk_that_is_full_in_a_grasp_loses_neither_the_grip_nor_the_grasp_bef
         progress.update(job.progress)
 
     def grip_n() -> float:
-        return min(cell.plugin._cell.simulated.world.contact_force_n())
+        return min(cell.plugin.cell.simulated.world.contact_force_n())
 
     monkeypatch.setattr(recorder, "CHUNK_BYTES", 1 << 12)
     monkeypatch.setattr(DirectFile, "write", take_one_grasp)
@@ -93,7 +93,7 @@ def test_a_disk_that_is_full_in_a_grasp_loses_neither_the_grip_nor_the_grasp_bef
         cell.run(TeachGoal(label="ball", grasps=2, train=False), show)
     assert json.loads(found.read_text("utf-8"))["ended_early"] == str(told.value)
     assert grip_n() > PRESSED_N
-    assert len(cell.plugin.training_set) == 1
+    assert len(cell.plugin.model.training_set) == 1
 
 
 @pytest.mark.parametrize(
@@ -116,9 +116,11 @@ def test_a_job_ends_early_unless_its_recording_alone_fails_at_the_end(
             finally:
                 raise errors[-1](errors[-1].__name__)
 
-    plugin = Mock(notes=(), loop_text="", recording_path="r.mcap")
+    plugin = Mock(recording_path="r.mcap")
     plugin.close = lambda: fail(at_the_end)
-    plugin.counters.return_value = {}
+    plugin.cell.health.return_value = {}
+    plugin.cell.notes, plugin.cell.realtime = (), False
+    plugin.cell.controller.zeroing.note = ""
     plugin.status.return_value = Mock(state="IDLE")
     monkeypatch.setattr(session, "TactileCellPlugin", lambda *_arguments, **_options: plugin)
     ended = ""

@@ -316,7 +316,7 @@ def test_a_trainer_exchanges_the_part_and_an_own_name_is_taught(connect) -> None
         check_refusal(*host.send("PUT", path, data)[:2], status=422)
     assert "pyramid" in host.send("PUT", at, stl(12.0))[1]["objects"]
     host.post(place, lease=lease, part="pyramid", pose={"rotation_rad": 0.3})
-    assert served.plugin._cell.simulated.world.placed[0] == "pyramid"
+    assert served.plugin.cell.simulated.world.placed[0] == "pyramid"
 
 
 def test_the_view_only_link_reads_and_gives_no_command(served, host) -> None:

@@ -220,7 +220,7 @@ def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught, tmp_path) ->
         answer = plugin.result(job, 60.0)
         plugin.save(tmp_path / "taught.npz")
         plugin.save(tmp_path / "followed.npz", followed=True)
-        plugin.forget_drift()
+        plugin.result(plugin.forget_drift(), 5.0)
         plugin.save(tmp_path / "forgotten.npz", followed=True)
     finally:
         plugin.close()

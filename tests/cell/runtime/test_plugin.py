@@ -44,9 +44,9 @@ def plugin_class() -> Any:
 
 def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n: float = 0.0):
     """Do something once, in a phase of the gripper, with at least so much grip."""
-    hand = plugin._cell.controller.hand
+    hand = plugin.cell.controller.hand
     once(
-        plugin._cell.simulated.clock, lambda: hand.phase is phase and grip_n(plugin) >= above_n, act
+        plugin.cell.simulated.clock, lambda: hand.phase is phase and grip_n(plugin) >= above_n, act
     )
 
 
@@ -194,7 +194,7 @@ def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
     assert grip_n(plugin) == 0.0
     # A cancel that comes too late stops nothing of the next job.
     plugin.cancel(job)
-    plugin._cell.controller.life.cancel()
+    plugin.cell.controller.life.cancel()
     assert done(plugin, IdentifyGoal()).label == "ball"
 
 
@@ -232,7 +232,7 @@ def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
     assert host.plugin.result(job, LIMIT_S).label == "ball"
     threads = [host.plugin._worker._thread, host.plugin._lease._thread]
     disconnected: list[bool] = []
-    host.plugin._cell._closing.callback(disconnected.append, True)
+    host.plugin.cell._closing.callback(disconnected.append, True)
     del host
     with pytest.warns(ResourceWarning, match="dropped without close"):
         gc.collect()
@@ -293,14 +293,14 @@ def test_the_host_moves_and_may_veto(make_plugin: Any, taught: Any) -> None:
 
     plugin = make_plugin(mover=mover, model=taught.result.model)
     assert done(plugin, {"task": "teach", "label": "ball", "grasps": 1}) == 1
-    label, placed = plugin._cell.simulated.world.placed
+    label, placed = plugin.cell.simulated.world.placed
     assert label == "ball"
     assert placed.x_m == pytest.approx(5e-4)
     with pytest.raises(JobFailed, match="ABORTED: the host refused to move"):
         done(plugin, IdentifyGoal())
     assert plugin.state() == "IDLE"
     assert plugin.fault() is None
-    assert not plugin._cell.controller.life.holding
+    assert not plugin.cell.controller.life.holding
     answers.append(None)
     assert done(plugin, IdentifyGoal(max_grasps=1)).n_grasps == 1
 
@@ -473,7 +473,7 @@ def test_what_was_forgotten_is_removed_once_it_can_be(make_plugin, taught, tmp_p
 
 def absent_in(plugin: Any, *numbers: int) -> None:
     """Take the object away before the grasps with these numbers, from 1, close the fingers."""
-    world, place = plugin._cell.simulated, plugin._cell.controller.moves.positioner.move_to
+    world, place = plugin.cell.simulated, plugin.cell.controller.moves.positioner.move_to
     done: list[Pose] = []
 
     def move_to(pose: Pose, *_supervise: Any) -> Pose:
@@ -483,7 +483,7 @@ def absent_in(plugin: Any, *numbers: int) -> None:
             world.remove()
         return reached
 
-    plugin._cell.controller.moves.positioner.move_to = move_to
+    plugin.cell.controller.moves.positioner.move_to = move_to
 
 
 @pytest.mark.slow
@@ -565,7 +565,7 @@ def test_an_idle_cell_in_real_time_is_supervised(make_plugin: Any, meddle: Any) 
 
     meddle(live)
     plugin = make_plugin()
-    plugin._cell.simulated.inject("unit.off")
+    plugin.cell.simulated.inject("unit.off")
     until(plugin.fault)
     assert plugin.state() == "ABORTED"
 
@@ -590,8 +590,8 @@ def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(plugi
     assert found.opening_m == pytest.approx(9.0e-3, abs=0.5e-3)
     assert plugin.feedback(job).progress["held_with_n"] == 4.0
     plugin.cancel(job)  # changes nothing for a kept part
-    plugin._cell.controller.life.cancel()
-    plugin._cell.controller.life.tick()
+    plugin.cell.controller.life.cancel()
+    plugin.cell.controller.life.tick()
     assert standing(plugin) == HELD
     plugin.close()
     assert grip_n(plugin) > 3.0

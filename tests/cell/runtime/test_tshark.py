@@ -48,7 +48,7 @@ def test_a_captured_sequence_is_canopen_to_tshark(tmp_path: Path) -> None:
             folder=tmp_path,
             progress=silent,
         )
-        statistics = plugin._cell.controller.hand.statistics.source
+        statistics = plugin.cell.controller.hand.statistics.source
     assert (result.n_taught, len(result.trials)) == (6, 2)
     assert statistics.frames.lost == statistics.frames.torn == statistics.error_frames == 0
 

@@ -211,7 +211,7 @@ def test_nothing_is_stopped_where_no_job_runs(monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.slow
 def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read() -> None:
     with TactileCellPlugin(quick_config(host_timeout_s=0.2)) as plugin:
-        controller = plugin._cell.controller
+        controller = plugin.cell.controller
         job = plugin.start(TeachGoal(label="ball", grasps=1000))
         until(lambda: not plugin._worker.running)
         status = plugin.feedback(job)

@@ -189,7 +189,7 @@ def test_jobs_of_a_simulated_cell_are_recorded_with_who_asked(serve: Any, tmp_pa
     assert served.ended(1).part.kept
     service.command(lease, Command.RELEASE, key=RELEASE_KEY)
     assert served.ended(2).outcome == "SUCCEEDED"
-    served.plugin._cell.simulated.inject("unit.off@contact+50ms")
+    served.plugin.cell.simulated.inject("unit.off@contact+50ms")
     service.start(lease, {"task": "grip", "force_n": 3.0})
     job = served.ended(3)
     assert (job.outcome, job.fault_number) == ("ABORTED", service.plugin.status().fault_number)
@@ -375,7 +375,7 @@ def test_the_watch_notices_a_silent_client_by_itself_and_outlives_what_goes_wron
 @pytest.mark.slow
 def test_no_part_is_exchanged_while_a_job_closes_on_it(serve: Any) -> None:
     served = serve(cell={})
-    service, hand = served.service, served.plugin._cell.controller.hand
+    service, hand = served.service, served.plugin.cell.controller.hand
     lease = service.lease.acquire("trainer")
     refused: list[str] = []
 
@@ -385,7 +385,7 @@ def test_no_part_is_exchanged_while_a_job_closes_on_it(serve: Any) -> None:
         refused.append(str(error.value))
 
     once(
-        served.plugin._cell.simulated.clock,
+        served.plugin.cell.simulated.clock,
         lambda: hand.phase is GripperPhase.APPROACHING,
         exchange,
     )

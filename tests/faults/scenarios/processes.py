@@ -133,15 +133,15 @@ def signal_in_the_ramp(row: FaultRow) -> Observed:
             with running_cell(
                 *(config, "run", Path(name)), config_file=None, json_file=None
             ) as cell:
-                simulated = cell.plugin._cell.simulated
+                simulated = cell.plugin.cell.simulated
                 heard = threading.Event()
-                interrupt = cell.plugin._cell.controller.life.cancel
+                interrupt = cell.plugin.cell.controller.life.cancel
 
                 def cancel(*reason: str) -> None:
                     interrupt(*reason)
                     heard.set()
 
-                cell.plugin._cell.controller.life.cancel = cancel  # type: ignore[method-assign]
+                cell.plugin.cell.controller.life.cancel = cancel  # type: ignore[method-assign]
 
                 def send() -> None:
                     os.kill(os.getpid(), signal.Signals[row.variant])

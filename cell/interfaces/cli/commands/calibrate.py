@@ -79,7 +79,7 @@ def calibrate(
             for label in gauge:
                 cell.run(TeachGoal(label=label, grasps=grasps, seed=checked.seed, train=False))
         for label in gauge:
-            taken[label] = [g for g in cell.plugin.training_set if g.label == label]
+            taken[label] = [g for g in cell.plugin.model.training_set if g.label == label]
         corrected = calibrate_model(loaded, taken)
         n_grasps = sum(map(len, taken.values()))
     save_model(
@@ -97,7 +97,7 @@ def calibrate(
         f"{output}"
     )
     if cell is not None:
-        cell.plugin.check_recording()
+        cell.plugin.cell.check_recording()
 
 
 def _grasps_of(gauge: str, grasps: "list[Grasp]", dataset: Path, *, alone: bool) -> "list[Grasp]":

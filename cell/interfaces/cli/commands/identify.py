@@ -117,7 +117,7 @@ def identify(
         "drift": part.drift and part.drift.values,
     }
     write_json(json_file, part.model_dump() | values | cell.made)
-    cell.plugin.check_recording()
+    cell.plugin.cell.check_recording()
 
 
 def _identify_recorded(

@@ -94,9 +94,9 @@ def run(
     print_result(result, true_sizes(checked))
     if no_report:
         print_note(no_report)
-    result.extra = {"health": cell.plugin.counters()}
+    result.extra = {"health": cell.plugin.cell.health()}
     write_json(json_file, result.as_json())
-    cell.plugin.check_recording()
+    cell.plugin.cell.check_recording()
     if failed is not None:
         raise failed
 

@@ -75,7 +75,7 @@ def sort(
     finally:
         print_tally(tally)
     write_json(json_file, {name: tally[name] for name in TALLY_KEYS} | {"parts": each} | cell.made)
-    cell.plugin.check_recording()
+    cell.plugin.cell.check_recording()
 
 
 def print_tally(tally: dict[str, Any]) -> None:

@@ -130,7 +130,7 @@ def _teach_grasps(
         try:
             cell.run(goal, lambda job: shown.update(job.progress))
         finally:
-            if taken := cell.plugin.training_set:
+            if taken := cell.plugin.model.training_set:
                 try:
                     append_to_dataset(dataset, before, taken)
                 except DatasetError as error:
@@ -148,7 +148,7 @@ def _teach_grasps(
     values = {"label": goal.label, "n_grasps": shown["grasps"], "n_missed": shown["missed"]}
     print_line(f"recording: {cell.plugin.recording_path}")
     write_json(json_file, values | {"dataset": dataset} | cell.made)
-    cell.plugin.check_recording()
+    cell.plugin.cell.check_recording()
 
 
 def _name_recorded(source: Path, label: str, dataset: Path, json_file: Path | None) -> None:

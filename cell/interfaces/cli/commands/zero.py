@@ -29,4 +29,4 @@ def zero(
     if (moved_mm := found["zero"]["moved_mm"]) is not None:
         print_line(f"{moved_mm:+.2f} mm since the last measurement")
     write_json(json_file, found["zero"])
-    cell.plugin.check_recording()
+    cell.plugin.cell.check_recording()

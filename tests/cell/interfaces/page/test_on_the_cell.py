@@ -247,7 +247,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, tmp_
     pytest.importorskip("trimesh", reason="the extra mesh is not installed")
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     served = serve("http", cell={})
-    world = served.plugin._cell.simulated.world
+    world = served.plugin.cell.simulated.world
     page = open_page(address(served), wide=False)
     click(page, "#simulated", "#sim_taken", "each object in turn")
     becomes(page, "#sim_put", "take command first")
