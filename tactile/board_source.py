@@ -115,16 +115,16 @@ class PolledBoards(ABC, Generic[_Board]):
         self._running = False
 
     @abstractmethod
-    def _open(self) -> None:
-        """Open the lines and request frames; may raise LinkFault."""
+    def open(self) -> None:
+        """Open the lines and request frames; may raise a line error or LinkFault."""
 
     @abstractmethod
     def _receive(self) -> Sequence[TactileFrame]:
         """Return the frames since the last call, and tell the boards; may raise LinkFault."""
 
     @abstractmethod
-    def _close(self) -> None:
-        """Close the lines; may be called twice, and before `_open`."""
+    def close(self) -> None:
+        """Close the lines; may be called twice, and before `open`."""
 
     def _absent(self, board: _Board) -> str:
         """Return what was not received of a board at the start."""
@@ -163,7 +163,8 @@ class PolledBoards(ABC, Generic[_Board]):
         for board in self._boards:
             board.restart(began_s)
         try:
-            self._open()
+            with self._line_of(self._name):
+                self.open()
             self._fault = None
             while absent := [board for board in self._boards if not board.seen]:
                 if self.clock.monotonic() - began_s > self._startup_s:
@@ -236,7 +237,7 @@ class PolledBoards(ABC, Generic[_Board]):
     def stop(self) -> None:
         """Close the lines."""
         self._running = False
-        self._close()
+        self.close()
 
 
 class BoardSource(PolledBoards[Board]):
@@ -255,11 +256,7 @@ class BoardSource(PolledBoards[Board]):
     def __init__(self, name: str, **options: Any) -> None:
         self._board = Board(name)
         super().__init__(name, (self._board,), **options)
-        self._last: NDArray[np.uint16] | None = None
-
-    @abstractmethod
-    def open(self) -> None:
-        """Open the lines and request frames; may raise a line error or LinkFault."""
+        self._last = np.zeros(0, dtype=np.uint16)
 
     @abstractmethod
     def receive(self, now_s: float) -> Sequence[tuple[float, NDArray[np.uint16]]]:
@@ -271,22 +268,10 @@ class BoardSource(PolledBoards[Board]):
         (n_taxels,) uint16, pad by pad in the order of the layout.
         """
 
-    @abstractmethod
-    def close(self) -> None:
-        """Close the lines; may be called twice, and before `open`."""
-
     def damaged(self) -> None:
         """Count an unusable frame."""
         self._frames.corrupt += 1
         self._board.sound.append(False)
-
-    def _open(self) -> None:
-        self._last = None
-        with self._line_of(self._name):
-            self.open()
-
-    def _close(self) -> None:
-        self.close()
 
     def _receive(self) -> Sequence[TactileFrame]:
         now_s = self.clock.monotonic()
@@ -295,7 +280,7 @@ class BoardSource(PolledBoards[Board]):
         frames = []
         for begun_s, samples in received:
             # Noise does not repeat itself.
-            if self._last is not None and np.array_equal(samples, self._last):
+            if self._board.seen and np.array_equal(samples, self._last):
                 self._frames.duplicate += 1
                 continue
             self._last = samples

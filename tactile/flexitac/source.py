@@ -155,7 +155,8 @@ class FlexiTacSource(PolledBoards[_Board]):
         size = f"{self._profile.rows} x {self._profile.columns}"
         return f"{board.name} sent no frame of {size} within {self._startup_s:g} s: {board.trouble}"
 
-    def _open(self) -> None:
+    def open(self) -> None:
+        """Open the lines."""
         for board in self._boards:
             with self._line_of(board.name):
                 board.open()
@@ -189,6 +190,7 @@ class FlexiTacSource(PolledBoards[_Board]):
         )
         return (matrix.T if self._transposed else matrix).astype(np.uint16).ravel()
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Close the lines."""
         for board in self._boards:
             board.close()

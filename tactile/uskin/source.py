@@ -150,7 +150,8 @@ class UskinSource(PolledBoards[_Board]):
             "check cable, supply, address and that map"
         )
 
-    def _open(self) -> None:
+    def open(self) -> None:
+        """Open a lost bus again, and start both boards."""
         lost = isinstance(self._fault, BusOff | ReceiveLoopDead)
         if self._reopen is not None and (lost or isinstance(self._bus, MissingBus)):
             self._bus = self._reopen()
@@ -200,5 +201,6 @@ class UskinSource(PolledBoards[_Board]):
         begun_s, end_s = min(one[0] for one in found), max(one[1] for one in found)
         return self._frame(z, begun_s, end_s, xyz[:, :2])
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Stop receiving; the boards continue and the bus stays open."""
         self._source.close()
