@@ -11,7 +11,6 @@ from urllib.parse import quote
 import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
-from numpy.typing import NDArray
 
 from cell.archive.selection import cell_of, day_of, of_cell
 from cell.data.formats import ARCHIVE
@@ -39,10 +38,8 @@ _NAME_BYTES = 255
 """Longest name of a folder in bytes (NAME_MAX of Linux)."""
 
 _NUMBER, _TEXT = pa.float64(), pa.string()
-_FRAME = pa.struct(
-    [("t_s", _NUMBER), ("aperture_m", _NUMBER), ("force_n", _NUMBER),
-     ("counts", pa.list_(pa.uint16()))]
-)  # fmt: skip
+_SERIES = ("t_s", "aperture_m", "force_n")
+"""Columns with a number for each frame."""
 _COLUMNS: tuple[tuple[str, Any, str], ...] = (
     ("key", _TEXT, "SHA-256 of start and counts, 32 digits; one grasp has one key in all files"),
     ("recording", _TEXT, "path of the recording or data set"),
@@ -79,7 +76,10 @@ _COLUMNS: tuple[tuple[str, Any, str], ...] = (
     ("features", pa.list_(pa.float32()), "of the default recogniser; null without touch"),
     ("feature_version", pa.int32(), "version of these features"),
     ("pads", _TEXT, "places of the taxels and full scale of the counts, JSON"),
-    ("frames", pa.list_(_FRAME), "frames of the ramp, raw counts; forces are commanded"),
+    ("t_s", pa.list_(_NUMBER), "time of each frame since the first, s"),
+    ("aperture_m", pa.list_(_NUMBER), "opening in each frame, m; NaN where unknown"),
+    ("force_n", pa.list_(_NUMBER), "commanded grip force in each frame, N; NaN where unknown"),
+    ("counts", pa.list_(pa.list_(pa.uint16())), "raw counts of each frame"),
 )  # fmt: skip
 COLUMNS: Mapping[str, str] = {name: text for name, _, text in _COLUMNS}
 """Columns of the table and their meaning; `cell` and `day` are partitions."""
@@ -92,8 +92,8 @@ PARTITION = ds.partitioning(_BY, flavor="hive")
 """Folders of the Parquet files, such as ``cell=press/day=2027-01-04``."""
 TABLE = pa.schema([*SCHEMA, *_BY])
 """Columns of the files and of their folders."""
-LIGHT = tuple(name for name in COLUMNS if name not in ("pads", "frames", "features"))
-"""Columns that are small: all but frames, features and pads."""
+LIGHT = tuple(one for one in COLUMNS if one not in ("pads", "features", "counts", *_SERIES))
+"""Columns that are small: all but those of frames, features and pads."""
 
 
 def grasp_key(grasp: Grasp) -> str:
@@ -127,35 +127,36 @@ def recording_rows(recording: Recording, cell: str = "") -> list[Row]:
     ]
 
 
+_OF_RESULT = {
+    "part_grasps": "n_grasps",
+    "answer": "label",
+    "answer_probability": "probability",
+    "answer_unknown": "unknown",
+    "drift_gain": "drift_gain",
+    "drift_aperture_m": "drift_aperture_m",
+}
+_OF_SHAPE = {
+    "felt_kind": "kind", "size_m": "size_m", "size_low_m": "low_m", "size_high_m": "high_m",
+}  # fmt: skip
+"""Columns by their names in a recorded answer, and in its shape."""
+
+
 def _answers(recording: Recording) -> dict[int, dict[str, Any]]:
     """Return the columns of the identifications, by the index of the grasp in the recording."""
     found: dict[int, dict[str, Any]] = {}
     for part, (row, met) in enumerate(recording.identified):
         singles, shapes = row.get("grasp_answers", []), row.get("grasp_shapes", [])
+        common = {"part": part} | {name: row.get(key) for name, key in _OF_RESULT.items()}
+        if row.get("held"):
+            common["label"] = row["held"]
         for place, i in enumerate(met):
             shape = shapes[place] if len(shapes) == len(met) else row.get("shape", {})
-            values = {
-                "part": part,
-                "of_part": place,
-                "part_grasps": row["n_grasps"],
-                "answer": row["label"],
-                "answer_probability": row["probability"],
-                "answer_unknown": row["unknown"],
-                "felt_kind": shape.get("kind"),
-                "size_m": shape.get("size_m"),
-                "size_low_m": shape.get("low_m"),
-                "size_high_m": shape.get("high_m"),
-                "drift_gain": row.get("drift_gain"),
-                "drift_aperture_m": row.get("drift_aperture_m"),
-            }
-            if row.get("held"):
-                values["label"] = row["held"]
+            values = {name: shape.get(key) for name, key in _OF_SHAPE.items()}
             if len(singles) == len(met):
-                single = singles[place]
-                chances = single.get("probabilities", [])
+                chances = singles[place].get("probabilities", [])
                 values["probabilities"] = list(zip(row["labels"], chances, strict=False))
-                values["unknown"] = single.get("unknown")
-            found[i] = values
+                values["unknown"] = singles[place].get("unknown")
+            found[i] = common | {"of_part": place} | values
     return found
 
 
@@ -194,12 +195,7 @@ def batches(rows: Sequence[Row], recording: str, sha256: str) -> Iterator[pa.Rec
             for (grasp, beside), found in zip(part, _described(grasps, rest), strict=True)
         ]
         yield pa.RecordBatch.from_arrays(
-            [
-                _frames(grasps)
-                if one.name == "frames"
-                else pa.array([_known(row.get(one.name)) for row in values], one.type)
-                for one in TABLE
-            ],
+            [pa.array([_known(row.get(one.name)) for row in values], one.type) for one in TABLE],
             schema=TABLE,
         )
 
@@ -227,6 +223,8 @@ def _plain(grasp: Grasp) -> dict[str, Any]:
         "taught": bool(grasp.label),
         "shape": grasp.shape,
         "thickness_m": grasp.thickness_m,
+        "counts": list(grasp.counts),
+        **{name: getattr(grasp, name) for name in _SERIES},
         "asked": grasp.command and asdict(grasp.command),
         "zero": grasp.zero and asdict(grasp.zero),
     }
@@ -259,23 +257,6 @@ def _described(grasps: Sequence[Grasp], rest: Rest | None) -> list[dict[str, Any
     return found
 
 
-def _frames(grasps: Sequence[Grasp]) -> pa.Array:
-    n_taxels = grasps[0].pads.n_taxels
-    ends = np.cumsum([0, *(grasp.n_frames for grasp in grasps)], dtype=np.int32)
-    counts = pa.ListArray.from_arrays(
-        np.arange(ends[-1] + 1, dtype=np.int32) * n_taxels,
-        np.concatenate([grasp.counts for grasp in grasps]).ravel(),
-    )
-    arrays = [
-        *(
-            pa.array(np.concatenate([getattr(grasp, name) for grasp in grasps]))
-            for name in ("t_s", "aperture_m", "force_n")
-        ),
-        counts,
-    ]
-    return pa.ListArray.from_arrays(ends, pa.StructArray.from_arrays(arrays, fields=list(_FRAME)))
-
-
 @lru_cache(maxsize=16)
 def _pads_text(pads: PadArray) -> str:
     return json.dumps({name: array.tolist() for name, array in pads.to_arrays().items()})
@@ -288,21 +269,14 @@ def _pads(text: str) -> PadArray:
 
 def grasps_of(batch: pa.RecordBatch) -> Iterator[Grasp]:
     """Yield the grasps of rows, as they were archived."""
-    lengths = batch.column("frames").value_lengths().to_numpy()
-    frames = batch.column("frames").flatten()
-    counts = frames.field("counts").flatten().to_numpy()
-    series = {n: frames.field(n).to_numpy(False) for n in ("t_s", "aperture_m", "force_n")}
-    names = ("label", "shape", "source", "start_ms", "thickness_m", "asked", "zero", "pads")
-    end = n_counts = 0
-    for length, row in zip(lengths, batch.select(list(names)).to_pylist(), strict=True):
+    plain = ["label", "shape", "source", "start_ms", "thickness_m", "asked", "zero", "pads"]
+    for i, row in enumerate(batch.select(plain).to_pylist()):
         pads = _pads(row["pads"])
-        begin, end = end, end + int(length)
-        block: NDArray[np.uint16] = counts[n_counts : n_counts + length * pads.n_taxels]
-        n_counts += len(block)
+        lists = {name: batch[name].slice(i, 1).flatten() for name in (*_SERIES, "counts")}
         yield Grasp(
             pads=pads,
-            counts=block.reshape(length, pads.n_taxels),
-            **{name: values[begin:end] for name, values in series.items()},
+            counts=lists.pop("counts").flatten().to_numpy().reshape(-1, pads.n_taxels),
+            **{name: values.to_numpy() for name, values in lists.items()},
             **{name: row[name] for name in ("label", "shape", "source", "start_ms")},
             thickness_m=np.nan if row["thickness_m"] is None else row["thickness_m"],
             command=row["asked"] and GraspCommand(**row["asked"]),

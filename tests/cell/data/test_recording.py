@@ -213,19 +213,6 @@ def test_schemas_have_plain_types_only_so_that_viewers_plot_them() -> None:
             assert values["description"]
 
 
-@pytest.mark.parametrize("label", ["UNKNOWN", "\x1b[2J", "x" * 201])
-def test_a_grasp_with_a_label_that_none_may_have_is_left_out(label, tmp_path) -> None:
-    clock = Clock(now_s=1.0)
-    with Recorder(tmp_path / "r.mcap", clock, pads=PADS) as recorder:
-        record_grasp(recorder, clock, "ball")
-        clock.now_s += 1.0
-        record_grasp(recorder, clock, label)
-    recording = read_recording(tmp_path / "r.mcap")
-    assert [grasp.label for grasp in recording.grasps] == ["ball"]
-    assert (recording.n_broken_grasps, recording.grasp_numbers) == (1, (0,))
-    assert recording.lost_reason.startswith("message 2 of /sequence/grasp is left out: label")
-
-
 def test_further_samples_of_the_taxels_come_back(whole, tmp_path) -> None:
     shear = np.arange(96, dtype=np.uint16).reshape(2, 24, 2)
     with Recorder(tmp_path / "shear.mcap", Clock(100.0), pads=PADS) as recorder:
@@ -273,20 +260,6 @@ def test_killed_program_leaves_a_readable_recording(tmp_path) -> None:
     assert len(recording.grasps) >= 2
     lost = 240 - len(recording.frames)
     assert lost * 4 * 450 < 2 * 65536  # about a chunk: four cycles go with a frame
-
-
-def test_what_is_no_recording_is_refused(tmp_path, monkeypatch) -> None:
-    (tmp_path / "text").write_text("hello")
-    for name, says in (
-        ("none", "check the path"),
-        (".", "plain file"),
-        ("text", "not a recording: it has no description"),
-    ):
-        with pytest.raises(RecordingError, match=says):
-            read_recording(tmp_path / name)
-    monkeypatch.setattr(recording_reader, "MAX_FILE_BYTES", 4)
-    with pytest.raises(RecordingError, match="at most 4 bytes"):
-        read_recording(tmp_path / "text")
 
 
 def fill_disk_after(
@@ -570,12 +543,22 @@ def frame_json(**changed: str) -> bytes:
         (GOOD | {"pads": "[" * 100_000}, "does not fit"),
     ],
 )
-def test_other_mcap_files_are_refused_before_a_message_is_read(
+def test_other_files_are_refused_before_a_message_is_read(
     metadata: dict[str, str] | None, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    (tmp_path / "text").write_text("hello")
     monkeypatch.setattr(recording_reader, "breakup_chunk", raising(AssertionError("unpacked")))
-    with pytest.raises(RecordingError, match=says):
-        read_recording(foreign(tmp_path / "f.mcap", metadata=metadata))
+    for name, why in (
+        (foreign(tmp_path / "f.mcap", metadata=metadata), says),
+        ("none", "check the path"),
+        (".", "plain file"),
+        ("text", "not a recording: it has no description"),
+    ):
+        with pytest.raises(RecordingError, match=why):
+            read_recording(tmp_path / name)
+    monkeypatch.setattr(recording_reader, "MAX_FILE_BYTES", 4)
+    with pytest.raises(RecordingError, match="at most 4 bytes"):
+        read_recording(tmp_path / "text")
 
 
 @pytest.mark.parametrize(
@@ -639,6 +622,9 @@ def test_grasps_cannot_share_frames(tmp_path: Path) -> None:
         ({"force_n": [1e9] * 20}, "force_n.0 is 1000000000.0: Input should"),
         ({"start_ms": 10**18}, "start_ms is 1000000000000000000: Input"),
         ({"counts_crc32": 0}, "the checksum of its counts is wrong"),
+        ({"label": "UNKNOWN"}, "label is 'UNKNOWN': Value error, is UNKNOWN, the answer for"),
+        ({"label": "\x1b[2J"}, "not printable"),
+        ({"source": "x" * 201}, "longer than 200 characters"),
     ],
 )
 def test_a_grasp_with_values_that_none_has_is_left_out_and_named(
@@ -740,34 +726,31 @@ def test_a_damaged_file_without_chunks_is_not_complete(three: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("left_out", "grasp"), [((45,), 3), (tuple(range(41, 61)), 3), ((1, 2), 1)]
+    ("frames", "says", "n_grasps"),
+    [
+        ((45,), "grasp 3 is left out: frames of it are missing", 2),
+        (tuple(range(41, 61)), "grasp 3 is left out: frames of it are missing", 2),
+        ((1, 2), "grasp 1 is left out: frames of it are missing", 2),
+        ((30,), "its 59 frames are not all that were recorded", 0),
+    ],
 )
 def test_a_recording_that_lacks_frames_is_not_complete(
-    left_out: tuple[int, ...], grasp: int, three: Path, tmp_path: Path
+    frames: tuple[int, ...], says: str, n_grasps: int, three: Path, tmp_path: Path
 ) -> None:
-    again = written_again(
-        three, tmp_path / "a.mcap", leave_out=lambda of, n: "frame" in of and n in left_out
-    )
-    says, n_grasps = f"grasp {grasp} is left out: frames of it are missing", 2
+    def leave_out(topic: str, number: int) -> bool:
+        return (topic == recording_schema.FRAME and number in frames) or (
+            topic == recording_schema.GRASP and not n_grasps
+        )
+
+    again = written_again(three, tmp_path / "a.mcap", leave_out=leave_out)
     found = read_recording(again)
     assert says in found.lost_reason
     assert not found.complete
-    assert (len(found.grasps), found.n_broken_grasps) == (n_grasps, 1)
+    assert (len(found.grasps), found.n_broken_grasps) == (n_grasps, bool(n_grasps))
     with pytest.raises(RecordingError, match="not complete"):
         recording_grasps(again)
     assert recover_recording(again, tmp_path / "new.mcap").n_grasps == n_grasps
-    assert len(recording_grasps(tmp_path / "new.mcap")) == n_grasps
-
-
-def test_frames_of_no_grasp_that_are_missing_make_it_incomplete_too(
-    three: Path, tmp_path: Path
-) -> None:
-    def leave_out(topic: str, number: int) -> bool:
-        return topic == "/sequence/grasp" or (topic == "/tactile/frame" and number == 30)
-
-    found = read_recording(written_again(three, tmp_path / "a.mcap", leave_out=leave_out))
-    assert (found.complete, found.n_broken_grasps) == (False, 0)
-    assert found.lost_reason == "its 59 frames are not all that were recorded"
+    assert len(read_recording(tmp_path / "new.mcap").grasps) == n_grasps
 
 
 def test_messages_that_the_statistics_count_and_nobody_finds_are_a_loss(
