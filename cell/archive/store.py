@@ -81,10 +81,11 @@ class Archive:
     ) -> Iterator[pa.RecordBatch]:
         """Yield some columns of the selected rows in pieces, by cell, day and file.
 
-        `cell` and `day` are columns, too. With ``keys``, only groups of rows that contain one of
-        them are read.
+        `cell` and `day` are columns, too. With ``keys``, the rows of others are left out.
         """
         where = _filter(selection)
+        if keys is not None:
+            where &= pc.field("key").isin(sorted(keys))
         with _named(self.target):
             rows = ds.dataset(
                 self._root, TABLE, format="parquet", filesystem=self._fs, partitioning=PARTITION
@@ -92,13 +93,9 @@ class Archive:
             files = sorted(rows.get_fragments(where), key=lambda one: one.path)
         for file in files:
             with _readable(file.path):
-                for part in [file] if keys is None else file.split_by_row_group():
-                    if keys is None or not keys.isdisjoint(
-                        part.to_table(TABLE, columns=["key"])["key"].to_pylist()
-                    ):
-                        yield from part.to_batches(
-                            TABLE, columns=list(columns), filter=where, batch_size=GROUP
-                        )
+                yield from file.to_batches(
+                    TABLE, columns=list(columns), filter=where, batch_size=GROUP
+                )
 
     def table(self, columns: Sequence[str], selection: Selection = EVERYTHING) -> pa.Table:
         """Return some columns of the selected rows."""
@@ -117,10 +114,7 @@ class Archive:
             repeatable choice.
         """
         chosen = None if most is None else self._sample(selection, most)
-        for batch in self.batches(SCHEMA.names, selection, chosen):
-            rows = batch
-            if chosen is not None:
-                rows = rows.filter(pa.array([k in chosen for k in rows["key"].to_pylist()]))
+        for rows in self.batches(SCHEMA.names, selection, chosen):
             yield from grasps_of(rows)
 
     def _sample(self, selection: Selection, most: int) -> set[str]:

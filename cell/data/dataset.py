@@ -81,6 +81,14 @@ _ARRAYS = {
 }
 """Kinds of the numpy type of each array, and its axes; arrays with the same axis have the same
 length along it."""
+_OF_FRAMES = {"t_s": ("t_s", 1.0), "aperture_mm": ("aperture_m", 1e-3), "force_n": ("force_n", 1.0)}
+"""Field of a grasp, and unit, of each array of frames."""
+_TEXTS = ("label", "shape", "source")
+_RECORDS: Mapping[str, tuple[str, tuple[str, ...], Any]] = {
+    "pose": ("command", COMMAND_COLUMNS, GraspCommand),
+    "self_zero": ("zero", ZERO_COLUMNS, SelfZero),
+}
+"""Field of a grasp, its numbers and its kind, of each array of such rows."""
 _AXES = {"xy": 2, "command": len(COMMAND_COLUMNS), "zero": len(ZERO_COLUMNS)}
 """Length of the axes that are the same in all data sets."""
 _OPTIONAL = {"force_n", "shape", "source", "thickness_mm", "pose", "self_zero"}
@@ -156,7 +164,7 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
                 f"cannot write data set {path}: grasp {i} was taken on other pads than grasp 0; "
                 "write one data set for each kind of pads"
             )
-        for name in ("label", "shape", "source"):  # an array loses a zero at the end of a text
+        for name in _TEXTS:  # an array loses a zero at the end of a text
             if wrong := text_refused(name, getattr(grasp, name)):
                 raise DatasetError(f"cannot write data set {path}: {name} of grasp {i} {wrong}")
     arrays: dict[str, NDArray[Any]] = {
@@ -166,29 +174,26 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
         "taxel_pad": pads.taxel_pad,
         "taxel_xy_mm": (pads.taxel_xy_m * 1e3).astype(np.float32),
         "counts": np.concatenate([grasp.counts for grasp in grasps]),
-        "aperture_mm": np.concatenate([g.aperture_m * 1e3 for g in grasps]).astype(np.float32),
-        "t_s": np.concatenate([grasp.t_s for grasp in grasps]).astype(np.float32),
         "grasp_offsets": np.cumsum([0, *(g.n_frames for g in grasps)], dtype=np.int64),
-        "label": np.array([grasp.label for grasp in grasps], dtype=np.str_),
         "start_ms": np.array([grasp.start_ms for grasp in grasps], dtype=np.int64),
+        "thickness_mm": np.array([grasp.thickness_m * 1e3 for grasp in grasps], dtype=np.float32),
     }
-    force_n = np.concatenate([grasp.force_n for grasp in grasps])
-    thickness_mm = np.array([1e3 * grasp.thickness_m for grasp in grasps])
-    for name, values in {"force_n": force_n, "thickness_mm": thickness_mm}.items():
-        if not np.all(np.isnan(values)):
-            arrays[name] = values.astype(np.float32)
-    for name in ("shape", "source"):
-        texts = [getattr(grasp, name) for grasp in grasps]
-        if any(texts):
-            arrays[name] = np.array(texts, dtype=np.str_)
-    for name, columns, rows in (
-        ("pose", COMMAND_COLUMNS, [grasp.command for grasp in grasps]),
-        ("self_zero", ZERO_COLUMNS, [grasp.zero for grasp in grasps]),
-    ):
-        if any(rows):
-            unknown = (np.nan,) * len(columns)
-            arrays[name] = np.array([row.values if row else unknown for row in rows])
-    return arrays
+    for name, (field, unit) in _OF_FRAMES.items():
+        values = np.concatenate([getattr(grasp, field) for grasp in grasps])
+        arrays[name] = (values / unit).astype(np.float32)
+    for name in _TEXTS:
+        arrays[name] = np.array([getattr(grasp, name) for grasp in grasps], dtype=np.str_)
+    for name, (field, columns, _) in _RECORDS.items():
+        rows = [getattr(grasp, field) for grasp in grasps]
+        unknown = (np.nan,) * len(columns)
+        arrays[name] = np.array([row.values if row else unknown for row in rows])
+
+    def known(values: NDArray[Any]) -> bool:
+        return bool(
+            np.any(values != "") if values.dtype.kind == "U" else not np.isnan(values).all()
+        )
+
+    return {name: one for name, one in arrays.items() if name not in _OPTIONAL or known(one)}
 
 
 def _check_arrays(arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -236,11 +241,7 @@ def _grasps_of(arrays: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
             f"rise from 0 to the {n_frames} frames"
         )
     of_frames: dict[str, Any] = {"counts": arrays["counts"]}
-    for name, field, unit in (
-        ("t_s", "t_s", 1.0),
-        ("aperture_mm", "aperture_m", 1e-3),
-        ("force_n", "force_n", 1.0),
-    ):
+    for name, (field, unit) in _OF_FRAMES.items():
         if name in arrays:
             of_frames[field] = unit * arrays[name].astype(np.float64)
     _allow("t_s", times_refused(of_frames["t_s"], offsets))
@@ -248,15 +249,12 @@ def _grasps_of(arrays: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
     of_grasps: dict[str, Any] = {"start_ms": arrays["start_ms"].tolist()}
     if "thickness_mm" in arrays:
         of_grasps["thickness_m"] = (1e-3 * arrays["thickness_mm"].astype(np.float64)).tolist()
-    for name in ("label", "shape", "source"):
-        if name in arrays:
-            of_grasps[name] = arrays[name].tolist()
-            for i, text in enumerate(of_grasps[name]):
-                _allow(f"{name} of grasp {i}", text_refused(name, text))
-    for name, field, build in (
-        ("pose", "command", GraspCommand.from_values),
-        ("self_zero", "zero", functools.cache(SelfZero.from_values)),  # a session shares one
-    ):
+    for name in [name for name in _TEXTS if name in arrays]:
+        of_grasps[name] = arrays[name].tolist()
+        for i, text in enumerate(of_grasps[name]):
+            _allow(f"{name} of grasp {i}", text_refused(name, text))
+    for name, (field, _, kind) in _RECORDS.items():
+        build = functools.cache(kind.from_values)  # a session shares one self-zero
         if name in arrays:
             of_grasps[field] = [
                 None if all(map(math.isnan, row)) else build(tuple(row))
