@@ -68,8 +68,8 @@ twice, it is at least a half."""
 _STALL_SHOWS_S = 0.2
 """Time in s after a stall of the host in which force messages of the stall still count in
 `ForceStream.behind_s`, whose window is half of it."""
-_LAG_FRAMES = 250
-"""Number of frames after which the earlier least lag is discarded, once or twice."""
+_LAG_FRAMES = 500
+"""Number of newest frames whose least lag is the usual one."""
 _LATE_SYNCS = 3
 """Number of successive SYNCs with late frames that counts: after a stall frames catch up."""
 _SURPLUS_SHARE = 1.5
@@ -263,9 +263,7 @@ class FrameFlow:
         self._unanswered = 0
         self._ahead = 0
         """SYNCs sent, less the scans of the unit's counter since its first frame."""
-        self._least: int | None = None
-        self._least_before: int | None = None
-        self._lag_frames = 0
+        self._lags: deque[int] = deque(maxlen=_LAG_FRAMES)
         self._late_syncs = 0
         self.messages = 0
         """Frame messages since the last SYNC."""
@@ -316,14 +314,12 @@ class FrameFlow:
                 f"lost, allowed are {self._max_loss_rate:.0%}: check bus load, cable and "
                 "termination, then start the link again"
             )
-        self._note_lag()
+        self._lags.append(self._ahead)
 
     @property
     def _late(self) -> int:
         """Number of SYNCs with outstanding frames, beyond the usual one."""
-        before = self._least if self._least_before is None else self._least_before
-        known = [least for least in (before, self._least) if least is not None]
-        return max(0, self._ahead - min(known, default=0))
+        return max(0, self._ahead - min(self._lags, default=0))
 
     def _check_late(self) -> None:
         if self._last_counter is None:
@@ -336,13 +332,6 @@ class FrameFlow:
                 f"{self._late_periods - 1}: the adapter or the host delays messages, or SYNCs do "
                 "not reach the unit; check both, then start the link again"
             )
-
-    def _note_lag(self) -> None:
-        self._lag_frames += 1
-        if self._least is None or self._ahead < self._least:
-            self._least = self._ahead
-        if self._lag_frames >= _LAG_FRAMES:
-            self._lag_frames, self._least_before, self._least = 0, self._least, None
 
     def _weigh_messages(self) -> int:
         n, self.messages = self.messages, 0
