@@ -353,7 +353,7 @@ class SimulationRequests:
             raise CellStateError(f"the cell was busy for {_REPLY_S:g} s: try again") from error
 
     def part_for(self, label: str, present: str | None) -> str:
-        """Return the object to place for a label; `name` makes the label a name of this object.
+        """Return the object to place for a label; `named` makes the label a name of this object.
 
         It is ``present``, else the object of the label, else the part between the fingers. Raises
         CellStateError if there is no part, ConfigError if ``present`` is not an object.
@@ -373,14 +373,17 @@ class SimulationRequests:
             drawn_shape(part)
         return part
 
-    def name(self, label: str, part: str | None) -> None:
-        """Make a label a name of an object, also of its shape as text; on the thread of the cell.
+    def named(
+        self, label: str, part: str | None, work: Callable[[Any], Any], report: object
+    ) -> Any:
+        """Make a label a name of an object, also of its shape as text, then do the work of a job.
 
         A job does so at its start: a refused request leaves each name as it is.
         """
         objects = self._cell.devices.physical.objects
         if part is not None and label not in self._cell.settings.objects:
             objects[label] = objects.get(part) or drawn_shape(part)
+        return work(report)
 
     def check_parts(self, labels: Sequence[str]) -> None:
         """Raise ConfigError, with the known objects, if one of the labels is not an object."""

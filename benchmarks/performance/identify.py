@@ -51,7 +51,10 @@ def from_the_command(n_teach: int, rounds: int) -> None:
     with closing(build_cell(config)) as cell:
         controller, model = cell.controller, TaughtModel(config)
         clock, spent_s = cell.simulated.clock, Counter[str]()
-        tasks, unshown = Tasks(controller, ModelFile(model, None)), Report(0, lambda _fields: None)
+        tasks, unshown = (
+            Tasks(controller, ModelFile(model, None)),
+            Report(0, lambda **_fields: None),
+        )
         controller.start()
         for seed, label in enumerate(labels):
             goal = TeachGoal(label=label, grasps=n_teach, seed=seed, train=False)

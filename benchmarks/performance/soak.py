@@ -162,7 +162,7 @@ def connects(n: int) -> list[ResourceUse]:
             found["xmlrpc_port"]: f"POST /RPC2 {head}{body}".encode(),
             found["http_port"]: f"GET /api/info {head}{token}\r\n\r\n".encode(),
         }
-        if not _run(service, service.lease.acquire("soak"), task="grip", force_n=3.0).kept:
+        if not _run(service, service.lease.acquire("soak"), task="grip", force_n=3.0).verification:
             raise SystemExit("nothing was gripped")
         for number in range(1, n + 1):
             for port, request in requests.items():

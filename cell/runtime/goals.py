@@ -167,8 +167,3 @@ def checked_goal(goal: Goal | Mapping[str, Any]) -> Goal:
             f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()
         )
         raise ConfigError(f"goal {task}: {complaints}") from error
-
-
-def goal_of(task: str, **fields: Any) -> dict[str, Any]:
-    """Return a goal as a mapping without empty or zero fields; the config's values then apply."""
-    return {"task": task} | {name: value for name, value in fields.items() if value}

@@ -17,7 +17,7 @@ from cell.learning.taught_model import TaughtModel
 from tactile.sensor.tare import TareResult
 from tactile.sensor.taxel_forces import TaxelForces
 
-POINTS_MAX = 300
+_POINTS_MAX = 300
 """Most points of a curve, enough for a display."""
 
 OnPart = Callable[[Part, Identification | None], None]
@@ -120,7 +120,7 @@ class TaxelNewtons:
         load, or None. NaN becomes None.
         """
         cycles = record.cycles
-        at = np.unique(np.linspace(0, len(cycles) - 1, POINTS_MAX).round().astype(int))
+        at = np.unique(np.linspace(0, len(cycles) - 1, _POINTS_MAX).round().astype(int))
         # By newtons: the noise of all taxels hides a light touch in the sum of the counts.
         frames_n = [one for counts in record.grasp.counts if (one := self.of(counts)) is not None]
         frame_n = max(frames_n, key=np.sum, default=None)

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future, wait as wait_for
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -438,13 +439,9 @@ class TactileCellPlugin:
             self.model.check_gauge(checked.label)
         if isinstance(checked, ZeroGoal):
             self.cell.controller.zeros.check()
-        task, simulation = getattr(self._tasks, checked.task), self._simulation
-
-        def work(report: Report) -> Any:
-            if simulation is not None and isinstance(checked, TeachGoal | GaugeGoal):
-                simulation.name(checked.label, checked.present)
-            return task(checked, report)
-
+        work = partial(getattr(self._tasks, checked.task), checked)
+        if self._simulation is not None and isinstance(checked, TeachGoal | GaugeGoal):
+            work = partial(self._simulation.named, checked.label, checked.present, work)
         return self._accept(work, _COMMANDS[checked.task], checked.task, on_progress)
 
     def _with_part(self, goal: Goal) -> Goal:

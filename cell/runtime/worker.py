@@ -126,12 +126,12 @@ class Report:
 
     number: int
     """Number of the job."""
-    show: Callable[[dict[str, Any]], None]
+    change: Callable[..., object]
     """Replaces fields of the job."""
 
     def __call__(self, progress: dict[str, Any], **fields: Any) -> None:
         """Report progress, and further fields of the `Job`, for example its part."""
-        self.show({"progress": progress} | fields)
+        self.change(progress=progress, **fields)
 
 
 class CellWorker:
@@ -316,12 +316,12 @@ class CellWorker:
     def _execute(
         self, number: int, work: Callable[[Report], Any], on_change: Callable[[Job], None]
     ) -> None:
-        def show(fields: dict[str, Any]) -> None:
+        def change(**fields: Any) -> None:
             on_change(self._set(number, **fields))
 
         self._set(number, outcome=JobOutcome.EXECUTING)
         try:
-            value = work(Report(number, show))
+            value = work(Report(number, change))
         except CellStopped as stop:
             end = {"outcome": JobOutcome.CANCELED, "error": str(stop), "exception": stop}
         except BaseException as error:

@@ -15,7 +15,7 @@ from functools import partial
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 from pydantic_core import to_jsonable_python
 
@@ -34,7 +34,6 @@ from cell.runtime.goals import (
     IdentifyGoal,
     SortGoal,
     checked_goal,
-    goal_of,
 )
 from cell.runtime.lease import Lease
 from cell.runtime.plugin import HostStatus, TactileCellPlugin
@@ -56,22 +55,11 @@ _KEEPING = (*_UNMOVING, Command.RESET.value, "verify", "forget", "forget_drift")
 _COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
 """Commands of clients."""
 
+_SHOWN = ("job", "commander", "held_by", "held_part", "pose_seq", "pose")
+"""Values of a `Snapshot` that the state has as they are."""
+
 plain_data = partial(to_jsonable_python, inf_nan_mode="null")
 """Returns JSON types, also of dataclasses; null for each number that is not finite."""
-
-
-class RequestFields(TypedDict, total=False):
-    """Fields of tasks and commands of hosts with plain numbers; see `Service.request`."""
-
-    label: str
-    grasps: int
-    max_grasps: int
-    force_n: float
-    keep: bool | str
-    parts: int
-    present: str
-    key: int
-    reboot: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -315,9 +303,7 @@ class Service:
         given = {"reboot": True} if reboot else {}
         return self.begin(lease, command.value, begin, number=number, given=given)
 
-    def request(
-        self, lease: int, name: str, *, number: int = 0, **fields: Unpack[RequestFields]
-    ) -> int:
+    def request(self, lease: int, name: str, *, number: int = 0, **fields: Any) -> int:
         """Start a task or command of a host with plain numbers; return the number of its job.
 
         Parameters
@@ -333,9 +319,10 @@ class Service:
         if name not in TASKS:
             key, reboot = fields.get("key", 0), fields.get("reboot", False)
             return self.command(lease, Command(name), key=key, reboot=reboot, number=number)
-        if isinstance(keep := fields.get("keep"), bool):
-            fields["keep"] = "always" if keep else "never"
-        return self.start(lease, goal_of(name, **fields), number=number)
+        if fields.get("keep") is True:
+            fields["keep"] = "always"
+        goal = {field: value for field, value in fields.items() if value}
+        return self.start(lease, goal | {"task": name}, number=number)
 
     # -- the simulated cell --------------------------------------------------------------------
 
@@ -574,14 +561,9 @@ def state_values(service: Service) -> dict[str, Any]:
         {
             "time_s": time.time(),
             "status": {one.name: getattr(now.status, one.name) for one in fields(CellStatus)},
-            "job": now.job,
             "last_answer": now.status.last_answer,
             "live": {name: getattr(live, name) for name in live.__slots__ if name != "counts"},
-            "commander": now.commander,
-            "held_by": now.held_by,
-            "held_part": now.held_part,
-            "pose_seq": now.pose_seq,
-            "pose": now.pose,
+            **{name: getattr(now, name) for name in _SHOWN},
             "allowed": {
                 task: None if error is None else Refusal.of(error)
                 for task, error in service.allowed().items()

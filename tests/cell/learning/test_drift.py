@@ -195,7 +195,7 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(monkeypat
     controller: Any = Grasping(plain_grasp("ball"))
     model, told = TaughtModel(small_config()), list[Any]()
     cell = tasks.Tasks(controller, tasks.ModelFile(model, None))
-    report = Report(1, told.append)
+    report = Report(1, lambda **now: told.append(now))
     cell.teach(TeachGoal(label="ball", grasps=1), report)
     assert np.array_equal(taught_with[0][0].counts, controller.given.counts)
     answers = []

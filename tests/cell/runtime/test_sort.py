@@ -43,7 +43,7 @@ class Sorter:
 
     def sort(self, *feed: str) -> None:
         goal = SortGoal(parts=len(feed), feed=feed, seed=7)
-        self.tasks.sort(goal, Report(1, lambda job: self.progress.update(job["progress"])))
+        self.tasks.sort(goal, Report(1, lambda **now: self.progress.update(now["progress"])))
 
     def _places(self, destination: Destination) -> Any:
         placed = self.bench.simulated.devices.physical.placed
