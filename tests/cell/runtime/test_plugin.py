@@ -61,7 +61,7 @@ def test_a_gauge_says_under_which_foam_shapes_are_read(make_plugin, taught, tmp_
         make_plugin(gauge=gauge)
 
     def read(**options: Any) -> Any:
-        shape = make_plugin(model=taught.result.model, **options)._model.shapes.reader(box)
+        shape = make_plugin(model=taught.result.model, **options).model.shapes.reader(box)
         return shape
 
     box = taught.grasps[-1]
