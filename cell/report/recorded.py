@@ -12,6 +12,7 @@ from math import nan
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.config.file import recorded_config
 from cell.config.model import CellConfig
@@ -283,19 +284,14 @@ def drawn_answers(answers: list[Answered]) -> list[Answered]:
 
 
 def _examples(recording: Recording, answers: list[Answered]) -> list[tuple[str, int]]:
-    """Return label and number of the strongest taught grasp of each object, else of its first."""
-    grasps = recording.grasps
-    named = {id(one.grasps[0]): one.name for one in answers if one.grasps}
-    taught = {i: grasp.label for i, grasp in enumerate(grasps) if grasp.label}
+    """Return name and number of the strongest grasp of each object, of taught ones if there are."""
+    named = {id(grasp): one.name for one in answers for grasp in one.grasps}
     found: dict[str, int] = {}
-    for i, label in (taught or {i: named.get(id(g), "") for i, g in enumerate(grasps)}).items():
-        best = found.setdefault(label, i)
-        if taught and _force_n(grasps[i]) > _force_n(grasps[best]):
-            found[label] = i
-    return sorted(
-        ((label, i) for label, i in found.items() if label and grasps[i].commanded),
-        key=lambda item: item[1],
-    )
+    grasps = [*enumerate(recording.grasps)]
+    for i, grasp in sorted(grasps, key=lambda one: (bool(one[1].label), _force_n(one[1]))):
+        if (name := grasp.label or named.get(id(grasp))) and grasp.commanded:
+            found[name] = i  # the last one stays
+    return sorted(found.items(), key=lambda one: one[1])
 
 
 def _grasp_view(
@@ -319,36 +315,28 @@ def pressure_view(layout: TaxelLayout, grasp: Grasp) -> dict[str, Any]:
 
     Each is the mean of the frames nearest to its force, the set-point.
     """
-    levels = {}
+    levels = []
     for wanted_n in np.linspace(0, float(grasp.force_n.max()), _LEVELS + 1)[1:]:
         # Of equally near frames take the later ones: their pressure has settled.
         near = np.lexsort((-np.arange(grasp.n_frames), np.abs(grasp.force_n - wanted_n)))
-        force = f"{wanted_n:.1f} N"
-        levels[force] = grasp.counts[near[:_LEVEL_FRAMES]].mean(axis=0)
-    full = max([1.0, *(float(counts.max()) for counts in levels.values())])
+        levels.append((wanted_n, grasp.counts[near[:_LEVEL_FRAMES]].mean(axis=0)))
+    full = max(1.0, *(float(counts.max()) for _, counts in levels))
+    taxels = {pad.name: layout.taxels_of(i) for i, pad in enumerate(layout.pads)}
+    gripping = [layout.pads[i].name for i in layout.gripping_pads]
+    least = UNTOUCHED_SHARE * layout.adc_max
     shown = [
-        pad
-        for pad in range(layout.n_pads)
-        if pad in layout.gripping_pads
-        or levels[force][layout.taxels_of(pad)].max() > UNTOUCHED_SHARE * layout.adc_max
+        name for name in taxels if name in gripping or levels[-1][1][taxels[name]].max() > least
     ]
+
+    def pad(name: str, counts: NDArray[np.float64]) -> tuple[str, str]:
+        xy_mm, values = 1e3 * layout.taxel_xy_m[taxels[name]], counts[taxels[name]]
+        return name, pad_svg(xy_mm, values, full, f"pressure map, peak {values.max():.0f} counts")
+
     return {
-        "levels": {
-            force: [
-                (
-                    layout.pads[pad].name,
-                    pad_svg(
-                        1e3 * layout.taxel_xy_m[layout.taxels_of(pad)],
-                        counts[layout.taxels_of(pad)],
-                        full,
-                        f"pressure map, peak {counts[layout.taxels_of(pad)].max():.0f} counts",
-                    ),
-                )
-                for pad in shown
-            ]
-            for force, counts in levels.items()
-        },
-        "peaks": [float(counts.max()) for counts in levels.values()],
+        "levels": [
+            (f"{force_n:.1f} N", float(counts.max()), [pad(name, counts) for name in shown])
+            for force_n, counts in levels
+        ],
         "n_untouched": layout.n_pads - len(shown),
         "full": full,
         "adc_max": layout.adc_max,
@@ -398,11 +386,10 @@ def _facts(config: CellConfig | None, layout: TaxelLayout) -> dict[str, str]:
 
 def _files(recording: Recording) -> dict[str, str]:
     """Return the recording and the files that `run` writes beside it."""
-    files = {"Recording": recording.path}
-    for what, name in (("Data set", "model.grasps.npz"), ("Model", "model.npz")):
-        if (file := recording.path.with_name(name)).is_file():
-            files[what] = file
-    return {what: str(file) for what, file in files.items()}
+    beside = {"Data set": "model.grasps.npz", "Model": "model.npz"}
+    files = {what: recording.path.with_name(name) for what, name in beside.items()}
+    there = {what: str(file) for what, file in files.items() if file.is_file()}
+    return {"Recording": str(recording.path)} | there
 
 
 def _notes(recording: Recording, config: CellConfig | None, *, compared: bool) -> list[str]:
