@@ -287,9 +287,9 @@ def _examples(recording: Recording, answers: list[Answered]) -> list[tuple[str, 
     """Return name and number of the strongest grasp of each object, of taught ones if there are."""
     named = {id(grasp): one.name for one in answers for grasp in one.grasps}
     found: dict[str, int] = {}
-    grasps = [*enumerate(recording.grasps)]
+    grasps = [(i, grasp) for i, grasp in enumerate(recording.grasps) if grasp.commanded]
     for i, grasp in sorted(grasps, key=lambda one: (bool(one[1].label), _force_n(one[1]))):
-        if (name := grasp.label or named.get(id(grasp))) and grasp.commanded:
+        if name := grasp.label or named.get(id(grasp)):
             found[name] = i  # the last one stays
     return sorted(found.items(), key=lambda one: one[1])
 
@@ -324,9 +324,8 @@ def pressure_view(layout: TaxelLayout, grasp: Grasp) -> dict[str, Any]:
     taxels = {pad.name: layout.taxels_of(i) for i, pad in enumerate(layout.pads)}
     gripping = [layout.pads[i].name for i in layout.gripping_pads]
     least = UNTOUCHED_SHARE * layout.adc_max
-    shown = [
-        name for name in taxels if name in gripping or levels[-1][1][taxels[name]].max() > least
-    ]
+    last = levels[-1][1]
+    shown = [name for name in taxels if name in gripping or last[taxels[name]].max() > least]
 
     def pad(name: str, counts: NDArray[np.float64]) -> tuple[str, str]:
         xy_mm, values = 1e3 * layout.taxel_xy_m[taxels[name]], counts[taxels[name]]

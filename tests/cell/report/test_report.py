@@ -188,9 +188,8 @@ def test_darker_shade_means_more_pressure_and_a_touched_side_is_drawn(recording)
     grasp = recording.grasps[0]
     view = pressure_view(LAYOUT, grasp)
     most_n = grasp.force_n.max()
-    assert [force for force, *_ in view["levels"]] == [
-        f"{share * most_n:.1f} N" for share in (0.25, 0.5, 0.75, 1.0)
-    ]
+    forces = [f"{share * most_n:.1f} N" for share in (0.25, 0.5, 0.75, 1.0)]
+    assert [force for force, *_ in view["levels"]] == forces
     assert view["levels"][-1][1] == pytest.approx(grasp.counts[-5:].mean(axis=0).max())
     assert view["n_untouched"] == 8
     side = np.array(grasp.counts)
