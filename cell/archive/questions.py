@@ -235,13 +235,9 @@ def _trends(cell: str, rows: Sequence[Row]) -> Iterable[Trend]:
             continue
         effect = day_effects(mean[taken], shared[taken])
         x = ordinal[taken] - ordinal[taken].mean()
-        slope = float(x @ effect / (x @ x))
-        rest = effect - effect.mean() - slope * x
-        freedom = len(x) - 2
-        sd = float(np.sqrt(rest @ rest / freedom / (x @ x)))
-        span = float(np.ptp(x))
-        change, reach = slope * span, float(stdtrit(freedom, 0.975)) * sd * span
-        low, high = change - reach, change + reach
+        (slope, _), covariance = np.polyfit(x, effect, 1, cov=True)
+        change, sd = np.ptp(x) * np.array([slope, np.sqrt(covariance[0, 0])])
+        low, high = change + sd * stdtrit(len(x) - 2, [0.025, 0.975])
         found = (
             abs(change) >= signal.least
             and low * high > 0.0
@@ -256,9 +252,9 @@ def _trends(cell: str, rows: Sequence[Row]) -> Iterable[Trend]:
             question=signal.question,
             days=tuple(shown),
             effect=tuple(effect.tolist()),
-            change=change,
-            interval=(low, high),
-            found=found,
+            change=float(change),
+            interval=(float(low), float(high)),
+            found=bool(found),
             since=shown[_last_run(moved)] if found and moved[-1] else "",
         )
 

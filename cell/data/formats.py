@@ -57,7 +57,7 @@ SERVO_BACKUP = Format(
 )
 SELF_ZERO = Format("self-zero", "tactile-cell-self-zero/2", "`tactile-cell zero` measures it anew")
 ARCHIVE = Format(
-    "archive", "tactile-cell-archive/1", "archive the recordings again, to a new place"
+    "archive", "tactile-cell-archive/2", "archive the recordings again, to a new place"
 )
 
 
