@@ -5,13 +5,15 @@ from dataclasses import dataclass
 
 from cell.build import Cell
 from cell.config.model import CellConfig
+from cell.config.sequence import SequenceConfig
 from cell.control.controller import CellController
 from cell.control.identification import Identification
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import GraspRecord
 from cell.learning.shape_reading import shape_reader
 from cell.learning.training import train
-from cell.runtime.collection import grasps_of
+from cell.runtime.tasks import Collection
+from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
@@ -128,3 +130,23 @@ class VirtualCell:
             early=early,
             read_shape=shape_reader(self.config),
         )
+
+
+def grasps_of(
+    controller: CellController,
+    sequence: SequenceConfig,
+    labels: Sequence[str],
+    n_grasps: int,
+    *,
+    seed: int = 0,
+) -> list[Grasp]:
+    """Grasp each known object ``n_grasps`` times and return the grasps; see `Collection.fill`.
+
+    The plan of each object has its own seed, starting at ``seed``.
+    """
+    grasps: list[Grasp] = []
+    for number, label in enumerate(labels):
+        one = Collection(label=label, n_planned=n_grasps)
+        one.fill(controller, sequence, seed=seed + number)
+        grasps += one.grasps
+    return grasps

@@ -38,7 +38,7 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.states import Command
 from cell.interfaces.opening import open_interfaces
-from cell.runtime.collection import grasps_of
+from cell.runtime.tasks import Collection
 from cell.runtime.worker import Job
 from cell.service.service import RELEASE_KEY, Service, open_service
 
@@ -101,8 +101,8 @@ def grasps(n: int) -> list[ResourceUse]:
         cell.controller.start()
         block = max(1, n // _SAMPLES)
         for done in range(block, n + 1, block):
-            one = [labels[done // block % len(labels)]]
-            grasps_of(cell.controller, config.sequence, one, block, seed=1000 + done)
+            one = Collection(label=labels[done // block % len(labels)], n_planned=block)
+            one.fill(cell.controller, config.sequence, seed=1000 + done)
             # The messages of a frame that is on its way now are no leak.
             cell.simulated.can_bus.flush()
             samples.append(look(done))

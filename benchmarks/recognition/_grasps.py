@@ -16,7 +16,7 @@ from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.data.dataset import read_dataset
-from cell.runtime.collection import grasps_of
+from cell.runtime.tasks import Collection
 from cell.simulation import simulator_settings
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Recognizer
@@ -60,8 +60,12 @@ def cell_grasps(
         cell = build_cell(config)
     with closing(cell):
         cell.controller.start()
-        labels = list(objects)
-        return grasps_of(cell.controller, config.sequence, labels, n_grasps, seed=1000 * seed)
+        grasps = list[Grasp]()
+        for number, label in enumerate(objects, start=1000 * seed):
+            one = Collection(label=label, n_planned=n_grasps)
+            one.fill(cell.controller, config.sequence, seed=number)
+            grasps += one.grasps
+        return grasps
 
 
 class JudgedAnswer(NamedTuple):

@@ -20,9 +20,8 @@ from cell.build import build_cell
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.learning.taught_model import TaughtModel
-from cell.runtime.collection import Collection
 from cell.runtime.goals import IdentifyGoal
-from cell.runtime.tasks import ModelFile, Tasks
+from cell.runtime.tasks import Collection, ModelFile, Tasks
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 

@@ -3,10 +3,11 @@
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cell.config.sequence import SequenceConfig
 from cell.control.controller import CellController
 from cell.control.identification import Identification, OnGrasp
 from cell.control.keeping import Keep
@@ -17,7 +18,6 @@ from cell.control.self_zero import zero_text
 from cell.errors import CellError, ModelError, NoPartFound, raised_as
 from cell.learning.blas import one_blas_thread
 from cell.learning.taught_model import TaughtModel, training_set_file
-from cell.runtime.collection import MISSES_IN_A_ROW, Collection
 from cell.runtime.goals import (
     GaugeGoal,
     GripGoal,
@@ -31,10 +31,12 @@ from cell.runtime.parts import PartLog
 from cell.runtime.sort import Places, Tally
 from cell.runtime.worker import Report
 from recognition.drift.drift import Drift
-from recognition.grasp import SelfZero
+from recognition.grasp import Grasp, SelfZero
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import fuse
 
+MISSES_IN_A_ROW = 3
+"""Grasps in a row without a part after which a known object counts as absent."""
 _SHOWN_GRASPS = 100
 """Number of newest grasps in the progress of a teaching."""
 
@@ -75,6 +77,71 @@ class ModelFile:
             forgotten()
         self.due, self._emptied = True, not self.model.labels
         self.write()
+
+
+@dataclass(slots=True, kw_only=True)
+class Collection:
+    """Grasps of one known object so far."""
+
+    label: str
+    """Name of the object."""
+    n_planned: int
+    """Number of planned grasps."""
+    present: str | None = None
+    """Object to place if its name differs from the label (simulated cell)."""
+    records: list[GraspRecord] = field(default_factory=list)
+    """Grasps that held the object, in order."""
+    n_missed: int = 0
+    """Number of grasps without a part; they are not in the records."""
+
+    @property
+    def grasps(self) -> list[Grasp]:
+        """The recorded grasps."""
+        return [record.grasp for record in self.records]
+
+    @property
+    def short(self) -> str:
+        """Number of ramps that ended below their force, and why the last one did; or empty."""
+        texts = [record.outcome.short for record in self.records if record.outcome.short]
+        return f"{len(texts)} of {self.n_planned} ramps ended early: {texts[-1]}" if texts else ""
+
+    def __str__(self) -> str:
+        missed = f" ({self.n_missed} found no part)" if self.n_missed else ""
+        return f"{len(self.records)} of {self.n_planned} grasps of {self.label}{missed}"
+
+    @one_blas_thread()
+    def fill(
+        self,
+        controller: CellController,
+        sequence: SequenceConfig,
+        *,
+        seed: int,
+        on_grasp: Callable[["Collection"], None] = lambda _now: None,
+    ) -> None:
+        """Grasp the object at different poses and forces until the plan ends.
+
+        A grasp that finds no part is only counted. After an error the earlier grasps stay in the
+        records. ``on_grasp`` is called with this collection after each grasp, also a missed one.
+        Raises NoPartFound if several grasps in a row, or all grasps, find no part. Raises
+        cell.errors.CellStopped, gripper.errors.GripperError or tactile.errors.TactileError as
+        `CellController.grasp`.
+        """
+        steps = plan(sequence, self.n_planned, seed=seed)
+        controller.check_plan(steps, self.label)
+        controller.moves.present(self.present or self.label)
+        missed, in_a_row = None, 0
+        for step in steps:
+            try:
+                self.records.append(controller.grasp(step, label=self.label))
+                in_a_row = 0
+            except NoPartFound as error:
+                missed, in_a_row = error, in_a_row + 1
+                if in_a_row == MISSES_IN_A_ROW:
+                    raise
+                self.n_missed += 1
+            on_grasp(self)
+        if missed is not None and not self.records:
+            raise missed
 
 
 class Tasks:

@@ -9,7 +9,7 @@ from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.plugins import RECOGNISERS
-from cell.runtime.collection import grasps_of
+from pytest_tactile_cell.virtual import grasps_of
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 

@@ -16,11 +16,11 @@ from cell.data.dataset import read_grasps
 from cell.errors import ConfigError
 from cell.hand.build import sensor_settings
 from cell.hand.connections import MISSING, HandConnections
-from cell.runtime.collection import grasps_of
 from cell.simulation import simulation_of
 from gripper.errors import PortLost
 from gripper.values.state import GripperPhase
 from pytest_tactile_cell.configs import simulated_config
+from pytest_tactile_cell.virtual import grasps_of
 from simulator.cell import SimulatedCell
 from tactile.errors import BusNotOpened, LinkFault
 from tactile.layout import TaxelLayout

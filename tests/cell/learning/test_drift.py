@@ -23,9 +23,9 @@ from cell.learning.recorded import calibrate_model, identify_recorded
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import Trained, train
 from cell.runtime import tasks
-from cell.runtime.collection import Collection
 from cell.runtime.goals import IdentifyGoal, TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
+from cell.runtime.tasks import Collection
 from cell.runtime.worker import Report
 from gripper.errors import ServoFault
 from gripper.values.outcome import GraspResult

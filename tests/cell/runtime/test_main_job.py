@@ -15,8 +15,8 @@ from cell.learning.model import load_model
 from cell.learning.progress import job_folder
 from cell.learning.training import train
 from cell.report.confusion import BASELINE, score, score_tables
-from cell.runtime.collection import Collection, grasps_of
 from cell.runtime.main_job import baseline
+from cell.runtime.tasks import Collection
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 
@@ -117,17 +117,17 @@ def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_o
     bench.controller.start()
     bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
     told: list[tuple[int, int]] = []
-    cell = bench.controller, bench.config.sequence
 
     def tell(now: Collection) -> None:
         told.append((len(now.records), now.n_missed))
 
-    (found,) = grasps_of(*cell, ["box"], 2, seed=1, on_grasp=tell)
-    assert found.label == "box"
+    taken = Collection(label="box", n_planned=2)
+    taken.fill(bench.controller, bench.config.sequence, seed=1, on_grasp=tell)
+    assert [grasp.label for grasp in taken.grasps] == ["box"]
     assert told == [(0, 1), (1, 1)]
     bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
     with pytest.raises(NoPartFound):
-        grasps_of(*cell, ["box"], 1, seed=1)
+        Collection(label="box", n_planned=1).fill(bench.controller, bench.config.sequence, seed=1)
 
 
 def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(taught, tmp_path) -> None:
