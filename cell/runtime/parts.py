@@ -60,7 +60,7 @@ class PartLog:
         """Return the part of an identification; ``fate`` has what became of it."""
         shorts = (record.outcome.short for record in found.records)
         self._n_parts += 1
-        part = self._made(
+        part = self._part(
             number=self._n_parts,
             label=found.label,
             label_id=self.label_id(found.label),
@@ -72,14 +72,14 @@ class PartLog:
             remark=remark or next(filter(None, shorts), ""),
             **fate,
         )
-        self._tell(part, found)
+        self._report(part, found)
         return part
 
     def miss(self) -> None:
         """Report a turn without a part."""
-        self._tell(self._made(), None)
+        self._report(self._part(), None)
 
-    def _made(self, **fields: Any) -> Part:
+    def _part(self, **fields: Any) -> Part:
         before_s, self._since_s = self._since_s, self.controller.clock.monotonic()
         return Part(
             job=self._job[0],
@@ -90,7 +90,7 @@ class PartLog:
             **fields,
         )
 
-    def _tell(self, part: Part, found: Identification | None) -> None:
+    def _report(self, part: Part, found: Identification | None) -> None:
         for on_part in self.listeners:
             on_part(part, found)
 

@@ -182,7 +182,7 @@ class Tasks:
 
         def progress(now: Collection) -> None:
             if goal.train and len(now.records) > shown["grasps"]:
-                each.append(_felt(now.records[-1], self.model))
+                each.append(_grasp_values(now.records[-1], self.model))
             shown.update(grasps=len(now.records), missed=now.n_missed, short=now.short)
             shown["each"] = list(each)
             report(dict(shown))
@@ -415,7 +415,7 @@ class Tasks:
         }
 
 
-def _felt(record: GraspRecord, model: TaughtModel) -> dict[str, Any]:
+def _grasp_values(record: GraspRecord, model: TaughtModel) -> dict[str, Any]:
     """Return force, opening and size of one taught grasp as plain data."""
     shape = model.shapes.read(record.grasp)
     return {

@@ -1,4 +1,4 @@
-"""The service: one resident cell for many clients, with lease, jobs, photos and pose handshake.
+"""The service: what many clients of one cell need: lease, stops, pose handshake, shift, history.
 
-`opening` opens it. The interfaces in `cell.interfaces` are thin adapters on `service.Service`.
+`service.open_service` opens it. Interfaces command through `Service`, and ask its `plugin`.
 """
