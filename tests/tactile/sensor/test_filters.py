@@ -1,5 +1,7 @@
 """Counts to forces, and the filters between: the paper's figures, borders, noise, single frames."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -87,11 +89,6 @@ def test_moving_mean_settles_after_its_window() -> None:
     assert not mean.full
 
 
-def test_a_window_without_frames_is_refused() -> None:
-    with pytest.raises(ValueError, match="0 frames"):
-        MovingMean(0)
-
-
 @pytest.mark.parametrize("passes", [1, 2])
 def test_smoothing_gain_is_what_noise_shrinks_by(passes: int) -> None:
     rng = np.random.default_rng(4)
@@ -106,15 +103,36 @@ def test_smoothing_gain_is_what_noise_shrinks_by(passes: int) -> None:
     assert np.all(np.abs(measured - 1.0) < 0.2)
 
 
-@pytest.mark.parametrize("change", [{"start": 3.0}, {"keep": 0.0}, {"keep": 9.0}, {"leave": 4.5}])
-def test_thresholds_out_of_order_are_refused(change: dict) -> None:
-    with pytest.raises(ValueError, match="must be leave <= join <= start"):
-        TouchThresholds(**change)
-
-
-def test_noise_of_zero_is_refused() -> None:
-    with pytest.raises(ValueError, match="above 0"):
-        ActiveTaxels(HOOD, TouchThresholds(), np.zeros(N))
+@pytest.mark.parametrize(
+    ("make", "error", "says"),
+    [
+        (lambda: MovingMean(0), ValueError, "0 frames"),
+        *(
+            (partial(TouchThresholds, **change), ValueError, "must be leave <= join <= start")
+            for change in ({"start": 3.0}, {"keep": 0.0}, {"keep": 9.0}, {"leave": 4.5})
+        ),
+        (lambda: ActiveTaxels(HOOD, TouchThresholds(), np.zeros(N)), ValueError, "above 0"),
+        *(
+            (partial(law, *values), CalibrationError, "gains")
+            for gain in (0.0, -1.0, float("nan"), [1.0, float("inf")])
+            for law, values in ((FoamCalibration, (255, gain)), (LinearCalibration, (gain, 255)))
+        ),
+        (lambda: FoamCalibration(0), CalibrationError, "adc_max is 0"),
+        (lambda: LinearCalibration(1.0, 0), CalibrationError, "adc_max is 0"),
+        *(
+            (partial(TableCalibration, *nodes, 255), CalibrationError, "rise from above 0")
+            for nodes in (
+                ((), ()),
+                ((5.0, 3.0), (1.0, 2.0)),
+                ((3.0, 5.0), (1.0, 1.0)),
+                ((0.0,), (1.0,)),
+            )
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(make, error, says) -> None:
+    with pytest.raises(error, match=says):
+        make()
 
 
 def touched_by(touch: ActiveTaxels, peak: float) -> set[int]:
@@ -178,21 +196,6 @@ def test_linear_calibration() -> None:
     np.testing.assert_allclose(calibration.counts(np.array([1.0])), [500.0])
 
 
-@pytest.mark.parametrize("gain", [0.0, -1.0, float("nan"), [1.0, float("inf")]])
-def test_impossible_gains_are_refused(gain: object) -> None:
-    with pytest.raises(CalibrationError, match="gains"):
-        FoamCalibration(255, gain=gain)  # type: ignore[arg-type]
-    with pytest.raises(CalibrationError, match="gains"):
-        LinearCalibration(gain, 255)  # type: ignore[arg-type]
-
-
-def test_impossible_full_scale_is_refused() -> None:
-    with pytest.raises(CalibrationError, match="adc_max is 0"):
-        FoamCalibration(0)
-    with pytest.raises(CalibrationError, match="adc_max is 0"):
-        LinearCalibration(1.0, 0)
-
-
 def test_a_table_goes_straight_from_node_to_node_and_on_beyond_them() -> None:
     law = TableCalibration((10.0, 30.0), (0.1, 0.7), 255, np.array([1.0, 2.0]))
     assert law.force_n(np.array([5.0, 5.0])) == pytest.approx([0.05, 0.1])
@@ -200,14 +203,6 @@ def test_a_table_goes_straight_from_node_to_node_and_on_beyond_them() -> None:
     assert law.force_n(np.array([-5.0, 0.0])) == pytest.approx([-0.05, 0.0])
     counts = np.array([-3.0, 25.0])
     assert law.counts(law.force_n(counts)) == pytest.approx(counts)
-
-
-@pytest.mark.parametrize(
-    "nodes", [((), ()), ((5.0, 3.0), (1.0, 2.0)), ((3.0, 5.0), (1.0, 1.0)), ((0.0,), (1.0,))]
-)
-def test_a_table_that_does_not_rise_is_refused(nodes: tuple[tuple[float, ...], ...]) -> None:
-    with pytest.raises(CalibrationError, match="rise from above 0"):
-        TableCalibration(*nodes, 255)  # type: ignore[arg-type]
 
 
 # -- Forces on the taxels of single frames: the sensor's law and zero, without its mean ------------
