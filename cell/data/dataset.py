@@ -132,10 +132,7 @@ def read_grasps(path: Path | str) -> tuple[Grasp, ...]:
         return read_dataset(path)
     from cell.data.recording_reader import recording_grasps  # noqa: PLC0415  slow to load
 
-    grasps = recording_grasps(path)
-    if not grasps:
-        raise DatasetError(f"{path} has no whole grasp")
-    return tuple(grasps)
+    return recording_grasps(path)
 
 
 def write_dataset(path: Path | str, grasps: Sequence[Grasp]) -> None:

@@ -6,8 +6,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, BinaryIO, Self
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
@@ -311,22 +310,6 @@ class Recorder:
         self._file.close()
         if self._file.fault is not None:
             raise self._file.fault
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        try:
-            self.close()
-        except RecordingError as fault:
-            if error is None:
-                raise
-            error.add_note(str(fault))
 
     def _put(self, topic: str, t_s: float, values: Mapping[str, Any]) -> None:
         if self._closed:

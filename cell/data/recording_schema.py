@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NotRequired
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, with_config
-from pydantic.json_schema import GenerateJsonSchema
 from typing_extensions import TypedDict
 
 from cell.data.grasp_limits import RANGES, text_refused
@@ -351,14 +350,9 @@ MODELS: Final[Mapping[str, TypeAdapter[Any]]] = {
 """Model of the messages of each topic."""
 
 
-class _Plain(GenerateJsonSchema):
-    def field_title_should_be_set(self, schema: Any) -> bool:
-        return False
-
-
 def json_schema(topic: str) -> dict[str, Any]:
     """Return the JSON schema of the messages of a topic, without references."""
-    found = MODELS[topic].json_schema(schema_generator=_Plain)
+    found = MODELS[topic].json_schema()
     parts = found.pop("$defs", {})
 
     def inlined(value: Any) -> Any:
@@ -367,10 +361,11 @@ def json_schema(topic: str) -> dict[str, Any]:
         if not isinstance(value, dict):
             return value
         part = parts.get(value.get("$ref", "").rpartition("/")[2], {})
-        return {key: inlined(item) for key, item in (part | value).items() if key != "$ref"}
+        left_out = ("$ref", "title")
+        return {key: inlined(one) for key, one in (part | value).items() if key not in left_out}
 
     plain: dict[str, Any] = inlined(found)
-    return plain | {"title": f"tactile_cell.{plain['title']}"}
+    return plain | {"title": f"tactile_cell.{found['title']}"}
 
 
 def to_json(value: Any) -> bytes:

@@ -5,6 +5,7 @@ import json
 import struct
 import tempfile
 import zlib
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -69,7 +70,7 @@ def good() -> Good:
     clock = Clock()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "good.mcap"
-        with Recorder(path, clock, pads=good_grasps()[0].pads) as recorder:
+        with closing(Recorder(path, clock, pads=good_grasps()[0].pads)) as recorder:
             for grasp in good_grasps()[:2]:
                 times_s = clock.now_s + 0.03 * np.arange(1, 1 + len(grasp.counts))
                 for i, clock.now_s in enumerate(times_s.tolist()):

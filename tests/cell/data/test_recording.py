@@ -7,6 +7,7 @@ import os
 import threading
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -111,8 +112,10 @@ BAR = make_shape(
 
 def record(path: Path, n_grasps: int = 6) -> list[Grasp]:
     clock = Clock(100.0)
-    with Recorder(
-        path, clock, pads=PADS, metadata={"config": "abc"}, wall_clock_ns=lambda: 1_700 * 10**9
+    with closing(
+        Recorder(
+            path, clock, pads=PADS, metadata={"config": "abc"}, wall_clock_ns=lambda: 1_700 * 10**9
+        )
     ) as recorder:
         journal = Journal(recorder)
         journal.states(CellState.HELD, GraspState.NO_PART_FOUND)
@@ -215,7 +218,7 @@ def test_schemas_have_plain_types_only_so_that_viewers_plot_them() -> None:
 
 def test_further_samples_of_the_taxels_come_back(whole, tmp_path) -> None:
     shear = np.arange(96, dtype=np.uint16).reshape(2, 24, 2)
-    with Recorder(tmp_path / "shear.mcap", Clock(100.0), pads=PADS) as recorder:
+    with closing(Recorder(tmp_path / "shear.mcap", Clock(100.0), pads=PADS)) as recorder:
         for number in (0, 1):
             frame = make_frame(0.02 * number, np.random.default_rng(number))
             recorder.frame(replace(frame, extra=shear[number]))
@@ -226,7 +229,7 @@ def test_further_samples_of_the_taxels_come_back(whole, tmp_path) -> None:
 
 def test_unknown_values_are_left_out(tmp_path) -> None:
     nan = float("nan")
-    with Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS) as recorder:
+    with closing(Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS)) as recorder:
         recorder.cycle(make_cycle(1.0, force=None, setpoint_n=nan, level=None))
         recorder.cycle(
             make_cycle(
@@ -370,7 +373,9 @@ def test_a_long_recording_continues_in_a_new_file_and_loses_nothing(
 ) -> None:
     monkeypatch.setattr(recorder_module, "LONG_BYTES", 20_000)
     clock = Clock(100.0)
-    with Recorder(tmp_path / "r.mcap", clock, pads=PADS, background=background) as recorder:
+    with closing(
+        Recorder(tmp_path / "r.mcap", clock, pads=PADS, background=background)
+    ) as recorder:
         journal = Journal(recorder)
         for number in range(30):
             journal.begin()
@@ -411,19 +416,6 @@ def test_a_blocked_disk_holds_up_no_beginning(tmp_path, monkeypatch, go_on) -> N
         assert not recorder.begin()
     go_on.set()
     recorder.close()
-
-
-def test_fault_of_the_recording_does_not_hide_another_error(tmp_path, monkeypatch) -> None:
-    recorder = Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS)
-    fill_disk_after(monkeypatch, 0)
-    with pytest.raises(ZeroDivisionError) as caught, recorder:
-        _ = 1 / 0
-    assert "No space left" in caught.value.__notes__[0]
-    with (
-        pytest.raises(RecordingError, match="No space left"),
-        Recorder(tmp_path / "s.mcap", Clock(100.0), pads=PADS),
-    ):
-        pass
 
 
 @pytest.mark.parametrize("background", [False, True])
@@ -474,8 +466,10 @@ def test_recorder_refuses_what_is_not_in_order(tmp_path) -> None:
 def test_writing_from_a_thread_gives_the_same_file(tmp_path) -> None:
     for name, background in (("direct", False), ("thread", True)):
         clock = Clock(100.0)
-        with Recorder(
-            tmp_path / name, clock, pads=PADS, background=background, wall_clock_ns=lambda: 1
+        with closing(
+            Recorder(
+                tmp_path / name, clock, pads=PADS, background=background, wall_clock_ns=lambda: 1
+            )
         ) as recorder:
             record_grasp(recorder, clock, "ball", n_frames=80)
     assert (tmp_path / "direct").read_bytes() == (tmp_path / "thread").read_bytes()
@@ -601,7 +595,7 @@ def test_further_samples_of_a_taxel_have_a_limit(n: int, says: str, tmp_path: Pa
 def test_grasps_cannot_share_frames(tmp_path: Path) -> None:
     """A grasp of a few bytes would copy all frames, and the next one again."""
     clock = Clock(now_s=1.0)
-    with Recorder(tmp_path / "r.mcap", clock, pads=PADS) as recorder:
+    with closing(Recorder(tmp_path / "r.mcap", clock, pads=PADS)) as recorder:
         grasp = record_grasp(recorder, clock, "ball")
         recorder.grasp(replace(grasp, label="box"))
     recording = read_recording(tmp_path / "r.mcap")

@@ -5,6 +5,7 @@ import os
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -130,7 +131,7 @@ def test_the_recording_that_another_program_writes_stays(keep) -> None:
     keeper = keep(keep_bytes=1)
     path = keeper.job(1)
     path.unlink()
-    with Recorder(path, keeper.clock, pads=PADS):
+    with closing(Recorder(path, keeper.clock, pads=PADS)):
         keeper.retention.enforce()
         assert path.exists()
     keeper.retention.enforce()
@@ -152,7 +153,9 @@ def test_only_recordings_in_folders_of_jobs_are_managed(keep) -> None:
 def test_a_recording_outside_a_folder_of_a_job_deletes_nothing(tmp_path) -> None:
     keeper = Keeper(tmp_path / "out")
     path = keeper.job(1)
-    with Recorder(tmp_path / "out" / "recording.mcap", keeper.clock, pads=PADS) as recorder:
+    with closing(
+        Recorder(tmp_path / "out" / "recording.mcap", keeper.clock, pads=PADS)
+    ) as recorder:
         Retention(recorder, tmp_path / "out", keep_bytes=1).enforce()
     assert path.exists()
     keeper.recorder.close()
