@@ -76,7 +76,6 @@ def loaded(modules: str) -> set[str]:
     ("modules", "later"),
     [
         ("cell.runtime.plugin", ("scipy", "matplotlib", *CAN, "dynamixel_sdk")),
-        LONG("cell.interfaces.web", ("prometheus_client",)),
         (
             "pytest_tactile_cell",
             (

@@ -1,18 +1,8 @@
-"""Metrics of a service in the text format of Prometheus. Needs the extra ``metrics``."""
+"""Metrics of a service in the text format of Prometheus."""
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-from prometheus_client import CollectorRegistry, generate_latest
-from prometheus_client.core import (
-    CounterMetricFamily,
-    GaugeMetricFamily,
-    HistogramMetricFamily,
-    Metric,
-)
-from prometheus_client.registry import Collector
 
 from cell.service.service import Service
 from cell.service.shift import Distribution
@@ -54,123 +44,107 @@ _DRIVES: tuple[tuple[str, str, dict[str, str]], ...] = (
     ("servo_measured_seconds", "Unix time of a servo's measurement", {"": "measured_s"}),
 )
 """Name and meaning of each measured value of the servos, and its key by direction."""
-Value = tuple[tuple[str, ...], float]
-"""Values of the labels, and the number."""
+_SERVOS = (
+    ("servo_temperature_celsius", "Temperature of each servo", "temperature_c"),
+    ("servo_load_ratio", "Current of each servo, as a share of its limit", "load"),
+)
+"""Name, meaning and key in the health of each value of the servos."""
+_DURATIONS = (
+    ("lateness", "How late periods of the force loop began"),
+    ("transaction", "How long reading the servos took"),
+    ("sensor_age", "Age of the force sample when a step of control used it"),
+)
+"""Name in `loop_values` and meaning of each duration of the force loop."""
+_Labelled = Sequence[tuple[Mapping[str, str], float]]
+"""Labels and value of each sample."""
+_Family = tuple[str, str, str, float | _Labelled | Distribution]
+"""Name, type, meaning and values of a metric."""
 
 
-def metrics_text(service: Service) -> bytes:
+def metrics_text(service: Service) -> str:
     """Return all metrics of a service now."""
-    registry = CollectorRegistry(auto_describe=False)
-    registry.register(_Cell(service))
-    return generate_latest(registry)
+    lines = []
+    for name, kind, meaning, values in _families(service):
+        full = f"tactile_cell_{name}" + ("_total" if kind == "counter" else "")
+        lines += [f"# HELP {full} {meaning}", f"# TYPE {full} {kind}"]
+        lines += [
+            f"{full}{suffix}{_labels(labels)} {float(value)!r}"
+            for suffix, labels, value in _samples(values)
+        ]
+    return "\n".join(lines) + "\n"
 
 
-class _Cell(Collector):
-    def __init__(self, service: Service) -> None:
-        self._service = service
-
-    def collect(self) -> Iterator[Metric]:
-        yield from _state(self._service)
-        yield from _parts(self._service)
-        yield from _links(self._service.plugin.cell.health())
-        yield from _health(self._service.plugin.health())
-        if (free := _free_bytes(self._service)) is not None:
-            yield _gauge("disk_free_bytes", "Space left where recordings are written", free)
-
-
-def _gauge(name: str, meaning: str, value: float) -> Metric:
-    return GaugeMetricFamily(f"tactile_cell_{name}", meaning, value=value)
-
-
-def _labelled(
-    kind: Callable[..., Any], name: str, meaning: str, labels: list[str], values: Iterator[Value]
-) -> Metric:
-    family: Metric = kind(f"tactile_cell_{name}", meaning, labels=labels)
-    for names, value in values:
-        family.add_metric(names, value)  # type: ignore[attr-defined]
-    return family
+def _samples(
+    values: float | _Labelled | Distribution,
+) -> Iterator[tuple[str, Mapping[str, str], float]]:
+    """Yield the suffix of the name, the labels and the value of each sample."""
+    if isinstance(values, Distribution):
+        count = 0
+        for edge, count in values.cumulated():
+            yield "_bucket", {"le": "+Inf" if edge == float("inf") else str(edge)}, count
+        yield "_count", {}, count
+        yield "_sum", {}, values.sum
+    elif isinstance(values, float | int):
+        yield "", {}, values
+    else:
+        yield from (("", *sample) for sample in values)
 
 
-def _histogram(name: str, meaning: str, found: Distribution) -> Metric:
-    buckets = [
-        ("+Inf" if edge == float("inf") else str(edge), count) for edge, count in found.cumulated()
-    ]
-    return HistogramMetricFamily(
-        f"tactile_cell_{name}", meaning, buckets=buckets, sum_value=found.sum
-    )
+def _labels(labels: Mapping[str, str]) -> str:
+    signs = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
+    texts = [f'{name}="{value.translate(signs)}"' for name, value in labels.items()]
+    return f"{{{','.join(texts)}}}" if texts else ""
 
 
-def _state(service: Service) -> Iterator[Metric]:
-    status = service.plugin.status()
+def _families(service: Service) -> Iterator[_Family]:
+    plugin, totals = service.plugin, service.totals
+    status, counters, health = plugin.status(), plugin.cell.health(), plugin.health()
+    servos, drift, loop = health["servos"], health["drift"] or {}, counters["loop"]
+    opening_mm = drift.get("opening_mm")
     info = {"version": service.version, "cell": service.config.name}
-    yield _labelled(
-        GaugeMetricFamily, "info", "Version and name of the cell", list(info),
-        iter([(tuple(info.values()), 1.0)]),
-    )  # fmt: skip
-    yield _gauge("working", "1 while the service works", not service.problem)
-    yield _gauge("state", "State of the cell, a PackTags number", status.state_number)
-    yield _gauge("holding", "1 while a part may be in the grip", status.holding)
-    yield _gauge("fault", "Number of the latched fault; 0 for none", status.fault_number)
-    lost = bool(status.recording_fault)
-    yield _gauge("recording_lost", "1 while the recording has stopped", lost)
-    if (force_n := status.live.force_n) is not None:
-        yield _gauge("force_newtons", "Grip force", force_n)
-
-
-def _parts(service: Service) -> Iterator[Metric]:
-    totals = service.totals
+    gauges: tuple[tuple[str, str, float | _Labelled | None], ...] = (
+        ("info", "Version and name of the cell", [(info, 1.0)]),
+        ("working", "1 while the service works", not service.problem),
+        ("state", "State of the cell, a PackTags number", status.state_number),
+        ("holding", "1 while a part may be in the grip", status.holding),
+        ("fault", "Number of the latched fault; 0 for none", status.fault_number),
+        ("recording_lost", "1 while the recording has stopped", bool(status.recording_fault)),
+        ("force_newtons", "Grip force", status.live.force_n),
+        ("disk_free_bytes", "Space left where recordings are written", _free_bytes(service)),
+        ("drift_gain_ratio", "Gain of the pads, as a share of teaching", drift.get("gain")),
+        (
+            "drift_zero_metres",
+            "Drift of the zero of the opening since teaching, positive: reads too large",
+            None if opening_mm is None else 1e-3 * opening_mm,
+        ),
+    )
+    for name, meaning, value in gauges:
+        if value is not None:
+            yield name, "gauge", meaning, value
+    for name, meaning, key in _SERVOS:
+        by_servo = [({"servo": str(n)}, value) for n, value in enumerate(servos[key])]
+        yield name, "gauge", meaning, by_servo
+    drives = [({"servo": str(n)}, one) for n, one in enumerate(servos.get("drives", ())) if one]
+    for name, meaning, ways in _DRIVES:
+        directed = [
+            (({"direction": way} if way else {}) | servo, drive[key])
+            for servo, drive in drives
+            for way, key in ways.items()
+        ]
+        yield name, "gauge", meaning, directed
+    for name, meaning in _DURATIONS:
+        quantiles = [({"quantile": q}, loop[f"{name}_{key}"]) for q, key in _QUANTILES.items()]
+        yield f"loop_{name}_seconds", "gauge", meaning, quantiles
     parts = sorted(totals.parts.items())
-    yield _labelled(
-        CounterMetricFamily, "parts", "Parts by label and result", ["label", "result"], iter(parts)
-    )
-    yield _histogram("cycle_seconds", "Time of each part", totals.cycles_s)
-    yield _histogram(
-        "force_error_newtons",
-        "Distance of force and set-point at the end of a grasp",
-        totals.force_errors_n,
-    )
-
-
-def _links(counters: Mapping[str, Any]) -> Iterator[Metric]:
+    results = [({"label": label, "result": result}, n) for (label, result), n in parts]
+    yield "parts", "counter", "Parts by label and result", results
+    faults = [({"number": number}, n) for number, n in counters["faults"].items()]
+    yield "faults", "counter", "Faults by number", faults
     for name, meaning, group, key in _COUNTERS:
-        yield CounterMetricFamily(f"tactile_cell_{name}", meaning, value=counters[group][key])
-    loop, faults = counters["loop"], counters["faults"]
-    yield _labelled(
-        CounterMetricFamily, "faults", "Faults by number", ["number"],
-        (((number,), n) for number, n in faults.items()),
-    )  # fmt: skip
-    for name, meaning in (
-        ("lateness", "How late periods of the force loop began"),
-        ("transaction", "How long reading the servos took"),
-        ("sensor_age", "Age of the force sample when a step of control used it"),
-    ):
-        yield _labelled(
-            GaugeMetricFamily, f"loop_{name}_seconds", meaning, ["quantile"],
-            (((quantile,), loop[f"{name}_{key}"]) for quantile, key in _QUANTILES.items()),
-        )  # fmt: skip
-
-
-def _health(health: Mapping[str, Any]) -> Iterator[Metric]:
-    servos, drift = health["servos"], health["drift"]
-    for name, meaning, key in (
-        ("servo_temperature_celsius", "Temperature of each servo", "temperature_c"),
-        ("servo_load_ratio", "Current of each servo, as a share of its limit", "load"),
-    ):
-        numbered = (((str(n),), value) for n, value in enumerate(servos[key]))
-        yield _labelled(GaugeMetricFamily, name, meaning, ["servo"], numbered)
-    drives = [(str(n), drive) for n, drive in enumerate(servos.get("drives", ())) if drive]
-    for name, meaning, directions in _DRIVES:
-        values = (
-            ((n, direction) if direction else (n,), drive[key])
-            for n, drive in drives
-            for direction, key in directions.items()
-        )
-        labels = ["servo", *([] if "" in directions else ["direction"])]
-        yield _labelled(GaugeMetricFamily, name, meaning, labels, values)
-    if drift is not None:
-        yield _gauge("drift_gain_ratio", "Gain of the pads, as a share of teaching", drift["gain"])
-        meaning = "Drift of the zero of the opening since teaching, positive: reads too large"
-        yield _gauge("drift_zero_metres", meaning, 1e-3 * drift["opening_mm"])
+        yield name, "counter", meaning, counters[group][key]
+    yield "cycle_seconds", "histogram", "Time of each part", totals.cycles_s
+    meaning = "Distance of force and set-point at the end of a grasp"
+    yield "force_error_newtons", "histogram", meaning, totals.force_errors_n
 
 
 def _free_bytes(service: Service) -> float | None:

@@ -37,7 +37,6 @@ from cell.errors import (
     raised_as,
 )
 from cell.fault_catalogue import CATALOGUE, Refusal
-from cell.installation import extra
 from cell.interfaces.access import is_loopback, read_secret, same_secret, view_token
 from cell.interfaces.http_server import (
     REMEDIES,
@@ -47,6 +46,7 @@ from cell.interfaces.http_server import (
     refusal_values,
 )
 from cell.interfaces.live_socket import LiveFeed, LiveMessage
+from cell.interfaces.metrics import CONTENT_TYPE, metrics_text
 from cell.interfaces.page import mount_page
 from cell.interfaces.page_address import page_address, qr_code, view_note
 from cell.runtime.goals import goal_schema
@@ -400,8 +400,6 @@ class WebInterface(HttpServer):
     ) -> Response:
         """Metrics for Prometheus; the token is the bearer."""
         self.authorize(found, request)
-        with extra("metrics", needed_by="/metrics"):
-            from cell.interfaces.metrics import CONTENT_TYPE, metrics_text  # noqa: PLC0415
         return Response(metrics_text(self._service), media_type=CONTENT_TYPE)
 
     def info(self) -> dict[str, Any]:

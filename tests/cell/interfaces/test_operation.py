@@ -7,7 +7,6 @@ import shlex
 import shutil
 import socket
 import subprocess
-import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -394,15 +393,6 @@ def test_metrics_need_a_token_and_health_does_not(connect) -> None:
     served.plugin.working = False
     status, found = client.ask("GET", "/healthz", token=None)
     assert (status, found["problem"].split(";")[0]) == (503, "the thread of the cell hangs")
-
-
-def test_without_its_extra_a_scrape_says_what_to_install(connect, monkeypatch) -> None:
-    _, client = connect()
-    monkeypatch.delitem(sys.modules, "cell.interfaces.metrics", raising=False)
-    monkeypatch.setitem(sys.modules, "prometheus_client", None)
-    status, text = scraped(client, client.token)
-    assert status == 422
-    assert "/metrics needs prometheus_client; install this project with its extra" in text
 
 
 # -- The support bundle: what is in it, and that no secret is --------------------------------------
