@@ -27,6 +27,8 @@ from recognition.grasp import Grasp
 
 SOURCES, STAGED = "_sources", "_staged"
 """Folders of the notes, and of staged files; readers of Parquet skip them."""
+MOST_PARTITIONS = 1 << 20
+"""Most days of cells in one source; pyarrow stops at 1024 of its own accord."""
 _KEPT_DAYS = 32
 """Days of cells whose keys are kept while grasps are added."""
 
@@ -51,6 +53,7 @@ class Archive:
         self.target = target
         with _named(target):
             self._fs, root = fsspec.core.url_to_fs(target)
+            self._fs.invalidate_cache()  # other programs write, too
             self._root = root.rstrip("/")
             head = f"{self._root}/{HEAD}"
             if self._fs.exists(head):
@@ -146,6 +149,7 @@ class Archive:
                 filesystem=self._fs,
                 partitioning=PARTITION,
                 basename_template=f"{name}-{{i}}.parquet",
+                max_partitions=MOST_PARTITIONS,
                 max_rows_per_group=GROUP,
                 file_options=ds.ParquetFileFormat().make_write_options(compression="zstd"),
                 preserve_order=True,
@@ -159,6 +163,7 @@ class Archive:
         """
         new = known = 0
         with _named(self.target):
+            self._fs.invalidate_cache()  # a worker has written the files
             for path in self._fs.find(f"{self._root}/{STAGED}/{staged}"):
                 folder, _, name = path.rpartition(f"/{staged}/")[2].rpartition("/")
                 there = self._keys(folder)
