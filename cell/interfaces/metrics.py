@@ -28,7 +28,7 @@ _COUNTERS = (
     ("loop_overruns", "Periods whose work was not done in time", "loop", "overruns"),
     ("loop_missed_reads", "Periods without an answer of the servos", "loop", "missed_reads"),
 )
-"""Name, meaning, and group and key in `TactileCellPlugin.counters` of each plain counter."""
+"""Name, meaning, and group and key in `Cell.health` of each plain counter."""
 _DRIVES: tuple[tuple[str, str, dict[str, str]], ...] = (
     ("servo_friction_amperes", "Measured friction of a servo at rest", {"": "breakaway_a"}),
     (

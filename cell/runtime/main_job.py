@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -52,8 +52,6 @@ class MainResult:
     """Messages for the operator, for example about sensor drift."""
     report: Path | None = None
     """File of the report; None if not written."""
-    extra: dict[str, Any] = field(default_factory=dict)
-    """Further values for ``--json``."""
 
     @property
     def records(self) -> tuple[GraspRecord, ...]:
@@ -84,7 +82,6 @@ class MainResult:
             "grasps_per_trial": float(np.mean(n_grasps)),
             "grasp_seconds": self.grasp_s,
             "drift": self.drift and self.drift.values,
-            **self.extra,
         }
 
 

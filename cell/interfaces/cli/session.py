@@ -135,7 +135,7 @@ def cell_of_earlier_run(config: CellConfig) -> Iterator[Cell]:
         cell.close()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class RunningCell:
     """The started cell of a command."""
 
@@ -144,6 +144,8 @@ class RunningCell:
     """Folder of the command, for recording and reports."""
     progress: Progress
     """Draws a bar for each task."""
+    json_file: Path | None
+    """File for the JSON of the command."""
 
     def run(self, goal: Goal, on_progress: Callable[[Job], None] = lambda _job: None) -> Any:
         """Run a job, show its bar, return its result. Raises as `TactileCellPlugin.run`."""
@@ -154,10 +156,14 @@ class RunningCell:
 
         return self.plugin.run(goal, on_progress=shown)
 
-    @property
-    def made(self) -> dict[str, Any]:
-        """Recording and counters of the run, for ``--json``."""
-        return {"recording": self.plugin.recording_path, "health": self.plugin.cell.health()}
+    def finish(self, values: Mapping[str, Any]) -> None:
+        """Write the JSON of the command, with the recording and the health of loop and links.
+
+        Raises RecordingError if the recording has stopped: the job has its answer all the same.
+        """
+        made = {"recording": self.plugin.recording_path, "health": self.plugin.cell.health()}
+        write_json(self.json_file, {**values, **made})
+        self.plugin.cell.check_recording()
 
 
 @contextmanager
@@ -176,7 +182,7 @@ def running_cell(
     text names the state of the grip, the recording and, on real ports, the command that lets go.
     ``json_file`` gets the same text, and the health of loop and links. If only the recording
     failed, the job still has an answer: the caller shows it, then calls
-    `Cell.check_recording`.
+    `RunningCell.finish`.
 
     Parameters
     ----------
@@ -212,7 +218,7 @@ def running_cell(
                 for note in _notes(plugin):
                     if note not in before:
                         print_note(note)
-                yield RunningCell(plugin=plugin, folder=folder, progress=progress)
+                yield RunningCell(plugin, folder, progress, json_file)
             done = True
     except (CellError, GripperError, TactileError, OSError) as error:
         if done and isinstance(error, RecordingError) and error.__context__ is None:

@@ -51,7 +51,7 @@ def identify(
     """Identify the part in the grip, or the parts of recorded grasps; with shape and size."""
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, release_command, running_cell
-    from cell.interfaces.cli.terminal import percent, print_line, write_json
+    from cell.interfaces.cli.terminal import percent, print_line
     from cell.learning.model import load_model
     from cell.learning.pad_knowledge import pad_knowledge
     from cell.learning.shape_reading import NO_SHAPE, beside, shape_reader
@@ -116,8 +116,7 @@ def identify(
         "ramps": [record.ramp_as_json() for record in found.records],
         "drift": part.drift and part.drift.values,
     }
-    write_json(json_file, part.model_dump() | values | cell.made)
-    cell.plugin.cell.check_recording()
+    cell.finish(part.model_dump() | values)
 
 
 def _identify_recorded(

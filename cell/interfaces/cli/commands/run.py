@@ -50,7 +50,7 @@ def run(
     from cell.errors import CellError, MissingExtraError, RecordingError, ReportError
     from cell.installation import missing_note
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
-    from cell.interfaces.cli.terminal import print_note, write_json
+    from cell.interfaces.cli.terminal import print_note
     from cell.learning.model import load_model
     from cell.report.page import write_report
     from cell.report.recorded import recorded_report
@@ -94,9 +94,7 @@ def run(
     print_result(result, true_sizes(checked))
     if no_report:
         print_note(no_report)
-    result.extra = {"health": cell.plugin.cell.health()}
-    write_json(json_file, result.as_json())
-    cell.plugin.cell.check_recording()
+    cell.finish(result.as_json())
     if failed is not None:
         raise failed
 

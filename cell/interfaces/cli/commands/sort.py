@@ -43,7 +43,7 @@ def sort(
     """Identify parts and release each at its place."""
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
-    from cell.interfaces.cli.terminal import print_note, write_json
+    from cell.interfaces.cli.terminal import print_note
     from cell.learning.model import load_model
     from cell.runtime.goals import FEED_MAX, SortGoal
     from cell.runtime.main_job import teach_objects
@@ -74,8 +74,7 @@ def sort(
             cell.run(goal, lambda job: tally.update(job.progress))
     finally:
         print_tally(tally)
-    write_json(json_file, {name: tally[name] for name in TALLY_KEYS} | {"parts": each} | cell.made)
-    cell.plugin.cell.check_recording()
+    cell.finish({name: tally[name] for name in TALLY_KEYS} | {"parts": each})
 
 
 def print_tally(tally: dict[str, Any]) -> None:

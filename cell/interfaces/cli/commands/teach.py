@@ -118,7 +118,7 @@ def _teach_grasps(
 ) -> None:
     from cell.errors import DatasetError
     from cell.interfaces.cli.session import pads_of, running_cell
-    from cell.interfaces.cli.terminal import print_line, write_json
+    from cell.interfaces.cli.terminal import print_line
     from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend
 
     before = dataset_to_extend(dataset, pads_of(config))
@@ -147,8 +147,7 @@ def _teach_grasps(
                     print_line(shown["short"])
     values = {"label": goal.label, "n_grasps": shown["grasps"], "n_missed": shown["missed"]}
     print_line(f"recording: {cell.plugin.recording_path}")
-    write_json(json_file, values | {"dataset": dataset} | cell.made)
-    cell.plugin.cell.check_recording()
+    cell.finish(values | {"dataset": dataset})
 
 
 def _name_recorded(source: Path, label: str, dataset: Path, json_file: Path | None) -> None:

@@ -13,7 +13,7 @@ def zero(
     Later commands of this cell use the result. First remove everything between the fingers.
     """
     from cell.interfaces.cli.session import cell_config, running_cell
-    from cell.interfaces.cli.terminal import print_line, print_note, write_json
+    from cell.interfaces.cli.terminal import print_line, print_note
     from cell.runtime.goals import ZeroGoal
 
     checked = cell_config(config)
@@ -28,5 +28,4 @@ def zero(
     print_line(found["text"])
     if (moved_mm := found["zero"]["moved_mm"]) is not None:
         print_line(f"{moved_mm:+.2f} mm since the last measurement")
-    write_json(json_file, found["zero"])
-    cell.plugin.cell.check_recording()
+    cell.finish(found["zero"])
