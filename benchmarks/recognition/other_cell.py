@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks._measure import line, repeats
 from benchmarks.recognition._grasps import asked, cell_grasps, figures
-from cell.learning.recorded import GAUGE_GRASPS
+from cell.learning.training import GAUGE_GRASPS
 from recognition.evaluation.splits import a_day_later
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 from simulator.servo.mechanics import ServoMount

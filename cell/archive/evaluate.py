@@ -11,7 +11,7 @@ from cell.errors import CellError, raised_as
 from cell.learning import training
 from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress
-from cell.learning.recorded import GAUGE_GRASPS
+from cell.learning.training import GAUGE_GRASPS
 from cell.plugins import RECOGNISERS
 from recognition.drift.drift import NO_DRIFT, Drift, drift_values
 from recognition.drift.grid import DriftGrid

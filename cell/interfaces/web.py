@@ -8,7 +8,7 @@ import asyncio
 import json
 import secrets
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import date
 from functools import cache, partial
 from typing import Annotated, Any, Literal
@@ -45,7 +45,6 @@ from cell.interfaces.http_server import (
     Scope,
     refusal_values,
 )
-from cell.interfaces.live_socket import LiveFeed, LiveMessage
 from cell.interfaces.metrics import CONTENT_TYPE, metrics_text
 from cell.interfaces.page import mount_page
 from cell.interfaces.page_address import page_address, qr_code, view_note
@@ -74,6 +73,8 @@ _ERRORS = (CellError, GripperError, TactileError, OSError)
 """Expected errors of the cell."""
 LONGEST_STL = 10_000_100
 """Largest STL file in bytes: 200,000 triangles as binary."""
+RATE_HZ = 30.0
+"""Messages per second to one WebSocket."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 """A number in a request."""
 Text = Annotated[str, Field(max_length=REQUEST_BYTES)]
@@ -181,6 +182,84 @@ class PartBody(LeasedBody):
     ``nothing``; null: each job brings the next object."""
     pose: PoseFields = PoseFields()
     """Offset of the part from the pose of the job."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveMessage:
+    """State of the cell at one moment, for all clients."""
+
+    text: str
+    """The state as JSON."""
+    frame: Callable[[str], bytes | None]
+    """Returns the newest frame of the requested kind; None without a frame."""
+    parts: tuple[dict[str, Any], ...]
+    """The newest parts by their ``number``, oldest first."""
+
+
+class LiveFeed:
+    """Reads the cell `RATE_HZ` times per second while clients listen, once for all of them.
+
+    It reads in another thread than the connections. A client that takes no message for ``limit_s``
+    s is dropped with TimeoutError.
+    """
+
+    def __init__(self, look: Callable[[], LiveMessage], limit_s: float) -> None:
+        self._look = look
+        self._limit_s = limit_s
+        self._listeners = 0
+        self._looking: asyncio.Task[None] | None = None
+        self._next: asyncio.Future[LiveMessage]
+
+    async def send_to(self, link: WebSocket, frames: str, after: int | None = None) -> None:
+        """Send the newest state and its frame repeatedly until the client is gone.
+
+        With ``after`` each part with a higher number is sent once, before the state that shows it.
+        Errors while reading the cell are raised.
+        """
+        self._listeners += 1
+        if self._looking is None or self._looking.done():
+            self._next = asyncio.get_running_loop().create_future()
+            self._looking = asyncio.create_task(self._look_on())
+        gone = asyncio.create_task(_until_gone(link))
+        try:
+            while True:
+                coming = self._next
+                await asyncio.wait((gone, coming), return_when=asyncio.FIRST_COMPLETED)
+                if gone.done():
+                    return
+                moment = coming.result()
+                async with asyncio.timeout(self._limit_s):
+                    if after is not None and moment.parts:
+                        newest = moment.parts[-1]["number"]
+                        seen = 0 if after > newest else after  # higher: of an earlier start
+                        for part in moment.parts:
+                            if part["number"] > seen:
+                                await link.send_text(json.dumps({"event": "part", "part": part}))
+                        after = newest
+                    await link.send_text(moment.text)
+                    if (frame := moment.frame(frames)) is not None:
+                        await link.send_bytes(frame)
+        finally:
+            self._listeners -= 1
+            gone.cancel()
+
+    async def _look_on(self) -> None:
+        loop = asyncio.get_running_loop()
+        while self._listeners:
+            due_s = loop.time() + 1.0 / RATE_HZ
+            try:
+                moment = await asyncio.to_thread(self._look)
+            except BaseException as error:
+                self._next.set_exception(error)
+                return
+            shown, self._next = self._next, loop.create_future()
+            shown.set_result(moment)
+            await asyncio.sleep(due_s - loop.time())
+
+
+async def _until_gone(link: WebSocket) -> None:
+    while (await link.receive())["type"] != "websocket.disconnect":
+        pass
 
 
 def state_moment(service: Service) -> LiveMessage:

@@ -13,7 +13,7 @@ from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, CellStateError, RequestRefused, TrainingSetMissing
 from cell.learning.model import LoadedModel, check_pads, load_model, save_model
 from cell.learning.pad_knowledge import PadKnowledge
-from cell.learning.taught_shapes import TaughtShapes
+from cell.learning.shape_reading import TaughtShapes
 from cell.learning.teaching_summary import ToldApart, told_apart
 from cell.learning.training import Trained, gaugeable, gauged, loaded, may_end_early, train
 from cell.learning.training_set import (

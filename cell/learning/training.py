@@ -1,17 +1,20 @@
-"""Training: from labelled grasps to the content of a model file, and back."""
+"""Training: from labelled grasps to a model and back; what recorded grasps show with a model."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
 from cell.config.model import CellConfig
+from cell.control.identification import ReadShape
 from cell.errors import CellError, ModelError, RequestRefused, TooFewGrasps, raised_as
 from cell.learning.blas import one_blas_thread
-from cell.learning.model import Arrays, LoadedModel
+from cell.learning.model import Arrays, LoadedModel, check_pads
 from cell.plugins import RECOGNISERS
+from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
-from recognition.recognizer import Recognizer
+from recognition.recognizer import Posterior, Recognizer
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
+from recognition.shape.answer import ShapeAnswer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,3 +108,86 @@ def loaded(model: LoadedModel, config: CellConfig) -> Trained:
         sections=model.sections,
     )
     return trained.with_caution(config.recognition.caution)
+
+
+GAUGE_GRASPS = 3
+"""Grasps of each gauge object at the start of a shift."""
+
+MIN_UNNAMED_GRASPS = 5
+"""Least number of unnamed grasps that show a drift."""
+
+AnsweredGrasp = tuple[Posterior, ShapeAnswer | None, DriftGrid | None]
+"""Answer to one recorded grasp, its shape and size, and the drift that it assumes; None: shape or
+drift are not requested, or the pads do not show the shape."""
+
+
+@one_blas_thread()
+def calibrate_model(
+    model: LoadedModel, grasps: Mapping[str, Sequence[Grasp]]
+) -> ForceRampRecognizer:
+    """Return a copy of the taught recogniser after gauges.
+
+    The model was taught before the drift; results of earlier gauges are dropped. Each gauge object
+    is a taught one with new grasps. Raises ModelError if the model is of a kind that cannot be
+    gauged, or was taught on other pads. Raises CellError if an object was not taught, or no grasp
+    of it touched both pads.
+    """
+    recognizer = gaugeable(model, *grasps).without_gauges()
+    for label, taken in grasps.items():
+        if taken:
+            check_pads(model, taken[0].pads)
+        recognizer = gauged(recognizer, label, taken)
+    return recognizer
+
+
+@one_blas_thread()
+def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRampRecognizer:
+    """Return a copy with the drift that the unnamed grasps of a shift show.
+
+    Raises ModelError if the model is of a kind that cannot be gauged, or was taught on other pads,
+    and CellError if there are too few grasps.
+    """
+    recognizer = gaugeable(model)
+    if len(grasps) < MIN_UNNAMED_GRASPS:
+        raise CellError(
+            f"{len(grasps)} grasps are too few for a drift: give {MIN_UNNAMED_GRASPS} or more, of "
+            "several objects, or name the object with --gauge"
+        )
+    check_pads(model, grasps[0].pads)
+    for grasp in sorted(grasps, key=lambda g: g.start_ms):
+        recognizer = recognizer.follow(grasp)
+    return recognizer.with_grid(recognizer.grid.with_unnamed_kept())
+
+
+@one_blas_thread()
+def identify_recorded(
+    model: LoadedModel,
+    grasps: Sequence[Grasp],
+    *,
+    follow: bool = False,
+    read_shape: ReadShape | None = None,
+) -> list[AnsweredGrasp]:
+    """Answer each recorded grasp, in the order of the file.
+
+    With ``follow`` they are answered in the order of time, and the drift is followed from grasp to
+    grasp. Raises ModelError for grasps on other pads, and if the recogniser cannot follow a drift.
+    """
+    check_pads(model, grasps[0].pads)
+    recognizer = model.recognizer
+    if follow and not isinstance(recognizer, DriftFollowing):
+        raise ModelError(
+            f"a model of {model.trainer_name} cannot follow a drift; train a force_ramp model"
+        )
+    answers: dict[int, AnsweredGrasp] = {}
+    order = range(len(grasps))
+    for number in sorted(order, key=lambda i: grasps[i].start_ms) if follow else order:
+        grasp = grasps[number]
+        posterior = recognizer.posterior(grasp)
+        shape = None if read_shape is None else read_shape(grasp)
+        if shape is not None:
+            posterior = posterior.with_size(shape.low_m, shape.high_m)
+        followed = recognizer if follow and isinstance(recognizer, DriftFollowing) else None
+        answers[number] = posterior, shape, None if followed is None else followed.grid
+        if followed is not None:
+            recognizer = followed.follow(grasp)
+    return [answers[number] for number in order]

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from cell.interfaces.cli.terminal import (
     progress_bar,
     write_json,
 )
-from cell.learning.progress import Progress, job_folder
+from cell.learning.progress import Progress
 from cell.runtime.goals import Goal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import Job
@@ -248,6 +249,26 @@ def running_cell(
             },
         )
         raise CellError(text) from error
+
+
+def job_folder(directory: Path, job: str) -> Path:
+    """Make a new folder for one job, named by job and time; never use an existing one.
+
+    Raises CellError if it cannot be made.
+    """
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    for attempt in range(100):
+        folder = directory / (f"{job}-{stamp}" if attempt == 0 else f"{job}-{stamp}-{attempt}")
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise CellError(
+                f"{folder} cannot be made: {error}; name another folder with --out"
+            ) from error
+        return folder
+    raise CellError(f"{directory} has 100 folders of {job}-{stamp}; name another folder with --out")
 
 
 def doing(plugin: TactileCellPlugin, clock: Clock = time) -> Callable[[], str]:

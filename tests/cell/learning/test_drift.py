@@ -19,9 +19,8 @@ from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStopped, ConfigError, ModelError
 from cell.interfaces.cli.app import app
 from cell.learning.model import load_model, save_model
-from cell.learning.recorded import calibrate_model, identify_recorded
 from cell.learning.taught_model import TaughtModel
-from cell.learning.training import Trained, train
+from cell.learning.training import Trained, calibrate_model, identify_recorded, train
 from cell.runtime import tasks
 from cell.runtime.goals import IdentifyGoal, TeachGoal
 from cell.runtime.plugin import TactileCellPlugin

@@ -16,8 +16,8 @@ from cell.data.files import json_bytes
 from cell.errors import CellError, ConfigError, ModelError, PositionerError, RequestRefused
 from cell.learning.model import load_model
 from cell.learning.progress import silent
-from cell.learning.recorded import calibrate_model, identify_recorded
 from cell.learning.taught_model import TaughtModel
+from cell.learning.training import calibrate_model, identify_recorded
 from cell.runtime import tasks
 from cell.runtime.goals import GaugeGoal, IdentifyGoal
 from cell.runtime.plugin import TactileCellPlugin

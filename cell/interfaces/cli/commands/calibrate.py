@@ -49,8 +49,7 @@ def calibrate(
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import print_line, write_json
     from cell.learning.model import load_model, save_model
-    from cell.learning.recorded import calibrate_model, follow_shift
-    from cell.learning.training import gaugeable
+    from cell.learning.training import calibrate_model, follow_shift, gaugeable
     from cell.runtime.goals import TeachGoal
     from recognition.drift.drift import drift_text
 

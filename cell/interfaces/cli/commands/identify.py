@@ -131,9 +131,8 @@ def _identify_recorded(
     from cell.data.dataset import read_grasps
     from cell.interfaces.cli.terminal import percent, print_line, write_json
     from cell.learning.model import load_model
-    from cell.learning.recorded import identify_recorded
     from cell.learning.shape_reading import NO_SHAPE
-    from cell.learning.training import loaded
+    from cell.learning.training import identify_recorded, loaded
     from recognition.drift.drift import drift_text
 
     found, recorded = load_model(model), read_grasps(dataset)

@@ -96,10 +96,9 @@ def serve(
     from cell.config.serve import ALL_CLOSED
     from cell.errors import CellStopped, ConfigError
     from cell.interfaces.cli.service_manager import ServiceManager
-    from cell.interfaces.cli.session import cell_config, with_faults
+    from cell.interfaces.cli.session import cell_config, job_folder, with_faults
     from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
     from cell.interfaces.cli.terminal import print_note
-    from cell.learning.progress import job_folder
     from cell.learning.taught_cache import cached_model
     from cell.service.service import open_service
 
