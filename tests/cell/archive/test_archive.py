@@ -151,7 +151,10 @@ def test_a_data_set_beside_its_recording_and_a_copy_add_nothing(fleet, tmp_path)
     done = add(str(tmp_path / "archive"), sources([tmp_path]))
     assert (done.n_files, done.n_there) == (2, 1)
     assert (done.n_grasps, done.n_before) == (7, 6)
-    assert len({row["key"] for row in every(str(tmp_path / "archive"))}) == 7
+    rows = every(str(tmp_path / "archive"))
+    assert len({row["key"] for row in rows}) == 7
+    # The rows of the recording have answers and servos.
+    assert sum(row["recording"].endswith(".mcap") for row in rows) == 6
 
 
 def test_what_is_torn_foreign_or_unfinished_is_named_and_left_for_the_next_run(

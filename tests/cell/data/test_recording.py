@@ -313,6 +313,7 @@ def test_a_full_disk_leaves_what_was_whole_before(room, background, tmp_path, mo
     assert recorder.fault is caught.value
     assert notes == [str(caught.value)]
     recorder.close()
+    assert path.stat().st_size == recorder._file.sink._length  # no half record
     if room <= 100:
         with pytest.raises(RecordingError, match=r"has no description|not an MCAP file"):
             read_recording(path)
@@ -349,6 +350,8 @@ def test_a_recording_begins_again_when_its_disk_has_room(
     room[0] = 2 * ROOM_BYTES
     assert recorder.begin()
     assert (recorder.fault, recorder.path) == (None, tmp_path / "r-3.mcap")
+    with pytest.raises(ValueError, match="0 frames are recorded"):  # the others are in r.mcap
+        recorder.grasp(Grasp(pads=PADS, counts=np.zeros((1, 24)), t_s=[0.0]))
     first = record_grasp(recorder, clock, "after")
     recorder.close()
     assert notes[0] == why
@@ -744,7 +747,8 @@ def test_a_recording_that_lacks_frames_is_not_complete(
     with pytest.raises(RecordingError, match="not complete"):
         recording_grasps(again)
     assert recover_recording(again, tmp_path / "new.mcap").n_grasps == n_grasps
-    assert len(read_recording(tmp_path / "new.mcap").grasps) == n_grasps
+    whole = read_recording(tmp_path / "new.mcap")
+    assert (whole.complete, len(whole.grasps)) == (True, n_grasps)
 
 
 def test_messages_that_the_statistics_count_and_nobody_finds_are_a_loss(
