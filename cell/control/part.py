@@ -1,7 +1,7 @@
 """A part of an identification or sort, and the other results of jobs, as all programs read them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, Field, computed_field, field_serializer
@@ -115,17 +115,3 @@ class Verification:
     """Opening between the pads in m."""
     reasons: tuple[str, ...] = ()
     """Differences as text with value and limit; empty without any."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SortAnswer:
-    """Counts of a sort."""
-
-    n_parts: int
-    """Parts that were released at a place."""
-    n_missed: int
-    """Turns in which no part was found."""
-    n_rejected: int
-    """Parts at the place of the rejects: never taught, or changed since they were named."""
-    places: Mapping[str, int] = field(hash=False)
-    """Parts at each place."""

@@ -55,11 +55,11 @@ def _pose(config: PlacePoseConfig | None) -> Pose | None:
 
 
 @dataclass(slots=True, kw_only=True)
-class Tally:
-    """Counts of a sort so far, also valid if the sort ends early."""
+class SortAnswer:
+    """Counts of a sort so far, also if it ends early."""
 
-    places: Places
-    """The places."""
+    targets: Places
+    """The places by label."""
     placed: Counter[tuple[str, str]] = field(default_factory=Counter)
     """Number of parts by their true object (empty if not known) and by place."""
     mistakes: list[dict[str, Any]] = field(default_factory=list)
@@ -71,27 +71,27 @@ class Tally:
     def add(self, part: Part) -> None:
         """Count a part that was released at its place."""
         self.placed[part.presented, str(part.place)] += 1
-        right = (self.places.of(part.presented).place, self.places.reject.place)
+        right = (self.targets.of(part.presented).place, self.targets.reject.place)
         if part.presented and part.place not in right:
             mistake = {"number": part.number, "was": part.presented, "place": part.place}
             self.mistakes.append(mistake)
 
     @property
     def n_parts(self) -> int:
-        """Number of parts."""
+        """Parts that were released at a place."""
         return self.placed.total()
 
     @property
     def n_rejected(self) -> int:
-        """Number of parts at the place of the rejects."""
-        return self.counts[self.places.reject.place]
+        """Parts at the place of the rejects: never taught, or changed since they were named."""
+        return self.places[self.targets.reject.place]
 
     @property
-    def counts(self) -> dict[str, int]:
+    def places(self) -> dict[str, int]:
         """Number of parts at each place."""
         return {
             name: sum(n for (_, place), n in self.placed.items() if place == name)
-            for name in self.places.names
+            for name in self.targets.names
         }
 
     @property
@@ -103,20 +103,17 @@ class Tally:
         """Return how many parts of each true kind lie at each place; empty on a real cell."""
         truths = dict.fromkeys(truth for truth, _ in self.placed if truth)
         return {
-            truth: {place: self.placed[truth, place] for place in self.places.names}
+            truth: {place: self.placed[truth, place] for place in self.targets.names}
             for truth in truths
         }
 
     def as_json(self) -> dict[str, Any]:
         """Return the counts as plain data."""
-        return {
-            "n_parts": self.n_parts,
-            "n_missed": self.n_missed,
-            "n_rejected": self.n_rejected,
+        names = ("n_parts", "n_missed", "n_rejected", "places")
+        return {name: getattr(self, name) for name in names} | {
             "share_named": self.share_named if self.placed else None,
-            "places": self.counts,
             "matrix": self.matrix(),
-            "mistakes": list(self.mistakes),
+            "mistakes": [*self.mistakes],
         }
 
 

@@ -11,7 +11,7 @@ from cell.config.sequence import SequenceConfig
 from cell.control.controller import CellController
 from cell.control.identification import Identification, OnGrasp
 from cell.control.keeping import Keep
-from cell.control.part import Part, SortAnswer, Verification
+from cell.control.part import Part, Verification
 from cell.control.plan import Pose, plan
 from cell.control.records import GraspRecord
 from cell.control.self_zero import zero_text
@@ -28,7 +28,7 @@ from cell.runtime.goals import (
     ZeroGoal,
 )
 from cell.runtime.parts import PartLog
-from cell.runtime.sort import Places, Tally
+from cell.runtime.sort import Places, SortAnswer
 from cell.runtime.worker import Report
 from recognition.drift.drift import Drift
 from recognition.grasp import Grasp, SelfZero
@@ -356,13 +356,13 @@ class Tasks:
         cell.errors.CellStopped, and errors of the devices
             As `CellController.identify` and `cell.control.moves.Moves.carry_to`.
         """
-        tally = Tally(places=self.places())
+        answer = SortAnswer(targets=self.places())
         self.parts.begin(report.number, goal.task)
         feed, misses = goal.feed, 0
 
         def progress(**part: Any) -> None:
-            counts = {"task": goal.task, "of": goal.parts, "parts": tally.n_parts}
-            report(counts | tally.as_json(), **part)
+            counts = {"task": goal.task, "of": goal.parts, "parts": answer.n_parts}
+            report(counts | answer.as_json(), **part)
 
         progress()
         for turn in range(goal.parts):
@@ -376,7 +376,7 @@ class Tasks:
             try:
                 found, remark = self.named(one)
             except NoPartFound:
-                tally.n_missed += 1
+                answer.n_missed += 1
                 misses += 1
                 self.parts.miss()
                 progress()
@@ -384,15 +384,10 @@ class Tasks:
                     raise
                 continue
             misses = 0
-            part = self.parts.add(found, remark, **self._brought(tally.places, found.label))
-            tally.add(part)
+            part = self.parts.add(found, remark, **self._brought(answer.targets, found.label))
+            answer.add(part)
             progress(part=part)
-        return SortAnswer(
-            n_parts=tally.n_parts,
-            n_missed=tally.n_missed,
-            n_rejected=tally.n_rejected,
-            places=tally.counts,
-        )
+        return answer
 
     def places(self) -> Places:
         """Return the places of a sort. Raises ConfigError if a taught object has no place."""

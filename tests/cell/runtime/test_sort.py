@@ -12,7 +12,7 @@ from cell.control.states import CellState
 from cell.errors import CellStopped, ConfigError, NoPartFound, PositionerError
 from cell.learning.taught_model import TaughtModel
 from cell.runtime.goals import SortGoal
-from cell.runtime.sort import Places, Tally, simulated_feed
+from cell.runtime.sort import Places, SortAnswer, simulated_feed
 from cell.runtime.tasks import ModelFile, Tasks
 from cell.runtime.worker import Report
 from recognition.recognizer import UNKNOWN
@@ -77,7 +77,7 @@ def test_each_part_is_held_until_it_is_at_its_place(sorter: Sorter) -> None:
 
 def test_a_part_in_another_bin_is_a_mistake_and_a_reject_is_none(taught: Any) -> None:
     config = changed_config(taught.config, {"sort.places": BINS})
-    tally = Tally(places=Places(config, ("ball", "box")))
+    tally = SortAnswer(targets=Places(config, ("ball", "box")))
     for number, (truth, place) in enumerate(
         [("ball", "bin 1"), ("ball", "bin 2"), ("box", "reject"), ("", "bin 1")]
     ):
