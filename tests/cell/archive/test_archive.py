@@ -345,7 +345,10 @@ def test_an_export_has_the_selected_grasps(archived, tmp_path, kind) -> None:
         assert pq.read_table(path).column_names == ["cell", "day", *COLUMNS]
 
 
-def test_an_export_of_nothing_is_refused(archived, tmp_path) -> None:
+def test_an_export_of_nothing_or_too_much_is_refused(archived, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("cell.archive.export._HELD_BYTES", 100)
+    with pytest.raises(ArchiveError, match="select fewer, or write Parquet"):
+        export(Archive(archived), tmp_path / "a.npz")
     with pytest.raises(ArchiveError, match=r"no grasp of .* is selected"):
         export(Archive(archived), tmp_path / "a.csv", Selection(cells=frozenset({"none"})))
     with pytest.raises(ArchiveError, match=r"ends in \.csv, \.parquet, \.npz"):

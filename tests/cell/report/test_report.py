@@ -14,10 +14,12 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from cell.config.file import recorded_config
 from cell.control.journal import loop_values
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import Recording, read_recording
 from cell.errors import MissingExtraError, RecordingError, ReportError
+from cell.report import recorded
 from cell.report.confusion import ConfusionTable, paper_table
 from cell.report.figures import colour, drawing, new_figure, pad_svg, picture
 from cell.report.health import HealthRow, count, health
@@ -405,6 +407,30 @@ def test_the_papers_method_as_recogniser_of_the_cell_has_one_table(recording) ->
     config["recognition"]["recognizer"] = "level_check"
     page = recorded_report(with_config(recording, json.dumps(config)))
     assert captions(page) == ["right", "right with one grasp", "grasps until sure"]
+
+
+@pytest.mark.slow
+def test_a_page_says_what_the_recording_has_beside_the_answers(recording, monkeypatch) -> None:
+    ours = ConfusionTable(
+        name="Paper", labels=("ball", "box"), columns=("ball", "box"), counts=np.eye(2, dtype=int)
+    )
+    monkeypatch.setattr(recorded, "paper_table", lambda: ours)
+    early = tuple(row | {"n_ended_early": 1} for row in recording.results)
+    fault = {"t_s": 1.0, "kind": "fault", "text": "a cable is loose"}
+    page = recorded_report(replace(recording, results=early, events=(fault,)))
+    assert "right by the paper's method" not in captions(page)  # it needs whole ramps
+    assert page.sections["result"]["tables"][0].name == "Paper"  # of the same objects
+    assert "a cable is loose" in page.sections["notes"]["notes"]
+    assert ".plot, .chip, .stack i { filter: invert(1)" in render_report(page)
+    config = json.loads(recording.metadata["config"])
+    config["sequence"]["regrasp"] = "none"
+    again = replace(recording, results=(recording.results[-1] | {"n_grasps": 9},))
+    free, held = (
+        [one.grasps for one in answers_of(again, recorded_config(text))]
+        for text in (recording.metadata["config"], json.dumps(config))
+    )
+    assert len(free[0]) > 1
+    assert held[0] == free[0][-1:]
 
 
 @pytest.mark.slow
