@@ -81,7 +81,7 @@ def lines(answers: Answers) -> list[str]:
         found += _trend_lines(answers, question)
     needs = [f"{one.label}: {'; '.join(one.reasons)}" for one in answers.objects if one.reasons]
     return found + (
-        [f"needs more grasps: {one}" for one in needs] or ["no object needs more grasps"]
+        [f"needs more grasps: {one}" for one in needs] or ["No object needs more grasps."]
     )
 
 
