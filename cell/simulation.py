@@ -26,7 +26,7 @@ from cell.control.axes import si_per_unit
 from cell.control.plan import Pose
 from cell.errors import CellStateError, ConfigError, PositionerError, RequestRefused, raised_as
 from cell.installation import extra
-from gripper.dynamixel.models import MODELS
+from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from recognition.grasp import Grasp
@@ -36,7 +36,8 @@ from simulator.cell import SimulatedCell
 from simulator.errors import PartGripped, SimulatorError
 from simulator.faults.injector import VOCABULARY, check_fault
 from simulator.realtime.requests import CellRequests
-from simulator.servo.gearing import GEARINGS
+from simulator.servo.drawn import drawn_gearing
+from simulator.servo.gearing import GEARINGS, Gearing
 from simulator.servo.mechanics import (
     LARGEST_LINK_ANGLE_RAD,
     FingerLinkage,
@@ -44,6 +45,7 @@ from simulator.servo.mechanics import (
     RackLinkage,
     ServoMount,
 )
+from simulator.servo.motor import OverloadRule
 from simulator.servo.wrist import WristMount
 from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
 from simulator.world.press import PadPair
@@ -101,11 +103,12 @@ def simulator_settings(
                     servo_id=servo.id,
                     model=MODELS[servo.model],
                     mount=ServoMount(direction=servo.direction, zero_raw=servo.zero_pulse),
-                    gearing=GEARINGS[settings.servos.gearing],
+                    gearing=_gearing(settings.servos.gearing, MODELS[servo.model]),
                     friction_factor=settings.servos.friction[finger],
                     kt_factor=settings.servos.kt[finger],
                     temperature_c=settings.servos.start_c,
                     wear_per_turn=settings.servos.wear_per_turn,
+                    overload_rule=OverloadRule(settings.servos.overload),
                 )
                 for finger, servo in enumerate(config.gripper.servos)
             ),
@@ -144,6 +147,11 @@ def simulator_settings(
             axes_can_bitrate=config.positioner.can.bitrate,
             faults=settings.faults,
         )
+
+
+def _gearing(name: str, model: ServoModel) -> Gearing | None:
+    """Return a gearing by its name in the config; None: drawn by the seed of the cell."""
+    return drawn_gearing(model, None) if name == "typical" else GEARINGS.get(name)
 
 
 def _mounts(config: PositionerConfig) -> dict[str, DriveMount | WristMount]:

@@ -191,7 +191,7 @@ def simulated_cell(
     layout
         The taxels; by default those of the paper: 408 on ten pads.
     seed
-        Seed of the noise.
+        Seed of the noise, and of what differs between its servos.
     """
     cell = SimulatedCell(SimulatorSettings(layout=layout or paper_layout(), seed=seed))
     if present is not None:

@@ -47,7 +47,7 @@ class CellDevices:
 
     def __init__(self, settings: SimulatorSettings, *, start_s: float = 0.0) -> None:
         self.settings = settings
-        motors = [servo.motor() for servo in settings.servos]
+        motors = [servo.motor(settings.seed) for servo in settings.servos]
         self.mechanics = FingerMechanics(
             motors,
             [servo.mount for servo in settings.servos],

@@ -10,9 +10,11 @@ from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.boards.site import SimulatedBoards
 from simulator.can.drive import DriveMount
 from simulator.errors import SimulatorSettingsError, require_positive
+from simulator.servo.drawn import drawn_gearing
+from simulator.servo.encoder import ServoNoise
 from simulator.servo.gearing import IDEAL_GEARING, Gearing
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, ServoMount
-from simulator.servo.motor import AMBIENT_C, ServoMotor
+from simulator.servo.motor import AMBIENT_C, OverloadRule, ServoMotor
 from simulator.servo.wrist import WristMount
 from simulator.world.world import WorldSettings
 from tactile.layout import PadMount, TaxelLayout, paper_layout
@@ -28,24 +30,31 @@ class SimulatedServoSettings:
     """The servo model."""
     mount: ServoMount = field(default_factory=ServoMount)
     """Direction and zero."""
-    gearing: Gearing = IDEAL_GEARING
-    """Its friction and backlash."""
+    gearing: Gearing | None = None
+    """Its torque, friction, inertia and backlash; None: drawn by the cell's seed from the spread of
+    its model. A servo with `IDEAL_GEARING` measures without noise."""
     friction_factor: float = 1.0
-    """Friction without load over that of its model."""
+    """Factor on its friction without load."""
     kt_factor: float = 1.0
-    """Torque and back-EMF of the motor over those of its model."""
+    """Factor on torque and back-EMF of its motor."""
     temperature_c: float = AMBIENT_C
     """Temperature at the start in degC: below `AMBIENT_C` it has more friction and warms up."""
     wear_per_turn: float = 0.0
     """Growth of the friction without load in each turn of the output, as a share."""
+    overload_rule: OverloadRule = OverloadRule.DUTY
+    """Rule of its overload protection."""
 
     def __post_init__(self) -> None:
         require_positive(friction_factor=self.friction_factor, kt_factor=self.kt_factor)
 
-    def motor(self) -> ServoMotor:
-        """Return a new motor of this servo."""
-        motor = ServoMotor(self.model, gearing=self.gearing)
-        for name in ("friction_factor", "kt_factor", "temperature_c", "wear_per_turn"):
+    def motor(self, seed: int) -> ServoMotor:
+        """Return a new motor of this servo in a cell with a seed."""
+        drawn_by = f"{seed} servo {self.servo_id}"
+        gearing = self.gearing or drawn_gearing(self.model, drawn_by)
+        noise = None if gearing is IDEAL_GEARING else ServoNoise(drawn_by)
+        motor = ServoMotor(self.model, gearing=gearing, noise=noise)
+        own = ("friction_factor", "kt_factor", "temperature_c", "wear_per_turn", "overload_rule")
+        for name in own:
             setattr(motor, name, getattr(self, name))
         return motor
 
@@ -66,7 +75,7 @@ class RecordedGrasp:
 class SimulatorSettings(WorldSettings):
     """A simulated cell and its world: by default the paper's sensor on two XM430-W350.
 
-    ``seed`` is the seed of all random values.
+    ``seed`` is the seed of all random values: the servos are drawn by it too.
     """
 
     layout: TaxelLayout = field(default_factory=paper_layout)

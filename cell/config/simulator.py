@@ -57,22 +57,34 @@ class SimulatedPadsConfig(Section):
 
 
 class SimulatedServosConfig(Section):
-    """Differences of the simulated servos from the data of their model."""
+    """The simulated servos: typical ones, drawn from the spread of their model, or given."""
 
     gearing: Literal[
-        "ideal", "xm430_assumed", "xl330", "xl330_2", "mx64", "mx106", "rh_p12_assumed"
-    ] = "ideal"
-    """Friction law and backlash: Coulomb friction only, assumptions for an XM430 or RH-P12-RN(A),
-    or laws identified on real servos (two data sets of an XL330-M288); scaled to the model's
-    torque."""
-    friction: tuple[Share, Share] = (1.06, 1.03)
+        "typical",
+        "drawn",
+        "ideal",
+        "xm430_assumed",
+        "xl330",
+        "xl330_2",
+        "mx64",
+        "mx106",
+        "rh_p12_assumed",
+    ] = "drawn"
+    """Torque, friction and backlash: a typical servo, servos drawn by the seed from the spread of
+    real ones, figures of the data sheet without noise, assumptions for an XM430 or RH-P12-RN(A), or
+    laws identified on real servos (two data sets of an XL330-M288); the latter are scaled to the
+    model's torque."""
+    friction: tuple[Share, Share] = (1.0, 1.0)
     """Factors on the friction without load of the servo of finger 0 and finger 1, 0.1 to 10."""
-    kt: tuple[Share, Share] = (0.97, 0.98)
+    kt: tuple[Share, Share] = (1.0, 1.0)
     """Factors on torque and back-EMF of their motors, 0.1 to 10."""
     start_c: float = Field(default=25.0, ge=10.0, le=25.0)
     """Their temperature at the start, 10 to 25; below 25 they have more friction and warm up."""
     wear_per_turn: float = Field(default=0.0, ge=0.0, le=1.0)
     """Growth of the friction without load in each turn of the output, as a share, 0 to 1."""
+    overload: Literal["duty", "current", "following_error"] = "duty"
+    """Rule of their overload protection, which the vendor has not published: what must stay high
+    for seconds until a servo switches its torque off."""
 
 
 class SimulatorConfig(Section):
@@ -97,7 +109,7 @@ class SimulatorConfig(Section):
     pads: SimulatedPadsConfig = SimulatedPadsConfig()
     """Position and differences of the pads; the fault `servo1.horn=20` moves the opening's zero."""
     servos: SimulatedServosConfig = SimulatedServosConfig()
-    """Differences of the servos from their model: some per cent, as with real servos."""
+    """The servos."""
     faults: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
         default=(), max_length=100
     )

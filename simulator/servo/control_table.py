@@ -35,6 +35,15 @@ GAINS = (
 """Items that a change of Operating Mode sets to their defaults."""
 _X330_MODELS = frozenset({1190, 1200, 1210, 1220, 1230, 1240})
 """Model numbers of XL330-M077, XL330-M288, XC330-M181, -T181, -M288 and -T288."""
+_FACTORY_GAINS = {
+    "XL330-M288": (1600, 180, 0, 0, 400),
+    "XC330-M288": (1600, 50, 500, 0, 1100),
+}
+"""Gains of the models that differ from the XM430's (e-Manual), in the order of `GAINS`."""
+_X430_GAINS = (1920, 100, 0, 0, 800)
+_X430_D_GAIN_IN_MODE_5 = 4000
+"""Position D Gain that an X430 sets itself with current-based position mode, as reported for an
+XM430-W210 (forum.robotis.com/t/1735)."""
 _RECENT_FIRMWARE, _RECENT_FIRMWARE_X330 = 48, 53
 """Firmware versions of present servos: X430, X330."""
 _MODES = frozenset(OperatingMode)
@@ -52,6 +61,7 @@ _RANGES: dict[str, tuple[int, int]] = {
     "max_position_limit": (0, 4095),
     "min_position_limit": (0, 4095),
     "startup_configuration": (0, 3),
+    "pwm_slope": (1, 255),
     "torque_enable": (0, 1),
     "led": (0, 1),
     "status_return_level": (0, 2),
@@ -231,7 +241,8 @@ class ServoRegisters:
         self.model = model
         self.table = ControlTable(model)
         firmware = _RECENT_FIRMWARE_X330 if is_x330(model) else _RECENT_FIRMWARE
-        self._factory = {**model.factory_defaults, "firmware_version": firmware}
+        gains = zip(GAINS, _FACTORY_GAINS.get(model.name, _X430_GAINS), strict=False)
+        self._factory = {**model.factory_defaults, **dict(gains), "firmware_version": firmware}
         self.keeps_limits = model.number == rh_p12.NUMBER
         """Whether position limits and Goal Velocity act in current-based position mode."""
         if self.keeps_limits:
@@ -249,6 +260,11 @@ class ServoRegisters:
         if isinstance(plan, StatusError) or not in_range(plan.items[0], value):
             raise SimulatorSettingsError(f"{name} = {value} is outside the range of the item")
         self.table.set(register.address, register.size, value)
+
+    @property
+    def limits_current(self) -> bool:
+        """Whether Operating Mode is current-based position."""
+        return self.get("operating_mode") == OperatingMode.CURRENT_BASED_POSITION
 
     def get(self, name: str) -> int:
         """Return the raw value of an item by its name."""
@@ -270,9 +286,11 @@ class ServoRegisters:
                 self.table.set(item.address, item.size, value)
 
     def load_gains(self) -> None:
-        """Set the gains to the defaults of the model."""
+        """Set the gains to the defaults of the model and the mode."""
         for name in GAINS:
             self.put(name, self._factory.get(name, 0))
+        if self.limits_current and not (self.keeps_limits or is_x330(self.model)):
+            self.put("position_d_gain", _X430_D_GAIN_IN_MODE_5)
 
     def load_ram(self) -> None:
         """Set the RAM to its values after a boot."""
@@ -287,7 +305,7 @@ class ServoRegisters:
         self.load_gains()
         self.put("profile_acceleration", 0)
         self.put("profile_velocity", 0)
-        if self.get("operating_mode") == OperatingMode.CURRENT_BASED_POSITION:
+        if self.limits_current:
             self.put("pwm_limit", self._factory["pwm_limit"])
         self.put("goal_pwm", self.get("pwm_limit"))
         self.put("goal_current", self.get("current_limit"))

@@ -20,6 +20,7 @@ from gripper.dynamixel.control_table import (
     HARDWARE_ERROR_STATUS,
     OPERATING_MODE,
     POSITION_D_GAIN,
+    POSITION_I_GAIN,
     POSITION_P_GAIN,
     PROTOCOL_TYPE,
     RETURN_DELAY_TIME,
@@ -63,7 +64,9 @@ _LIMITED_BY = {
 }
 """Address of a goal and the item that limits its magnitude."""
 _GOALS = frozenset({*_LIMITED_BY, GOAL_POSITION.address})
-_GAINS_IN_USE = frozenset({POSITION_D_GAIN.address, POSITION_P_GAIN.address})
+_GAINS_IN_USE = frozenset(
+    {POSITION_D_GAIN.address, POSITION_I_GAIN.address, POSITION_P_GAIN.address}
+)
 _ANSWERS_READS, _ANSWERS_ALL = 1, 2
 """Contents of Status Return Level (68)."""
 _PROTOCOL_1 = 1

@@ -21,6 +21,7 @@ from gripper.dynamixel.control_table import (
     POSITION_D_GAIN,
     PRESENT_TEMPERATURE,
     PWM_LIMIT,
+    PWM_SLOPE,
     REALTIME_TICK,
     SHUTDOWN,
     TEMPERATURE_LIMIT,
@@ -32,6 +33,7 @@ from gripper.dynamixel.control_table import (
 from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.values.servo_checks import HardwareError
 from simulator.servo.control_table import ServoRegisters, is_x330
+from simulator.servo.data_sheets import data_sheet
 from simulator.servo.motor import (
     OVERLOAD_BUDGET_S,
     DriveCommand,
@@ -74,8 +76,8 @@ _HOMING, _THRESHOLD = struct.Struct("<i"), struct.Struct("<I")
 """Registers 20 to 23 and 24 to 27: homing offset, moving threshold."""
 _LIMITS = struct.Struct("<HH4xI")
 """Registers 36 to 47: limits of PWM, current and velocity, with the 4 bytes before the last."""
-_GAINS = struct.Struct("<H2xH")
-"""Registers 80 to 85: D and P gain of the position, the I gain between them left out."""
+_GAINS = struct.Struct("<HHH")
+"""Registers 80 to 85: D, I and P gain of the position."""
 _VOLTAGE_LIMITS = struct.Struct("<HH")
 """Registers 32 to 35: highest and lowest voltage in units of 0.1 V."""
 _TORQUE = TORQUE_ENABLE.address
@@ -109,7 +111,7 @@ class ServoPosition:
 
     def fold_turns(self) -> None:
         """Reduce the position to one turn: 0 to 4095 before Homing Offset."""
-        actual, turn = self.sign * self._counts(self._plant.sensed_rad), self._model.pulses_per_turn
+        actual, turn = self.sign * self._plant.sensed_count, self._model.pulses_per_turn
         self._turn_offset = -(actual // turn) * turn
 
     def to_raw(self, angle_rad: float) -> int:
@@ -138,8 +140,8 @@ class ServoPosition:
         """
         plant, sign, offset = self._plant, self.sign, self._offset()
         data = self._registers.table.data
-        velocity_raw = round(sign * plant.sensed_velocity_rad_s / self._model.velocity_unit_rad_s)
-        position_raw = sign * self._counts(plant.sensed_rad) + offset
+        velocity_raw = sign * plant.sensed_velocity_raw
+        position_raw = sign * plant.sensed_count + offset
         trajectory_raw = sign * self._counts(plant.reference_rad) + offset
         _, _, _, _, profile, goal_raw = _GOALS.unpack_from(data, GOAL_START)
         status = _ARRIVED if abs(position_raw - goal_raw) <= IN_POSITION_PULSES else 0
@@ -154,12 +156,12 @@ class ServoPosition:
             abs(velocity_raw) > threshold,
             status,
             round(sign * plant.duty * self._model.whole_pwm_raw),
-            round(sign * plant.current_a / self._model.current_unit_a),
+            round(sign * plant.measured_a() / self._model.current_unit_a),
             velocity_raw,
             position_raw + self.reported_offset_raw,
             round(sign * plant.reference_velocity_rad_s / self._model.velocity_unit_rad_s),
             trajectory_raw,
-            max(0, round(plant.voltage_v / self._model.voltage_unit_v)),
+            max(0, round(plant.measured_v() / self._model.voltage_unit_v)),
             min(max(round(plant.temperature_c), 0), 255),
         )
 
@@ -179,27 +181,37 @@ def goal_command(registers: ServoRegisters, position: ServoPosition) -> DriveCom
     velocity = _bounded(velocity, velocity_limit)
     duty = abs(pwm) / model.whole_pwm_raw
     current_a = current * model.current_unit_a
+    slope_raw = data[PWM_SLOPE.address]
     if mode == OperatingMode.CURRENT:
-        return DriveCommand(DriveMode.CURRENT, current_a=sign * current_a, duty=duty)
+        return DriveCommand(
+            DriveMode.CURRENT, current_a=sign * current_a, duty=duty, slope_raw=slope_raw
+        )
     if mode == OperatingMode.VELOCITY:
         speed = sign * velocity * model.velocity_unit_rad_s
-        return DriveCommand(DriveMode.VELOCITY, velocity_rad_s=speed, duty=duty)
+        return DriveCommand(
+            DriveMode.VELOCITY, velocity_rad_s=speed, duty=duty, slope_raw=slope_raw
+        )
     if mode == OperatingMode.PWM:
-        return DriveCommand(DriveMode.PWM, duty=sign * pwm / model.whole_pwm_raw)
+        duty = sign * pwm / model.whole_pwm_raw
+        return DriveCommand(DriveMode.PWM, duty=duty, slope_raw=slope_raw)
     limited = mode == OperatingMode.CURRENT_BASED_POSITION
     if registers.keeps_limits:
-        duty *= min(1.0, abs(velocity) * model.velocity_unit_rad_s / model.no_load_rad_s)
+        duty *= min(
+            1.0, abs(velocity) * model.velocity_unit_rad_s / data_sheet(model).no_load_rad_s
+        )
     if profile == 0 or (limited and is_x330(model)):
         # No profile is set, or the 330 size has no profile in current-based position mode.
         profile = acceleration = 0
-    d_gain, p_gain = _GAINS.unpack_from(data, POSITION_D_GAIN.address)
+    d_gain, i_gain, p_gain = _GAINS.unpack_from(data, POSITION_D_GAIN.address)
     return DriveCommand(
         DriveMode.CURRENT_POSITION if limited else DriveMode.POSITION,
         current_a=abs(current_a),
         position_rad=position.to_rad(goal),
         duty=duty,
         p_gain=p_gain,
+        i_gain=i_gain,
         d_gain=d_gain,
+        slope_raw=slope_raw,
         profile_velocity_rad_s=profile * model.velocity_unit_rad_s,
         profile_acceleration_rad_s2=acceleration * model.acceleration_unit_rad_s2,
     )
@@ -214,6 +226,7 @@ def hold_command(registers: ServoRegisters, angle_rad: float) -> DriveCommand:
         duty=abs(registers.get("goal_pwm")) / registers.model.whole_pwm_raw,
         p_gain=registers.get("position_p_gain"),
         d_gain=registers.get("position_d_gain"),
+        slope_raw=registers.table.data[PWM_SLOPE.address],
     )
 
 

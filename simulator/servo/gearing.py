@@ -12,6 +12,7 @@ from types import MappingProxyType
 
 from gripper.dynamixel.models import ServoModel
 from simulator.errors import SimulatorSettingsError
+from simulator.servo.data_sheets import data_sheet
 
 _VISCOUS_SHARE = 0.01
 """Viscous friction at no-load speed over the stall torque; an assumption."""
@@ -103,10 +104,17 @@ class Drive:
     friction: Friction
     inertia_kg_m2: float
     """Inertia of rotor and gears in kg m²."""
+    winding_ohm: float
+    """Resistance of its winding."""
+    breakaway: float = 1.05
+    """Friction at rest over that at the least speed: 1.3 to 1.8 on an XM430-W350. The law of an
+    identified gearing has a growth of its own."""
 
-    def scaled(self, factor: float) -> "Drive":
-        """Return the drive with all torques and the inertia times ``factor``."""
+    def scaled(self, factor: float, winding_ohm: float) -> "Drive":
+        """Return the drive with all torques and the inertia times ``factor``, and a winding."""
         return Drive(
+            winding_ohm=winding_ohm,
+            breakaway=self.breakaway,
             kt_nm_a=factor * self.kt_nm_a,
             back_emf_v_s=factor * self.back_emf_v_s,
             friction=self.friction.scaled(factor),
@@ -125,7 +133,7 @@ class Gearing:
     """
 
     load_friction: float = 0.0
-    """Friction over the torque of the load, on top of `ServoModel.friction_nm`."""
+    """Friction over the torque of the load, on top of that of the data sheet."""
     backlash_rad: float = 0.0
     """Motion of the motor in rad at the output from one flank of the teeth to the other."""
     output_friction: float = 0.0
@@ -158,28 +166,30 @@ class Gearing:
         motor's torque. Its back-EMF follows from the no-load speed. The back-EMF of an identified
         motor equals its torque constant.
         """
+        sheet = data_sheet(model)
         if self.identified is None:
             more = 1.0 + self.load_friction
-            viscous_nm_s = _VISCOUS_SHARE * model.stall_torque_nm / model.no_load_rad_s
-            idle_share = model.friction_nm / model.kt_nm_a / model.stall_current_a
+            viscous_nm_s = _VISCOUS_SHARE * sheet.stall_torque_nm / sheet.no_load_rad_s
+            idle_share = sheet.friction_nm / sheet.kt_nm_a / sheet.stall_current_a
             return Drive(
-                kt_nm_a=more * model.kt_nm_a,
-                back_emf_v_s=model.nominal_voltage_v * (1.0 - idle_share) / model.no_load_rad_s,
+                kt_nm_a=more * sheet.kt_nm_a,
+                back_emf_v_s=sheet.voltage_v * (1.0 - idle_share) / sheet.no_load_rad_s,
                 friction=Friction(
-                    base_nm=(more * model.friction_nm, 0.0),
+                    base_nm=(more * sheet.friction_nm, 0.0),
                     load=(self.load_friction, 0.0),
                     viscous_nm_s=viscous_nm_s,
                 ),
-                inertia_kg_m2=model.rotor_inertia_kg_m2,
+                inertia_kg_m2=sheet.inertia_kg_m2,
+                winding_ohm=sheet.winding_ohm,
             )
         if self.identified_on == model.name:
             return self.identified
-        current_a = _GRAPH_SHARE * model.stall_current_a
-        graph_nm = model.kt_nm_a * current_a - model.friction_nm
+        current_a = _GRAPH_SHARE * sheet.stall_current_a
+        graph_nm = sheet.kt_nm_a * current_a - sheet.friction_nm
         driving_nm = self.identified.kt_nm_a * current_a
-        speed_rad_s = _GRAPH_SHARE * model.no_load_rad_s
+        speed_rad_s = _GRAPH_SHARE * sheet.no_load_rad_s
         forward_nm = self.identified.friction.forward_nm(driving_nm, speed_rad_s)
-        return self.identified.scaled(graph_nm / forward_nm)
+        return self.identified.scaled(graph_nm / forward_nm, sheet.winding_ohm)
 
 
 IDEAL_GEARING = Gearing()
@@ -215,6 +225,7 @@ XL330_M288_GEARING = Gearing(
             viscous_nm_s=0.0053597,
         ),
         inertia_kg_m2=0.0018077,
+        winding_ohm=2.81,
     ),
 )
 """The gearing of an XL330-M288 (xl330/m6.json)."""
@@ -234,6 +245,7 @@ XL330_M288_GEARING_2 = Gearing(
             viscous_nm_s=0.018545,
         ),
         inertia_kg_m2=0.0025698,
+        winding_ohm=2.0,
     ),
 )
 """The same servo identified from other motions (xl330/m6.json of revision 11bb7ec); it shows the
@@ -254,6 +266,7 @@ MX_64_GEARING = Gearing(
             viscous_nm_s=0.025337,
         ),
         inertia_kg_m2=0.012266,
+        winding_ohm=2.3164,
     ),
 )
 """The gearing of an MX-64 (mx64/m6.json), for motors of other models: no gripper here has one."""
@@ -273,6 +286,7 @@ MX_106_GEARING = Gearing(
             viscous_nm_s=0.050716,
         ),
         inertia_kg_m2=0.026016,
+        winding_ohm=2.0337,
     ),
 )
 """The gearing of an MX-106 (mx106/m6.json), for motors of other models: no gripper here has one."""

@@ -14,8 +14,6 @@ from typing import ClassVar
 from simulator.errors import SimulatorSettingsError, require_positive
 from simulator.servo.motor import DriveMode, ServoMotor
 
-STICTION_RATIO = 1.05
-"""Ratio of stiction to Coulomb friction; an assumption."""
 LONGEST_STEP_S = 1e-3
 """Longest step in s of the integration: stable for the stiffest foam against the lightest rotor."""
 FINGER_INERTIA_KG_M2 = 2e-4
@@ -136,6 +134,30 @@ class ServoMount:
             raise SimulatorSettingsError(f"direction is 1 or -1, got {self.direction}")
 
 
+def velocity_after(
+    velocity: float,
+    push: float,
+    friction: float,
+    inertia: float,
+    damping: float,
+    *,
+    breakaway: float,
+) -> float:
+    """Return the velocity in rad/s after a step, of a body under Karnopp's friction.
+
+    Torques times the step's length in N.m s, damping in the unit of the inertia. ``breakaway`` is
+    the friction at rest over that in motion.
+    """
+    if velocity == 0.0:
+        if abs(push) <= breakaway * friction:
+            return 0.0
+        push -= math.copysign(friction, push)
+    else:
+        push -= math.copysign(friction, velocity)
+    new = (inertia * velocity + push) / (inertia + damping)
+    return 0.0 if new * velocity < 0.0 else new
+
+
 class FingerMechanics:
     """Two fingers: one servo drives both, or each finger has its own servo.
 
@@ -210,8 +232,7 @@ class FingerMechanics:
         theta = self._linkage.angle_rad(half_m)
         self._driven = True
         for motor, (direction, zero_rad) in zip(self.motors, self._axes, strict=True):
-            motor.angle_rad = zero_rad + direction * theta
-            motor.velocity_rad_s = motor.rotor_velocity_rad_s = motor.lead_rad = 0.0
+            motor.place(zero_rad + direction * theta)
 
     def move_by_hand(self, axis: int, half_opening_m: float) -> None:
         """Let a person move a finger without torque to a half opening in m.
@@ -258,7 +279,7 @@ class FingerMechanics:
         axes = list(self._axes)
         axes[axis] = (direction, zero_rad)
         self._axes = tuple(axes)
-        motor.angle_rad = zero_rad + direction * theta
+        motor.place(zero_rad + direction * theta)
 
     def step(
         self,
@@ -319,12 +340,13 @@ class FingerMechanics:
                 motor, dt_s, driving_nm, load_nm, friction_nm=friction_nm, spring=spring
             )
         else:
-            new = self._velocity(
+            new = velocity_after(
                 motor.velocity_rad_s,
                 dt_s * (driving_nm + load_nm),
                 dt_s * friction_nm,
                 motor.inertia_kg_m2 + FINGER_INERTIA_KG_M2,
                 dt_s * motor.viscous_nm_s + spring,
+                breakaway=motor.breakaway,
             )
         motor.velocity_rad_s = new
         if new == 0.0:
@@ -349,22 +371,6 @@ class FingerMechanics:
         motor.velocity_rad_s = direction * math.copysign(longest_rad, left_rad) / dt_s
         motor.angle_rad = zero_rad + direction * (theta + math.copysign(longest_rad, left_rad))
 
-    def _velocity(
-        self, velocity: float, push: float, friction: float, inertia: float, damping: float
-    ) -> float:
-        """Return the velocity in rad/s after a step, of a body under Karnopp's friction.
-
-        Torques times the step's length in N.m s, damping in the unit of the inertia.
-        """
-        if velocity == 0.0:
-            if abs(push) <= STICTION_RATIO * friction:
-                return 0.0
-            push -= math.copysign(friction, push)
-        else:
-            push -= math.copysign(friction, velocity)
-        new = (inertia * velocity + push) / (inertia + damping)
-        return 0.0 if new * velocity < 0.0 else new
-
     def _within_backlash(
         self,
         motor: ServoMotor,
@@ -379,15 +385,21 @@ class FingerMechanics:
         rotor_kg_m2, output_kg_m2 = motor.inertia_kg_m2, FINGER_INERTIA_KG_M2
         viscous = dt_s * motor.viscous_nm_s
         output_nm = motor.gearing.output_friction * friction_nm
-        rotor = self._velocity(
+        rotor = velocity_after(
             motor.rotor_velocity_rad_s,
             dt_s * driving_nm,
             dt_s * (friction_nm - output_nm),
             rotor_kg_m2,
             viscous,
+            breakaway=motor.breakaway,
         )
-        output = self._velocity(
-            motor.velocity_rad_s, dt_s * load_nm, dt_s * output_nm, output_kg_m2, spring
+        output = velocity_after(
+            motor.velocity_rad_s,
+            dt_s * load_nm,
+            dt_s * output_nm,
+            output_kg_m2,
+            spring,
+            breakaway=motor.breakaway,
         )
         before_rad, half_rad = motor.lead_rad, 0.5 * motor.gearing.backlash_rad
         if abs(before_rad) >= half_rad and before_rad * (rotor - output) >= 0.0:
@@ -396,12 +408,13 @@ class FingerMechanics:
             common = (
                 rotor_kg_m2 * motor.rotor_velocity_rad_s + output_kg_m2 * motor.velocity_rad_s
             ) / both_kg_m2
-            rotor = output = self._velocity(
+            rotor = output = velocity_after(
                 common,
                 dt_s * (driving_nm + load_nm),
                 dt_s * friction_nm,
                 both_kg_m2,
                 viscous + spring,
+                breakaway=motor.breakaway,
             )
         else:
             lead_rad = before_rad + (rotor - output) * dt_s

@@ -3,18 +3,26 @@
 The motor uses its output angle (rad, 0 at raw position 0, not limited to a turn). Torque at the
 output is T = kt I - friction; `simulator.servo.mechanics` applies the friction and integrates the
 motion. The duty, which a servo reports as its present PWM, is the voltage R I + k_e v over the
-supply. The position loop follows the figure of the e-Manual: a gain of P/128 in counts of PWM for
-each count of position. The winding resistance makes a current of it, and the back-EMF damps it.
-Integral and feed-forward gains have no effect here. A `simulator.servo.gearing.Gearing` has
-friction, backlash and ripple of the torque; the default is ideal.
+supply.
+
+The position loop is a PID of the error in counts (e-Manual, Position PID Gain). In the position
+modes its output is the PWM, so the back-EMF damps. In current-based position mode its output is a
+current within Goal Current, so only the D gain damps. An X430 regulates the current of the winding.
+The 330 size regulates and reports the current of the supply, which is duty times the current of the
+winding, and limits the change of its voltage (PWM Slope). See Rhoban/bam, pull request 14. A
+`simulator.servo.gearing.Gearing` has friction, backlash and ripple of the torque; the default is
+ideal.
 """
 
 import math
-from enum import IntEnum
+from enum import Enum, IntEnum
 from typing import NamedTuple
 
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.errors import SimulatorSettingsError
+from simulator.servo.control_table import is_x330
+from simulator.servo.data_sheets import data_sheet
+from simulator.servo.encoder import ServoNoise, VelocityRegister
 from simulator.servo.gearing import IDEAL_GEARING, Gearing
 
 CURRENT_LOOP_TIME_CONSTANT_S = 0.003
@@ -22,20 +30,44 @@ CURRENT_LOOP_TIME_CONSTANT_S = 0.003
 AMBIENT_C = 25.0
 """Temperature of the surroundings in degC."""
 THERMAL_TIME_CONSTANT_S = 300.0
-"""Time constant in s of heating and cooling; an assumption."""
+"""Time constant in s of heating and cooling of the board, whose temperature a servo reports; an
+assumption."""
+WINDING_TIME_CONSTANT_S = 45.0
+"""Time constant in s of the winding over the board; 30 to 60 s are assumed."""
 RISE_AT_FIFTH_OF_STALL_C = 15.0
-"""Final heating in K at a fifth of the stall current, the vendor's limit for steady work."""
+"""Final heating in K of the winding at a fifth of the stall current, the vendor's limit for steady
+work."""
+BOARD_SHARE = 0.4
+"""Share of it that the board has: an XL330-M288 reported 11 K after 2 min at a current that heats
+its winding by 40 K (Rhoban/bam)."""
+_COPPER_PER_K = 0.0039
+"""Growth of the winding's resistance for each K, as a share."""
 OVERLOAD_DUTY = 0.30
 """Sustained loading duty of a servo (1 = stall at the present voltage); an assumption."""
+_OVERLOAD_CURRENT = 0.25
+"""Sustained measured current over that of the data sheet's stall: users report trips above 600 mA
+(XM430, XC330) and 300 to 350 mA (XL330)."""
+_OVERLOAD_PULSES, _OVERLOAD_BLOCKED = 20, 0.1
+"""Position error in counts and share of the stall current of a motor that counts as blocked."""
 OVERLOAD_BUDGET_S = 0.55
-"""Excess of the loading duty over OVERLOAD_DUTY, integrated over time, at which the servo trips.
+"""Excess of the load over its limit, integrated over time, at which the servo trips.
 
 941 mA at stall trips an XM430-W350 after about 5 s; a fifth of the stall current never does.
 """
-_D_GAIN_DIVISOR = 16.0
-"""Raw D gain of the position over the gain that acts (e-Manual, Position PID Gain)."""
-_D_GAIN_PERIOD_S = 1e-3
-"""Period in s of the position loop whose differences the D gain multiplies; an assumption."""
+_BLOCKED_S = 5.0
+"""Time in s after which a blocked motor trips, where the rule is the following error."""
+_P_DIVISOR, _P_DIVISOR_X330 = 128.0, 256.0
+"""Raw P gain of the position over the gain that acts: by the e-Manual, and on the 330 size by logs
+of an XL330-M288 (Rhoban/bam)."""
+_I_DIVISOR, _D_DIVISOR = 65536.0, 16.0
+"""Raw I and D gain of the position over the gains that act (e-Manual, Position PID Gain)."""
+_LOOP_S = 1e-3
+"""Period in s of the position loop, whose sums and differences the I and D gain multiply; an
+assumption. The D gain takes the true speed: a difference of counts would be rough."""
+_LARGEST_OUTPUT = 32767.0
+"""Bound of the integral part in counts of the loop's output; an assumption."""
+_SLOPE_V_S = 1.977
+"""V/s of one count of PWM Slope (e-Manual, register 62)."""
 _VELOCITY_LOOP_A_S_RAD = 1.0
 """Gain of the velocity loop in A per rad/s; an assumption."""
 _VELOCITY_LOOP_A_RAD = 20.0
@@ -58,6 +90,17 @@ class DriveMode(IntEnum):
     PWM = 5
 
 
+class OverloadRule(Enum):
+    """Load that the overload protection integrates; the vendor has published no rule."""
+
+    DUTY = "duty"
+    """Voltage of the winding over the supply."""
+    CURRENT = "current"
+    """Measured current."""
+    FOLLOWING_ERROR = "following_error"
+    """Position error of a motor with current, in the position modes."""
+
+
 class DriveCommand(NamedTuple):
     """Command of the servo's firmware to its motor."""
 
@@ -72,8 +115,11 @@ class DriveCommand(NamedTuple):
     duty: float = 1.0
     """Set-point (PWM) or limit of the magnitude (all others), 1 = supply voltage."""
     p_gain: float = 0.0
+    i_gain: float = 0.0
     d_gain: float = 0.0
     """Raw position gains."""
+    slope_raw: int = 0
+    """Content of PWM Slope; 0: the voltage may jump."""
     profile_velocity_rad_s: float = 0.0
     profile_acceleration_rad_s2: float = 0.0
     """Limits of the reference's motion towards the goal; 0 = none."""
@@ -88,6 +134,8 @@ class ServoMotor:
         Electrical and torque figures.
     angle_rad
         Output angle at the start, rad.
+    noise
+        Noise of what the servo measures; None: exact measurements.
     """
 
     def __init__(
@@ -96,14 +144,18 @@ class ServoMotor:
         *,
         angle_rad: float = math.pi,
         gearing: Gearing = IDEAL_GEARING,
+        noise: ServoNoise | None = None,
     ) -> None:
         if not math.isfinite(angle_rad):
             raise SimulatorSettingsError(f"the angle of a motor is finite, got {angle_rad} rad")
-        self.model = model
+        self.model, self._rad_per_pulse = model, model.rad_per_pulse
         self.gearing = gearing
+        self._noise, self._dither = noise, 0.0
         drive = gearing.drive_of(model)
         self._kt_nm_a, self._back_emf_v_s = drive.kt_nm_a, drive.back_emf_v_s
         self._friction = drive.friction
+        self.breakaway = drive.breakaway
+        """Friction at rest over that in motion."""
         self.inertia_kg_m2 = drive.inertia_kg_m2
         self.kt_factor = 1.0
         """Knob: torque and back-EMF of the motor over those of its model."""
@@ -113,29 +165,29 @@ class ServoMotor:
         """Knob: growth of this friction in each turn of the output, as a share."""
         self.worn = 0.0
         """Growth of the friction so far, as a share."""
-        self.voltage_v = model.nominal_voltage_v
-        self._resistance_ohm = model.winding_ohm
-        count_a = model.stall_current_a / model.whole_pwm_raw / model.rad_per_pulse
-        self._p_current = count_a / model.error_per_pwm
-        self._d_current = count_a / _D_GAIN_DIVISOR * _D_GAIN_PERIOD_S
-        self._heat = RISE_AT_FIFTH_OF_STALL_C / (0.2 * model.stall_current_a) ** 2
-        self._alpha_dt_s = 0.0
-        self._alpha = 0.0
-        self._integral_a = 0.0
-        self.angle_rad = angle_rad
-        self.velocity_rad_s = 0.0
+        self.voltage_v = data_sheet(model).voltage_v
+        self._cold_ohm = self._resistance_ohm = drive.winding_ohm
+        self._stall_a = data_sheet(model).stall_current_a
+        self._of_supply = is_x330(model)
+        self._p_divisor = _P_DIVISOR_X330 if self._of_supply else _P_DIVISOR
+        self._heat = RISE_AT_FIFTH_OF_STALL_C / (0.2 * self._stall_a) ** 2
+        self._alpha_dt_s = self._alpha = 0.0
+        self._integral_a = self._integral = self._error = 0.0
+        self.angle_rad: float
+        self.velocity_rad_s: float
         """True motion of the output, where the encoder is; set by the mechanics."""
-        self.lead_rad = 0.0
-        self.rotor_velocity_rad_s = 0.0
+        self.lead_rad: float
+        self.rotor_velocity_rad_s: float
         """Lead of the motor over the output within the backlash, from -1/2 to 1/2 of it, and the
         velocity of the motor; set by the mechanics."""
         self.current_a = 0.0
         """Winding current, A, positive towards growing angles."""
         self.duty = 0.0
         """Applied voltage over supply voltage, -1 to 1."""
-        self.temperature_c = AMBIENT_C
-        self.reference_rad = angle_rad
-        self.reference_velocity_rad_s = 0.0
+        self.temperature_c, self.winding_rise_k = AMBIENT_C, 0.0
+        """Temperature of the board, and rise of the winding over it."""
+        self.overload_rule = OverloadRule.DUTY
+        self.reference_rad, self.reference_velocity_rad_s = angle_rad, 0.0
         """Angle and velocity of the profile now."""
         self.load_excess_s = 0.0
         """Integrated overload, trips at `OVERLOAD_BUDGET_S`."""
@@ -144,6 +196,13 @@ class ServoMotor:
         self.encoder_offset_rad = 0.0
         """Offset of the encoder from the true angle in rad."""
         self.command = DriveCommand()
+        self.place(angle_rad)
+
+    def place(self, angle_rad: float) -> None:
+        """Put the output at rest at an angle in rad; the encoder starts there."""
+        self.angle_rad = angle_rad
+        self.velocity_rad_s = self.rotor_velocity_rad_s = self.lead_rad = 0.0
+        self._velocity_register = VelocityRegister(self.model, self.sensed_count)
 
     @property
     def sensed_rad(self) -> float:
@@ -152,9 +211,17 @@ class ServoMotor:
         return true_rad + self.encoder_offset_rad
 
     @property
-    def sensed_velocity_rad_s(self) -> float:
-        """Velocity from the encoder in rad/s."""
-        return self.velocity_rad_s if self.stuck_at_rad is None else 0.0
+    def sensed_count(self) -> int:
+        """Count of the encoder, not limited to a turn."""
+        if self.stuck_at_rad is not None:
+            return math.floor(self.sensed_rad / self._rad_per_pulse + 0.5)
+        angle_rad = self.angle_rad + self.encoder_offset_rad
+        return math.floor(angle_rad / self._rad_per_pulse + 0.5 + self._dither)
+
+    @property
+    def sensed_velocity_raw(self) -> int:
+        """Velocity that the firmware computes from the counts, in units of the register."""
+        return self._velocity_register.raw
 
     @property
     def kt_nm_a(self) -> float:
@@ -191,75 +258,142 @@ class ServoMotor:
         if command.mode is not self.command.mode:
             self.reference_rad = self.sensed_rad
             self.reference_velocity_rad_s = 0.0
-            self._integral_a = 0.0
+            self._integral_a = self._integral = 0.0
         self.command = command
+
+    def measured_a(self) -> float:
+        """Measure the current in A: of the winding, or of the supply (330 size)."""
+        if self._of_supply:
+            return abs(self.duty) * self.current_a
+        if self._noise is None or self.command.mode is DriveMode.OFF:
+            return self.current_a
+        return self.current_a + self._noise.current_a(self.velocity_rad_s)
+
+    def measured_v(self) -> float:
+        """Measure the supply in V."""
+        if self._noise is None or not self._of_supply:
+            return self.voltage_v
+        return self.voltage_v + self._noise.voltage_v(self.voltage_v, abs(self.duty))
 
     def torque_nm(self, dt_s: float) -> float:
         """Advance loops and winding by ``dt_s`` s and return kt I in N.m, without friction."""
+        if self._noise is not None:
+            self._dither = self._noise.dither()
+        count = self.sensed_count
+        self._velocity_register.step(count, dt_s)
         command = self.command
-        mode = command.mode
-        if mode is DriveMode.OFF:
+        if command.mode is DriveMode.OFF:
             self.current_a = 0.0
             self.duty = 0.0
             self._account(dt_s)
             return 0.0
-        velocity = self.velocity_rad_s if self.stuck_at_rad is None else 0.0
-        back_emf_v_s = self._back_emf_v_s * self.kt_factor
-        back_emf_v = back_emf_v_s * self.velocity_rad_s
-        if mode is DriveMode.CURRENT_POSITION or mode is DriveMode.POSITION:
-            if command.profile_velocity_rad_s > 0.0:
-                self._advance_reference(dt_s)
-            else:
-                self.reference_rad, self.reference_velocity_rad_s = command.position_rad, 0.0
-            goal_a = (
-                command.p_gain * self._p_current * (self.reference_rad - self.sensed_rad)
-                - (command.d_gain * self._d_current + back_emf_v_s / self._resistance_ohm)
-                * velocity
-            )
-            if mode is DriveMode.CURRENT_POSITION:
-                limit_a = command.current_a
-                goal_a = limit_a if goal_a > limit_a else -limit_a if goal_a < -limit_a else goal_a
-        elif mode is DriveMode.CURRENT:
-            goal_a = command.current_a
-        elif mode is DriveMode.VELOCITY:
-            goal_a = self._velocity_loop(velocity, dt_s)
-        else:
-            goal_a = (command.duty * self.voltage_v - back_emf_v) / self._resistance_ohm
-        limit_v = abs(command.duty) * self.voltage_v
-        highest_a = (limit_v - back_emf_v) / self._resistance_ohm
-        lowest_a = (-limit_v - back_emf_v) / self._resistance_ohm
-        goal_a = highest_a if goal_a > highest_a else lowest_a if goal_a < lowest_a else goal_a
         if dt_s != self._alpha_dt_s:
             self._alpha_dt_s = dt_s
             self._alpha = 1.0 - math.exp(-dt_s / CURRENT_LOOP_TIME_CONSTANT_S)
-        current_a = self.current_a + (goal_a - self.current_a) * self._alpha
-        self.current_a = current_a
         supply_v = self.voltage_v if self.voltage_v > _LEAST_SUPPLY_V else _LEAST_SUPPLY_V
-        duty = (current_a * self._resistance_ohm + back_emf_v) / supply_v
-        self.duty = 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty
+        back_emf_v = self._back_emf_v_s * self.kt_factor * self.velocity_rad_s
+        goal_a, duty = self._demand(count, dt_s)
+        limit = abs(command.duty)
+        if goal_a is None or self._of_supply:
+            if goal_a is not None:
+                duty = self._duty_for_supply(goal_a, back_emf_v, supply_v)
+            duty = limit if duty > limit else -limit if duty < -limit else duty
+            if command.slope_raw:
+                most = command.slope_raw * _SLOPE_V_S * dt_s / supply_v
+                duty = min(max(duty, self.duty - most), self.duty + most)
+            self.duty = duty
+            goal_a = (duty * supply_v - back_emf_v) / self._resistance_ohm
+            self.current_a += (goal_a - self.current_a) * self._alpha
+        else:
+            highest_a = (limit * supply_v - back_emf_v) / self._resistance_ohm
+            lowest_a = (-limit * supply_v - back_emf_v) / self._resistance_ohm
+            goal_a = highest_a if goal_a > highest_a else lowest_a if goal_a < lowest_a else goal_a
+            self.current_a += (goal_a - self.current_a) * self._alpha
+            duty = (self.current_a * self._resistance_ohm + back_emf_v) / supply_v
+            self.duty = 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty
         self._account(dt_s)
-        torque_nm = self._kt_nm_a * self.kt_factor * current_a
+        torque_nm = self._kt_nm_a * self.kt_factor * self.current_a
         gearing = self.gearing
         if gearing.ripple:
             turned_rad = self.angle_rad + self.lead_rad
             torque_nm *= 1.0 + gearing.ripple * math.sin(gearing.ripple_per_turn * turned_rad)
         return torque_nm
 
+    def _demand(self, count: int, dt_s: float) -> tuple[float | None, float]:
+        """Return the current in A that the mode asks for, or None and the duty."""
+        command = self.command
+        mode = command.mode
+        if mode is DriveMode.CURRENT_POSITION:
+            goal_a = self._position_loop(count, dt_s) * self.model.current_unit_a
+            limit_a = command.current_a
+            return limit_a if goal_a > limit_a else -limit_a if goal_a < -limit_a else goal_a, 0.0
+        if mode is DriveMode.CURRENT:
+            return command.current_a, 0.0
+        if mode is DriveMode.VELOCITY:
+            return self._velocity_loop(dt_s), 0.0
+        if mode is DriveMode.POSITION:
+            return None, math.trunc(self._position_loop(count, dt_s)) / self.model.whole_pwm_raw
+        return None, command.duty
+
+    def _position_loop(self, count: int, dt_s: float) -> float:
+        """Return the output of the position loop in counts of PWM or Goal Current."""
+        command = self.command
+        if command.profile_velocity_rad_s > 0.0:
+            self._advance_reference(dt_s)
+        else:
+            self.reference_rad, self.reference_velocity_rad_s = command.position_rad, 0.0
+        rad_per_pulse = self._rad_per_pulse
+        error = self._error = self.reference_rad / rad_per_pulse - count
+        output = command.p_gain / self._p_divisor * error
+        if command.d_gain and self.stuck_at_rad is None:
+            moved = self.velocity_rad_s * _LOOP_S / rad_per_pulse
+            output -= command.d_gain / _D_DIVISOR * moved
+        if command.i_gain:
+            integral = self._integral + command.i_gain / _I_DIVISOR * error * dt_s / _LOOP_S
+            self._integral = min(max(integral, -_LARGEST_OUTPUT), _LARGEST_OUTPUT)
+            output += self._integral
+        return output
+
+    def _duty_for_supply(self, goal_a: float, back_emf_v: float, supply_v: float) -> float:
+        """Return the duty d at which the supply gives a current, goal = d (d V - emf) / R."""
+        if goal_a == 0.0:
+            return back_emf_v / supply_v
+        square = back_emf_v * back_emf_v + 4.0 * supply_v * self._resistance_ohm * abs(goal_a)
+        return (back_emf_v + math.copysign(math.sqrt(square), goal_a)) / (2.0 * supply_v)
+
     def _account(self, dt_s: float) -> None:
         """Update temperature and overload budget by the current, and wear by the motion."""
         if self.wear_per_turn:
             self.worn += self.wear_per_turn * abs(self.velocity_rad_s) * dt_s / math.tau
         current_a = self.current_a
-        final_c = AMBIENT_C + self._heat * current_a * current_a
-        self.temperature_c += (final_c - self.temperature_c) * (dt_s / THERMAL_TIME_CONSTANT_S)
-        supply_v = self.voltage_v if self.voltage_v > _LEAST_SUPPLY_V else _LEAST_SUPPLY_V
-        load = abs(current_a) * self._resistance_ohm / supply_v
-        excess_s = self.load_excess_s + (load - OVERLOAD_DUTY) * dt_s
+        final_k = (1.0 - BOARD_SHARE) * self._heat * current_a * current_a
+        self.winding_rise_k += (final_k - self.winding_rise_k) * (dt_s / WINDING_TIME_CONSTANT_S)
+        board_c = AMBIENT_C + BOARD_SHARE / (1.0 - BOARD_SHARE) * self.winding_rise_k
+        self.temperature_c += (board_c - self.temperature_c) * (dt_s / THERMAL_TIME_CONSTANT_S)
+        hot_k = self.temperature_c + self.winding_rise_k - AMBIENT_C
+        self._resistance_ohm = self._cold_ohm * (1.0 + _COPPER_PER_K * hot_k)
+        excess_s = self.load_excess_s + self._overload() * dt_s
         self.load_excess_s = excess_s if excess_s > 0.0 else 0.0
 
-    def _velocity_loop(self, velocity_rad_s: float, dt_s: float) -> float:
+    def _overload(self) -> float:
+        """Return the load over its limit, by the servo's rule; below 0 the servo recovers."""
+        current_a = abs(self.current_a)
+        if self.overload_rule is OverloadRule.DUTY:
+            supply_v = self.voltage_v if self.voltage_v > _LEAST_SUPPLY_V else _LEAST_SUPPLY_V
+            return current_a * self._resistance_ohm / supply_v - OVERLOAD_DUTY
+        if self.overload_rule is OverloadRule.CURRENT:
+            measured_a = abs(self.duty) * current_a if self._of_supply else current_a
+            return measured_a / self._stall_a - _OVERLOAD_CURRENT
+        follows = self.command.mode in {DriveMode.POSITION, DriveMode.CURRENT_POSITION}
+        loaded = current_a > _OVERLOAD_BLOCKED * self._stall_a
+        if follows and loaded and abs(self._error) > _OVERLOAD_PULSES:
+            return OVERLOAD_BUDGET_S / _BLOCKED_S
+        return -OVERLOAD_DUTY
+
+    def _velocity_loop(self, dt_s: float) -> float:
+        velocity_rad_s = self.velocity_rad_s if self.stuck_at_rad is None else 0.0
         error = self.command.velocity_rad_s - velocity_rad_s
-        bound_a = self.model.stall_current_a
+        bound_a = self._stall_a
         integral_a = self._integral_a + _VELOCITY_LOOP_A_RAD * error * dt_s
         self._integral_a = min(max(integral_a, -bound_a), bound_a)
         return _VELOCITY_LOOP_A_S_RAD * error + self._integral_a

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import BAUD_RATES, SimulatedServo
-from simulator.servo.mechanics import STICTION_RATIO
+from simulator.servo.mechanics import velocity_after
 from simulator.servo.motor import ServoMotor
 
 LOAD_INERTIA_KG_M2 = 2e-4
@@ -68,16 +68,17 @@ class SimulatedWrist:
 
     def _step(self) -> None:
         motor = self._motor
-        torque_nm, velocity_rad_s = motor.torque_nm(STEP_S), motor.velocity_rad_s
-        direction = velocity_rad_s or torque_nm
-        resting, friction_nm = velocity_rad_s == 0.0, motor.friction_nm(torque_nm)
-        if self.blocked or (resting and abs(torque_nm) <= STICTION_RATIO * friction_nm):
-            motor.velocity_rad_s = 0.0
-            return
-        torque_nm -= friction_nm if direction > 0.0 else -friction_nm
-        inertia = motor.inertia_kg_m2 + LOAD_INERTIA_KG_M2
-        new_rad_s = (inertia * velocity_rad_s + STEP_S * torque_nm) / (
-            inertia + STEP_S * motor.viscous_nm_s
+        torque_nm = motor.torque_nm(STEP_S)
+        motor.velocity_rad_s = (
+            0.0
+            if self.blocked
+            else velocity_after(
+                motor.velocity_rad_s,
+                STEP_S * torque_nm,
+                STEP_S * motor.friction_nm(torque_nm),
+                motor.inertia_kg_m2 + LOAD_INERTIA_KG_M2,
+                STEP_S * motor.viscous_nm_s,
+                breakaway=motor.breakaway,
+            )
         )
-        motor.velocity_rad_s = 0.0 if new_rad_s * velocity_rad_s < 0.0 else new_rad_s
         motor.angle_rad += motor.velocity_rad_s * STEP_S

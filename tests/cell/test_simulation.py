@@ -61,9 +61,15 @@ def test_the_servos_differ_as_the_config_says() -> None:
 
 
 def test_the_servos_of_the_default_cell_are_neither_the_catalogues_nor_alike() -> None:
-    servos = simulator_settings(CellConfig()).servos
-    for factors in zip(*((one.friction_factor, one.kt_factor) for one in servos), strict=True):
-        assert len({1.0, *factors}) == 3
+    with SimulatedCell(simulator_settings(CellConfig())) as cell:
+        first, second = cell.devices.mechanics.motors
+    model = first.model
+    for figures in (
+        (model.kt_nm_a, first.kt_nm_a, second.kt_nm_a),
+        (model.friction_nm, first.friction_nm(), second.friction_nm()),
+        (model.rotor_inertia_kg_m2, first.inertia_kg_m2, second.inertia_kg_m2),
+    ):
+        assert len(set(figures)) == 3
 
 
 def test_the_built_in_objects_are_those_of_the_paper() -> None:

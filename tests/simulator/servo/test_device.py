@@ -103,6 +103,29 @@ def test_writing_the_mode_resets_gains_profiles_and_goals(bench):
     assert bench.read(1, 102, 2) == 300
 
 
+@pytest.mark.parametrize(
+    ("model", "gains"),
+    [(XM430_W350, (4000, 0, 800)), (XL330_M288, (0, 0, 400)), (XC330_M288, (500, 0, 1100))],
+)
+def test_a_change_to_mode_5_loads_its_gains(servo_bench, model, gains):
+    bench = servo_bench([1], model=model)
+    plain = [bench.read(1, address, 2) for address in (80, 82, 84)]
+    assert plain == [0 if model is XM430_W350 else gains[0], *gains[1:]]
+    bench.write(1, 11, 1, 5)
+    assert tuple(bench.read(1, address, 2) for address in (80, 82, 84)) == gains
+    bench.write(1, 11, 1, 3)
+    assert [bench.read(1, address, 2) for address in (80, 82, 84)] == plain
+
+
+@pytest.mark.parametrize(("model", "error"), [(XM430_W350, ACCESS), (XL330_M288, 0)])
+def test_only_the_330_size_has_a_pwm_slope(servo_bench, model, error):
+    bench = servo_bench([1], model=model)
+    assert bench.write(1, 62, 1, 70) == error
+    if not error:
+        bench.write(1, 64, 1, 1)
+        assert bench.motors[0].command.slope_raw == 70
+
+
 def test_the_pwm_limit_survives_other_modes(bench):
     bench.write(1, 36, 2, 500)
     assert bench.write(1, 11, 1, 16) == 0

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350
+from simulator.servo.data_sheets import data_sheet
 from simulator.servo.gearing import (
     GEARINGS,
     IDEAL_GEARING,
@@ -23,6 +24,7 @@ from simulator.servo.motor import (
     OVERLOAD_BUDGET_S,
     DriveCommand,
     DriveMode,
+    OverloadRule,
     ServoMotor,
 )
 
@@ -57,7 +59,7 @@ def test_the_torque_ripples_over_a_turn_and_keeps_its_mean():
         motor = ServoMotor(angle_rad=math.tau * step / 5000.0, gearing=gearing)
         torques_nm.append(stall(motor, DriveCommand(DriveMode.CURRENT, current_a=1.0)))
     mean_nm = sum(torques_nm) / 50
-    assert mean_nm == pytest.approx(XM430_W350.kt_nm_a, rel=1e-3)
+    assert mean_nm == pytest.approx(data_sheet(XM430_W350).kt_nm_a, rel=1e-3)
     assert max(torques_nm) - min(torques_nm) == pytest.approx(0.04 * mean_nm, rel=0.01)
 
 
@@ -65,11 +67,13 @@ def test_the_torque_ripples_over_a_turn_and_keeps_its_mean():
 def test_full_voltage_gives_stall_current_and_no_load_speed(model):
     motor = ServoMotor(model)
     stall(motor, DriveCommand(DriveMode.PWM, duty=1.0))
-    assert motor.current_a == pytest.approx(model.stall_current_a, rel=1e-3)
+    # The winding warms by less than 1 K in 0.1 s.
+    assert motor.current_a == pytest.approx(model.stall_current_a, rel=3e-3)
     assert motor.duty == pytest.approx(1.0, abs=1e-3)
     motor.velocity_rad_s = model.no_load_rad_s
     stall(motor, DriveCommand(DriveMode.PWM, duty=1.0))
-    assert motor.current_a * model.kt_nm_a == pytest.approx(model.friction_nm, rel=0.01)
+    friction_nm = data_sheet(model).friction_nm
+    assert motor.current_a * motor.kt_nm_a == pytest.approx(friction_nm, rel=0.01)
 
 
 def test_the_current_loop_settles_within_a_few_ms(motor):
@@ -88,7 +92,8 @@ def test_the_pwm_limit_bounds_the_current(motor):
 
 def test_the_velocity_loop_does_not_wind_up_beyond_the_stall_current(motor):
     stall(motor, DriveCommand(DriveMode.VELOCITY, velocity_rad_s=2.0), 2.0)
-    assert motor.current_a == pytest.approx(XM430_W350.stall_current_a, rel=0.01)
+    # Within 2 s it warms by 9 K.
+    assert motor.current_a == pytest.approx(XM430_W350.stall_current_a, rel=0.04)
     motor.velocity_rad_s = 2.5
     stall(motor, motor.command, 0.5)
     assert motor.current_a < XM430_W350.stall_current_a / 2
@@ -104,22 +109,132 @@ def test_the_d_gain_brakes():
     assert current_a(1000) < current_a(0) < 0.0
 
 
-def test_a_fifth_of_the_stall_current_warms_by_15_degrees(motor):
+COUNT = XM430_W350.rad_per_pulse
+
+
+@pytest.mark.parametrize(
+    ("model", "mode", "gains", "speed_rad_s", "output"),
+    [
+        # Error of 20 counts, gains P, I, D over 128 (330 size: 256), 65536 and 16.
+        (XM430_W350, DriveMode.POSITION, (800, 0, 0), 0.0, 125),
+        (XM430_W350, DriveMode.CURRENT_POSITION, (800, 0, 0), 0.0, 125),
+        (XL330_M288, DriveMode.POSITION, (400, 0, 0), 0.0, 31),
+        (XL330_M288, DriveMode.CURRENT_POSITION, (400, 0, 0), 0.0, 31.25),
+        # A speed of one count in a ms.
+        (XM430_W350, DriveMode.POSITION, (0, 0, 800), 1e3 * COUNT, -50),
+        (XM430_W350, DriveMode.CURRENT_POSITION, (0, 0, 800), 1e3 * COUNT, -50),
+        # 100 sums.
+        (XM430_W350, DriveMode.POSITION, (0, 6554, 0), 0.0, 200),
+    ],
+)
+def test_the_position_loop_is_a_pid_in_counts_of_pwm_or_current(
+    model, mode, gains, speed_rad_s, output
+):
+    motor = ServoMotor(model, angle_rad=1000 * COUNT)
+    motor.velocity_rad_s = speed_rad_s
+    p_gain, i_gain, d_gain = gains
+    goal = 1020 * COUNT
+    stall(
+        motor,
+        DriveCommand(
+            mode, current_a=9.0, position_rad=goal, p_gain=p_gain, i_gain=i_gain, d_gain=d_gain
+        ),
+    )
+    if mode is DriveMode.POSITION:
+        assert motor.duty * model.whole_pwm_raw == pytest.approx(output, abs=0.01)
+    else:
+        assert motor.measured_a() / model.current_unit_a == pytest.approx(output, rel=1e-3)
+
+
+def test_in_mode_5_goal_current_and_goal_pwm_limit_and_the_back_emf_does_not_damp(motor):
+    far = DriveCommand(
+        DriveMode.CURRENT_POSITION, current_a=0.4, position_rad=4.0, p_gain=800, duty=1.0
+    )
+    for speed_rad_s in (0.0, 1.0):
+        motor.velocity_rad_s = speed_rad_s
+        stall(motor, far)
+        assert motor.current_a == pytest.approx(0.4)
+    stall(motor, far._replace(duty=0.2))
+    assert motor.duty == pytest.approx(0.2)
+    assert motor.current_a < 0.05
+
+
+@pytest.mark.parametrize("speed_rad_s", [0.0, 2.0, -2.0])
+@pytest.mark.parametrize("goal_a", [0.05, -0.35])
+def test_the_330_size_regulates_the_current_of_its_supply(goal_a, speed_rad_s):
+    motor = ServoMotor(XL330_M288)
+    motor.velocity_rad_s = speed_rad_s
+    stall(motor, DriveCommand(DriveMode.CURRENT, current_a=goal_a))
+    ohm = 5.0 / 1.47
+    assert abs(motor.duty) * motor.current_a == pytest.approx(goal_a, rel=1e-3)
+    assert motor.measured_a() == pytest.approx(goal_a, rel=1e-3)
+    if speed_rad_s == 0.0:
+        assert abs(motor.current_a) == pytest.approx(math.sqrt(5.0 * abs(goal_a) / ohm), rel=1e-3)
+
+
+def test_the_pwm_slope_limits_the_change_of_the_voltage():
+    motor, duties = ServoMotor(XL330_M288), []
+    motor.drive(DriveCommand(DriveMode.PWM, duty=1.0, slope_raw=140))
+    for _ in range(20):
+        motor.torque_nm(STEP_S)
+        duties.append(motor.duty)
+    # 277 mV/ms of 5 V.
+    assert duties[:2] == pytest.approx([0.0554, 0.1107], abs=2e-4)
+    assert [duty < 1.0 for duty in duties[17:]] == [True, False, False]
+    stall(motor, DriveCommand(), STEP_S)
+    assert (motor.duty, motor.current_a) == (0.0, 0.0)
+
+
+def test_a_fifth_of_the_stall_current_warms_the_winding_by_15_degrees_and_the_board_by_6(motor):
     command = DriveCommand(DriveMode.CURRENT, current_a=0.2 * XM430_W350.stall_current_a)
     motor.drive(command)
     for _ in range(40_000):
         motor.torque_nm(0.05)
-    assert motor.temperature_c == pytest.approx(AMBIENT_C + 15.0, abs=0.3)
+    assert motor.temperature_c == pytest.approx(AMBIENT_C + 6.0, abs=0.3)
+    assert motor.temperature_c + motor.winding_rise_k == pytest.approx(AMBIENT_C + 15.0, abs=0.3)
     assert motor.load_excess_s == 0.0
+    warm = 1.0 + 15.0 * 0.0039
+    assert motor.duty * 12.0 / motor.current_a == pytest.approx(12.0 / 2.3 * warm, rel=1e-3)
 
 
-def test_941_ma_at_stall_overloads_after_about_5_s(motor):
-    motor.drive(DriveCommand(DriveMode.CURRENT, current_a=0.941))
+def test_the_board_follows_the_winding_late():
+    # 0.8 A of the winding for 2 min: an XL330-M288 reported 11 K.
+    motor = ServoMotor(XL330_M288)
+    motor.drive(DriveCommand(DriveMode.PWM, duty=0.8 * 5.0 / 1.47 / 4.2))
+    for _ in range(2400):
+        motor.torque_nm(0.05)
+    assert motor.current_a == pytest.approx(0.75, abs=0.02)
+    rise_k = (motor.temperature_c - AMBIENT_C) * (0.8 / motor.current_a) ** 2
+    assert rise_k == pytest.approx(11.0, abs=1.5)
+    assert motor.winding_rise_k > 4.0 * (motor.temperature_c - AMBIENT_C)
+
+
+BLOCKED = DriveCommand(DriveMode.CURRENT_POSITION, position_rad=9.0, p_gain=800, current_a=0.941)
+
+
+@pytest.mark.parametrize(
+    ("model", "rule", "command", "trips_s"),
+    [
+        (XM430_W350, OverloadRule.DUTY, DriveCommand(DriveMode.CURRENT, current_a=0.941), 5.0),
+        (XM430_W350, OverloadRule.DUTY, DriveCommand(DriveMode.CURRENT, current_a=0.46), None),
+        (XM430_W350, OverloadRule.CURRENT, DriveCommand(DriveMode.CURRENT, current_a=0.941), 3.5),
+        (XM430_W350, OverloadRule.CURRENT, DriveCommand(DriveMode.CURRENT, current_a=0.5), None),
+        (XL330_M288, OverloadRule.CURRENT, DriveCommand(DriveMode.CURRENT, current_a=0.5), 6.1),
+        (XL330_M288, OverloadRule.CURRENT, DriveCommand(DriveMode.CURRENT, current_a=0.3), None),
+        (XM430_W350, OverloadRule.FOLLOWING_ERROR, BLOCKED, 5.0),
+        (XM430_W350, OverloadRule.FOLLOWING_ERROR, BLOCKED._replace(current_a=0.2), None),
+        (XM430_W350, OverloadRule.FOLLOWING_ERROR, BLOCKED._replace(mode=DriveMode.CURRENT), None),
+    ],
+)
+def test_each_rule_of_overload_trips_after_seconds_or_never(model, rule, command, trips_s):
+    motor = ServoMotor(model)
+    motor.overload_rule = rule
+    motor.drive(command)
     elapsed_s = 0.0
-    while motor.load_excess_s <= OVERLOAD_BUDGET_S:
-        motor.torque_nm(STEP_S)
-        elapsed_s += STEP_S
-    assert elapsed_s == pytest.approx(5.0, abs=0.5)
+    while motor.load_excess_s <= OVERLOAD_BUDGET_S and elapsed_s < 15.0:
+        motor.torque_nm(5e-3)
+        elapsed_s += 5e-3
+    assert elapsed_s == pytest.approx(trips_s or 15.0, abs=0.5)
     stall(motor, DriveCommand(), 3.0)
     assert motor.load_excess_s == 0.0
 
@@ -163,10 +278,10 @@ def test_the_duty_is_the_voltage_of_winding_and_back_emf(motor):
     # R = 12 V / 2.3 A; k_e = (12 V - 0.2214 / 1.769 A x R) / 46 rev/min = 2.3555 V s/rad.
     motor.velocity_rad_s = 0.8
     stall(motor, DriveCommand(DriveMode.CURRENT, current_a=0.5))
-    assert motor.duty == pytest.approx((0.5 * 5.2174 + 0.8 * 2.3555) / 12.0, rel=1e-4)
+    assert motor.duty == pytest.approx((0.5 * 5.2174 + 0.8 * 2.3555) / 12.0, rel=3e-4)
     motor.kt_factor = 1.2
     stall(motor, motor.command)
-    assert motor.duty == pytest.approx((0.5 * 5.2174 + 0.8 * 1.2 * 2.3555) / 12.0, rel=1e-4)
+    assert motor.duty == pytest.approx((0.5 * 5.2174 + 0.8 * 1.2 * 2.3555) / 12.0, rel=3e-4)
     motor.velocity_rad_s, motor.voltage_v = 1.0, 3.0
     motor.torque_nm(STEP_S)
     assert motor.duty == 1.0
@@ -279,11 +394,11 @@ def test_behind_another_motor_the_drive_meets_the_graph_in_its_middle() -> None:
 
 def test_a_servo_of_the_identified_model_has_its_figures() -> None:
     assert GEARINGS["xl330"].drive_of(XL330_M288) is GEARINGS["xl330"].identified
-    # At 0.4 A a quarter less than the catalogue says.
+    # At 0.4 A a sixth more than the catalogue says, which has the slow rise of a weight.
     drive = GEARINGS["xl330"].drive_of(XL330_M288)
     catalogue_nm = XL330_M288.kt_nm_a * 0.4 - XL330_M288.friction_nm
     forward_nm = drive.friction.forward_nm(drive.kt_nm_a * 0.4, 0.0)
-    assert forward_nm / catalogue_nm == pytest.approx(0.75, abs=0.05)
+    assert forward_nm / catalogue_nm == pytest.approx(1.17, abs=0.05)
 
 
 @pytest.mark.parametrize("name", ["ideal", "xm430_assumed"])
