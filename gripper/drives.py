@@ -41,7 +41,8 @@ class DriveMeasurement:
         """Return the newest drive characteristic of each servo, and notes about unusual values."""
         free = self._fingers.free
         notes, free.notes = free.notes, []
-        return DriveReport(self._settings.drives.newest, tuple(notes))
+        warnings, self._fingers.health.notes = self._fingers.health.notes, []
+        return DriveReport(self._settings.drives.newest, (*notes, *warnings))
 
     def use(self, drives: Mapping[int, DriveCharacteristic]) -> None:
         """Use saved drive characteristics, by the servos' IDs."""

@@ -310,6 +310,8 @@ def fault_response(
                 servos.hold_position()
             elif not stops:
                 servos.freeze()
+            if servos.heats:
+                servos.freeze()
         with suppress(GripperError):
             servos.disarm_watchdog(but=unconfirmed)
     if unconfirmed:

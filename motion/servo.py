@@ -242,7 +242,7 @@ class ServoAxis:
 
     def _check_load(self, values: dict[str, int]) -> None:
         now_s = self._watch.clock.monotonic()
-        current_a = abs(self._settings.model.current_a(values["present_current"]))
+        current_a = abs(self._settings.model.winding_a(values["present_current"]))
         lag = abs(values["position_trajectory"] - values["present_position"])
         if current_a <= self._settings.current_a and lag <= self._settings.lag:
             self._stalled_since_s = None

@@ -3,7 +3,7 @@
 Source: ROBOTIS e-Manual, pages of XM430-W350, XM430-W210, XL330-M288 and XC330-M288, section
 "Control Table". The addresses are the same on all four. The RH-P12-RN(A) has its RAM items at
 higher addresses; the bus adds the offset (`gripper.dynamixel.models.ram_shift`). Only this gripper
-has Acceleration Limit and External Port Mode.
+has Acceleration Limit and External Port Mode, only the 330 size has PWM Slope.
 """
 
 import struct
@@ -117,6 +117,7 @@ EXTERNAL_PORT_MODE_2 = _eeprom("external_port_mode_2", 57, 1)
 EXTERNAL_PORT_MODE_3 = _eeprom("external_port_mode_3", 58, 1)
 EXTERNAL_PORT_MODE_4 = _eeprom("external_port_mode_4", 59, 1)
 STARTUP_CONFIGURATION = _eeprom("startup_configuration", 60, 1)
+PWM_SLOPE = _eeprom("pwm_slope", 62, 1)
 SHUTDOWN = _eeprom("shutdown", 63, 1)
 TORQUE_ENABLE = _ram("torque_enable", 64, 1)
 LED = _ram("led", 65, 1)

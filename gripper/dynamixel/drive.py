@@ -103,7 +103,7 @@ class DriveCharacteristic:
             coulomb_a=friction_a,
             breakaway_a=friction_a,
             rising_a_nm=1.0 / model.kt_nm_a,
-            falling_a_nm=1.0 / model.kt_nm_a,
+            falling_a_nm=model.falling_share / model.kt_nm_a,
             load_sd=model.kt_sd,
             kt_nm_a=model.kt_nm_a,
             kt_sd=model.kt_sd,
@@ -216,6 +216,9 @@ class Drives:
 
     def __init__(self, newest: Mapping[int, DriveCharacteristic] | None = None) -> None:
         self._newest = dict(newest or {})
+        self.stiction = 1.5
+        """Friction at rest over that in motion, as the pushes of the force law have shown it. At
+        first that of an XM430, 1.3 to 1.8. [log]"""
 
     def of(self, servo_id: int, unmeasured: DriveCharacteristic) -> DriveCharacteristic:
         """Return that of a servo; if it was never measured, ``unmeasured``."""

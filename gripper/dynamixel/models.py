@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from enum import IntEnum
 from functools import cache
-from math import tau
+from math import copysign, sqrt, tau
 from types import MappingProxyType
-from typing import Any
 
 from gripper.errors import LimitExceeded
 
@@ -18,8 +17,8 @@ KT_SD = 0.15
 """Standard deviation of the logarithm of torque for current between two servos of one model: 30 %.
 [assumed]"""
 
-_SLOW_RAD_S = 0.229 * tau / 60.0
-"""Speed in rad/s of one count of the X series: 0.229 rev/min."""
+PWM_SLOPE_RAW = 140
+"""Factory value of PWM Slope (register 62): 277 mV/ms."""
 
 
 class OperatingMode(IntEnum):
@@ -42,6 +41,9 @@ class ServoModel:
     """Name and content of Model Number (register 0)."""
     current_unit_a: float
     """A for one count of the current items."""
+    supply_current: bool = False
+    """Whether these count the current of the supply, not of the winding: duty times winding
+    current (Rhoban/bam, thread 14). Everywhere else in this package amperes are the winding's."""
     pulses_per_turn: int = 4096
     """Counts of the position items in one turn."""
     goal_range_raw: tuple[int, int] = (-1_048_575, 1_048_575)
@@ -54,13 +56,13 @@ class ServoModel:
     ram_shift: int = 0
     """Offset of the RAM addresses from those of the X series."""
     absent: frozenset[str] = frozenset(
-        {"acceleration_limit", *(f"external_port_mode_{n}" for n in (1, 2, 3, 4))}
+        {"pwm_slope", "acceleration_limit", *(f"external_port_mode_{n}" for n in (1, 2, 3, 4))}
     )
-    """Names of the items of the control table that the model lacks; by default those that the X
-    series lacks."""
+    """Names of the items of the control table that the model lacks; by default those that the X430
+    size lacks."""
     factory_mode: OperatingMode = OperatingMode.POSITION
     """Factory value of Operating Mode (register 11)."""
-    velocity_unit_rad_s: float = _SLOW_RAD_S
+    velocity_unit_rad_s: float = 0.229 * tau / 60.0
     acceleration_unit_rad_s2: float = 214.577 * tau / 3600.0
     """rad/s for one count of the velocity items (0.229 rev/min), and rad/s² for one of Profile
     Acceleration (214.577 rev/min²)."""
@@ -69,7 +71,9 @@ class ServoModel:
     whole_pwm_raw: int = 885
     """PWM Limit (register 36) at which the whole supply reaches the motor."""
     error_per_pwm: float = 128.0
-    """Position error in counts times Position P Gain for one count of PWM."""
+    """Position error in counts times Position P Gain for one count of the position loop's output:
+    of PWM in mode 3, of Goal Current in mode 5. 128 by the e-Manual; 256 on the XL330-M288, by 16
+    logs of duty against error (Rhoban/bam, revision af22604)."""
     current_limit_raw: int
     velocity_limit_raw: int
     """Factory values and upper bounds of registers 38 and 44 (the latter: factory value)."""
@@ -80,12 +84,13 @@ class ServoModel:
     shutdown_raw: int
     """Factory value of register 63."""
     position_gains: tuple[int, int, int]
-    """Factory D, I and P gain (registers 80, 82, 84)."""
-    velocity_gains: tuple[int, int]
-    """Factory I and P gain (registers 76, 78)."""
+    """D, I and P gain (registers 80, 82, 84) that a start writes for mode 5. Only D damps there:
+    the loop makes a current, which no back-EMF opposes. I gain and friction at rest would hunt."""
     kt_nm_a: float
     friction_nm: float
     """Torque at the output with rising load: T = kt I - friction."""
+    falling_share: float = 1.0
+    """Current for each N m of a load that falls, over that of one that rises."""
     kt_sd: float = KT_SD
     back_emf_sd: float = 0.1
     """Uncertainty of ``kt_nm_a`` and of its ratio to the back-EMF for a servo without a
@@ -93,21 +98,64 @@ class ServoModel:
     nominal_voltage_v: float
     stall_torque_nm: float
     stall_current_a: float
+    """Figures of the stalled motor at the nominal voltage, from the data sheet: A of the
+    winding."""
+    holding_a: float
+    peak_a: float
+    """A of the winding that the servo bears for hours, and for 2 s. Servos of users tripped above
+    them, or became too hot."""
     no_load_rad_s: float
     """Speed without load at the nominal voltage, from the data sheet."""
     rotor_inertia_kg_m2: float
     """Inertia of rotor and gears at the output in kg m², estimated: the vendor publishes none. The
-    simulated servo uses it, and the impact of an approach follows from it."""
+    impact of an approach follows from it."""
     torque_source: str
     """Source of kt and friction."""
 
-    def current_raw(self, current_a: float) -> int:
-        """Return the counts for a current in A, rounded to the nearest."""
-        return round(current_a / self.current_unit_a)
+    def current_raw(
+        self, winding_a: float, supply_v: float | None = None, against_rad_s: float = 0.0
+    ) -> int:
+        """Return the counts of a current item for a current of the winding in A from 0 up.
 
-    def current_a(self, raw: int) -> float:
-        """Return the current in A for counts of a current item."""
-        return raw * self.current_unit_a
+        Where they count the current of the supply, a motor at rest needs R i² / V. The back-EMF of
+        a motion that goes with the current is left out: a part that stops the finger ends it before
+        the next write, so a moving finger has less current, and never more. A motion against the
+        current helps it, and is subtracted.
+
+        Parameters
+        ----------
+        supply_v
+            Voltage of the supply; None: the nominal one.
+        against_rad_s
+            Speed from 0 up of a motion against the current.
+        """
+        return round(self.item_counts(winding_a, supply_v, against_rad_s))
+
+    def item_counts(
+        self, winding_a: float, supply_v: float | None = None, against_rad_s: float = 0.0
+    ) -> float:
+        """Return the same without rounding."""
+        if not self.supply_current:
+            return winding_a / self.current_unit_a
+        motor_v = max(0.0, self.winding_ohm * winding_a - self.back_emf_v_s * against_rad_s)
+        duty = motor_v / (supply_v or self.nominal_voltage_v)
+        return duty * winding_a / self.current_unit_a
+
+    def winding_a(self, raw: int) -> float:
+        """Return the current in A of the winding at rest for counts, at the nominal voltage."""
+        item_a = raw * self.current_unit_a
+        if not self.supply_current:
+            return item_a
+        return copysign(sqrt(abs(item_a) * self.nominal_voltage_v / self.winding_ohm), item_a)
+
+    @property
+    def current_step_a(self) -> float:
+        """Resolution in A of the winding's current: a count of current, or of PWM."""
+        return (
+            self.stall_current_a / self.whole_pwm_raw
+            if self.supply_current
+            else self.current_unit_a
+        )
 
     @property
     def winding_ohm(self) -> float:
@@ -121,9 +169,14 @@ class ServoModel:
         return (self.nominal_voltage_v - idle_v) / self.no_load_rad_s
 
     @property
-    def slow_rad_s(self) -> float:
-        """Speed in rad/s that counts as rest: a count of the X series, or of the model."""
-        return max(self.velocity_unit_rad_s, _SLOW_RAD_S)
+    def damping_a_s(self) -> float:
+        """Current in A by which mode 5 brakes for each rad/s: D/16 counts for a pulse in 1 ms.
+
+        The RH-P12-RN(A) has no D gain; the back-EMF is taken there. [assumed]
+        """
+        d_gain = self.position_gains[0]
+        by_gain = d_gain / 16.0 * 1e-3 / self.rad_per_pulse * self.current_unit_a
+        return by_gain or self.stall_current_a / self.no_load_rad_s
 
     @property
     def turns(self) -> bool:
@@ -137,9 +190,10 @@ class ServoModel:
 
     @property
     def factory_defaults(self) -> Mapping[str, int]:
-        """Factory values by register name, of the items that differ from 0 or between models."""
-        position_d, position_i, position_p = self.position_gains
-        velocity_i, velocity_p = self.velocity_gains
+        """Factory values by register name, of the items that differ from 0 or between models.
+
+        Gains are left out: a servo sets them itself with its mode.
+        """
         return MappingProxyType(
             {
                 "model_number": self.number,
@@ -159,34 +213,13 @@ class ServoModel:
                 "max_position_limit": self.pulses_per_turn - 1,
                 "shutdown": self.shutdown_raw,
                 "status_return_level": 2,
-                "velocity_i_gain": velocity_i,
-                "velocity_p_gain": velocity_p,
-                "position_d_gain": position_d,
-                "position_i_gain": position_i,
-                "position_p_gain": position_p,
+                **({} if "pwm_slope" in self.absent else {"pwm_slope": PWM_SLOPE_RAW}),
             }
         )
 
 
 _RPM = tau / 60.0
 """Speed in rad/s of one rev/min, as data sheets give it."""
-_ESTIMATE = (
-    "stall point of the data sheet and a no-load friction of 5.4 % of the stall torque, as "
-    "measured on the XM430-W350; measure before relying on it"
-)
-"""Source of torque figures that only the data sheet gives."""
-
-
-def _estimated(stall_torque_nm: float, stall_current_a: float) -> dict[str, Any]:
-    friction_nm = 0.054 * stall_torque_nm
-    return {
-        "kt_nm_a": (stall_torque_nm + friction_nm) / stall_current_a,
-        "friction_nm": friction_nm,
-        "stall_torque_nm": stall_torque_nm,
-        "stall_current_a": stall_current_a,
-        "torque_source": _ESTIMATE,
-    }
-
 
 XM430_W350 = ServoModel(
     name="XM430-W350",
@@ -198,16 +231,20 @@ XM430_W350 = ServoModel(
     min_voltage_raw=95,
     max_voltage_raw=160,
     shutdown_raw=52,
-    position_gains=(0, 0, 800),
-    velocity_gains=(1920, 100),
-    kt_nm_a=1.769,
-    friction_nm=0.2214,
+    position_gains=(4000, 0, 800),
+    kt_nm_a=1.80,
+    friction_nm=0.09,
     nominal_voltage_v=12.0,
     stall_torque_nm=4.1,
     stall_current_a=2.3,
+    holding_a=0.40,
+    peak_a=0.80,
     no_load_rad_s=46 * _RPM,
-    rotor_inertia_kg_m2=0.012,
-    torque_source="fit to the vendor's performance graph, forum.robotis.com/t/5827",
+    rotor_inertia_kg_m2=0.006,
+    torque_source=(
+        "sweeps of the four servos of an OpenMANIPULATOR-X: 1.80 N m/A, friction 20 to 75 mA "
+        "(smorales2405/open_manipulator_x_torque_control)"
+    ),
 )
 XM430_W210 = replace(
     XM430_W350,
@@ -215,8 +252,11 @@ XM430_W210 = replace(
     number=1030,
     velocity_limit_raw=330,
     no_load_rad_s=77 * _RPM,
-    rotor_inertia_kg_m2=0.0043,
-    **_estimated(3.0, 2.3),
+    rotor_inertia_kg_m2=0.0022,
+    kt_nm_a=1.333,
+    friction_nm=0.067,
+    stall_torque_nm=3.0,
+    torque_source="stall point of the data sheet, with the friction current of the XM430-W350",
 )
 XL330_M288 = ServoModel(
     name="XL330-M288",
@@ -228,13 +268,28 @@ XL330_M288 = ServoModel(
     min_voltage_raw=35,
     max_voltage_raw=70,
     shutdown_raw=53,
-    position_gains=(0, 0, 400),
-    velocity_gains=(1600, 180),
+    position_gains=(1000, 0, 1000),
+    error_per_pwm=256.0,
     nominal_voltage_v=5.0,
     no_load_rad_s=103 * _RPM,
-    rotor_inertia_kg_m2=0.0012,
-    **_estimated(0.52, 1.47),
+    rotor_inertia_kg_m2=0.0022,
+    supply_current=True,
+    kt_nm_a=3.4 / 15.0,
+    friction_nm=0.2 / 15.0,
+    falling_share=0.45,
+    kt_sd=0.25,
+    stall_torque_nm=0.52,
+    stall_current_a=1.47,
+    # 100 and 350 mA of the supply.
+    holding_a=0.383,
+    peak_a=0.717,
+    torque_source=(
+        "slow rise of a weight: 13 to 17 V on the winding for each N m and 0.1 to 0.3 V without a "
+        "load, falling 0.45 of it (logs of Rhoban/bam, revision af22604). The stall torque of the "
+        "data sheet is 1.6 times as much; the uncertainty covers both"
+    ),
     profile_in_current_mode=False,
+    absent=XM430_W350.absent - {"pwm_slope"},
 )
 XC330_M288 = replace(
     XL330_M288,
@@ -243,10 +298,17 @@ XC330_M288 = replace(
     current_limit_raw=2352,
     velocity_limit_raw=350,
     shutdown_raw=52,
-    position_gains=(500, 0, 1100),
-    velocity_gains=(1600, 50),
+    position_gains=(1500, 0, 1000),
     no_load_rad_s=81 * _RPM,
-    **_estimated(0.93, 1.8),
+    rotor_inertia_kg_m2=0.0035,
+    kt_nm_a=0.33,
+    friction_nm=0.025,
+    stall_torque_nm=0.93,
+    stall_current_a=1.8,
+    # 120 and 600 mA of the supply.
+    holding_a=0.465,
+    peak_a=1.04,
+    torque_source="by analogy: data sheet, with the XL330's ratio of slow rise and data sheet",
 )
 
 RH_P12_RN_A = ServoModel(
@@ -256,7 +318,9 @@ RH_P12_RN_A = ServoModel(
     goal_range_raw=(0, 1150),
     goal_velocity_raw=2970,
     ram_shift=448,
-    absent=frozenset({"drive_mode", "protocol_type", "startup_configuration", "backup_ready"}),
+    absent=frozenset(
+        {"pwm_slope", "drive_mode", "protocol_type", "startup_configuration", "backup_ready"}
+    ),
     factory_mode=OperatingMode.CURRENT_BASED_POSITION,
     velocity_unit_rad_s=0.01 * _RPM,
     acceleration_unit_rad_s2=tau / 3600.0,
@@ -268,7 +332,6 @@ RH_P12_RN_A = ServoModel(
     max_voltage_raw=350,
     shutdown_raw=52,
     position_gains=(0, 0, 8000),
-    velocity_gains=(1920, 100),
     kt_nm_a=10.0,
     friction_nm=1.8,
     kt_sd=0.3,
@@ -276,6 +339,8 @@ RH_P12_RN_A = ServoModel(
     nominal_voltage_v=24.0,
     stall_torque_nm=32.0,
     stall_current_a=3.33,
+    holding_a=0.58,
+    peak_a=1.16,
     no_load_rad_s=0.76,
     rotor_inertia_kg_m2=0.1,
     torque_source=(
@@ -284,8 +349,8 @@ RH_P12_RN_A = ServoModel(
     ),
 )
 """A gripper with one built-in servo (e-Manual, RH-P12-RN(A)). 3.33 A is its peak current, 0.76
-rad/s its closing speed of 75 mm/s. Torque constant, friction, inertia and gains are unpublished:
-they are assumed."""
+rad/s its closing speed of 75 mm/s. Torque constant, friction, inertia, gains and the currents of
+a hold are unpublished: they are assumed."""
 
 _MODELS = {m.name: m for m in (XM430_W350, XM430_W210, XL330_M288, XC330_M288, RH_P12_RN_A)}
 MODELS: Mapping[str, ServoModel] = MappingProxyType(_MODELS)

@@ -48,6 +48,11 @@ _SLOWED_TIMES = 2.0
 [chosen]"""
 
 
+def current_share(duration_s: float) -> float:
+    """Return the share of a new goal that a current has reached after a time in s."""
+    return 1.0 - exp(-duration_s / CURRENT_S)
+
+
 class ImpactLimit(NamedTuple):
     """Largest speed of closing fingers whose momentum stays below the cap of the force."""
 
@@ -118,12 +123,14 @@ def closing_current_max_a(
     """Return the current in A with which a closing finger presses with less than the cap.
 
     A servo that was never measured may need more to move at all. An untouched finger that stood
-    still at ``stood_a`` shows its friction. With the catalogue friction the cap holds even so.
+    still at ``stood_a`` shows its friction, or presses on something that the pads do not show. So
+    the cap holds even so, for any plausible torque and at least the catalogue's friction.
     """
     most_n = most_peak_n(settings)
     by_force_a = path.pressing_current_a(most_n)
     if not path.drive.measured:
-        by_force_a = max(by_force_a, min(_STOOD_SHARE * stood_a, path.loading_current_a(most_n)))
+        more_a = path.drive.breakaway_a - path.drive.least_breakaway_a
+        by_force_a = max(by_force_a, min(_STOOD_SHARE * stood_a, by_force_a + more_a))
     return min(settings.current_max_a, by_force_a)
 
 
@@ -165,13 +172,13 @@ def slowing_way_m(
 
     The goal of a servo is moved back to the lead of the lower speed. Until this acts, the fingers
     go on. Then position control brings the moving mass to that speed with a time constant. Its
-    force falls with the speed, as the back-EMF rises.
+    current falls with the speed, as its D gain damps.
     """
     if to_m_s >= from_m_s:
         return 0.0
     mass_kg = impact_limit(settings, linkage, angles_rad).mass_kg
     slowing_s = max(
-        mass_kg * path.radius_m * model.no_load_rad_s / (path.n_per_a * model.stall_current_a)
+        mass_kg * path.radius_m / (path.n_per_a * model.damping_a_s)
         for path, model in zip(
             transmissions(settings, linkage, angles_rad),
             (servo.servo_model for servo in settings.servos),

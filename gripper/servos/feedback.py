@@ -11,14 +11,16 @@ from gripper.dynamixel.control_table import (
     PRESENT_POSITION,
     PRESENT_PWM,
     PRESENT_TEMPERATURE,
-    PRESENT_VELOCITY,
     REALTIME_TICK,
     TICK_MODULO,
 )
 from gripper.errors import BusCorrupt
 from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.health import ServoHealth
+from gripper.servos.heat import WindingHeat
+from gripper.servos.motion import ServoMotion
 from gripper.servos.plausibility import FeedbackCheck
+from gripper.servos.winding import Supply, winding_a
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.state import ServoFeedback, ServoState
 
@@ -70,6 +72,9 @@ class Feedback:
         self._ids = [servo.servo_id for servo in settings.servos]
         self._turns: dict[int, int] = {}
         self._ticks = TickWatch()
+        self._heats = {one.servo_id: WindingHeat(one.servo_model) for one in settings.servos}
+        self._supplies = {one.servo_id: Supply() for one in settings.servos}
+        self._motions = {one.servo_id: ServoMotion(one.servo_model) for one in settings.servos}
         self.check = FeedbackCheck(settings, linkage)
         """Comparison with possible motion."""
 
@@ -107,7 +112,10 @@ class Feedback:
                 raise problem
         if not under_torque:
             self._turns.clear()
-        servos = tuple(self._servo_state(s, raws[s.servo_id]) for s in self._settings.servos)
+        servos = tuple(
+            self._servo_state(one, raws[one.servo_id], now_s, under_torque=under_torque)
+            for one in self._settings.servos
+        )
         if under_torque:
             self.check.check(servos, now_s, loaded=loaded)
         self.last = self._gripper_state(servos, now_s)
@@ -117,28 +125,42 @@ class Feedback:
         """Compare the next feedback with no earlier one: servos were restarted or switched off."""
         self._turns.clear()
         self._ticks.forget()
+        for motion in self._motions.values():
+            motion.forget()
         self.check.forget()
 
-    def _servo_state(self, servo: ServoSettings, raw: dict[str, int]) -> ServoState:
+    def _servo_state(
+        self, servo: ServoSettings, raw: dict[str, int], now_s: float, *, under_torque: bool
+    ) -> ServoState:
         model, position_raw = servo.servo_model, raw[PRESENT_POSITION.name]
         # Under torque a servo cannot lose or gain a turn: a change is an error and must be found.
         turns = self._turns.setdefault(servo.servo_id, servo.turns(position_raw))
-        velocity_rad_s = raw[PRESENT_VELOCITY.name] * model.velocity_unit_rad_s
-        current_a = model.current_a(raw[PRESENT_CURRENT.name]) * servo.direction
-        voltage_v = raw[PRESENT_INPUT_VOLTAGE.name] * model.voltage_unit_v
+        angle_rad = servo.angle_rad(position_raw, turns)
+        tick_ms = raw[REALTIME_TICK.name]
+        speed_rad_s = self._motions[servo.servo_id].speed_rad_s(tick_ms, angle_rad)
+        present_a = raw[PRESENT_CURRENT.name] * model.current_unit_a * servo.direction
+        voltage_v = supply_v = raw[PRESENT_INPUT_VOLTAGE.name] * model.voltage_unit_v
+        if model.supply_current:
+            supply = self._supplies[servo.servo_id]
+            supply_v = supply.steady_v(voltage_v, under_torque=under_torque)
         pwm_share = raw[PRESENT_PWM.name] / model.whole_pwm_raw * servo.direction
-        motor = self.check.motors[servo.servo_id]
+        current_a, motor_a = winding_a(model, present_a, pwm_share, supply_v, speed_rad_s)
+        motor, heat = self.check.motors[servo.servo_id], self._heats[servo.servo_id]
+        heat.add(now_s, current_a)
         return ServoState(
             servo_id=servo.servo_id,
-            angle_rad=servo.angle_rad(position_raw, turns),
-            velocity_rad_s=velocity_rad_s * servo.direction,
+            angle_rad=angle_rad,
+            velocity_rad_s=speed_rad_s,
             current_a=current_a,
+            motor_a=motor_a,
             pwm_share=pwm_share,
-            motor_rad_s=motor.least_rad_s(pwm_share * voltage_v, current_a),
+            motor_rad_s=motor.least_rad_s(pwm_share * supply_v, motor_a),
             position_raw=position_raw,
             temperature_c=float(raw[PRESENT_TEMPERATURE.name]),
             voltage_v=voltage_v,
-            tick_ms=raw[REALTIME_TICK.name],
+            supply_v=supply_v,
+            tick_ms=tick_ms,
+            limit_a=heat.limit_a,
             alert=self._bus.alert(servo.servo_id),
         )
 

@@ -7,7 +7,7 @@ back below them.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from math import exp, inf, sqrt
+from math import copysign, exp, inf, sqrt
 
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
@@ -23,9 +23,11 @@ from gripper.mechanics.impact import (
     SLOWEST_M_S,
     ImpactLimit,
     closing_current_max_a,
+    current_share,
     impact_limit,
 )
 from gripper.mechanics.kinematics import Linkage, Transmission, transmissions
+from gripper.servos.motion import slow_rad_s
 from gripper.settings import GripperSettings, OverForce, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.recent import QUIET_N, RecentForce
@@ -53,8 +55,12 @@ _OVER_FORCE = {
 GOAL_BLOCK = RegisterBlock.between(GOAL_CURRENT, GOAL_POSITION)
 """Registers that one write of goals sets, 102 to 119, in the order of their addresses."""
 
-STICTION = 1.05
-"""Friction at rest over friction in motion."""
+MOST_STICTION = 2.0
+"""Largest friction at rest over that in motion, of an XL330 (arXiv 2410.08650)."""
+_PUSH_PERIODS = 2
+"""Periods between two pushes beyond friction in motion: a push lasts one period. [chosen]"""
+_CAP_SHARE = 0.95
+"""Share of the cap up to which a drive presses: its friction and torque are measured to 2 %."""
 _RESERVE_N = 1.5
 """Force in N for the moving mass in addition to the set-point, for the rate of a ramp. [tuned]"""
 _RUNNING_SHARE = 1.25
@@ -75,16 +81,24 @@ class ServoGoal:
     """Present set-point of the grip force in N; None while fingers move and press on no part."""
     profile_rad_s: float = 0.0
     """Profile Velocity (register 112) in rad/s; 0 is no limit."""
+    rest: "ServoGoal | None" = None
+    """Goal that keeps the present force where no further one follows; None: this goal."""
+
+    @property
+    def kept(self) -> "ServoGoal":
+        """The goal that stays after an error."""
+        return self.rest or self
 
 
 class GoalGuard:
-    """Limits of the goals: force, current, angle, speed, temperature and age of feedback."""
+    """Limits of the goals: force, current, angle, speed, temperature, age of feedback."""
 
     def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
         self._settings = settings
         self._linkage = linkage
         self._forces = RecentForce()
         self._stood_a: dict[int, float] = {}
+        self._pushes: dict[int, int] = {}
         self._previous_a: tuple[float, ...] = ()
         # Two apertures bound the angles. One is wide open. The other is closed, with the goal as
         # far beyond as a gripping servo needs.
@@ -96,22 +110,26 @@ class GoalGuard:
         """Add the newest force sample; the same sample may come again."""
         self._forces.push(sample)
 
-    def bounded(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> tuple[ServoGoal, ...]:
+    def bounded(
+        self, goals: Sequence[ServoGoal], state: ServoFeedback, *, final: bool = False
+    ) -> tuple[ServoGoal, ...]:
         """Return the goals, limited so that no closing finger presses or runs beyond its limits.
 
         Samples of the pads never raise the current. A finger presses with no more than the
-        set-point, friction at rest, the possible error of the drive and the force for the moving
-        mass. Without a set-point it presses below the cap, as an approach does. A finger is braked
-        if it closes faster than the force left below the cap allows (`gripper.mechanics.impact`).
-        While nothing presses on its pad, its goal lies no farther ahead than that speed needs. The
-        servo's position controller keeps to it between two writes; a profile does too.
+        set-point, friction, the possible error of the drive and the force for the moving mass. For
+        one period of three it may also overcome friction at rest. Without a set-point it presses
+        below the cap, as an approach does. A finger is braked if it closes faster than the force
+        left below the cap allows (`gripper.mechanics.impact`). While nothing presses on its pad,
+        its goal lies no farther ahead than that speed needs. The servo's position controller keeps
+        to it between two writes; a profile does too. Brakes that are ``final`` hold the finger
+        where it is: their small current would let the part push it.
         """
         impact = impact_limit(self._settings, self._linkage, state.angles_rad)
         newest = self.newest_force
         first_n, second_n = (0.0, 0.0) if newest is None else newest.force_n
         forces_n = (first_n, second_n) if len(goals) > 1 else (min(first_n, second_n),)
         return tuple(
-            self._closing(impact, servo, path, goal, state=now, force_n=force_n)
+            self._closing(impact, servo, path, goal, state=now, force_n=force_n, final=final)
             if goal.angle_rad < now.angle_rad
             else goal
             for servo, path, goal, now, force_n in zip(
@@ -129,8 +147,15 @@ class GoalGuard:
             stood_a = self._stood_a.get(servo_id, 0.0)
             return closing_current_max_a(self._settings, path, stood_a=stood_a)
         asked_n = exp(SIGMAS * path.drive.load_sd) * goal.setpoint_n + _RESERVE_N
-        asked_a = asked_n / path.n_per_a + STICTION * path.drive.breakaway_a
-        return min(asked_a, path.pressing_current_a(self._settings.force_max_n) - _EQUAL)
+        asked_a = asked_n / path.n_per_a + path.drive.breakaway_a
+        waits = self._pushes.get(servo_id, 0)
+        pushes = waits <= 0 and goal.rest is not None and goal.current_a > asked_a
+        self._pushes[servo_id] = _PUSH_PERIODS if pushes else waits - 1
+        if pushes:
+            stiction = MOST_STICTION / current_share(self._settings.period_s)
+            asked_a += (stiction - 1.0) * path.drive.breakaway_a
+        most_n = _CAP_SHARE * self._settings.force_max_n
+        return min(asked_a, path.pressing_current_a(most_n))
 
     def _closing(
         self,
@@ -141,15 +166,16 @@ class GoalGuard:
         *,
         state: ServoState,
         force_n: float,
+        final: bool,
     ) -> ServoGoal:
         """Return the goal of a finger that closes, with its current and its speed bounded."""
         model = servo.servo_model
         empty = force_n < self._settings.contact_force_n
-        if empty and max(abs(state.velocity_rad_s), abs(state.motor_rad_s)) <= model.slow_rad_s:
+        if empty and max(abs(state.velocity_rad_s), abs(state.motor_rad_s)) <= slow_rad_s(model):
             stood_a = self._stood_a.get(state.servo_id, 0.0)
             self._stood_a[state.servo_id] = max(stood_a, -state.current_a)
-        most_a = min(goal.current_a, self._most_a(state.servo_id, goal, path))
         reach_m = self._pads * self._linkage.opening_per_rad_m(state.angle_rad)
+        most_a = min(goal.current_a, self._most_a(state.servo_id, goal, path))
         fastest_m_s = impact.pad_speed_m_s(None if empty else force_n)
         if empty:
             # No approach is slower. Until the finger has shown friction, current is the limit.
@@ -160,7 +186,9 @@ class GoalGuard:
             )
         fastest_rad_s = fastest_m_s / reach_m
         over_rad_s = -min(state.velocity_rad_s, state.motor_rad_s) - fastest_rad_s
-        if over_rad_s > model.slow_rad_s:
+        if over_rad_s > slow_rad_s(model):
+            if final:
+                return replace(goal, angle_rad=state.angle_rad, current_a=most_a)
             # Only the excess momentum is removed, or the finger would swing. Friction does a part.
             drive_n = force_n + path.drive.least_breakaway_a * path.n_per_a
             drive_n -= impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
@@ -245,7 +273,7 @@ class GoalGuard:
             newest = self.newest_force
             if newest is not None and now_s - newest.t_s <= settings.force_stale_s:
                 self.check_force()
-        self._previous_a = tuple(goal.current_a for goal in goals)
+        self._previous_a = tuple(max(goal.current_a, goal.kept.current_a) for goal in goals)
 
     def _excess_n(self) -> float:
         """Return the excess of the force over the cap and its allowance for noise, in N.
@@ -314,15 +342,10 @@ def most_closed_rad(settings: GripperSettings, linkage: Linkage) -> tuple[float,
 def closing_margin_rad(model: ServoModel, current_a: float) -> float:
     """Return the distance in rad of a goal beyond the contact at which a current limit is reached.
 
-    The position controller commands gain / 128 counts of PWM for each pulse of error (e-Manual,
-    Position PID Gain). 885 counts are the whole supply, at rest the stall current. A reserve of a
-    half and a few pulses compensate for the motion.
+    A reserve of a half and a few pulses compensate for the motion.
     """
-    _, _, position_p_gain = model.position_gains
-    current_share = current_a / model.stall_current_a
-    pwm = _MOTION_RESERVE * current_share * model.whole_pwm_raw
-    pulses = pwm * model.error_per_pwm / position_p_gain + _MOTION_PULSES
-    return pulses * model.rad_per_pulse
+    at_rest_rad = running_lead_rad(model, current_a, 0.0)
+    return _MOTION_RESERVE * at_rest_rad + _MOTION_PULSES * model.rad_per_pulse
 
 
 def lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
@@ -333,18 +356,18 @@ def lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
 def running_lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
     """Return the lead of the goal in rad of a servo that runs steadily with a current.
 
-    The position controller is proportional, see `closing_margin_rad`. Speed uses a share of the
-    supply for back-EMF: the ratio of the speed to the no-load speed.
+    Mode 5 makes P/K counts of Goal Current for each pulse of error (e-Manual, Position PID Gain),
+    and its D gain takes a share for the speed. Both signs are those of the lead.
     """
     _, _, position_p_gain = model.position_gains
-    share = current_a / model.stall_current_a + speed_rad_s / model.no_load_rad_s
-    pulses = model.whole_pwm_raw * share * model.error_per_pwm / position_p_gain
-    return pulses * model.rad_per_pulse
+    counts = copysign(model.item_counts(abs(current_a)), current_a)
+    counts += model.damping_a_s * speed_rad_s / model.current_unit_a
+    return counts * model.error_per_pwm / position_p_gain * model.rad_per_pulse
 
 
 def overrun_rad(model: ServoModel, drive: DriveCharacteristic) -> float:
     """Return the distance in rad of a goal beyond an opening, so that friction stops no finger."""
-    breaking_a = STICTION**2 * drive.breakaway_a
+    breaking_a = MOST_STICTION * drive.breakaway_a
     return max(0.6 * OPENING_MARGIN_RAD, running_lead_rad(model, breaking_a, 0.0))
 
 
@@ -356,10 +379,10 @@ class GoalWriter:
     ) -> None:
         self.last: tuple[ServoGoal, ...] = ()
         """The goals written last, one for each servo; empty while no goal is in force."""
-        self.earlier: tuple[ServoGoal, ...] = ()
-        """The goals before the last ones."""
         self.asked: tuple[ServoGoal, ...] = ()
         """The last goals as they were asked for: those that were written may brake."""
+        self.raws: dict[int, list[int]] = {}
+        """The last contents of the goals' registers, by the servos' IDs, in their order."""
         self._guard = guard
         self._bus = bus
         self._settings = settings
@@ -369,7 +392,9 @@ class GoalWriter:
         """Discard the last goals: they are no longer in force."""
         self.last = ()
 
-    def write(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> None:
+    def write(
+        self, goals: Sequence[ServoGoal], state: ServoFeedback, *, final: bool = False
+    ) -> None:
         """Write goal current and goal position of all servos at once, within all limits.
 
         This is the only place that writes goals.
@@ -378,16 +403,24 @@ class GoalWriter:
         ----------
         state
             Newest feedback: the start of the motion to the goals.
+        final
+            True where no other goals may follow.
         """
         self.asked = tuple(goals)
-        goals = self._guard.bounded(goals, state)
+        goals = [
+            replace(goal, current_a=min(goal.current_a, servo.limit_a))
+            for goal, servo in zip(goals, state.servos, strict=True)
+        ]
+        goals = self._guard.bounded(goals, state, final=final)
         self._guard.check(goals, state, self._clock.monotonic())
         values: dict[int, list[int]] = {}
         for goal, servo, settings in zip(goals, state.servos, self._settings.servos, strict=True):
             # Relative to the present position: whole turns of the count do not matter.
             model = settings.servo_model
             delta_rad = (goal.angle_rad - servo.angle_rad) * settings.direction
-            goal_current = model.current_raw(goal.current_a)
+            side = copysign(1.0, goal.angle_rad - servo.angle_rad)
+            against_rad_s = max(0.0, -side * servo.velocity_rad_s)
+            goal_current = model.current_raw(goal.current_a, servo.supply_v, against_rad_s)
             profile_acceleration = 0
             least_raw, most_raw = model.goal_range_raw
             if not least_raw <= servo.position_raw <= most_raw:
@@ -400,11 +433,12 @@ class GoalWriter:
             # A servo would refuse a goal beyond, and no servo answers this write.
             goal_position = min(max(goal_position, least_raw), most_raw)
             values[servo.servo_id] = [
-                goal_current,
+                min(goal_current, model.current_limit_raw),
                 model.goal_velocity_raw,
                 profile_acceleration,
                 round(goal.profile_rad_s / model.velocity_unit_rad_s),
                 goal_position,
             ]
+        self.raws = values
         self._bus.sync_write(values, GOAL_BLOCK)
-        self.earlier, self.last = self.last, tuple(goals)
+        self.last = tuple(goals)

@@ -129,18 +129,30 @@ class ServoGroup:
 
     # Stop goals; without a goal in force, or without any feedback, they are not written.
 
-    def freeze(self) -> None:
-        """Keep the last goals, without the crest of the square wave on the drive."""
-        state, last, earlier = self.feedback.last, self.goals.last, self.goals.earlier
-        if state is not None and len(earlier) == len(last) > 0:
-            self.goals.write(stop_goals.frozen(last, earlier, state), state)
+    @property
+    def heats(self) -> bool:
+        """Whether a servo has more current than it bears for hours."""
+        pairs = zip(self.goals.last, self._settings.servos, strict=False)
+        return any(goal.current_a > one.servo_model.holding_a for goal, one in pairs)
+
+    def freeze(self, *, goes_on: bool = False) -> None:
+        """Keep the last goals, without a push on the drive.
+
+        Where the loop does not go on, nothing watches the heat: no servo keeps more current than it
+        bears for hours.
+        """
+        state, last = self.feedback.last, self.goals.last
+        if state is not None and last:
+            goals = stop_goals.frozen(last, state)
+            if not goes_on:
+                goals = stop_goals.for_hours(goals, self._settings)
+            self.goals.write(goals, state, final=True)
 
     def hold_position(self, share: float = 1.0) -> None:
         """Set the goals to the last read positions, with a share of the currents."""
-        state, last, earlier = self.feedback.last, self.goals.last, self.goals.earlier
+        state, last = self.feedback.last, self.goals.last
         if state is not None and last:
-            earlier = earlier if len(earlier) == len(last) else last
-            self.goals.write(stop_goals.holding_position(last, earlier, state, share), state)
+            self.goals.write(stop_goals.holding_position(last, state, share), state)
 
     def stop_motion(self, share: float = 1.0) -> list[int]:
         """End a motion at the present positions; return the IDs of servos not confirmed to obey.
@@ -353,7 +365,7 @@ class ServoGroup:
                 state,
             )
             try:
-                self._check_goals_taken(state, current_a)
+                self._check_goals_taken()
                 break
             except ServoFault:
                 if not tries_left:
@@ -362,19 +374,16 @@ class ServoGroup:
             # The goals of the other modes limit this mode too.
             self._bus.write(servo_id, GOAL_PWM, self._bus.read(servo_id, PWM_LIMIT))
 
-    def _check_goals_taken(self, state: ServoFeedback, current_a: float) -> None:
+    def _check_goals_taken(self) -> None:
         """Read the goals of the present positions back; ServoFault where one differs."""
         found = self._bus.sync_read(self._ids, GOAL_BLOCK)
-        for servo, settings in zip(state.servos, self._settings.servos, strict=True):
-            wrote = {
-                GOAL_POSITION.name: servo.position_raw,
-                GOAL_CURRENT.name: settings.servo_model.current_raw(current_a),
-            }
+        for servo_id, (current_raw, *_, position_raw) in self.goals.raws.items():
+            wrote = {GOAL_POSITION.name: position_raw, GOAL_CURRENT.name: current_raw}
             for name, raw in wrote.items():
-                found_raw = found[servo.servo_id][name]
+                found_raw = found[servo_id][name]
                 if found_raw != raw:
                     raise ServoFault(
-                        servo.servo_id,
+                        servo_id,
                         0,
                         f"it did not take its {name}: wrote {raw}, read {found_raw}; check the "
                         f"servo line, then clear the fault",

@@ -23,7 +23,13 @@ from gripper.errors import (
 )
 from gripper.servos.verification import compare, requirements
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
+from gripper.values.servo_checks import (
+    HardwareError,
+    ServoCondition,
+    VerificationReport,
+    VerificationRow,
+    overload_text,
+)
 from gripper.values.state import ServoFeedback
 
 _TORQUE = RegisterBlock(TORQUE_ENABLE)
@@ -45,6 +51,9 @@ class ServoHealth:
         self._polls = 0
         self._kept = 0
         self._accepted: dict[int, int] = {}
+        self._overloaded: set[int] = set()
+        self.notes: list[str] = []
+        """Warnings of servos that were not yet fetched."""
 
     def torque_on(self) -> bool:
         """Read whether any servo has its torque on."""
@@ -213,7 +222,7 @@ class ServoHealth:
         """Check one more item of one servo; called repeatedly while the torque is on.
 
         Raises ServoFault when a servo reports a hardware error, has lost its torque or its watchdog
-        tripped.
+        tripped. An overload that the servo only reports is a note.
 
         Parameters
         ----------
@@ -223,12 +232,15 @@ class ServoHealth:
             False where a tripped watchdog does no harm.
         """
         for servo in state.servos:
-            if servo.alert:
+            # A reported overload keeps the alert on: it is read again in turn only.
+            if servo.alert and servo.servo_id not in self._overloaded:
                 self._check_hardware(servo.servo_id)
         index, check = divmod(self._polls, _CHECKS)
         self._polls = (self._polls + 1) % (_CHECKS * len(self._ids))
         if check == 0:
             self.check_torque(self._ids[index])
+            if self._ids[index] in self._overloaded:
+                self._check_hardware(self._ids[index])
         elif check == 1:
             self._check_kept(index)
         elif watchdog and self._bus.read(self._ids[index], BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW:
@@ -265,6 +277,14 @@ class ServoHealth:
             lost = self._bus.read(servo_id, TORQUE_ENABLE) == 0
             if not lost and bits == self._accepted.get(servo_id):
                 return
+            if not lost and bits == HardwareError.OVERLOAD:
+                if servo_id in self._overloaded:
+                    return
+                shutdown_raw = self._bus.read(servo_id, SHUTDOWN)
+                if not shutdown_raw & bits:
+                    self._overloaded.add(servo_id)
+                    self.notes.append(f"servo {servo_id}: {overload_text(shutdown_raw)}")
+                    return
             detail = (
                 "it has switched its torque off; remedy the cause, then clear the fault with a "
                 "reboot"

@@ -42,6 +42,8 @@ _ADVICE = (
 _COMPARED_S, _UNSEEN_RAD = 0.1, 0.01
 """Time in s over which the travels of motor and position are compared, and the difference in rad
 beyond their errors that is a contradiction: backlash, time between the readings. [chosen]"""
+_SUPPLY_SD = 0.05
+"""Error of the supply's voltage and of the current by it, as a share, on the 330 size. [assumed]"""
 _MEASURED_SD = 0.05
 """Error of a resistance or back-EMF once it was measured, as a share: 13 K. [assumed]"""
 
@@ -50,7 +52,7 @@ class MotorTravel:
     """Travel of one servo by voltage and current of its motor, V = R i + k_e w, without encoder.
 
     R is measured at each rest on a part, k_e with the friction. Before, both have the spread of
-    the model.
+    the model. The current is that of Present Current: one by the duty would follow the voltage.
     """
 
     def __init__(self, settings: GripperSettings, servo: ServoSettings) -> None:
@@ -70,21 +72,26 @@ class MotorTravel:
         self.unseen_rad = 0.0
         """Difference of the travels of motor and position in rad, beyond the errors of both."""
 
-    def least_rad_s(self, voltage_v: float, current_a: float) -> float:
+    def least_rad_s(self, voltage_v: float, current_a: float | None) -> float:
         """Return the speed in rad/s that a motor has at least, by its own voltage and current."""
+        if current_a is None:
+            return 0.0
         induced_v, (v_s, error) = voltage_v - self._ohm * current_a, self._back_emf
-        certain_v = max(0.0, abs(induced_v) - self._unknown_v(current_a, 1.0))
+        certain_v = max(0.0, abs(induced_v) - self._unknown_v(voltage_v, current_a, 1.0))
         return copysign(certain_v, induced_v) / ((1.0 + error) * v_s)
 
     def push(self, servo: ServoState, now_s: float, *, loaded: bool) -> None:
         """Add the feedback of one period, with whether the pads may hold a part."""
         sums = self._sums
+        if servo.motor_a is None:
+            self.pause()
+            return
         if sums and now_s - sums[-1].t_s > _COMPARED_S:
             self.pause()
         last = sums[-1] if sums else _Sums(now_s, 0.0, 0.0, servo.angle_rad)
         dt_s = now_s - last.t_s
-        volt_s = last.volt_s + dt_s * servo.voltage_v * servo.pwm_share
-        sums.append(_Sums(now_s, volt_s, last.amp_s + dt_s * servo.current_a, servo.angle_rad))
+        volt_s = last.volt_s + dt_s * servo.supply_v * servo.pwm_share
+        sums.append(_Sums(now_s, volt_s, last.amp_s + dt_s * servo.motor_a, servo.angle_rad))
         while len(sums) > 2 and now_s - sums[1].t_s >= _COMPARED_S:
             sums.popleft()
         time_s, volt_s, amp_s, travel_rad = (
@@ -92,7 +99,7 @@ class MotorTravel:
         )
         model, (v_s, error) = self._servo.servo_model, self._back_emf
         off_v_s = abs(volt_s - self._ohm * amp_s - v_s * travel_rad)
-        off_v_s -= error * v_s * abs(travel_rad) + self._unknown_v(amp_s, time_s)
+        off_v_s -= error * v_s * abs(travel_rad) + self._unknown_v(volt_s, amp_s, time_s)
         counts_rad = 2.0 * model.rad_per_pulse
         off_rad = off_v_s / v_s - counts_rad
         if off_rad > 0.0:
@@ -100,7 +107,7 @@ class MotorTravel:
             return
         self.unseen_rad = 0.0
         rests = loaded and time_s >= _COMPARED_S and abs(travel_rad) <= counts_rad
-        sd_v_s = hypot(VOLTAGE_SD_V * time_s, v_s * counts_rad)
+        sd_v_s = hypot(VOLTAGE_SD_V * time_s, self._supply_sd * volt_s, v_s * counts_rad)
         if rests and sd_v_s < _MEASURED_SD * self._ohm * abs(amp_s):
             ohm, off = volt_s / amp_s, SIGMAS * RESISTANCE_SD * model.winding_ohm
             if abs(ohm - model.winding_ohm) <= off:
@@ -115,8 +122,13 @@ class MotorTravel:
             return drive.back_emf_v_s, SIGMAS * _MEASURED_SD
         return model.back_emf_v_s, SIGMAS * hypot(model.kt_sd, model.back_emf_sd)
 
-    def _unknown_v(self, amp_s: float, time_s: float) -> float:
-        return SIGMAS * hypot(self._ohm_sd * self._ohm * amp_s, VOLTAGE_SD_V * time_s)
+    @property
+    def _supply_sd(self) -> float:
+        return _SUPPLY_SD if self._servo.servo_model.supply_current else 0.0
+
+    def _unknown_v(self, volt_s: float, amp_s: float, time_s: float) -> float:
+        ohm_v_s, supply_v_s = self._ohm_sd * self._ohm * amp_s, self._supply_sd * volt_s
+        return SIGMAS * hypot(ohm_v_s, supply_v_s, VOLTAGE_SD_V * time_s)
 
 
 class _Sums(NamedTuple):

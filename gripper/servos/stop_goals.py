@@ -1,8 +1,7 @@
 """Stop goals: goals that end a motion or lower the force of the fingers.
 
 Pure functions of the last goals and the last feedback. `gripper.servos.group.ServoGroup` writes
-their results. A result never has more current than the goals before it, except for a step that
-opens.
+their results. A result never has more current than the last goals, except for a step that opens.
 """
 
 from collections.abc import Sequence
@@ -14,35 +13,37 @@ from gripper.settings import GripperSettings
 from gripper.values.state import ServoFeedback
 
 
-def frozen(
-    last: Sequence[ServoGoal], earlier: Sequence[ServoGoal], state: ServoFeedback
-) -> list[ServoGoal]:
-    """Return the last goals with the lower current of the last two periods.
+def frozen(last: Sequence[ServoGoal], state: ServoFeedback) -> list[ServoGoal]:
+    """Return the goals that keep the present force: the last ones without a push.
 
-    While the force changes, a square wave is on the drive: its crest must not stay. A goal that
-    opens would let the part go. That finger is held at its present position, with the higher
-    current, and position control uses as much of it as it needs.
+    A goal that opens would let the part go. That finger is held at its present position, and
+    position control uses as much of the current as it needs.
     """
     return [
-        replace(goal, current_a=min(goal.current_a, before.current_a))
-        if goal.angle_rad <= servo.angle_rad
-        else replace(
-            goal, angle_rad=servo.angle_rad, current_a=max(goal.current_a, before.current_a)
-        )
-        for goal, before, servo in zip(last, earlier, state.servos, strict=True)
+        replace(goal.kept, angle_rad=min(goal.kept.angle_rad, servo.angle_rad))
+        for goal, servo in zip(last, state.servos, strict=True)
+    ]
+
+
+def for_hours(goals: Sequence[ServoGoal], settings: GripperSettings) -> list[ServoGoal]:
+    """Return goals with at most the currents that the servos bear for hours."""
+    models = (one.servo_model for one in settings.servos)
+    return [
+        replace(goal, current_a=min(goal.current_a, model.holding_a))
+        for goal, model in zip(goals, models, strict=True)
     ]
 
 
 def holding_position(
-    last: Sequence[ServoGoal], earlier: Sequence[ServoGoal], state: ServoFeedback, share: float
+    last: Sequence[ServoGoal], state: ServoFeedback, share: float
 ) -> list[ServoGoal]:
-    """Return goals at the present positions, with a share of the lower current of two periods.
+    """Return goals at the present positions, with a share of the frozen currents.
 
     No finger pushes on, and none yields by more than position control of the servos does.
     """
     return [
         replace(goal, angle_rad=servo.angle_rad, current_a=share * goal.current_a)
-        for goal, servo in zip(frozen(last, earlier, state), state.servos, strict=True)
+        for goal, servo in zip(frozen(last, state), state.servos, strict=True)
     ]
 
 
@@ -59,7 +60,7 @@ def lowered(
     """
     if share >= 0.0:
         return [
-            replace(goal, current_a=min(share * goal.current_a, now.current_a))
+            replace(goal, current_a=min(share * goal.current_a, now.kept.current_a))
             for goal, now in zip(first, last, strict=True)
         ]
     models = (one.servo_model for one in settings.servos)

@@ -14,9 +14,12 @@ from gripper.dynamixel.control_table import (
     MIN_VOLTAGE_LIMIT,
     MODEL_NUMBER,
     OPERATING_MODE,
+    POSITION_D_GAIN,
+    POSITION_I_GAIN,
     POSITION_P_GAIN,
     PROTOCOL_TYPE,
     PWM_LIMIT,
+    PWM_SLOPE,
     RETURN_DELAY_TIME,
     SECONDARY_ID,
     SHUTDOWN,
@@ -25,7 +28,7 @@ from gripper.dynamixel.control_table import (
     TEMPERATURE_LIMIT,
     VELOCITY_LIMIT,
 )
-from gripper.dynamixel.models import OperatingMode, ServoModel
+from gripper.dynamixel.models import PWM_SLOPE_RAW, OperatingMode, ServoModel
 from gripper.dynamixel.transactions import HIGHEST_ID
 from gripper.errors import LimitExceeded
 from gripper.settings import CORRECTABLE
@@ -35,6 +38,8 @@ _DRIVE_MODE_MASK = 0b1101
 """Bits of Drive Mode (register 10) that must be 0: reverse, time-based profile, torque by goal."""
 _STARTUP_MASK = 0b11
 """Bits of Startup Configuration (register 60) that must be 0: torque on, RAM restored."""
+_POSITION_GAINS = (POSITION_D_GAIN, POSITION_I_GAIN, POSITION_P_GAIN)
+"""Registers of `ServoModel.position_gains`."""
 _PWM_RESERVE = 1.2
 """Reserve for motion, over the PWM share at rest: current over stall current."""
 
@@ -84,9 +89,9 @@ def requirements(
 ) -> tuple[Requirement, ...]:
     """Return the requirements of the registers of a servo that this package may drive.
 
-    Operating mode, return delay, status return level and position gain are corrected where
-    ``corrected`` names them. Items that change the mechanics or the protection of the servo are
-    only compared: the user decides on them.
+    Operating mode, return delay, status return level, PWM slope and position gains are corrected
+    where ``corrected`` names them. Items that change the mechanics or the protection of the servo
+    are only compared: the user decides on them.
     """
     found = _requirements(model, current_max_a, temperature_max_c)
     return tuple(
@@ -99,16 +104,18 @@ def requirements(
 def _requirements(
     model: ServoModel, current_max_a: float, temperature_max_c: float
 ) -> tuple[Requirement, ...]:
-    if current_max_a > model.current_a(model.current_limit_raw):
+    most_a = model.winding_a(model.current_limit_raw)
+    if current_max_a > most_a:
         raise LimitExceeded(
-            f"current_max_a is {current_max_a} A, a {model.name} allows at most "
-            f"{model.current_a(model.current_limit_raw):.3f} A"
+            f"current_max_a is {current_max_a} A, a {model.name} allows at most {most_a:.3f} A"
         )
-    needed_raw = model.current_raw(current_max_a)
+    # The lowest supply needs most.
+    lowest_v = model.min_voltage_raw * model.voltage_unit_v
+    needed_raw = min(model.current_raw(current_max_a, lowest_v), model.current_limit_raw)
     whole_pwm = model.whole_pwm_raw
     share = _PWM_RESERVE * whole_pwm * current_max_a / model.stall_current_a
     needed_pwm = min(whole_pwm, ceil(share))
-    protection = int(HardwareError.OVERHEATING | HardwareError.OVERLOAD)
+    protection = int(HardwareError.OVERHEATING)
     return (
         _exactly(MODEL_NUMBER.name, model.number),
         Requirement(item=FIRMWARE_VERSION.name, expected="1 or later", low=1, high=255),
@@ -143,8 +150,12 @@ def _requirements(
         _exactly(RETURN_DELAY_TIME.name, 0),
         _exactly(OPERATING_MODE.name, int(OperatingMode.CURRENT_BASED_POSITION)),
         _exactly(STATUS_RETURN_LEVEL.name, 2),
-        # This follows the mode, which sets the gains to its defaults.
-        _exactly(POSITION_P_GAIN.name, model.position_gains[2]),
+        _exactly(PWM_SLOPE.name, PWM_SLOPE_RAW),
+        # These follow the mode, which sets the gains to its defaults.
+        *(
+            _exactly(register.name, gain)
+            for register, gain in zip(_POSITION_GAINS, model.position_gains, strict=True)
+        ),
     )
 
 

@@ -21,6 +21,13 @@ def hardware_error_names(bits: int) -> tuple[str, ...]:
     return tuple(name.lower().replace("_", " ") for name in found)
 
 
+def overload_text(shutdown_raw: int) -> str:
+    """Return what a servo does on overload, by its Shutdown (register 63)."""
+    if shutdown_raw & HardwareError.OVERLOAD:
+        return "an overload switches its torque off: a held part drops"
+    return "an overload is only reported: the cell's limit of heat alone protects it"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoCondition:
     """Torque and errors of one servo, read separately from the others."""

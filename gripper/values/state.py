@@ -8,12 +8,12 @@ from typing import NamedTuple
 from gripper.values.force_sensor import ForceSample
 
 STANDING_M_S = 0.002
-"""Rate of the opening in m/s below which the fingers stand: an error of one count of velocity of
-one servo, on links of 60 mm. [resolution]"""
+"""Rate of the opening in m/s below which the fingers stand: that of one servo at rest whose count
+changes by one (`gripper.servos.motion.slow_rad_s`), on links of 60 mm. [resolution]"""
 GRAIN_M = 1e-4
 """Resolution of the opening in m: a count of an encoder, on links of 60 mm. [resolution]"""
 _EMPTY_STANDING_M_S = 2.5 * STANDING_M_S
-"""The same where the current of empty fingers is judged: nearly two counts of each servo."""
+"""The same where the current of empty fingers is judged: each servo, and a reserve of a half."""
 
 
 class GripperPhase(Enum):
@@ -52,20 +52,27 @@ class ServoState:
     angle_rad: float
     """Angle in the direction of the linkage: 0 at zero_raw, grows while the gripper opens."""
     velocity_rad_s: float
-    """Velocity in the same direction."""
+    """Velocity in the same direction, by the positions: see `gripper.servos.motion`."""
     current_a: float
-    """Present Current; positive drives the gripper open."""
+    """Current of the winding; positive drives the gripper open. Present Current, or by Present PWM
+    where that register has the current of the supply."""
+    motor_a: float | None
+    """The same by Present Current alone; None where the duty is too small for it."""
     position_raw: int
     """Present Position as read."""
     temperature_c: float
     voltage_v: float
     """Present Temperature and Present Input Voltage."""
+    supply_v: float
+    """Voltage of the supply for conversions: without the noise of single readings."""
     tick_ms: int
     """Realtime Tick: the servo's own time, modulo 32768 ms; recordings keep it."""
     pwm_share: float = 0.0
     """Present PWM in the same direction, as a share of the supply."""
     motor_rad_s: float = 0.0
     """Least certain velocity by voltage and current of the motor, without the encoder."""
+    limit_a: float
+    """Largest current in A that the heat of the winding allows."""
     alert: bool
     """True while Hardware Error Status (register 70) is not zero."""
 

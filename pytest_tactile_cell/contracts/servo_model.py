@@ -21,7 +21,8 @@ def test_its_figures_fit_each_other(plugin_name: str) -> None:
     assert stall_nm == pytest.approx(model.stall_torque_nm, rel=0.5)
     assert 0.0 < model.friction_nm < 0.5 * model.stall_torque_nm
     assert model.rotor_inertia_kg_m2 > 0.0
-    assert model.current_a(model.current_raw(0.5)) == pytest.approx(0.5, abs=model.current_unit_a)
+    count_a = 2.0 * model.current_unit_a
+    assert model.winding_a(model.current_raw(0.5)) == pytest.approx(0.5, abs=count_a)
 
 
 def test_its_simulated_servo_answers(plugin_name: str) -> None:

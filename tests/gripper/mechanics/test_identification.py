@@ -125,7 +125,7 @@ def test_only_a_measured_friction_is_contradicted() -> None:
     assert change(point, CATALOGUE) == 1.0
     measured = replace(CATALOGUE, friction_sd=0.05)
     assert change(point, measured) == pytest.approx(0.25 / CATALOGUE.breakaway_a)
-    assert change(point._replace(current_a=-0.13), measured) == 1.0
+    assert change(point._replace(current_a=-0.052), measured) == 1.0
 
 
 def accelerated_points(

@@ -44,11 +44,11 @@ def test_the_default_speed_is_below_what_the_default_cap_allows() -> None:
     assert check_approach(SETTINGS, LINKAGE) == SETTINGS.approach_speed_m_s
     assert approach_speed_m_s(SETTINGS, LINKAGE, (0.1, 0.1)) == SETTINGS.approach_speed_m_s
     limit = impact_limit(SETTINGS, LINKAGE)
-    # 0.0122 kg m² at 60 mm are 3.4 kg, on 55 N/mm 432 N for each m/s; a tenth of 15 N stays free.
-    assert limit.momentum_n_s_m == pytest.approx(437.0, abs=6.0)
+    # 0.0062 kg m² at 60 mm are 1.7 kg, on 55 N/mm 311 N for each m/s; a tenth of 15 N stays free.
+    assert limit.momentum_n_s_m == pytest.approx(311.0, abs=6.0)
     assert limit.most_n == pytest.approx(13.5)
-    assert limit.pad_speed_m_s() == pytest.approx(0.0255, abs=0.001)
-    assert limit.pad_speed_m_s(10.0) == pytest.approx(0.008, abs=0.0002)
+    assert limit.pad_speed_m_s() == pytest.approx(0.038, abs=0.001)
+    assert limit.pad_speed_m_s(10.0) == pytest.approx(0.0112, abs=0.0003)
     assert limit.pad_speed_m_s(14.0) == 0.0
 
 
@@ -91,11 +91,12 @@ def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
     slowed = changed_config(CellConfig(), {"gripper.approach_speed_mm_s": 150.0})
     (note,) = slowed.notes
     assert re.match(
-        r"the fingers approach with as little as 5\d\.\d mm/s, not with gripper.approach_sp", note
+        r"the fingers approach with as little as 7\d\.\d mm/s, not with gripper.approach_sp", note
     )
-    rack = {"kind": "rack_pinion", "pinion_radius_mm": 14.0}
-    friction, _ = changed_config(CellConfig(), {"gripper.linkage": rack}).notes
-    assert "the servos' friction is 16 N at the pads" in friction
+    rack = {"kind": "rack_pinion", "pinion_radius_mm": 8.0}
+    short = {"gripper.linkage": rack, "gripper.force_max_n": 30.0}
+    friction, *_ = changed_config(CellConfig(), short).notes
+    assert "the servos' friction is 11 N at the pads" in friction
     with pytest.raises(ConfigError, match=r"gripper: force_max_n is 2 N: .* Raise force_max_n"):
         changed_config(
             CellConfig(),
@@ -114,7 +115,9 @@ def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone() -> None
         "approach_speed_m_s",
         lambda settings, *_where, **_how: settings.approach_speed_m_s,
     )
-    unguarded = mock.patch.object(GoalGuard, "bounded", lambda _self, goals, _state: tuple(goals))
+    unguarded = mock.patch.object(
+        GoalGuard, "bounded", lambda _self, goals, _state, **_how: tuple(goals)
+    )
     with as_asked:
         kept = force_cap.trial(9008, HARMED)
         with unguarded:

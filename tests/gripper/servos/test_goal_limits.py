@@ -40,8 +40,8 @@ def test_too_much_force_is_lowered_and_as_configured_where_one_pad_alone_shows_i
     cell.clock.sleep(0.5)
     if alone:
         left = abs(cell.register(0, "goal_current"))
-        assert left == pytest.approx(0.8 * abs(written[-1]), abs=2)
-    assert 0.3 < cell.force_n < (4.2 if alone else 6.0 / 2.5)
+        assert 0.6 * abs(written[-1]) < left < abs(written[-1])
+    assert 0.3 < cell.force_n < (4.4 if alone else 6.0 / 2.5)
 
 
 @pytest.mark.parametrize(("over_n", "at_most_s"), [(0.8, 0.03), (3.0, 0.006)])
@@ -123,7 +123,7 @@ def test_a_current_that_makes_more_than_the_cap_is_refused(make_started) -> None
 
 
 PAIR = measured_drives(GripperSettings())
-FRICTION_N, ONE_N_A = 3.69, 0.06 / 1.769
+FRICTION_N, ONE_N_A = 1.5, 0.06 / 1.80
 """Friction of an XM430-W350 at a pad on a link of 60 mm in N, and its current in A for 1 N."""
 
 
@@ -135,10 +135,10 @@ def standing(velocity_rad_s: float) -> ServoFeedback:
 @pytest.mark.parametrize(
     ("goal", "drive_n"),
     [
-        # 1.041 times what is asked for, 1.5 N for the mass, 1.05 times the friction.
-        ({"setpoint_n": 4.0}, 4.163 + 1.5 + 1.05 * FRICTION_N),
-        ({"setpoint_n": 8.0}, 8.327 + 1.5 + 1.05 * FRICTION_N),
-        ({"setpoint_n": 14.2}, 15.0 / 1.041 + 0.82 * FRICTION_N),
+        # 1.041 times what is asked for, 1.5 N for the mass, and the friction.
+        ({"setpoint_n": 4.0}, 4.163 + 1.5 + FRICTION_N),
+        ({"setpoint_n": 8.0}, 8.327 + 1.5 + FRICTION_N),
+        ({"setpoint_n": 14.2}, 0.95 * 15.0 / 1.041 + 0.82 * FRICTION_N),
         # Fingers that press on nothing: below the cap, with the least friction.
         ({}, 13.5 / 1.041 + 0.82 * FRICTION_N),
     ],
@@ -153,11 +153,19 @@ def test_no_more_current_is_written_than_the_force_that_is_asked_for_needs(goal,
         SimpleNamespace(monotonic=lambda: state.t_s),
         GoalGuard(PAIR, LINKAGE),
     )
-    for angle_rad in (0.05, 0.1):
-        writer.write([ServoGoal(angle_rad=angle_rad, current_a=0.66, **goal)] * 2, state)
-    closing_a, still_a = ([0.00269 * raws[0] for raws in values.values()] for values in written)
-    assert closing_a == [pytest.approx(drive_n * ONE_N_A, abs=0.004)] * 2
+    for angle_rad in (0.05, 0.05, 0.05, 0.05, 0.1):
+        rest = ServoGoal(angle_rad=angle_rad, current_a=0.1)
+        pushes = ServoGoal(angle_rad=angle_rad, current_a=0.66, rest=rest, **goal)
+        writer.write([pushes] * 2, state)
+    pushed_a, *steady_a, again_a, still_a = (
+        [0.00269 * raws[0] for raws in values.values()] for values in written
+    )
+    assert steady_a == [[pytest.approx(drive_n * ONE_N_A, abs=0.004)] * 2] * 2
     assert still_a == [pytest.approx(0.66, abs=0.003)] * 2
+    # A push against friction at rest lasts one period of three.
+    most_n = min(drive_n + 1.5 * FRICTION_N, 0.95 * 15.0 / 1.041 + 0.82 * FRICTION_N)
+    if "setpoint_n" in goal:
+        assert pushed_a == again_a == [pytest.approx(most_n * ONE_N_A, abs=0.004)] * 2
 
 
 def test_fingers_that_press_keep_a_speed_that_goes_by_no_pad() -> None:
@@ -182,7 +190,7 @@ def test_known_friction_brakes_a_finger_that_is_slightly_too_fast(
     settings = replace(PAIR, drives=drives)
     guard, asked = GoalGuard(settings, LINKAGE), [ServoGoal(angle_rad=0.05, current_a=0.6)] * 2
     most_m_s = max(impact_limit(settings, LINKAGE, (0.1, 0.1)).pad_speed_m_s(), 0.5 * SLOWEST_M_S)
-    braked = guard.bounded(asked, standing(velocity_rad_s=-(most_m_s / 0.0597 + 0.1)))
+    braked = guard.bounded(asked, standing(velocity_rad_s=-(most_m_s / 0.0597 + 0.2)))
     if keeps:
         assert all(goal.angle_rad == 0.05 and 0.1 < goal.current_a < 0.4 for goal in braked)
     else:

@@ -13,7 +13,7 @@ def tripped(make_cell):
     """A part gripped with 14 N, whose servos' watchdogs have tripped: they hold it with less."""
     cell = make_cell(width_m=0.016, aperture_m=0.024, force_max_n=15.0, aperture_open_m=0.024)
     cell.gripper.start()
-    outcome = cell.gripper.grasp(ForceRamp.linear(14.0, rate_n_s=20.0, hold_s=0.3))
+    outcome = cell.gripper.grasp(ForceRamp.linear(13.6, rate_n_s=20.0, hold_s=0.3))
     assert outcome.result is GraspResult.FORCE_REACHED
     cell.clock.sleep(1.0)
     assert [cell.register(index, "bus_watchdog") for index in (0, 1)] == [-1, -1]

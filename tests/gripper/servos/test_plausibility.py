@@ -31,9 +31,9 @@ def moving(
         )
         voltage_v = OHM * current_a + BACK_EMF_V_S * speed_rad_s
         yield replace(
-            make_servo(servo_id=1, voltage_v=12.0, velocity_rad_s=0.0),
+            make_servo(servo_id=1, supply_v=12.0, velocity_rad_s=0.0),
             angle_rad=count_rad * round(at_rad / count_rad),
-            current_a=2.69e-3 * round(current_a / 2.69e-3),
+            motor_a=2.69e-3 * round(current_a / 2.69e-3),
             pwm_share=round(885 * voltage_v / 12.0) / 885,
         )
 
@@ -62,7 +62,7 @@ def test_the_motor_agrees_with_its_position_and_has_no_more_than_its_speed(motor
     assert pushed(motor, moving(SWEEPS, seed=seed)) == 0.0
     for speed_rad_s in (-0.5, 0.0, 0.3):
         (servo,) = moving([speed_rad_s])
-        least_rad_s = motor.least_rad_s(servo.voltage_v * servo.pwm_share, servo.current_a)
+        least_rad_s = motor.least_rad_s(servo.supply_v * servo.pwm_share, servo.motor_a)
         assert 0.5 * abs(speed_rad_s) <= abs(least_rad_s) <= abs(speed_rad_s)
         assert least_rad_s * speed_rad_s >= 0.0
 

@@ -1,0 +1,126 @@
+"""Servos that measure and limit the current of the supply: conversions, and the cap by them.
+
+The servo of these tests follows the bus law of logs and of Rhoban/bam, thread 14; no formula of the
+product is used for it.
+"""
+
+import random
+from dataclasses import replace
+from math import exp, sqrt
+
+import pytest
+
+from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W350
+from gripper.mechanics.kinematics import Transmission
+from gripper.servos.plausibility import MotorTravel
+from gripper.servos.winding import Supply, winding_a
+from gripper.settings import GripperSettings, ServoSettings
+from tests.values import make_servo
+
+PERIOD_S = 0.005
+
+
+@pytest.mark.parametrize(
+    ("model", "goal_raw", "phase_a"),
+    [
+        (XL330_M288, 0, 0.0),
+        (XL330_M288, 50, 0.27),
+        (XL330_M288, 100, 0.38),
+        (XL330_M288, 350, 0.72),
+        (XL330_M288, 1000, 1.21),
+        (XC330_M288, 72, 0.36),
+        (XC330_M288, 450, 0.90),
+        (XM430_W350, 100, 0.269),
+    ],
+)
+def test_goal_currents_and_the_currents_of_the_winding(model, goal_raw, phase_a) -> None:
+    assert model.winding_a(goal_raw) == pytest.approx(phase_a, abs=0.005)
+    assert model.current_raw(model.winding_a(goal_raw)) == goal_raw
+
+
+def duty_of(goal_a: float, supply_v: float, ohm: float, back_v: float = 0.0) -> float:
+    """Duty at which the current of the supply is a goal from 0 up, with a voltage of motion."""
+    return (back_v + sqrt(back_v**2 + 4.0 * supply_v * ohm * goal_a)) / (2.0 * supply_v)
+
+
+def test_a_motion_never_makes_more_current_than_asked() -> None:
+    draw, model = random.Random(3), XL330_M288
+    for _ in range(300):
+        asked_a, speed_rad_s = draw.uniform(0.05, 1.2), draw.uniform(-1.5, 1.5)
+        back_v = model.back_emf_v_s * speed_rad_s
+        raw = model.current_raw(asked_a, 5.0, max(0.0, -speed_rad_s))
+        duty = duty_of(1e-3 * raw, 5.0, model.winding_ohm, back_v)
+        # Half a count, and the current that a short circuit brakes with.
+        root_v = sqrt(back_v**2 + 4.0 * 5.0 * model.winding_ohm * 1e-3 * raw)
+        most_a = asked_a + 0.6e-3 * 5.0 / max(root_v, 0.1)
+        short_a = max(0.0, -back_v) / model.winding_ohm
+        assert (duty * 5.0 - back_v) / model.winding_ohm <= max(most_a, short_a)
+        # A part stops the finger before the next write.
+        if speed_rad_s > 0.0:
+            stopped_a = duty_of(1e-3 * raw, 5.0, model.winding_ohm) * 5.0 / model.winding_ohm
+            assert stopped_a == pytest.approx(asked_a, abs=most_a - asked_a)
+
+
+def test_the_supply_is_the_median_of_twenty_readings_or_more() -> None:
+    draw, supply = random.Random(1), Supply()
+    first_v = [supply.steady_v(draw.gauss(5.0, 0.7), under_torque=True) for _ in range(19)]
+    assert min(first_v[5:]) > 5.0
+    later_v = [supply.steady_v(draw.gauss(5.0, 0.7), under_torque=True) for _ in range(400)]
+    assert max(abs(one - 5.0) for one in later_v[30:]) < 0.4
+    assert supply.steady_v(5.6, under_torque=False) == pytest.approx(5.6)
+
+
+@pytest.mark.parametrize("cap_n", [5.0, 15.0, 30.0])
+def test_no_servo_of_the_logs_presses_above_the_cap_before_pads_show_it(cap_n: float) -> None:
+    """Torque by the winding's voltage as in logs of rising weights; 0.3 N are sample noise."""
+    draw, model = random.Random(5), XL330_M288
+    drive = DriveCharacteristic.catalogue(model)
+    for _ in range(300):
+        radius_m, true_v = draw.uniform(0.008, 0.06), draw.uniform(4.75, 5.5)
+        path, supply = Transmission(drive, radius_m), Supply()
+        for _ in range(draw.choice((1, 20, 40))):
+            supply_v = supply.steady_v(draw.gauss(true_v, 0.6), under_torque=True)
+        current_a = min(path.pressing_current_a(cap_n), model.stall_current_a)
+        goal_a = 1e-3 * model.current_raw(current_a, supply_v)
+        ohm = model.winding_ohm * draw.uniform(0.83, 1.2)
+        motor_v = min(1.0, duty_of(goal_a, true_v, ohm)) * true_v
+        torque_nm = (motor_v - draw.uniform(0.1, 0.3)) / draw.uniform(13.0, 17.0)
+        assert torque_nm / radius_m <= cap_n + 0.3
+    assert drive.sticks
+
+
+def feedback(duty: float, speed_rad_s: float, angle_rad: float, seed: int = 0):
+    """Feedback of an XL330 with a warm winding, its supply off by 4 %."""
+    draw, ohm, true_v = random.Random(seed), 1.12 * XL330_M288.winding_ohm, 5.2
+    true_a = (duty * true_v - 0.44 * speed_rad_s) / ohm
+    present_a = round(1e3 * abs(duty * true_a)) * (1e-3 if true_a > 0.0 else -1e-3)
+    current_a, motor_a = winding_a(XL330_M288, present_a, duty, 5.0, speed_rad_s)
+    assert current_a == pytest.approx(true_a, abs=0.25 * abs(true_a) + 0.01)
+    assert (motor_a is None) == (abs(duty) <= 0.2)
+    servo = make_servo(current_a=current_a, motor_a=motor_a, supply_v=5.0, pwm_share=duty)
+    return replace(servo, angle_rad=angle_rad + draw.gauss(0.0, 5e-4))
+
+
+def test_good_grasps_are_no_contradiction_and_a_position_far_off_is_one() -> None:
+    settings = GripperSettings(servos=(ServoSettings(servo_id=1, model="XL330-M288"),))
+    motor, angle_rad, at_s, most_rad = MotorTravel(settings, settings.servos[0]), 0.5, 0.0, 0.0
+    moves = [(-0.12, -0.8)] * 100 + [(-0.3, 0.0)] * 300 + [(-0.5, -0.02)] * 200 + [(0.3, 1.5)] * 60
+    for seed, (duty, speed_rad_s) in enumerate(moves):
+        at_s, angle_rad = at_s + PERIOD_S, angle_rad + speed_rad_s * PERIOD_S
+        servo = feedback(duty, speed_rad_s, angle_rad, seed)
+        motor.push(servo, at_s, loaded=True)
+        most_rad = max(most_rad, motor.unseen_rad)
+        least_rad_s = motor.least_rad_s(duty * servo.supply_v, servo.motor_a)
+        assert abs(least_rad_s) <= max(abs(speed_rad_s), 1e-9)
+    assert most_rad == 0.0
+    for _ in range(100):
+        at_s += PERIOD_S
+        motor.push(feedback(0.5, 4.0, angle_rad), at_s, loaded=True)
+    assert motor.unseen_rad > 0.01
+
+
+def test_a_servo_without_torque_has_no_current() -> None:
+    assert winding_a(XL330_M288, 0.0, 0.0, 5.0, 1.0) == (0.0, None)
+    assert winding_a(XM430_W350, 0.2, 0.1, 12.0, 1.0) == (0.2, 0.2)
+    assert exp(2.0 * XL330_M288.kt_sd) * XL330_M288.kt_nm_a > 3.4 / 13.0
