@@ -55,6 +55,11 @@ SERVO_BACKUP = Format(
     "tactile-cell-servo-backup/1",
     "use another copy of it, or the tactile-cell that wrote it",
 )
+SERVO_BENCH = Format(
+    "result of the bench of a servo",
+    "tactile-cell-servo-bench/1",
+    "measure the servo again: `tactile-cell bench servo`",
+)
 SELF_ZERO = Format("self-zero", "tactile-cell-self-zero/2", "`tactile-cell zero` measures it anew")
 ARCHIVE = Format(
     "archive", "tactile-cell-archive/2", "archive the recordings again, to a new place"

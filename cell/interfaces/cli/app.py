@@ -10,6 +10,7 @@ from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.commands import (
     archive,
     backup,
+    bench,
     calibrate,
     clear,
     commission,
@@ -98,6 +99,7 @@ app.add_typer(config.app, name="config")
 app.add_typer(recordings.app, name="recordings")
 app.add_typer(archive.app, name="archive")
 app.add_typer(plot.app, name="plot")
+app.add_typer(bench.app, name="bench")
 
 
 def main() -> None:

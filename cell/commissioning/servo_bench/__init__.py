@@ -1,0 +1,1 @@
+"""A servo on a bench, measured with an arm and a kitchen scale: protocol, log, result."""

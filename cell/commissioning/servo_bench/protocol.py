@@ -1,0 +1,327 @@
+"""The protocol of the bench: eight steps of a few minutes, each of which can be left out."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cell.commissioning.engine import Dialog, NumberRange, Question, StepFailed
+from cell.commissioning.servo_bench import fits
+from cell.commissioning.servo_bench.rig import Reading, Rig, records
+from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
+from gripper.dynamixel.models import OperatingMode
+
+ARM_M = 0.1
+"""Length in m of the arm from the horn's axis to the screw on the scale."""
+_N_PER_G = 9.80665e-3
+"""Weight in N of one gram."""
+_STEPS, _STEP_PULSES = 10, 200
+"""Steps of the goal in free motion, and their size in pulses."""
+_BEYOND_PULSES = (5, 10, 20, 40, 80)
+_P_GAINS = (400, 800)
+"""Goals beyond a locked arm in pulses, and P gains with them."""
+_OUT_OF_REACH_PULSES = 1000
+"""Distance in pulses of a goal that the arm on the scale does not reach."""
+_LOAD_SHARES = (0.03, 0.06, 0.12, 0.2, 0.28, 0.36)
+"""Currents on the scale over the stall current, in modes with the current of the winding."""
+_SUPPLY_SHARES = (0.006, 0.012, 0.02, 0.04, 0.07, 0.11)
+"""The same for a servo whose current is that of its supply: 0.16 A of an XL330, below a trip."""
+_RAMPED = 20
+"""Steps from one of these currents to the next, in 1 s."""
+_SPEEDS_RAD_S = (0.1, 0.2, 0.5, 1.0, 2.0)
+_COUNT_S = 0.05
+"""Time in s of each count of PWM to the first motion."""
+_MOVED_PULSES = 5
+"""Travel in pulses that counts as motion."""
+_PLACES, _PLACE_PULSES = 3, 400
+"""Positions of the first motion, and the pulses between two of them."""
+_HOT_SHARES = (0.17, 0.26, 0.35, 0.43)
+_HOLD_S, _COOL_S = 60.0, 120.0
+"""Currents held on the scale over the stall current, the longest time of each in s, and the pause
+after it."""
+_WATCHDOG_RAW, _SILENT_S = 5, 0.5
+"""Time of the watchdog in counts of `WATCHDOG_UNIT_S`, and the silence in s after it."""
+
+Values = dict[str, Any]
+
+
+class BenchStep(NamedTuple):
+    """One step of the protocol."""
+
+    key: str
+    title: str
+    minutes: int
+    """Name in the log, heading and usual time."""
+    prepare: str
+    """Set-up by hand before it, and the motion that follows."""
+    run: Callable[[Rig, Dialog], Values]
+    """Measures; returns values by name, None for what its readings do not show."""
+
+
+def winding_a(rig: Rig, current_a: float, pwm_share: float) -> float:
+    """Return the current of the winding in A from that of the register.
+
+    A supply gives its current in the share of the time in which the bridge is on.
+    """
+    if not rig.model.supply_current:
+        return current_a
+    return current_a / abs(pwm_share) if abs(pwm_share) > 0.05 else 0.0
+
+
+def registers(rig: Rig, _dialog: Dialog) -> Values:
+    """Read the gains that the firmware sets in both modes."""
+    values: Values = {
+        "firmware": rig.read("firmware_version"),
+        "shutdown_raw": rig.read("shutdown"),
+    }
+    for mode in (OperatingMode.POSITION, OperatingMode.CURRENT_BASED_POSITION):
+        rig.write(operating_mode=mode)
+        gains = [rig.read(f"position_{gain}_gain") for gain in "dip"]
+        values[f"gains_mode_{int(mode)}"] = gains
+    return values
+
+
+def velocity(rig: Rig, _dialog: Dialog) -> Values:
+    """Measure the delay of Present Velocity and the gain of the position loop in free motion."""
+    rig.start(OperatingMode.POSITION, position_d_gain=0)
+    centre, first = rig.sample().position_pulses, len(rig.log)
+    # Away from the ends of the turn, beyond which mode 3 takes no goal.
+    away = _STEP_PULSES if centre < rig.model.pulses_per_turn // 2 else -_STEP_PULSES
+    for step in range(_STEPS):
+        rig.position(centre + (away if step % 2 == 0 else 0))
+        rig.watch(f"step {step}", 0.5)
+    rows = records(rig.log[first:])
+    position_rad = rows.position_pulses * rig.model.rad_per_pulse
+    window_s, low_pass_s, rms = fits.velocity_filter(rows.t_s, position_rad, rows.velocity_rad_s)
+    # Neither saturated nor on its way at the slope of the PWM.
+    below = (np.abs(rows.pwm_share) < 0.9) & (np.abs(np.gradient(rows.pwm_share)) < 0.02)
+    error, pwm = rows.goal_pulses - rows.position_pulses, rows.pwm_share * rig.model.whole_pwm_raw
+    return {
+        "velocity_mean_s": window_s,
+        "velocity_low_pass_s": low_pass_s,
+        "velocity_rms_rad_s": rms,
+        "error_per_pwm": fits.error_gain(error[below], pwm[below], rig.read("position_p_gain")),
+    }
+
+
+def locked(rig: Rig, _dialog: Dialog) -> Values:
+    """Measure the gain of the position loop in mode 5, with the arm locked."""
+    values: Values = {}
+    for p_gain in _P_GAINS:
+        rig.start(OperatingMode.CURRENT_BASED_POSITION, position_p_gain=p_gain)
+        rig.current(rig.most_a)
+        start = rig.sample().position_pulses
+        points = []
+        for beyond in _BEYOND_PULSES:
+            rig.position(start + beyond)
+            rows = rig.watch(f"P {p_gain}, {beyond} pulses", 1.0)[-50:]
+            if abs(rows.current_a.mean()) < 0.9 * rig.most_a:  # not at its limit
+                error = rows.goal_pulses - rows.position_pulses
+                points.append((error.mean(), rows.current_a.mean() / rig.model.current_unit_a))
+        rig.position(start)
+        errors, currents = np.array(points).reshape(-1, 2).T
+        values[f"error_per_current_p{p_gain}"] = fits.error_gain(errors, currents, p_gain)
+    return values
+
+
+class _Load(NamedTuple):
+    """One weighing: currents in A, torque in N m, PWM as a share, voltage of the winding in V."""
+
+    register_a: float
+    motor_a: float
+    torque_nm: float
+    pwm_share: float
+    winding_v: float
+
+
+def scale(rig: Rig, dialog: Dialog) -> Values:
+    """Measure the torque of rising and falling currents with weights."""
+    rig.start(OperatingMode.CURRENT)
+    shares = _SUPPLY_SHARES if rig.model.supply_current else _LOAD_SHARES
+    amps = [share * rig.model.stall_current_a for share in shares]
+    sides: dict[str, list[_Load]] = {"rising": [], "falling": []}
+    last_a = 0.0
+    for side, currents in (("rising", amps), ("falling", amps[-2::-1])):
+        for current_a in currents:
+            part = f"{side} {current_a:.3f} A"
+            # A sudden current would throw the arm, and friction would keep the peak.
+            for between_a in np.linspace(last_a, current_a, _RAMPED + 1)[1:]:
+                rig.current(rig.press * float(between_a))
+                rig.watch(part, 1.0 / _RAMPED)
+            last_a = current_a
+            rows = rig.watch(part, 1.0)
+            if rig.read("hardware_error_status"):
+                raise StepFailed(f"the servo has tripped at {current_a:.3f} A: let it cool")
+            torque_nm = weighed_nm(dialog, f"scale.{side}.{1e3 * current_a:.0f}", part)
+            share, register_a = abs(rows.pwm_share.mean()), abs(rows.current_a.mean())
+            motor_a, volts = winding_a(rig, register_a, share), share * rows.voltage_v.mean()
+            sides[side].append(_Load(register_a, motor_a, torque_nm, share, volts))
+    most_nm = sides["rising"][-1].torque_nm
+    # Friction holds the first loads below, and the whole load until the current has fallen enough.
+    rising = [one for one in sides["rising"] if one.torque_nm > 0.1 * most_nm]
+    falling = [one for one in sides["falling"] if one.torque_nm < 0.9 * most_nm]
+    every = [one for one in (*rising, *falling) if one.motor_a > 0.0]
+    return {
+        "rising_a_nm": fits.slope([r.torque_nm for r in rising], [r.motor_a for r in rising]),
+        "falling_a_nm": fits.slope([f.torque_nm for f in falling], [f.motor_a for f in falling]),
+        "winding_ohm": fits.slope([one.motor_a for one in every], [one.winding_v for one in every]),
+        "duty_exponent": fits.exponent(
+            [one.register_a for one in every], [one.pwm_share for one in every]
+        ),
+    }
+
+
+def weighed_nm(dialog: Dialog, key: str, part: str) -> float:
+    """Ask for the reading of the scale in g, and return the torque at the horn in N m."""
+    grams = NumberRange(lowest=-100.0, highest=20_000.0, unit="g")
+    question = Question(key=key, text=f"{part}: reading of the scale in g?", number=grams)
+    return float(dialog.ask(question)) * _N_PER_G * ARM_M
+
+
+def free(rig: Rig, _dialog: Dialog) -> Values:
+    """Measure friction, breakaway, back-EMF and the noise of the current in free motion."""
+    rig.start(OperatingMode.VELOCITY)
+    points, noise_a = [], {}
+    for speed_rad_s in (sign * speed for speed in _SPEEDS_RAD_S for sign in (1, -1)):
+        rig.velocity(speed_rad_s)
+        rows = rig.watch(f"{speed_rad_s} rad/s", 1.5)[-150:]
+        turned_rad = rows.position_pulses * rig.model.rad_per_pulse
+        share = rows.pwm_share.mean()
+        motor_a = winding_a(rig, rows.current_a.mean(), share)
+        points.append((fits.line(rows.t_s, turned_rad)[0], motor_a, share * rows.voltage_v.mean()))
+        noise_a[str(speed_rad_s)] = float(rows.current_a.std())
+    speeds, currents, volts = np.array(points).T
+    coulomb_a, viscous_a_s, offset_a = fits.friction(speeds, currents)
+    motor_v = volts - rig.model.winding_ohm * currents
+    if rig.model.supply_current:
+        # A slow motor takes too little from its supply to be measured; its voltage shows more.
+        coulomb_v, v_s, _ = fits.friction(speeds, volts)
+        coulomb_a, fastest = coulomb_v / rig.model.winding_ohm, np.abs(speeds).argmax()
+        viscous_a_s = max(0.0, (abs(currents[fastest]) - coulomb_a) / abs(speeds[fastest]))
+        motor_v = (v_s - rig.model.winding_ohm * viscous_a_s) * speeds
+    back_emf_v_s = float(motor_v @ speeds / (speeds @ speeds))
+    return {
+        "coulomb_a": coulomb_a,
+        "viscous_a_s": viscous_a_s,
+        "offset_a": offset_a,
+        "back_emf_v_s": back_emf_v_s,
+        "current_noise_a": noise_a,
+        "profile_in_current_mode": _keeps_profile(rig),
+        "breakaway_a": _breakaway_a(rig),
+    }
+
+
+def _keeps_profile(rig: Rig) -> bool:
+    """Return whether Profile Velocity limits the speed in mode 5."""
+    profile_raw = 10
+    rig.start(OperatingMode.CURRENT_BASED_POSITION)
+    rig.current(0.5 * rig.most_a)
+    rig.position(rig.sample().position_pulses + _STEP_PULSES, profile_raw=profile_raw)
+    rows = rig.watch("profile", 0.5)[-60:]
+    speed_rad_s = fits.line(rows.t_s, rows.position_pulses * rig.model.rad_per_pulse)[0]
+    return bool(0.0 < speed_rad_s < 2.0 * profile_raw * rig.model.velocity_unit_rad_s)
+
+
+def _breakaway_a(rig: Rig) -> float | None:
+    """Return the mean current of the winding in A at which the free horn begins to move."""
+    found = []
+    for place in range(_PLACES):
+        for sign in (1, -1):
+            rig.start(OperatingMode.PWM)
+            moved = partial(_moved, rig.sample().position_pulses)
+            for raw in range(rig.most_pwm_raw):
+                rig.pwm(sign * raw)
+                last = rig.watch(f"first motion {place}", _COUNT_S, moved)[-1]
+                if moved(last):
+                    volts = raw / rig.model.whole_pwm_raw * last.voltage_v
+                    found.append(volts / rig.model.winding_ohm)
+                    break
+        rig.start(OperatingMode.EXTENDED_POSITION)
+        rig.position(rig.sample().position_pulses + _PLACE_PULSES)
+        rig.watch("next place", 0.5)
+    return sum(found) / len(found) if found else None
+
+
+def _moved(start_pulses: int, row: Reading) -> bool:
+    return abs(row.position_pulses - start_pulses) >= _MOVED_PULSES
+
+
+def _press(rig: Rig, current_a: float) -> None:
+    """Press on the scale with a current in A, in mode 5."""
+    rig.start(OperatingMode.CURRENT_BASED_POSITION)
+    rig.current(current_a)
+    rig.position(rig.sample().position_pulses + rig.press * _OUT_OF_REACH_PULSES)
+
+
+def heat(rig: Rig, dialog: Dialog) -> Values:
+    """Hold currents on the scale until the servo trips, or for a minute each."""
+    found: dict[str, dict[str, float | None]] = {}
+    half = 0.5 if rig.model.supply_current else 1.0
+    for current_a in (half * share * rig.model.stall_current_a for share in _HOT_SHARES):
+        _press(rig, current_a)
+        rows = rig.watch(f"hold {current_a:.2f} A", _HOLD_S, lambda row: not row.pwm_share)
+        tripped = bool(rig.read("hardware_error_status")) or not rig.read("torque_enable")
+        rig.write(torque_enable=0)
+        ohms = [
+            (abs(part.pwm_share) * part.voltage_v).mean()
+            / (winding_a(rig, abs(part.current_a).mean(), part.pwm_share.mean()) or np.nan)
+            for part in (rows[20:60], rows[-60:-20])
+        ]
+        found[f"{current_a:.2f}"] = {
+            "trip_s": float(rows.t_s[-1] - rows.t_s[0]) if tripped else None,
+            "register_rise_k": float(rows.temperature_c[-1] - rows.temperature_c[0]),
+            "winding_rise_k": float((ohms[1] / ohms[0] - 1.0) / fits.COPPER_PER_K),
+        }
+        if tripped:
+            rig.bus.reboot(rig.servo_id)
+        for left_s in np.arange(_COOL_S, 0.0, -1.0):
+            dialog.live("cooling", f"{left_s:.0f} s")
+            rig.clock.sleep(1.0)
+    return {"held": found}
+
+
+def watchdog(rig: Rig, dialog: Dialog) -> Values:
+    """Stop talking to a servo that presses on the scale, and see what it does."""
+    _press(rig, (0.07 if rig.model.supply_current else 0.1) * rig.model.stall_current_a)
+    rig.watch("before the silence", 1.0)
+    before_nm = weighed_nm(dialog, "watchdog.before", "before the silence")
+    rig.write(bus_watchdog=_WATCHDOG_RAW)
+    rig.clock.sleep(_SILENT_S + _WATCHDOG_RAW * WATCHDOG_UNIT_S)
+    values: Values = {
+        f"{name}_after_silence": rig.read(name)
+        for name in ("torque_enable", "bus_watchdog", "goal_current")
+    }
+    after_nm = weighed_nm(dialog, "watchdog.after", "after the silence")
+    return values | {"held_share": after_nm / before_nm if before_nm > 0.0 else None}
+
+
+def swing(rig: Rig, dialog: Dialog) -> Values:
+    """Nudge the free arm in mode 5 with the gains of the driver, and see whether it swings."""
+    d_gain, _, p_gain = rig.model.position_gains
+    rig.start(OperatingMode.CURRENT_BASED_POSITION, position_p_gain=p_gain, position_d_gain=d_gain)
+    rig.current(0.3 * rig.most_a)
+    rig.position(rig.sample().position_pulses + _BEYOND_PULSES[0])
+    dialog.confirm("swing.nudge", "Nudge the arm, and let it go.")
+    rows = rig.watch("after the nudge", 2.0)[-200:]
+    return {"swing_pulses": float(np.ptp(rows.position_pulses))}
+
+
+_FREE = "Take the arm off: the horn turns freely."
+_ON_SCALE = (
+    "Screw the arm on, its screw on the scale, and set the scale to zero. The servo presses on it."
+)
+_COLD = "A cold servo. It changes between modes 3 and 5 without torque."
+_LOCKED = "Screw the arm on and lock it in a vice. The servo pushes against it."
+_ASIDE = "Turn the arm away from the scale: it swings freely by a few degrees."
+STEPS = (
+    BenchStep("registers", "Registers", 1, _COLD, registers),
+    BenchStep("velocity", "Velocity register", 3, f"{_FREE} It turns by 18 degrees.", velocity),
+    BenchStep("locked", "Position loop in mode 5", 3, _LOCKED, locked),
+    BenchStep("scale", "Torque", 12, _ON_SCALE, scale),
+    BenchStep("free", "Friction and back-EMF", 8, f"{_FREE} It turns both ways.", free),
+    BenchStep("heat", "Overload and heat", 14, f"{_ON_SCALE} It gets hot and may trip.", heat),
+    BenchStep("watchdog", "Silence", 2, _ON_SCALE, watchdog),
+    BenchStep("swing", "Swing", 2, _ASIDE, swing),
+)
+"""The steps in their order: a cold servo first."""

@@ -1,0 +1,128 @@
+"""The result of the bench: a log, a file with the values, and their comparison with the model."""
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from cell.commissioning.engine import Dialog, StepFailed
+from cell.commissioning.servo_bench.protocol import STEPS, Values
+from cell.commissioning.servo_bench.rig import Reading, Rig
+from cell.data.files import free_name, write_text
+from cell.data.formats import SERVO_BENCH, write_json
+from cell.errors import CellError
+from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.models import ServoModel
+from gripper.errors import GripperError
+
+
+def compared(model: ServoModel, values: Values) -> Iterator[tuple[bool, str]]:
+    """Return whether each measured number agrees with the model, and a line with both."""
+    drive = DriveCharacteristic.catalogue(model)
+    use = "use `measured` in the config"
+    ratio = f"{use}, or the force is off by this ratio"
+    # Name, value of the model, share by which it may differ, and what a larger difference means.
+    rows = (
+        ("error_per_pwm", model.error_per_pwm, 0.03, "the goal's lead of this model is wrong"),
+        ("winding_ohm", model.winding_ohm, 0.2, "the winding was warm, or the model is wrong"),
+        ("rising_a_nm", drive.rising_a_nm, 0.15, ratio),
+        ("falling_a_nm", drive.falling_a_nm, 0.3, ratio),
+        ("back_emf_v_s", model.back_emf_v_s, 0.15, "checks of the encoder by the motor are off"),
+        ("coulomb_a", drive.coulomb_a, 0.5, use),
+        ("breakaway_a", drive.breakaway_a, 0.5, use),
+    )
+    for name, of_model, within, consequence in rows:
+        if (found := values.get(name)) is not None:
+            agrees = abs(found - of_model) <= within * of_model
+            verdict = "agrees" if agrees else f"differs: {consequence}"
+            yield agrees, f"{name}: model {of_model:.4g}, measured {found:.4g}, {verdict}"
+
+
+def findings(model: ServoModel, values: Values) -> list[str]:
+    """Return the lines of the result that are no comparison of numbers."""
+    lines = []
+    if (gains := values.get("gains_mode_5")) is not None:
+        lines.append(f"gains that mode 5 sets by itself (D, I, P): {gains}")
+    if (window_s := values.get("velocity_mean_s")) is not None:
+        delay_s = 0.5 * window_s + values["velocity_low_pass_s"]
+        lines.append(
+            f"Present Velocity is {1e3 * delay_s:.0f} ms late; positions measure the motion"
+        )
+    if (exponent := values.get("duty_exponent")) is not None:
+        by_supply = exponent < 0.75
+        whose = "supply" if by_supply else "winding"
+        line = f"the current registers are those of the {whose} (PWM ~ current^{exponent:.2f})"
+        if by_supply != model.supply_current:
+            line += ", unlike its model: do not use this servo, and report its firmware"
+        lines.append(line)
+    for name, held in values.get("held", {}).items():
+        end = "held" if (s := held["trip_s"]) is None else f"tripped after {s:.0f} s: a part drops"
+        lines.append(f"{name} A on the scale: {end}")
+    if (share := values.get("held_share")) is not None:
+        lines.append(
+            f"after the watchdog tripped it holds {100.0 * share:.0f} % of the force"
+            + ("" if share > 0.5 else ": a part drops when the host dies")
+        )
+    if (pulses := values.get("swing_pulses")) is not None:
+        quiet = pulses <= 2.0
+        lines.append(f"after a nudge it {'rests' if quiet else f'swings by {pulses:.0f} pulses'}")
+    return lines
+
+
+def run_bench(rig: Rig, dialog: Dialog, folder: Path) -> tuple[Path, ...]:
+    """Run the steps that the person wants, and write log and result; return their paths.
+
+    A step that fails, or an abort, keeps what was measured before. Raises CellError if the files
+    cannot be written.
+    """
+    values: Values = {}
+    done: list[str] = []
+    try:
+        for number in range(1, len(STEPS) + 1):
+            _run_step(number, rig, dialog, values, done)
+    finally:
+        for _, line in compared(rig.model, values):
+            dialog.say(line)
+        for line in findings(rig.model, values):
+            dialog.say(line)
+        files = _write(rig, values, done, folder)
+    return files
+
+
+def _run_step(number: int, rig: Rig, dialog: Dialog, values: Values, done: list[str]) -> None:
+    step = STEPS[number - 1]
+    answer = dialog.choose(
+        f"{step.key}.begin",
+        f"{number}/{len(STEPS)} {step.title} (about {step.minutes} min)\n{step.prepare}",
+        {"run": "ready: run the step", "leave": "leave the step out"},
+        "run",
+    )
+    if answer == "leave":
+        return
+    try:
+        with rig.running(step.key):
+            values |= {k: v for k, v in step.run(rig, dialog).items() if v is not None}
+        done.append(step.key)
+    except (StepFailed, GripperError) as why:
+        dialog.say(f"{step.title} failed: {why}")
+
+
+def _write(rig: Rig, values: Values, done: Sequence[str], folder: Path) -> tuple[Path, ...]:
+    folder.mkdir(parents=True, exist_ok=True)
+    name = f"servo-bench-{rig.model.name.lower()}-id{rig.servo_id}"
+    log = free_name(folder / f"{name}.csv")
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(Reading._fields)
+    writer.writerows(rig.log)
+    write_text(log, text.getvalue(), error=CellError, what="log of the bench")
+    result = log.with_suffix(".json")
+    content = {
+        "model": rig.model.name,
+        "at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "steps": done,
+        "values": values,
+    }
+    write_json(result, SERVO_BENCH, content, error=CellError)
+    return log, result

@@ -1,0 +1,265 @@
+"""The bench of one servo gives back the values of the simulated servo that it measures."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.commissioning.bench import Bench, LineOpener
+from cell.commissioning.engine import Question, StepFailed, WizardAborted
+from cell.commissioning.servo_bench.protocol import STEPS
+from cell.commissioning.servo_bench.result import run_bench
+from cell.commissioning.servo_bench.rig import Rig, open_rig
+from cell.config.measured_servo import measured_drive
+from cell.errors import ConfigError
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350
+from gripper.dynamixel.serial_port import ByteStream
+from simulator.clock import VirtualClock
+from simulator.servo.bus import MemoryServoStream, ServoBusDevice
+from simulator.servo.device import SimulatedServo
+from simulator.servo.drawn import drawn_gearing
+from simulator.servo.encoder import ServoNoise
+from simulator.servo.mechanics import FingerMechanics, RackLinkage, ServoMount
+from simulator.servo.motor import ServoMotor
+from tests.cell.commissioning.hands import Script
+
+ARM_M = 0.1
+G_PER_N = 1e3 / 9.80665
+SCALE_N_M, VICE_N_M = 2e4, 1e6
+
+
+class SimulatedBench:
+    """A servo with an arm over a scale, in a vice, or free; and a person who sets it up."""
+
+    def __init__(self, model: str = "XM430-W350", n_servos: int = 1, seed: str = "7") -> None:
+        self.clock = VirtualClock()
+        drawn = drawn_gearing(MODELS[model], seed)
+        self.motor = ServoMotor(MODELS[model], gearing=drawn, noise=ServoNoise(seed))
+        self.mechanics = FingerMechanics(
+            [self.motor],
+            [ServoMount()],
+            RackLinkage(pinion_radius_m=ARM_M, travel_m=0.9),
+            aperture_m=0.0,
+            half_opening_min_m=-0.9,
+        )
+        servo = SimulatedServo(1, MODELS[model], self.motor, settings={"baud_rate": 3})
+        self.servo = servo
+        others = [
+            SimulatedServo(
+                1 + n, MODELS[model], ServoMotor(MODELS[model]), settings={"baud_rate": 3}
+            )
+            for n in range(1, n_servos)
+        ]
+        self.device = ServoBusDevice([servo, *others], 1_000_000)
+        self.stream = MemoryServoStream(self.device, self.clock)
+        self.place = "free"
+        self.rest_m = 0.0
+        self._last_s = 0.0
+        self.clock.on_advance.append(self._advance)
+        bus = ServoBus(self.stream, baudrate=1_000_000, clock=self.clock)
+        self.rig = Rig(bus, 1, MODELS[model], self.clock)
+        self.rig.press = -1
+
+    def _force_n(self) -> float:
+        way_m = self.rest_m - self.mechanics.finger_position_m[0]
+        if self.place == "vice":
+            return VICE_N_M * way_m
+        return max(0.0, SCALE_N_M * way_m) if self.place == "scale" else 0.0
+
+    def _advance(self, now_s: float) -> None:
+        n = max(1, round((now_s - self._last_s) / 1e-3))
+        stiffness = {"vice": VICE_N_M, "scale": SCALE_N_M, "free": 0.0}[self.place]
+        for _ in range(n):
+            force = self._force_n()
+            slope = stiffness if force != 0.0 else 0.0
+            self.mechanics.step((now_s - self._last_s) / n, (0.5 * force,) * 2, (0.5 * slope,) * 2)
+        self._last_s = now_s
+        self.device.advance_to(now_s)
+
+    def put(self, place: str) -> None:
+        """Set the arm up."""
+        self.place = place
+        self.rest_m = self.mechanics.finger_position_m[0]
+
+    def weight_g(self) -> float:
+        """Return what the scale shows, in steps of 1 g."""
+        return round(self._force_n() * G_PER_N)
+
+
+def person(bench: SimulatedBench, *steps: str) -> Script:
+    """Return a person who runs some steps and leaves the others out."""
+    places = {"locked": "vice", "scale": "scale", "heat": "scale", "watchdog": "scale"}
+
+    def answer(question: Question) -> str | float | None:
+        step, _, what = question.key.partition(".")
+        if what == "begin":
+            bench.put(places.get(step, "free"))
+            return "run" if step in steps else "leave"
+        return bench.weight_g() if step in {"scale", "watchdog"} else None
+
+    return Script(otherwise=answer)
+
+
+def measured(bench: SimulatedBench, folder: Path, *steps: str) -> dict[str, Any]:
+    """Run some steps; return the values of the result."""
+    _, result = run_bench(bench.rig, person(bench, *steps), folder)
+    values: dict[str, Any] = json.loads(result.read_text())["values"]
+    return values
+
+
+MODEL_NAMES = ("XM430-W350", "XL330-M288")
+
+
+@pytest.mark.parametrize(
+    ("model", "mean_s", "low_pass_s", "k"),
+    [("XM430-W350", 0.064, 0.016, 128), ("XL330-M288", 0.032, 0.004, 256)],
+)
+def test_registers_velocity_and_position_loop(
+    tmp_path: Path, model: str, mean_s: float, low_pass_s: float, k: int
+) -> None:
+    bench = SimulatedBench(model)
+    values = measured(bench, tmp_path, "registers", "velocity", "locked")
+    assert values["shutdown_raw"] == MODELS[model].shutdown_raw
+    assert (values["velocity_mean_s"], values["velocity_low_pass_s"]) == (mean_s, low_pass_s)
+    assert values["error_per_pwm"] == pytest.approx(k, rel=0.03)
+    assert values["error_per_current_p400"] == pytest.approx(k, rel=0.03)
+    assert values["gains_mode_3"][:2] == [0, 0]
+    assert values["gains_mode_5"][2] > 0
+    assert bench.servo.core.registers.get("operating_mode") == 3, "the mode is that of before"
+
+
+@pytest.mark.parametrize(("model", "exponent"), [("XM430-W350", 1.0), ("XL330-M288", 0.5)])
+def test_torque_by_weights(tmp_path: Path, model: str, exponent: float) -> None:
+    bench = SimulatedBench(model)
+    values = measured(bench, tmp_path, "scale")
+    drive = bench.motor.gearing.drive_of(MODELS[model])
+    rising = (1.0 + drive.friction.load[0]) / (1.0 - drive.friction.drive[0]) / drive.kt_nm_a
+    assert values["rising_a_nm"] == pytest.approx(rising, rel=0.1)
+    assert values["winding_ohm"] == pytest.approx(drive.winding_ohm, rel=0.05)
+    assert values["duty_exponent"] == pytest.approx(exponent, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", MODEL_NAMES)
+def test_friction_and_back_emf_in_free_motion(tmp_path: Path, model: str) -> None:
+    bench = SimulatedBench(model)
+    values = measured(bench, tmp_path, "free")
+    drive = bench.motor.gearing.drive_of(MODELS[model])
+    free_nm_a = (1.0 - drive.friction.drive[0]) * drive.kt_nm_a
+    assert values["coulomb_a"] == pytest.approx(drive.friction.base_nm[0] / free_nm_a, rel=0.15)
+    assert values["breakaway_a"] >= 0.95 * values["coulomb_a"]
+    assert values["back_emf_v_s"] == pytest.approx(drive.back_emf_v_s, rel=0.05)
+
+
+def test_silence_and_swing(tmp_path: Path) -> None:
+    bench = SimulatedBench()
+    values = measured(bench, tmp_path, "watchdog", "swing")
+    assert values["bus_watchdog_after_silence"] == -1
+    assert values["torque_enable_after_silence"] == 1
+    assert 0.0 < values["held_share"] <= 1.2
+    assert values["swing_pulses"] <= 2.0
+
+
+@pytest.mark.long
+def test_a_servo_that_trips_is_found(tmp_path: Path) -> None:
+    held = measured(SimulatedBench(), tmp_path, "heat")["held"]
+    assert held["0.39"]["trip_s"] is None
+    assert 0.0 < held["0.99"]["trip_s"] < 30.0
+
+
+def test_each_step_can_be_left_out_and_each_reading_is_in_the_log(tmp_path: Path) -> None:
+    bench = SimulatedBench()
+    script = person(bench, "swing")
+    log, _ = run_bench(bench.rig, script, tmp_path)
+    assert [key.partition(".")[0] for key in script.asked if key.endswith("begin")] == [
+        step.key for step in STEPS
+    ]
+    rows = list(csv.DictReader(log.read_text().splitlines()))
+    assert len(rows) == len(bench.rig.log) > 300
+    assert {row["step"] for row in rows} == {"swing"}
+    again, _ = run_bench(bench.rig, person(bench), tmp_path)
+    assert again != log, "no earlier log is overwritten"
+
+
+def test_a_person_who_leaves_keeps_what_was_measured_and_the_torque_is_off(tmp_path: Path) -> None:
+    bench = SimulatedBench()
+    script = person(bench, "registers", "scale")
+    script.leave_at = ["scale.rising.276"]
+    with pytest.raises(WizardAborted):
+        run_bench(bench.rig, script, tmp_path)
+    (result,) = tmp_path.glob("*.json")
+    assert "gains_mode_5" in json.loads(result.read_text())["values"]
+    assert not bench.servo.core.torque_on
+    assert bench.servo.core.registers.get("operating_mode") == 3
+
+
+def test_limits_stand_beside_the_write() -> None:
+    rig = SimulatedBench().rig
+    for command in (
+        lambda: rig.current(1.01 * rig.most_a),
+        lambda: rig.velocity(3.0),
+        lambda: rig.pwm(rig.most_pwm_raw + 1),
+        lambda: rig.position(rig.sample().position_pulses + 2000),
+    ):
+        with pytest.raises(StepFailed, match="beyond the"):
+            command()
+
+
+def test_a_hot_servo_ends_its_step(tmp_path: Path) -> None:
+    bench = SimulatedBench()
+    script = person(bench, "velocity")
+    bench.motor.temperature_c = 65.0
+    run_bench(bench.rig, script, tmp_path)
+    assert any("let it cool" in line for line in script.said)
+    assert not bench.servo.core.torque_on
+
+
+class OneLine(LineOpener):
+    """The line of a simulated bench."""
+
+    def __init__(self, bench: SimulatedBench) -> None:
+        self.clock = bench.clock
+        self._bench = bench
+
+    def open_servos(self, _port: str, baud_rate: int) -> ByteStream:
+        self._bench.device.baudrate = baud_rate
+        return MemoryServoStream(self._bench.device, self._bench.clock)
+
+
+@pytest.mark.parametrize(
+    ("n_servos", "torque", "refused"),
+    [(1, 0, None), (2, 0, "2 servos answer"), (1, 1, "has torque")],
+)
+def test_one_servo_alone_and_without_torque(
+    tmp_path: Path, n_servos: int, torque: int, refused: str | None
+) -> None:
+    bench = SimulatedBench(n_servos=n_servos)
+    bench.servo.core.set_torque(on=bool(torque))
+    lines = Bench(tmp_path, OneLine(bench))
+    script = Script(replies={"servo.press": "-1"})
+    if refused is None:
+        with open_rig(lines, "/dev/ttyUSB0", script) as rig:
+            assert (rig.servo_id, rig.model, rig.press) == (1, XM430_W350, -1)
+        return
+    with pytest.raises(StepFailed, match=refused), open_rig(lines, "/dev/ttyUSB0", script):
+        pass
+
+
+def test_the_config_takes_the_result_of_the_same_model_alone(tmp_path: Path) -> None:
+    bench = SimulatedBench()
+    _, result = run_bench(bench.rig, person(bench, "scale"), tmp_path)
+    drive = measured_drive(result, XM430_W350)
+    catalogue = DriveCharacteristic.catalogue(XM430_W350)
+    assert drive.kt_sd < catalogue.kt_sd
+    assert drive.coulomb_a == catalogue.coulomb_a, "that step was left out"
+    with pytest.raises(ConfigError, match="is of a XM430-W350, this servo is a XL330-M288"):
+        measured_drive(result, XL330_M288)
+    with pytest.raises(ConfigError, match="no such file"):
+        measured_drive(tmp_path / "none.json", XM430_W350)
+    result.write_text(result.read_text().replace("rising_a_nm", "rising_a_nn"))
+    with pytest.raises(ConfigError, match="damaged"):
+        measured_drive(result, XM430_W350)
