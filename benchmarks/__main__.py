@@ -1,17 +1,28 @@
 """Run every benchmark, or those named: python -m benchmarks [NAME ...].
 
 `comparators` needs a data set of labelled grasps: python -m benchmarks comparators FILE.
+`servo_logs` needs a folder of logs of real servos: python -m benchmarks servo_logs FOLDER.
 """
 
 import importlib
 import sys
 
 BENCHMARKS = {
-    "performance": ("archive", "force_cap", "force_ramps", "identify", "soak", "touch"),
+    "performance": (
+        "archive",
+        "force_cap",
+        "force_ramps",
+        "identify",
+        "servo_logs",
+        "soak",
+        "touch",
+    ),
     "recognition": ("comparators", "many_objects", "other_cell", "sensors"),
     "paper": ("method", "reproduction"),
 }
 """Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""
+WITH_DATA = {"comparators": "file", "servo_logs": "folder"}
+"""Benchmarks that need data, and what of it: the argument after the name."""
 ALONE = ("soak",)
 """Benchmarks that take hours: they run when they are named."""
 
@@ -27,8 +38,9 @@ def modules() -> dict[str, str]:
 
 def main() -> None:
     known, arguments = modules(), sys.argv[1:]
-    if arguments[:1] == ["comparators"]:
-        importlib.import_module(known["comparators"]).main(file=next(iter(arguments[1:]), None))
+    if arguments and arguments[0] in WITH_DATA:
+        given = {WITH_DATA[arguments[0]]: next(iter(arguments[1:]), None)}
+        importlib.import_module(known[arguments[0]]).main(**given)
         return
     for name in arguments or [one for one in known if one not in ALONE]:
         if name not in known:

@@ -7,7 +7,6 @@ from .mechanics.kinematics import (
     RackPinion as RackPinion,
 )
 from .settings import (
-    ForceLoopSettings as ForceLoopSettings,
     GripperSettings as GripperSettings,
     OverForce as OverForce,
     ServoSettings as ServoSettings,

@@ -5,7 +5,7 @@ goals and torque.
 """
 
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import Self
 
@@ -15,6 +15,8 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import STATUS_RETURN_LEVEL
 from gripper.dynamixel.serial_port import ByteStream, open_line
 from gripper.errors import (
+    BusCorrupt,
+    BusTimeout,
     FeedbackImplausible,
     GripperError,
     GripperStateError,
@@ -298,7 +300,7 @@ class Gripper:
     def hold(self, duration_s: float, observer: Observer | None = None) -> ServoFeedback:
         """Control the force at its last set-point for a time in s.
 
-        After ``taper_after_s`` the motor current falls, because friction holds part of the force.
+        The drive is in the middle of the friction band: its current is that of the force.
 
         Raises
         ------
@@ -529,7 +531,12 @@ class Gripper:
         return outcome
 
     def _freeze_carried(self) -> None:
-        """Freeze the goals of a carried part, whose force is no longer controlled."""
+        """Freeze the goals of a part whose force, or whose heat, is not watched from now on."""
+        if self._carried is None and self._servos.heats and self._life.fault is None:
+            # The feedback may be old.
+            with suppress(BusTimeout, BusCorrupt):
+                self._servos.read_patiently()
+                self._servos.freeze()
         if self._carried is not None:
             self._carried = None
             if self._life.fault is None:

@@ -4,7 +4,7 @@ Settings are checked when they are made. The cell's config file has the same set
 with these defaults and ranges.
 """
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from math import inf, isfinite
 from typing import Any
@@ -18,11 +18,14 @@ HARD_FORCE_CAP_N = 50.0
 """Largest grip force in N of any setting; not a safety function, see the documentation."""
 
 CORRECTABLE = frozenset(
-    {"return_delay_time", "operating_mode", "status_return_level", "position_p_gain"}
+    {
+        *("return_delay_time", "operating_mode", "status_return_level", "pwm_slope"),
+        *("position_d_gain", "position_i_gain", "position_p_gain"),
+    }
 )
 """Registers that a start may rewrite: they do not change mechanics or protection of a servo."""
 
-_OVERSHOOT_N, _OVERSHOOT_SHARE = 0.2, 0.05
+_OVERSHOOT_N, _OVERSHOOT_SHARE = 0.3, 0.1
 """Largest overshoot of a ramp in N, and as a share of its force; the larger of the two counts."""
 
 
@@ -53,69 +56,10 @@ def _check_settings(settings: Any) -> None:
             check_number(one.name, value, **one.metadata)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ForceLoopSettings:
-    """Tuning of the force loop; the defaults suit foam pads."""
-
-    bias_drift_n_rs: float = setting(0.14, above=0.0)
-    bias_rate_n_s: float = setting(5.0, above=0.0)
-    """Random walk of the difference between sensor and model, in N per root of a second; twice as
-    much while the set-point moves at ``bias_rate_n_s``. With noise and rate of the samples it sets
-    the time in which the difference is learnt: 0.3 s from frames at 50 Hz, 0.1 s from force
-    messages."""
-    start_doubt_n: float = setting(0.1, low=0.0)
-    friction_doubt: float = setting(0.1, low=0.0)
-    """Uncertainty of the model at the contact in N, and its increase when the force begins to
-    move, as a share of the friction band."""
-    caution: float = setting(1.0, low=0.0)
-    settled_doubt_n: float = setting(0.1, low=0.0)
-    """A rising force stays below the set-point by ``caution`` times the uncertainty beyond
-    ``settled_doubt_n`` in N: an uncertain force is approached from below."""
-    damping_n_s_m: float = setting(100.0, low=0.0)
-    """Reduction of the drive in N for each m/s that a finger is faster than the ramp needs, with a
-    lever of 60 mm; it scales with the inverse square of the lever, like the motor's inertia."""
-    motion_doubt_n_s_m: float = setting(140.0, low=0.0)
-    """Noise in N added to a sample for each m/s of a finger, with that lever, because of the
-    inertia missing in the model."""
-    stiffened_n_m: float = setting(1500.0, low=0.0)
-    """Stiffness in N/m that the drive emulates on a softer part while its force changes, if the
-    samples are new enough: on a soft part the fingers oscillate too slowly."""
-    end_time_s: float = setting(0.14, low=0.0)
-    """Time constant in s with which the force arrives at the end of a change; see
-    `gripper.force.control.band_mode.arriving_n`."""
-    dead_band_n: float = setting(0.03, low=0.0)
-    hold_band_n: float = setting(0.04, low=0.0)
-    """Error in N that is not corrected while the force keeps its direction: on a ramp, in a
-    hold."""
-    reversal_band_n: float = setting(0.22, low=0.0)
-    reversal_band_share: float = setting(0.04, low=0.0)
-    """Error in N, or as a share of the set-point if that is more, that reverses the direction of
-    the force, through twice the friction."""
-    drive_rate_n_s: float = setting(150.0, above=0.0)
-    """Fastest change of the driving force in N/s, within the friction band."""
-    creep_n_s: float = setting(5.0, above=0.0)
-    creep_share: float = setting(0.5, low=0.0)
-    """Its rate in N/s, beside that of the set-point, shortly before motion begins: beyond this
-    share of the friction band."""
-    dither_share: float = setting(0.2, low=0.0)
-    """Square wave on the drive while the force changes, as a share of the friction band."""
-    push_open_share: float = setting(1.3, low=0.0)
-    """Largest opening drive to lower the force against friction, as a share of the friction
-    band."""
-    bias_max_n: float = setting(3.0, above=0.0)
-    """Largest plausible difference between sensor and model in N, beside the uncertainty of the
-    servos' torque and friction."""
-    taper_n_s: float = setting(1.0, low=0.0, high=50.0)
-    """Rate in N/s at which a long hold reduces the drive to what friction does not hold."""
-
-    def __post_init__(self) -> None:
-        _check_settings(self)
-
-
 def largest_setpoint_n(force_max_n: float) -> float:
     """Return the largest force in N that a ramp may ask for under a cap of the force.
 
-    A ramp overshoots by at most 0.2 N, or 5 % where that is more; with it the cap holds.
+    A ramp overshoots by at most 0.3 N, or 10 % where that is more; with it the cap holds.
     """
     return min(force_max_n - _OVERSHOOT_N, force_max_n / (1.0 + _OVERSHOOT_SHARE))
 
@@ -144,12 +88,8 @@ class ServoSettings:
     """1 where growing positions open the gripper, -1 where they close it."""
     zero_raw: int = 2048
     """Present Position at angle 0 of the linkage, 0 to 4095."""
-    kt_nm_a: float | None = setting(None, above=0.0)
-    """Torque at the output in N m for 1 A, by weights on the pads; None: the model's."""
-    friction_a: float | None = setting(None, above=0.0)
-    """Current in A of slow free motion; None: the model's."""
-    drive_sd: float = setting(0.05, low=0.01, high=0.5)
-    """Uncertainty of these two as a share, where they are given."""
+    measured: DriveCharacteristic | None = None
+    """Drive characteristic that was measured on a bench; None: that of the catalogue."""
     servo_model: ServoModel = field(init=False, repr=False, compare=False)
     """Data of the model."""
     drive: DriveCharacteristic = field(init=False, repr=False, compare=False)
@@ -158,16 +98,7 @@ class ServoSettings:
     def __post_init__(self) -> None:
         object.__setattr__(self, "servo_model", require_current_control(self.model))
         _check_settings(self)
-        drive = DriveCharacteristic.catalogue(self.servo_model)
-        sd = self.drive_sd
-        if self.kt_nm_a is not None:
-            a_nm = 1.0 / self.kt_nm_a
-            torque = {"kt_nm_a": self.kt_nm_a, "kt_sd": sd, "load_sd": sd}
-            torque["inertia_ratio"] = self.servo_model.kt_nm_a / self.kt_nm_a
-            drive = replace(drive, rising_a_nm=a_nm, falling_a_nm=a_nm, **torque)
-        if self.friction_a is not None:
-            friction = {"coulomb_a": self.friction_a, "breakaway_a": self.friction_a}
-            drive = replace(drive, friction_sd=sd, **friction)
+        drive = self.measured or DriveCharacteristic.catalogue(self.servo_model)
         object.__setattr__(self, "drive", drive)
         if not 0 <= self.servo_id <= 252:
             raise LimitExceeded(f"servo_id is {self.servo_id}, must be from 0 to 252")
@@ -234,8 +165,6 @@ class GripperSettings:
     """Cap of the goal current in A, at most the stall current of each servo's model."""
     temperature_max_c: float = setting(70.0, low=30.0, high=80.0)
     """Warmest servo in degrees Celsius at which goals are still written."""
-    temperature_derate_k: float = setting(10.0, low=0.0, high=40.0)
-    """Degrees below it at which the current limit begins to fall, to half at the maximum."""
     force_stale_s: float = setting(0.1, low=0.02, high=1.0)
     """Oldest force sample in s that may be used."""
     bus_loss_s: float = setting(0.07, low=0.02, high=2.0)
@@ -280,13 +209,8 @@ class GripperSettings:
     settle_tolerance_n: float = setting(0.3, low=0.0, high=5.0)
     settle_tolerance_share: float = setting(0.07, low=0.0, high=0.5)
     """Tolerance of a reached force in N, or as a share of the force if that is more."""
-    taper_after_s: float = setting(1.0, low=0.0, high=600.0)
-    """Time in s after which a hold begins to reduce the current, because friction holds part of
-    the force."""
     corrected_registers: frozenset[str] = CORRECTABLE
     """Registers that a start corrects while the torque is off; the others are only compared."""
-    force_loop: ForceLoopSettings = field(default_factory=ForceLoopSettings)
-    """Tuning of the force loop."""
     drives: Drives = field(default_factory=Drives, repr=False, compare=False)
     """Newest drive characteristic of each servo; settings made of these share it."""
 
@@ -335,19 +259,6 @@ class GripperSettings:
     def watchdog_raw(self) -> int:
         """Content of Bus Watchdog (register 98) in units of 20 ms, rounded up."""
         return max(1, min(127, round(self.watchdog_s / WATCHDOG_UNIT_S + 0.49)))
-
-    def current_cap_a(self, temperature_c: float) -> float:
-        """Return the cap of the goal current in A at the warmest servo's temperature."""
-        over_k = temperature_c - (self.temperature_max_c - self.temperature_derate_k)
-        if over_k <= 0.0:
-            return self.current_max_a
-        return self.current_max_a * max(
-            0.5, 1.0 - 0.5 * over_k / max(self.temperature_derate_k, 1e-9)
-        )
-
-    def derates(self, temperature_c: float) -> bool:
-        """Return whether the warmest servo's temperature lowers the current limit."""
-        return temperature_c > self.temperature_max_c - self.temperature_derate_k
 
     def settle_tolerance_at_n(self, force_n: float) -> float:
         """Return the error in N that counts as reached at a force."""

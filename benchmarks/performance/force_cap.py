@@ -19,6 +19,7 @@ from cell.control.plan import GraspStep, Pose
 from cell.errors import CellError
 from cell.simulation import simulation_of
 from gripper.errors import ForceAboveCap, GripperError
+from gripper.settings import largest_setpoint_n
 from tactile.errors import TactileError
 
 ALLOWED_N = 0.3
@@ -48,7 +49,7 @@ def drawn_changes(seed: int) -> dict[str, Any]:
     """Return changes of the config by dotted path, drawn with a seed."""
     draw = random.Random(seed)
     cap_n = draw.choice((2.0, 3.0, 5.0, 8.0, 12.0, 15.0, 20.0, 30.0, 50.0))
-    limit_n = min(cap_n - 0.2, cap_n / 1.05)
+    limit_n = largest_setpoint_n(cap_n)
     contact_n = min(draw.choice((0.3, 0.6, 0.6, 1.0, 2.0)), 0.5 * limit_n)
     force_n = max(draw.uniform(0.3, 1.0) * limit_n, contact_n, 0.5)
     rate_n_s = draw.choice((2.0, 5.0, 10.0, 20.0, 40.0, 50.0))

@@ -15,7 +15,7 @@ from functools import partial
 from statistics import median
 
 from benchmarks._measure import line, repeats
-from benchmarks.performance.force_ramps import NOISE_N, PARTS, PadForces, Part, Rig, Truth
+from benchmarks.performance.force_ramps import NOISE_N, PARTS, PadForces, Part, Rig
 from gripper.errors import ForceAboveCap, GripperError, LimitExceeded, PartLost, PartSlipped
 from gripper.force.ramp import ForceRamp
 from gripper.values.force_sensor import ForceSample
@@ -67,19 +67,20 @@ class PlacedForces(PadForces):
 class TouchRig(Rig):
     """A gripper on a part to which something happens at a time.
 
-    Torque figures and friction are drawn with the seed; ``settings`` are as for `Rig`.
+    The servos are drawn with the seed; ``settings`` are as for `Rig`.
     """
 
     def __init__(self, part: Part, rate_hz: float | None, seed: int, **settings: float) -> None:
         self.random = random.Random(seed)
-        errors = self.random.uniform(-0.15, 0.15), self.random.uniform(-0.2, 0.2)
         usual = {"slip_drop_n": 0.8, "slip_travel_m": 0.0015, "force_max_n": CAP_N}
         self.begins_s = self.over_s = math.inf
         """Times in s from which on the event happens, and at which the true force passed the cap.
         """
         self.changed: Callable[[float], Part] = lambda _: part
         self.slide_m_s = 0.0
-        super().__init__(part, Truth(*errors, seed), NOISE_N, rate_hz=rate_hz, **(usual | settings))
+        super().__init__(
+            part, NOISE_N, servos=seed, seed=seed, rate_hz=rate_hz, **(usual | settings)
+        )
 
     def _new_sensor(self, noise_n: float, seed: int, rate_hz: float | None) -> PadForces:
         return PlacedForces(self._place_m, noise_n, seed, rate_hz)

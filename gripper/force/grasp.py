@@ -330,7 +330,7 @@ class GripStep:
         """Return the action of one period; PartLost, PartSlipped when the part goes."""
         assert self.control is not None
         _check_part(self.control, moment)
-        self._time.pass_by(moment.dt_s, self.control.force_n, moment.state.aperture_m)
+        self._time.pass_by(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
         action = self._action(moment, self.control)
         return action if self._slip is not None else replace(action, level=None)
 
@@ -429,7 +429,7 @@ class ContactStep(GripStep):
             self._time = RampTime(self._settings, ended)
             self._ended = True
         else:
-            self._time.pass_by(moment.dt_s, self.control.force_n, moment.state.aperture_m)
+            self._time.pass_by(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
         return self.control
 
     def _new_control(self, moment: Moment, force_n: float) -> GripControl:
@@ -482,8 +482,7 @@ class HoldStep:
         _check_part(self._control, moment)
         if not self._control.watch.doubts:
             self._slip.check(moment, 0, setpoint_n=self._setpoint_n)
-        taper = self._elapsed_s > self._settings.taper_after_s
-        goals = self._control.goals(moment, self._setpoint_n, taper=taper)
+        goals = self._control.goals(moment, self._setpoint_n)
         done = self._elapsed_s >= self._duration_s - _EQUAL_S
         return Action(goals=goals, setpoint_n=self._setpoint_n, done=done)
 

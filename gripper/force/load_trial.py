@@ -59,6 +59,7 @@ class LoadTrial:
         self._most_a = -inf
         self._from_n: float | None = None
         self._goal_rad: float | None = None
+        self._asked_a = 0.0
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period."""
@@ -84,10 +85,12 @@ class LoadTrial:
         model = settings.servos[self._finger].servo_model
         servo = moment.state.servos[self._finger]
         if self._goal_rad is None:
+            self._asked_a = servo.current_a
             self._goal_rad = servo.angle_rad + running_lead_rad(model, servo.current_a, 0.0)
         path = transmissions(settings, self._linkage, moment.state.angles_rad)[self._finger]
-        change_a = self._sign * rate_n_s * moment.dt_s / path.n_per_a
-        self._goal_rad -= running_lead_rad(model, change_a, 0.0)
+        before_rad = running_lead_rad(model, self._asked_a, 0.0)
+        self._asked_a -= self._sign * rate_n_s * moment.dt_s / path.n_per_a
+        self._goal_rad += running_lead_rad(model, self._asked_a, 0.0) - before_rad
         return self._goal_rad
 
     def _push(self, moment: Moment) -> None:

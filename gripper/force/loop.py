@@ -27,7 +27,7 @@ from gripper.servos.health import ServoHealth
 from gripper.servos.stop_goals import holding_position, lowered
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample, ForceSensor
-from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
+from gripper.values.state import GRAIN_M, Cycle, GripperPhase, Observer, ServoFeedback
 
 _FREEZE_AT = 2
 """Period without feedback, counted in a row, in which the stop goals are written. [chosen]"""
@@ -43,6 +43,9 @@ _LONGEST_STEP = 2.0
 _LOWERING_S, _LONGEST_LOWERING = 0.1, 4.0
 """Time in s in which the currents of too much force fall to 0, and the longest time in multiples of
 it until the force has followed. [chosen]"""
+_FOLLOWS_SHARE, _UNSEEN_M = 0.95, 2 * GRAIN_M
+"""Share of the force below which samples have followed fingers that opened, and way in m after
+which they must have. [chosen]"""
 YOUNG_S = 0.015
 """Largest age in s of a sample to which the drive may respond at once: force messages are newer,
 frames are older. Braking at a first touch is then useful, and the stiffening of a soft part is
@@ -252,8 +255,9 @@ class LoopRunner:
             raise
         if action.goals is not None:
             self.servos.goals.write(action.goals, state)
-        if self._settings.derates(state.temperature_c):
-            self._timer.derated += 1
+        self._timer.derated += any(
+            servo.limit_a < self._settings.current_max_a for servo in state.servos
+        )
         self._check_health(state)
         running.done = action.done
         return Cycle(
@@ -276,31 +280,34 @@ class LoopRunner:
         the currents is left. Raises as `ServoGroup.read`.
         """
         servos, settings, most_n = self.servos, self._settings, most_peak_n(self._settings)
-        goals, share = servos.goals.last, settings.over_force_share
+        share = settings.over_force_share
+        goals = [goal.kept for goal in servos.goals.last]
         # Goals that were written may brake.
-        asked = servos.goals.asked
+        asked = [goal.kept for goal in servos.goals.asked]
         left, shown_n, state = 1.0, inf, servos.read()
-        opened_s, end_s = -inf, state.t_s + _LONGEST_LOWERING * _LOWERING_S
+        from_m, opened_s, end_s = inf, -inf, state.t_s + _LONGEST_LOWERING * _LOWERING_S
         while goals and (newest := servos.guard.newest_force) and state.t_s < end_s:
             forces_n = servos.guard.newest_forces_n
+            if max(forces_n) < _FOLLOWS_SHARE * shown_n:
+                shown_n, from_m = max(forces_n), state.aperture_m
             least = -1.0 if min(forces_n) > most_n else share
-            follows = left >= 0.0 or newest.t_s < opened_s or max(forces_n) < shown_n
+            follows = state.aperture_m - from_m < _UNSEEN_M
             if max(forces_n) <= most_n or left <= least or not follows:
                 break
             if newest.t_s >= opened_s:
                 left = max(least, left - settings.period_s / _LOWERING_S)
                 servos.goals.write(lowered(goals, servos.goals.last, left, state, settings), state)
             else:
-                servos.goals.write(holding_position(asked, asked, state, share), state)
+                servos.goals.write(holding_position(asked, state, share), state)
             self._clock.sleep(settings.period_s)
             before, state = state, servos.read()
             if any(map(gt, state.angles_rad, before.angles_rad)):
-                opened_s, shown_n = state.t_s, max(forces_n)
+                opened_s = state.t_s
             sample = self._sensor.latest_force()
             if sample is not None and (sample.valid or sample.at_least):
                 servos.guard.note_force(sample)
         if opened_s > -inf:
-            servos.goals.write(holding_position(asked, asked, state, share), state)
+            servos.goals.write(holding_position(asked, state, share), state)
 
     def _check_force(self, now_s: float, fresh_s: float, sample: ForceSample | None) -> None:
         if sample is not None:
@@ -457,4 +464,4 @@ class BusLossMonitor:
                 if phase.moving:
                     self._servos.hold_position()
                 else:
-                    self._servos.freeze()
+                    self._servos.freeze(goes_on=True)

@@ -9,6 +9,7 @@ from math import cos, inf, pi
 from gripper.errors import LimitExceeded
 from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage, end_transmissions
+from gripper.servos.heat import longest_s
 from gripper.settings import GripperSettings, check_number
 
 
@@ -247,6 +248,23 @@ def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> 
             f"A: lower the force or shorten the lever of the linkage"
         )
     check_approach(settings, linkage)
+
+
+def heat_note(force_n: float, settings: GripperSettings, linkage: Linkage) -> str:
+    """Return a note on a force in N that the servos cannot hold for hours; empty if they can."""
+    least_s, note = inf, ""
+    paths = end_transmissions(settings, linkage)
+    for path, servo in zip(paths, settings.servos * 2, strict=True):
+        current_a, model = path.loading_current_a(force_n), servo.servo_model
+        if (lasts_s := longest_s(model, current_a)) < least_s:
+            least_s = lasts_s
+            note = (
+                f"a grip of {force_n:g} N takes {current_a:.2f} A, a {model.name} bears "
+                f"{model.holding_a:.2f} A for hours: after {lasts_s:.0f} s at most its current is "
+                f"lowered to that, and the part is held with less force. Ask for less force, or "
+                f"take a shorter lever or a stronger servo"
+            )
+    return note
 
 
 class RampEnd:

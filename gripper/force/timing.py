@@ -83,7 +83,7 @@ class LoopStatistics:
     missed_reads: int = 0
     """Periods without feedback; nothing was written in them."""
     derated: int = 0
-    """Periods in which a warm servo lowered the cap of the current."""
+    """Periods in which the heat of a winding lowered the cap of the current."""
     worst_lateness_s: float = 0.0
     """Largest lateness in s."""
     lateness: Distribution = field(default_factory=Distribution)

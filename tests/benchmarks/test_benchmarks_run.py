@@ -17,8 +17,8 @@ pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to ru
 
 EFFORT = 0.01
 MODULES = command.modules()
-OTHERWISE = {"comparators", "soak"}
-"""Comparators need a file, and the soak is run for a moment."""
+OTHERWISE = {*command.WITH_DATA, "soak"}
+"""Some need data, and the soak is run for a moment."""
 
 
 @pytest.mark.long

@@ -20,6 +20,7 @@ from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
+from simulator.servo.data_sheets import data_sheet
 from simulator.servo.device import SimulatedServo
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
@@ -199,6 +200,7 @@ class Cell:
         noise_n: float = 0.2,
         delay_s: float = 0.03,
         kt_error: float = 0.0,
+        catalogue_torque: bool = False,
         friction_error: float = 0.0,
         aperture_m: float = 0.02,
         zero_raw: int = 2048,
@@ -215,6 +217,7 @@ class Cell:
         """Build the cell; ``turned`` to ``offset_m`` make its settings differ from its mechanics.
 
         ``width_m`` to ``present`` are those of the `Part`.
+        ``catalogue_torque``: the motors have the torque of the catalogue, not of the data sheet.
         ``drive_sds`` are the uncertainties of friction and torque, as a measurement leaves them.
         ``turned`` are indices of servos, ``zero_off`` is in pulses of opening too wide.
         """
@@ -223,9 +226,12 @@ class Cell:
         self.sensor = SampledForce(noise_n=noise_n, delay_s=delay_s, seed=seed, rate_hz=rate_hz)
         directions = (1, -1)[:n_servos]
         self.motors = [ServoMotor(model) for _ in range(n_servos)]
+        # The friction of the catalogue; that of the data sheet is a loaded one.
+        sheet = data_sheet(model)
+        kt_share = model.kt_nm_a / sheet.kt_nm_a if catalogue_torque else 1.0
         for motor in self.motors:
-            motor.kt_factor = 1.0 + kt_error
-            motor.friction_factor = 1.0 + friction_error
+            motor.kt_factor = kt_share * (1.0 + kt_error)
+            motor.friction_factor = model.friction_nm / sheet.friction_nm * (1.0 + friction_error)
         mounts = [ServoMount(direction=d, zero_raw=zero_raw) for d in directions]
         own: Linkage
         if linkage == "parallel":

@@ -39,9 +39,10 @@ def test_start_corrects_the_mode_and_moves_nothing(cell) -> None:
 
 def test_inspecting_reports_what_start_would_correct_and_writes_nothing(cell) -> None:
     report = cell.gripper.inspect()
+    # The gains follow the mode.
+    items = ("operating_mode", "position_d_gain")
     assert [(row.servo_id, row.item) for row in report.failed] == [
-        (1, "operating_mode"),
-        (2, "operating_mode"),
+        (servo_id, item) for servo_id in (1, 2) for item in items
     ]
     assert cell.register(1, "operating_mode") == 3
     assert cell.gripper.phase is GripperPhase.OFF
@@ -105,7 +106,7 @@ def test_the_ramp_ends_without_overshoot_and_settles(make_started, stiffness_n_m
         ForceRamp.linear(8.0, rate_n_s, hold_s=1.0),
         lambda c: true_n.append((c.setpoint_n, cell.force_n)),
     )
-    tolerance_n = 0.4
+    tolerance_n = 0.8
     held = [force_n for setpoint_n, force_n in true_n if setpoint_n == 8.0]
     assert cell.peak_n <= 8.0 + tolerance_n
     assert all(abs(force_n - 8.0) <= tolerance_n for force_n in held[60:])
@@ -145,13 +146,13 @@ def test_the_loop_keeps_its_rate_and_the_observer_sees_what_was_written(started)
 
 
 @pytest.mark.slow
-def test_holding_does_not_hunt_and_gives_back_current(cell) -> None:
+def test_holding_does_not_hunt_and_takes_the_current_of_the_force(cell) -> None:
     cell.hold_part(RAMP)
     cell.peak_n, cell.least_n = 0.0, 99.0
     goals_a: list[float] = []
     cell.gripper.hold(5.0, lambda c: goals_a.append(c.goal_current_a))
     assert cell.peak_n - cell.least_n < 0.6
-    assert goals_a[-1] < goals_a[0] - 0.03
+    assert goals_a[-1] == pytest.approx(8.0 * 0.06 / 1.8, rel=0.15)
 
 
 def ticks(cell, seconds: float, creep_m_s: float = 0.0) -> None:
@@ -173,10 +174,9 @@ def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None
     assert cell.register(0, "bus_watchdog") == 0
     ticks(cell, 3.0, creep_m_s=2e-4)
     assert cell.force_n == pytest.approx(force_n, abs=0.6)
-    goals_a = cell.register(0, "goal_current")
     cell.gripper.keep_grip()
     ticks(cell, 1.0)
-    assert cell.register(0, "goal_current") <= goals_a + 1
+    assert cell.force_n == pytest.approx(force_n, abs=0.8)
     assert cell.gripper.release().opened == (1, 2)
 
 
@@ -231,7 +231,7 @@ def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_started) -> None:
 
 
 def test_a_ramp_beyond_a_limit_is_refused_before_anything_moves(make_started) -> None:
-    cell = make_started(force_max_n=20.0, grasp_force_max_n=10.0, current_max_a=0.4)
+    cell = make_started(force_max_n=20.0, grasp_force_max_n=10.0, current_max_a=0.35)
     with pytest.raises(LimitExceeded, match=r"12.* the limit is 10"):
         cell.gripper.grasp(ForceRamp.linear(12.0, 5.0))
     with pytest.raises(LimitExceeded, match="current_max_a"):
@@ -245,9 +245,9 @@ def test_a_ramp_beyond_a_limit_is_refused_before_anything_moves(make_started) ->
 
 def test_a_ramp_so_near_to_the_cap_that_it_may_overshoot_it_is_refused(make_cell) -> None:
     cell = make_cell(force_max_n=15.0)
-    with pytest.raises(LimitExceeded, match=r"14\.9 N, the limit is 14\.29 N, so that its over"):
+    with pytest.raises(LimitExceeded, match=r"14\.9 N, the limit is 13\.64 N, so that its over"):
         cell.gripper.check_ramp(ForceRamp.linear(14.9, 5.0))
-    assert make_cell(force_max_n=2.0).settings.grasp_force_limit_n == pytest.approx(1.8)
+    assert make_cell(force_max_n=2.0).settings.grasp_force_limit_n == pytest.approx(1.7)
 
 
 @pytest.mark.parametrize("current_max_a", [0.5, 2.0])
@@ -255,7 +255,7 @@ def test_the_largest_ramp_is_the_last_one_that_is_allowed(make_cell, current_max
     cell = make_cell(current_max_a=current_max_a)
     most_n = largest_ramp_n(cell.settings, cell.linkage)
     cell.gripper.check_ramp(ForceRamp.linear(most_n, 5.0))
-    with pytest.raises(LimitExceeded, match=r"the limit is 47\.62 N|current_max_a is 0\.5 A"):
+    with pytest.raises(LimitExceeded, match=r"the limit is 45\.45 N|current_max_a is 0\.5 A"):
         cell.gripper.check_ramp(ForceRamp.linear(1.001 * most_n, 5.0))
 
 
@@ -300,7 +300,7 @@ def test_torque_found_on_in_another_mode_changes_nothing_before_the_release(cell
     for servo_id in (1, 2):
         cell.bus.write(servo_id, TORQUE_ENABLE, 1)
     report = cell.gripper.start()
-    assert [row.item for row in report.failed] == ["operating_mode"] * 2
+    assert {row.item for row in report.failed} == {"operating_mode", "position_d_gain"}
     assert cell.register(0, "operating_mode") == 3
     assert cell.register(0, "torque_enable") == 1
     cell.gripper.release()
@@ -410,7 +410,7 @@ def test_a_servo_with_other_units_is_data(make_cell, monkeypatch: pytest.MonkeyP
         voltage_unit_v=0.2,
         min_voltage_raw=48,
         max_voltage_raw=80,
-        position_gains=(0, 0, 400),
+        position_gains=(2000, 0, 400),
     )
     monkeypatch.setattr(models, "MODELS", {other.name: other})
     cell = make_cell(model=other, zero_raw=4096)

@@ -3,7 +3,8 @@
 import pytest
 
 from gripper.dynamixel.control_table import REGISTERS
-from gripper.errors import AnswersOff, LimitExceeded, LinkTooSlow, VerificationFailed
+from gripper.dynamixel.models import XL330_M288, XM430_W350
+from gripper.errors import AnswersOff, LimitExceeded, LinkTooSlow, ServoFault, VerificationFailed
 from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.outcome import GraspResult
@@ -102,11 +103,40 @@ def test_a_level_that_may_not_be_corrected_is_named_with_its_register(make_cell,
     ]
 
 
-def test_the_gain_that_the_goals_count_on_is_put_right(cell) -> None:
-    cell.bus.write(1, REGISTERS["position_p_gain"], 100)
+@pytest.mark.parametrize("model", [XM430_W350, XL330_M288])
+def test_gains_and_slope_that_the_goals_count_on_are_put_right(make_cell, model) -> None:
+    cell = make_cell(model=model, current_max_a=0.35)
+    wanted = dict(zip(("d", "i", "p"), model.position_gains, strict=True))
+    registers = {f"position_{name}_gain": gain for name, gain in wanted.items()}
+    if model is XL330_M288:
+        registers["pwm_slope"] = 140
+    for name, raw in registers.items():
+        cell.bus.write(1, REGISTERS[name], raw + 7)
     report = cell.gripper.start()
-    assert cell.register(0, "position_p_gain") == 800
-    assert {row.item for row in report.rows if row.corrected} >= {"operating_mode"}
+    assert {name: cell.register(0, name) for name in registers} == registers
+    rewritten = {row.item for row in report.rows if row.corrected and row.servo_id == 1}
+    assert rewritten >= {"operating_mode"} | ({*registers} & {"pwm_slope"})
+
+
+@pytest.mark.parametrize("shutdown_raw", [20, 52])
+def test_an_overload_that_is_only_reported_is_a_note_and_keeps_the_grip(
+    make_cell, shutdown_raw
+) -> None:
+    cell = make_cell()
+    for servo in cell.servos:
+        servo.core.registers.put("shutdown", shutdown_raw)
+    cell.hold_part(ForceRamp.linear(2.0, rate_n_s=5.0))
+    overload = cell.once(cell.knobs[0].overload, in_s=0.1)
+    if shutdown_raw == 52:
+        with pytest.raises(ServoFault, match="it has switched its torque off"):
+            cell.gripper.hold(0.5, overload)
+        return
+    cell.gripper.hold(0.5, overload)
+    assert cell.gripper.phase is GripperPhase.HOLDING
+    (note,) = cell.gripper.drives.read().notes
+    assert note == (
+        "servo 1: an overload is only reported: the cell's limit of heat alone protects it"
+    )
 
 
 def test_an_adapter_with_a_latency_of_16_ms_is_refused_with_the_remedy(cell) -> None:

@@ -24,6 +24,7 @@ from gripper.servos.goal_limits import (
     most_closed_rad,
     running_lead_rad,
 )
+from gripper.servos.motion import slow_rad_s
 from gripper.settings import GripperSettings
 from gripper.values.state import STANDING_M_S, ServoFeedback
 
@@ -48,7 +49,7 @@ _RUNNING_SHARE = 0.8
 _SLOWED_SHARE = 0.6
 """Share of the nominal speed below which something has slowed down a running finger. [tuned]"""
 _SLOWEST_COUNTS = 4.0
-"""Nominal speed in counts of a velocity below which a slowed finger does not stand out.
+"""Nominal speed in those of a servo at rest below which a slowed finger does not stand out.
 [resolution]"""
 _PAUSE_S = 0.15
 """Time in s for which a slowed finger waits for the pads: their delay and three samples. [tuned]"""
@@ -73,7 +74,7 @@ _LEAD_SHARE = 0.75
 _CREEP_START_N = 0.2
 """First drive in N of a braked finger: less than the force of the pad. [tuned]"""
 _CREEP_COUNTS = 1.5
-"""Speed in counts of its velocity above which a braked finger has lost the part, and stops again.
+"""Speed in those of a servo at rest above which a braked finger has lost the part, and stops again.
 [resolution]"""
 _FREE_TIME_S = 0.05
 """Time constant in s of the current that moves an empty finger. [tuned]"""
@@ -186,7 +187,7 @@ class Approach:
         nominal_rad_s = self._nominal_rad_s(state)
         return not self._was_touched and all(
             nominal_rad_s + servo.velocity_rad_s
-            <= max((1.0 - _RUNNING_SHARE) * nominal_rad_s, settings.servo_model.slow_rad_s)
+            <= max((1.0 - _RUNNING_SHARE) * nominal_rad_s, slow_rad_s(settings.servo_model))
             for servo, settings in zip(state.servos, self._settings.servos, strict=True)
         )
 
@@ -364,7 +365,7 @@ class Approach:
         """Return the goal of a braked finger: first at rest, then with growing force."""
         servo, settings = moment.state.servos[finger], self._settings
         model = settings.servos[finger].servo_model
-        creeps_rad_s = _CREEP_COUNTS * model.slow_rad_s
+        creeps_rad_s = _CREEP_COUNTS * slow_rad_s(model)
         if moment.now_s - brake.since_s < _BRAKED_S or -servo.velocity_rad_s > creeps_rad_s:
             return ServoGoal(angle_rad=servo.angle_rad, current_a=self.currents_a[finger])
         path = transmissions(settings, self._linkage, moment.state.angles_rad)[finger]
@@ -420,7 +421,7 @@ class Approach:
         """
         nominal_rad_s = self._nominal_rad_s(state)
         for finger, servo in enumerate(state.servos):
-            unit_rad_s = self._settings.servos[finger].servo_model.slow_rad_s
+            unit_rad_s = slow_rad_s(self._settings.servos[finger].servo_model)
             closing_rad_s = -servo.velocity_rad_s
             pause = self._pauses[finger]
             if pause is not None and now_s >= pause[1]:

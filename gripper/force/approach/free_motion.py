@@ -12,7 +12,8 @@ from gripper.force.approach.mechanics_proof import (
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import closing_current_max_a, closing_speed_m_s
 from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
-from gripper.servos.goal_limits import ServoGoal, overrun_rad
+from gripper.servos.goal_limits import ServoGoal, overrun_rad, running_lead_rad
+from gripper.servos.motion import slow_rad_s
 from gripper.settings import GripperSettings
 from gripper.values.state import ServoFeedback
 
@@ -39,7 +40,8 @@ _AGAINST_REST = 1.4
 class StandStill:
     """Step of control that watches empty fingers whose torque has just come on: none may move.
 
-    A servo with a wrong reported position runs to a goal made from it.
+    A servo with a wrong reported position runs to a goal made from it, or, where friction holds
+    the finger, drives with more current than its distance from that goal explains.
 
     Parameters
     ----------
@@ -50,22 +52,30 @@ class StandStill:
     """
 
     def __init__(self, settings: GripperSettings, state: ServoFeedback) -> None:
+        self._models = [one.servo_model for one in settings.servos]
         self._start_rad = state.angles_rad
-        self._periods = round(_STANDING_S / settings.period_s)
+        self._periods = self._left = round(_STANDING_S / settings.period_s)
+        self._sums_a = [0.0] * len(self._models)
 
     def step(self, moment: Moment) -> Action:
-        """Return no goals. Raises FeedbackImplausible when a finger moves."""
-        self._periods -= 1
-        for servo, start_rad in zip(moment.state.servos, self._start_rad, strict=True):
-            moved_rad = servo.angle_rad - start_rad
-            if abs(moved_rad) > _STANDING_RAD:
+        """Return no goals. Raises FeedbackImplausible when a finger moves, or its motor drives."""
+        self._left -= 1
+        done = self._left <= 0
+        for index, servo in enumerate(moment.state.servos):
+            moved_rad, model = servo.angle_rad - self._start_rad[index], self._models[index]
+            self._sums_a[index] += servo.current_a
+            mean_a = self._sums_a[index] / self._periods
+            away_rad = abs(running_lead_rad(model, mean_a, 0.0))
+            drives = away_rad > abs(moved_rad) + REACHED_PULSES * model.rad_per_pulse
+            if abs(moved_rad) > _STANDING_RAD or (done and drives):
                 raise FeedbackImplausible(
-                    f"servo {servo.servo_id}: it has moved by {moved_rad:+.3f} rad although its "
-                    f"goal is the position that it reported: the reported position is wrong, or "
-                    f"something drives it, so the torque is switched off. Restart the servo, check "
-                    f"its encoder and other programs on its line"
+                    f"servo {servo.servo_id}: it has moved by {moved_rad:+.3f} rad, with "
+                    f"{mean_a:+.3f} A, although its goal is the position that it reported: the "
+                    f"reported position is wrong, or something drives it, so the torque is "
+                    f"switched off. Restart the servo, check its encoder and other programs on "
+                    f"its line"
                 )
-        return Action(done=self._periods <= 0)
+        return Action(done=done)
 
 
 class MoveTo:
@@ -180,8 +190,8 @@ class MoveTo:
             )
             if self._only_open:
                 angle_rad = max(angle_rad, servo.angle_rad)
-            stands = servo.velocity_rad_s == 0.0 and not there and rising == 1.0
-            more = BOOST_PER_S * moment.dt_s if stands else 0.0
+            stands = abs(servo.velocity_rad_s) <= slow_rad_s(settings.servo_model)
+            more = BOOST_PER_S * moment.dt_s if stands and not there and rising == 1.0 else 0.0
             self._boosts[finger] = min(self._boosts[finger] + more, self._stiff[finger])
             least_a, current_a = self._least_a[finger], self._currents_a[finger]
             current_a = min(current_a, least_a + rising * (current_a - least_a))

@@ -58,6 +58,7 @@ from gripper.servos.goal_limits import (
     most_closed_rad,
     overrun_rad,
 )
+from gripper.servos.motion import still_rad
 from gripper.servos.plausibility import BEYOND_CLOSED_M
 from gripper.settings import GripperSettings
 from gripper.values.recent import FRAME_S, LEAST_SAMPLES, RecentForce
@@ -75,8 +76,6 @@ _LEAD_RAD = 0.04
 [resolution]"""
 REACHED_PULSES = 2.0
 """Distance in counts of the encoder at which a finger has reached its goal. [resolution]"""
-_STILL_COUNTS = 2.5
-"""Speed in counts of its velocity below which a finger stands: two, and some noise. [tuned]"""
 PATIENCE_S = 2.0
 """Time in s after which fingers without progress have not arrived. [chosen]"""
 _BLOCKED_S = 0.05
@@ -345,7 +344,6 @@ class _Finger:
     ) -> None:
         self.model = model
         self._reached_rad = REACHED_PULSES * model.rad_per_pulse
-        self._still_rad_s = _STILL_COUNTS * model.slow_rad_s
         self._least_rad = min(least_rad, start_rad)
         self.overrun_rad = 0.0
         """Distance in rad of the goal beyond the target, by the newest friction."""
@@ -356,7 +354,7 @@ class _Finger:
         self._from_rad = start_rad
         self._goal_rad = start_rad + 0.5 * self._sign * _LEAD_RAD
         self._rate_rad_s = rate_rad_s
-        self._nearest_rad = start_rad
+        self._nearest_rad = self._stood_rad = start_rad
         self._still_s = 0.0
         self.there = False
         self.moved = False
@@ -374,7 +372,7 @@ class _Finger:
 
     def begin_at(self, servo: ServoState) -> None:
         """Go on from where the finger is, forwards or back."""
-        self._from_rad = servo.angle_rad
+        self._from_rad = self._stood_rad = servo.angle_rad
         self._goal_rad = servo.angle_rad + 0.5 * self._sign * _LEAD_RAD
         self._still_s = 0.0
 
@@ -408,8 +406,10 @@ class _Finger:
         ahead_rad = sign * (self._goal_rad - servo.angle_rad) + self._rate_rad_s * dt_s
         if back:
             ahead_rad = most_rad
-        stands = abs(servo.velocity_rad_s) < self._still_rad_s and ahead_rad >= most_rad
-        self._still_s = self._still_s + dt_s if stands else 0.0
+        stands = abs(servo.angle_rad - self._stood_rad) < still_rad(self.model)
+        self._still_s = self._still_s + dt_s if stands and ahead_rad >= most_rad else 0.0
+        if self._still_s == 0.0:
+            self._stood_rad = servo.angle_rad
         goal_rad = servo.angle_rad + sign * min(ahead_rad, most_rad)
         self._goal_rad = max(goal_rad, min(self._least_rad, servo.angle_rad))
         return self._goal_rad

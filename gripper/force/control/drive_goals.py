@@ -17,6 +17,10 @@ from gripper.values.state import ServoFeedback, ServoState
 GIVE_RAD = 0.03
 """Largest opening of a goal beyond the contact in rad: pads and part are not deeper. [assumed]"""
 
+_REST_SHARE = 0.5
+"""Share of the friction by which the drive that stays after an error is above the force: the force
+may be larger than its last sample. It does not grow. [chosen]"""
+
 
 class DriveGoals:
     """Goals of the servos of one grip.
@@ -63,7 +67,7 @@ class DriveGoals:
         elif self._stop_rad is None:
             self._stop_rad = state.angles_rad
         stop_rad = self._stop_rad or (inf,) * len(paths)
-        model_n, friction_n = grip.estimate.model_n, mean_friction_n(paths)
+        balance_n, friction_n = grip.balance_n, mean_friction_n(paths)
         for servo, path, settings, contact_rad, deepest_rad, widest_rad, least_rad in zip(
             state.servos,
             paths,
@@ -82,26 +86,40 @@ class DriveGoals:
                     if held
                     else ServoGoal(
                         angle_rad=min(angle_rad, contact_rad + GIVE_RAD),
-                        current_a=min(drive_n / path.n_per_a, grip.settings.current_max_a),
+                        current_a=min(abs(drive_n) / path.n_per_a, grip.settings.current_max_a),
                         setpoint_n=grip.setpoint_n,
                     )
                 )
                 continue
-            # Each servo drives with the same share of its own friction.
-            own_n = model_n + (drive_n - model_n) * path.friction_n / friction_n
-            current_a = min(abs(own_n) / path.n_per_a, grip.settings.current_max_a)
-            margin_rad = closing_margin_rad(settings.servo_model, current_a)
-            # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
             # A position that drifts open must not move a closing goal to the open side.
+            closed_rad = min(least_rad, servo.angle_rad)
+            held_n = max(balance_n, 0.0) + _REST_SHARE * path.friction_n
+            held_a = min(held_n / path.n_per_a, grip.settings.current_max_a)
+            rest = ServoGoal(
+                angle_rad=max(
+                    deepest_rad - closing_margin_rad(settings.servo_model, held_a), closed_rad
+                ),
+                current_a=held_a,
+                setpoint_n=grip.setpoint_n,
+            )
+            # Each servo drives with the same share of its own friction.
+            own_n = balance_n + (drive_n - balance_n) * path.friction_n / friction_n
+            current_a = min(abs(own_n) / path.n_per_a, grip.settings.current_max_a)
+            # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
             if own_n >= 0.0:
-                angle_rad = max(deepest_rad - margin_rad, min(least_rad, servo.angle_rad))
+                margin_rad = closing_margin_rad(settings.servo_model, current_a)
+                angle_rad = max(deepest_rad - margin_rad, closed_rad)
             else:
-                angle_rad = min(servo.angle_rad + margin_rad, contact_rad + GIVE_RAD, widest_rad)
+                # Without a further goal the finger opens by no more than this.
+                lead_rad = running_lead_rad(settings.servo_model, current_a, 0.0)
+                lead_rad += settings.servo_model.rad_per_pulse
+                angle_rad = min(servo.angle_rad + lead_rad, contact_rad + GIVE_RAD, widest_rad)
             goals.append(
                 ServoGoal(
                     angle_rad=angle_rad,
                     current_a=current_a,
                     setpoint_n=grip.setpoint_n,
+                    rest=rest,
                 )
             )
         return tuple(goals)
@@ -115,7 +133,7 @@ class DriveGoals:
     def _holding(self, held_rad: float, model: ServoModel, path: Transmission) -> ServoGoal:
         """Return the goal of a finger that is held by position, against the force of the pads."""
         grip = self._grip
-        current_a = max(grip.estimate.force_n, 0.0) / path.n_per_a
+        current_a = max(grip.force_n, 0.0) / path.n_per_a
         return ServoGoal(
             angle_rad=held_rad - running_lead_rad(model, current_a, 0.0),
             current_a=min(current_a + path.drive.most_breakaway_a, grip.settings.current_max_a),

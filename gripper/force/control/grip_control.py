@@ -5,11 +5,7 @@ from math import hypot
 
 from gripper.force.approach.approach import Reached
 from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
-from gripper.force.control.modes import GripModes
-from gripper.force.control.motion_mode import SPEED_S
-from gripper.force.control.period import Period
-from gripper.force.estimates.contact_observer import LOG_STIFFNESS_SD
-from gripper.force.estimates.force_estimate import ForceEstimate
+from gripper.force.control.law import STIFFNESS_SD, ForceLaw, Period
 from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.history import History
 from gripper.force.estimates.stiffness import KNOWN_N
@@ -20,14 +16,6 @@ from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n,
 from gripper.servos.goal_limits import ServoGoal
 from gripper.values.state import GRAIN_M, ServoFeedback
 
-_INERTIA_N_S_M = 100.0
-"""Margin of the drive in N below the cap of the force for each m/s of closing, with a lever of 60
-mm: on a part of 10 N/mm the inertia of the fingers adds this force to their drive. [tuned]"""
-_FAST_PERIOD_S = 0.0065
-"""Longest time in s between two goals of a planned motion, about half of the time constant of its
-speed: in a slower loop the fingers would run too far. [chosen]"""
-_LATE_PERIOD_S = SPEED_S
-"""Time in s since the last period after which slower control replaces a motion."""
 _HARDENS = 1.5
 """Stiffness at the contact over the mean stiffness up to it, for foam. [assumed]"""
 
@@ -62,13 +50,13 @@ class GripControl:
         self.grip = grip = Grip(
             settings=settings,
             linkage=linkage,
-            estimate=ForceEstimate(settings.force_loop, force_n=force_n, now_s=now_s),
             stiffness=reached.stiffness,
             apertures=History(),
             setpoint_n=force_n,
             asked_n=force_n,
+            force_n=force_n,
+            balance_n=force_n,
             drive_n=drive_n,
-            quiet_n=drive_n,
         )
         grip.apertures.add(now_s, state.aperture_m)
         yielded_m = max(reached.touch_m - state.aperture_m, 0.0)
@@ -78,22 +66,24 @@ class GripControl:
         """Decides whether the part is gone; called before `goals` in each period."""
         given_m = GIVE_RAD * sum(map(linkage.opening_per_rad_m, state.angles_rad))
         self._checks = PadChecks(settings, state, now_s, widest_m=state.aperture_m + given_m)
-        # The opening shrinks by the yield of both pads.
-        pad_n_m = 2.0 * _HARDENS * max(force_n, self.watch.pads.empty_n) / (yielded_m + GRAIN_M)
-        pad_log_sd = hypot(LOG_STIFFNESS_SD, GRAIN_M / (yielded_m + GRAIN_M))
-        self._modes = GripModes(grip, now_s, pad_n_m, pad_log_sd)
+        # The opening shrinks by the yield of both pads, and each end of it is off by a grain.
+        yielded_m += 2.0 * GRAIN_M
+        pad_n_m = 2.0 * _HARDENS * max(force_n, self.watch.pads.empty_n) / yielded_m
+        pad_sd = hypot(STIFFNESS_SD, 2.0 * GRAIN_M / yielded_m)
+        self._law = ForceLaw(grip, now_s, stiffness_n_m=pad_n_m, stiffness_sd=pad_sd)
         self._goals = DriveGoals(grip, state, reached.touch_m)
 
     @property
     def force_n(self) -> float:
         """Mean of the last samples of the grip force in N."""
         samples = self.watch.pads.recent
-        return samples.grip_n if samples else self.grip.estimate.model_n
+        return samples.grip_n if samples else self.grip.force_n
 
     def resume(self) -> None:
         """Begin again after a pause: samples from before it are discarded."""
         self.watch.resume()
         self._checks.resume()
+        self._law.resume()
 
     def goals(
         self,
@@ -101,7 +91,6 @@ class GripControl:
         setpoint_n: float,
         *,
         arrival_n: float | None = None,
-        taper: bool = False,
     ) -> tuple[ServoGoal, ...]:
         """Return the goals of one period.
 
@@ -113,15 +102,13 @@ class GripControl:
             Set-point of the grip force in N.
         arrival_n
             End of the present change of force in N; None without a change.
-        taper
-            True during a long hold.
 
         Raises
         ------
         ForceImbalance, PositionContradicted
             As `PadChecks.check`.
         LimitExceeded
-            When sensor and model disagree, see `ForceEstimate`.
+            When the pads jump or contradict the currents, see `ForceLaw`.
         """
         grip, state, sample = self.grip, moment.state, moment.sample
         rises_n = setpoint_n - grip.setpoint_n
@@ -132,28 +119,22 @@ class GripControl:
             self.watch.pads.take(sample)
             self._checks.check(moment, self.watch.pads, rises=rises_n > 0.0)
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
-        grip.drive_n = self._modes.step(
-            Period(
-                moment=moment,
-                usable=usable,
-                quick=self._settings.period_s <= _FAST_PERIOD_S and moment.dt_s <= _LATE_PERIOD_S,
-                setpoint_n=setpoint_n,
-                rises_n=rises_n,
-                arrival_n=arrival_n,
-                taper=taper,
-                paths=paths,
-                friction_n=mean_friction_n(paths),
-                doubt_n=max(path.doubt_n(setpoint_n) for path in paths),
-                drive_max_n=self._drive_max_n(state, paths),
-                inertia_n=grip.swing_n_s_m(_INERTIA_N_S_M) * max(0.0, -state.aperture_velocity_m_s),
-                may_open=self._goals.may_open,
-            )
+        period = Period(
+            moment=moment,
+            usable=usable,
+            setpoint_n=setpoint_n,
+            end_n=setpoint_n if arrival_n is None else arrival_n,
+            paths=paths,
+            friction_n=mean_friction_n(paths),
+            drive_max_n=self._drive_max_n(state, paths),
+            may_open=self._goals.may_open,
         )
+        grip.drive_n = self._law.step(period)
         return self._goals.goals(state, paths)
 
     def quiet_goals(self, moment: Moment) -> tuple[ServoGoal, ...]:
-        """Return the last goals of a grip: without the square wave on the drive."""
-        self.grip.drive_n = self.grip.quiet_n
+        """Return the last goals of a grip: without a push."""
+        self.grip.drive_n = self.grip.balance_n
         state = moment.state
         return self._goals.goals(
             state, transmissions(self._settings, self._linkage, state.angles_rad)
@@ -164,12 +145,12 @@ class GripControl:
 
         If something pushes the fingers open, the cap of the force also limits the drive.
         """
-        cap_a = self._settings.current_cap_a(state.temperature_c)
+        cap_a = min(self._settings.current_max_a, *(servo.limit_a for servo in state.servos))
         cap_n = self._settings.force_max_n
-        model_n, friction_n = self.grip.estimate.model_n, mean_friction_n(paths)
+        balance_n, friction_n = self.grip.balance_n, mean_friction_n(paths)
         return min(
-            model_n
-            + (min(cap_a, path.pressing_current_a(cap_n)) * path.n_per_a - model_n)
+            balance_n
+            + (min(cap_a, path.pressing_current_a(cap_n)) * path.n_per_a - balance_n)
             * (friction_n / path.friction_n)
             for path in paths
         )

@@ -7,7 +7,9 @@ from math import exp, hypot, sqrt
 from statistics import fmean, pstdev
 from typing import NamedTuple
 
-from gripper.dynamixel.drive import DriveCharacteristic, disagreement
+import numpy as np
+
+from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic, disagreement
 from gripper.errors import ServoFault
 from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.mechanics.identification import (
@@ -19,22 +21,18 @@ from gripper.mechanics.identification import (
     fit_friction,
     fit_inertia,
 )
+from gripper.servos.motion import position_sd_rad, slow_rad_s
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.state import ServoFeedback, ServoState
 
-_AFTER_START_S = 0.02
-"""Time in s from the start of free motion that is left out: the current lags its goal. [tuned]"""
 _BEFORE_END_S = 0.05
 """Time in s before the end of a closing motion that is left out: the pads report a contact late.
 [tuned]"""
 _WINDOW_S = 0.4
 """Time in s of free motion for one point. [tuned]"""
-_LEAST_PERIODS = 12
-"""Least periods of one point: 0.06 s at 200 Hz. [tuned]"""
-_PART_PERIODS = 8
-"""Periods of a part of a motion whose acceleration is one value: 0.04 s at 200 Hz. [chosen]"""
-_LEAST_COUNTS = 0.5
-"""Least speed in counts of a motion. [resolution]"""
+_PART_PERIODS = 16
+"""Periods of a part of a motion whose acceleration is one value, exact to 1 rad/s² by the counts of
+the encoder in 0.08 s at 200 Hz. A point has two parts or more. [resolution]"""
 _EVEN_SHARE = 0.15
 """Share by which the currents of both halves of a free motion may differ, without what accelerates
 them. [tuned]"""
@@ -115,7 +113,7 @@ class FreeMotion:
         """Add one period, with all fingers moving ``free``, or with a possible contact."""
         for servo, settings in zip(moment.state.servos, self._settings.servos, strict=True):
             run = self._runs[servo.servo_id]
-            if not (free and run.goes_on(servo, settings.servo_model.slow_rad_s)):
+            if not (free and run.goes_on(servo)):
                 self._end(settings, servo, run)
                 run.start()
             run.add(moment.now_s, servo)
@@ -223,7 +221,7 @@ class _Period(NamedTuple):
     """Feedback of one servo in one period."""
 
     now_s: float
-    speed_rad_s: float
+    angle_rad: float
     current_a: float
     voltage_v: float
 
@@ -233,47 +231,42 @@ class _Run:
 
     def __init__(self, settings: ServoSettings) -> None:
         model = settings.servo_model
-        self._step_a = model.current_unit_a / sqrt(12.0)
-        self._step_rad_s = model.slow_rad_s / sqrt(12.0)
+        self._step_a = model.current_step_a / sqrt(12.0)
         self._model = model
         self.start()
 
     def start(self) -> None:
         """Start another motion."""
-        self._since_s: float | None = None
+        self._sign = 0.0
         self._first: list[_Period] = []
         self._periods: deque[_Period] = deque()
 
-    def goes_on(self, servo: ServoState, count_rad_s: float) -> bool:
+    def goes_on(self, servo: ServoState) -> bool:
         """Return whether a servo moves in the direction of before."""
         speed = servo.velocity_rad_s
-        if abs(speed) < _LEAST_COUNTS * count_rad_s:
-            return False
-        return not self._periods or speed * self._periods[-1].speed_rad_s > 0.0
+        return abs(speed) > slow_rad_s(self._model) and speed * self._sign >= 0.0
 
     def add(self, now_s: float, servo: ServoState) -> None:
         """Add one period."""
-        if self._since_s is None:
-            self._since_s = now_s
         voltage_v = servo.pwm_share * servo.voltage_v
-        period = _Period(now_s, servo.velocity_rad_s, servo.current_a, voltage_v)
+        period = _Period(now_s, servo.angle_rad, servo.current_a, voltage_v)
+        self._sign = servo.velocity_rad_s
         self._periods.append(period)
-        if now_s <= self._since_s + _WINDOW_S:
+        if not self._first or now_s <= self._first[0].now_s + _WINDOW_S:
             self._first.append(period)
         while self._periods[0].now_s < now_s - _WINDOW_S - _BEFORE_END_S:
             self._periods.popleft()
 
     def _inner(self, periods: Iterable[_Period]) -> list[_Period]:
-        """Return the periods of free motion whose currents have followed their goals."""
-        if self._since_s is None or not self._periods:
+        """Return the periods of free motion."""
+        if not self._periods:
             return []
-        last = self._periods[-1]
-        end_s = last.now_s - (_BEFORE_END_S if last.speed_rad_s < 0.0 else 0.0)
-        return [one for one in periods if self._since_s + _AFTER_START_S <= one.now_s <= end_s]
+        end_s = self._periods[-1].now_s - (_BEFORE_END_S if self._sign < 0.0 else 0.0)
+        return [one for one in periods if one.now_s <= end_s]
 
     def lasts(self) -> bool:
         """Return whether the motion is long enough for a point."""
-        return len(self._inner(self._periods)) >= _LEAST_PERIODS
+        return len(self._inner(self._periods)) >= 2 * _PART_PERIODS
 
     def parts(self) -> list[AcceleratedPoint]:
         """Return the parts of the motion's beginning, each with its acceleration."""
@@ -282,14 +275,17 @@ class _Run:
         return [self._part(inner[end - _PART_PERIODS : end]) for end in ends]
 
     def _part(self, periods: Sequence[_Period]) -> AcceleratedPoint:
-        middle_s = fmean(one.now_s for one in periods)
-        spread_s2 = sum((one.now_s - middle_s) ** 2 for one in periods)
-        turned = sum((one.now_s - middle_s) * one.speed_rad_s for one in periods)
+        """Return speed and acceleration by a parabola through the positions (least squares)."""
+        t_s = np.array([one.now_s for one in periods])
+        t_s -= t_s.mean()
+        rows = np.column_stack([np.ones(len(t_s)), t_s, 0.5 * t_s**2])
+        whole = np.linalg.pinv(rows)
+        _, speed_rad_s, acceleration_rad_s2 = whole @ [one.angle_rad for one in periods]
         return AcceleratedPoint(
-            speed_rad_s=fmean(one.speed_rad_s for one in periods),
+            speed_rad_s=float(speed_rad_s),
             current_a=fmean(one.current_a for one in periods),
-            acceleration_rad_s2=turned / spread_s2,
-            acceleration_sd_rad_s2=self._step_rad_s / sqrt(spread_s2),
+            acceleration_rad_s2=float(acceleration_rad_s2),
+            acceleration_sd_rad_s2=position_sd_rad(self._model) * float(np.linalg.norm(whole[2])),
         )
 
     def point(self, drive: DriveCharacteristic) -> FreePoint | None:
@@ -297,33 +293,31 @@ class _Run:
 
         The current that accelerates the servo is taken out by the inertia of its ``drive``.
         """
-        inertia_a_s2 = drive.inertia_a_s2(self._model)
-
-        def accelerating_a(periods: Sequence[_Period]) -> float:
-            first, last = periods[0], periods[-1]
-            gained_rad_s, lasts_s = last.speed_rad_s - first.speed_rad_s, last.now_s - first.now_s
-            return inertia_a_s2 * gained_rad_s / lasts_s
-
-        inner = self._inner(self._periods)
-        if len(inner) < _LEAST_PERIODS:
+        if not self.lasts():
             return None
+        inner = self._inner(self._periods)
         half = len(inner) // 2
-        whole_a, *halves_a = (
-            fmean(one.current_a for one in part) - accelerating_a(part)
-            for part in (inner, inner[:half], inner[half:])
+        inertia_a_s2 = drive.inertia_a_s2(self._model)
+        whole, *halves = map(self._part, (inner, inner[:half], inner[half:]))
+        whole_a, first_a, second_a = (
+            part.current_a - inertia_a_s2 * part.acceleration_rad_s2 for part in (whole, *halves)
         )
-        speed_rad_s = fmean(one.speed_rad_s for one in inner)
-        if speed_rad_s * whole_a <= 0.0 or abs(halves_a[1] - halves_a[0]) > _EVEN_SHARE * abs(
-            whole_a
-        ):
+        # Currents of neighbouring periods have a common error.
+        spread_a = pstdev([one.current_a for one in inner]) / sqrt(len(inner) / 4.0)
+        unlike_a = _EVEN_SHARE * abs(whole_a) + SIGMAS * hypot(
+            2.0 * spread_a, *(inertia_a_s2 * part.acceleration_sd_rad_s2 for part in halves)
+        )
+        if whole.speed_rad_s * whole_a <= 0.0 or abs(second_a - first_a) > unlike_a:
             # The servo is driven from outside, or presses on something.
             return None
-        spread_a = pstdev([one.current_a for one in inner]) / sqrt(len(inner) / 4.0)
-        sd_a = hypot(spread_a, self._step_a, drive.inertia_sd * accelerating_a(inner))
+        sd_a = hypot(spread_a, self._step_a, drive.inertia_sd * (whole.current_a - whole_a))
         moving = FreePoint(
-            speed_rad_s=speed_rad_s,
-            current_a=fmean(one.current_a for one in inner),
+            speed_rad_s=whole.speed_rad_s,
+            current_a=whole.current_a,
             sd_a=sd_a,
-            voltage_v=fmean(one.voltage_v for one in inner) or None,
+            # A current by the duty and the voltage of that duty show no back-EMF.
+            voltage_v=None
+            if self._model.supply_current
+            else fmean(one.voltage_v for one in inner) or None,
         )
         return moving.at_current(whole_a, self._model.winding_ohm)

@@ -1,7 +1,7 @@
 """Stiffness of the gripped part, from the touch on."""
 
 from collections import deque
-from math import hypot, inf
+from math import inf
 
 from gripper.force.estimates.history import History
 from gripper.force.loop import Moment
@@ -17,8 +17,6 @@ KNOWN_N = 3.0
 """Force in N from which a stiffness is known well; it is measured anew each 0.7 N. [tuned]"""
 _SLOPE_N = 0.7
 """Growth of the force in N for one stiffness: several times the noise. [tuned]"""
-_SLOPE_SD = 0.3
-"""Standard deviation of this growth by noise, as a share of it. [tuned]"""
 STIFFEST_N_M = 1e5
 """Largest stiffness in N/m, of part and pads or of one pad: steel between foam is far below it.
 [chosen]"""
@@ -44,8 +42,6 @@ class StiffnessEstimate:
         self._anchor: tuple[float, float] | None = None
         self._sample_s: float | None = None
         self._stiffness_n_m: float | None = None
-        self.log_sd = inf
-        """Standard deviation of the logarithm of the stiffness."""
 
     @property
     def stiffness_n_m(self) -> float | None:
@@ -78,5 +74,4 @@ class StiffnessEstimate:
         if mean_n - self._anchor[0] >= _SLOPE_N:
             travel_m = max(self._anchor[1] - mean_m, GRAIN_M)
             self._stiffness_n_m = min((mean_n - self._anchor[0]) / travel_m, STIFFEST_N_M)
-            self.log_sd = hypot(_SLOPE_SD, GRAIN_M / travel_m)
             self._anchor = (mean_n, mean_m)

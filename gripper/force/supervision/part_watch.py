@@ -72,7 +72,7 @@ class PartWatch:
         """
         grip, pads, state, sample = self._grip, self.pads, moment.state, moment.sample
         closing_m_s = -state.aperture_velocity_m_s
-        self._motions.append(Motion(moment.now_s, state.aperture_m, closing_m_s, grip.quiet_n))
+        self._motions.append(Motion(moment.now_s, state.aperture_m, closing_m_s, grip.balance_n))
         while moment.now_s - self._motions[0].t_s > LOOK_BACK_S:
             self._motions.popleft()
         seen = sample is not None and sample.valid

@@ -62,7 +62,7 @@ def test_the_set_point_stays_and_the_force_does_not_rise_any_more(make_started, 
     assert cell.gripper.phase is GripperPhase.HOLDING
     cell.gripper.hold(0.5, asking)
     assert asking.setpoints_after_n == {at_n}
-    assert max(asking.force_n[asking.asked_at :]) <= at_n + 0.25
+    assert max(asking.force_n[asking.asked_at :]) <= at_n + 0.35
     assert min(asking.force_n[asking.asked_at :]) >= at_n - 0.6
     assert outcome.overshoot_n <= 0.4
 
@@ -282,6 +282,7 @@ class Control:
     def __init__(self, force_n: float, *, lost: bool = False, doubts: bool = False) -> None:
         self.force_n = force_n
         self.asked: list[tuple[float, float | None]] = []
+        self.grip = SimpleNamespace(force_n=force_n)
         self.watch = SimpleNamespace(lost=lambda _moment: lost, doubts=doubts)
 
     def resume(self) -> None:
@@ -339,12 +340,9 @@ def test_the_outcome_is_that_of_the_last_force(force_n, result, overshoot_n) -> 
     assert (outcome.contact_t_s, outcome.ended_early) == (None, False)
 
 
-def test_a_hold_gives_back_drive_after_a_while_and_ends_in_time() -> None:
-    tapers: list[bool] = []
+def test_a_hold_ends_in_time() -> None:
     control = Control(2.0)
-    control.grip = SimpleNamespace(setpoint_n=2.0)
-    control.goals = lambda _moment, _setpoint_n, *, taper: tapers.append(taper)
-    step = HoldStep(GripperSettings(taper_after_s=0.05), control, 0.1)
+    control.grip = SimpleNamespace(setpoint_n=2.0, force_n=2.0)
+    step = HoldStep(GripperSettings(), control, 0.1)
     done = [step.step(MOMENT).done for _ in range(20)]
     assert done == [False] * 19 + [True]
-    assert tapers == [False] * 10 + [True] * 10

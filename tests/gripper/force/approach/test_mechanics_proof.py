@@ -106,7 +106,7 @@ def test_a_wrong_direction_of_one_is_refused_where_its_finger_is_beyond_the_midd
 
 
 @pytest.mark.parametrize("linkage", ["parallel", "rack"])
-@pytest.mark.parametrize("aperture_m", [0.0, 0.003, 0.018])
+@pytest.mark.parametrize("aperture_m", [0.0, 0.002, 0.018])
 def test_a_wrong_direction_of_one_servo_that_drives_both_is_told(
     make_cell, linkage, aperture_m
 ) -> None:
@@ -162,6 +162,7 @@ def test_a_pinion_opens_from_each_part_of_its_turn_and_grips_wide_parts(
     cell = make_started(
         **{"n_servos": 1, "linkage": "rack", "pinion_radius_m": 0.008, "model": XL330_M288},
         **{"zero_raw": 700, "aperture_open_m": 0.065, "force_max_n": 15.0, "loop_rate_hz": 100.0},
+        catalogue_torque=True,
         aperture_m=aperture_m,
         width_m=0.06,
         present=False,

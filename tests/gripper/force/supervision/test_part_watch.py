@@ -2,22 +2,24 @@
 
 from dataclasses import replace
 from functools import partial
+from math import sqrt
 
 import pytest
 
 from benchmarks.performance.force_ramps import PARTS
 from benchmarks.performance.touch import TouchRig
+from gripper.dynamixel.models import XM430_W350
 from gripper.errors import GripContradicted, PartLost
 from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
-from gripper.force.supervision.doubt import Doubted, Sure, Suspected
+from gripper.force.supervision.doubt import RUN_M, Doubted, Sure, Suspected
 from gripper.force.supervision.part_watch import TRANSITIONS, PartWatch
 from gripper.mechanics.kinematics import transmissions
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
-from gripper.values.state import GripperPhase
+from gripper.values.state import GRAIN_M, GripperPhase
 from tests.gripper.force.grips import LINKAGE, PERIOD_S, STATE, make_grip
 from tests.gripper.force.pads import WrongPads
 
@@ -88,7 +90,7 @@ def test_pads_that_are_empty_for_a_moment_are_no_doubt(watched: Watched) -> None
 
 def test_much_force_that_is_gone_at_once_is_doubted_and_a_frame_confirms_it(watched) -> None:
     watched.force_n = watched.frame_n = 0.0
-    watched.pressing_n = 4.0  # less than friction at rest: free fingers would stand as well
+    watched.pressing_n = 1.0  # less than friction at rest: free fingers would stand as well
     periods = 0
     while not watched.period():
         periods += 1
@@ -217,7 +219,8 @@ def test_a_soft_part_that_yields_fast_is_not_lost(make_started, monkeypatch, bel
         slip_travel_m=0.05,
     )
     outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.3))
-    assert outcome.result is GraspResult.FORCE_REACHED
+    assert outcome.result is not GraspResult.PART_LOST
+    cell.gripper.hold(1.5)
     assert cell.force_n == pytest.approx(4.0, abs=0.5)
 
 
@@ -272,9 +275,13 @@ def test_fast_force_shows_a_part_taken_away_at_once(make_cell, final_n) -> None:
         with pytest.raises(PartLost):
             cell.gripper.hold(1.0, take)
         took_s.append(cell.clock.monotonic() - cell.acted_s[0])
+    # The pads do not suffice: the inertia runs through whole counts, too. Of the gripping force
+    # friction takes a part, and the law lowers the drive with the force.
+    runs_m = RUN_M + GRAIN_M
+    runs_s = sqrt(4.0 * runs_m * XM430_W350.rotor_inertia_kg_m2 / final_n) / LINKAGE.link_m
     # One unlucky sample may cost a period.
-    assert sorted(took_s)[1] < 0.017
-    assert max(took_s) < 0.025
+    assert sorted(took_s)[1] < runs_s + PERIOD_S
+    assert max(took_s) < runs_s + 2.0 * PERIOD_S
 
 
 @pytest.mark.slow

@@ -1,13 +1,11 @@
-"""What is known of the force: samples that no drive explains, a sensor that sees nothing."""
+"""Pads whose zero jumps on a part, and friction that breaks, which is no such jump."""
 
 from dataclasses import replace
 
 import pytest
 
 from gripper.errors import ForceAboveCap, LimitExceeded
-from gripper.force.estimates.force_estimate import ForceEstimate
 from gripper.force.ramp import ForceRamp
-from gripper.settings import ForceLoopSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
 from tests.gripper.force.pads import WrongPads
@@ -22,14 +20,6 @@ def test_friction_that_breaks_on_a_short_lever_is_no_jump_of_the_zero(make_start
     assert outcome.result is GraspResult.FORCE_REACHED
 
 
-def test_growth_just_after_friction_has_broken_is_no_jump() -> None:
-    estimate = ForceEstimate(ForceLoopSettings(), force_n=4.0, now_s=0.0)
-    estimate.move(0.02, 4.2, doubt_n=0.4)
-    sample = ForceSample(t_s=0.06, force_n=(5.4, 5.4), lag_s=0.005, noise_n=0.04)
-    assert not estimate.jumps(sample, 1.2, 4.2, 3.7)
-    assert estimate.jumps(replace(sample, t_s=0.09), 1.2, 4.2, 3.7)
-
-
 @pytest.mark.parametrize("rate_hz", [None, 500.0])
 @pytest.mark.parametrize("final_n", [0.7, 4.0])
 @pytest.mark.parametrize("moment", ["ramp", "hold"])
@@ -37,7 +27,8 @@ def test_pads_whose_zero_jumps_on_a_part_do_not_let_it_go(
     make_started, rate_hz, final_n, moment
 ) -> None:
     """The fingers stand and press as before: it is no force that there is too much of."""
-    cell = make_started(rate_hz=rate_hz)
+    # A slow touch adds no force, which would have to fall first.
+    cell = make_started(rate_hz=rate_hz, approach_speed_m_s=0.008)
     pads = WrongPads(cell, lambda it: replace(it, force_n=tuple(n + 4.0 for n in it.force_n)))
     least_n: list[float] = []
 
@@ -71,14 +62,3 @@ def test_a_force_that_jumps_above_the_cap_is_told_as_that(make_cell, rate_hz) ->
 
     with pytest.raises(ForceAboveCap, match="force_max_n is 7"):
         cell.gripper.hold(1.5, observe)
-
-
-def test_moving_fingers_may_meet_a_part_that_is_twice_as_stiff_as_known() -> None:
-    """Foam that hardens under fast fingers is no jump of the zero of the pads."""
-    estimate = ForceEstimate(ForceLoopSettings(), force_n=3.0, now_s=0.0)
-    for now_s in (0.1, 0.2):
-        sample = ForceSample(t_s=now_s, force_n=(4.0, 4.0), noise_n=0.01)
-        assert not estimate.jumps(sample, 1.0, 3.0, 3.0, moved_n=0.4)
-    estimate.jumps(ForceSample(t_s=0.3, force_n=(4.0, 4.0), noise_n=0.01), 1.0, 3.0, 3.0)
-    with pytest.raises(LimitExceeded, match="zero has jumped"):
-        estimate.jumps(ForceSample(t_s=0.4, force_n=(4.0, 4.0), noise_n=0.01), 1.0, 3.0, 3.0)

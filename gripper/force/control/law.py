@@ -1,0 +1,474 @@
+"""Law of the grip force: a planned force, friction compensation, and pushes against stiction.
+
+Of the set-point s a plan makes a force r whose rate r' has no jump (`ForcePlan`). An observer gives
+force F, speed v and missing drive d of the fingers (`gripper.force.control.observer`). With the
+mass m, the stiffness k, the friction phi in motion and e = r - F the drive is
+
+    moving   u = F + d + phi sign(v) + m (r''/k + (w - v)/T_v),    w = (r' + e/T_f)/k
+    at rest  u = F + d
+
+This is Coulomb friction compensation by the sign of the motion (Armstrong-Helouvry, Dupont and
+Canudas de Wit 1994). At rest the drive is in the band of the friction, so nothing hunts.
+
+Friction at rest is larger than in motion, by 1.3 to 1.8 on an XM430. A drive that grows until the
+fingers start makes the force jump by twice the difference. So fingers at rest are started by a push
+of one period, and come to rest within a fraction of a newton (impulsive control, Armstrong-Helouvry
+1991). Where the force should grow faster than such pushes make it, the motion goes on. A push that
+starts nothing makes the next one larger.
+
+Samples by current show no motion: the drive is then the edge of the friction band.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import copysign, hypot, inf, sqrt
+from statistics import fmean
+
+from gripper.dynamixel.drive import Drives
+from gripper.errors import LimitExceeded
+from gripper.force.control.observer import GripObserver
+from gripper.force.estimates.grip import Grip
+from gripper.force.loop import Moment
+from gripper.mechanics.impact import CURRENT_S, current_share, impact_limit
+from gripper.mechanics.kinematics import Transmission, driving_n
+from gripper.servos.goal_limits import MOST_STICTION, pressing_speed_m_s
+from gripper.values.force_sensor import ForceSample
+from gripper.values.recent import FRAME_S, LOOK_BACK_S
+from gripper.values.state import GRAIN_M, ServoFeedback
+
+_ACTS_S = 0.001 + CURRENT_S
+"""Time in s from the feedback of a period until its goals act: the write and the current.
+[assumed]"""
+_FORCE_S, _SPEED_S = 0.04, 0.012
+"""Time constants T_f and T_v in s: T_f is two frames, T_v four currents.
+[chosen]"""
+_RATE_S = 0.025
+"""Time in s in which the rate of the plan reaches that of its ramp. [chosen]"""
+_LEAST_RATE_N_S = 5.0
+"""Rate in N/s of the plan of a small change. [chosen]"""
+_INERTIA_N = 2.0
+"""Largest force in N for the mass in a plan: a soft part makes the plan slower. [chosen]"""
+_RAMP_N, _HOLD_N, _FALL_N = 0.08, 0.15, 0.15
+"""Errors in N at which fingers at rest start: on a ramp, in a hold (half of the aim of 0.3 N), and
+what comes to it against the direction, through the whole friction. [chosen]"""
+_NEAR_N = 0.03
+"""Distance in N from its end at which a motion stops. [chosen]"""
+_BRAKE_SHARE = 0.5
+"""Share of the friction by which the drive brakes beside the friction itself. [chosen]"""
+_SHOWS_S = 0.012
+"""Time in s after a push at which a sample shows its effect: three currents. [chosen]"""
+_STRONGER, _WEAKER = 1.15, 0.98
+"""Factors on the assumed stiction after a push without, and with, effect. [chosen]"""
+_EFFECT_SHARE = 0.5
+"""Share of the expected growth of the force by which a push has had an effect. [chosen]"""
+_EFFECT_SDS = 2.0
+"""Growth of the force, in its standard deviations, that shows an effect. [statistics]"""
+_BEYOND_N = 0.1
+"""Push in N beyond the assumed friction at rest. [chosen]"""
+STIFFNESS_SD = 0.5
+"""Standard deviation of a stiffness as a share of it: foam hardens. [chosen]"""
+_STIFFER = 4.0
+"""Largest change of a stiffness, as a factor: pads that show a force before they touch make a stiff
+part look soft. [chosen]"""
+_SHOWN_M = 1.5 * GRAIN_M
+"""Change of the opening in m that shows a motion: a count and a half. [resolution]"""
+_LEAST_OPENING_SHARE = 0.3
+"""Least friction of opening fingers over that of closing ones. [chosen]"""
+_RELAXED_S = 1.0
+"""Time in s of a hold by current after which the current falls to what the force needs. [chosen]"""
+_TRIAL_MEAN_S = 0.02
+"""Time constant in s of the force by which a finger is held while the other one is measured.
+[chosen]"""
+_JUMP_N, _JUMP_SHARE, _JUMP_SDS = 0.8, 0.15, 4.0
+"""Sudden growth of the measured force that no drive makes: in N, as a share of the set-point, and
+in standard deviations. [chosen]"""
+_JUMP_S, _CONTRADICTED_S = 0.75 * FRAME_S, 15 * FRAME_S
+"""Times in s after which a jump, and a missing drive that is too large, are an error. [chosen]"""
+_MOST_LACKING_N, _LACKING_SDS = 3.0, 5.0
+"""Largest missing drive in N, beside the friction and the uncertainty of the servos. [chosen]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Period:
+    """One period of control: measurements, set-point, limits."""
+
+    moment: Moment
+    """Feedback and newest sample."""
+    usable: bool
+    """Whether there is a usable sample: a valid one without doubt about the part."""
+    setpoint_n: float
+    end_n: float
+    """Set-point of the grip force in N, and where its present change ends."""
+    paths: Sequence[Transmission]
+    friction_n: float
+    """Transmission of each servo, and half the width of the friction band in N."""
+    drive_max_n: float
+    """Largest driving force in N."""
+    may_open: bool
+    """Whether the fingers may open farther."""
+
+    @property
+    def state(self) -> ServoFeedback:
+        """Feedback of the servos."""
+        return self.moment.state
+
+    @property
+    def sample(self) -> ForceSample | None:
+        """Newest sample; None where it is not usable."""
+        return self.moment.sample if self.usable else None
+
+    def yielding_n(self, force_n: float) -> float:
+        """Return the drive in N at which a force in N begins to fall, the mean of the servos."""
+        return fmean(path.yielding_n(force_n) for path in self.paths)
+
+
+class ForcePlan:
+    """Plan of the force: its rate follows that of the set-point and ends at rest.
+
+    Parameters
+    ----------
+    force_n
+        Force at the beginning in N.
+    """
+
+    def __init__(self, force_n: float) -> None:
+        self.force_n = force_n
+        """Planned force in N, never beyond the set-point."""
+        self.rate_n_s = 0.0
+        self.rate_change_n_s2 = 0.0
+        """Its rate in N/s, and the change of the rate in N/s²."""
+
+    def step(
+        self,
+        dt_s: float,
+        setpoint_n: float,
+        end_n: float,
+        *,
+        ramp_n_s: float,
+        most_n_s: float,
+        change_n_s2: float,
+    ) -> None:
+        """Advance by ``dt_s`` s, above 0.
+
+        Parameters
+        ----------
+        setpoint_n, end_n
+            Set-point of the ramp in N, and where its present change ends.
+        ramp_n_s, most_n_s
+            Rate of the ramp, and largest rate of the plan, in N/s.
+        change_n_s2
+            Largest change of the rate in N/s².
+        """
+        sign = copysign(1.0, end_n - self.force_n)
+        left_n, behind_n = abs(end_n - self.force_n), sign * (setpoint_n - self.force_n)
+        # The rate from which the rest is just enough to come to rest.
+        most_n_s = min(most_n_s, sqrt(2.0 * change_n_s2 * left_n), left_n / dt_s)
+        wanted_n_s = min(max(0.0, sign * ramp_n_s + behind_n / (2.0 * _FORCE_S)), most_n_s)
+        before_n_s = max(0.0, sign * self.rate_n_s)
+        rate_n_s = min(wanted_n_s, before_n_s + change_n_s2 * dt_s)
+        self.force_n += sign * min(left_n, 0.5 * (before_n_s + rate_n_s) * dt_s)
+        self.rate_n_s = sign * rate_n_s
+        self.rate_change_n_s2 = sign * (rate_n_s - before_n_s) / dt_s
+
+
+class Pushes:
+    """Pushes of one period that start locked fingers, and the stiction that they show.
+
+    Parameters
+    ----------
+    drives
+        Keeps the stiction for the next grip.
+    """
+
+    def __init__(self, drives: Drives) -> None:
+        self._drives = drives
+        self._pushed_s, self._closing = -inf, True
+        self._from_n = self._expected_n = 0.0
+        self.growth_n = 0.0
+        """Expected growth of the force by the last push in N."""
+
+    def shown(self, sample: ForceSample) -> bool:
+        """Return whether a sample shows the effect of the last push."""
+        return sample.measured_s > self._pushed_s + _SHOWS_S
+
+    def push_n(
+        self, observer: GripObserver, moment: Moment, frictions_n: tuple[float, float], sign: float
+    ) -> float:
+        """Return a push in N that starts the fingers, and let the observer assume its effect.
+
+        ``sign``: 1 where they close, -1 where they open.
+        """
+        closing = sign > 0.0
+        self._learn(observer, closing=closing)
+        friction_n = frictions_n[0] if closing else frictions_n[1]
+        beyond_n = (self._drives.stiction - 1.0) * frictions_n[0] + _BEYOND_N
+        speed_m_s = beyond_n * moment.dt_s / observer.mass_kg
+        self.growth_n = observer.stiffness_n_m * speed_m_s * moment.dt_s
+        self._expected_n += self.growth_n
+        self._pushed_s = moment.now_s
+        # The current reaches the push at the end of the period only.
+        observer.break_loose(sign * 0.5 * speed_m_s)
+        return sign * (friction_n + beyond_n) / current_share(moment.dt_s)
+
+    def _learn(self, observer: GripObserver, *, closing: bool) -> None:
+        """Compare the growth of the force with that expected of the pushes since it was known."""
+        drives, grown_n = self._drives, abs(observer.force_n - self._from_n)
+        if closing is self._closing and self._expected_n > 0.0:
+            known = self._expected_n > _EFFECT_SDS * observer.doubt_n
+            if known and grown_n >= _EFFECT_SHARE * self._expected_n:
+                drives.stiction = max(1.0, _WEAKER * drives.stiction)
+            else:
+                drives.stiction = min(MOST_STICTION, _STRONGER * drives.stiction)
+        self._closing, self._from_n, self._expected_n = closing, observer.force_n, 0.0
+
+
+class ForceLaw:
+    """Law of one grip: one period, from the set-point to the driving force.
+
+    Parameters
+    ----------
+    grip
+        State of the grip, with its force at the start.
+    now_s
+        Monotonic time in s.
+    stiffness_n_m, stiffness_sd
+        Stiffness at one pad in N/m by the contact, and its standard deviation as a share of it.
+    """
+
+    def __init__(
+        self, grip: Grip, now_s: float, *, stiffness_n_m: float, stiffness_sd: float
+    ) -> None:
+        self._grip = grip
+        self._stiffness = stiffness_n_m, stiffness_sd
+        self._pushes = Pushes(grip.settings.drives)
+        self._begin(now_s)
+
+    def _begin(self, now_s: float) -> None:
+        """Begin at the present force."""
+        grip = self._grip
+        self.observer = GripObserver(
+            grip, now_s, stiffness_n_m=self._stiffness[0], stiffness_sd=self._stiffness[1]
+        )
+        self.plan = ForcePlan(self.observer.force_n)
+        self._measured_n: float | None = None
+        self._setpoint_n, self._rates_n_s = grip.setpoint_n, deque([0.0], maxlen=3)
+        self._started_m, self._most_m_s = grip.apertures.newest, 0.0
+        self._falls, self._still_s = False, 0.0
+        self._shown_n_m: float | None = None
+        self._trial_s: float | None = None
+        self._jumped_s: float | None = None
+        self._contradicted_s = 0.0
+
+    def resume(self) -> None:
+        """Begin again after a pause."""
+        self.observer.resume()
+
+    def step(self, period: Period) -> float:
+        """Return the driving force in N of one period.
+
+        Raises
+        ------
+        LimitExceeded
+            When the pads report a jump of the force, or contradict the currents for some time.
+        """
+        grip, sample = self._grip, period.sample
+        if grip.moving is not None:
+            return self._follow_trial(period)
+        if self._trial_s is not None:
+            self._begin(period.moment.now_s)
+        observer = self.observer
+        self._advance_plan(period)
+        grip.asked_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
+        if sample is not None and sample.by_current:
+            grip.force_n = grip.balance_n = sample.grip_n
+            return min(self._edge_n(period), period.drive_max_n)
+        if sample is not None and self._jumps(sample, period):
+            sample = None
+        frictions_n = self._observe(period, sample)
+        self._check(period)
+        # The new drive acts a little later; until then the last one does.
+        speed_m_s = observer.speed_after_m_s(_ACTS_S, grip.drive_n, frictions_n)
+        way_m = 0.5 * (observer.speed_m_s + speed_m_s) * _ACTS_S
+        force_n = observer.force_n + observer.stiffness_n_m * way_m
+        grip.force_n, grip.balance_n = observer.force_n, force_n + observer.lacking_n
+        if sample is None:
+            return min(grip.balance_n, period.drive_max_n)
+        error_n = self.plan.force_n + self.plan.rate_n_s * _ACTS_S - force_n
+        if observer.speed_m_s == 0.0:
+            push_n = self._starting_n(period, sample, error_n, frictions_n)
+        else:
+            push_n = self._moving_n(period, sample, error_n, speed_m_s, frictions_n)
+        return min(grip.balance_n + push_n, period.drive_max_n)
+
+    def _follow_trial(self, period: Period) -> float:
+        """Return the largest drive in N, while one finger is measured and nothing is corrected."""
+        grip, sample = self._grip, period.sample
+        if self._trial_s is None:
+            self._trial_s = period.moment.now_s
+        if sample is not None and sample.t_s > self._trial_s:
+            share = min(1.0, (sample.t_s - self._trial_s) / _TRIAL_MEAN_S)
+            grip.force_n += share * (sample.grip_n - grip.force_n)
+            self._trial_s = sample.t_s
+        grip.balance_n = driving_n(period.state, period.paths)
+        return period.drive_max_n
+
+    def _observe(self, period: Period, sample: ForceSample | None) -> tuple[float, float]:
+        """Advance the observer, and return the friction in N of closing and opening fingers."""
+        observer, grip, moment = self.observer, self._grip, period.moment
+        measured_n = driving_n(period.state, period.paths)
+        before_n = measured_n if self._measured_n is None else self._measured_n
+        self._measured_n = measured_n
+        if moment.dt_s > 0.0:
+            drive_n = 0.5 * (before_n + measured_n)
+            observer.predict(moment.dt_s, drive_n, self._frictions_n(period))
+        observer.measure(moment, sample)
+        if (shown_n_m := grip.stiffness.stiffness_n_m) not in (None, self._shown_n_m):
+            # The opening shrinks by the yield of both pads.
+            before_n_m, self._shown_n_m = observer.stiffness_n_m, shown_n_m
+            softest_n_m, stiffest_n_m = before_n_m / _STIFFER, before_n_m * _STIFFER
+            observer.stiffness_n_m = min(max(2.0 * shown_n_m, softest_n_m), stiffest_n_m)
+            observer.stiffness_sd = STIFFNESS_SD
+        return self._frictions_n(period)
+
+    def _frictions_n(self, period: Period) -> tuple[float, float]:
+        """Return the friction in N at the present speed, while the fingers close and open.
+
+        While they open, the gearing also holds a part of the load.
+        """
+        fingers, force_n = 2 / len(period.paths), self.observer.force_n
+        friction_n = fmean(
+            path.drive.moving_a(fingers * self.observer.speed_m_s / path.radius_m) * path.n_per_a
+            for path in period.paths
+        )
+        held_n = force_n - period.friction_n - period.yielding_n(force_n)
+        return friction_n, max(friction_n + held_n, _LEAST_OPENING_SHARE * friction_n)
+
+    def _advance_plan(self, period: Period) -> None:
+        grip, observer, dt_s = self._grip, self.observer, period.moment.dt_s
+        if dt_s <= 0.0:
+            return
+        setpoint_n, stiffness = period.setpoint_n, observer.stiffness_n_m
+        self._rates_n_s.append((setpoint_n - self._setpoint_n) / dt_s)
+        self._setpoint_n = setpoint_n
+        ramp_n_s = fmean(self._rates_n_s)
+        impact = impact_limit(grip.settings, grip.linkage, period.state.angles_rad)
+        self._most_m_s = pressing_speed_m_s(grip.settings, impact, setpoint_n)
+        most_n_s2 = _INERTIA_N * stiffness / observer.mass_kg
+        self.plan.step(
+            dt_s,
+            setpoint_n,
+            period.end_n,
+            ramp_n_s=ramp_n_s,
+            most_n_s=self._most_m_s * stiffness,
+            change_n_s2=min(max(abs(ramp_n_s), _LEAST_RATE_N_S) / _RATE_S, most_n_s2),
+        )
+        if self.plan.rate_n_s != 0.0:
+            self._falls, self._still_s = self.plan.rate_n_s < 0.0, 0.0
+        self._still_s += dt_s
+
+    def _edge_n(self, period: Period) -> float:
+        """Return the drive in N at the edge of the friction band; in a hold, in its middle."""
+        force_n = self.plan.force_n
+        if self._still_s > _RELAXED_S:
+            return force_n
+        return period.yielding_n(force_n) if self._falls else force_n + period.friction_n
+
+    def _starting_n(
+        self,
+        period: Period,
+        sample: ForceSample,
+        error_n: float,
+        frictions_n: tuple[float, float],
+    ) -> float:
+        """Return the push in N on fingers at rest: 0, or one that starts them."""
+        rate_n_s, sign = self.plan.rate_n_s, copysign(1.0, error_n)
+        least_n = max(_HOLD_N if rate_n_s == 0.0 else _RAMP_N, self.observer.doubt_n)
+        if sign * rate_n_s < 0.0 or (sign < 0.0 and rate_n_s == 0.0):
+            least_n += _FALL_N
+        may_start = self._pushes.shown(sample) and (sign > 0.0 or period.may_open)
+        if abs(error_n) <= least_n or not may_start or period.moment.dt_s <= 0.0:
+            return 0.0
+        self._started_m = period.state.aperture_m
+        return self._pushes.push_n(self.observer, period.moment, frictions_n, sign)
+
+    def _moving_n(
+        self,
+        period: Period,
+        sample: ForceSample,
+        error_n: float,
+        speed_m_s: float,
+        frictions_n: tuple[float, float],
+    ) -> float:
+        """Return the push in N on moving fingers, of which ``speed_m_s`` is the next speed."""
+        observer, plan = self.observer, self.plan
+        sign, mass_kg, stiffness = (
+            copysign(1.0, observer.speed_m_s),
+            observer.mass_kg,
+            observer.stiffness_n_m,
+        )
+        friction_n = frictions_n[0] if sign > 0.0 else frictions_n[1]
+        wanted_m_s = (plan.rate_n_s + error_n / _FORCE_S) / stiffness
+        wanted_m_s = min(max(wanted_m_s, -self._most_m_s), self._most_m_s)
+        # Growth of the force while only friction brakes the fingers.
+        stopping_n = 0.5 * mass_kg * speed_m_s**2 * stiffness / max(friction_n, _NEAR_N)
+        ends = sign * error_n <= _NEAR_N + stopping_n and plan.rate_n_s == 0.0
+        if sign * wanted_m_s <= 0.0 or ends:
+            slow = abs(speed_m_s) * stiffness * _FORCE_S <= _NEAR_N
+            return 0.0 if slow else -sign * _BRAKE_SHARE * friction_n
+        if not self._goes_on(period, sample, sign * error_n):
+            return 0.0
+        accelerates = plan.rate_change_n_s2 / stiffness + (wanted_m_s - speed_m_s) / _SPEED_S
+        push_n = friction_n + sign * mass_kg * accelerates
+        return sign * max(push_n, -_BRAKE_SHARE * friction_n)
+
+    def _goes_on(self, period: Period, sample: ForceSample, short_n: float) -> bool:
+        """Return whether a motion goes on that a push has started.
+
+        It does once the positions show it, or where pushes alone are too slow for the plan.
+        """
+        if abs(period.state.aperture_m - self._started_m) > _SHOWN_M:
+            return True
+        growth_n = self._pushes.growth_n
+        unseen_s = 2.0 * (period.moment.now_s - sample.measured_s) + _SHOWS_S
+        slow = abs(self.plan.rate_n_s) * unseen_s > growth_n
+        return slow or short_n > 2.0 * growth_n + max(_RAMP_N, self.observer.doubt_n)
+
+    def _jumps(self, sample: ForceSample, period: Period) -> bool:
+        """Return whether a sample shows a large jump of the force that no drive made.
+
+        A law that follows it would release a part although its force has not changed. Raises
+        LimitExceeded when the jump lasts.
+        """
+        observer, setpoint_n = self.observer, period.setpoint_n
+        jump_n = observer.unexplained_n(sample)
+        moved_n = abs(observer.force_n - observer.force_at_n(sample.measured_s - LOOK_BACK_S))
+        least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n) + observer.stiffness_sd * moved_n
+        least_n += _JUMP_SDS * hypot(sample.noise_n, observer.doubt_n)
+        if jump_n <= least_n:
+            self._jumped_s = None
+            return False
+        if self._jumped_s is None:
+            self._jumped_s = sample.t_s
+        if sample.t_s - self._jumped_s >= _JUMP_S:
+            raise LimitExceeded(
+                f"the pads report {jump_n:.2f} N more than before on a part that is pressed as "
+                f"before, {least_n:.2f} N are allowed: their zero has jumped, or something pushes "
+                f"the fingers together. The goals are frozen and the grip kept: check the pads, "
+                f"then clear the fault and release"
+            )
+        return True
+
+    def _check(self, period: Period) -> None:
+        """Raise LimitExceeded when the drive lacks more than is plausible for some time."""
+        lacking_n, force_n = self.observer.lacking_n, self.observer.force_n
+        doubt_n = max(path.doubt_n(period.setpoint_n) for path in period.paths)
+        limit_n = _MOST_LACKING_N + period.friction_n + _LACKING_SDS * doubt_n
+        plausible = abs(lacking_n) <= limit_n
+        self._contradicted_s = 0.0 if plausible else self._contradicted_s + period.moment.dt_s
+        if self._contradicted_s > _CONTRADICTED_S:
+            raise LimitExceeded(
+                f"force sensor and servo current disagree by {-lacking_n:.2f} N, more than "
+                f"{limit_n:.2f} N: the sensor shows {force_n:.2f} N where the current makes "
+                f"{force_n + lacking_n:.2f} N. Check the pads, the tare and the torque figures"
+            )

@@ -1,0 +1,171 @@
+"""Disturbance observer of fingers that press on a part: force, speed, missing drive, way.
+
+Motor and finger, seen at the pad, are a mass m. Coulomb friction phi brakes it, and a spring k, pad
+and part, pushes back. With the drive u, the torque of the measured currents as a force at the pad:
+
+    F' = k v,    m v' = u - d - F - phi sign(v),    d' = 0,    x' = v
+
+d is the force that the drive lacks. A Kalman filter with this model (Ohnishi, Shibata and Murakami
+1996, reaction force observer) uses the positions of the servos and the force samples of the pads,
+each with its own noise. A sample is compared with the force at the time of its measurement, so its
+delay has no effect. Rare samples are the same with larger steps between them.
+
+Where friction locks the mass, v is 0 and nothing is learnt of d (Karnopp 1985, stick and slip).
+"""
+
+from math import hypot, sqrt
+
+import numpy as np
+
+from gripper.force.estimates.grip import Grip
+from gripper.force.estimates.history import History
+from gripper.force.loop import Moment
+from gripper.servos.motion import position_sd_rad
+from gripper.values.force_sensor import ForceSample
+
+_START_SD_N, _LACKING_SD_N = 0.3, 0.2
+"""Standard deviations in N of the force and of the missing drive at the start. [chosen]"""
+_CREEP_N = 0.02
+"""Random change of the force in N in a period: foam creeps by 7 % in a second. [assumed]"""
+_RIPPLE_M_S = 0.0004
+"""Random change of the speed in m/s in a period: noise of the current, 7 mA. [log]"""
+_LACKING_N_RS, _LACKING_N_RM = 1.0, 200.0
+"""Random walk of the missing drive in N per root of a second, and the same for each m/s: friction
+changes with place and speed. [chosen]"""
+_MOVED_SDS = 3.0
+"""Deviation of a position, in standard deviations, that shows a motion of locked fingers.
+[statistics]"""
+
+
+class GripObserver:
+    """Observer of one grip.
+
+    Parameters
+    ----------
+    grip
+        State of the grip; its force is that at the start.
+    now_s
+        Monotonic time in s.
+    stiffness_n_m, stiffness_sd
+        Stiffness at one pad in N/m, and its standard deviation as a share of it.
+    """
+
+    def __init__(
+        self, grip: Grip, now_s: float, *, stiffness_n_m: float, stiffness_sd: float
+    ) -> None:
+        self.mass_kg = grip.mass_kg
+        self.stiffness_n_m, self.stiffness_sd = stiffness_n_m, stiffness_sd
+        self.force_n = max(0.0, grip.force_n)
+        """Grip force in N."""
+        self.speed_m_s = 0.0
+        """Closing speed of a pad in m/s; 0 where friction locks the fingers."""
+        self._breaks = False
+        self.lacking_n = 0.0
+        """Missing force of the drive in N."""
+        self._way_m, self._start_m = 0.0, grip.apertures.newest
+        self._way_m2 = _way_sd_m(grip) ** 2
+        variances = (_START_SD_N**2, 0.0, _LACKING_SD_N**2, self._way_m2)
+        self._p = np.diag(variances)
+        self._forces = History()
+        self._forces.add(now_s, self.force_n)
+        self._sample_s = now_s
+
+    @property
+    def doubt_n(self) -> float:
+        """Standard deviation of the force in N."""
+        return sqrt(max(float(self._p[0, 0]), 0.0))
+
+    def resume(self) -> None:
+        """Begin again after a pause in which the force may have changed."""
+        self._p[0, 0] += _START_SD_N**2
+
+    def break_loose(self, speed_m_s: float) -> None:
+        """Assume that a push starts locked fingers, or does not.
+
+        ``speed_m_s``: speed that they then have at the end of its period.
+        """
+        self.speed_m_s = speed_m_s
+        self._p[1, 1] += speed_m_s**2
+        self._breaks = True
+
+    def speed_after_m_s(
+        self, dt_s: float, drive_n: float, frictions_n: tuple[float, float]
+    ) -> float:
+        """Return the speed in m/s after ``dt_s`` s under a drive; 0 where friction locks.
+
+        ``frictions_n``: friction in N while the fingers close, and while they open.
+        """
+        if self.speed_m_s == 0.0:
+            return 0.0
+        push_n, (closing_n, opening_n) = drive_n - self.lacking_n - self.force_n, frictions_n
+        braked_n = push_n - (closing_n if self.speed_m_s > 0.0 else -opening_n)
+        after_m_s = self.speed_m_s + braked_n * dt_s / self.mass_kg
+        return after_m_s if after_m_s * self.speed_m_s > 0.0 else 0.0
+
+    def predict(self, dt_s: float, drive_n: float, frictions_n: tuple[float, float]) -> None:
+        """Advance by ``dt_s`` s under a drive in N; ``frictions_n`` as `speed_after_m_s`."""
+        stiffness, before_m_s = self.stiffness_n_m, self.speed_m_s
+        if self._breaks:
+            self._breaks, before_m_s = False, 0.0
+        else:
+            self.speed_m_s = self.speed_after_m_s(dt_s, drive_n, frictions_n)
+        way_m = 0.5 * (before_m_s + self.speed_m_s) * dt_s
+        self.force_n = max(0.0, self.force_n + stiffness * way_m)
+        self._way_m += way_m
+        if before_m_s != 0.0 or self.speed_m_s != 0.0:
+            f = np.eye(4)
+            f[0, 1], f[3, 1] = stiffness * dt_s, dt_s
+            f[1, 0] = f[1, 2] = -dt_s / self.mass_kg
+            self._p = f @ self._p @ f.T
+            self._p[0, 0] += (self.stiffness_sd * stiffness * way_m) ** 2
+            self._p[1, 1] += _RIPPLE_M_S**2
+            self._p[2, 2] += (_LACKING_N_RS**2 + (_LACKING_N_RM * self.speed_m_s) ** 2) * dt_s
+        if self.speed_m_s == 0.0:
+            self._p[1], self._p[:, 1] = 0.0, 0.0
+        self._p[0, 0] += _CREEP_N**2
+
+    def measure(self, moment: Moment, sample: ForceSample | None) -> None:
+        """Use the present position, and the newest sample where it is new."""
+        error_m = 0.5 * (self._start_m - moment.state.aperture_m) - self._way_m
+        locked = self.speed_m_s == 0.0
+        if locked and abs(error_m) > _MOVED_SDS * sqrt(self._p[3, 3] + self._way_m2):
+            # The fingers have moved although friction should lock them.
+            moved = np.array((self.stiffness_n_m, 0.0, 0.0, 1.0))
+            self._p += np.outer(moved, moved) * error_m**2
+            self._p[0, 0] += (self.stiffness_sd * self.stiffness_n_m * error_m) ** 2
+        self._correct(3, error_m, self._way_m2)
+        self._forces.add(moment.now_s, self.force_n)
+        if sample is not None and sample.t_s > self._sample_s:
+            self._sample_s, before_n = sample.t_s, self.force_n
+            self._correct(0, self.unexplained_n(sample), sample.noise_n**2)
+            self._forces.shift(self.force_n - before_n)
+
+    def force_at_n(self, t_s: float) -> float:
+        """Return the force in N at a time in s of the last half second."""
+        return self._forces.at(t_s)
+
+    def unexplained_n(self, sample: ForceSample) -> float:
+        """Return the excess in N of a sample over the force at the time of its measurement."""
+        return sample.grip_n - self._forces.at(sample.measured_s)
+
+    def _correct(self, of: int, error: float, noise2: float) -> None:
+        """Correct the state by one of its measured entries."""
+        gains = self._p[:, of] / (self._p[of, of] + noise2)
+        force_n, speed_m_s, lacking_n, way_m = (gains * error).tolist()
+        self.force_n = max(0.0, self.force_n + force_n)
+        self.speed_m_s += speed_m_s
+        self.lacking_n += lacking_n
+        self._way_m += way_m
+        self._p -= np.outer(gains, self._p[of])
+
+
+def _way_sd_m(grip: Grip) -> float:
+    """Return the standard deviation in m of the way of a pad by the positions of the servos."""
+    servos, linkage = grip.settings.servos, grip.linkage
+    angles_rad = linkage.angles_rad(grip.apertures.newest)
+    return 0.5 * hypot(
+        *(
+            position_sd_rad(servo.servo_model) * linkage.opening_per_rad_m(angle_rad)
+            for servo, angle_rad in zip(servos, angles_rad, strict=True)
+        )
+    )

@@ -1,0 +1,218 @@
+"""The law of the force alone, on a finger with mass, stiction and a spring."""
+
+import random
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from gripper.errors import LimitExceeded
+from gripper.force.control.law import ForceLaw, ForcePlan
+from gripper.force.control.observer import GripObserver
+from gripper.mechanics.kinematics import Transmission, driving_n, transmissions
+from gripper.settings import GripperSettings
+from gripper.values.force_sensor import ForceSample
+from tests.gripper.force.grips import LINKAGE, PERIOD_S, STATE, make_grip, make_period
+
+STIFFNESS_N_M = 1e4
+"""Of pad and part at one pad."""
+PATHS = transmissions(GripperSettings(), LINKAGE, STATE.angles_rad)
+"""Gearings with Coulomb friction alone."""
+NOISE_N = 0.1
+
+
+class Finger:
+    """A mass that friction brakes and a spring pushes back, in steps of 0.1 ms.
+
+    The drive follows that of the law with a time constant of 3 ms.
+    """
+
+    def __init__(self, path: Transmission, mass_kg: float, force_n: float, stiction: float) -> None:
+        self.path, self.mass_kg, self.stiction = path, mass_kg, stiction
+        self.force_n = self.drive_n = force_n
+        self.speed_m_s = self.way_m = 0.0
+
+    def drive(self, drive_n: float) -> None:
+        step_s = 1e-4
+        for _ in range(round(PERIOD_S / step_s)):
+            self.drive_n += (drive_n - self.drive_n) * step_s / 0.003
+            push_n, closing_n = self.drive_n - self.force_n, self.path.friction_n
+            opening_n = self.force_n - self.path.yielding_n(self.force_n)
+            more_n = (self.stiction - 1.0) * closing_n
+            if self.speed_m_s == 0.0 and -opening_n - more_n <= push_n <= closing_n + more_n:
+                continue
+            closes = (self.speed_m_s or push_n) > 0.0
+            before_m_s = self.speed_m_s
+            braked_n = push_n - (closing_n if closes else -opening_n)
+            self.speed_m_s += braked_n / self.mass_kg * step_s
+            if before_m_s * self.speed_m_s < 0.0:
+                self.speed_m_s = 0.0
+            self.way_m += self.speed_m_s * step_s
+            self.force_n += STIFFNESS_N_M * self.speed_m_s * step_s
+
+
+class Grip:
+    """The law on a finger, one period after the other."""
+
+    def __init__(
+        self,
+        force_n: float,
+        *,
+        stiction: float = 1.6,
+        paths: Sequence[Transmission] = PATHS,
+        stiffness_n_m: float = STIFFNESS_N_M,
+    ) -> None:
+        self.grip, self.paths = make_grip(force_n), paths
+        self.law = ForceLaw(self.grip, 0.0, stiffness_n_m=stiffness_n_m, stiffness_sd=0.5)
+        self.finger = Finger(paths[0], self.grip.mass_kg, force_n, stiction)
+        self.random, self.periods, self.gain = random.Random(3), 0, 1.0
+
+    def follow(self, setpoints_n: Sequence[float], *, seen: bool = True) -> list[float]:
+        """Follow set-points, and return the force after each period in N."""
+        forces_n = []
+        for setpoint_n in setpoints_n:
+            now_s = self.periods * PERIOD_S
+            sample = self.gain * self.finger.force_n + self.random.gauss(0.0, NOISE_N)
+            period = make_period(
+                now_s,
+                setpoint_n,
+                sample if seen else None,
+                end_n=setpoints_n[-1],
+                closed_m=2.0 * self.finger.way_m,
+                drive_n=self.finger.drive_n,
+                paths=self.paths,
+                friction_n=self.paths[0].friction_n,
+            )
+            self.grip.drive_n = self.law.step(period)
+            self.finger.drive(self.grip.drive_n)
+            forces_n.append(self.finger.force_n)
+            self.periods += 1
+        return forces_n
+
+
+def ramp(start_n: float, end_n: float, rate_n_s: float, hold_s: float = 0.5) -> list[float]:
+    steps = round(abs(end_n - start_n) / rate_n_s / PERIOD_S)
+    change = [start_n + (end_n - start_n) * (i + 1) / steps for i in range(steps)]
+    return change + [end_n] * round(hold_s / PERIOD_S)
+
+
+LOSSY = replace(PATHS[0].drive, falling_a_nm=0.5 * PATHS[0].drive.rising_a_nm, yielding_share=0.8)
+GEARINGS = {"rigid": PATHS, "lossy": (PATHS[0]._replace(drive=LOSSY),) * 2}
+
+
+@pytest.mark.parametrize("gearing", GEARINGS)
+@pytest.mark.parametrize(
+    ("start_n", "end_n", "rate_n_s"),
+    [(1.0, 6.0, 3.0), (1.0, 6.0, 20.0), (1.0, 6.0, 40.0), (6.0, 2.0, 3.0), (6.0, 2.0, 20.0)],
+)
+def test_the_force_follows_a_ramp_and_holds(start_n, end_n, rate_n_s, gearing) -> None:
+    grip, setpoints_n = Grip(start_n, paths=GEARINGS[gearing]), ramp(start_n, end_n, rate_n_s)
+    forces_n = grip.follow(setpoints_n)
+    sign = 1.0 if end_n > start_n else -1.0
+    assert max(sign * (force_n - end_n) for force_n in forces_n) < 0.6
+    assert forces_n[-60:] == pytest.approx([end_n] * 60, abs=0.3)
+    if rate_n_s == 3.0:
+        assert forces_n == pytest.approx(setpoints_n, abs=0.6)
+
+
+@pytest.mark.parametrize("stiction", [1.0, 1.4, 1.9])
+@pytest.mark.parametrize("setpoint_n", [3.5, 4.4])
+def test_an_error_of_a_hold_is_corrected_either_way_without_hunting(setpoint_n, stiction) -> None:
+    grip = Grip(4.0, stiction=stiction)
+    grip.follow([setpoint_n] * 300)
+    held_n = grip.follow([setpoint_n] * 200)
+    assert held_n == pytest.approx([setpoint_n] * 200, abs=0.3)
+    assert max(held_n) - min(held_n) < 0.3
+
+
+def test_pushes_show_the_stiction_and_the_next_grip_begins_with_it() -> None:
+    grip = Grip(1.0, stiction=1.9)
+    grip.follow(ramp(1.0, 4.0, 3.0))
+    assert 1.6 < grip.grip.settings.drives.stiction <= 2.0
+
+
+def test_the_drive_of_a_hold_balances_the_force() -> None:
+    grip = Grip(1.0)
+    grip.follow(ramp(1.0, 5.0, 10.0, hold_s=1.0))
+    assert grip.grip.drive_n == pytest.approx(5.0, abs=0.5)
+
+
+def test_without_a_sample_nothing_pushes() -> None:
+    grip = Grip(3.0)
+    grip.follow([3.0] * 20)
+    assert grip.follow([6.0] * 50, seen=False) == pytest.approx([grip.finger.force_n] * 50)
+    assert grip.grip.drive_n == pytest.approx(3.0, abs=0.3)
+
+
+def test_the_same_sample_corrects_only_once() -> None:
+    grip = make_grip(1.0)
+    observer = GripObserver(grip, 0.0, stiffness_n_m=1e4, stiffness_sd=0.5)
+    sample = ForceSample(t_s=0.1, force_n=(1.5, 1.5), noise_n=0.1)
+    observer.measure(make_period(0.1, 1.0, sample).moment, sample)
+    once_n = observer.force_n
+    observer.measure(make_period(0.105, 1.0, sample).moment, sample)
+    assert 1.0 < once_n == pytest.approx(observer.force_n, abs=1e-3)
+
+
+def test_locked_fingers_whose_positions_move_have_moved() -> None:
+    observer = GripObserver(make_grip(2.0), 0.0, stiffness_n_m=1e4, stiffness_sd=0.5)
+    observer.predict(PERIOD_S, 2.0, (3.0, 3.0))
+    observer.measure(make_period(PERIOD_S, 2.0, closed_m=0.6e-3).moment, None)
+    assert observer.force_n == pytest.approx(2.0 + 3.0, abs=0.6)
+    assert observer.doubt_n > 1.0
+
+
+@pytest.mark.parametrize("force_n", [1.0, 6.0])
+def test_a_plan_never_passes_its_set_point_and_ends_at_rest(force_n) -> None:
+    plan, end_n = ForcePlan(force_n), 4.0
+    sign = 1.0 if end_n > force_n else -1.0
+    for setpoint_n in ramp(force_n, end_n, 20.0):
+        before_n_s = plan.rate_n_s
+        plan.step(
+            PERIOD_S, setpoint_n, end_n, ramp_n_s=sign * 20.0, most_n_s=100.0, change_n_s2=800.0
+        )
+        assert sign * plan.force_n <= sign * setpoint_n + 0.05
+        assert sign * (plan.rate_n_s - before_n_s) <= 800.0 * PERIOD_S + 1e-9
+    assert plan.force_n == pytest.approx(end_n, abs=1e-3)
+    assert plan.rate_n_s == pytest.approx(0.0, abs=0.5)
+
+
+def test_pads_that_do_not_follow_the_current_are_a_fault_and_no_reason_to_push() -> None:
+    grip = Grip(1.0)
+    grip.gain = 0.2
+    with pytest.raises(LimitExceeded, match=r"disagree by -.* N, more than .* N"):
+        grip.follow(ramp(1.0, 14.0, 10.0, hold_s=3.0))
+
+
+def test_a_zero_that_jumps_is_a_fault_and_moves_nothing() -> None:
+    grip = Grip(3.0)
+    grip.follow([3.0] * 50)
+    grip.gain = 2.0
+    with pytest.raises(LimitExceeded, match=r"their zero has jumped, or .* the grip kept"):
+        grip.follow([3.0] * 50)
+    assert grip.finger.force_n == pytest.approx(3.0, abs=0.05)
+
+
+def test_by_current_the_drive_is_the_edge_of_the_friction_and_then_its_middle() -> None:
+    grip = make_grip(2.0)
+    law = ForceLaw(grip, 0.0, stiffness_n_m=1e4, stiffness_sd=0.5)
+    drives_n = []
+    for i, setpoint_n in enumerate(ramp(2.0, 4.0, 10.0, hold_s=1.5)):
+        sample = ForceSample(t_s=i * PERIOD_S, force_n=(2.0, 2.0), by_current=True)
+        drives_n.append(law.step(make_period(i * PERIOD_S, setpoint_n, sample, end_n=4.0)))
+    friction_n = make_period(0.0, 0.0).friction_n
+    assert drives_n[80] == pytest.approx(4.0 + friction_n, abs=0.1)
+    assert drives_n[-1] == pytest.approx(4.0, abs=0.1)
+
+
+def test_a_trial_of_one_finger_corrects_nothing() -> None:
+    grip = make_grip(2.0)
+    law = ForceLaw(grip, 0.0, stiffness_n_m=1e4, stiffness_sd=0.5)
+    grip.moving = 0
+    for i in range(40):
+        tried = make_period(i * PERIOD_S, 5.0, 3.0, drive_n=4.0)
+        assert law.step(tried) == tried.drive_max_n
+    assert grip.force_n == pytest.approx(3.0, abs=0.05)
+    assert grip.balance_n == pytest.approx(driving_n(tried.state, tried.paths))
+    grip.moving = None
+    assert law.step(make_period(0.2, 3.0, 3.0)) == pytest.approx(3.0, abs=0.3)
