@@ -91,7 +91,7 @@ def loaded(modules: str) -> set[str]:
         ),
         (
             "gripper, gripper.dynamixel.control_table, gripper.force.ramp, "
-            "gripper.force.estimates.force_estimate",
+            "gripper.force.estimates.history",
             SERVOS,
         ),
         (

@@ -20,10 +20,13 @@ _SERVO = ServoState(
     angle_rad=0.123456789,
     velocity_rad_s=-0.02,
     current_a=0.4,
+    motor_a=0.4,
     position_raw=2048,
     temperature_c=31.0,
     voltage_v=12.1,
+    supply_v=12.1,
     tick_ms=4711,
+    limit_a=2.3,
     alert=False,
 )
 

@@ -24,13 +24,14 @@ from gripper.dynamixel.control_table import (
     FIRMWARE_VERSION,
     HARDWARE_ERROR_STATUS,
     MODEL_NUMBER,
+    SHUTDOWN,
 )
 from gripper.dynamixel.drive import DriveCharacteristic, disagreement
 from gripper.dynamixel.models import model_name
 from gripper.errors import AnswersOff, GripperError, VerificationFailed
 from gripper.force.approach.mechanics_proof import POSITION_ITEM
 from gripper.settings import CORRECTABLE
-from gripper.values.servo_checks import VerificationRow
+from gripper.values.servo_checks import VerificationRow, overload_text
 from motion.errors import AxisMissing, AxisSilent, MotionError
 from tactile.errors import IdentityMismatch, TactileError
 from tactile.source import TactileFrame
@@ -198,7 +199,8 @@ def _servos(cell: Cell, named: str, kept: CommissionedValues) -> list[CheckResul
     return same + [
         check_result(
             f"servo {row.servo_id} {row.item}",
-            f"{row.found} (expected {row.expected})",
+            f"{row.found} (expected {row.expected})"
+            + (f", {overload_text(int(row.found))}" if row.item == SHUTDOWN.name else ""),
             _advice(row, named),
             ok=row.ok,
             bad=Verdict.WARN if row.item in CORRECTABLE else Verdict.FAIL,

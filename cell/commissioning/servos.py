@@ -24,6 +24,7 @@ from gripper.dynamixel.control_table import (
     PRESENT_INPUT_VOLTAGE,
     REGISTERS,
     SERVO_ID,
+    SHUTDOWN,
     STATUS_RETURN_LEVEL,
     TORQUE_ENABLE,
 )
@@ -32,7 +33,7 @@ from gripper.dynamixel.models import MODELS, ServoModel, model_name
 from gripper.dynamixel.transactions import protocol_1_text
 from gripper.errors import LinkTooSlow
 from gripper.servos.verification import Requirement, compare, requirements
-from gripper.values.servo_checks import hardware_error_names
+from gripper.values.servo_checks import hardware_error_names, overload_text
 
 _USUAL_RATES = (57600, 1_000_000)
 """Baud rates of the factory and of this package."""
@@ -362,6 +363,7 @@ def _set_up(
                 "cause, switch its supply off and on"
             )
         changes[servo_id] = wanted_changes(models[servo_id], bench, table)
+        notes.fact(f"servo {servo_id}: {overload_text(table[SHUTDOWN.name])}")
     if notes.failed:
         return
     writes = [
@@ -391,7 +393,7 @@ def _set_up(
 
 def _required(model: ServoModel, bench: Bench) -> tuple[Requirement, ...]:
     gripper = bench.gripper()
-    current_a = min(gripper.current_max_a, model.current_a(model.current_limit_raw))
+    current_a = min(gripper.current_max_a, model.winding_a(model.current_limit_raw))
     return requirements(model, current_a, min(gripper.temperature_max_c, model.temperature_limit_c))
 
 

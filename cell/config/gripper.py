@@ -1,10 +1,12 @@
 """Config of the gripper: servos, linkage, limits; and its conversion to SI."""
 
 from collections.abc import Iterable
-from typing import Annotated, Literal, Self
+from pathlib import Path
+from typing import Annotated, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, model_validator
 
+from cell.config.measured_servo import measured_drive
 from cell.config.section import (
     MILLI,
     SIMULATED,
@@ -16,6 +18,7 @@ from cell.config.section import (
 )
 from cell.errors import ConfigError, raised_as
 from cell.plugins import SERVO_MODELS
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import (
     MODELS,
     WITHOUT_CURRENT_CONTROL,
@@ -25,7 +28,6 @@ from gripper.dynamixel.models import (
 from gripper.errors import LimitExceeded
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.settings import (
-    ForceLoopSettings,
     GripperSettings,
     OverForce,
     ServoSettings,
@@ -104,20 +106,21 @@ class OverForceConfig(Section):
     """Step of `open` in mm, up to 5."""
 
 
-class ServoCareConfig(Section):
-    """Protection of the servos from heat, and registers that a start may rewrite."""
+_Corrected = Literal[
+    "return_delay_time",
+    "operating_mode",
+    "status_return_level",
+    "pwm_slope",
+    "position_d_gain",
+    "position_i_gain",
+    "position_p_gain",
+]
 
-    derate_c: float = setting_of(GripperSettings, "temperature_derate_k")
-    """Degrees below temperature_max_c at which the current limit begins to fall, down to half of
-    it, 0 to 40."""
-    taper_after_s: float = setting_of(GripperSettings, "taper_after_s")
-    """Time of a hold in s after which surplus current is reduced: friction helps to hold."""
-    taper_n_s: float = setting_of(ForceLoopSettings, "taper_n_s")
-    """Rate of that reduction in N/s of driving force, 0 to 50; 0: no reduction."""
-    corrected_registers: tuple[
-        Literal["return_delay_time", "operating_mode", "status_return_level", "position_p_gain"],
-        ...,
-    ] = ("return_delay_time", "operating_mode", "status_return_level", "position_p_gain")
+
+class ServoCareConfig(Section):
+    """Registers that a start may rewrite."""
+
+    corrected_registers: tuple[_Corrected, ...] = get_args(_Corrected)
     """Registers that a start rewrites if they differ; other differing registers are refused."""
 
 
@@ -150,13 +153,9 @@ class ServoConfig(Section):
     """1 if an increasing position opens the finger, -1 if it closes the finger."""
     zero_pulse: int = Field(default=2048, ge=0, le=4095)
     """Present Position at angle 0 of the linkage, in pulses of 360/4096 degrees, 0 to 4095."""
-    kt_nm_a: float | None = Field(default=None, gt=0.0, le=100.0)
-    """Torque at the output for 1 A in Nm, measured with weights; none: the pads measure it in each
-    self-zero, before that the value of the catalogue with 30 % is used."""
-    friction_a: float | None = Field(default=None, gt=0.0, le=5.0)
-    """Current of slow free motion in A; none: measured in each motion."""
-    drive_sd: float = setting_of(ServoSettings, "drive_sd")
-    """Uncertainty of given kt_nm_a and friction_a as a share, 0.01 to 0.5."""
+    measured: str = ""
+    """Result of `tactile-cell bench servo` for this servo, a JSON file; empty: the values of the
+    catalogue with 30 % are used until pads and motions have measured the servo."""
 
 
 class ParallelLinkageConfig(Section):
@@ -222,7 +221,7 @@ class GripperConfig(Section):
     """Longest time to look for contact in s, 1 to 60."""
     force_max_n: float = setting_of(GripperSettings, "force_max_n")
     """Cap of the grip force in N, 1 to 50; set it by a risk assessment. A ramp with its overshoot
-    of 0.2 N or 5 % must stay below it. With a low cap the fingers approach slowly, or not at all.
+    of 0.3 N or 10 % must stay below it. With a low cap the fingers approach slowly, or not at all.
     """
     current_max_a: float = setting_of(GripperSettings, "current_max_a")
     """Cap of the goal current of each servo in A, 0.05 to the stall current of its model."""
@@ -307,9 +306,7 @@ def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSett
                 model=servo.model,
                 direction=servo.direction,
                 zero_raw=servo.zero_pulse,
-                kt_nm_a=servo.kt_nm_a,
-                friction_a=servo.friction_a,
-                drive_sd=servo.drive_sd,
+                measured=_measured(servo),
             )
             for servo in config.servos
         ),
@@ -317,9 +314,12 @@ def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSett
         overruns_max=overruns_max,
         over_force=OverForce(config.over_force.reaction),
         corrected_registers=frozenset(config.servo_care.corrected_registers),
-        force_loop=ForceLoopSettings(**declared_values(config, ForceLoopSettings)),
         **values,
     )
+
+
+def _measured(servo: ServoConfig) -> DriveCharacteristic | None:
+    return measured_drive(Path(servo.measured), MODELS[servo.model]) if servo.measured else None
 
 
 def linkage_of(config: GripperConfig) -> Linkage:

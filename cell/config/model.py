@@ -29,7 +29,7 @@ from cell.errors import ConfigError, raised_as
 from cell.plugins import RECOGNISERS
 from gripper.dynamixel.latency import largest_rate_hz
 from gripper.errors import LimitExceeded
-from gripper.force.ramp import check_ramp, largest_ramp_n
+from gripper.force.ramp import check_ramp, heat_note, largest_ramp_n
 from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
@@ -344,6 +344,9 @@ class CellConfig(Section):
                 "force may jump by 1 N or more and stay above its set-point. To avoid this use "
                 "longer links, a larger pinion or servos with less friction",
             )
+        most_n = max(self.sequence.forces_n[1], self.sequence.carry_force_n)
+        if hot := heat_note(most_n, self.gripper_settings, self.linkage):
+            found += (hot,)
         asked_mm_s = self.gripper.approach_speed_mm_s
         speed_mm_s = 1e3 * check_approach(self.gripper_settings, self.linkage)
         if speed_mm_s >= asked_mm_s:

@@ -40,13 +40,13 @@ def _level(*, watch: bool, bad: bool) -> dict[str, Any]:
 
 
 def _servos(config: CellConfig, cell: Cell) -> dict[str, Any]:
-    """Heat: some degrees below the limit the current limit starts to fall."""
+    """Heat: of the housing by its limit, of the winding by the current that is left."""
     gripper = config.gripper
     cycle, drives = cell.controller.latest.cycle, cell.controller.zeroing.drives
     servos = () if cycle is None else cycle.state.servos
     warmest_c = max((servo.temperature_c for servo in servos), default=0.0)
-    derated_c = gripper.temperature_max_c - gripper.servo_care.derate_c
-    return _level(watch=warmest_c > derated_c, bad=warmest_c > gripper.temperature_max_c) | {
+    lowered = any(servo.limit_a < gripper.current_max_a for servo in servos)
+    return _level(watch=lowered, bad=warmest_c > gripper.temperature_max_c) | {
         "temperature_c": [servo.temperature_c for servo in servos],
         "load": [abs(servo.current_a) / gripper.current_max_a for servo in servos],
         "drives": [_drive(drives.get(servo.id)) for servo in gripper.servos],

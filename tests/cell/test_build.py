@@ -31,14 +31,8 @@ def positioner(bench: Any) -> Any:
 @pytest.mark.parametrize(
     "change",
     [
-        pytest.param(
-            {"gripper__servos": [{"id": 3}], **SLOW_RACK},
-            marks=pytest.mark.xfail(
-                reason="depends on 0.1 ms of the start: in some phases of the loop against the "
-                "servo's clock, one servo that was never measured breaks loose too late"
-            ),
-        ),
-        # Friction of 28 N at each finger: no lower cap is sure to stop fingers that overcome it.
+        {"gripper__servos": [{"id": 3}], **SLOW_RACK},
+        # Friction of 11 N at each finger: no lower cap is sure to stop fingers that overcome it.
         SLOW_RACK | {"gripper__force_max_n": 25.0},
         {"gripper__servos": [{"id": 1, "direction": -1}, {"id": 2, "zero_pulse": 1800}]},
         {"tactile__layout": "pinch"},

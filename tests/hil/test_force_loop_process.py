@@ -134,7 +134,7 @@ def test_a_job_a_stop_and_the_release(make_cell, simulator) -> None:
     hand.end_ramp()
     hand.release()
     assert hand.phase is GripperPhase.IDLE
-    with pytest.raises(LimitExceeded, match=r"the limit is 14\.29 N"):
+    with pytest.raises(LimitExceeded, match=r"the limit is 13\.64 N"):
         hand.grasp(ForceRamp.linear(49.0, 5.0), lambda _cycle, _frames: None)
 
     recording = cell.recording_path

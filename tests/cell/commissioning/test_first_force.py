@@ -50,12 +50,13 @@ def grasped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stand, F
     with SimulatedCell(settings) as cell:
         one = Stand(cell, tmp_path_factory.mktemp("grasped"))
         one.bench.found["pads_law"] = {"factor": 1.0}
-        yield one, one.passes(STEP, first_force__most=lambda: None)
+        yield one, one.run(STEP, first_force__most=lambda: None)
 
 
 @pytest.mark.slow
 def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> None:
     one, finding = grasped
+    assert finding.status is Verdict.PASS, finding.lines
     most = next(q for q in one.person.script.questions if q.key == "first_force.most")
     assert 4.0 < most.default < most.number.highest <= largest_setpoint_n(15.0)
     (first, last) = finding.values["asked_held_peak_n"]
@@ -133,7 +134,8 @@ def test_a_person_stops_a_motion_while_it_runs(one, moment) -> None:
         one.run(STEP, moment=stop)
     stood_m = one.cell.devices.mechanics.aperture_m
     one.cell.clock.sleep(1.0)
-    assert one.cell.devices.mechanics.aperture_m == pytest.approx(stood_m, abs=5e-4)
+    # Without torque fingers of little friction run on by a millimetre.
+    assert one.cell.devices.mechanics.aperture_m == pytest.approx(stood_m, abs=1.5e-3)
     grasps = "grasp" in moment
     asked = one.person.script.asked[-1]
     assert asked == ("first_force.part" if grasps else "first_force.empty")

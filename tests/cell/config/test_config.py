@@ -31,7 +31,7 @@ from cell.config.tactile import (
 )
 from cell.control.records import pad_array
 from cell.errors import ConfigError
-from gripper.settings import ForceLoopSettings, GripperSettings, OverForce
+from gripper.settings import GripperSettings, OverForce
 from recognition.grasp import PadArray
 from tactile.layout import paper_layout, pinch_layout
 from tests.cell.conftest import plain_pads
@@ -255,7 +255,7 @@ KEYS = [*declared(CellConfig().gripper, "gripper"), *declared(CellConfig().loop,
 
 def of_gripper(config: CellConfig, link: Declared) -> Any:
     settings = config.gripper_settings
-    return getattr(settings.force_loop if link.owner is ForceLoopSettings else settings, link.name)
+    return getattr(settings, link.name)
 
 
 @pytest.mark.parametrize(("path", "key", "link"), KEYS, ids=[path for path, _, _ in KEYS])

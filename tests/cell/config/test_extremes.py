@@ -15,6 +15,7 @@ from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.errors import ConfigError
 from cell.simulation import simulation_of
+from gripper.mechanics.kinematics import end_transmissions
 from tests.faults.campaign import campaign_config
 from tests.marks import LONG
 
@@ -34,6 +35,11 @@ _BESIDE: dict[str, dict[str, Any]] = {
     "simulator.noise_level=2.5": {"gripper.contact_force_n": 1.5, "tactile.tare_frames": 50},
 }
 """What an end needs beside it: because of the object, the short tare, or the time of a ramp."""
+_USUAL = CellConfig()
+_NEEDED_A = max(
+    path.loading_current_a(max(_USUAL.sequence.forces_n))
+    for path in end_transmissions(_USUAL.gripper_settings, _USUAL.linkage)
+)
 REFUSED = {
     "gripper.linkage.link_mm=5": "aperture_open_mm is beyond gripper.linkage, its lengths",
     "gripper.linkage.link_mm=500": "lower the force or shorten the lever of the linkage",
@@ -41,10 +47,10 @@ REFUSED = {
     "gripper.aperture_min_mm=400": "aperture_min_mm 400 must be below aperture_open_mm 16",
     "gripper.contact_force_n=5": "gripper.contact_force_n = 5 N to hold a part",
     "gripper.contact_timeout_s=1": "contact_timeout_s is 1, but from aperture_open_mm = 16",
-    "gripper.force_max_n=1": "gripper.force_max_n = 1 N allows ramps up to 0.80 N",
-    "gripper.current_max_a=0.05": "8.0 N take 0.396 A, current_max_a is 0.05 A",
+    "gripper.force_max_n=1": "gripper.force_max_n = 1 N allows ramps up to 0.70 N",
+    "gripper.current_max_a=0.05": f"8.0 N take {_NEEDED_A:.3f} A, current_max_a is 0.05 A",
     "sequence.carry_force_n=0.1": "carry_force_n is 0.1 N; it must be at least",
-    "sequence.carry_force_n=50": "carry_force_n is 50 N; .* at most 14.29 N",
+    "sequence.carry_force_n=50": "carry_force_n is 50 N; .* at most 13.64 N",
 }
 """Ends that the defaults of other keys forbid, and what is said of them."""
 _ALONE = (

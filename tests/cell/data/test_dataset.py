@@ -18,6 +18,7 @@ from cell.archive.store import Archive
 from cell.checks.findings import read_commissioned
 from cell.commissioning.backup import since_backup
 from cell.config.file import load_config
+from cell.config.measured_servo import measured_drive
 from cell.control.self_zero import SelfZeros
 from cell.data import formats
 from cell.data.dataset import read_dataset, write_dataset
@@ -25,6 +26,7 @@ from cell.data.formats import Format
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, DatasetError
 from cell.learning.model import load_model
+from gripper.dynamixel.models import XM430_W350
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from tests.cell.conftest import plain_pads
 from tests.cell.data.test_recording import GOOD, foreign
@@ -316,6 +318,7 @@ KINDS: list[tuple[Format, Callable[[Path, str], None], Callable[[Path], Any]]] =
     (formats.RECORDING, recording, read_recording),
     (formats.COMMISSIONING, text, read_commissioned),
     (formats.SERVO_BACKUP, text, servo_backup),
+    (formats.SERVO_BENCH, text, lambda path: measured_drive(path, XM430_W350)),
     (formats.SELF_ZERO, text, self_zero),
     (formats.ARCHIVE, archive, lambda path: Archive(str(path))),
 ]

@@ -34,7 +34,7 @@ from recognition.errors import ContactError
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule, fuse
-from tests.cell.conftest import REAL, UNSURE, Scripted, plain_grasp, small_config
+from tests.cell.conftest import REAL, UNSURE, Scripted, plain_grasp, quick_config, small_config
 from tests.fuzz.harness import Clock
 from tests.values import raising
 
@@ -395,8 +395,8 @@ def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench) -> None:
 
 
 @pytest.mark.slow
-def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(bench) -> None:
-    bench.ready()
+def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(make_bench) -> None:
+    bench = make_bench(quick_config()).ready()
     step = GraspStep(pose=Pose(), force_n=5.0)
     found = bench.controller.identify(Scripted(LIKELY), [step], early=True, keep=Keep.ALWAYS)
     (record,) = found.records

@@ -136,7 +136,8 @@ def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
 def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
     make_bench: MakeBench, taught: Any
 ) -> None:
-    sorter = Sorter(make_bench, taught, **{"sequence.x_mm": [0.0, 0.0]})
+    changes = {"sequence.x_mm": [0.0, 0.0]}
+    sorter = Sorter(make_bench, taught, **changes)
     positioner = sorter.controller.moves.positioner
     gone = {0, 2, 3, 4}
     turns: list[int] = []

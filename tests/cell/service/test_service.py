@@ -210,6 +210,7 @@ def test_jobs_of_a_simulated_cell_are_recorded_with_who_asked(serve: Any, tmp_pa
         assert events.index(earlier) < events.index(later)
 
 
+@pytest.mark.slow
 def test_the_last_answer_outlives_the_jobs_that_are_kept(serve: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(worker, "KEPT_JOBS", 2)
     served = serve(cell={})

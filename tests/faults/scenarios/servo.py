@@ -23,23 +23,6 @@ _SEARCHED = range(20_000, 20_012)
 _WITH_THE_PART = frozenset({GripperPhase.APPROACHING, GripperPhase.RAMPING})
 
 
-def servo_is_warm(row: FaultRow) -> Observed:
-    """Grasp with a servo that is warm: less current, and that is counted."""
-    with campaign_cell(row.changes) as cell:
-        hand = cell.controller.hand
-        with cell.first_time(lambda: hand.statistics.loop.derated > 0) as noted_s:
-            seen = observe(cell, row.injected)
-        if seen.reaction != "NOTHING" or not noted_s:
-            return seen
-        began_s = next(f.began_s for f in cell.simulated.injector.faults)
-        derated = hand.statistics.loop.derated
-        return Observed(
-            "NOTE",
-            noted_s[0] - (began_s or 0.0),
-            f"the current was derated in {derated} periods; {seen.outcome}",
-        )
-
-
 def part_leaves(row: FaultRow) -> Observed:
     """Grasp while the part goes; time runs until the fingers press no more."""
     with campaign_cell(row.changes) as cell:
