@@ -40,7 +40,7 @@ def test_lost_frames_hold_the_part_until_a_person_has_acted(station_cell, inject
 
 def test_a_cable_out_in_mid_grasp_keeps_the_grip(station_cell, inject_fault):
     station_cell.controller.moves.present("dowel")
-    inject_fault("servos.unplugged@contact+0.3s")
+    inject_fault("servos.unplugged@contact+0.1s")
     with pytest.raises(PortLost):
         station_cell.grasp(force_n=3.0)
     assert station_cell.controller.life.state is CellState.ABORTED
