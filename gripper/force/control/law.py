@@ -57,7 +57,7 @@ _NEAR_N = 0.03
 _BRAKE_SHARE = 0.5
 """Share of the friction by which the drive brakes beside the friction itself. [chosen]"""
 _SHOWS_S = 0.012
-"""Time in s after a push at which a sample shows its effect: three currents. [chosen]"""
+"""Time in s after a push at which a sample shows its effect: four currents. [chosen]"""
 _STRONGER, _WEAKER = 1.15, 0.98
 """Factors on the assumed stiction after a push without, and with, effect. [chosen]"""
 _EFFECT_SHARE = 0.5

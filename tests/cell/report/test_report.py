@@ -470,6 +470,7 @@ def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(recording,
         recorded_report(read_recording(tmp_path / "empty.mcap"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "spoil",
     [
