@@ -48,7 +48,7 @@ class SortingStation:
         """
         steps = plan(self.sequence, self.sequence.max_grasps, seed=seed)
         found = self.controller.identify(self.recognizer, steps, keep=Keep.ALWAYS)
-        sure = found.probability >= self.least_probability
+        sure = found.decision.probability >= self.least_probability
         place = self.bins.get(found.label, MANUAL) if sure else MANUAL
         self.controller.moves.carry_to(Destination(label=found.label, place=place))
         if not self.controller.kept.verify().same:
