@@ -30,8 +30,6 @@ _INERTIA_SD = 0.5
 
 _MEASURED_FRICTION_SD, _MEASURED_LOAD_SD = 0.1, 0.02
 """The same within a day, once both were measured. [assumed]"""
-_STICKS_SHARE = 2 / 3
-"""Falling over rising line of a load below which a gearing sticks. [chosen]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,11 +87,6 @@ class DriveCharacteristic:
             value = getattr(self, name)
             if not 0.0 < value < inf:
                 raise LimitExceeded(f"{name} is {value}, must be above 0 and finite")
-
-    @property
-    def sticks(self) -> bool:
-        """Whether the gearing loses so much of its load that slow motions stick and slip."""
-        return self.falling_a_nm < _STICKS_SHARE * self.rising_a_nm
 
     @classmethod
     def catalogue(cls, model: ServoModel) -> Self:

@@ -20,14 +20,11 @@ from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.slip import LevelSlip
-from gripper.mechanics.kinematics import Linkage, driving_n, mean_friction_n, transmissions
+from gripper.mechanics.kinematics import Linkage
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import STANDING_M_S, GripperPhase, ServoFeedback
 
-_CONTACT_SHARE = 0.97
-"""Position of the drive in the friction band at the contact: at its rising edge, with a reserve.
-[tuned]"""
 _BEGINS_M, _SURPRISE_M = 0.0005, 0.0015
 """Margin in m by which the next part may be wider than all earlier ones: the first value, and the
 second over the number of these parts, because each is equally likely to be the widest. [tuned]"""
@@ -421,7 +418,9 @@ class ContactStep(GripStep):
     def _advance(self, moment: Moment) -> GripControl:
         """Advance the time on the ramp: begin it, end it early, or continue."""
         if self.control is None:
-            self.control = self._new_control(moment, self._rest.force_n)
+            self.control = GripControl(
+                self._linkage, self._reached, force_n=self._rest.force_n, now_s=moment.now_s
+            )
             begun = self._time.ramp.starting_from(self._rest.force_n)
             self._time = RampTime(self._settings, begun)
         elif not self._ended and self._ends_early():
@@ -431,19 +430,6 @@ class ContactStep(GripStep):
         else:
             self._time.pass_by(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
         return self.control
-
-    def _new_control(self, moment: Moment, force_n: float) -> GripControl:
-        """Return the control of a part: the fingers close, so the drive is at the rising edge.
-
-        If momentum alone has made the force of the ramp, friction locks the fingers.
-        """
-        paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
-        drive_n = force_n + _CONTACT_SHARE * mean_friction_n(paths)
-        if force_n > self._time.ramp.final_n:
-            drive_n = min(drive_n, max(force_n, driving_n(moment.state, paths)))
-        return GripControl(
-            self._linkage, self._reached, force_n=force_n, drive_n=drive_n, now_s=moment.now_s
-        )
 
     def _ends_early(self) -> bool:
         """Return whether to end the ramp now: requested, not over, and enough to hold a part."""

@@ -48,8 +48,7 @@ _FOLLOWS_SHARE, _UNSEEN_M = 0.95, 2 * GRAIN_M
 which they must have. [chosen]"""
 YOUNG_S = 0.015
 """Largest age in s of a sample to which the drive may respond at once: force messages are newer,
-frames are older. Braking at a first touch is then useful, and the stiffening of a soft part is
-stable. [tuned]"""
+frames are older. Braking at a first touch is then useful. [tuned]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

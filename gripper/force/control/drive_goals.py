@@ -1,6 +1,7 @@
 """Goals of the servos for a driving force, and the limits of their closing and opening."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import inf
 
 from gripper.dynamixel.models import ServoModel
@@ -95,34 +96,34 @@ class DriveGoals:
             closed_rad = min(least_rad, servo.angle_rad)
             held_n = max(balance_n, 0.0) + _REST_SHARE * path.friction_n
             held_a = min(held_n / path.n_per_a, grip.settings.current_max_a)
-            rest = ServoGoal(
-                angle_rad=max(
-                    deepest_rad - closing_margin_rad(settings.servo_model, held_a), closed_rad
-                ),
-                current_a=held_a,
-                setpoint_n=grip.setpoint_n,
-            )
+            rest = self._closing(settings.servo_model, held_a, deepest_rad, closed_rad)
             # Each servo drives with the same share of its own friction.
             own_n = balance_n + (drive_n - balance_n) * path.friction_n / friction_n
             current_a = min(abs(own_n) / path.n_per_a, grip.settings.current_max_a)
             # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
             if own_n >= 0.0:
-                margin_rad = closing_margin_rad(settings.servo_model, current_a)
-                angle_rad = max(deepest_rad - margin_rad, closed_rad)
+                goal = self._closing(settings.servo_model, current_a, deepest_rad, closed_rad)
             else:
                 # Without a further goal the finger opens by no more than this.
                 lead_rad = running_lead_rad(settings.servo_model, current_a, 0.0)
                 lead_rad += settings.servo_model.rad_per_pulse
-                angle_rad = min(servo.angle_rad + lead_rad, contact_rad + GIVE_RAD, widest_rad)
-            goals.append(
-                ServoGoal(
-                    angle_rad=angle_rad,
+                goal = ServoGoal(
+                    angle_rad=min(servo.angle_rad + lead_rad, contact_rad + GIVE_RAD, widest_rad),
                     current_a=current_a,
                     setpoint_n=grip.setpoint_n,
-                    rest=rest,
                 )
-            )
+            goals.append(replace(goal, rest=rest))
         return tuple(goals)
+
+    def _closing(
+        self, model: ServoModel, current_a: float, deepest_rad: float, closed_rad: float
+    ) -> ServoGoal:
+        """Return the goal that closes with a current in A, at most to an angle in rad."""
+        return ServoGoal(
+            angle_rad=max(deepest_rad - closing_margin_rad(model, current_a), closed_rad),
+            current_a=current_a,
+            setpoint_n=self._grip.setpoint_n,
+        )
 
     def _held_rad(self, servo: ServoState) -> float:
         """Return the position of a finger while only the other one moves."""

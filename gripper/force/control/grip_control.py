@@ -29,8 +29,8 @@ class GripControl:
         Of the gripper.
     reached
         End of the approach, at the contact.
-    force_n, drive_n
-        Grip force and driving force at the contact in N.
+    force_n
+        Grip force at the contact in N.
     now_s
         Monotonic time in s.
     """
@@ -41,7 +41,6 @@ class GripControl:
         reached: Reached,
         *,
         force_n: float,
-        drive_n: float,
         now_s: float,
     ) -> None:
         settings, state = reached.settings, reached.state
@@ -56,7 +55,7 @@ class GripControl:
             asked_n=force_n,
             force_n=force_n,
             balance_n=force_n,
-            drive_n=drive_n,
+            drive_n=force_n,
         )
         grip.apertures.add(now_s, state.aperture_m)
         yielded_m = max(reached.touch_m - state.aperture_m, 0.0)

@@ -184,9 +184,8 @@ class Pushes:
     def __init__(self, drives: Drives) -> None:
         self._drives = drives
         self._pushed_s, self._closing = -inf, True
-        self._from_n = self._expected_n = 0.0
-        self.growth_n = 0.0
-        """Expected growth of the force by the last push in N."""
+        self._from_n = self.growth_n = 0.0
+        """Force in N before the last push, and its expected growth by it."""
 
     def shown(self, sample: ForceSample) -> bool:
         """Return whether a sample shows the effect of the last push."""
@@ -205,22 +204,22 @@ class Pushes:
         beyond_n = (self._drives.stiction - 1.0) * frictions_n[0] + _BEYOND_N
         speed_m_s = beyond_n * moment.dt_s / observer.mass_kg
         self.growth_n = observer.stiffness_n_m * speed_m_s * moment.dt_s
-        self._expected_n += self.growth_n
+        self._from_n, self._closing = observer.force_n, closing
         self._pushed_s = moment.now_s
         # The current reaches the push at the end of the period only.
         observer.break_loose(sign * 0.5 * speed_m_s)
         return sign * (friction_n + beyond_n) / current_share(moment.dt_s)
 
     def _learn(self, observer: GripObserver, *, closing: bool) -> None:
-        """Compare the growth of the force with that expected of the pushes since it was known."""
+        """Compare the growth of the force since the last push with the expected one."""
         drives, grown_n = self._drives, abs(observer.force_n - self._from_n)
-        if closing is self._closing and self._expected_n > 0.0:
-            known = self._expected_n > _EFFECT_SDS * observer.doubt_n
-            if known and grown_n >= _EFFECT_SHARE * self._expected_n:
-                drives.stiction = max(1.0, _WEAKER * drives.stiction)
-            else:
-                drives.stiction = min(MOST_STICTION, _STRONGER * drives.stiction)
-        self._closing, self._from_n, self._expected_n = closing, observer.force_n, 0.0
+        if closing is not self._closing or self.growth_n == 0.0:
+            return
+        known = self.growth_n > _EFFECT_SDS * observer.doubt_n
+        if known and grown_n >= _EFFECT_SHARE * self.growth_n:
+            drives.stiction = max(1.0, _WEAKER * drives.stiction)
+        else:
+            drives.stiction = min(MOST_STICTION, _STRONGER * drives.stiction)
 
 
 class ForceLaw:
