@@ -14,11 +14,12 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
+from ruamel.yaml.constructor import SafeConstructor
+from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
 from cell.config.model import CellConfig
-from cell.config.section import Installed, OneOf, sections_in, unit_of
-from cell.config.yaml_text import place_of, read_yaml
+from cell.config.section import Installed, Section, sections_in, unit_of
 from cell.data.files import read_plain
 from cell.data.formats import CONFIG
 from cell.errors import ConfigError
@@ -124,7 +125,7 @@ def _choices(key: FieldInfo) -> list[str]:
     if get_origin(key.annotation) is Literal:
         return [str(choice) for choice in get_args(key.annotation)]
     for note in key.metadata:
-        if isinstance(note, OneOf | Installed):
+        if isinstance(note, Installed):
             return list(note.names)
     return []
 
@@ -156,6 +157,65 @@ def _scalar(value: Any) -> str:
     yaml.width = 4096
     yaml.dump(value, out)
     return out.getvalue().removesuffix("...\n").rstrip("\n")
+
+
+_REMEDIES = (
+    (r"duplicate key (.*?) with", r"the key \1 is written twice; remove one of the two"),
+    (r"end of stream", "the closing quote is missing"),
+    (r"single document", "a config is one document; remove the line with ---"),
+    (r"escape", "a backslash between double quotes; use single quotes"),
+    (r"'\\t'", "a tab; use spaces"),
+    (r"character (.*) that cannot", r"a value cannot begin with \1; put the value in quotes"),
+    (r"flow", "this bracket is not closed, or a comma or a colon is missing in it"),
+    (r"simple key", "a colon and a space are missing after the key; write `key: value`"),
+    (
+        r"mapping values",
+        "a colon within a value, which needs quotes; or the line above lacks a space after its "
+        "colon; or this indent fits no line above",
+    ),
+    (r"found '<scalar>'", "text after the end of the value; put the whole value in quotes"),
+    (
+        r"found '<block|found '-'|document start",
+        "the indent fits no line above; keys of one section have the same indent",
+    ),
+)
+"""Texts of the YAML reader by pattern, the first that matches, and what the operator reads."""
+
+
+class _Constructor(SafeConstructor):
+    """Values of a config: a date is a text."""
+
+
+_Constructor.add_constructor("tag:yaml.org,2002:timestamp", SafeConstructor.construct_yaml_str)
+
+
+def _read_yaml(text: str, source: str) -> tuple[Node | None, Any]:
+    """Return the nodes, which have places, and the values of a text.
+
+    Raises ConfigError with ``source``, line and column if the text is not YAML 1.2.
+    """
+    reader = YAML(typ="safe", pure=True)
+    reader.Constructor = _Constructor
+    try:
+        if text.startswith("%"):
+            raise ValueError("remove the line that begins with %")
+        return reader.compose(text), reader.load(text)
+    except MarkedYAMLError as error:
+        said = f"{error.context}: {error.problem}"
+        inside = re.search("quoted.*end of|flow|simple key", said)
+        mark = (error.context_mark if inside else None) or error.problem_mark
+        place = f"{source}:{_place(mark)}" if mark else source
+        matches = ((re.search(pattern, said), remedy) for pattern, remedy in _REMEDIES)
+        remedy = next((found.expand(remedy) for found, remedy in matches if found), said)
+        raise ConfigError(f"{place}: not YAML 1.2: {remedy}") from error
+    except (YAMLError, ValueError, RecursionError) as error:
+        said = " ".join(str(error).split())
+        raise ConfigError(f"{source}: not YAML 1.2: {said}") from error
+
+
+def _place(mark: StreamMark) -> str:
+    """Return line and column, both from 1."""
+    return f"{mark.line + 1}:{mark.column + 1}"
 
 
 MAX_BYTES = 1 << 16
@@ -191,13 +251,13 @@ def parse_config(text: str, *, source: str) -> CellConfig:
 
     Raises ConfigError as `load_config`.
     """
-    root, data = read_yaml(text, source)
+    root, data = _read_yaml(text, source)
     if not isinstance(data, dict | None):
         raise ConfigError(f"{source}:1:1: a config is a mapping with sections such as `gripper:`")
     if data and "format" in data:
         CONFIG.check(data["format"], source, ConfigError)
     try:
-        return CellConfig.model_validate_json(json.dumps(data or {}, default=str))
+        return CellConfig.model_validate_json(json.dumps(data or {}))
     except ValidationError as error:
         raise ConfigError(_complaints(error, root, source)) from error
     except (TypeError, ValueError, RecursionError) as error:
@@ -254,25 +314,14 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
 def _meant(loc: tuple[int | str, ...]) -> str:
     """Return a hint for an unknown key: a similar key of its section, or all keys of it."""
     *way, unknown = loc
-    section = _section_at(way)
-    names = list(section.model_fields)
+    names = list(_section_at(way).model_fields)
     near = difflib.get_close_matches(str(unknown), names, n=1)
-    if near:
-        return f"did you mean {near[0]}? "
-    owners = sorted(
-        {
-            path
-            for path, other in _all_sections(CellConfig)
-            if str(unknown) in other.model_fields and other is not section
-        }
-    )
-    where = f"it is a key of {' and '.join(owners)}; " if owners else ""
-    return f"{where}keys here are {', '.join(names)}; "
+    return f"did you mean {near[0]}? " if near else f"keys here are {', '.join(names)}; "
 
 
-def _section_at(way: Sequence[int | str]) -> type[BaseModel]:
+def _section_at(way: Sequence[int | str]) -> type[Section]:
     """Return the section at a pydantic location; a step into a union is the name of the kind."""
-    section: type[BaseModel] = CellConfig
+    section: type[Section] = CellConfig
     inner = [section]
     for step in way:
         if step in section.model_fields:
@@ -290,32 +339,20 @@ def _kind_of(section: type[BaseModel]) -> str:
     return str(get_args(kind.annotation)[0]) if kind and get_args(kind.annotation) else "pads"
 
 
-def _all_sections(
-    section: type[BaseModel], path: str = ""
-) -> Iterator[tuple[str, type[BaseModel]]]:
-    """Return all sections below a section, each with its dotted path and, in a union, its kind."""
-    for name, key in section.model_fields.items():
-        inner = list(sections_in(key))
-        for one in inner:
-            way = f"{path}.{name}".lstrip(".")
-            yield (f"{way} of kind {_kind_of(one)}" if len(inner) > 1 else way), one
-            yield from _all_sections(one, way)
-
-
 def _locate(root: Node | None, loc: tuple[int | str, ...]) -> tuple[str, str]:
     """Return place and key of a pydantic location; steps that are not in the file are skipped."""
     node, key = root, []
-    place = "1:1" if root is None else place_of(root.start_mark)
+    place = "1:1" if root is None else _place(root.start_mark)
     for step in loc:
         if isinstance(node, MappingNode):
             found = [(k, v) for k, v in node.value if k.value == str(step)]
             if found:
-                place, node = place_of(found[0][0].start_mark), found[0][1]
+                place, node = _place(found[0][0].start_mark), found[0][1]
                 key.append(str(step))
             elif step == loc[-1]:
                 key.append(str(step))
         elif isinstance(node, SequenceNode) and isinstance(step, int) and step < len(node.value):
             node = node.value[step]
-            place = place_of(node.start_mark)
+            place = _place(node.start_mark)
             key.append(str(step))
     return place, ".".join(key)

@@ -1,27 +1,28 @@
 """Config of the gripper: servos, linkage, limits; and its conversion to SI."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, model_validator
 
-from cell.config.measured_servo import measured_drive
 from cell.config.section import (
     MILLI,
     SIMULATED,
     Installed,
-    OneOf,
     Section,
     declared_values,
     setting_of,
 )
+from cell.data.formats import SERVO_BENCH, read_json
 from cell.errors import ConfigError, raised_as
 from cell.plugins import SERVO_MODELS
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import (
     MODELS,
     WITHOUT_CURRENT_CONTROL,
+    ServoModel,
     add_model,
     require_current_control,
 )
@@ -34,6 +35,9 @@ from gripper.settings import (
     largest_setpoint_n,
 )
 
+_SCALE_SD, _FRICTION_SD = 0.05, 0.1
+"""Uncertainty of a torque by an arm and a kitchen scale, and of a friction, which changes with the
+temperature; standard deviations of logarithms. [assumed]"""
 _EMPTY_M = 0.0003
 """Smallest opening in m of fingers that touch nothing. Below it the pads may press on each other,
 and the servos cannot resolve a thinner sheet."""
@@ -94,7 +98,7 @@ class ImbalanceConfig(Section):
 class OverForceConfig(Section):
     """Reaction when the force exceeds gripper.force_max_n; it never adds force."""
 
-    reaction: Annotated[str, OneOf(tuple(one.value for one in OverForce))] = OverForce.LOWER.value
+    reaction: Literal["lower", "open", "limp"] = "lower"
     """lower: reduce the currents, the part stays held; open: open the fingers by one
     small step; limp: switch the torque off, a held part may drop."""
     noise_n: float = setting_of(GripperSettings, "force_noise_n")
@@ -143,11 +147,9 @@ class ServoConfig(Section):
 
     id: int = Field(ge=0, le=252)
     """ID on the bus, 0 to 252."""
-    model: Annotated[
-        str,
-        AfterValidator(_with_current_control),
-        Installed(SERVO_MODELS),
-    ] = "XM430-W350"
+    model: Annotated[str, AfterValidator(_with_current_control), Installed(SERVO_MODELS)] = (
+        "XM430-W350"
+    )
     """Model; it must be able to control current (an XL430 cannot and is refused)."""
     direction: Literal[1, -1] = 1
     """1 if an increasing position opens the finger, -1 if it closes the finger."""
@@ -320,6 +322,35 @@ def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSett
 
 def _measured(servo: ServoConfig) -> DriveCharacteristic | None:
     return measured_drive(Path(servo.measured), MODELS[servo.model]) if servo.measured else None
+
+
+def measured_drive(path: Path, model: ServoModel) -> DriveCharacteristic:
+    """Return the drive characteristic of a servo from the result of its bench.
+
+    Values of steps that were left out are the catalogue's. Raises ConfigError if there is no such
+    file, if it is damaged, or if it is of another model.
+    """
+    content = read_json(path, SERVO_BENCH, error=ConfigError)
+    if content is None:
+        raise ConfigError(f"{path}: no such file; `tactile-cell bench servo` writes it")
+    if content.get("model") != model.name:
+        raise ConfigError(f"{path} is of a {content.get('model')}, this servo is a {model.name}")
+    values: Mapping[str, Any] = content.get("values", {})
+    drive = DriveCharacteristic.catalogue(model)
+    changes: dict[str, float] = {}
+    if (rising := values.get("rising_a_nm")) is not None:
+        kt_nm_a = 1.0 / rising
+        changes |= {"rising_a_nm": rising, "falling_a_nm": rising, "kt_nm_a": kt_nm_a}
+        changes |= {"load_sd": _SCALE_SD, "kt_sd": _SCALE_SD}
+        changes["inertia_ratio"] = model.kt_nm_a / kt_nm_a
+    if (falling := values.get("falling_a_nm")) is not None:
+        changes |= {"falling_a_nm": falling, "falling_sd": _SCALE_SD}
+    if (coulomb := values.get("coulomb_a")) is not None:
+        changes |= {"coulomb_a": coulomb, "viscous_a_s": max(0.0, values["viscous_a_s"])}
+        changes |= {"breakaway_a": values.get("breakaway_a", coulomb), "friction_sd": _FRICTION_SD}
+    if (back_emf := values.get("back_emf_v_s")) is not None:
+        changes["back_emf_v_s"] = back_emf
+    return replace(drive, **changes)
 
 
 def linkage_of(config: GripperConfig) -> Linkage:

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
 from cell.config.positioner import PositionerConfig
-from cell.config.section import SIMULATED, Installed, OneOf, Section, setting_of
+from cell.config.section import SIMULATED, Installed, Section, setting_of
 from cell.config.sequence import SequenceConfig, ramp_from_config
 from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
@@ -24,7 +24,6 @@ from cell.config.tactile import (
     layout_from_config,
     make_calibration,
 )
-from cell.data.formats import CONFIG
 from cell.errors import ConfigError, raised_as
 from cell.plugins import RECOGNISERS
 from gripper.dynamixel.latency import largest_rate_hz
@@ -96,7 +95,7 @@ class LoopConfig(Section):
 class CellConfig(Section):
     """All settings of a cell. Without a file: the simulated cell."""
 
-    format: Annotated[str, OneOf((str(CONFIG),))] = str(CONFIG)
+    format: Literal["tactile-cell-config/1"] = "tactile-cell-config/1"
     """Format of this file, and its version. Without this key it counts as the present one."""
     name: str = Field(default="simulated cell", min_length=1, max_length=80)
     """Name of the cell, for reports."""

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from cell.config.section import SIMULATED, OneOf, Section
+from cell.config.section import SIMULATED, Section
 from cell.config.sequence import Range, SequenceConfig
 from gripper.dynamixel.models import MODELS, XM430_W350
 
@@ -87,7 +87,7 @@ class ServoAxisConfig(Section):
     """Baud rate of the line in bit/s."""
     id: int = Field(default=1, ge=0, le=252)
     """ID of the servo, 0 to 252."""
-    model: Annotated[str, OneOf(tuple(m.name for m in MODELS.values() if m.turns))] = "XM430-W350"
+    model: Literal["XM430-W350", "XM430-W210", "XL330-M288", "XC330-M288"] = "XM430-W350"
     """Model of the servo."""
     increments: float = XM430_W350.pulses_per_turn / 360.0
     """Pulses per degree or mm: 11.3778 without a gear; negative for the other direction."""

@@ -1,10 +1,9 @@
 """The base of all sections of the config, and links to settings that are declared elsewhere."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from math import inf
-from typing import Annotated, Any, get_args
+from math import inf, isfinite
+from typing import Any, get_args
 
 from pydantic import (
     BaseModel,
@@ -12,7 +11,6 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
-    ValidationError,
     field_validator,
 )
 from pydantic.fields import FieldInfo
@@ -47,6 +45,11 @@ class Section(BaseModel):
         allow_inf_nan=False,
         use_attribute_docstrings=True,
     )
+
+    @classmethod
+    def kinds(cls) -> list[type["Section"]]:
+        """Return the sections that stand for it: itself, or those of plugins."""
+        return [cls]
 
     @field_validator("*")
     @classmethod
@@ -94,19 +97,16 @@ def setting_of(
     """
     found = next(one for one in fields(owner) if one.name == name)
     default: Any = found.default
-    kind = number or type(default)
+    kind, limits = number or type(default), found.metadata
 
     def shown(value: float) -> Any:
-        return kind(float(f"{value:.12g}"))
+        return kind(float(f"{value:.12g}")) if isfinite(value) else None
 
-    low = max(found.metadata["low"] / unit, at_least)
-    above = found.metadata["above"] / unit
-    high = min(found.metadata["high"] / unit, at_most)
     key = Field(
         default=shown(default / unit),
-        ge=None if low == -inf else shown(low),
-        gt=None if above == -inf else shown(above),
-        le=None if high == inf else shown(high),
+        ge=shown(max(limits["low"] / unit, at_least)),
+        gt=shown(limits["above"] / unit),
+        le=shown(min(limits["high"] / unit, at_most)),
     )
     key.metadata.append(Declared(owner=owner, name=name, unit=unit))
     return key
@@ -123,17 +123,6 @@ def declared_values(section: BaseModel, owner: type) -> dict[str, Any]:
             if isinstance(link, Declared) and link.owner is owner:
                 values[link.name] = value if link.unit == 1.0 else value * link.unit
     return values
-
-
-@dataclass(frozen=True, slots=True)
-class OneOf:
-    """Annotation of a text with a table of allowed names: ``Annotated[str, OneOf(...)]``."""
-
-    names: tuple[str, ...]
-    """The names, in the order of the table."""
-
-    def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
-        return core_schema.literal_schema(list(self.names))
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,65 +153,13 @@ class Installed:
         return name
 
 
-@dataclass(frozen=True, slots=True)
-class SectionOf:
-    """Annotation of a section whose ``kind`` names a plugin, which is the section's own class."""
-
-    plugins: Plugins
-    """The plugins to choose from."""
-
-    def sections(self) -> list[type[BaseModel]]:
-        """Return the sections of the plugins that load."""
-        return list(self.plugins.usable().values())
-
-    def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
-        return core_schema.with_info_plain_validator_function(
-            self._section,
-            serialization=core_schema.plain_serializer_function_ser_schema(
-                lambda section, info: section.model_dump(mode=info.mode), info_arg=True
-            ),
-        )
-
-    def __get_pydantic_json_schema__(
-        self, _schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        kinds = [handler(one.__pydantic_core_schema__) for one in self.sections()]
-        return {"oneOf": kinds} if kinds else {"type": "object"}
-
-    def _section(self, value: Any, info: core_schema.ValidationInfo) -> BaseModel:
-        kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
-        if not isinstance(kind, str):
-            raise ValueError(f"a section with kind, one of {', '.join(self.plugins)}")
-        with raised_as(ValueError, ConfigError):
-            section: type[BaseModel] = self.plugins[kind]
-        try:
-            if info.mode == "json":
-                return section.model_validate_json(json.dumps(value))
-            return section.model_validate(value)
-        except ValidationError as error:
-            # As in a union of sections, a place has the kind in it.
-            found: list[Any] = [
-                {**item, "loc": (kind, *item["loc"])} for item in error.errors(include_url=False)
-            ]
-            raise ValidationError.from_exception_data(error.title, found) from None
-
-
-def sections_in(key: FieldInfo) -> Iterator[type[BaseModel]]:
+def sections_in(key: FieldInfo) -> Iterator[type[Section]]:
     """Return the sections that a key may hold, through unions, lists, notes and plugins."""
-    return _sections_of(
-        Annotated[key.annotation, *key.metadata] if key.metadata else key.annotation
-    )
+    yield from _sections_of(key.annotation)
 
 
-def _sections_of(annotation: Any) -> Iterator[type[BaseModel]]:
-    inner = get_args(annotation)
-    plugins = [
-        note for note in getattr(annotation, "__metadata__", ()) if isinstance(note, SectionOf)
-    ]
-    if plugins:
-        yield from plugins[0].sections()
-        return
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for one in inner:
-        yield from _sections_of(one)
+def _sections_of(annotation: Any) -> Iterator[type[Section]]:
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        yield from annotation.kinds()
+    for inner in get_args(annotation):
+        yield from _sections_of(inner)

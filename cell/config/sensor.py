@@ -1,11 +1,16 @@
 """Base of tactile sensors: each kind is a plugin, whose section is `tactile.sensor`."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from pydantic import GetJsonSchemaHandler, ValidationError, ValidationInfo
+from pydantic_core import CoreSchema
+
 from cell.config.section import Section
-from cell.errors import ConfigError
+from cell.errors import ConfigError, raised_as
+from cell.plugins import SENSORS
 
 if TYPE_CHECKING:
     from cell.config.tactile import TactileConfig
@@ -71,6 +76,19 @@ class SensorConfig(Section):
     rest: ClassVar[RestLimits] = RestLimits()
     """Its pads without a load."""
 
+    @classmethod
+    def kinds(cls) -> list[type[Section]]:
+        """Return the sections of the plugins that load."""
+        return list(SENSORS.usable().values()) if cls is SensorConfig else [cls]
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        if cls is not SensorConfig:
+            return handler(schema)
+        return {"oneOf": [handler(one.__pydantic_core_schema__) for one in cls.kinds()]}
+
     @property
     def serial_ports(self) -> tuple[str, ...]:
         """Names of its serial ports: the key ``ports``, if the kind has it."""
@@ -102,3 +120,27 @@ class SensorConfig(Section):
         raise ConfigError(
             f"sensor {self.kind} cannot be simulated: set real ports in tactile.sensor"
         )
+
+
+def sensor_section(value: Any, info: ValidationInfo | None = None) -> SensorConfig:
+    """Return the section of a sensor from its values; ``kind`` names the plugin.
+
+    Raises ValueError if there is no such sensor or a value is not valid.
+    """
+    if isinstance(value, SensorConfig):
+        return value
+    kind = value.get("kind") if isinstance(value, dict) else None
+    if not isinstance(kind, str):
+        raise ValueError(f"a section with kind, one of {', '.join(SENSORS)}")
+    with raised_as(ValueError, ConfigError):
+        section: type[SensorConfig] = SENSORS[kind]
+    try:
+        if info is None or info.mode == "python":
+            return section.model_validate(value)
+        return section.model_validate_json(json.dumps(value))
+    except ValidationError as error:
+        # As in a union of sections, a place has the kind in it.
+        found: list[Any] = [
+            {**item, "loc": (kind, *item["loc"])} for item in error.errors(include_url=False)
+        ]
+        raise ValidationError.from_exception_data(error.title, found) from None

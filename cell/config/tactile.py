@@ -3,20 +3,18 @@
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
-
-from cell.config.section import (
-    MILLI,
-    SIMULATED,
-    OneOf,
-    Section,
-    SectionOf,
-    declared_values,
-    setting_of,
+from pydantic import (
+    BeforeValidator,
+    Discriminator,
+    Field,
+    SerializeAsAny,
+    Tag,
+    model_validator,
 )
-from cell.config.sensor import SensorConfig
+
+from cell.config.section import MILLI, SIMULATED, Section, declared_values, setting_of
+from cell.config.sensor import SensorConfig, sensor_section
 from cell.errors import ConfigError, raised_as
-from cell.plugins import SENSORS
 from recognition.grasp import PadArray
 from tactile.control_unit.settings import ExpectedIdentity, LinkSettings
 from tactile.errors import CalibrationError, LayoutError
@@ -39,7 +37,7 @@ class PadConfig(Section):
 
     finger: Literal[0, 1]
     """Finger that carries the pad."""
-    face: Annotated[Face, OneOf(get_args(Face))]
+    face: Face
     """Face of the finger; the two inner pads grip."""
     rows: int = Field(ge=1, le=64)
     """Taxels along the finger, 1 to 64."""
@@ -121,20 +119,25 @@ def _name_or_pads(value: object) -> str:
     return "name" if isinstance(value, str) else "pads"
 
 
+LayoutName = Literal[
+    "flexitac_12x32", "flexitac_16x16", "flexitac_16x32", "paper", "pinch", "uskin_4x4"
+]
+"""Names of `tactile.layout.LAYOUTS`."""
 BoardSerial = Annotated[int, Field(ge=0, le=4294967295)]
 PadGain = Annotated[float, Field(ge=0.2, le=5.0)]
 
 
 def _control_unit() -> SensorConfig:
     """Return the default sensor, loaded only where it is used."""
-    unit: SensorConfig = SENSORS["control_unit"]()
-    return unit
+    return sensor_section({"kind": "control_unit"})
 
 
 class TactileConfig(Section):
     """The tactile sensor: the control unit and its CAN bus, or other boards."""
 
-    sensor: Annotated[SensorConfig, SectionOf(SENSORS)] = Field(default_factory=_control_unit)
+    sensor: Annotated[SerializeAsAny[SensorConfig], BeforeValidator(sensor_section)] = Field(
+        default_factory=_control_unit
+    )
     """Sensor that reads the pads: the control unit, or boards with their own lines."""
     interface: str = Field(default=SIMULATED, min_length=1)
     """python-can interface (socketcan, slcan, pcan, ...); `simulated`: the built-in interface."""
@@ -148,7 +151,7 @@ class TactileConfig(Section):
     serial_number: int | None = Field(default=None, ge=0, le=4294967295)
     """Required serial number of the unit (object 1018h:4); none: any."""
     layout: Annotated[
-        Annotated[str, OneOf(tuple(LAYOUTS)), Tag("name")] | Annotated[PadsConfig, Tag("pads")],
+        Annotated[LayoutName, Tag("name")] | Annotated[PadsConfig, Tag("pads")],
         Discriminator(_name_or_pads),
     ] = "paper"
     """paper: 408 taxels, ten pads; pinch: two pads of 13 x 6, 12 bit; flexitac_12x32,

@@ -1,8 +1,8 @@
 """FlexiTac as a kind of `tactile.sensor`."""
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-from cell.config.section import SIMULATED, OneOf
+from cell.config.section import SIMULATED
 from cell.config.sensor import RestLimits, SensorConfig, SensorLines
 from cell.config.tactile import TactileConfig
 from gripper.errors import PortLost
@@ -27,7 +27,7 @@ class FlexiTacConfig(SensorConfig):
     ports: tuple[str, str] = (SIMULATED, SIMULATED)
     """Serial ports of the boards on finger 0 and 1, preferably below /dev/serial/by-id; boards
     without serial numbers: below /dev/serial/by-path."""
-    profile: Annotated[str, OneOf(tuple(PROFILES))] = "12x32"
+    profile: Literal["12x32", "16x32", "16x16"] = "12x32"
     """Rows and columns that the boards send."""
     rows_along: bool = False
     """Whether a board's rows follow each other along the finger. Otherwise they follow across it,

@@ -12,7 +12,7 @@ from cell.commissioning.engine import Question, StepFailed, WizardAborted
 from cell.commissioning.servo_bench.protocol import STEPS
 from cell.commissioning.servo_bench.result import run_bench
 from cell.commissioning.servo_bench.rig import Rig, open_rig
-from cell.config.measured_servo import measured_drive
+from cell.config.gripper import measured_drive
 from cell.errors import ConfigError
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.drive import DriveCharacteristic

@@ -18,7 +18,7 @@ from cell.archive.store import Archive
 from cell.checks.findings import read_commissioned
 from cell.commissioning.backup import since_backup
 from cell.config.file import load_config
-from cell.config.measured_servo import measured_drive
+from cell.config.gripper import measured_drive
 from cell.control.self_zero import SelfZeros
 from cell.data import formats
 from cell.data.dataset import read_dataset, write_dataset
