@@ -122,7 +122,7 @@ class SensorConfig(Section):
         )
 
 
-def sensor_section(value: Any, info: ValidationInfo | None = None) -> SensorConfig:
+def sensor_section(value: Any, info: ValidationInfo) -> SensorConfig:
     """Return the section of a sensor from its values; ``kind`` names the plugin.
 
     Raises ValueError if there is no such sensor or a value is not valid.
@@ -135,9 +135,9 @@ def sensor_section(value: Any, info: ValidationInfo | None = None) -> SensorConf
     with raised_as(ValueError, ConfigError):
         section: type[SensorConfig] = SENSORS[kind]
     try:
-        if info is None or info.mode == "python":
-            return section.model_validate(value)
-        return section.model_validate_json(json.dumps(value))
+        if info.mode == "json":
+            return section.model_validate_json(json.dumps(value))
+        return section.model_validate(value)
     except ValidationError as error:
         # As in a union of sections, a place has the kind in it.
         found: list[Any] = [

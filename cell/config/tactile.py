@@ -15,6 +15,7 @@ from pydantic import (
 from cell.config.section import MILLI, SIMULATED, Section, declared_values, setting_of
 from cell.config.sensor import SensorConfig, sensor_section
 from cell.errors import ConfigError, raised_as
+from cell.plugins import SENSORS
 from recognition.grasp import PadArray
 from tactile.control_unit.settings import ExpectedIdentity, LinkSettings
 from tactile.errors import CalibrationError, LayoutError
@@ -129,7 +130,8 @@ PadGain = Annotated[float, Field(ge=0.2, le=5.0)]
 
 def _control_unit() -> SensorConfig:
     """Return the default sensor, loaded only where it is used."""
-    return sensor_section({"kind": "control_unit"})
+    unit: SensorConfig = SENSORS["control_unit"]()
+    return unit
 
 
 class TactileConfig(Section):
