@@ -1,15 +1,21 @@
 """Measurement of the drives of the servos: their friction, and their current under load."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
-from gripper.fingers import CLEAR_M, Fingers
 from gripper.force.approach.free_motion import MoveTo
+from gripper.force.approach.mechanics_proof import FirstMotion
+from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.grasp import GraspRun
 from gripper.force.load_trial import LoadTrial
+from gripper.force.loop import LoopRunner
+from gripper.lifecycle import Lifecycle
 from gripper.mechanics.identification import fit_load
-from gripper.mechanics.kinematics import transmissions
-from gripper.values.state import Observer, TimeSpan
+from gripper.mechanics.kinematics import Linkage, transmissions
+from gripper.values.state import Observer, ServoFeedback, TimeSpan
+
+CLEAR_M = 0.002
+"""Way in m after which nothing touches fingers that open. [chosen]"""
 
 _FREE_RAD_S = (0.15, 0.25, 0.4, 0.65)
 """Speeds in rad/s at which friction is measured: slow enough for its part at rest, and far enough
@@ -23,32 +29,59 @@ _CURRENT_SHARE = 0.9
 """Largest share of the current limit in this measurement. [chosen]"""
 
 
+def run_free(
+    free: FreeMotion, runner: LoopRunner, move: FirstMotion | MoveTo, state: ServoFeedback
+) -> ServoFeedback:
+    """Run a motion of empty fingers from a state, and measure their friction."""
+
+    def is_free(now: ServoFeedback) -> bool:
+        # A part that is let go, and foam, push the fingers open at first.
+        return abs(now.aperture_m - state.aperture_m) >= CLEAR_M
+
+    return free.run(runner, move.step, is_free, needs_force=False)
+
+
 class DriveMeasurement:
     """Measures the drive of each servo with empty fingers; the results are in the settings.
 
     Parameters
     ----------
-    fingers, grasping
+    runner, life, free, grasping, linkage
         Of the gripper.
+    make_ready
+        Prepares the servos for a command.
     """
 
-    def __init__(self, fingers: Fingers, grasping: GraspRun) -> None:
-        self._fingers = fingers
+    def __init__(
+        self,
+        runner: LoopRunner,
+        life: Lifecycle,
+        free: FreeMotion,
+        grasping: GraspRun,
+        *,
+        linkage: Linkage,
+        make_ready: Callable[[], object],
+    ) -> None:
+        self._runner = runner
+        self._servos, self._settings = runner.servos, runner.servos.settings
+        self._life = life
+        self._free = free
         self._grasping = grasping
-        self._settings = fingers.settings
+        self._linkage = linkage
+        self._make_ready = make_ready
 
     def read(self) -> DriveReport:
         """Return the newest drive characteristic of each servo, and notes about unusual values."""
-        free = self._fingers.free
+        free, health = self._free, self._servos.health
         notes, free.notes = free.notes, []
-        warnings, self._fingers.health.notes = self._fingers.health.notes, []
+        warnings, health.notes = health.notes, []
         return DriveReport(self._settings.drives.newest, (*notes, *warnings))
 
     def use(self, drives: Mapping[int, DriveCharacteristic]) -> None:
         """Use saved drive characteristics, by the servos' IDs."""
         for servo_id, drive in drives.items():
             self._settings.drives.put(servo_id, drive)
-        self._fingers.free.forget()
+        self._free.forget()
 
     def measure_load(self, observer: Observer | None = None) -> tuple[TimeSpan, ...]:
         """Measure the current of each servo under load, while the empty pads press on each other.
@@ -66,14 +99,14 @@ class DriveMeasurement:
         ------
         As `Gripper.hold`.
         """
-        fingers, settings = self._fingers, self._settings
-        fingers.life.check_ready("hold")
+        settings, linkage = self._settings, self._linkage
+        self._life.check_ready("hold")
         control = self._grasping.held("hold")
-        with fingers.life.command("hold", observer):
-            fingers.make_ready()
+        with self._life.command("hold", observer):
+            self._make_ready()
             low_n = _LOW_CONTACTS * settings.contact_force_n
-            state = fingers.servos.read_patiently()
-            paths = transmissions(settings, fingers.linkage, state.angles_rad)
+            state = self._servos.read_patiently()
+            paths = transmissions(settings, linkage, state.angles_rad)
             most_a = _CURRENT_SHARE * settings.current_max_a
             bearable_n = min(path.force_band_n(most_a)[0] for path in paths)
             high_n = min(_HIGH_SHARE * control.grip.setpoint_n, bearable_n)
@@ -82,18 +115,18 @@ class DriveMeasurement:
             spans = []
             try:
                 for finger, servo in enumerate(settings.servos):
-                    trial = LoadTrial(control, fingers.linkage, finger, (low_n, high_n))
+                    trial = LoadTrial(control, linkage, finger, (low_n, high_n))
                     since_s = state.t_s
                     for rises in (False, True):
                         trial.start(rises=rises)
-                        state = fingers.runner.run(trial.step)
+                        state = self._runner.run(trial.step)
                     spans.append(TimeSpan(since_s, state.t_s))
                     before = settings.drives.of(servo.servo_id, servo.drive)
                     found = fit_load(trial.rising, trial.falling, before)
                     settings.drives.put(servo.servo_id, found)
             finally:
                 control.grip.moving = None
-            fingers.free.compare()
+            self._free.compare()
             return tuple(spans)
 
     def measure_friction(self, observer: Observer | None = None) -> None:
@@ -101,21 +134,19 @@ class DriveMeasurement:
 
         They close to a gap without a check of the pads: nothing may be between them.
         """
-        fingers, settings = self._fingers, self._settings
+        settings, linkage = self._settings, self._linkage
         wide_m = settings.aperture_open_m
         near_m = max(settings.aperture_min_m, 0.0) + CLEAR_M
-        fingers.life.check_ready("open")
-        with fingers.life.command("open", observer):
-            fingers.make_ready()
+        self._life.check_ready("open")
+        with self._life.command("open", observer):
+            self._make_ready()
             for speed_rad_s in _FREE_RAD_S:
                 for closes in (True, False):
-                    state = fingers.servos.read_patiently()
-                    reach_m = sum(map(fingers.linkage.opening_per_rad_m, state.angles_rad))
+                    state = self._servos.read_patiently()
+                    reach_m = sum(map(linkage.opening_per_rad_m, state.angles_rad))
                     speed_m_s = speed_rad_s * reach_m
                     end_m = max(near_m, wide_m - _FREE_S * speed_m_s) if closes else wide_m
-                    move = MoveTo(
-                        settings, fingers.linkage, state, aperture_m=end_m, speed_m_s=speed_m_s
-                    )
-                    fingers.run_free(move, state)
+                    move = MoveTo(settings, linkage, state, aperture_m=end_m, speed_m_s=speed_m_s)
+                    run_free(self._free, self._runner, move, state)
             # The back-EMF is known now.
-            fingers.free.compare()
+            self._free.compare()

@@ -4,15 +4,16 @@ Only `Gripper.release` lets a part go. Faults, exceptions, `keep_grip` and `clos
 goals and torque.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import Self
 
 from gripper.clock import Clock
-from gripper.drives import DriveMeasurement
+from gripper.drives import DriveMeasurement, run_free
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import STATUS_RETURN_LEVEL
+from gripper.dynamixel.control_table import PRESENT_POSITION, STATUS_RETURN_LEVEL
+from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.serial_port import ByteStream, open_line
 from gripper.errors import (
     BusCorrupt,
@@ -22,22 +23,26 @@ from gripper.errors import (
     GripperStateError,
     LimitExceeded,
     ServoFault,
+    VerificationFailed,
 )
-from gripper.fingers import Fingers
-from gripper.force.approach.free_motion import StandStill
-from gripper.force.by_current import assume_friction, cap_by_current_n
+from gripper.force.approach.free_motion import MoveTo, StandStill
+from gripper.force.approach.mechanics_proof import FirstMotion, standing_rows
+from gripper.force.by_current import ForceByCurrent, assume_friction, cap_by_current_n
 from gripper.force.control.grip_control import GripControl
+from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.grasp import GraspRun
-from gripper.force.loop import Running
+from gripper.force.loop import LoopRunner, Running
 from gripper.force.ramp import ForceRamp, check_ramp, largest_ramp_n
 from gripper.force.timing import LoopStatistics
-from gripper.lifecycle import bus_is_lost
-from gripper.mechanics.kinematics import Linkage, ParallelLinkage
+from gripper.lifecycle import Lifecycle, bus_is_lost
+from gripper.mechanics.kinematics import Linkage, OneFinger, ParallelLinkage
+from gripper.servos.goal_limits import OPENING_MARGIN_RAD
+from gripper.servos.group import Servos
 from gripper.servos.watchdog_proof import prove_watchdog
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSensor
 from gripper.values.outcome import GraspOutcome, GraspResult, ReleaseReport
-from gripper.values.servo_checks import ServoCondition, VerificationReport
+from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
 from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
 
 HOLD_AT_RATE_N_S = 20.0
@@ -87,17 +92,26 @@ class Gripper:
         self._clock = clock
         self.settings = settings
         """Limits and tuning."""
-        self._fingers = fingers = Fingers(bus, linkage, settings, clock, force_sensor)
-        self._servos, self._health = fingers.servos, fingers.health
-        self._runner, self._life = fingers.runner, fingers.life
-        self._grasping = GraspRun(
-            fingers.runner, linkage, settings, fingers.life.set_phase, fingers.free
+        self._ids = [servo.servo_id for servo in settings.servos]
+        self._servos = servos = Servos(bus, linkage, settings, clock)
+        self._health = servos.health
+        self._sensor = force_sensor or ForceByCurrent(servos, linkage, settings)
+        self._runner = runner = LoopRunner(servos, self._sensor, settings, clock)
+        self._life = Lifecycle(servos, runner, settings)
+        self._free = FreeMotion(settings)
+        self._grasping = GraspRun(runner, linkage, settings, self._life.set_phase, self._free)
+        self.drives = DriveMeasurement(
+            runner,
+            self._life,
+            self._free,
+            self._grasping,
+            linkage=linkage,
+            make_ready=self._make_ready,
         )
-        fingers.on_torque = self._grasping.start_proving
-        self.drives = DriveMeasurement(fingers, self._grasping)
         """Measures the drives of the servos."""
-        self._watchdog_proven = False
+        self._link_checked = self._watchdog_proven = False
         self._carried: Running | None = None
+        self._one: Gripper | None = None
 
     def __enter__(self) -> Self:
         """Verify the servos, see `start`; an error closes the port."""
@@ -156,18 +170,29 @@ class Gripper:
                 f"its finger is unknown, and nothing is moved. Check encoder, horn and linkage, "
                 f"then clear the fault with a reboot"
             )
-        report = self._fingers.verify()
-        self._fingers.check_link([servo.servo_id for servo in self.settings.servos])
+        held_before = self._life.phase is not GripperPhase.IDLE
+        if not self._health.torque_on():
+            self._life.switched_off()
+            report = self._health.verify(correct=True, refuse=True)
+            _check_standing(self._standing_rows())
+        else:
+            if held_before:
+                self._life.found_held()
+            report = self._health.verify(correct=False, refuse=not held_before)
+        self._check_link(self._ids)
         return report
 
     def conditions(self) -> tuple[ServoCondition, ...]:
         """Read torque and errors of each servo, also after the failure of another; reads only."""
-        return self._fingers.conditions()
+        return tuple(
+            replace(one, strayed=self._servos.feedback.check.strayed.get(one.servo_id, ""))
+            for one in self._health.conditions()
+        )
 
     def inspect(self) -> VerificationReport:
         """Compare the servos and their positions with the settings; reads only."""
         report = self._health.verify(correct=False)
-        return replace(report, rows=report.rows + self._fingers.standing_rows())
+        return replace(report, rows=report.rows + self._standing_rows())
 
     def read_feedback(self) -> ServoFeedback:
         """Read the feedback of all servos in one transaction."""
@@ -240,17 +265,15 @@ class Gripper:
                 f"{self.settings.aperture_open_m}"
             )
         with self._life.command("open", observer):
-            was_limp = self._fingers.make_ready()
+            was_limp = self._make_ready()
             if was_limp and self._servos.feedback.off_by_turns:
                 standing = StandStill(self.settings, self._servos.read_patiently())
                 self._runner.run(standing.step, needs_force=False)
-            state = self._fingers.move_to(target_m, first=was_limp)
+            state = self._move_to(target_m, first=was_limp)
             if self.settings.watchdog_self_test and not self._watchdog_proven:
-                prove_watchdog(
-                    self._servos, self._health, self._linkage, self.settings, self._clock
-                )
+                prove_watchdog(self._servos, self._linkage, self.settings, self._clock)
                 self._watchdog_proven = True
-                state = self._fingers.move_to(target_m)
+                state = self._move_to(target_m)
         return state
 
     @property
@@ -313,7 +336,7 @@ class Gripper:
         if not duration_s > 0.0:
             raise LimitExceeded(f"duration_s is {duration_s}, must be above 0")
         with self._life.command("hold", observer):
-            self._fingers.make_ready()
+            self._make_ready()
             return self._grasping.hold(control, duration_s)
 
     def hold_at(
@@ -337,7 +360,7 @@ class Gripper:
         self.check_ramp(ramp)
         self._carried = None
         with self._life.command("hold_at", observer):
-            self._fingers.make_ready()
+            self._make_ready()
             if force_n != control.grip.setpoint_n:
                 state = self._grasping.follow(control, ramp)
             self._life.phase = GripperPhase.HOLDING
@@ -367,7 +390,7 @@ class Gripper:
             )
         self._carried = None
         with self._life.command("squeeze", observer):
-            self._fingers.make_ready()
+            self._make_ready()
             return self._grasping.squeeze(control, ramp)
 
     def release(self, observer: Observer | None = None) -> ReleaseReport:
@@ -390,7 +413,24 @@ class Gripper:
         """
         self._life.check_ready("release")
         self._carried = None
-        return self._fingers.release(observer)
+        if not self._servos.goals_in_force:
+            self._health.demand_answers()
+            left = self._not_able()
+            if left:
+                return self._open_one(left[0], observer)
+        with self._life.command("release", observer):
+            self._servos.feedback.check.letting_go = True
+            try:
+                was_limp = self._make_ready(releasing=True)
+                # The force of a part that a stop leaves half held cannot be controlled.
+                self._life.controlled = False
+                wider = self._wider_open()
+                state = self._move_to(self.settings.aperture_open_m, only_open=True, first=was_limp)
+            finally:
+                self._servos.feedback.check.letting_go = False
+                self._health.end_release()
+            self._life.part_possible = False
+        return ReleaseReport(state=state, opened=tuple(self._ids), wider=wider)
 
     def end_ramp(self) -> None:
         """End the running ramp at its present set-point, from any thread.
@@ -408,7 +448,9 @@ class Gripper:
 
         The goals of a grip are frozen; moving fingers stop.
         """
-        self._fingers.request_stop()
+        self._runner.request_stop()
+        if self._one is not None:
+            self._one.request_stop()
 
     def keep_grip(self) -> None:
         """Freeze in any state: no new goals, torque unchanged, bus watchdog disarmed.
@@ -471,7 +513,7 @@ class Gripper:
                         condition.error_bits,
                         "the error lasts after a reboot: remedy its cause, then clear it again",
                     )
-        self._fingers.free.distrust()
+        self._free.distrust()
         self._life.fault = None
         self._life.motion_unconfirmed = False
         self._runner.forget_stop()
@@ -522,7 +564,7 @@ class Gripper:
             )
         self.check_ramp(ramp)
         with self._life.command("grasp", observer):
-            self._fingers.make_ready()
+            self._make_ready()
             self._life.part_possible = True
             outcome = run(ramp)
         held = outcome.result in (GraspResult.FORCE_REACHED, GraspResult.FORCE_NOT_REACHED)
@@ -545,6 +587,100 @@ class Gripper:
     def _held_control(self, command: str) -> GripControl:
         self._life.check_ready(command)
         return self._grasping.held(command)
+
+    def _check_link(self, ids: Sequence[int]) -> None:
+        check_link(self.bus, ids, self.settings.period_s)
+        self._link_checked = True
+
+    def _standing_rows(self) -> tuple[VerificationRow, ...]:
+        """Read the positions of the fingers, and compare them with the settings."""
+        positions_raw = [self.bus.read(servo_id, PRESENT_POSITION) for servo_id in self._ids]
+        return standing_rows(self.settings, self._linkage, positions_raw)
+
+    def _make_ready(self, *, releasing: bool = False) -> bool:
+        """Prepare the servos for a command; return whether all of them were without torque."""
+        limp: ServoFeedback | None = None
+        if not self._servos.goals_in_force and not self._health.torque_on():
+            limp = self._servos.read_patiently()
+            positions_raw = [servo.position_raw for servo in limp.servos]
+            _check_standing(standing_rows(self.settings, self._linkage, positions_raw))
+            self._grasping.start_proving()
+        self._servos.make_ready(
+            part_possible=self._life.part_possible, releasing=releasing, limp=limp
+        )
+        return limp is not None
+
+    def _move_to(
+        self, aperture_m: float, *, only_open: bool = False, first: bool = False
+    ) -> ServoFeedback:
+        """Move empty fingers to an opening in m; ``first`` where their torque has just come on."""
+        kind = FirstMotion if first else MoveTo
+        state = self._servos.read_patiently()
+        move = kind(self.settings, self._linkage, state, aperture_m=aperture_m, only_open=only_open)
+        return run_free(self._free, self._runner, move, state)
+
+    def _open_one(self, left: ServoCondition, observer: Observer | None) -> ReleaseReport:
+        """Open one finger alone; do not touch the servo of the other one."""
+        (servo_id,) = (servo_id for servo_id in self._ids if servo_id != left.servo_id)
+        index = self._ids.index(servo_id)
+        self._one = one = Gripper(
+            self.bus,
+            OneFinger(linkage=self._linkage, index=index),
+            replace(self.settings, servos=(self.settings.servos[index],)),
+            clock=self._clock,
+            force_sensor=self._sensor,
+        )
+        one._link_checked = self._link_checked
+        self._servos.forget()
+        try:
+            with self._life.delegated(GripperPhase.RELEASING, one._life):
+                state = one.release(observer).state
+                with suppress(GripperError):
+                    one._servos.switch_off()
+        finally:
+            self._one = None
+        self._life.switched_off()
+        return ReleaseReport(state=state, opened=(servo_id,), left=(left,))
+
+    def _not_able(self) -> list[ServoCondition]:
+        """Return the servos that cannot be moved; raises if no servo can be moved."""
+        conditions = self.conditions()
+        if not any(condition.answers for condition in conditions):
+            self._health.require_present()
+            raise BusTimeout(
+                "the servos answer only sometimes, and nothing was moved: check cable and "
+                "supply, then release again"
+            )
+        able = [condition.servo_id for condition in conditions if condition.able]
+        if not able:
+            limp = next(condition for condition in conditions if condition.answers)
+            raise ServoFault(
+                limp.servo_id,
+                limp.error_bits,
+                f"no finger can be opened: {'; '.join(map(str, conditions))}. Take the part out "
+                f"by hand, or remedy the cause, clear the error with a reboot and release again",
+            )
+        if not self._link_checked:
+            self._check_link(able)
+        self._life.part_possible |= any(c.torque_on or not c.answers for c in conditions)
+        return [condition for condition in conditions if not condition.able]
+
+    def _wider_open(self) -> tuple[int, ...]:
+        """Return the IDs of the servos whose fingers stand wider open than the gripper opens."""
+        widest_rad = self._linkage.angles_rad(self.settings.aperture_open_m)
+        servos = self._servos.read_patiently().servos
+        return tuple(
+            servo.servo_id
+            for servo, open_rad in zip(servos, widest_rad, strict=True)
+            if servo.angle_rad > open_rad + OPENING_MARGIN_RAD
+        )
+
+
+def _check_standing(rows: tuple[VerificationRow, ...]) -> None:
+    """Raise VerificationFailed where a finger stands where the settings exclude it."""
+    report = VerificationReport(rows=rows)
+    if not report.ok:
+        raise VerificationFailed(report, [str(row) for row in report.failed])
 
 
 def open_gripper(

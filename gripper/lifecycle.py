@@ -20,7 +20,7 @@ from gripper.errors import (
     note_fingers,
 )
 from gripper.force.loop import LoopRunner
-from gripper.servos.group import ServoGroup
+from gripper.servos.group import Servos
 from gripper.settings import GripperSettings, OverForce
 from gripper.values.state import GripperPhase, Observer, shows_nothing
 
@@ -88,7 +88,7 @@ def bus_is_lost(error: BaseException | None) -> bool:
 class Lifecycle:
     """Phase of the gripper, whether a part may be held, and the latched fault."""
 
-    def __init__(self, servos: ServoGroup, runner: LoopRunner, settings: GripperSettings) -> None:
+    def __init__(self, servos: Servos, runner: LoopRunner, settings: GripperSettings) -> None:
         self.part_possible = False
         """True from the start of an approach until the end of a release, or until nothing is found.
         """

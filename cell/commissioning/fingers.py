@@ -33,8 +33,7 @@ from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.errors import GripperError
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.servos.goal_limits import ServoGoal, closing_margin_rad
-from gripper.servos.group import ServoGroup
-from gripper.servos.health import ServoHealth
+from gripper.servos.group import Servos
 from gripper.settings import GripperSettings
 
 Kind = Literal["parallel", "pinion", "swinging"]
@@ -591,9 +590,7 @@ class _Hands:
             aperture_open_m=widest_m,
             approach_force_n=_FIRST_FORCE_N,
         )
-        group = ServoGroup(
-            self._bus, linkage, settings, self._bench.clock, ServoHealth(self._bus, settings)
-        )
+        group = Servos(self._bus, linkage, settings, self._bench.clock)
 
         def opening_m() -> float:
             return linkage.aperture_m(group.read_patiently().angles_rad)
@@ -661,7 +658,7 @@ class _Hands:
             )
 
     def _open_a_little(
-        self, group: ServoGroup, settings: GripperSettings, index: int, goal_rad: float
+        self, group: Servos, settings: GripperSettings, index: int, goal_rad: float
     ) -> tuple[float, float]:
         """Raise the current of one servo until its finger opens; return current in A, way in rad.
 

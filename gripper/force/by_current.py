@@ -5,7 +5,7 @@ from dataclasses import replace
 from gripper.errors import LimitExceeded
 from gripper.mechanics.identification import LEAST_FRICTION_SD
 from gripper.mechanics.kinematics import Linkage, transmissions
-from gripper.servos.group import ServoGroup
+from gripper.servos.group import Servos
 from gripper.settings import GripperSettings, largest_setpoint_n
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import STANDING_M_S, ServoFeedback
@@ -91,7 +91,7 @@ class ForceByCurrent:
         Of the gripper.
     """
 
-    def __init__(self, servos: ServoGroup, linkage: Linkage, settings: GripperSettings) -> None:
+    def __init__(self, servos: Servos, linkage: Linkage, settings: GripperSettings) -> None:
         self._servos = servos
         self._linkage = linkage
         self._settings = settings

@@ -22,8 +22,7 @@ from gripper.errors import (
 from gripper.force.timing import LoopStatistics, LoopTimer
 from gripper.mechanics.impact import most_peak_n
 from gripper.servos.goal_limits import ServoGoal
-from gripper.servos.group import ServoGroup
-from gripper.servos.health import ServoHealth
+from gripper.servos.group import Servos
 from gripper.servos.stop_goals import holding_position, lowered
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample, ForceSensor
@@ -105,20 +104,18 @@ class LoopRunner:
 
     Parameters
     ----------
-    servos, health, sensor, settings, clock
+    servos, sensor, settings, clock
         Of the gripper.
     """
 
     def __init__(
         self,
-        servos: ServoGroup,
-        health: ServoHealth,
+        servos: Servos,
         sensor: ForceSensor,
         settings: GripperSettings,
         clock: Clock,
     ) -> None:
         self.servos = servos
-        self._health = health
         self._sensor = sensor
         self._settings = settings
         self._clock = clock
@@ -276,7 +273,7 @@ class LoopRunner:
         they hold their positions until the next sample, and at the end. Where friction alone
         holds the force, they are driven open, as long as the samples follow: no signal alone lets a
         part go. One pad that shows the force alone may be at fault: then ``over_force_share`` of
-        the currents is left. Raises as `ServoGroup.read`.
+        the currents is left. Raises as `Servos.read`.
         """
         servos, settings, most_n = self.servos, self._settings, most_peak_n(self._settings)
         share = settings.over_force_share
@@ -326,7 +323,7 @@ class LoopRunner:
         if self._cycles % _HEALTH_EVERY == 0 or any(servo.alert for servo in state.servos):
             try:
                 with self.servos.in_loop():
-                    self._health.poll(state)
+                    self.servos.health.poll(state)
             except (BusTimeout, BusCorrupt):
                 # The feedback soon shows whether the bus is lost.
                 self._timer.missed_reads += 1
@@ -370,7 +367,7 @@ class BusLossMonitor:
         Of the gripper.
     """
 
-    def __init__(self, servos: ServoGroup, settings: GripperSettings) -> None:
+    def __init__(self, servos: Servos, settings: GripperSettings) -> None:
         self._servos = servos
         self._settings = settings
         self._since_s = 0.0

@@ -51,28 +51,25 @@ _BOOT_RETRY_S = 0.1
 """Time in s between two requests to a servo that boots."""
 
 
-class ServoGroup:
+class Servos:
     """All servos of one gripper; the only object that writes to them in operation."""
 
     def __init__(
-        self,
-        bus: ServoBus,
-        linkage: Linkage,
-        settings: GripperSettings,
-        clock: Clock,
-        health: ServoHealth,
+        self, bus: ServoBus, linkage: Linkage, settings: GripperSettings, clock: Clock
     ) -> None:
         self._bus = bus
         self._linkage = linkage
-        self._settings = settings
+        self.settings = self._settings = settings
+        """Of the gripper."""
         self._clock = clock
-        self._health = health
+        self.health = ServoHealth(bus, settings)
+        """Checks of the servos."""
         self._ids = [servo.servo_id for servo in settings.servos]
         self.guard = GoalGuard(settings, linkage)
         """Limits of the goals; the force is passed to it."""
         self.goals = GoalWriter(bus, settings, clock, self.guard)
         """Writer of the goals, with the last ones."""
-        self.feedback = Feedback(bus, linkage, settings, clock, health)
+        self.feedback = Feedback(bus, linkage, settings, clock, self.health)
         """Reader of the feedback, with the last one."""
 
     # Feedback
@@ -207,7 +204,7 @@ class ServoGroup:
         limp
             Feedback just read, where no servo has torque.
         """
-        health, goals_in_force = self._health, self.goals_in_force
+        health, goals_in_force = self.health, self.goals_in_force
         if releasing and not goals_in_force:
             health.make_releasable()
         if limp is not None or not health.torque_on_everywhere():

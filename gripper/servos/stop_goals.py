@@ -1,6 +1,6 @@
 """Stop goals: goals that end a motion or lower the force of the fingers.
 
-Pure functions of the last goals and the last feedback. `gripper.servos.group.ServoGroup` writes
+Pure functions of the last goals and the last feedback. `gripper.servos.group.Servos` writes
 their results. A result never has more current than the last goals, except for a step that opens.
 """
 

@@ -13,8 +13,7 @@ from gripper.errors import LimitExceeded, WatchdogUnproven
 from gripper.mechanics.impact import closing_current_max_a
 from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
 from gripper.servos.goal_limits import ServoGoal
-from gripper.servos.group import ServoGroup
-from gripper.servos.health import ServoHealth
+from gripper.servos.group import Servos
 from gripper.settings import GripperSettings
 from gripper.values.state import ServoFeedback
 
@@ -81,11 +80,7 @@ class WatchdogProof:
 
 
 def prove_watchdog(
-    servos: ServoGroup,
-    health: ServoHealth,
-    linkage: Linkage,
-    settings: GripperSettings,
-    clock: Clock,
+    servos: Servos, linkage: Linkage, settings: GripperSettings, clock: Clock
 ) -> None:
     """Let the watchdog trip during a slow motion of the empty, open fingers.
 
@@ -118,7 +113,7 @@ def prove_watchdog(
     stopped = servos.read()
     clock.sleep(_REST_RAD / speed_rad_s)
     later = servos.read()
-    tripped = health.watchdogs_tripped()
+    tripped = servos.health.watchdogs_tripped()
     servos.restart_watchdog(max(currents_a))
     farthest_rad = _FARTHEST_SHARE * speed_rad_s * settings.watchdog_s
     pulses_rad = [servo.servo_model.rad_per_pulse for servo in settings.servos]

@@ -20,7 +20,7 @@ from gripper.force.loop import Action
 from gripper.force.supervision.doubt import Doubted
 from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.gripper import Gripper
-from gripper.servos.group import ServoGroup
+from gripper.servos.group import Servos
 from gripper.values.state import GripperPhase
 from simulator.faults.injector import check_fault
 from tests.cell.conftest import once
@@ -147,7 +147,7 @@ def test_fingers_that_a_cancel_does_not_stop_are_found(monkeypatch: pytest.Monke
             cell.close()
 
     letting_go()
-    monkeypatch.setattr(ServoGroup, "stop_motion", lambda _servos: [])
+    monkeypatch.setattr(Servos, "stop_motion", lambda _servos: [])
     with pytest.raises(InvariantBroken, match=r"the fingers went on from .* after their stop"):
         letting_go()
 

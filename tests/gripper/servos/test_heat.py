@@ -79,7 +79,7 @@ def test_a_hot_winding_lowers_the_current_and_the_part_stays(make_started) -> No
     cell = make_started(current_max_a=0.8, force_max_n=30.0)
     outcome = cell.gripper.grasp(ForceRamp.linear(12.0, rate_n_s=10.0))
     assert outcome.result is GraspResult.FORCE_REACHED
-    heats = cell.gripper._fingers.servos.feedback._heats
+    heats = cell.gripper._servos.feedback._heats
     for heat in heats.values():
         heat.add(cell.clock.monotonic() + 60.0, 0.8)
         heat.add(cell.clock.monotonic() + 120.0, 0.0)
