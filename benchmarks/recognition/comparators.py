@@ -1,9 +1,9 @@
 """Methods that the paper names, and plain ones, against the recognisers of the product.
 
 ``python -m benchmarks comparators FILE`` names the last 40 per cent in time of each object's grasps
-in a data set, as ``tactile-cell evaluate`` does. Trees get all features of the default recogniser;
-the others have their own, from the patch of each pad under full load. A small grid is searched with
-blocks in time of the grasps that teach.
+in a data set, as ``tactile-cell model evaluate`` does. Trees get all features of the default
+recogniser; the others have their own, from the patch of each pad under full load. A small grid is
+searched with blocks in time of the grasps that teach.
 """
 
 import warnings

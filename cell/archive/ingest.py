@@ -154,7 +154,7 @@ def _rows(path: Path, cell: str) -> list[Row]:
     recording = read_recording(path)
     if not recording.complete:
         raise CellError(
-            f"it is not complete: {recording.lost_reason}; `tactile-cell recover` salvages "
-            f"{len(recording.grasps)} whole grasps"
+            f"it is not complete: {recording.lost_reason}; `tactile-cell recording recover` "
+            f"salvages {len(recording.grasps)} whole grasps"
         )
     return recording_rows(recording, cell)

@@ -89,7 +89,7 @@ def check_port(key: str, port: str) -> Iterator[CheckResult]:
         yield check_result(
             f"ModemManager at {key}",
             f"it runs, and it may send commands to {port} when the adapter is plugged in",
-            "write the rules of `tactile-cell install`, or: sudo systemctl disable --now "
+            "write the rules of `tactile-cell service install`, or: sudo systemctl disable --now "
             "ModemManager",
         )
 

@@ -85,8 +85,8 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
         return check_result(
             "self-zero",
             kept.refused or none,
-            f"take everything out of the grip, then `tactile-cell zero{named}`: at teaching, at "
-            "the start of a session and after each change of pads or servos",
+            f"take everything out of the grip, then `tactile-cell hand zero{named}`: at teaching, "
+            "at the start of a session and after each change of pads or servos",
         )
     opening_mm = 1e3 * kept.newest.opening_m
     ratio = float(np.exp(kept.newest.log_gain_ratio))
@@ -120,7 +120,9 @@ def _drives(config: CellConfig, named: str) -> CheckResult:
             "wrong; press a known weight on the pads, `tactile-cell commission --redo pads_law`"
         )
     if len(kept.drives) < len(texts) and config.gripper.pads_meet:
-        advice = advice or f"`tactile-cell zero{named}` measures them, with nothing in the grip"
+        advice = (
+            advice or f"`tactile-cell hand zero{named}` measures them, with nothing in the grip"
+        )
     return check_result("servo drives", "; ".join(texts), advice, ok=not advice)
 
 
@@ -177,11 +179,13 @@ def _torque(cell: Cell, named: str) -> list[CheckResult]:
     limp = [condition for condition in conditions if condition.answers and not condition.torque_on]
     if not any(condition.torque_on for condition in conditions):
         failed = any(condition.shut_down for condition in conditions)
-        advice = f"remedy the cause of the error, then `tactile-cell clear{named} --reboot`"
+        advice = f"remedy the cause of the error, then `tactile-cell hand clear{named} --reboot`"
         return [check_result(_TORQUE, found, advice, ok=not failed, bad=Verdict.FAIL)]
-    advice = f"a part may be in the grip: release it with `tactile-cell release{named} --confirm`"
+    advice = (
+        f"a part may be in the grip: release it with `tactile-cell hand release{named} --confirm`"
+    )
     if any(condition.shut_down for condition in limp):
-        advice += f", then clear the error with `tactile-cell clear{named} --reboot`"
+        advice += f", then clear the error with `tactile-cell hand clear{named} --reboot`"
     return [check_result(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
 
 
@@ -211,7 +215,7 @@ def _servos(cell: Cell, named: str, kept: CommissionedValues) -> list[CheckResul
 
 def _advice(row: VerificationRow, named: str) -> str:
     if row.item == HARDWARE_ERROR_STATUS.name:
-        return f"remedy its cause, then `tactile-cell clear{named} --reboot`"
+        return f"remedy its cause, then `tactile-cell hand clear{named} --reboot`"
     if row.item == POSITION_ITEM:
         return (
             "look at the finger: if it is on its own side of the middle, one of these keys is "
@@ -311,7 +315,7 @@ def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> CheckRe
         "pads' force",
         f"about {first_n:.1f} N on finger 0, {second_n:.1f} N on finger 1, without a zero",
         "a part may be held; look. If the servos answer, release it with "
-        f"`tactile-cell release{named} --confirm`",
+        f"`tactile-cell hand release{named} --confirm`",
         ok=not pressed,
     )
 

@@ -156,7 +156,7 @@ class ServoConfig(Section):
     zero_pulse: int = Field(default=2048, ge=0, le=4095)
     """Present Position at angle 0 of the linkage, in pulses of 360/4096 degrees, 0 to 4095."""
     measured: str = ""
-    """Result of `tactile-cell bench servo` for this servo, a JSON file; empty: the values of the
+    """Result of `tactile-cell hand bench` for this servo, a JSON file; empty: the values of the
     catalogue with 30 % are used until pads and motions have measured the servo."""
 
 

@@ -73,7 +73,7 @@ class RecordingConfig(Section):
     """If the recording cannot be written: finish the grasps without it, or hold (a fault)."""
     keep_gb: float | None = Field(default=100.0, ge=0.1, le=1e6)
     """Size of all recordings in GB above which the oldest are deleted, 0.1 to 1000000; none: no
-    limit. Marked recordings (`tactile-cell recordings mark`) stay."""
+    limit. Marked recordings (`tactile-cell recording mark`) stay."""
 
 
 class LoopConfig(Section):
@@ -105,8 +105,8 @@ class CellConfig(Section):
     """Longest silence of the host program during a job in s, 0.05 to 3600; none: no limit."""
     self_zero: Literal["always", "daily", "on_demand", "never"] = "daily"
     """When the empty fingers close on each other to measure zero, gains and foam: at each start, at
-    the first start of a day, on request (`tactile-cell zero`), or never. A part between them is a
-    fault with `always` and a note with `daily`. The default is `never` if gripper.pads_meet is
+    the first start of a day, on request (`tactile-cell hand zero`), or never. A part between them
+    is a fault with `always` and a note with `daily`. The default is `never` if gripper.pads_meet is
     false."""
     gripper: GripperConfig = GripperConfig()
     """Servos, linkage and limits."""

@@ -178,7 +178,7 @@ class SelfZeros:
         if not self.pads_meet:
             raise PlanRefused(
                 "gripper.pads_meet is false: these fingers cannot meet. Gauge them with a taught "
-                "object in a holder: `tactile-cell calibrate --gauge`"
+                "object in a holder: `tactile-cell model calibrate --gauge`"
             )
         if self.when == "never":
             raise PlanRefused("self_zero is never: write on_demand, daily or always in the config")

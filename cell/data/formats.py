@@ -45,7 +45,7 @@ RECORDING = Format("recording", "tactile-cell-recording/1", _SAME)
 MODEL = Format(
     "model",
     "tactile-cell-model/1",
-    "train it again: `tactile-cell train DATASETS -o MODEL`",
+    "train it again: `tactile-cell model train DATASETS -o MODEL`",
 )
 COMMISSIONING = Format(
     "commissioning", "tactile-cell-commissioning/1", "move it away to commission anew"
@@ -58,9 +58,11 @@ SERVO_BACKUP = Format(
 SERVO_BENCH = Format(
     "result of the bench of a servo",
     "tactile-cell-servo-bench/1",
-    "measure the servo again: `tactile-cell bench servo`",
+    "measure the servo again: `tactile-cell hand bench`",
 )
-SELF_ZERO = Format("self-zero", "tactile-cell-self-zero/2", "`tactile-cell zero` measures it anew")
+SELF_ZERO = Format(
+    "self-zero", "tactile-cell-self-zero/2", "`tactile-cell hand zero` measures it anew"
+)
 ARCHIVE = Format(
     "archive", "tactile-cell-archive/2", "archive the recordings again, to a new place"
 )

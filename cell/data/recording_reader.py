@@ -389,7 +389,7 @@ def recording_grasps(path: Path | str) -> tuple[Grasp, ...]:
     if not recording.complete:
         raise RecordingError(
             f"{path} is not complete: {recording.lost_reason}. "
-            f"`tactile-cell recover` saves its {len(recording.grasps)} whole grasps"
+            f"`tactile-cell recording recover` saves its {len(recording.grasps)} whole grasps"
         )
     if not recording.grasps:
         raise RecordingError(f"{path} has no whole grasp ({len(recording.frames)} frames)")

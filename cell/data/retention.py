@@ -140,7 +140,7 @@ class Retention:
         if n_deleted:
             self._note(
                 f"{n_deleted} of the oldest recordings are deleted, because of recording.keep_gb "
-                "or a full disk; `tactile-cell recordings mark FILE` keeps a recording"
+                "or a full disk; `tactile-cell recording mark FILE` keeps a recording"
             )
         if free >= LEAST_FREE_BYTES:
             return ""

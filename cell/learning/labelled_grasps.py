@@ -24,7 +24,9 @@ def name_recorded(source: Path, label: str, dataset: Path) -> tuple[int, int]:
     """
     grasps = [grasp for grasp in read_grasps(source) if not grasp.label]
     if not grasps:
-        raise CellError(f"{source}: each of its grasps has a label; use it with `train` directly")
+        raise CellError(
+            f"{source}: each of its grasps has a label; use it with `model train` directly"
+        )
     before = dataset_to_extend(dataset, grasps[0].pads)
     append_to_dataset(dataset, before, [replace(grasp, label=label) for grasp in grasps])
     return len(grasps), len(before)

@@ -250,7 +250,9 @@ def _built(path: Path, build: Callable[[], _T]) -> _T:
 def _header(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     text = arrays.get(_HEADER)
     if "grasp_offsets" in arrays:
-        raise ModelError(f"{path} is a data set: `tactile-cell train {path}` makes a model of it")
+        raise ModelError(
+            f"{path} is a data set: `tactile-cell model train {path}` makes a model of it"
+        )
     if text is None or text.dtype.kind != "U" or text.shape != ():
         raise ModelError(f"{path} is not a model file: it has no header; train a model first")
     try:

@@ -76,8 +76,8 @@ class TeachingSummary:
                 "each object was taught in one series, so with one individual: if a label is a "
                 "kind, for example of fruit, teach several individuals, an hour apart or later. On "
                 "another day, with another placing or on another cell expect UNKNOWN and wrong "
-                "names; measure the zero (`tactile-cell zero`) or gauge with two objects "
-                "(`tactile-cell calibrate --gauge LABEL --gauge OTHER`)"
+                "names; measure the zero (`tactile-cell hand zero`) or gauge with two objects "
+                "(`tactile-cell model calibrate --gauge LABEL --gauge OTHER`)"
             )
         once = self.n_objects - len(self.taught_again)
         if once:
@@ -85,7 +85,7 @@ class TeachingSummary:
                 f"taught in several series: {', '.join(self.taught_again)}; in one: the {once} "
                 "others. Grasps of another day are most similar to those taught on another day, so "
                 "the others may be named as one of these: teach all objects again, or omit the "
-                "further series (`tactile-cell evaluate --split series` measures it)"
+                "further series (`tactile-cell model evaluate --split series` measures it)"
             )
         return ""
 
@@ -96,7 +96,7 @@ class TeachingSummary:
         return (
             f"{self.without_self_zero} of {self.n_grasps} grasps have no self-zero, so the model "
             "uses none and answers allow for any drift on another day: teach their objects again "
-            "after a self-zero (config `self_zero`, `tactile-cell zero`)"
+            "after a self-zero (config `self_zero`, `tactile-cell hand zero`)"
         )
 
 

@@ -1,6 +1,6 @@
 """The report of a recording: pressure, answers, health of the links.
 
-It uses only the recording, so `run` and `report` write the same page.
+It uses only the recording, so `run` and `recording report` write the same page.
 """
 
 from bisect import bisect_right

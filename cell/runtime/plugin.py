@@ -134,8 +134,8 @@ class TactileCellPlugin:
             Called by a sort with the `Destination` of the part in the grip; brings it there and
             returns None or True, or False to refuse. The part is released after that.
         model
-            File of a taught model, written by `save` or ``tactile-cell train``; without a model,
-            teach first.
+            File of a taught model, written by `save` or ``tactile-cell model train``; without
+            a model, teach first.
         training_set
             Data set of the grasps that trained the model, needed to teach further objects; by
             default the data set that `save` wrote beside it.

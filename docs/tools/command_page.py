@@ -15,6 +15,7 @@ def command_page() -> str:
 
 
 def _sections(command: Any, name: str, parent: Any) -> list[str]:
+    command = getattr(command, "load", lambda: command)()
     context = command.context_class(command, info_name=name.rsplit(" ", 1)[-1], parent=parent)
     subcommands: dict[str, Any] = getattr(command, "commands", {})
     if subcommands:

@@ -103,16 +103,16 @@ def test_the_run_of_today_prints_what_is_quoted(page, command, options, n_cells,
 def test_the_evaluation_of_today_prints_what_is_quoted(tmp_path) -> None:
     data = Path(os.environ["TACTILE_CELL_DATA"])
     first, later, report = data / "pinch36.npz", data / "pinch_november.npz", tmp_path / "e.json"
-    text = printed("evaluate", first, "--json", report)
+    text = printed("model", "evaluate", first, "--json", report)
     for full in json.loads(report.read_text(encoding="utf-8"))["recognizers"].values():
         for of in (full, full["without_aperture"]):
             for name in ("unknown_rejected", "known_rejected", "calibration_error"):
                 text += f"{100 * of[name]:.0f} {100 * of[name]:.1f} {of[name]:.3f}\n"
-    text_later = printed("evaluate", later, "--train", first, "--recognizer", "force_ramp")
+    text_later = printed("model", "evaluate", later, "--train", first, "--recognizer", "force_ramp")
     for name in PAGES:
         page = (ROOT / name).read_text(encoding="utf-8")
-        assert differing(quoted(page, "`tactile-cell evaluate FILE`"), text) == [], name
-        assert differing(quoted(page, "`tactile-cell evaluate LATER"), text_later) == [], name
+        assert differing(quoted(page, "`tactile-cell model evaluate FILE`"), text) == [], name
+        assert differing(quoted(page, "`tactile-cell model evaluate LATER"), text_later) == [], name
 
 
 @pytest.mark.long

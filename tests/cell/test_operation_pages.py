@@ -124,7 +124,7 @@ def test_the_page_on_hardware_can_be_typed(page, tmp_path, monkeypatch) -> None:
     (written,) = Path().glob("*.yaml")
     config = load_config(written)
     if page == "rh-p12-rn":
-        # The example says it: `tactile-cell zero` first, or the friction is unknown.
+        # The example says it: `tactile-cell hand zero` first, or the friction is unknown.
         config = changed_config(config, {"self_zero": "always"})
     cell = build_cell(config)
     try:

@@ -184,7 +184,7 @@ def servos(
             if bus.read(servo_id, TORQUE_ENABLE):
                 pytest.fail(
                     f"servo {servo_id} holds torque, a part may be in the grip: nothing was "
-                    "written. Release it on purpose (tactile-cell release --config FILE "
+                    "written. Release it on purpose (tactile-cell hand release --config FILE "
                     "--confirm), then switch the torque off",
                     pytrace=False,
                 )

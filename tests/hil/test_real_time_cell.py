@@ -79,7 +79,7 @@ def test_the_program_teaches_and_identifies_over_real_ports(simulator, tmp_path)
     assert not config.simulated
     assert config.gripper.port == simulator.servo_port
     report, out = tmp_path / "run.json", ("--out", tmp_path / "out")
-    assert "pads meet at " in run("zero", "--config", simulator.config_path, *out)
+    assert "pads meet at " in run("hand", "zero", "--config", simulator.config_path, *out)
     run(
         *("run", "--config", simulator.config_path, "--object", "box", "--teach", 3, "--trials", 1),
         *(*out, "--json", report),
@@ -123,10 +123,10 @@ def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(simulator, 
 
     said = run(*teaching(simulator, tmp_path, 20), code=1)
     assert "a part may be in the grip; nothing was moved" in said
-    assert "tactile-cell release" in said
+    assert "tactile-cell hand release" in said
     assert simulator.grip_n() == pytest.approx(held_n, abs=0.5)
 
-    said = run("release", "--confirm", "--config", simulator.config_path)
+    said = run("hand", "release", "--confirm", "--config", simulator.config_path)
     assert "the fingers are open" in said
     assert simulator.grip_n() == 0.0
 
@@ -138,7 +138,7 @@ def test_a_part_that_one_finger_holds_alone_is_let_go(simulator, tmp_path) -> No
     assert "Hardware Error Status 0x20: overload" in said
     assert "one of them silent or without torque; a part may still be gripped" in said
     assert "the grip is kept" not in said
-    assert f"tactile-cell clear --config {simulator.config_path} --reboot" in said
+    assert f"tactile-cell hand clear --config {simulator.config_path} --reboot" in said
     assert simulator.grip_n() > 0.5
 
     with TactileCellPlugin(simulator.config_path) as plugin:
@@ -150,10 +150,10 @@ def test_a_part_that_one_finger_holds_alone_is_let_go(simulator, tmp_path) -> No
 
     said = run("doctor", *config, code=1)
     assert "fail servo torque: servo 1 has no torque (overload); servo 2 has its torque on" in said
-    said = run("release", "--confirm", *config)
+    said = run("hand", "release", "--confirm", *config)
     assert "the finger of servo 2 is open, the other one was not moved: servo 1 has no" in said
     assert simulator.grip_n() < 0.2
-    assert "after the reboot servo 1 has no torque" in run("clear", "--reboot", *config)
+    assert "after the reboot servo 1 has no torque" in run("hand", "clear", "--reboot", *config)
     run("doctor", *config)
 
 
@@ -162,7 +162,7 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
 ) -> None:
     """The two lines one after the other: each is enough for what it carries."""
     config = ("--config", simulator.config_path)
-    release = f"tactile-cell release --config {simulator.config_path} --confirm"
+    release = f"tactile-cell hand release --config {simulator.config_path} --confirm"
     unplugged = simulator.inject("can.unplugged@contact+0.3s")
     assert release in run(*teaching(simulator, tmp_path), code=1)
     held_n = simulator.grip_n()
@@ -172,7 +172,7 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     assert "warn servo torque: servo 1 has its torque on; servo 2 has its torque on" in said
     assert f"a part may be in the grip: release it with `{release}`" in said
     assert "fail control unit: CAN interface" in said
-    said = run("clear", *config)
+    said = run("hand", "clear", *config)
     assert "NOTE: CAN interface" in said
     assert release in said
 
@@ -183,12 +183,12 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     assert "it is unknown whether a part is held" in said
     assert "warn pads' force: about " in said
     assert "a part may be held" in said
-    assert "cannot open serial port" in run("release", "--confirm", *config, code=1)
+    assert "cannot open serial port" in run("hand", "release", "--confirm", *config, code=1)
     assert simulator.grip_n() == pytest.approx(held_n, abs=0.5)
 
     simulator.ask(clear="servos.unplugged")
     simulator.inject("can.unplugged")
-    assert "the fingers are open" in run("release", "--confirm", *config)
+    assert "the fingers are open" in run("hand", "release", "--confirm", *config)
     assert simulator.grip_n() == 0.0
 
 

@@ -85,8 +85,8 @@ def service(
     tmp_path_factory: Any,
 ) -> Iterator[Service]:
     folder = tmp_path_factory.mktemp("service")
-    install = (*PROGRAM, "install", "--apply", "--root", folder, "-c", simulator.config_path,
-               "--model", taught.result.model)  # fmt: skip
+    install = (*PROGRAM, "service", "install", "--apply", "--root", folder,
+               "-c", simulator.config_path, "--model", taught.result.model)  # fmt: skip
     subprocess.run(install, input="n\nn\ny\n", text=True, check=True, stdout=subprocess.DEVNULL)
     unit = folder / "etc/systemd/system/tactile-cell.service"
     config = parse_config(simulator.config_path.read_text(), source="test")

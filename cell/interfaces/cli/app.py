@@ -2,39 +2,16 @@
 
 import signal
 import sys
-from typing import Annotated, NoReturn
+from collections.abc import Mapping
+from importlib import import_module
+from importlib.metadata import version as version_of
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from cell.errors import CellError, ConfigError
-from cell.interfaces.cli.commands import (
-    archive,
-    backup,
-    bench,
-    calibrate,
-    clear,
-    commission,
-    compare,
-    config,
-    doctor,
-    evaluate,
-    identify,
-    install,
-    plot,
-    recordings,
-    recover,
-    release,
-    replay,
-    report,
-    run,
-    serve,
-    simulate,
-    sort,
-    support,
-    teach,
-    train,
-    zero,
-)
+from cell.fault_catalogue import error_text
 from cell.interfaces.cli.signals import INTERRUPTED
 from gripper.errors import GripperError
 from tactile.errors import TactileError
@@ -42,10 +19,145 @@ from tactile.errors import TactileError
 _ENDED_BY_CTRL_C = 130
 """Exit code of typer after Ctrl-C; typer prints no message."""
 
+
+# fmt: off
+_GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "model": {
+        "train": ("train:train", "Train a recogniser on data sets and write a model file."),
+        "calibrate": ("calibrate:calibrate", "Correct a model for the drift since teaching."),
+        "evaluate": ("evaluate:evaluate", "Measure recognisers on recorded grasps."),
+        "compare": ("compare:compare", "Compare two models on the same grasps."),
+    },
+    "config": {
+        "init": ("config:init", "Write a config file with explained keys, and its schema."),
+        "check": ("config:check", "Check a config file."),
+        "schema": ("config:schema", "Print the JSON schema of the config file."),
+    },
+    "hand": {
+        "zero": ("hand:zero", "Close the empty fingers on each other; measure zero and gains."),
+        "release": ("hand:release", "Let go of a part of an earlier run; it may fall."),
+        "clear": ("hand:clear", "Show errors of servos and axes, and clear them."),
+        "bench": ("bench:bench", "Measure one servo on a bench."),
+    },
+    "service": {
+        "install": ("install:install", "Print udev rules, user and systemd unit of the service."),
+        "backup": ("backup:backup", "Write all files of a cell to one file."),
+        "restore": ("backup:restore", "Unpack a backup into a new folder."),
+        "support": ("support:support", "Pack files for remote support."),
+    },
+    "recording": {
+        "report": ("recording:report", "Write the report page of a recording."),
+        "plot": ("recording:plot", "Draw a grasp (PNG, SVG)."),
+        "list": ("recording:list_recordings", "List the recordings in a folder."),
+        "mark": ("recording:mark", "Mark recordings, so that they are never deleted."),
+        "unmark": ("recording:unmark", "Remove the mark of recordings."),
+        "replay": ("replay:replay", "Send recorded grasps through the real protocols."),
+        "recover": ("recording:recover", "Save the undamaged data of a damaged recording."),
+    },
+    "archive": {
+        "add": ("archive:add", "Add recordings and data sets; the name `add` may be left out."),
+        "export": ("archive:export", "Write grasps of an archive to one file."),
+        "report": ("archive:report", "Write the page of an archive: confusions, drift, ageing."),
+        "confusion": ("archive:confusion", "Draw what was held against what was named."),
+    },
+}
+"""Commands of each group: module and function below `cell.interfaces.cli.commands`, and help."""
+_PANELS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "Work": {
+        "run": ("run:run", "Teach objects and identify each of them: the main job."),
+        "teach": ("teach:teach", "Grasp a known object, or a drawing of it, for a data set."),
+        "model": ("", "Models of taught objects: train, calibrate, evaluate, compare."),
+        "identify": ("identify:identify", "Identify the part in the grip, or recorded parts."),
+        "sort": ("sort:sort", "Identify parts and release each at its place."),
+    },
+    "Set up": {
+        "commission": ("commission:commission", "Set up a new cell, until its first grasp."),
+        "config": ("", "Config files: init, check, schema."),
+        "doctor": ("doctor:doctor", "Check machine, ports, servos and control unit."),
+        "simulate": ("simulate:simulate", "Run the simulated cell for other programs."),
+    },
+    "Operate": {
+        "serve": ("serve:serve", "Run the cell for people, PLCs, robots and other hosts."),
+        "hand": ("", "Gripper and sensor: zero, release, clear, bench."),
+        "service": ("", "The installed cell: install, backup, restore, support."),
+    },
+    "Look back": {
+        "recording": ("", "Recordings: report, plot, list, mark, replay, recover."),
+        "archive": ("", "Grasps of many cells and days: add, export, report, confusion."),
+    },
+}
+"""The commands by their purpose; a name without a place is one of `_GROUPS`."""
+_DEFAULTS = {"archive": "add"}
+"""Command of a group that need not be named."""
+# fmt: on
+
+
+class LazyCommand(TyperCommand):
+    """A command whose module is loaded when it is called."""
+
+    def __init__(self, name: str, place: str, text: str) -> None:
+        super().__init__(name, help=text)
+        self._module, _, self._function = place.partition(":")
+
+    def load(self) -> Any:
+        """Return the command itself."""
+        module = import_module(f"cell.interfaces.cli.commands.{self._module}")
+        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+        alone.command(self.name)(getattr(module, self._function))
+        return typer.main.get_command(alone)
+
+    def make_context(self, *given: Any, **more: Any) -> Any:
+        """Return the context of the command itself."""
+        return self.load().make_context(*given, **more)
+
+
+class Group(TyperGroup):
+    """The program, or a group of commands: its help lists them by panels and loads none."""
+
+    def __init__(
+        self,
+        panels: Mapping[str, Mapping[str, tuple[str, str]]] = _PANELS,
+        default: str = "",
+        **settings: Any,
+    ) -> None:
+        self._panels, self._default = panels, default
+        made = {
+            name: LazyCommand(name, place, text)
+            if place
+            else Group({"Commands": _GROUPS[name]}, _DEFAULTS.get(name, ""), name=name, help=text)
+            for panel in panels.values()
+            for name, (place, text) in panel.items()
+        }
+        always = {"commands": made, "no_args_is_help": True, "rich_markup_mode": None}
+        super().__init__(**settings | always)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the default command before words that name no command."""
+        if self._default and args and args[0] not in {*self.commands, *ctx.help_option_names}:
+            args = [self._default, *args]
+        return super().parse_args(ctx, args)
+
+    def get_params(self, ctx: Any) -> Any:
+        """Return the options; the one that only prints the completion is not in the help."""
+        found: list[Any] = super().get_params(ctx)
+        for option in found:
+            option.hidden = option.name == "show_completion"
+        return found
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write a section for each panel, with equal columns."""
+        width = max(map(len, self.commands))
+        for panel, commands in self._panels.items():
+            with formatter.section(panel):
+                formatter.write_dl(
+                    [(f"{name:<{width}}", text) for name, (_, text) in commands.items()]
+                )
+
+
 app = typer.Typer(
     name="tactile-cell",
+    cls=Group,
     help="Find out by touch what the gripper holds.",
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -54,9 +166,7 @@ app = typer.Typer(
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version  # noqa: PLC0415
-
-        typer.echo(f"tactile-cell {version('tactile-cell')}")
+        typer.echo(f"tactile-cell {version_of('tactile-cell')}")
         raise typer.Exit
 
 
@@ -68,38 +178,6 @@ def options(
     ] = False,
 ) -> None:
     """Find out by touch what the gripper holds."""
-
-
-for command in (
-    commission.commission,
-    run.run,
-    sort.sort,
-    teach.teach,
-    train.train,
-    identify.identify,
-    zero.zero,
-    calibrate.calibrate,
-    release.release,
-    clear.clear,
-    evaluate.evaluate,
-    compare.compare,
-    report.report,
-    replay.replay,
-    recover.recover,
-    serve.serve,
-    simulate.simulate,
-    doctor.doctor,
-    install.install,
-    support.support,
-    backup.backup,
-    backup.restore,
-):
-    app.command()(command)
-app.add_typer(config.app, name="config")
-app.add_typer(recordings.app, name="recordings")
-app.add_typer(archive.app, name="archive")
-app.add_typer(plot.app, name="plot")
-app.add_typer(bench.app, name="bench")
 
 
 def main() -> None:
@@ -116,8 +194,6 @@ def main() -> None:
         _fail(str(error), 1)
     except OSError as error:
         # For example a full disk, or too many open files: only the system's message is known.
-        from cell.fault_catalogue import error_text  # noqa: PLC0415  help does not need it
-
         _fail(error_text(error), 1)
 
 

@@ -59,6 +59,9 @@ ModelOption = Annotated[Path | None, typer.Option("--model", "-m", help="File of
 ModelOutOption = Annotated[Path, _ending(".npz", "model file")]
 DatasetOutOption = Annotated[Path, _ending(".npz", "data set")]
 RecordingOutOption = Annotated[Path | None, _ending(".mcap", "recording")]
+PictureOption = Annotated[
+    Path, typer.Option("--output", "-o", help="Picture to write (.png or .svg).")
+]
 TextOutOption = Annotated[
     Path | None, typer.Option("--output", "-o", help="File to write instead of printing.")
 ]

@@ -115,12 +115,12 @@ def pads_of(config: CellConfig) -> PadArray:
 
 def release_command(config_file: Path) -> str:
     """Return the command that lets go of a part in the cell of that config file."""
-    return f"tactile-cell release --config {shlex.quote(str(config_file))} --confirm"
+    return f"tactile-cell hand release --config {shlex.quote(str(config_file))} --confirm"
 
 
 def clear_command(config_file: Path) -> str:
     """Return the command that restarts the servos with faults in the cell of that config file."""
-    return f"tactile-cell clear --config {shlex.quote(str(config_file))} --reboot"
+    return f"tactile-cell hand clear --config {shlex.quote(str(config_file))} --reboot"
 
 
 @contextmanager

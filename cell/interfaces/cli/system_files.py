@@ -31,7 +31,7 @@ AFTER_REMOVING = ("systemctl daemon-reload && udevadm control --reload",)
 _CHIPS = "0403|10c4|1a86"
 """USB vendors whose adapters brltty mistakes for braille displays: FTDI, Silicon Labs, WCH."""
 _UNIT = """\
-# A cell that names parts by touch. Made by `tactile-cell install`.
+# A cell that names parts by touch. Made by `tactile-cell service install`.
 [Unit]
 Description=tactile-cell, the robot cell that names parts by touch
 Wants=network-online.target
@@ -92,7 +92,7 @@ WantedBy=multi-user.target
 
 @dataclass(frozen=True, slots=True)
 class SystemFile:
-    """A file of the system that `install` prints or writes."""
+    """A file of the system that `service install` prints or writes."""
 
     path: Path
     text: str
@@ -122,7 +122,7 @@ def system_files(
 
 
 def _rules(config: CellConfig) -> Iterator[str]:
-    yield "# Serial adapters of a tactile cell. Made by `tactile-cell install`."
+    yield "# Serial adapters of a tactile cell. Made by `tactile-cell service install`."
     yield "# The latency timer of FTDI adapters: 16 ms by default, too long for the force loop."
     yield udev_rule().partition(" in ")[0]
     yield "# brltty mistakes these adapters for braille displays and takes their ports."

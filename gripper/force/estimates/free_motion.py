@@ -199,8 +199,8 @@ class FreeMotion:
         warmer_k = servo.temperature_c - (drive.temperature_c or servo.temperature_c)
         self.notes.append(
             f"servo {servo.servo_id}: its free motion takes {ratio:.2f} times the current of "
-            f"before: {_cause(ratio, warmer_k)}. It is measured anew; `tactile-cell zero` measures "
-            f"the rest"
+            f"before: {_cause(ratio, warmer_k)}. It is measured anew; `tactile-cell hand zero` "
+            f"measures the rest"
         )
 
 

@@ -482,7 +482,7 @@ def test_an_archive_without_answers_says_so(tmp_path: Path) -> None:
         assert line.startswith(f"No answer about {question}: fewer than 3 days of the same objects")
     render_report(archive_report(answers, untaught))
     with pytest.raises(CellError, match="evaluate"):
-        call("plot", "confusion", untaught, "-o", tmp_path / "a.png")
+        call("archive", "confusion", untaught, "-o", tmp_path / "a.png")
 
 
 @pytest.mark.slow
@@ -505,9 +505,9 @@ def test_commands_work_on_a_selection(aged: str, tmp_path: Path) -> None:
     assert "press 2" not in out
     data = tmp_path / "a.npz"
     call("archive", "export", aged, "-o", data, "--cell", "press 1", "--object", "box")
-    assert "box, press 1" in call("plot", "grasp", 0, data, "-o", tmp_path / "a.png")
+    assert "box, press 1" in call("recording", "plot", 0, data, "-o", tmp_path / "a.png")
     with pytest.raises(CellError, match="no grasp 900"):
-        call("plot", "grasp", 900, aged, "-o", tmp_path / "a.png")
+        call("recording", "plot", 900, aged, "-o", tmp_path / "a.png")
 
 
 @pytest.mark.long
@@ -515,28 +515,28 @@ def test_commands_work_on_a_selection(aged: str, tmp_path: Path) -> None:
 def test_training_learns_the_spread_and_shows_what_it_gains(aged: str, tmp_path: Path) -> None:
     first, second = tmp_path / "first.npz", tmp_path / "second.npz"
     days = ["--days", "2027-01-04..2027-01-05"]
-    call("train", aged, "-o", first, "--no-spread", *days)
-    out = call("train", aged, "-o", second, "--json", tmp_path / "a.json", *days)
+    call("model", "train", aged, "-o", first, "--no-spread", *days)
+    out = call("model", "train", aged, "-o", second, "--json", tmp_path / "a.json", *days)
     assert "grasps of 2 days left out in turn: named rightly" in out
     assert "grasps of 2 cells left out in turn: named rightly" in out
     spread = json.loads((tmp_path / "a.json").read_text())["spread"]
     assert 0.0 < spread["offset_sd_mm"] < 3.0
     assert {one["what"] for one in spread["left_out"]} == {"days", "cells", "individuals"}
-    out = call("compare", first, second, aged, "--days", "2027-01-07..2027-01-08")
+    out = call("model", "compare", first, second, aged, "--days", "2027-01-07..2027-01-08")
     assert "of 24 grasps" in out
     cup = replace(ramp("ball", np.random.default_rng(1)), label="cup")
     write_dataset(tmp_path / "others.npz", [cup])
     with pytest.raises(CellError, match="both taught"):
-        call("compare", first, second, tmp_path / "others.npz")
+        call("model", "compare", first, second, tmp_path / "others.npz")
 
 
 @pytest.mark.long
 @pytest.mark.timeout(300)
 def test_evaluation_leaves_days_and_cells_out(aged: str) -> None:
     few = ["--recognizer", "shrinkage_lda", "--fuse", "1"]
-    out = call("evaluate", aged, "--split", "cells", *few)
+    out = call("model", "evaluate", aged, "--split", "cells", *few)
     assert "cells: 60 grasps to train, 120 to test, 3 objects" in out
     with pytest.raises(CellError, match="none can be left out"):
-        call("evaluate", aged, "--split", "cells", "--cell", "press 1", *few)
+        call("model", "evaluate", aged, "--split", "cells", "--cell", "press 1", *few)
     with pytest.raises(CellError, match="no labelled grasp"):
-        call("evaluate", aged, "--object", "nothing", *few)
+        call("model", "evaluate", aged, "--object", "nothing", *few)

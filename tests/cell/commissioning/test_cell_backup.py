@@ -57,12 +57,17 @@ def there(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_restored_folder_has_the_files_of_the_cell_but_no_recording_and_no_secret(cell) -> None:
-    assert re.fullmatch(r"\.\./cell\.tar: 8 files, 0\.\d MB\n", call("backup", "../cell.tar"))
-    assert call("restore", "../cell.tar", "../new/4") == "../new/4: 8 files of ../cell.tar\n"
+    assert re.fullmatch(
+        r"\.\./cell\.tar: 8 files, 0\.\d MB\n", call("service", "backup", "../cell.tar")
+    )
+    assert (
+        call("service", "restore", "../cell.tar", "../new/4")
+        == "../new/4: 8 files of ../cell.tar\n"
+    )
     expected = FILES | {CONFIG: (cell / CONFIG).read_bytes()}
     assert there(cell.parent / "new") == {f"4/{name}": data for name, data in expected.items()}
     (cell.parent / "empty").mkdir()
-    call("restore", "../cell.tar", "../empty")
+    call("service", "restore", "../cell.tar", "../empty")
     assert there(cell.parent / "empty") == expected
 
 
@@ -73,8 +78,8 @@ def test_a_model_of_another_folder_is_in_the_backup_with_its_data_set_and_photos
     for name in names:
         (elsewhere / name).write_text(name)
     (elsewhere / "1.npz").touch()
-    call("backup", "b.tar", "--model", "../else/[1].npz")
-    call("restore", "b.tar", "../new")
+    call("service", "backup", "b.tar", "--model", "../else/[1].npz")
+    call("service", "restore", "b.tar", "../new")
     added = {name: name.encode() for name in names}
     assert there(cell.parent / "new") == FILES | added | {CONFIG: (cell / CONFIG).read_bytes()}
 
@@ -102,8 +107,8 @@ def test_files_that_the_config_names_elsewhere_are_found_again(tmp_path, monkeyp
     zero = zero_file(tmp_path / "recordings", config.name)
     zero.parent.mkdir()
     zero.write_text("measured")
-    call("backup", "../cell.tar", "-c", "press.yaml")
-    call("restore", "../cell.tar", "../after")
+    call("service", "backup", "../cell.tar", "-c", "press.yaml")
+    call("service", "restore", "../cell.tar", "../after")
     for gone in (before, parts, zero.parent):
         shutil.rmtree(gone)
 
@@ -129,15 +134,15 @@ def test_what_cannot_be_backed_up_is_named_and_nothing_is_written(cell) -> None:
         (("-c", "gone.yaml"), "cannot read config gone.yaml"),
     ):
         with pytest.raises(CellError, match=message):
-            call("backup", "b.tar", *arguments)
+            call("service", "backup", "b.tar", *arguments)
     assert not (cell / "b.tar").exists()
     (cell / "b.tar").write_text("other")
     with pytest.raises(CellError, match="exists; backups are never overwritten, name another"):
-        call("backup", "b.tar")
+        call("service", "backup", "b.tar")
     assert (cell / "b.tar").read_text() == "other"
     (cell / CONFIG).unlink()
     with pytest.raises(CellError, match=f"cannot read config {CONFIG}"):
-        call("backup", "c.tar")
+        call("service", "backup", "c.tar")
 
 
 def member(name: str, kind: bytes = tarfile.REGTYPE, **values: Any) -> tarfile.TarInfo:
@@ -175,23 +180,23 @@ def test_paths_that_leave_the_folder_links_and_devices_are_refused(tmp_path, mem
     with pytest.raises(
         CellError, match=f"b.tar: '{members[0].name}' {reason}; nothing was written"
     ):
-        call("restore", path, tmp_path / "folder" / "cell")
+        call("service", "restore", path, tmp_path / "folder" / "cell")
     assert [one.name for one in tmp_path.iterdir()] == ["b.tar"]
     assert not Path("/tmp/tactile-cell-x").exists()
 
 
 def test_a_folder_with_files_is_refused_and_stays(cell) -> None:
-    call("backup", "../b.tar")
+    call("service", "backup", "../b.tar")
     before = there(cell)
     for folder in (cell, cell / "token"):
         with pytest.raises(CellError, match="is not an empty folder; name a new folder"):
-            call("restore", "../b.tar", folder)
+            call("service", "restore", "../b.tar", folder)
     assert there(cell) == before
 
 
 @pytest.mark.slow
 def test_a_damaged_backup_leaves_nothing_behind(cell) -> None:
-    call("backup", "../b.tar")
+    call("service", "backup", "../b.tar")
     path, new, random_ = cell.parent / "b.tar", cell.parent / "new", random.Random(7)
     whole, before = path.read_bytes(), there(cell)
     end = whole.rindex(b"our press")
@@ -216,15 +221,15 @@ def test_a_damaged_backup_leaves_nothing_behind(cell) -> None:
     assert there(cell) == before
     path.write_bytes(b"PK\x03\x04 no tar" * 100)
     with pytest.raises(CellError, match=r"cannot restore .*; use another copy of the backup"):
-        call("restore", path, new)
+        call("service", "restore", path, new)
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(CellError, match="not a plain file"):
-        call("restore", path, new)
+        call("service", "restore", path, new)
 
 
 def test_a_full_disk_leaves_nothing_behind(cell, monkeypatch) -> None:
-    call("backup", "../b.tar")
+    call("service", "backup", "../b.tar")
 
     def full(*_arguments: object, **_options: object) -> None:
         raise OSError(28, "No space left on device")
@@ -232,7 +237,7 @@ def test_a_full_disk_leaves_nothing_behind(cell, monkeypatch) -> None:
     with monkeypatch.context() as patched:
         patched.setattr(tarfile, "copyfileobj", full)
         with pytest.raises(CellError, match=r"No space left on device; use .* another folder"):
-            call("restore", "../b.tar", "../new")
+            call("service", "restore", "../b.tar", "../new")
         with pytest.raises(CellError, match="no space left"):
-            call("backup", "../c.tar")
+            call("service", "backup", "../c.tar")
     assert sorted(one.name for one in cell.parent.iterdir()) == ["b.tar", "here"]

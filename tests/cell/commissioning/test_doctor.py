@@ -198,7 +198,7 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     )
     file = tmp_path / "my cell.yaml"
     findings = by_name(list(examine(small_config(), file)))
-    release = f"tactile-cell release --config '{file}' --confirm"
+    release = f"tactile-cell hand release --config '{file}' --confirm"
     assert release in findings["servo torque"].advice
     load = findings["pads' force"]
     assert (load.verdict, release in load.advice) == (Verdict.WARN, True)

@@ -160,7 +160,7 @@ def test_a_daily_start_opens_again_on_a_part_and_goes_on(make_bench, tmp_path, p
     assert not bench.life.holding
     note = bench.controller.zeroing.note
     assert "something is between them" in note
-    assert "`tactile-cell zero`; with `self_zero: on_demand`" in note
+    assert "`tactile-cell hand zero`; with `self_zero: on_demand`" in note
     assert bench.controller.zeros.newest is None
     assert health_values(config, bench.cell, None)["zero"] == {"level": "watch", "text": note}
     # Its file exists if the servos' friction showed in the grip.
@@ -286,7 +286,7 @@ def test_it_is_measured_at_a_start_where_it_is_due(make_bench, tmp_path, when, t
 @pytest.mark.slow
 @pytest.mark.usefixtures("made_up_zero")
 def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path: Path) -> None:
-    said = call("zero", "--out", tmp_path, "--json", tmp_path / "zero.json")
+    said = call("hand", "zero", "--out", tmp_path, "--json", tmp_path / "zero.json")
     assert said.startswith("pads meet at ")
     assert "since the last measurement" not in said
     assert abs(json.loads((tmp_path / "zero.json").read_text())["opening_m"]) < 2e-4
@@ -393,7 +393,7 @@ def test_a_whole_file_of_other_values_counts_as_none(tmp_path, values) -> None:
     write_json(tmp_path / "zero.json", SELF_ZERO, kept, error=CellError)
     zeros = SelfZeros("daily", path=tmp_path / "zero.json")
     assert zeros.newest is None
-    assert "has no self-zero; `tactile-cell zero`" in zeros.refused
+    assert "has no self-zero; `tactile-cell hand zero`" in zeros.refused
 
 
 @pytest.mark.parametrize(

@@ -778,14 +778,14 @@ def test_a_file_of_which_nothing_can_be_read_is_not_recovered(
         says = "cut off"
     with pytest.raises(RecordingError, match=rf"nothing of .* can be recovered: .*{says}"):
         recover_recording(path, tmp_path / "new.mcap")
-    assert CliRunner().invoke(app, ["recover", str(path)]).exit_code != 0
+    assert CliRunner().invoke(app, ["recording", "recover", str(path)]).exit_code != 0
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_the_command_says_what_is_lost_and_never_overwrites(three: Path, tmp_path: Path) -> None:
     data, path, report = three.read_bytes(), tmp_path / "r.mcap", tmp_path / "r.json"
     path.write_bytes(data[: 2 * len(data) // 5])
-    done = CliRunner().invoke(app, ["recover", str(path), "--json", str(report)])
+    done = CliRunner().invoke(app, ["recording", "recover", str(path), "--json", str(report)])
     assert done.exit_code == 0, done.output
     said: dict[str, Any] = json.loads(report.read_text())
     assert said["recording"] == str(tmp_path / "r-recovered.mcap")

@@ -89,7 +89,7 @@ def test_the_oldest_recordings_go_by_size_and_marked_ones_stay(keep) -> None:
     assert (first.parent.exists(), second.parent.exists()) == (True, False)
     (note,) = keeper.notes
     assert note.startswith("3 of the oldest recordings are deleted")
-    assert "`tactile-cell recordings mark FILE` keeps a recording" in note
+    assert "`tactile-cell recording mark FILE` keeps a recording" in note
     unmark(marked)
     keeper.job(6)
     keeper.retention.enforce()
@@ -271,8 +271,8 @@ def test_recordings_are_listed_and_marked_by_commands(keep) -> None:
     path = keeper.job(1, n_bytes=2_000_000)
     written_s = datetime(2027, 1, 15, 8, 30).timestamp()
     os.utime(path, (written_s, written_s))
-    assert call("recordings", "mark", path) == f"{path}: marked\n"
-    listed = call("recordings", "list", keeper.folder).splitlines()
+    assert call("recording", "mark", path) == f"{path}: marked\n"
+    listed = call("recording", "list", keeper.folder).splitlines()
     assert f"  {path}: MB 2.0, last write 2027-01-15 08:30, marked yes" in listed
     assert [one.marked for one in recordings(keeper.folder)] == [False, True]
     with pytest.raises(RecordingError, match="is not a recording"):

@@ -21,7 +21,6 @@ from rich.console import Console
 from typer.main import get_command
 from typer.testing import CliRunner
 
-import cell.commissioning.doctor
 from cell.checks.findings import CheckResult, Verdict
 from cell.config.file import changed_config, config_text, load_config
 from cell.config.model import CellConfig
@@ -148,7 +147,7 @@ def test_run_teaches_identifies_and_writes_everything(quick, tmp_path, monkeypat
 def test_run_with_a_model_teaches_nothing_and_says_what_it_is(
     config, model, tmp_path, monkeypatch
 ) -> None:
-    monkeypatch.setattr("cell.report.page.write_report", lambda *_given: None)
+    monkeypatch.setattr("cell.interfaces.cli.commands.run.write_report", lambda *_given: None)
     config.write_text(config.read_text().replace("max_grasps: 4", "max_grasps: 1"))
     out = ("--out", tmp_path / "out", "--json", tmp_path / "r.json")
     call("run", "-c", config, "--model", model, "--trials", 1, *out)
@@ -277,7 +276,7 @@ def test_the_command_that_lets_go_of_a_kept_part_is_printed(
     meddle(pretend)
     options = ("-m", model, "-c", config, "--object", "box", "--keep", "always")
     text = " ".join(call("identify", *options).split())
-    assert f"the part is kept; to release it: tactile-cell release --config {config}" in text
+    assert f"the part is kept; to release it: tactile-cell hand release --config {config}" in text
 
 
 @pytest.mark.slow
@@ -298,15 +297,15 @@ def test_a_recording_is_identified_without_shapes(taught, config, model, tmp_pat
 def test_release_names_the_cell_and_has_to_be_meant(config, tmp_path, monkeypatch, fail) -> None:
     monkeypatch.chdir(tmp_path)
     for arguments in ((), ("--confirm",)):
-        said = fail("release", *arguments, code=2)
+        said = fail("hand", "release", *arguments, code=2)
         assert "the config file of the cell is missing; nothing was moved" in said
-        assert "`tactile-cell release --config FILE --confirm`" in said
+        assert "`tactile-cell hand release --config FILE --confirm`" in said
     Path("tactile-cell.yaml").write_text(config.read_text())
-    said = fail("release", "--confirm", code=2)
-    assert "`tactile-cell release --config tactile-cell.yaml --confirm`" in said
-    said = fail("release", "-c", config, code=2)
-    assert f"`tactile-cell release --config {config} --confirm`" in said
-    assert call("release", "-c", config, "--confirm") == (
+    said = fail("hand", "release", "--confirm", code=2)
+    assert "`tactile-cell hand release --config tactile-cell.yaml --confirm`" in said
+    said = fail("hand", "release", "-c", config, code=2)
+    assert f"`tactile-cell hand release --config {config} --confirm`" in said
+    assert call("hand", "release", "-c", config, "--confirm") == (
         "simulated cell: released; the fingers are open; the cell is simulated, no real part was "
         "moved\n"
     )
@@ -316,9 +315,9 @@ def test_release_names_the_cell_and_has_to_be_meant(config, tmp_path, monkeypatc
 def test_clear_shows_the_servos_and_restarts_them_where_that_is_asked_for(
     quick, fail, tmp_path
 ) -> None:
-    said = fail("clear", code=2)
-    assert "`tactile-cell clear --config FILE`" in said
-    said = call("clear", "-c", quick)
+    said = fail("hand", "clear", code=2)
+    assert "`tactile-cell hand clear --config FILE`" in said
+    said = call("hand", "clear", "-c", quick)
     assert said == (
         "simulated cell: servo 1 has no torque\nsimulated cell: servo 2 has no torque\n"
     )
@@ -327,16 +326,16 @@ def test_clear_shows_the_servos_and_restarts_them_where_that_is_asked_for(
     faulty = tmp_path / "faulty.yaml"
     overloaded = changed_config(loaded, {"simulator.faults": ["servo1.overload"]})
     faulty.write_text(config_text(overloaded))
-    said = fail("clear", "-c", faulty)
+    said = fail("hand", "clear", "-c", faulty)
     assert "the error lasts" in said
-    assert said.endswith(f": tactile-cell clear --config {faulty} --reboot")
-    said = call("clear", "--reboot", "-c", faulty)
+    assert said.endswith(f": tactile-cell hand clear --config {faulty} --reboot")
+    said = call("hand", "clear", "--reboot", "-c", faulty)
     assert "servo 1 has no torque (overload)\n" in said
     assert said.endswith("after the reboot servo 1 has no torque\n")
 
     silent = changed_config(loaded, {"simulator.faults": ["servo2.off"]})
     faulty.write_text(config_text(silent))
-    said = fail("clear", "-c", faulty)
+    said = fail("hand", "clear", "-c", faulty)
     assert "servo 2 does not answer: remove the cause" in said
 
 
@@ -345,9 +344,11 @@ def test_clear_shows_the_axes_and_resets_them(tmp_path, fail) -> None:
     path = tmp_path / "axes.yaml"
     axes = changed_config(CellConfig(), AXES)
     path.write_text(config_text(axes))
-    assert "axis x (drive 11) is in SWITCH ON DISABLED, position 0" in call("clear", "-c", path)
+    assert "axis x (drive 11) is in SWITCH ON DISABLED, position 0" in call(
+        "hand", "clear", "-c", path
+    )
     path.write_text(config_text(changed_config(axes, {"simulator.faults": ["axis2.silence"]})))
-    said = fail("clear", "-c", path)
+    said = fail("hand", "clear", "-c", path)
     assert "axis rotation (drive 12) does not answer" in said
 
 
@@ -366,12 +367,14 @@ def test_after_a_fault_of_real_ports_the_command_that_lets_go_is_printed_whole(
     meddle(unplug)
     said = fail("teach", "ball", "-o", tmp_path / "d.npz", "-c", real)
     assert "the grip is kept; recording so far: " in said
-    assert said.endswith(f"to let go of a part: tactile-cell release --config '{real}' --confirm")
+    assert said.endswith(
+        f"to let go of a part: tactile-cell hand release --config '{real}' --confirm"
+    )
 
 
 def test_the_first_line_names_the_cell(config, tmp_path, monkeypatch, capfd) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cell.commissioning.doctor, "examine", lambda *_: iter(()))
+    monkeypatch.setattr("cell.interfaces.cli.commands.doctor.examine", lambda *_: iter(()))
 
     def first_line(*arguments: object) -> str:
         return RUNNER.invoke(app, ["doctor", *map(str, arguments)]).stderr.splitlines()[0]
@@ -408,7 +411,7 @@ def test_release_and_doctor_need_nobody_who_moves(config) -> None:
     text = config.read_text(encoding="utf-8")
     config.write_text(text.replace("kind: simulated", "kind: callback"), encoding="utf-8")
     assert load_config(config).positioner.kind == "callback"
-    call("release", "-c", config, "--confirm")
+    call("hand", "release", "-c", config, "--confirm")
     assert "fail" not in call("doctor", "-c", config)
 
 
@@ -418,7 +421,7 @@ def test_release_and_doctor_need_nobody_who_moves(config) -> None:
 def test_train_writes_a_model(dataset, tmp_path) -> None:
     path = tmp_path / "m.npz"
     text = call(
-        *("train", dataset, dataset, "-o", path, "--recognizer", "level_check"),
+        *("model", "train", dataset, dataset, "-o", path, "--recognizer", "level_check"),
         *("--json", tmp_path / "t.json"),
     )
     assert "2 objects taught with 20 grasps" in text
@@ -444,7 +447,7 @@ def test_evaluate_prints_what_is_taken_for_which_object_and_what_is_left_out(
     tested = tmp_path / "tested.npz"
     write_dataset(tested, [replace(ball, label="box"), *others])
     both = ("--recognizer", "force_ramp", "--recognizer", "level_check")
-    command = ("evaluate", tested, "--train", dataset, *both, "--fuse", "1,2")
+    command = ("model", "evaluate", tested, "--train", dataset, *both, "--fuse", "1,2")
     command += ("--json", tmp_path / "e.json")
     result = RUNNER.invoke(app, [str(one) for one in command], catch_exceptions=False)
     said = " ".join(result.output.split())
@@ -462,7 +465,9 @@ def test_evaluate_prints_what_is_taken_for_which_object_and_what_is_left_out(
 
 @pytest.mark.slow
 def test_replay_sends_and_compares(config, dataset, tmp_path) -> None:
-    text = call(*("replay", dataset, "-c", config, "--limit", 1, "--json", tmp_path / "r.json"))
+    text = call(
+        *("recording", "replay", dataset, "-c", config, "--limit", 1, "--json", tmp_path / "r.json")
+    )
     data = read_json(tmp_path / "r.json")
     assert (data["n_grasps"], data["frames_equal"]) == (1, True)
     assert data["frames_sent"] == data["frames_received"] > 0
@@ -481,7 +486,7 @@ def test_a_replay_that_differs_fails(dataset, monkeypatch, fail) -> None:
         return replace(back, counts=counts)
 
     monkeypatch.setattr(replaying._Rig, "play", wrong)
-    said = fail("replay", dataset, "--limit", 1)
+    said = fail("recording", "replay", dataset, "--limit", 1)
     assert "frames differ: grasp 0, frame 3, taxel 7" in said
 
 
@@ -519,7 +524,7 @@ def test_examples_are_the_configs_of_the_repository(tmp_path, fail) -> None:
 
 def test_doctor_passes_and_fails(tmp_path, config, fail, monkeypatch) -> None:
     found = [CheckResult(what="disk", verdict=Verdict.PASS, found="room", advice="none")]
-    monkeypatch.setattr(cell.commissioning.doctor, "examine", lambda *_: iter(found))
+    monkeypatch.setattr("cell.interfaces.cli.commands.doctor.examine", lambda *_: iter(found))
     assert call("doctor", "-c", config, "--json", tmp_path / "d.json") == (
         "pass  disk: room  -> none\n"
     )
@@ -539,7 +544,7 @@ def test_simulate_prints_one_line_and_adds_to_the_faults_of_the_config(
         served.append((config, options))
         announce({"servo_port": "/dev/pts/7"})
 
-    monkeypatch.setattr("cell.runtime.simulate.serve_simulated_cell", serve)
+    monkeypatch.setattr("cell.interfaces.cli.commands.simulate.serve_simulated_cell", serve)
     config.write_text(config.read_text().replace("faults: []", "faults: [unit.stuck@9s]"))
     fault = ("--fault", "can.loss=0.05@2s")
     output = call("simulate", "-c", config, "--out", tmp_path / "sim", "--seed", 11, *fault)
@@ -611,12 +616,12 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (2, "identify -m m.npz --keep perhaps", "--keep"),
         (2, "identify x.npz -m m.npz --keep always", "--keep is for a cell"),
         (2, "teach ball -o x.txt", "the name of a data set ends in .npz"),
-        (2, "train x.npz -o m", "the name of a model file ends in .npz"),
-        (2, "recover x.mcap -o y.npz", "the name of a recording ends in .mcap"),
-        (2, "train x.npz -o m.npz --recognizer magic", "no recogniser 'magic' is installed"),
-        (2, "evaluate {dataset} --fuse 1,x", "--fuse"),
-        (2, "replay x.npz --limit 0", "--limit"),
-        (2, "release", "--confirm"),
+        (2, "model train x.npz -o m", "the name of a model file ends in .npz"),
+        (2, "recording recover x.mcap -o y.npz", "the name of a recording ends in .mcap"),
+        (2, "model train x.npz -o m.npz --recognizer magic", "no recogniser 'magic' is installed"),
+        (2, "model evaluate {dataset} --fuse 1,x", "--fuse"),
+        (2, "recording replay x.npz --limit 0", "--limit"),
+        (2, "hand release", "--confirm"),
         (2, "serve --listen 0.0.0.0 --modbus 0", "serve.allow is empty"),
         (2, "serve -c {config} --out served", "no interface is open: set serve.http_port"),
         (2, "config check {undrawn}", "as in diameter=6mm"),
@@ -626,11 +631,11 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (2, "identify x.npz -m m.npz --fault can.off", "leave it out for recorded grasps"),
         (2, "teach x -o {made} --shape sphere:diameter=9mm --fault can.off", "for a drawing"),
         (2, "run -c {config} --fault taxels.saturated=10", "simulator: pad 10: pads are 0 to 9"),
-        (1, "train {none} -o {made}", "none.npz"),
-        (1, "train {dataset} {other} -o {made}", "different pads; train a model for each"),
-        (1, "train {nameless} -o {made}", "its 1 grasps have no label"),
-        (1, "train {empty} -o {made}", "has no whole grasp"),
-        (1, "replay {empty}", "has no whole grasp"),
+        (1, "model train {none} -o {made}", "none.npz"),
+        (1, "model train {dataset} {other} -o {made}", "different pads; train a model for each"),
+        (1, "model train {nameless} -o {made}", "its 1 grasps have no label"),
+        (1, "model train {empty} -o {made}", "has no whole grasp"),
+        (1, "recording replay {empty}", "has no whole grasp"),
         (1, "doctor --plugins --json {config}/x", "cannot be written"),
         (1, "run -c {config} --out {config}", "cannot be made"),
     ],
@@ -703,7 +708,7 @@ def test_grasps_whose_folder_is_gone_are_in_the_recording(quick, tmp_path, fail,
         )
     )
     said = fail("teach", "ball", "-n", 20, "-o", folder / "d.npz", "-c", quick)
-    assert "recording.mcap: use it with `tactile-cell train`" in said
+    assert "recording.mcap: use it with `tactile-cell model train`" in said
 
 
 @pytest.fixture
@@ -711,7 +716,9 @@ def run_at_once(taught: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have `run` return what was taught already, and write no whole report of it."""
     monkeypatch.setattr("cell.report.page.render_report", str)
     result = replace(taught.result)
-    monkeypatch.setattr("cell.runtime.main_job.teach_and_identify", lambda *_a, **_k: result)
+    monkeypatch.setattr(
+        "cell.interfaces.cli.commands.run.teach_and_identify", lambda *_a, **_k: result
+    )
 
 
 @pytest.mark.usefixtures("run_at_once")
@@ -738,7 +745,8 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
 
     printed: list[Any] = []
     monkeypatch.setattr(
-        "cell.report.page.write_report", raising(ReportError("cannot write report: no space left"))
+        "cell.interfaces.cli.commands.run.write_report",
+        raising(ReportError("cannot write report: no space left")),
     )
     monkeypatch.setattr(
         "cell.interfaces.cli.commands.run.print_result", lambda *given: printed.append(given)
@@ -757,6 +765,7 @@ def options() -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
 
     def add(path: str, command: Any) -> None:
+        command = getattr(command, "load", lambda: command)()
         for name, one in getattr(command, "commands", {}).items():
             add(f"{path} {name}".strip(), one)
         found[path] = {one.opts[0]: one for one in command.params if one.opts[0][0] == "-"}
@@ -789,9 +798,10 @@ HEAVY = {"numpy", "scipy", "matplotlib", "canopen", "can", "rich", "serial", "jo
 @pytest.mark.parametrize(
     ("arguments", "environment"),
     [
-        (["run", "--help"], {}),
-        ([], {"COMP_WORDS": "tactile-cell run --", "COMP_CWORD": "2"}),
-        ([], {"COMP_WORDS": "tactile-cell config init --example p", "COMP_CWORD": "4"}),
+        (["--help"], {}),
+        (["recording", "--help"], {}),
+        ([], {"COMP_WORDS": "tactile-cell re", "COMP_CWORD": "1"}),
+        ([], {"COMP_WORDS": "tactile-cell hand ", "COMP_CWORD": "2"}),
     ],
 )
 def test_help_and_completion_load_nothing_heavy(arguments, environment) -> None:
@@ -820,8 +830,20 @@ def test_help_and_completion_load_nothing_heavy(arguments, environment) -> None:
     assert len(loaded) < 400
 
 
+def test_the_help_of_the_program_fits_one_screen_and_each_line_is_true() -> None:
+    lines = call("--help").splitlines()
+    assert 24 <= len(lines) <= 30
+    assert max(map(len, lines)) <= 80
+    program: Any = get_command(app)
+    assert len(program.commands) <= 14
+    for name, one in program.commands.items():
+        inner = getattr(one, "commands", {})
+        assert all(word in one.help or word == "unmark" for word in inner), name
+        assert any(re.match(rf"  {name} +{re.escape(one.help)}$", line) for line in lines), name
+
+
 def test_an_interrupt_outside_a_sequence_is_one(monkeypatch, fail) -> None:
-    monkeypatch.setattr(cell.commissioning.doctor, "examine", raising(KeyboardInterrupt()))
+    monkeypatch.setattr("cell.interfaces.cli.commands.doctor.examine", raising(KeyboardInterrupt()))
     assert fail("doctor") == f"{BUILT_IN} error: interrupted"
 
 
@@ -901,7 +923,7 @@ def test_sort_prints_how_many_parts_lie_where(config, model, tmp_path) -> None:
     assert [kind for kind, _ in events if kind in ("place", "release")] == ["place", "release"] * 2
     assert ("place", "box at box") in events
     page = Path(written["recording"]).with_name("report.html")
-    assert call("report", written["recording"]) == f"report: {page}\n"
+    assert call("recording", "report", written["recording"]) == f"report: {page}\n"
     text = page.read_text("utf-8")
     assert all(one in text for one in ("0 grasps taught", "released at: box"))
     assert '<section id="trajectories">' not in text

@@ -93,9 +93,9 @@ def test_what_the_page_types_prints_writes_removes_and_packs(tmp_path, monkeypat
 
 def test_each_file_is_asked_for_and_the_end_of_the_input_is_a_no(tmp_path) -> None:
     for way, answers in (("--apply", "n\ny\n"), ("--remove", "n\n")):
-        call("install", way, "--root", tmp_path, answers=answers)
+        call("service", "install", way, "--root", tmp_path, answers=answers)
         assert files_in(tmp_path) == {"etc/sysusers.d/tactile-cell.conf"}
-    both = CliRunner().invoke(app, ["install", "--apply", "--remove"])
+    both = CliRunner().invoke(app, ["service", "install", "--apply", "--remove"])
     assert both.exit_code == 2
 
 
@@ -159,7 +159,7 @@ def test_what_the_service_user_cannot_read_is_named(tmp_path) -> None:
     config.chmod(0o640)
     config.parent.chmod(0o750)
     assert closed_to_others(config) in (config.parent, *tmp_path.parents)
-    found = call("install", "-c", config).stderr
+    found = call("service", "install", "-c", config).stderr
     assert "no interface is open: set serve.http_port" in found
     assert f"{config}: the user tactile-cell cannot read /" in found
 
@@ -439,7 +439,7 @@ def cell(
 def packed(folder: Path, *options: object) -> dict[str, bytes]:
     """Return the members of a new bundle."""
     file = folder / "bundle.zip"
-    command = ["support", str(file), "-c", str(folder / "cell.yaml"), *map(str, options)]
+    command = ["service", "support", str(file), "-c", str(folder / "cell.yaml"), *map(str, options)]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
     with ZipFile(file) as archive:

@@ -110,7 +110,9 @@ def test_a_terminal_alone_shows_the_tokens_of_the_page(
 ) -> None:
     (tmp_path / "token").write_text(TOKEN)
     screen = io.StringIO()
-    monkeypatch.setattr(terminal, "err", Console(file=screen, force_terminal=True, highlight=False))
+    console = Console(file=screen, force_terminal=True, highlight=False)
+    for module in (terminal, serving):
+        monkeypatch.setattr(module, "err", console)
     served = serve(serve__http_port=0, serve__token_file=str(tmp_path / "token") * file)
     with serving._announced_interfaces(served.service):
         line = json.loads(capsys.readouterr().out)

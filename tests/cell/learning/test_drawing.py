@@ -92,7 +92,7 @@ def test_drawings_alone_name_what_the_cell_grasps(taught, tmp_path) -> None:
         assert "simulator.noise: clipped_normal, level 1" in printed
     assert {g.source for g in read_dataset(drawings)} == {"drawing"}
     assert len({g.command for g in read_dataset(drawings)}) == 30
-    call("train", drawings, "-o", model)
+    call("model", "train", drawings, "-o", model)
     write_dataset(own, taught.grasps)
     found = tmp_path / "found.json"
     printed = call("identify", own, "--model", model, "--json", found)
@@ -253,11 +253,11 @@ def test_grasps_that_stand_twice_are_noted(tmp_path) -> None:
 
     path, nearest = tmp_path / "d.npz", ("--recognizer", "force_ramp")
     call("teach", "ball", "--shape", BALL, "-n", 6, "-o", path)
-    said = noted("train", path, path, "-o", tmp_path / "m.npz", *nearest)
+    said = noted("model", "train", path, path, "-o", tmp_path / "m.npz", *nearest)
     assert "NOTE: 6 of 12 grasps occur twice" in said
-    said = noted("evaluate", path, "--train", path, "--fuse", "1", *nearest)
+    said = noted("model", "evaluate", path, "--train", path, "--fuse", "1", *nearest)
     assert "NOTE: 6 tested grasps were taught" in said
-    assert "occur twice" not in noted("train", path, "-o", tmp_path / "m.npz", *nearest)
+    assert "occur twice" not in noted("model", "train", path, "-o", tmp_path / "m.npz", *nearest)
 
 
 def test_an_object_beside_the_pads_is_refused() -> None:

@@ -170,7 +170,7 @@ def test_damaged_pads_are_refused(learnt, tmp_path, monkeypatch) -> None:
     [
         ({"model": np.array([Bomb()], dtype=object)}, "Object arrays cannot be loaded"),
         ({"counts": np.zeros(3)}, "it has no header; train a model first"),
-        ({"grasp_offsets": np.zeros(3)}, "is a data set: `tactile-cell train"),
+        ({"grasp_offsets": np.zeros(3)}, "is a data set: `tactile-cell model train"),
         ({"model": np.zeros(3)}, "it has no header"),
         ({"model": np.array("{")}, "not JSON"),
         ({"model": np.array("[" * 100_000)}, "not JSON"),

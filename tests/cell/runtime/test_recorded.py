@@ -193,7 +193,15 @@ def test_evaluate_drifts_and_gauges(tmp_path) -> None:
     grasps = [ramp(label, rng, start_ms=20_000 * n) for n in range(20) for label in SIZES_MM]
     write_dataset(tmp_path / "grasps.npz", grasps)
     text = call(
-        *("evaluate", tmp_path / "grasps.npz", "--recognizer", "force_ramp", "--fuse", "1"),
+        *(
+            "model",
+            "evaluate",
+            tmp_path / "grasps.npz",
+            "--recognizer",
+            "force_ramp",
+            "--fuse",
+            "1",
+        ),
         *("--drift", "gain=0.8,aperture_mm=-3", "--gauge", "ball", "--json", tmp_path / "e.json"),
     )
     data = json.loads((tmp_path / "e.json").read_text(encoding="utf-8"))
@@ -261,9 +269,9 @@ def test_what_cannot_be_gauged_or_followed_says_why(taught, drifted, tmp_path) -
     with pytest.raises(CellError, match="are used for the gauge"):
         evaluate_recognizers(of_ball, gauge="ball", **options)
     with pytest.raises(ConfigError, match="--drift"):
-        call("evaluate", taught.result.dataset, "--drift", "speed=3")
+        call("model", "evaluate", taught.result.dataset, "--drift", "speed=3")
     with pytest.raises(ConfigError, match="--model"):
-        call("calibrate", "--gauge", "ball", "-o", tmp_path / "m.npz")
+        call("model", "calibrate", "--gauge", "ball", "-o", tmp_path / "m.npz")
     model = load_model(taught.result.model)
     with pytest.raises(CellError, match="no gauge grasp touched both pads"):
         calibrate_model(model, {"ball": []})
@@ -278,7 +286,7 @@ def test_what_cannot_be_gauged_or_followed_says_why(taught, drifted, tmp_path) -
 def test_calibrate_writes_a_model_that_expects_the_drift(taught, drifted, tmp_path) -> None:
     new = tmp_path / "gauged.npz"
     text = call(
-        *("calibrate", drifted, "--gauge", "ball", "-m", taught.result.model, "-o", new),
+        *("model", "calibrate", drifted, "--gauge", "ball", "-m", taught.result.model, "-o", new),
         *("--json", tmp_path / "c.json"),
     )
     assert "5 grasps of ball: gain" in text
@@ -301,7 +309,7 @@ def test_calibrate_follows_grasps_that_nobody_named(taught, tmp_path) -> None:
     write_dataset(unnamed, [replace(g, label="", start_ms=k) for k, g in enumerate(mixed)])
     new = tmp_path / "followed.npz"
     text = call(
-        *("calibrate", unnamed, "-m", taught.result.model, "-o", new),
+        *("model", "calibrate", unnamed, "-m", taught.result.model, "-o", new),
         *("--json", tmp_path / "c.json"),
     )
     assert "10 grasps of a shift: gain" in text
@@ -320,7 +328,16 @@ def test_calibrate_on_the_cell_finds_that_nothing_drifted(taught, tmp_path) -> N
     changes = {"recording.directory": str(tmp_path / "out")}
     config.write_text(config_text(changed_config(taught.config, changes)))
     call(
-        *("calibrate", "--gauge", "ball", "-m", taught.result.model, "-o", tmp_path / "m.npz"),
+        *(
+            "model",
+            "calibrate",
+            "--gauge",
+            "ball",
+            "-m",
+            taught.result.model,
+            "-o",
+            tmp_path / "m.npz",
+        ),
         *("-n", 3, "-c", config, "--json", tmp_path / "c.json"),
     )
     found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))

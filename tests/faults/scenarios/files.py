@@ -166,7 +166,7 @@ def damaged_recording(_row: FaultRow, *, damage: Callable[[bytes], bytes]) -> Ob
         new = read_recording(found.recording)
         good = {grasp.counts.tobytes() for grasp in read_recording(whole).grasps}
         honest = new.complete and {grasp.counts.tobytes() for grasp in new.grasps} <= good
-        kept = f"`recover` keeps {found.n_grasps} of {len(good)} grasps, unchanged"
+        kept = f"`recording recover` keeps {found.n_grasps} of {len(good)} grasps, unchanged"
         return Observed("REJECT" if honest else "SHORT DATA", None, f"{refusal}; {kept}")
 
 

@@ -1,40 +1,29 @@
-"""`archive`, `archive export`, `archive report`: grasps of many cells and days as one table."""
+"""`archive`: grasps of many cells and days as one table: add, export, report, confusion."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperGroup
 
+from cell.archive.selection import parse_selection
+from cell.errors import CellError
+from cell.installation import extra
 from cell.interfaces.cli.options import (
     CellsOption,
     DaysOption,
     JobsOption,
     JsonOption,
     ObjectsOption,
+    PictureOption,
 )
+from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
+from cell.learning.parallel import workers
+from cell.report.figures import confusion_figure, write_picture
+from cell.report.page import write_report
 
-
-class _AddIsDefault(TyperGroup):
-    """A group whose command ``add`` need not be named."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put ``add`` before what names no command."""
-        if args and args[0] not in {*self.commands, *ctx.help_option_names}:
-            args = ["add", *args]
-        return super().parse_args(ctx, args)
-
-
-app = typer.Typer(
-    cls=_AddIsDefault,
-    no_args_is_help=True,
-    help="Grasps of many cells and days as one table: add, export, report. `add` need not be "
-    "named: `tactile-cell archive out --to fleet`.",
-)
 ArchiveArgument = Annotated[str, typer.Argument(help="Folder or URL of the archive.")]
 
 
-@app.command()
 def add(
     places: Annotated[
         list[Path], typer.Argument(help="Folders, recordings or data sets; folders with all below.")
@@ -48,10 +37,6 @@ def add(
 
     Needs the extra `archive`.
     """
-    from cell.installation import extra
-    from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
-    from cell.learning.parallel import workers
-
     with extra("archive", needed_by="the archive"):
         from cell.archive.ingest import ingest, sources
 
@@ -68,7 +53,6 @@ def add(
     write_json(json_file, done)
 
 
-@app.command()
 def export(
     archive: ArchiveArgument,
     output: Annotated[
@@ -79,10 +63,6 @@ def export(
     objects: ObjectsOption = None,
 ) -> None:
     """Write grasps of an archive to one file: CSV, Parquet or a data set."""
-    from cell.archive.selection import parse_selection
-    from cell.installation import extra
-    from cell.interfaces.cli.terminal import print_line
-
     with extra("archive", needed_by="the archive"):
         from cell.archive.export import export as write
         from cell.archive.store import Archive
@@ -91,7 +71,6 @@ def export(
     print_line(f"{n} grasps: {output}")
 
 
-@app.command()
 def report(
     archive: ArchiveArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="Page to write.")] = Path(
@@ -106,14 +85,9 @@ def report(
 
     Needs the extras `archive` and `report`.
     """
-    from cell.archive.selection import parse_selection
-    from cell.installation import extra
-    from cell.interfaces.cli.terminal import print_line, write_json
-
     with extra("archive", needed_by="the archive"):
         from cell.archive.page import archive_report, lines
         from cell.archive.questions import ask
-    from cell.report.page import write_report
 
     selection = parse_selection(cells, days, objects)
     answers = ask(archive, selection)
@@ -122,3 +96,28 @@ def report(
         print_line(line)
     print_line(f"report: {output}")
     write_json(json_file, answers.as_json())
+
+
+def confusion(
+    archive: Annotated[str, typer.Argument(help="Folder or URL of the archive.")],
+    output: PictureOption,
+    cells: CellsOption = None,
+    days: DaysOption = None,
+    objects: ObjectsOption = None,
+) -> None:
+    """Draw what was held against what was named, of all identifications of named parts.
+
+    Needs the extras `archive` and `report`.
+    """
+    with extra("archive", needed_by="an archive"):
+        from cell.archive.page import confusion_table
+        from cell.archive.questions import ask
+
+    table = confusion_table(ask(archive, parse_selection(cells, days, objects)))
+    if table is None:
+        raise CellError(
+            f"{archive} has no selected identification of a part that was named; "
+            f"`tactile-cell model evaluate {archive}` measures confusions on taught grasps"
+        )
+    write_picture(output, confusion_figure(table))
+    print_line(f"{table.text}: {output}")

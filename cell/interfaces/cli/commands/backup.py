@@ -1,11 +1,13 @@
-"""`backup` and `restore`: all files of a cell in one file."""
+"""`service backup` and `service restore`: all files of a cell in one file."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from cell.commissioning.cell_backup import back_up, restore as unpack
 from cell.interfaces.cli.options import FOLDER_CONFIG, ConfigOption
+from cell.interfaces.cli.terminal import print_line
 
 
 def backup(
@@ -21,9 +23,6 @@ def backup(
     It takes the files in the folder of the config, and those that the config names. Recordings,
     history, tokens, secrets and certificates are left out.
     """
-    from cell.commissioning.cell_backup import back_up
-    from cell.interfaces.cli.terminal import print_line
-
     n_files = back_up(file, config or FOLDER_CONFIG, model or ())
     print_line(f"{file}: {n_files} files, {file.stat().st_size / 1e6:.1f} MB")
 
@@ -33,7 +32,4 @@ def restore(
     folder: Annotated[Path, typer.Argument(help="New folder for the cell.")],
 ) -> None:
     """Unpack a backup into a new folder; nothing is written to a device."""
-    from cell.commissioning.cell_backup import restore
-    from cell.interfaces.cli.terminal import print_line
-
-    print_line(f"{folder}: {restore(file, folder)} files of {file}")
+    print_line(f"{folder}: {unpack(file, folder)} files of {file}")

@@ -1,20 +1,20 @@
-"""`bench servo`: measures one servo with an arm and a kitchen scale."""
+"""`hand bench`: measures one servo with an arm and a kitchen scale."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-app = typer.Typer(help="Measure a part of the cell on a bench.", no_args_is_help=True)
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import WizardAborted
+from cell.commissioning.servo_bench.result import run_bench
+from cell.commissioning.servo_bench.rig import open_rig
+from cell.interfaces.cli.dialog import TerminalDialog
+from cell.interfaces.cli.signals import as_interrupts
+from cell.interfaces.cli.terminal import print_line, print_note
 
 
-@app.callback()
-def bench() -> None:
-    """Measure a part of the cell on a bench."""
-
-
-@app.command()
-def servo(
+def bench(
     port: Annotated[str, typer.Argument(help="Serial port, for example /dev/ttyUSB0.")],
     folder: Annotated[Path, typer.Argument(help="Folder of log and result.")] = Path(),
 ) -> None:
@@ -24,14 +24,6 @@ def servo(
     first, and can be left out. Writes all readings (CSV) and the values (JSON), for `measured` of
     a servo in the config.
     """
-    from cell.commissioning.bench import Bench
-    from cell.commissioning.engine import WizardAborted
-    from cell.commissioning.servo_bench.result import run_bench
-    from cell.commissioning.servo_bench.rig import open_rig
-    from cell.interfaces.cli.dialog import TerminalDialog
-    from cell.interfaces.cli.signals import as_interrupts
-    from cell.interfaces.cli.terminal import print_line, print_note
-
     dialog = TerminalDialog()
     try:
         with as_interrupts(), open_rig(Bench(folder), port, dialog) as rig:

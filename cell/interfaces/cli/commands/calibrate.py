@@ -1,10 +1,12 @@
-"""`calibrate`: corrects a model for the drift of the sensors since it was taught."""
+"""`model calibrate`: corrects a model for the drift of the sensors since it was taught."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from cell.data.dataset import read_grasps
+from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.options import (
     ConfigOption,
     GraspsArgument,
@@ -14,10 +16,13 @@ from cell.interfaces.cli.options import (
     OutOption,
     SeedOption,
 )
-
-if TYPE_CHECKING:
-    from cell.interfaces.cli.session import RunningCell
-    from recognition.grasp import Grasp
+from cell.interfaces.cli.session import RunningCell, cell_config, pads_of, running_cell
+from cell.interfaces.cli.terminal import print_line, write_json
+from cell.learning.model import load_model, save_model
+from cell.learning.training import calibrate_model, follow_shift, gaugeable
+from cell.runtime.goals import TeachGoal
+from recognition.drift.drift import drift_text
+from recognition.grasp import Grasp
 
 
 def calibrate(
@@ -44,17 +49,8 @@ def calibrate(
 
     Uses known objects, or any grasps of a shift.
     """
-    from cell.data.dataset import read_grasps
-    from cell.errors import ConfigError
-    from cell.interfaces.cli.session import cell_config, pads_of, running_cell
-    from cell.interfaces.cli.terminal import print_line, write_json
-    from cell.learning.model import load_model, save_model
-    from cell.learning.training import calibrate_model, follow_shift, gaugeable
-    from cell.runtime.goals import TeachGoal
-    from recognition.drift.drift import drift_text
-
     if model is None:
-        raise ConfigError("--model is missing; `tactile-cell train` makes one")
+        raise ConfigError("--model is missing; `tactile-cell model train` makes one")
     taken: dict[str, list[Grasp]] = {}
     cell: RunningCell | None = None
     if dataset is not None:
@@ -99,10 +95,8 @@ def calibrate(
         cell.plugin.cell.check_recording()
 
 
-def _grasps_of(gauge: str, grasps: "list[Grasp]", dataset: Path, *, alone: bool) -> "list[Grasp]":
+def _grasps_of(gauge: str, grasps: list[Grasp], dataset: Path, *, alone: bool) -> list[Grasp]:
     """Return the grasps of a gauge; grasps without a label belong to it if it is the only one."""
-    from cell.errors import CellError
-
     taken = [grasp for grasp in grasps if grasp.label in ({gauge, ""} if alone else {gauge})]
     if not taken:
         labels = ", ".join(sorted({repr(grasp.label) for grasp in grasps}))

@@ -5,6 +5,18 @@ from typing import Annotated
 
 import typer
 
+from cell.commissioning.backup import restore as restore_servos
+from cell.commissioning.baseline import changed_hardware
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import Engine, WizardAborted
+from cell.commissioning.record import write_record
+from cell.commissioning.walk import all_steps
+from cell.config.file import load_config
+from cell.installation import missing_note
+from cell.interfaces.cli.dialog import TerminalDialog
+from cell.interfaces.cli.signals import as_interrupts
+from cell.interfaces.cli.terminal import print_line, print_note
+
 
 def _can(text: str | None) -> str | None:
     if text is not None and not all(text.partition(":")[::2]):
@@ -55,18 +67,6 @@ def commission(
     command continues there. At the end the folder has tactile-cell.yaml and the record,
     commissioning.html.
     """
-    from cell.commissioning.backup import restore as restore_servos
-    from cell.commissioning.baseline import changed_hardware
-    from cell.commissioning.bench import Bench
-    from cell.commissioning.engine import Engine, WizardAborted
-    from cell.commissioning.record import write_record
-    from cell.commissioning.walk import all_steps
-    from cell.config.file import load_config
-    from cell.installation import missing_note
-    from cell.interfaces.cli.dialog import TerminalDialog
-    from cell.interfaces.cli.signals import as_interrupts
-    from cell.interfaces.cli.terminal import print_line, print_note
-
     given = {} if servo_port is None else {"gripper.port": servo_port}
     if can is not None:
         given["tactile.interface"], _, given["tactile.channel"] = can.partition(":")

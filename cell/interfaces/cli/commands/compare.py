@@ -1,10 +1,13 @@
-"""`compare`: which of two models names the same grasps better."""
+"""`model compare`: which of two models names the same grasps better."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from cell.archive.compare import compare as compare_models
+from cell.archive.selected_grasps import selected_grasps
+from cell.archive.selection import parse_selection
 from cell.interfaces.cli.options import (
     MOST_GRASPS,
     CellsOption,
@@ -14,6 +17,9 @@ from cell.interfaces.cli.options import (
     MostOption,
     ObjectsOption,
 )
+from cell.interfaces.cli.terminal import percent, print_line, write_json
+from cell.learning.model import load_model
+from cell.learning.parallel import workers
 
 
 def compare(
@@ -30,13 +36,6 @@ def compare(
     json_file: JsonOption = None,
 ) -> None:
     """Compare two models on the same grasps: paired, with an interval of 95 %."""
-    from cell.archive.compare import compare as compare_models
-    from cell.archive.selected_grasps import selected_grasps
-    from cell.archive.selection import parse_selection
-    from cell.interfaces.cli.terminal import percent, print_line, write_json
-    from cell.learning.model import load_model
-    from cell.learning.parallel import workers
-
     models = load_model(first), load_model(second)
     selection = parse_selection(cells, days, objects)
     grasps = selected_grasps(datasets, selection, most, print_line)

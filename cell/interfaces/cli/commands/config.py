@@ -5,15 +5,17 @@ from typing import Annotated
 
 import typer
 
+import cell.config
+from cell.config.file import config_text, load_config, schema_text
+from cell.data.files import write_text
+from cell.errors import ConfigError
 from cell.interfaces.cli.options import FOLDER_CONFIG, TextOutOption
-
-app = typer.Typer(no_args_is_help=True, help="Config files: init, check, schema.")
+from cell.interfaces.cli.terminal import print_line, print_note, print_or_write
+from cell.simulation import simulator_settings
 
 
 def _examples() -> dict[str, Path]:
     """Return the example configs of the package by name: the files of config/."""
-    import cell.config
-
     folder = Path(cell.config.__file__).with_name("examples")
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
@@ -30,7 +32,6 @@ def _begun(incomplete: str) -> list[str]:
     return [name for name in _examples() if name.startswith(incomplete)]
 
 
-@app.command()
 def init(
     path: Annotated[Path, typer.Argument(help="File to write.")] = FOLDER_CONFIG,
     example: Annotated[
@@ -46,11 +47,6 @@ def init(
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a config file with explained keys, and its schema."""
-    from cell.config.file import config_text, load_config, schema_text
-    from cell.data.files import write_text
-    from cell.errors import ConfigError
-    from cell.interfaces.cli.terminal import print_line
-
     if path.exists() and not force:
         raise ConfigError(f"{path} exists; name another file or add --force")
     text = config_text(load_config(None if example is None else _examples()[example]))
@@ -60,13 +56,8 @@ def init(
     print_line(f"wrote {path} and {schema_path}")
 
 
-@app.command()
 def check(path: Annotated[Path, typer.Argument(help="Config file.")]) -> None:
     """Check a config file."""
-    from cell.config.file import load_config
-    from cell.interfaces.cli.terminal import print_line, print_note
-    from cell.simulation import simulator_settings
-
     config = load_config(path)
     if config.simulated:
         simulator_settings(config)
@@ -76,10 +67,6 @@ def check(path: Annotated[Path, typer.Argument(help="Config file.")]) -> None:
     print_line(f"{path}: valid: {config.name}, {kind}")
 
 
-@app.command()
 def schema(output: TextOutOption = None) -> None:
     """Print the JSON schema of the config file."""
-    from cell.config.file import schema_text
-    from cell.interfaces.cli.terminal import print_or_write
-
     print_or_write(schema_text(), output, "schema")

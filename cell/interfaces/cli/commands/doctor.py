@@ -6,7 +6,16 @@ from typing import Annotated
 
 import typer
 
+from cell.checks.findings import CheckResult, Verdict
+from cell.commissioning.baseline import gauge_again
+from cell.commissioning.bench import Bench
+from cell.commissioning.doctor import examine
+from cell.errors import CellError
+from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.options import ConfigOption, JsonOption
+from cell.interfaces.cli.session import cell_config
+from cell.interfaces.cli.terminal import out, print_line, write_json
+from cell.plugins import GROUPS
 
 
 def doctor(
@@ -30,15 +39,6 @@ def doctor(
 
     If one of the two lines is missing, the other line is still checked.
     """
-    from cell.checks.findings import CheckResult, Verdict
-    from cell.commissioning.baseline import gauge_again
-    from cell.commissioning.bench import Bench
-    from cell.commissioning.doctor import examine
-    from cell.errors import CellError
-    from cell.interfaces.cli.dialog import TerminalDialog
-    from cell.interfaces.cli.session import cell_config
-    from cell.interfaces.cli.terminal import out, print_line, write_json
-
     if plugins:
         _list_plugins(json_file)
         return
@@ -66,10 +66,6 @@ def doctor(
 
 def _list_plugins(json_file: Path | None) -> None:
     """Print each plugin, its package, and the reason if it does not load."""
-    from cell.errors import CellError
-    from cell.interfaces.cli.terminal import print_line, write_json
-    from cell.plugins import GROUPS
-
     found = [plugin for group in GROUPS for plugin in group.examine()]
     for one in found:
         state = f"FAIL  {one.problem}" if one.problem else "loads"

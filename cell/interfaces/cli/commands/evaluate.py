@@ -1,10 +1,15 @@
-"""`evaluate`: measures recognisers on recorded grasps."""
+"""`model evaluate`: measures recognisers on recorded grasps."""
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.table import Table
 
+from cell.archive.evaluate import EvaluationResult, evaluate_recognizers
+from cell.archive.selected_grasps import selected_grasps
+from cell.archive.selection import EVERYTHING, parse_selection
+from cell.errors import ConfigError, raised_as
 from cell.interfaces.cli.options import (
     MAX_SEED,
     MOST_GRASPS,
@@ -15,12 +20,20 @@ from cell.interfaces.cli.options import (
     ObjectsOption,
     known_recognizers,
 )
+from cell.interfaces.cli.terminal import (
+    percent,
+    print_line,
+    print_note,
+    print_table,
+    progress_bar,
+    write_json,
+)
+from cell.learning.labelled_grasps import duplicate_grasps
+from cell.learning.parallel import workers
+from recognition.drift.drift import NO_DRIFT, Drift, drift_text, parse_drift
+from recognition.evaluation.evaluation import Evaluation
+from recognition.recognizer import UNKNOWN
 from recognition.recognizers import trainer_names
-
-if TYPE_CHECKING:
-    from cell.archive.evaluate import EvaluationResult
-    from recognition.drift.drift import Drift
-    from recognition.evaluation.evaluation import Evaluation
 
 _PAIRS = 5
 """Number of pairs of confused objects that are printed, the most frequent first."""
@@ -83,13 +96,6 @@ def evaluate(
 
     With 95 % intervals. Unknown objects are left out of teaching.
     """
-    from cell.archive.evaluate import evaluate_recognizers
-    from cell.archive.selected_grasps import selected_grasps
-    from cell.archive.selection import EVERYTHING, parse_selection
-    from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
-    from cell.learning.labelled_grasps import duplicate_grasps
-    from cell.learning.parallel import workers
-
     names = recognizers or trainer_names()
     selection = parse_selection(cells, days, objects)
     grasps = selected_grasps(datasets, selection, most, print_line)
@@ -118,7 +124,6 @@ def evaluate(
 
 
 def _numbers(text: str) -> tuple[int, ...]:
-    from cell.errors import ConfigError
 
     try:
         numbers = tuple(int(part) for part in text.split(","))
@@ -138,9 +143,7 @@ def _with_interval(
     return f"{unit * value:.{digits}f} ({low} to {high})"
 
 
-def _drift(text: str | None) -> "Drift":
-    from cell.errors import ConfigError, raised_as
-    from recognition.drift.drift import NO_DRIFT, parse_drift
+def _drift(text: str | None) -> Drift:
 
     if text is None:
         return NO_DRIFT
@@ -148,12 +151,7 @@ def _drift(text: str | None) -> "Drift":
         return parse_drift(text)
 
 
-def _print_evaluation(result: "EvaluationResult") -> None:
-    from rich.table import Table
-
-    from cell.interfaces.cli.terminal import print_line, print_note, print_table
-    from recognition.drift.drift import NO_DRIFT, drift_text
-    from recognition.recognizer import UNKNOWN
+def _print_evaluation(result: EvaluationResult) -> None:
 
     print_line(
         f"{result.split}: {result.n_train} grasps to train, {result.n_test} to test, "
@@ -215,10 +213,8 @@ def _print_evaluation(result: "EvaluationResult") -> None:
     print_line(f"took {result.seconds:.1f} s")
 
 
-def _print_details(name: str, evaluation: "Evaluation") -> None:
+def _print_details(name: str, evaluation: Evaluation) -> None:
     """Print the confusions of a recogniser, its `unknown` and its figures with drift correction."""
-    from cell.interfaces.cli.terminal import percent, print_line
-
     if pairs := evaluation.confused:
         shown_pairs = [f"{n} x {truth} as {answer}" for truth, answer, n in pairs[:_PAIRS]]
         rest = f", and {len(pairs) - _PAIRS} more pairs" if len(pairs) > _PAIRS else ""

@@ -3,10 +3,14 @@
 from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
+from cell.config.model import CellConfig
+from cell.control.identification import Identification, ReadShape
+from cell.data.dataset import read_grasps
+from cell.errors import ConfigError
 from cell.interfaces.cli.options import (
     ConfigOption,
     FaultOption,
@@ -18,10 +22,17 @@ from cell.interfaces.cli.options import (
     OutOption,
     SeedOption,
 )
-
-if TYPE_CHECKING:
-    from cell.config.model import CellConfig
-    from cell.control.identification import Identification, ReadShape
+from cell.interfaces.cli.session import cell_config, pads_of, release_command, running_cell
+from cell.interfaces.cli.terminal import percent, print_line, write_json
+from cell.learning.model import load_model
+from cell.learning.pad_knowledge import pad_knowledge
+from cell.learning.shape_reading import NO_SHAPE, beside, shape_reader
+from cell.learning.training import identify_recorded, loaded
+from cell.runtime.goals import IdentifyGoal
+from cell.runtime.sort import drawn_object
+from recognition.drift.drift import drift_text
+from recognition.recognizer import UNKNOWN
+from recognition.statistics.fusion import fuse
 
 
 def identify(
@@ -49,19 +60,8 @@ def identify(
     json_file: JsonOption = None,
 ) -> None:
     """Identify the part in the grip, or the parts of recorded grasps; with shape and size."""
-    from cell.errors import ConfigError
-    from cell.interfaces.cli.session import cell_config, pads_of, release_command, running_cell
-    from cell.interfaces.cli.terminal import percent, print_line
-    from cell.learning.model import load_model
-    from cell.learning.pad_knowledge import pad_knowledge
-    from cell.learning.shape_reading import NO_SHAPE, beside, shape_reader
-    from cell.runtime.goals import IdentifyGoal
-    from cell.runtime.sort import drawn_object
-    from recognition.recognizer import UNKNOWN
-    from recognition.statistics.fusion import fuse
-
     if model is None:
-        raise ConfigError("--model is missing; `tactile-cell train` makes one")
+        raise ConfigError("--model is missing; `tactile-cell model train` makes one")
     checked = cell_config(config, seed=seed, faults=faults)
     if dataset is not None:
         if faults:
@@ -120,20 +120,14 @@ def identify(
 
 
 def _identify_recorded(
-    config: "CellConfig",
+    config: CellConfig,
     model: Path,
     dataset: Path,
-    read_shape: "ReadShape | None",
+    read_shape: ReadShape | None,
     *,
     follow: bool,
     json_file: Path | None,
 ) -> None:
-    from cell.data.dataset import read_grasps
-    from cell.interfaces.cli.terminal import percent, print_line, write_json
-    from cell.learning.model import load_model
-    from cell.learning.shape_reading import NO_SHAPE
-    from cell.learning.training import identify_recorded, loaded
-    from recognition.drift.drift import drift_text
 
     found, recorded = load_model(model), read_grasps(dataset)
     found = replace(found, recognizer=loaded(found, config).recognizer)

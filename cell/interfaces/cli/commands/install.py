@@ -1,11 +1,17 @@
-"""`install`: udev rules, user and systemd unit of a cell that runs as a service."""
+"""`service install`: udev rules, user and systemd unit of a cell that runs as a service."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from cell.config.serve import ALL_CLOSED
+from cell.data.files import write_text
+from cell.errors import CellError
+from cell.interfaces.cli import system_files as system
 from cell.interfaces.cli.options import ConfigOption, ModelOption
+from cell.interfaces.cli.session import cell_config
+from cell.interfaces.cli.terminal import ask, print_line, print_note
 
 
 def install(
@@ -26,11 +32,6 @@ def install(
     The service is `tactile-cell serve` with this config and model. It starts with the machine and
     restarts when it was killed; a held part stays held.
     """
-    from cell.config.serve import ALL_CLOSED
-    from cell.interfaces.cli import system_files as system
-    from cell.interfaces.cli.session import cell_config
-    from cell.interfaces.cli.terminal import print_line, print_note
-
     if apply and remove:
         raise typer.BadParameter("--apply and --remove exclude each other")
     options = () if model is None else ("--model", str(model.resolve()))
@@ -63,10 +64,6 @@ def install(
 
 def _write(path: Path, text: str) -> bool:
     """Write a file if the person agrees; return whether it has changed."""
-    from cell.data.files import write_text
-    from cell.errors import CellError
-    from cell.interfaces.cli.terminal import print_line
-
     before = path.read_text("utf-8") if path.exists() else None
     if before == text:
         print_line(f"{path}: already up to date")
@@ -82,8 +79,6 @@ def _write(path: Path, text: str) -> bool:
 
 def _remove(path: Path) -> bool:
     """Remove a file if the person agrees; return whether it is gone now."""
-    from cell.interfaces.cli.terminal import print_line
-
     if not path.exists():
         print_line(f"{path}: not there")
         return False
@@ -95,8 +90,6 @@ def _remove(path: Path) -> bool:
 
 def _agreed(question: str) -> bool:
     """Ask a question at the terminal; the end of the input means no."""
-    from cell.interfaces.cli.terminal import ask
-
     try:
         return ask(f"{question} y or n: ").strip().lower() in ("y", "yes")
     except EOFError:
@@ -104,7 +97,6 @@ def _agreed(question: str) -> bool:
 
 
 def _print_commands(when: str, commands: tuple[str, ...]) -> None:
-    from cell.interfaces.cli.terminal import print_line
 
     print_line(f"{when}, as root:")
     for command in commands:

@@ -1,11 +1,16 @@
-"""`replay`: sends recorded grasps through the real protocols and compares the result."""
+"""`recording replay`: sends recorded grasps through the real protocols and compares the result."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from cell.config.file import load_config
+from cell.data.dataset import read_grasps
+from cell.errors import CellError
 from cell.interfaces.cli.options import CaptureOption, JsonOption, RecognizerOption, SplitOption
+from cell.interfaces.cli.terminal import percent, print_line, print_note, progress_bar, write_json
+from cell.runtime.replay import replay_grasps
 from recognition.recognizers import DEFAULT_TRAINER
 
 ReplayConfigOption = Annotated[
@@ -28,18 +33,6 @@ def replay(
     json_file: JsonOption = None,
 ) -> None:
     """Send recorded grasps through the real protocols, compare, and identify them."""
-    from cell.config.file import load_config
-    from cell.data.dataset import read_grasps
-    from cell.errors import CellError
-    from cell.interfaces.cli.terminal import (
-        percent,
-        print_line,
-        print_note,
-        progress_bar,
-        write_json,
-    )
-    from cell.runtime.replay import replay_grasps
-
     with progress_bar() as progress:
         result = replay_grasps(
             read_grasps(source),

@@ -1,11 +1,17 @@
 """`run`: the main job, teaches objects and identifies each of them."""
 
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.table import Table
 
+from cell.config.model import CellConfig
+from cell.data.recording_reader import read_recording
+from cell.errors import CellError, ConfigError, MissingExtraError, RecordingError, ReportError
+from cell.installation import missing_note
 from cell.interfaces.cli.options import (
     CaptureOption,
     ConfigOption,
@@ -15,13 +21,17 @@ from cell.interfaces.cli.options import (
     OutOption,
     SeedOption,
 )
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from cell.config.model import CellConfig
-    from cell.report.confusion import ConfusionTable
-    from cell.runtime.main_job import MainResult
+from cell.interfaces.cli.session import cell_config, pads_of, running_cell
+from cell.interfaces.cli.terminal import percent, plain_text, print_line, print_note, print_table
+from cell.learning.model import load_model
+from cell.learning.taught_cache import MODEL_FILE, keep_model
+from cell.report.confusion import TABLE_1, TABLE_1_LABELS, ConfusionTable, paper_table
+from cell.report.page import write_report
+from cell.report.recorded import recorded_report
+from cell.report.shapes import shapes_view
+from cell.runtime.main_job import MainResult, teach_and_identify
+from cell.simulation import true_sizes
+from recognition.recognizer import UNKNOWN
 
 ObjectsOption = Annotated[
     list[str] | None,
@@ -46,17 +56,6 @@ def run(
     json_file: JsonOption = None,
 ) -> None:
     """Teach objects and identify each of them: the main job."""
-    from cell.data.recording_reader import read_recording
-    from cell.errors import CellError, MissingExtraError, RecordingError, ReportError
-    from cell.installation import missing_note
-    from cell.interfaces.cli.session import cell_config, pads_of, running_cell
-    from cell.interfaces.cli.terminal import print_note
-    from cell.learning.model import load_model
-    from cell.report.page import write_report
-    from cell.report.recorded import recorded_report
-    from cell.runtime.main_job import teach_and_identify
-    from cell.simulation import true_sizes
-
     checked = cell_config(config, seed=seed, faults=faults)
     taught = () if model is None else load_model(model, pads_of(checked)).labels
     labels = _labels(checked, objects, taught)
@@ -99,13 +98,8 @@ def run(
         raise failed
 
 
-def _keep_for_serve(result: "MainResult", config: "CellConfig") -> None:
+def _keep_for_serve(result: MainResult, config: CellConfig) -> None:
     """Keep the model of the built-in cell for `serve` if all its objects were taught."""
-    import shutil
-
-    from cell.interfaces.cli.terminal import print_note
-    from cell.learning.taught_cache import MODEL_FILE, keep_model
-
     model, dataset = result.model, result.dataset
     if model is None or dataset is None:
         return
@@ -122,12 +116,8 @@ def _keep_for_serve(result: "MainResult", config: "CellConfig") -> None:
         print_note(f"`serve` cannot use this model, it cannot be kept: {error}")
 
 
-def _labels(
-    config: "CellConfig", objects: Sequence[str] | None, taught: Sequence[str]
-) -> list[str]:
+def _labels(config: CellConfig, objects: Sequence[str] | None, taught: Sequence[str]) -> list[str]:
     """Return the objects of a run. Raises ConfigError if the cell does not have them."""
-    from cell.errors import ConfigError
-
     if not config.brings_objects:
         if not objects:
             raise ConfigError("name the available objects, for example --object ball --object box")
@@ -142,15 +132,11 @@ def _labels(
     return labels
 
 
-def print_result(result: "MainResult", true_sizes: Mapping[str, str]) -> None:
+def print_result(result: MainResult, true_sizes: Mapping[str, str]) -> None:
     """Print confusion tables, shapes, times and files of a run, and the paper's table.
 
     ``true_sizes`` are those of simulated objects, texts by label.
     """
-    from cell.interfaces.cli.terminal import percent, print_line, print_table
-    from cell.report.confusion import TABLE_1, TABLE_1_LABELS, paper_table
-    from cell.report.shapes import shapes_view
-
     if set(result.labels) == set(TABLE_1_LABELS):
         order = [TABLE_1_LABELS.index(label) for label in result.labels]
         paper = paper_table()
@@ -187,13 +173,8 @@ def print_result(result: "MainResult", true_sizes: Mapping[str, str]) -> None:
     print_line(f"The whole run took {result.seconds:.0f} s.")
 
 
-def confusion_table(labels: Sequence[str], confusion: Sequence[Sequence[float]]) -> "Table":
+def confusion_table(labels: Sequence[str], confusion: Sequence[Sequence[float]]) -> Table:
     """Return a confusion table: a row for each held object, a column for each answer."""
-    from rich.table import Table
-
-    from cell.interfaces.cli.terminal import plain_text
-    from recognition.recognizer import UNKNOWN
-
     columns = [*labels, UNKNOWN] if len(confusion[0]) > len(labels) else list(labels)
     table = Table(header_style="bold")
     table.add_column("held")

@@ -6,16 +6,24 @@ import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
+from cell.config.serve import ALL_CLOSED
+from cell.errors import CellError, CellStopped, ConfigError
+from cell.installation import missing_note
 from cell.interfaces.cli.options import ConfigOption, FaultOption, ModelOption
-
-if TYPE_CHECKING:
-    from cell.config.model import CellConfig
-    from cell.interfaces.cli.service_manager import ServiceManager
-    from cell.service.service import Service
+from cell.interfaces.cli.service_manager import ServiceManager
+from cell.interfaces.cli.session import cell_config, job_folder, with_faults
+from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
+from cell.interfaces.cli.terminal import err, print_note, print_page, print_view
+from cell.interfaces.opening import open_interfaces, warnings
+from cell.interfaces.page_address import page_address, view_note
+from cell.learning.taught_cache import MODEL_FILE, cached_model, keep_model
+from cell.service.service import Service, open_service
 
 SIGNAL_LOOK_S = 0.25
 """Longest wait in s before signals are handled; Python handles them between two waits."""
@@ -92,16 +100,6 @@ def serve(
     When clients can connect, one JSON line on standard output has all ports for a program. A
     part that is held at the end stays held.
     """
-    from cell.config.file import changed_config
-    from cell.config.serve import ALL_CLOSED
-    from cell.errors import CellStopped, ConfigError
-    from cell.interfaces.cli.service_manager import ServiceManager
-    from cell.interfaces.cli.session import cell_config, job_folder, with_faults
-    from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
-    from cell.interfaces.cli.terminal import print_note
-    from cell.learning.taught_cache import cached_model
-    from cell.service.service import open_service
-
     own = cell_config(config)
     if config is None and http_port is None:
         http_port = free_page_port(listen or own.serve.listen)
@@ -155,10 +153,8 @@ def serve(
             manager.stopping()
 
 
-def report_until(over: threading.Event, service: "Service", manager: "ServiceManager") -> None:
+def report_until(over: threading.Event, service: Service, manager: ServiceManager) -> None:
     """Report to the service manager until the end; a problem stops the running job."""
-    from cell.interfaces.cli.terminal import print_note
-
     noted = ""
     while not over.wait(SIGNAL_LOOK_S):
         problem = service.problem
@@ -169,7 +165,7 @@ def report_until(over: threading.Event, service: "Service", manager: "ServiceMan
         manager.report(problem or _status_line(service), working=not problem)
 
 
-def _status_line(service: "Service") -> str:
+def _status_line(service: Service) -> str:
     """Return state, grip and fault of the cell as one line."""
     status = service.plugin.status()
     held = ", a part is held" if status.holding else ""
@@ -177,12 +173,8 @@ def _status_line(service: "Service") -> str:
 
 
 @contextmanager
-def _announced_interfaces(service: "Service") -> Iterator[None]:
+def _announced_interfaces(service: Service) -> Iterator[None]:
     """Open the interfaces of a service and print their addresses; close all at the end."""
-    from cell.interfaces.cli.terminal import err, print_note, print_page, print_view
-    from cell.interfaces.opening import open_interfaces, warnings
-    from cell.interfaces.page_address import page_address, view_note
-
     with open_interfaces(service) as found:
         for note in warnings(service):
             print_note(note)
@@ -204,9 +196,6 @@ def _announced_interfaces(service: "Service") -> Iterator[None]:
 
 def free_page_port(listen: str) -> int | None:
     """Return the first free port for the page; without its extra None, with a note."""
-    from cell.installation import missing_note
-    from cell.interfaces.cli.terminal import print_note
-
     if no_page := missing_note("serve", "page"):
         print_note(no_page)
         return None
@@ -221,13 +210,9 @@ def free_page_port(listen: str) -> int | None:
 
 
 def _teach_first(
-    service: "Service", config: "CellConfig", over: threading.Event, *, keep: bool = True
+    service: Service, config: CellConfig, over: threading.Event, *, keep: bool = True
 ) -> None:
     """Teach the objects of the built-in cell, visible on the page; keep the model with ``keep``."""
-    from cell.errors import CellError
-    from cell.interfaces.cli.terminal import print_note
-    from cell.learning.taught_cache import MODEL_FILE, keep_model
-
     labels = [entry.label for entry in config.simulator.objects]
     print_note(
         f"first start: teaches {_FIRST_GRASPS} grasps each of {', '.join(labels)}, which takes "

@@ -2,12 +2,21 @@
 
 import json
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from cell.control.positioner import SocketPlacer
+from cell.errors import CellError, ConfigError, raised_as
 from cell.interfaces.cli.options import ConfigOption, FaultOption, SeedOption
+from cell.interfaces.cli.session import cell_config
+from cell.interfaces.cli.terminal import ask, print_error, print_line
+from cell.runtime.simulate import serve_simulated_cell
+from cell.simulation import fault_table
+from simulator.errors import SimulatorError
+from simulator.realtime.hands import Hands
 
 
 def simulate(
@@ -44,11 +53,6 @@ def simulate(
 
     When programs can connect, it prints one JSON line with its device paths.
     """
-    from cell.interfaces.cli.session import cell_config
-    from cell.interfaces.cli.terminal import print_line
-    from cell.runtime.simulate import serve_simulated_cell
-    from cell.simulation import fault_table
-
     if ask is not None:
         _be_hands(folder or Path(), ask)
         return
@@ -67,14 +71,6 @@ def simulate(
 
 def _be_hands(folder: Path, text: str) -> None:
     """Send a request to the simulated cell that runs in a folder; print the reply."""
-    from contextlib import closing
-
-    from cell.control.positioner import SocketPlacer
-    from cell.errors import CellError, ConfigError, raised_as
-    from cell.interfaces.cli.terminal import ask, print_error, print_line
-    from simulator.errors import SimulatorError
-    from simulator.realtime.hands import Hands
-
     with closing(SocketPlacer(str(folder / "positioner.sock"))) as cell:
         hands = Hands(cell.ask, time.sleep)
         if text.startswith("{"):

@@ -1,9 +1,12 @@
 """`sort`: identifies parts and releases each at its place."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from rich.table import Table
 
+from cell.control.part import Part
+from cell.errors import ConfigError
 from cell.interfaces.cli.options import (
     ConfigOption,
     FaultOption,
@@ -12,9 +15,12 @@ from cell.interfaces.cli.options import (
     OutOption,
     SeedOption,
 )
-
-if TYPE_CHECKING:
-    from cell.control.part import Part
+from cell.interfaces.cli.session import cell_config, pads_of, running_cell
+from cell.interfaces.cli.terminal import plain_text, print_line, print_note, print_table
+from cell.learning.model import load_model
+from cell.runtime.goals import FEED_MAX, SortGoal
+from cell.runtime.main_job import teach_objects
+from cell.runtime.sort import Places, simulated_feed
 
 TALLY_KEYS = (
     *("n_parts", "n_missed", "n_rejected", "share_named", "places", "matrix", "mistakes"),
@@ -41,18 +47,10 @@ def sort(
     json_file: JsonOption = None,
 ) -> None:
     """Identify parts and release each at its place."""
-    from cell.errors import ConfigError
-    from cell.interfaces.cli.session import cell_config, pads_of, running_cell
-    from cell.interfaces.cli.terminal import print_note
-    from cell.learning.model import load_model
-    from cell.runtime.goals import FEED_MAX, SortGoal
-    from cell.runtime.main_job import teach_objects
-    from cell.runtime.sort import Places, simulated_feed
-
     checked = cell_config(config, seed=seed, faults=faults)
     simulated = checked.brings_objects
     if model is None and not simulated:
-        raise ConfigError("--model is missing; `tactile-cell teach` and `train` make one")
+        raise ConfigError("--model is missing; `tactile-cell teach` and `model train` make one")
     objects = [entry.label for entry in checked.simulator.objects]
     Places(checked, objects if model is None else load_model(model, pads_of(checked)).labels)
     feed = simulated_feed(checked, min(parts, FEED_MAX)) if simulated else ()
@@ -79,10 +77,6 @@ def sort(
 
 def print_tally(tally: dict[str, Any]) -> None:
     """Print the number of parts at each place, and the wrong ones, from the progress of a sort."""
-    from rich.table import Table
-
-    from cell.interfaces.cli.terminal import plain_text, print_line, print_table
-
     if not tally.get("n_parts"):
         print_line("no part was sorted")
         return

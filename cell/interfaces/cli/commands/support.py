@@ -1,4 +1,4 @@
-"""`support`: packs files for remote support."""
+"""`service support`: packs files for remote support."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,6 +6,9 @@ from typing import Annotated
 import typer
 
 from cell.interfaces.cli.options import ConfigOption
+from cell.interfaces.cli.session import cell_config
+from cell.interfaces.cli.support_bundle import write_bundle
+from cell.interfaces.cli.terminal import print_line
 
 _MB = 1_000_000
 """Bytes in a megabyte."""
@@ -28,10 +31,6 @@ def support(
     Tokens and secrets are removed. The service may run meanwhile. Check the bundle before you send
     it: it contains names of objects and machines.
     """
-    from cell.interfaces.cli.session import cell_config
-    from cell.interfaces.cli.support_bundle import write_bundle
-    from cell.interfaces.cli.terminal import print_line
-
     cell = cell_config(config)
     folder = recordings or Path(cell.recording.directory)
     for member in write_bundle(file, cell, folder, round(limit_mb * _MB)):

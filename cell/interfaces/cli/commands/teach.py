@@ -1,10 +1,14 @@
 """`teach`: grasps a known object, or its drawing, and adds the grasps to a data set."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from cell.config.model import CellConfig
+from cell.config.simulator import checked_label
+from cell.data.dataset import read_dataset
+from cell.errors import ConfigError, DatasetError, raised_as
 from cell.interfaces.cli.options import (
     ConfigOption,
     DatasetOutOption,
@@ -15,10 +19,13 @@ from cell.interfaces.cli.options import (
     OutOption,
     SeedOption,
 )
-
-if TYPE_CHECKING:
-    from cell.config.model import CellConfig
-    from cell.runtime.goals import TeachGoal
+from cell.interfaces.cli.session import cell_config, pads_of, running_cell
+from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
+from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend, name_recorded
+from cell.learning.pad_knowledge import pad_knowledge
+from cell.learning.teach_from_drawing import teach_drawing
+from cell.runtime.goals import TeachGoal
+from cell.simulation import drawn_shape
 
 _GRASPS = 20
 """Default number of grasps of an object."""
@@ -75,11 +82,6 @@ def teach(
     json_file: JsonOption = None,
 ) -> None:
     """Grasp a known object, or a drawing of it, for a data set."""
-    from cell.config.simulator import checked_label
-    from cell.errors import ConfigError, raised_as
-    from cell.interfaces.cli.session import cell_config
-    from cell.runtime.goals import TeachGoal
-
     with raised_as(ConfigError, ValueError):
         checked_label(label)
     if recorded is not None:
@@ -109,17 +111,13 @@ def teach(
 
 
 def _teach_grasps(
-    config: "CellConfig",
+    config: CellConfig,
     config_file: Path | None,
-    goal: "TeachGoal",
+    goal: TeachGoal,
     dataset: Path,
     out_folder: Path | None,
     json_file: Path | None,
 ) -> None:
-    from cell.errors import DatasetError
-    from cell.interfaces.cli.session import pads_of, running_cell
-    from cell.interfaces.cli.terminal import print_line
-    from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend
 
     before = dataset_to_extend(dataset, pads_of(config))
     goal = goal.model_copy(update={"seed": config.seed + len(before)})
@@ -136,7 +134,7 @@ def _teach_grasps(
                 except DatasetError as error:
                     raise DatasetError(
                         f"{error}; the grasps are in {cell.plugin.recording_path}: use it with "
-                        "`tactile-cell train`"
+                        "`tactile-cell model train`"
                     ) from error
                 missed = f" ({shown['missed']} found no part)" if shown["missed"] else ""
                 print_line(
@@ -151,8 +149,6 @@ def _teach_grasps(
 
 
 def _name_recorded(source: Path, label: str, dataset: Path, json_file: Path | None) -> None:
-    from cell.interfaces.cli.terminal import print_line, write_json
-    from cell.learning.labelled_grasps import name_recorded
 
     added, before = name_recorded(source, label, dataset)
     print_line(f"{added} grasps of {source} added to {dataset} as {label} ({before} were there)")
@@ -163,7 +159,7 @@ def _name_recorded(source: Path, label: str, dataset: Path, json_file: Path | No
 
 
 def _teach_drawing(
-    config: "CellConfig",
+    config: CellConfig,
     label: str,
     dataset: Path,
     n_grasps: int,
@@ -173,12 +169,6 @@ def _teach_drawing(
     gauge_shape: str | None,
     json_file: Path | None,
 ) -> None:
-    from cell.data.dataset import read_dataset
-    from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
-    from cell.learning.labelled_grasps import append_to_dataset
-    from cell.learning.pad_knowledge import pad_knowledge
-    from cell.learning.teach_from_drawing import teach_drawing
-    from cell.simulation import drawn_shape
 
     shape = drawn_shape(drawing)
     known = pad_knowledge(config, gauge, gauge_shape)

@@ -1,9 +1,13 @@
-"""`train`: trains a recogniser on recorded grasps and writes a model file."""
+"""`model train`: trains a recogniser on recorded grasps and writes a model file."""
 
 from typing import Annotated
 
 import typer
 
+from cell.archive.selected_grasps import selected_grasps
+from cell.archive.selection import is_archive, parse_selection
+from cell.archive.spread import spread_gains, spread_values, with_spread
+from cell.errors import CellError
 from cell.interfaces.cli.options import (
     MOST_GRASPS,
     CellsOption,
@@ -15,6 +19,12 @@ from cell.interfaces.cli.options import (
     ObjectsOption,
     RecognizerOption,
 )
+from cell.interfaces.cli.terminal import percent, print_line, print_note, progress_bar, write_json
+from cell.learning.labelled_grasps import duplicate_grasps
+from cell.learning.model import save_model
+from cell.learning.parallel import workers
+from cell.learning.teaching_summary import summarise_teaching
+from cell.learning.training import train as train_model
 from recognition.recognizers import DEFAULT_TRAINER
 
 
@@ -44,23 +54,6 @@ def train(
     json_file: JsonOption = None,
 ) -> None:
     """Train a recogniser on data sets and write a model file."""
-    from cell.archive.selected_grasps import selected_grasps
-    from cell.archive.selection import is_archive, parse_selection
-    from cell.archive.spread import spread_gains, spread_values, with_spread
-    from cell.errors import CellError
-    from cell.interfaces.cli.terminal import (
-        percent,
-        print_line,
-        print_note,
-        progress_bar,
-        write_json,
-    )
-    from cell.learning.labelled_grasps import duplicate_grasps
-    from cell.learning.model import save_model
-    from cell.learning.parallel import workers
-    from cell.learning.teaching_summary import summarise_teaching
-    from cell.learning.training import train as train_model
-
     selection = parse_selection(cells, days, objects)
     grasps = selected_grasps(datasets, selection, most, print_line)
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):

@@ -1,0 +1,121 @@
+"""`recording`: lists, marks, reports on, plots and recovers recordings."""
+
+from datetime import datetime
+from itertools import islice
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from cell.archive.selection import cell_of, day_of, is_archive, parse_selection
+from cell.data.dataset import read_grasps
+from cell.data.recording_reader import read_recording, recover_recording
+from cell.data.retention import mark as mark_one, recordings, unmark as unmark_one
+from cell.errors import CellError
+from cell.installation import extra
+from cell.interfaces.cli.options import (
+    CellsOption,
+    DaysOption,
+    JsonOption,
+    ObjectsOption,
+    PictureOption,
+    RecordingOutOption,
+)
+from cell.interfaces.cli.terminal import plain_text, print_line, print_table, write_json
+from cell.report.figures import grasp_figure, write_picture
+from cell.report.page import write_report
+from cell.report.recorded import recorded_report
+
+RecordingsArgument = Annotated[list[Path], typer.Argument(help="Recordings (.mcap).")]
+
+
+def list_recordings(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of all jobs: recording.directory, or that of --out.")
+    ] = Path("out"),
+) -> None:
+    """List the recordings of all jobs in a folder, oldest first."""
+    table = Table("recording", "MB", "last write", "marked")
+    for one in recordings(folder):
+        size, written = f"{one.n_bytes / 1e6:.1f}", datetime.fromtimestamp(one.written_s)
+        marked = "yes" if one.marked else ""
+        table.add_row(plain_text(str(one.path)), size, f"{written:%Y-%m-%d %H:%M}", marked)
+    print_table(table)
+
+
+def mark(recordings: RecordingsArgument) -> None:
+    """Mark recordings, so that they are never deleted."""
+    for path in recordings:
+        mark_one(path)
+        print_line(f"{path}: marked")
+
+
+def unmark(recordings: RecordingsArgument) -> None:
+    """Remove the mark of recordings."""
+    for path in recordings:
+        unmark_one(path)
+        print_line(f"{path}: not marked")
+
+
+def report(
+    recording: Annotated[
+        Path, typer.Argument(help="Recording of a run, an identification or a sort.")
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="Page to write [default: report.html beside the recording]."
+        ),
+    ] = None,
+) -> None:
+    """Write the report page of a recording: one HTML file for a browser.
+
+    Needs the extra `report`.
+    """
+    page = output or recording.with_name("report.html")
+    write_report(page, recorded_report(read_recording(recording)))
+    print_line(f"report: {page}")
+
+
+def plot(
+    number: Annotated[int, typer.Argument(min=0, help="Number of the grasp, from 0.")],
+    source: Annotated[str, typer.Argument(help="Archive, data set or recording.")],
+    output: PictureOption,
+    cells: CellsOption = None,
+    days: DaysOption = None,
+    objects: ObjectsOption = None,
+) -> None:
+    """Draw a grasp: load, opening and force over time, and both pads.
+
+    Needs the extra `report`; of an archive `archive` too.
+    """
+    selection = parse_selection(cells, days, objects)
+    if is_archive(source):
+        with extra("archive", needed_by="an archive"):
+            from cell.archive.store import Archive
+        every = Archive(source).grasps(selection)
+    else:
+        every = (one for one in read_grasps(source) if selection.fits(one))
+    found = next(islice(every, number, None), None)
+    if found is None:
+        raise CellError(f"{source} has no grasp {number} among the selected ones")
+    title = f"{found.label or 'no label'}, {cell_of(found)}, {day_of(found.start_ms)}"
+    write_picture(output, grasp_figure(found, title))
+    print_line(f"{title}: {output}")
+
+
+def recover(
+    recording: Annotated[Path, typer.Argument(help="Truncated or damaged recording.")],
+    output: RecordingOutOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Save the undamaged data of a damaged recording to a new file."""
+    target = output or recording.with_name(f"{recording.stem}-recovered.mcap")
+    found = recover_recording(recording, target)
+    print_line(f"{recording}: {found.lost_reason or 'complete, nothing is lost'}")
+    print_line(
+        f"{found.recording}: {found.n_frames} frames, {found.n_cycles} periods of the loop, "
+        f"{found.n_grasps} whole grasps; {found.n_broken_grasps} broken grasps are left out"
+    )
+    write_json(json_file, found)
