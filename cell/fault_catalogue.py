@@ -228,7 +228,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "File or disk.", "Check the path.", APART, REQUEST),
     cell.RecordingError: Fault(503, "Recording cannot be read or has stopped",
         "Full disk, or a damaged file.",
-        "Free space: the next job records. `recording recover` saves whole data.",
+        "Free space: the next job records. `recording recover` saves data.",
         "Kept if `recording.when_lost` is `hold`; else not affected.", MEND),
     cell.ReportError: Fault(504, "Report cannot be made",
         "File or disk.", "Check folder and disk.", APART, REQUEST),

@@ -252,7 +252,7 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
 
 @pytest.mark.slow
 def test_what_cannot_be_gauged_or_followed_says_why(taught, drifted, tmp_path) -> None:
-    command, into = ("calibrate", "-m", taught.result.model), ("-o", tmp_path / "m.npz")
+    command, into = ("model", "calibrate", "-m", taught.result.model), ("-o", tmp_path / "m.npz")
     write_dataset(tmp_path / "few.npz", read_dataset(drifted)[:4])
     for arguments, error, complaint in (
         ((taught.result.dataset, "--gauge", "ghost"), CellError, "no 'ghost', but 'ball', 'box'"),
