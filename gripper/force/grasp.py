@@ -5,7 +5,7 @@ from dataclasses import replace
 from math import inf
 
 from gripper.errors import GripContradicted, GripperStateError, PartLost
-from gripper.force.approach.approach import Approach, ApproachEvent, Reached
+from gripper.force.approach.approach import Approach, ApproachEvent
 from gripper.force.approach.contact import ContactRest
 from gripper.force.approach.mechanics_proof import (
     ZERO_RANGE_M,
@@ -15,7 +15,6 @@ from gripper.force.approach.mechanics_proof import (
 )
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
-from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.supervision.empty_grip import EmptyGrip
@@ -126,7 +125,7 @@ class GraspRun:
                 self._end.request()
             return self._press(ramp, reached, slip=None)
 
-    def _press(self, ramp: ForceRamp, reached: Reached, *, slip: LevelSlip | None) -> GraspOutcome:
+    def _press(self, ramp: ForceRamp, reached: Approach, *, slip: LevelSlip | None) -> GraspOutcome:
         """Follow a ramp on the touched part; forget a part that is lost on the ramp."""
         self._set_phase(GripperPhase.RAMPING)
         self._ramp_step = step = ContactStep(self._linkage, ramp, reached, self._end, slip=slip)
@@ -175,7 +174,7 @@ class GraspRun:
         """Follow a change of the held force to its end and until the force has settled."""
         return self._runner.run(GripStep(self._settings, control, ramp).step)
 
-    def _approach(self, settings: GripperSettings) -> Reached:
+    def _approach(self, settings: GripperSettings) -> Approach:
         """Close until the contact, or the end of the travel, and update the estimates."""
         # Fingers that shall meet find no part.
         known = settings is self._settings and self._touched > 0
@@ -185,28 +184,15 @@ class GraspRun:
             self._runner.servos.read_patiently(),
             widest_m=self._begins_m if known else None,
         )
-        stiffness = StiffnessEstimate(self._settings)
-
-        def step(moment: Moment) -> Action:
-            stiffness.push(moment)
-            return approach.step(moment)
-
-        state = self._free.run(self._runner, step, approach.runs_freely)
-        return Reached(
-            settings=settings,
-            event=approach.event,
-            state=state,
-            braked_s=approach.braked_s,
-            touch_m=approach.touch_m,
-            stiffness=stiffness,
-        )
+        self._free.run(self._runner, approach.step, approach.runs_freely)
+        return approach
 
     @property
     def _begins_m(self) -> float:
         """Opening in m at which the next part may begin, by the parts touched so far."""
         return self._widest_m + _BEGINS_M + _SURPRISE_M / self._touched
 
-    def _closed(self) -> Reached:
+    def _closed(self) -> Approach:
         """Close until the pads meet; raise MechanicsContradicted if nothing stops the fingers."""
         reached = self._approach(meeting_settings(self._settings))
         if reached.event is ApproachEvent.LIMIT:
@@ -391,7 +377,7 @@ class ContactStep(GripStep):
         self,
         linkage: Linkage,
         ramp: ForceRamp,
-        reached: Reached,
+        reached: Approach,
         end: RampEnd,
         *,
         slip: LevelSlip | None,

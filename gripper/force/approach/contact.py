@@ -18,8 +18,6 @@ _EMPTY_SAMPLES = 20
 """Number of samples for the noise of an empty pad. [tuned]"""
 _TOUCH_SAMPLES = 8
 """Most newest samples whose mean is compared with it; older ones are of the empty pad. [tuned]"""
-_WRONG_FACTOR = 1.5
-"""Factor on the force of a first touch after each false one. [chosen]"""
 _CONTACT_QUIET_N = 0.1
 """Noise in N of the mean that shows a contact: a sixth of the force of one. [tuned]"""
 _REST_QUIET_YOUNG_N = 0.12
@@ -38,7 +36,6 @@ class FirstTouch:
     """
 
     def __init__(self) -> None:
-        self._factor = 1.0
         self._empty_n2: list[float] = []
         self._recent: deque[ForceSample] = deque(maxlen=_TOUCH_SAMPLES)
 
@@ -65,10 +62,6 @@ class FirstTouch:
         n = len(newest)
         return sum(s.force_n[0] for s in newest) / n, sum(s.force_n[1] for s in newest) / n
 
-    def was_wrong(self) -> None:
-        """Raise the force of a touch after a false one."""
-        self._factor *= _WRONG_FACTOR
-
     def push(self, sample: ForceSample, *, empty: bool) -> None:
         """Add a sample, which may be the same as before; ``empty``: no finger is braked."""
         if self._recent and sample.t_s <= self._recent[-1].t_s:
@@ -85,7 +78,7 @@ class FirstTouch:
         for n, sample in enumerate(reversed(self._recent), 1):
             sum_n += sample.force_n[finger]
             noise_n = sqrt(self._empty_n2[finger] / n)
-            if sum_n > n * self._factor * max(_TOUCH_N, _TOUCH_SIGMAS * noise_n):
+            if sum_n > n * max(_TOUCH_N, _TOUCH_SIGMAS * noise_n):
                 return True
         return False
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from math import hypot
 
-from gripper.force.approach.approach import Reached
+from gripper.force.approach.approach import Approach
 from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
 from gripper.force.control.law import STIFFNESS_SD, ForceLaw, Period
 from gripper.force.estimates.grip import Grip
@@ -38,7 +38,7 @@ class GripControl:
     def __init__(
         self,
         linkage: Linkage,
-        reached: Reached,
+        reached: Approach,
         *,
         force_n: float,
         now_s: float,

@@ -35,7 +35,8 @@ class StiffnessEstimate:
 
     def __init__(self, settings: GripperSettings) -> None:
         self._touch_n = _TOUCH_SHARE * settings.contact_force_n
-        self._apertures = History()
+        self.apertures = History()
+        """Opening of the last periods in m."""
         self._block: list[tuple[float, float]] = []
         self._block_s = -inf
         self._pairs: deque[tuple[float, float]] = deque(maxlen=_MEAN_SAMPLES)
@@ -50,12 +51,12 @@ class StiffnessEstimate:
 
     def push(self, moment: Moment) -> None:
         """Add the present opening and the newest sample, which may be the same as before."""
-        self._apertures.add(moment.now_s, moment.state.aperture_m)
+        self.apertures.add(moment.now_s, moment.state.aperture_m)
         sample = moment.sample
         if sample is None or not sample.valid or sample.t_s == self._sample_s:
             return
         self._sample_s = sample.t_s
-        self._block.append((sample.grip_n, self._apertures.at(sample.measured_s)))
+        self._block.append((sample.grip_n, self.apertures.at(sample.measured_s)))
         if sample.t_s - self._block_s < ONE_FRAME_S:
             return
         n = len(self._block)
