@@ -332,7 +332,7 @@ def measured_drive(path: Path, model: ServoModel) -> DriveCharacteristic:
     """
     content = read_json(path, SERVO_BENCH, error=ConfigError)
     if content is None:
-        raise ConfigError(f"{path}: no such file; `tactile-cell bench servo` writes it")
+        raise ConfigError(f"{path}: no such file; `tactile-cell hand bench` writes it")
     if content.get("model") != model.name:
         raise ConfigError(f"{path} is of a {content.get('model')}, this servo is a {model.name}")
     values: Mapping[str, Any] = content.get("values", {})

@@ -138,9 +138,9 @@ class History:
         self._link: sqlite3.Connection | None = None
         self._refused = ""
         self._days: dict[str, _Sums] = {}
-        self._values: dict[str, Any] = {}
         self._written = set[str]()
-        self._over, self._updating = threading.Event(), threading.Lock()
+        self._over = threading.Event()
+        self._updating, self._counting = threading.Lock(), threading.Lock()
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
         self._add(kind="start")
 
@@ -170,12 +170,16 @@ class History:
         Each has ``parts``, ``rejected``, ``missed``, ``faults``, ``starts``, the mean ``cycle_s``,
         and ``confused``: pairs ``held`` and ``named`` with their number ``n``, the most frequent
         first. In a pair that is not ``confirmed`` the held object was not given: ``held`` is then
-        the second label. The sums are empty until the first `update`.
+        the second label. The sums are empty until the first `update`; rows that wait for the disk
+        count from then on.
         """
-        return self._values
+        self._count_faults()
+        with self._counting:
+            return self._summed() if self._days else {}
 
     def day(self, day: date) -> list[Mapping[str, Any]]:
         """Return the rows of a day as `read_day`; empty if the history is in memory."""
+        self.update()
         return [] if self._path is None else read_day(self._path, day)
 
     def update(self) -> None:
@@ -186,17 +190,11 @@ class History:
     def _update(self) -> None:
         if self._shift is not None:
             self._shift.values()  # a new shift begins in time, even without a client
-        now = self._status()
-        for n in range(now.n_faults - self._n_faults, 0, -1):
-            newest = n == 1 and now.fault is not None
-            number = now.fault_number if newest else 0
-            self._add(kind="fault", fault_number=number, text=now.fault if newest else "")
-        self._n_faults = now.n_faults
+        self._count_faults()
         try:
             self._resume_shift()
             self._read_days()
             self._write()
-            self._values = self._summed()
             self._refused = ""
         except (sqlite3.Error, OSError, CellError) as error:
             if str(error) != self._refused:
@@ -213,9 +211,23 @@ class History:
         self.update()
         self._close_link()
 
+    def _count_faults(self) -> None:
+        """Add the faults since the last call."""
+        now = self._status()
+        with self._counting:
+            before, self._n_faults = self._n_faults, now.n_faults
+        for n in range(now.n_faults - before, 0, -1):
+            newest = n == 1 and now.fault is not None
+            number = now.fault_number if newest else 0
+            self._add(kind="fault", fault_number=number, text=now.fault if newest else "")
+
     def _add(self, **row: Any) -> None:
         row = {"time_s": self._wall_s()} | row
-        self._waiting.append({"day": str(date.fromtimestamp(row["time_s"]))} | row)
+        row = {"day": str(date.fromtimestamp(row["time_s"]))} | row
+        with self._counting:
+            self._waiting.append(row)
+            if row["day"] in self._days:
+                _add(self._days[row["day"]], row)
 
     def _resume_shift(self) -> None:
         """Give the shift its earlier rows once, before this program writes its first ones.
@@ -231,19 +243,21 @@ class History:
         self._resumed = True
 
     def _read_days(self) -> None:
-        """Sum the written rows of the days of the sums; each day is read once."""
+        """Sum the rows of the days of the sums, written and waiting; each day is read once."""
         today = date.fromtimestamp(self._wall_s())
         days = [str(today - timedelta(days=n)) for n in range(max(1, today.weekday()) + 1)]
-        for day in days:
-            if day not in self._days:
-                sums = _Sums()
-                for row in _rows(self._opened(), day):
-                    _add(sums, row)
-                self._days[day] = sums
-        self._days = {day: self._days[day] for day in days}
+        read = {day: _Sums() for day in days if day not in self._days}
+        for day, sums in read.items():
+            for row in _rows(self._opened(), day):
+                _add(sums, row)
+        with self._counting:
+            for row in self._waiting:
+                if row["day"] in read:
+                    _add(read[row["day"]], row)
+            self._days = {day: (self._days | read)[day] for day in days}
 
     def _write(self) -> None:
-        """Write all waiting rows in one transaction, and add them to the sums."""
+        """Write all waiting rows in one transaction."""
         rows = list(self._waiting)
         if not rows:
             return
@@ -254,13 +268,11 @@ class History:
             if not self._written.issuperset(row["day"] for row in rows):
                 link.execute(_FIRST_KEPT, (KEPT_DAYS,))
         self._written.update(row["day"] for row in rows)
-        for row in rows:
+        for _ in rows:
             self._waiting.popleft()
-            if row["day"] in self._days:
-                _add(self._days[row["day"]], row)
 
     def _summed(self) -> dict[str, Any]:
-        """Return the sums of `values`, for other threads."""
+        """Return the sums of `values`."""
         days = [*self._days]  # today, yesterday and so on
         n_week = date.fromisoformat(days[0]).weekday() + 1
         spans = {"today": days[:1], "yesterday": days[1:2], "week": days[:n_week]}

@@ -668,6 +668,18 @@ def test_a_shift_goes_on_after_a_restart_and_ends_with_its_hours(kept: Kept) -> 
     assert figures()[1:5] == (0, 0, 0, 1)
 
 
+def test_the_sums_have_each_row_before_the_disk_has_it(kept: Kept) -> None:
+    kept.add(part())
+    kept.look()
+    for report in (part(), part("")):
+        kept.add(report)
+    kept.fault(301, "a servo is hot")
+    names = ("parts", "missed", "faults")
+    expected = {"parts": 2, "missed": 1, "faults": 1}
+    for found in (kept.history.values(), kept.look()):
+        assert {name: found["today"][name] for name in names} == expected
+
+
 def test_a_fault_of_the_start_is_in_the_history(kept: Kept) -> None:
     kept.fault(506, "a part is in the grip")
     kept.history = History(kept.path, lambda: kept.state, wall_s=lambda: kept.now_s)

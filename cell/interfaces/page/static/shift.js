@@ -14,15 +14,15 @@ let asked = "";
 const kindOf = (answer, sure) =>
   (answer.label === "UNKNOWN" ? "unknown" : answer.probability >= sure ? "sure" : "unsure");
 
-// The sums of the days are requested shortly after a part, when they include it, and each minute.
+// The sums of the days are requested with each part, turn and fault, and each minute.
 function askDays({ link, changed }, shift) {
   const due = [shift.parts, shift.missed, shift.faults, Math.floor(Date.now() / 60000)].join();
   if (due === asked) return;
   asked = due;
-  setTimeout(() => link.call("GET", "api/history", { timeout_ms: 5000 }).then((found) => {
+  link.call("GET", "api/history", { timeout_ms: 5000 }).then((found) => {
     days = found;
     changed();
-  }).catch(() => (asked = "")), 2000);
+  }).catch(() => setTimeout(() => (asked = ""), 2000));
 }
 
 function daySpans() {
