@@ -1,6 +1,7 @@
 """The reference of the config file, made from the model that checks it."""
 
 import enum
+import re
 import types
 import typing
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from cell.config.model import CellConfig
-from cell.config.section import sections_in, unit_of
+from cell.config.section import sections_in
 
 
 def config_page() -> str:
@@ -27,26 +28,26 @@ def _sections(model: type[BaseModel], path: str) -> Iterator[str]:
     below = []
     for name, field in model.model_fields.items():
         models = list(sections_in(field))
-        below += [(inner, _path(path, name, field, inner, len(models))) for inner in models]
-        yield f"- `{name}`: {_meaning(field)}\\\n  {_allowed(name, field)}"
+        below += [(inner, _path(path, name, field, inner, models)) for inner in models]
+        if name != "kind" and not (models and _default(field) == "see below"):
+            yield f"- `{name}`: {_plain(field.description)}\\\n  {_allowed(field)}"
     yield ""
-    for inner, inner_path in below:
+    for inner, inner_path in dict.fromkeys(below):
         yield from _sections(inner, inner_path)
 
 
-def _path(path: str, name: str, field: FieldInfo, inner: type[BaseModel], n_models: int) -> str:
+def _path(
+    path: str, name: str, field: FieldInfo, inner: type[BaseModel], models: list[type[BaseModel]]
+) -> str:
     """Return the dotted path of a section; entries of a list and variants are marked."""
     dotted = f"{path}.{name}" if path else name
     if typing.get_origin(field.annotation) is tuple:
         dotted += "[]"
     kind = inner.model_fields.get("kind")
-    return f"{dotted} ({_choices(kind.annotation)[0]})" if n_models > 1 and kind else dotted
-
-
-def _type(name: str, field: FieldInfo) -> str:
-    unit = unit_of(name)
-    written = _written(field.annotation)
-    return f"{written}, {unit}" if unit else written
+    if len(set(models)) == 1 or not kind:
+        return dotted
+    is_default = type(field.get_default(call_default_factory=True)) is inner
+    return f"{dotted} ({_choices(kind.annotation)[0]}{', the default' if is_default else ''})"
 
 
 def _written(annotation: Any) -> str:
@@ -73,6 +74,7 @@ def _choices(annotation: Any) -> list[str]:
 
 
 def _limits(field: FieldInfo) -> str:
+    """Return choices and limits that the text of the key does not state."""
     found = [f"`{choice}`" for choice in _choices(field.annotation)]
     limits = {
         name: getattr(entry, name)
@@ -80,9 +82,11 @@ def _limits(field: FieldInfo) -> str:
         for name in ("gt", "ge", "lt", "le", "min_length", "max_length")
         if getattr(entry, name, None) is not None
     }
+    stated = set(re.findall(r"-?\d+(?:\.\d+)?", field.description or ""))
     for key, sign in (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤")):
         if key in limits:
-            found.append(f"{sign} {limits[key]:{'d' if isinstance(limits[key], int) else 'g'}}")
+            limit = f"{limits[key]:{'d' if isinstance(limits[key], int) else 'g'}}"
+            found += [] if limit in stated else [f"{sign} {limit}"]
     if "max_length" in limits:
         unit = "characters" if field.annotation is str else "entries"
         found.append(f"{limits.get('min_length', 0)} to {limits['max_length']} {unit}")
@@ -91,12 +95,14 @@ def _limits(field: FieldInfo) -> str:
     return ", ".join(found)
 
 
-def _allowed(name: str, field: FieldInfo) -> str:
-    """Return type, range or choices, and default of a key."""
-    parts = [_type(name, field), _limits(field)]
+def _allowed(field: FieldInfo) -> str:
+    """Return type, range or choices, and default of a key. The default of a number is its type."""
     default = _default(field)
-    parts.append(default if default in {"required", "see below"} else f"default {default}")
-    return "; ".join(part for part in parts if part)
+    default = default if default == "required" else f"default {default}"
+    written = _written(field.annotation)
+    if written in {"number", "integer", "choice", "true or false"} and default != "required":
+        written = ""
+    return "; ".join(part for part in (written, _limits(field), default) if part)
 
 
 def _default(field: FieldInfo) -> str:
@@ -118,10 +124,6 @@ def _scalar(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:g}" if isinstance(value, float) else str(value) or "''"
-
-
-def _meaning(field: FieldInfo) -> str:
-    return _plain(field.description)
 
 
 def _plain(text: str | None) -> str:
