@@ -2,7 +2,7 @@
 
 Numbers never change their meaning and are never reused. 1xx servos and servo line, 2xx grip and
 force, 3xx CAN and control unit, 4xx taxels and frames, 5xx cell, job and host, 6xx axes and wrist,
-7xx recognition and models. The page ``docs/reference/fault-numbers.md``, the recording, JSON and
+7xx recognition and models. The page ``docs/reference/faults.md``, the recording, JSON and
 all links are made from this table.
 """
 

@@ -1,7 +1,7 @@
 """States of the cell and its grip, the table of transitions, and the commands of a host.
 
 Names are those of PackML, numbers those of PackTags (OPC 30050). The lifecycle uses this table. The
-page ``docs/reference/states.md`` and the tests are made from it.
+page ``docs/reference/faults.md`` and the tests are made from it.
 """
 
 from dataclasses import dataclass

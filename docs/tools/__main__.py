@@ -11,7 +11,7 @@ from pathlib import Path
 
 from docs.tools.api_page import directives_page, names_page
 from docs.tools.archive_page import archive_page
-from docs.tools.campaign_page import campaign_page
+from docs.tools.campaign_page import campaign_page, reactions_page
 from docs.tools.catalogue_page import catalogue_page
 from docs.tools.command_page import command_page
 from docs.tools.config_page import config_page
@@ -38,6 +38,7 @@ MAKERS: dict[str, Callable[[], str]] = {
     "names of pytest-plugin.md": lambda: directives_page("pytest-plugin.md"),
     "names of recognition": lambda: names_page("recognition"),
     "names of tactile": lambda: names_page("tactile"),
+    "reactions": reactions_page,
     "recording": recording_page,
     "states": states_page,
     "states picture": states_picture,

@@ -16,16 +16,20 @@ def campaign_page() -> str:
         "`make campaign` runs all of them, `make test` "
         f"{len(EACH_CHANGE)}; both run random "
         "commands and faults. After each fault of a grasp the steps of the "
-        "[fault catalogue](fault-numbers.md) lead back to IDLE.\n",
+        "[fault catalogue](../reference/faults.md#fault-numbers) lead back to IDLE.\n",
         "| what fails | kinds | variants | required reactions |\n|---|---|--:|---|",
         *(
             f"| {name} | {_ranges({row.row for row in rows})} | {len(rows)} | {_counted(rows)} |"
             for name, rows in GROUPS.items()
         ),
-        "\n| reaction | meaning |\n|---|---|",
-        *(f"| {name} | {meaning} |" for name, meaning in REACTIONS.items()),
     ]
     return "\n".join(lines)
+
+
+def reactions_page() -> str:
+    """Return what each required reaction means."""
+    rows = (f"| {name} | {meaning} |" for name, meaning in REACTIONS.items())
+    return "\n".join(("| reaction | meaning |\n|---|---|", *rows))
 
 
 def _counted(rows: Sequence[FaultRow]) -> str:

@@ -1,6 +1,8 @@
-"""The table of the fault numbers, made from the fault catalogue."""
+"""The tables of the fault numbers, made from the fault catalogue."""
 
-from cell.fault_catalogue import CATALOGUE
+from collections import Counter
+
+from cell.fault_catalogue import APART, AXES_STOP, CATALOGUE, KEPT, UNMOVED
 
 _CHAPTERS = {
     1: "Servos and servo line",
@@ -13,18 +15,29 @@ _CHAPTERS = {
 }
 """Heading of each hundred."""
 
+_GRIPS = {KEPT: "kept", UNMOVED: "unmoved", AXES_STOP: "axes stop", APART: "unaffected"}
+"""Short words for what most faults do to the grip."""
+
 
 def catalogue_page() -> str:
-    """Return one table for each hundred of numbers."""
-    parts: list[str] = []
+    """Return the ways back, then one table for each hundred of numbers."""
+    often = Counter(fault.steps for fault in CATALOGUE.values()).most_common()
+    ways = {steps: chr(ord("A") + place) for place, (steps, _) in enumerate(often)}
+    parts = ["| way | steps |\n|---|---|"]
+    parts += [f"| {letter} | {', '.join(steps)} |" for steps, letter in ways.items()]
+    parts += [f"\n| grip | meaning |\n|---|---|\n{_lines(_GRIPS)}\n"]
     for hundred, heading in _CHAPTERS.items():
         rows = [
             f"| {fault.number} | {fault.text}<br>`{kind.__name__}` | {fault.cause} | "
-            f"{fault.remedy} | {', '.join(fault.steps)} | {fault.grip} |"
+            f"{fault.remedy} | {ways[fault.steps]} | {_GRIPS.get(fault.grip, fault.grip)} |"
             for kind, fault in sorted(CATALOGUE.items(), key=lambda entry: entry[1].number)
             if fault.number // 100 == hundred
         ]
         if rows:
-            head = "| number | text, error class | usual cause | remedy | steps | grip |"
-            parts += [f"## {hundred}xx: {heading}\n", head, "|---|---|---|---|---|---|", *rows, ""]
+            head = "| number | text, error class | usual cause | remedy | way | grip |"
+            parts += [f"### {hundred}xx: {heading}\n", head, "|---|---|---|---|---|---|", *rows, ""]
     return "\n".join(parts)
+
+
+def _lines(words: dict[str, str]) -> str:
+    return "\n".join(f"| {short} | {text} |" for text, short in words.items())

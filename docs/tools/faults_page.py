@@ -1,12 +1,19 @@
 """The reference of simulated faults, made from the simulator's vocabulary."""
 
-from cell.simulation import fault_table
+from simulator.faults.entry import FaultEntry, Number
+from simulator.faults.injector import VOCABULARY
 
 
 def faults_page() -> str:
-    """Return a table of every fault that can be injected."""
+    """Return a table of every fault that can be injected: name, value by default, effect."""
     rows = (
-        f"| `{name}` | {kind} | {value or 'none'} | {meaning} |"
-        for name, kind, value, meaning in fault_table()
+        f"| `{entry.name}`{' *' if entry.moment else ''} | {_value(entry)} | {entry.meaning} |"
+        for entry in VOCABULARY.values()
     )
-    return "\n".join(("| name | kind | value | what happens |\n| --- | --- | --- | --- |", *rows))
+    return "\n".join(("| name | value | what happens |\n| --- | --- | --- |", *rows))
+
+
+def _value(entry: FaultEntry) -> str:
+    if isinstance(entry.value, Number):
+        return f"{entry.value.default:g} {entry.value.unit}"
+    return entry.value.text.replace(", default ", " ") if entry.value else ""

@@ -103,7 +103,7 @@ def states_page() -> str:
             "## States of the cell\n",
             _states(),
             "## Commands\n",
-            "The table has the result of each command without a fault; other commands are refused.",
+            "The table has the result of each command without a fault; others are refused.",
             "A `cancel` without a running grasp applies to the next start or grasp; a release",
             "withdraws it. In CLEARING and STOPPING it stops a `release_held`. An identification",
             "that keeps the part goes from EXECUTE to COMPLETE. Any fault leads to ABORTING.\n",
