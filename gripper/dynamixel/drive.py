@@ -9,9 +9,10 @@ force of the pads; only ``kt_nm_a`` does not depend on the pads.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import exp, inf, isclose, log, sqrt
 from statistics import fmean
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from gripper.dynamixel.models import KT_SD, ServoModel
 from gripper.errors import LimitExceeded
@@ -32,7 +33,7 @@ _MEASURED_FRICTION_SD, _MEASURED_LOAD_SD = 0.1, 0.02
 """The same within a day, once both were measured. [assumed]"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class DriveCharacteristic:
     """Relation of current, torque and motion of one servo, with its uncertainty.
 
@@ -142,17 +143,17 @@ class DriveCharacteristic:
         """Friction at rest under a load over that of free motion."""
         return self.breakaway_a / (self.coulomb_a + self.stribeck_a)
 
-    @property
+    @cached_property
     def least_breakaway_a(self) -> float:
         """Least plausible friction at rest in A."""
         return self.breakaway_a * exp(-SIGMAS * self.friction_sd)
 
-    @property
+    @cached_property
     def most_breakaway_a(self) -> float:
         """Largest plausible friction at rest in A."""
         return self.breakaway_a * exp(SIGMAS * self.friction_sd)
 
-    @property
+    @cached_property
     def most_torque_nm_a(self) -> float:
         """Largest plausible torque for current in N m / A: the pads may be weak."""
         return max(exp(SIGMAS * self.load_sd) / self.rising_a_nm, self.kt_nm_a)
@@ -209,6 +210,8 @@ class Drives:
 
     def __init__(self, newest: Mapping[int, DriveCharacteristic] | None = None) -> None:
         self._newest = dict(newest or {})
+        self.kept: dict[str, Any] = {}
+        """Values of these drives at the last angles, each with what it was computed of."""
         self.stiction = 1.5
         """Friction at rest over that in motion, as the pushes of the force law have shown it. At
         first that of an XM430, 1.3 to 1.8. [log]"""
@@ -225,6 +228,7 @@ class Drives:
     def put(self, servo_id: int, drive: DriveCharacteristic) -> None:
         """Replace that of a servo."""
         self._newest[servo_id] = drive
+        self.kept.clear()
 
 
 class DriveReport(NamedTuple):

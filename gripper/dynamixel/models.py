@@ -4,7 +4,7 @@ Source: ROBOTIS e-Manual, pages of each model, sections "Specifications" and "Co
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from enum import IntEnum
 from functools import cache
@@ -46,6 +46,8 @@ class ServoModel:
     current (Rhoban/bam, thread 14). Everywhere else in this package amperes are the winding's."""
     pulses_per_turn: int = 4096
     """Counts of the position items in one turn."""
+    rad_per_pulse: float = field(init=False)
+    """Angle in rad of one count of the position items."""
     goal_range_raw: tuple[int, int] = (-1_048_575, 1_048_575)
     """Least and largest Goal Position (register 116) in current-based position mode."""
     goal_velocity_raw: int = 0
@@ -111,6 +113,9 @@ class ServoModel:
     impact of an approach follows from it."""
     torque_source: str
     """Source of kt and friction."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rad_per_pulse", tau / self.pulses_per_turn)
 
     def current_raw(
         self, winding_a: float, supply_v: float | None = None, against_rad_s: float = 0.0
@@ -182,11 +187,6 @@ class ServoModel:
     def turns(self) -> bool:
         """Whether the model may turn by more than a whole turn."""
         return self.goal_range_raw[1] - self.goal_range_raw[0] > self.pulses_per_turn
-
-    @property
-    def rad_per_pulse(self) -> float:
-        """Angle in rad of one count of the position items."""
-        return tau / self.pulses_per_turn
 
     @property
     def factory_defaults(self) -> Mapping[str, int]:

@@ -84,6 +84,11 @@ def impact_limit(
         Angle of each servo in rad; None for the worse end of the way between ``aperture_open_m``
         and ``aperture_min_m``.
     """
+    # Settings are compared by identity, which is enough and quick.
+    key = (id(settings), linkage, angles_rad and tuple(angles_rad))
+    kept: tuple[object, GripperSettings, ImpactLimit] | None = settings.drives.kept.get("impact")
+    if kept is not None and kept[0] == key:
+        return kept[2]
     ends_m = (settings.aperture_open_m, settings.aperture_min_m)
     ways = [linkage.angles_rad(end_m) for end_m in ends_m] if angles_rad is None else [angles_rad]
     drive_n = mass_kg = load_share = 0.0
@@ -103,13 +108,15 @@ def impact_limit(
             # By virtual work a servo that drives both fingers has half its mass at each pad.
             mass_kg = max(mass_kg, fingers * inertia_kg_m2 / path.radius_m**2)
     stiffness_n_m = max(settings.pad_stiffness_n_m, settings.force_max_n / _SMALL_PART_M)
-    return ImpactLimit(
+    limit = ImpactLimit(
         most_n=most_peak_n(settings),
         drive_n=drive_n,
         mass_kg=mass_kg,
         momentum_n_s_m=sqrt(stiffness_n_m * mass_kg),
         load_share=load_share,
     )
+    settings.drives.kept["impact"] = key, settings, limit
+    return limit
 
 
 def most_peak_n(settings: GripperSettings) -> float:

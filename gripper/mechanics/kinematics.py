@@ -6,6 +6,7 @@ normal force on one finger; in equilibrium both fingers carry the same force.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import asin, cos, hypot, pi, sin
 from typing import NamedTuple, Protocol
 
@@ -184,7 +185,14 @@ def _check_n_servos(n_servos: int) -> None:
         raise LimitExceeded(f"n_servos is {n_servos}, must be 1 or 2")
 
 
-class Transmission(NamedTuple):
+class _Path(NamedTuple):
+    drive: DriveCharacteristic
+    """Drive of the servo."""
+    radius_m: float
+    """Torque of the servo for a grip force of 1 N, in N m / N."""
+
+
+class Transmission(_Path):
     """Relation of servo current and grip force at one position, with the friction of the gearing.
 
     The torque at rest may lie anywhere in a band: the motor works against friction while the force
@@ -192,17 +200,12 @@ class Transmission(NamedTuple):
     make of a rising load without friction.
     """
 
-    drive: DriveCharacteristic
-    """Drive of the servo."""
-    radius_m: float
-    """Torque of the servo for a grip force of 1 N, in N m / N."""
-
-    @property
+    @cached_property
     def n_per_a(self) -> float:
         """Driving force in N for 1 A."""
         return 1.0 / (self.drive.rising_a_nm * self.radius_m)
 
-    @property
+    @cached_property
     def friction_n(self) -> float:
         """Half the width of the friction band without a load, as grip force in N."""
         return self.drive.breakaway_a * self.n_per_a
@@ -254,14 +257,20 @@ class Transmission(NamedTuple):
 def transmissions(
     settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float]
 ) -> tuple[Transmission, ...]:
-    """Return the transmission of each servo at its angle."""
-    return tuple(
-        Transmission(
-            settings.drives.of(servo.servo_id, servo.drive),
-            linkage.effective_radius_m(angle_rad),
-        )
+    """Return the transmission of each servo at its angle.
+
+    A period of the loop asks for those of its feedback several times: the last ones are kept.
+    """
+    drives, key = settings.drives, (settings.servos, linkage, tuple(angles_rad))
+    kept: tuple[object, tuple[Transmission, ...]] | None = drives.kept.get("transmissions")
+    if kept is not None and kept[0] == key:
+        return kept[1]
+    paths = tuple(
+        Transmission(drives.of(servo.servo_id, servo.drive), linkage.effective_radius_m(angle_rad))
         for servo, angle_rad in zip(settings.servos, angles_rad, strict=True)
     )
+    drives.kept["transmissions"] = key, paths
+    return paths
 
 
 def end_transmissions(settings: GripperSettings, linkage: Linkage) -> list[Transmission]:

@@ -280,16 +280,20 @@ class GoalGuard:
 
         The allowance falls with the number of samples: a large excess shows in the first sample.
         """
-        settings = self._settings
+        settings, n_samples = self._settings, len(self._forces)
         first_n = second_n = variance_n2 = 0.0
-        most_n = -inf
-        for n, sample in enumerate(self._forces, 1):
+        most_n, n = -inf, 0
+        for sample in self._forces:
+            n += 1
             first_n += sample.force_n[0]
             second_n += sample.force_n[1]
             variance_n2 += sample.noise_n**2
-            few = n < len(self._forces)
+            larger_n = first_n if first_n > second_n else second_n
+            if larger_n / n <= most_n:
+                continue
+            few = n < n_samples
             times = min(_SINGLE_SAMPLE, sqrt(variance_n2) / n / QUIET_N) if few else 1.0
-            most_n = max(most_n, max(first_n, second_n) / n - times * settings.force_noise_n)
+            most_n = max(most_n, larger_n / n - times * settings.force_noise_n)
         return most_n - settings.force_max_n
 
     def _check_goal(self, index: int, goal: ServoGoal, state: ServoFeedback) -> None:
@@ -408,7 +412,7 @@ class GoalWriter:
         """
         self.asked = tuple(goals)
         goals = [
-            replace(goal, current_a=min(goal.current_a, servo.limit_a))
+            goal if goal.current_a <= servo.limit_a else replace(goal, current_a=servo.limit_a)
             for goal, servo in zip(goals, state.servos, strict=True)
         ]
         goals = self._guard.bounded(goals, state, final=final)

@@ -83,16 +83,23 @@ class ServoMotion:
     def _foretold(self, line: list[tuple[int, float]]) -> bool:
         """Return whether a line through all but the newest positions leads to these."""
         middle_ms, middle_rad, rate = _fit(line[:-_NEWEST])
-        return all(
-            abs(rad - middle_rad - rate * (t_ms - middle_ms)) <= self._unsure_rad
-            for t_ms, rad in line
-        )
+        unsure_rad = self._unsure_rad
+        for t_ms, rad in line:
+            if not -unsure_rad <= rad - middle_rad - rate * (t_ms - middle_ms) <= unsure_rad:
+                return False
+        return True
 
 
 def _fit(line: list[tuple[int, float]]) -> tuple[float, float, float]:
     """Return the means of time in ms and angle in rad, and the slope in rad/ms."""
-    middle_ms = sum(t_ms for t_ms, _ in line) / len(line)
-    middle_rad = sum(rad for _, rad in line) / len(line)
-    spread_ms2 = sum((t_ms - middle_ms) ** 2 for t_ms, _ in line)
-    rate = sum((t_ms - middle_ms) * rad for t_ms, rad in line) / spread_ms2
-    return middle_ms, middle_rad, rate
+    middle_ms = middle_rad = spread_ms2 = rate = 0.0
+    for t_ms, rad in line:
+        middle_ms += t_ms
+        middle_rad += rad
+    middle_ms /= len(line)
+    middle_rad /= len(line)
+    for t_ms, rad in line:
+        off_ms = t_ms - middle_ms
+        spread_ms2 += off_ms * off_ms
+        rate += off_ms * rad
+    return middle_ms, middle_rad, rate / spread_ms2

@@ -103,10 +103,10 @@ class RecentForce:
         samples.append(sample)
         variance_n2 = sum([one.noise_n**2 for one in samples])
         replaced: list[ForceSample] = []
-        while len(samples) > 1:
+        for left in range(len(samples) - 1, 0, -1):
             variance_n2 -= samples[0].noise_n ** 2
-            enough = variance_n2 <= (self._noise_n * (len(samples) - 1)) ** 2
-            old = sample.t_s - samples[0].t_s > self._longest_s and len(samples) > self._least
+            enough = variance_n2 <= (self._noise_n * left) ** 2
+            old = sample.t_s - samples[0].t_s > self._longest_s and left >= self._least
             if not enough and not old:
                 break
             replaced.append(samples.popleft())
