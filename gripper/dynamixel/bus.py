@@ -10,7 +10,7 @@ older answer of this servo is pending.
 
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 
 from gripper.clock import Clock
@@ -71,8 +71,8 @@ _LATE_GUARD_S = 0.05
 _LONGEST_QUIET_WAIT = 10.0
 """Longest wait for a quiet line, in multiples of `_LATE_GUARD_S`: longer than all pending answers
 take, so that only a line that never becomes quiet reaches it."""
-_SLOT_MS = 3.0
-"""Time in ms that a servo may take for its answer to a broadcast ping, for each ID."""
+_SLOT_S = 0.003
+"""Time in s that a servo may take for its answer to a broadcast ping, for each ID."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,7 +146,8 @@ class ServoBus:
         self._period_s = period_s
         self._lock_timeout_s = lock_timeout_s
         self._handler = CheckedPacketHandler()
-        self._policy = BETWEEN_COMMANDS
+        self.policy = BETWEEN_COMMANDS
+        """Treatment of late and lost answers."""
         self._suspect = False
         self._suspect_since_s = 0.0
         self._quiet_since_s: float | None = None
@@ -174,7 +175,7 @@ class ServoBus:
 
         Part of every time-out.
         """
-        return float(self._port.return_delay_s)
+        return self._port.return_delay_s
 
     @return_delay_s.setter
     def return_delay_s(self, delay_s: float) -> None:
@@ -193,19 +194,14 @@ class ServoBus:
         """Return how many answers of a servo were lost in a row."""
         return self._misses.get(servo_id, 0)
 
-    @contextmanager
-    def in_loop(self) -> Iterator[None]:
+    def in_loop(self) -> AbstractContextManager[None]:
         """Limit each transaction in the block to the time that a period of the loop allows.
 
         Outside the block a retry waits for ``_LATE_GUARD_S``: at a start or between commands a slow
         answer is no fault. Within it a sync read does not wait for a quiet line: its caller also
         reads Realtime Tick (register 120), which shows an old answer.
         """
-        before, self._policy = self._policy, IN_LOOP
-        try:
-            yield
-        finally:
-            self._policy = before
+        return _InLoop(self)
 
     def alert(self, servo_id: int) -> bool:
         """Return whether the last answer of a servo had the Alert bit: register 70 is not zero."""
@@ -239,13 +235,14 @@ class ServoBus:
         damaged = False
         with self.exclusive():
             self._handler.send(self._port, BROADCAST_ID, Instruction.PING, b"")
-            self._port.setPacketTimeout((STATUS_OVERHEAD + PING_SIZE) * (HIGHEST_ID + 1))
-            self._port.packet_timeout += _SLOT_MS * HIGHEST_ID
+            wire_s = 10.0 / self.baudrate * (STATUS_OVERHEAD + PING_SIZE) * (HIGHEST_ID + 1)
+            slots_s = _SLOT_S * HIGHEST_ID
+            self._port.start_timeout(wire_s + slots_s + self._port.allowance_s)
             while (status := self._handler.receive(self._port)) is not None:
-                damaged |= self._handler.dropped_bytes > 0 or len(status.data) != PING_SIZE
+                damaged |= bool(self._handler.dropped) or len(status.data) != PING_SIZE
                 if len(status.data) == PING_SIZE:
                     found.append(self._identity(status))
-            damaged |= self._handler.dropped_bytes > 0
+            damaged |= bool(self._handler.dropped)
             self._mark_suspect()
         return tuple(found), damaged
 
@@ -368,8 +365,11 @@ class ServoBus:
             check_id(servo_id)
             params += bytes((servo_id,)) + block.encode(raws)
         # No servo answers: a late answer does no harm.
-        with self.exclusive(Precaution.NONE):
+        self._begin(Precaution.NONE)
+        try:
             self._handler.send(self._port, BROADCAST_ID, Instruction.SYNC_WRITE, params)
+        finally:
+            self._end()
 
     def reboot(self, servo_id: int) -> None:
         """Restart a servo: torque off, RAM at its defaults; it lets a held part go.
@@ -390,11 +390,11 @@ class ServoBus:
         """Close the line; the servos keep their last goals, and transactions raise PortLost."""
         with self._lock:
             self._closed = True
-            self._port.closePort()
+            self._port.close()
 
     @contextmanager
-    def exclusive(self, precaution: Precaution = Precaution.QUIET) -> Iterator[None]:
-        """Hold the line for one transaction, after the precaution that a suspect line needs.
+    def exclusive(self) -> Iterator[None]:
+        """Hold the line for one transaction, after a suspect line has become quiet.
 
         Raises
         ------
@@ -405,6 +405,14 @@ class ServoBus:
         BusCorrupt
             When the line never becomes quiet.
         """
+        self._begin(Precaution.QUIET)
+        try:
+            yield
+        finally:
+            self._end()
+
+    def _begin(self, precaution: Precaution) -> None:
+        """Begin a transaction as `exclusive` does, after the precaution for a suspect line."""
         if not self._lock.acquire(timeout=self._lock_timeout_s):
             raise BusBusy(
                 f"another thread holds the servo bus for more than {self._lock_timeout_s} s"
@@ -417,10 +425,13 @@ class ServoBus:
                 self._wait_until_quiet()
             elif self._suspect and self._clock.monotonic() - self._suspect_since_s > _LATE_GUARD_S:
                 self._mark_clean()
-            yield
-        finally:
-            self._port.is_using = False
-            self._lock.release()
+        except BaseException:
+            self._end()
+            raise
+
+    def _end(self) -> None:
+        self._port.is_using = False
+        self._lock.release()
 
     def _address(self, servo_id: int, what: Register | RegisterBlock) -> int:
         """Return the address of an item or a block in the control table of a servo's model."""
@@ -448,14 +459,16 @@ class ServoBus:
         quiet. Raises ServoRejected when the servo refuses.
         """
         check_id(request.servo_id)
-        policy = self._policy
-        with self.exclusive(policy.before_one):
-            try:
-                if self._suspect and policy.before_one is Precaution.PING:
-                    self._ping(request.servo_id)
-                status = accepted(self._exchange(request))
-            except NoAnswerError as failure:
-                status = self._retry(request, failure)
+        policy = self.policy
+        self._begin(policy.before_one)
+        try:
+            if self._suspect and policy.before_one is Precaution.PING:
+                self._ping(request.servo_id)
+            status = accepted(self._exchange(request))
+        except NoAnswerError as failure:
+            status = self._retry(request, failure)
+        finally:
+            self._end()
         return checked(status, request.action)
 
     def _ask_all(
@@ -470,19 +483,22 @@ class ServoBus:
         """
         for servo_id in ids:
             check_id(servo_id)
-        policy, precaution = self._policy, self._policy.before_several
+        policy, precaution = self.policy, self.policy.before_several
         if not policy.patient:
             ids = sorted(ids, key=self.misses)
         if min(map(self.misses, ids)) >= _ALL_SILENT_MISSES:
             # Requests must not accumulate at a slow machine.
             precaution = Precaution.QUIET
-        with self.exclusive(precaution):
+        self._begin(precaution)
+        try:
             deadline_s = None if policy.patient else self._clock.monotonic() + self._period_s
             found, failure = self._sync_read(ids, params, size)
             for servo_id in ids:
                 if servo_id not in found:
                     request = Request(servo_id, Instruction.READ, size, action, params)
                     found[servo_id] = self._retry(request, failure, deadline_s)
+        finally:
+            self._end()
         return {servo_id: checked(found[servo_id], action) for servo_id in ids}
 
     def _ask_once(self, request: Request, *, patient: bool = False) -> tuple[StatusPacket, float]:
@@ -510,14 +526,14 @@ class ServoBus:
     ) -> StatusPacket:
         """Repeat a request after a ping, as often as the policy allows; raise without an answer."""
         pings = 0
-        for _ in range(self._policy.repetitions):
+        for _ in range(self.policy.repetitions):
             with suppress(NoAnswerError):
                 self._ping(request.servo_id, deadline_s)
                 pings += 1
                 self._counts["retries"] += 1
-                return accepted(self._exchange(request, patient=self._policy.patient))
+                return accepted(self._exchange(request, patient=self.policy.patient))
         # In the loop, with one repetition, noise does the same.
-        pinged = self._policy.patient and pings == self._policy.repetitions
+        pinged = self.policy.patient and pings == self.policy.repetitions
         raise self._given_up(failure, request, pinged=pinged) from None
 
     def _given_up(
@@ -535,8 +551,8 @@ class ServoBus:
         """
         if deadline_s is not None and self._clock.monotonic() >= deadline_s:
             raise NoAnswerError(damaged=False)
-        self._exchange(ping_request(servo_id), patient=self._policy.patient)
-        if self._policy.patient and self._outstanding > 0:
+        self._exchange(ping_request(servo_id), patient=self.policy.patient)
+        if self.policy.patient and self._outstanding > 0:
             self._wait_until_quiet()
         self._outstanding = 0
 
@@ -563,17 +579,17 @@ class ServoBus:
     def _receive(self, servo_id: int, size: int, *, patient: bool = False) -> StatusPacket:
         """Return the next correct answer; drop damaged, late and foreign ones."""
         if patient:
-            self._port.setPacketTimeoutMillis(1000.0 * _LATE_GUARD_S)
+            self._port.start_timeout(_LATE_GUARD_S)
         else:
             self._port.setPacketTimeout(STATUS_OVERHEAD + size)
         damaged = False
         while True:
             status = self._handler.receive(self._port)
-            self._heard.add(self._handler)
+            self._heard.add(self._handler.dropped)
             if status is None:
                 self._outstanding += 1
                 self._misses[servo_id] = self.misses(servo_id) + 1
-                damaged |= self._handler.dropped_bytes > 0
+                damaged |= bool(self._handler.dropped)
                 self._counts["corrupt" if damaged else "timeouts"] += 1
                 raise NoAnswerError(damaged)
             if status.servo_id != servo_id:
@@ -586,7 +602,7 @@ class ServoBus:
                 self._counts["late"] += 1
                 self._heard.add_packet()
             else:
-                self._counts["corrupt"] += self._handler.dropped_bytes > 0
+                self._counts["corrupt"] += bool(self._handler.dropped)
                 self._misses[servo_id] = 0
                 self._heard.forget()
                 (self.alerts.add if status.alert else self.alerts.discard)(servo_id)
@@ -605,21 +621,21 @@ class ServoBus:
         now_s = self._clock.monotonic()
         if self._quiet_since_s is None:
             self._quiet_since_s = now_s
-        patience_s = _LONGEST_QUIET_WAIT * _LATE_GUARD_S if self._policy.patient else 0.0
+        patience_s = _LONGEST_QUIET_WAIT * _LATE_GUARD_S if self.policy.patient else 0.0
         deadline_s = now_s + patience_s
         while self._outstanding > 0:
             left_s = self._quiet_since_s + _LATE_GUARD_S - now_s
             if left_s <= 0.0:
                 break
-            self._port.setPacketTimeoutMillis(1000.0 * min(left_s, max(0.0, deadline_s - now_s)))
+            self._port.start_timeout(min(left_s, max(0.0, deadline_s - now_s)))
             status = self._handler.receive(self._port)
-            self._heard.add(self._handler)
+            self._heard.add(self._handler.dropped)
             now_s = self._clock.monotonic()
             if status is not None:
                 self._outstanding -= 1
                 self._counts["late"] += 1
                 self._heard.add_packet()
-            if status is not None or self._handler.dropped_bytes:
+            if status is not None or self._handler.dropped:
                 self._quiet_since_s = now_s
             if self._outstanding > 0 and now_s >= deadline_s:
                 self._suspect_since_s = now_s
@@ -636,6 +652,19 @@ class ServoBus:
             f"sends on the line, or it picks up noise: disconnect other hosts, check cable, "
             f"ground, termination and baud rate"
         )
+
+
+class _InLoop:
+    """Transactions of a period."""
+
+    def __init__(self, bus: ServoBus) -> None:
+        self._bus = bus
+
+    def __enter__(self) -> None:
+        self._before, self._bus.policy = self._bus.policy, IN_LOOP
+
+    def __exit__(self, *_error: object) -> None:
+        self._bus.policy = self._before
 
 
 def _words(*values: int) -> bytes:

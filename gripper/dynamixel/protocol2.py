@@ -1,7 +1,8 @@
-"""DYNAMIXEL Protocol 2.0: packets as pure functions, and the SDK's packet handler made strict.
+"""DYNAMIXEL Protocol 2.0: the packet handler of the SDK, with its stuffing corrected.
 
-Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". The SDK computes length and CRC before byte
-stuffing; here both cover the stuffed bytes, and the CRC is checked before a packet is unstuffed.
+Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". The SDK builds and finds the packets. Its own
+methods send a packet without its stuffing, lose a byte of a packet that is stuffed twice, and drop
+all bytes of a damaged packet, also those of a whole one behind it.
 """
 
 from collections.abc import Sequence
@@ -13,32 +14,21 @@ from dynamixel_sdk import COMM_PORT_BUSY, COMM_SUCCESS, Protocol2PacketHandler
 from gripper.dynamixel.serial_port import SdkPort
 from gripper.errors import BusBusy
 
-HEADER = b"\xff\xff\xfd"
-"""First bytes of every packet; inside a packet they are stuffed."""
-STATUS_INSTRUCTION = 0x55
-"""Instruction byte of a status packet."""
 ALERT_BIT = 0x80
 """Bit of the error byte that is set while Hardware Error Status (register 70) is not zero."""
 STATUS_OVERHEAD = 11
 """Bytes of a status packet without its parameters."""
 
-_START = HEADER + b"\x00"
-"""Header and reserved byte."""
+_HEADER = b"\xff\xff\xfd"
+"""First bytes of every packet."""
+_STUFFED = _HEADER + b"\xfd"
+"""The same bytes inside a packet."""
 _ID_AT, _LENGTH_AT, _BODY_AT = 4, 5, 7
 """Offsets of ID, length (2 bytes) and instruction in a packet."""
-_HIGHEST_ID_BYTE = 0xFE
-"""Highest content of the ID byte: the broadcast ID."""
 _CRC_SIZE = 2
 """Bytes of the CRC at the end of a packet."""
-_LONGEST_LENGTH = 1024
-"""Longest accepted length field. The answers here are below 300 bytes, and a damaged length must
-not hide the next packet."""
-_READ_AHEAD = 256
-"""Bytes per read: answers that arrived together are read together."""
 _CRC_TABLE = tuple(Protocol2PacketHandler().updateCRC(0, (byte,), 1) for byte in range(256))
-"""The SDK's own table; its method calculates it again with every call."""
-_SHOWN_BYTES = 16
-"""Dropped bytes kept for an error message: a header and the following bytes."""
+"""The SDK's own table; its method makes it again with every call."""
 
 
 class Instruction(IntEnum):
@@ -65,113 +55,56 @@ class StatusPacket(NamedTuple):
     """Parameters, unstuffed."""
 
 
-def stuff(body: bytes) -> bytes:
-    """Insert FD after every FF FF FD of an instruction and its parameters."""
-    return body.replace(HEADER, HEADER + b"\xfd")
-
-
-def unstuff(body: bytes) -> bytes:
-    """Remove the FD after every FF FF FD; the inverse of `stuff`."""
-    return body.replace(HEADER + b"\xfd", HEADER)
-
-
-def packet_length(buffer: bytes | bytearray) -> int | None:
-    """Return the whole length of the packet at the start of ``buffer``.
-
-    None while too few bytes are there; 0 when no status packet can start here.
-    """
-    there = len(buffer)
-    if buffer[:_ID_AT] != _START[:there]:
-        return 0
-    if there > _ID_AT and buffer[_ID_AT] > _HIGHEST_ID_BYTE:
-        return 0
-    if there < _BODY_AT:
-        return None
-    length = buffer[_LENGTH_AT] | buffer[_LENGTH_AT + 1] << 8
-    if not STATUS_OVERHEAD - _BODY_AT <= length <= _LONGEST_LENGTH:
-        return 0
-    return _BODY_AT + length
-
-
-def parse_status(packet: bytes) -> StatusPacket | None:
-    """Return the content of a whole packet; None for an instruction (an echo of a request)."""
-    body = unstuff(packet[_BODY_AT:-_CRC_SIZE])
-    if len(body) < 2 or body[0] != STATUS_INSTRUCTION:
-        return None
-    error = body[1]
-    return StatusPacket(
-        servo_id=packet[_ID_AT],
-        error=error & ~ALERT_BIT & 0xFF,
-        alert=bool(error & ALERT_BIT),
-        data=body[2:],
-    )
-
-
 class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
-    """The SDK's Protocol 2.0 with byte stuffing that reaches the wire and a strict receiver.
-
-    The receiver starts again at the next header after damaged bytes.
-    """
+    """The SDK's Protocol 2.0 with byte stuffing that reaches the wire."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.dropped_bytes = 0
-        self.dropped_head = b""
-        """Number and first bytes of the data that the last `receive` dropped."""
-        self._following = bytearray()
+        self.dropped = b""
+        """Bytes that the last `receive` dropped."""
+        self._whole = 0
+
+    def send(self, port: SdkPort, servo_id: int, instruction: int, params: bytes) -> None:
+        """Send one instruction packet; BusBusy while the port waits for another answer."""
+        high, low = divmod(len(params) + 1 + _CRC_SIZE, 256)
+        packet = [0, 0, 0, 0, servo_id, low, high, instruction, *params, 0, 0]
+        if self.txPacket(port, packet) == COMM_PORT_BUSY:
+            raise BusBusy("the SDK's port is still in use by another transaction")
 
     def receive(self, port: SdkPort) -> StatusPacket | None:
         """Return the next status packet with a correct CRC; None at the port's time-out.
 
-        If bytes arrive without a pause, the wait ends one longest packet after the time-out. Bytes
-        that arrived while the program was stopped are still read once.
+        After damaged bytes it starts again at the next possible header.
         """
-        looked_late = port.is_using = False
-        self.dropped_bytes, self.dropped_head = 0, b""
-        # More bytes than one packet may have been read: they contain the next one.
-        buffer, self._following = self._following, bytearray()
+        port.passed.clear()
         while True:
-            missing = self._missing(buffer)
-            if missing == 0:
-                whole = packet_length(buffer) or 0
-                packet = bytes(buffer[:whole])
-                status = parse_status(packet) if self._crc_is_right(packet) else None
-                if status is not None:
-                    self._following = buffer[whole:]
-                    return status
-                self._skip(buffer)
-                continue
-            chatter = looked_late and port.is_overdue(_BODY_AT + _LONGEST_LENGTH)
-            looked_late = looked_late or port.isPacketTimeout()
-            data = b"" if chatter else port.readPort(max(missing, _READ_AHEAD))
-            buffer += data
-            if not data and port.isPacketTimeout():
-                if not buffer:
-                    return None
-                # A damaged length may hide a whole packet further on.
-                self._skip(buffer)
+            packet, result = self.rxPacket(port, False)
+            if result == COMM_SUCCESS and self._whole >= STATUS_OVERHEAD:
+                self.dropped = bytes(port.passed[: -self._whole])
+                error, data = packet[_BODY_AT + 1], packet[_BODY_AT + 2 : -_CRC_SIZE]
+                alert = error >= ALERT_BIT
+                return StatusPacket(packet[_ID_AT], error % ALERT_BIT, alert, bytes(data))
+            if not packet:
+                self.dropped = bytes(port.passed)
+                return None
+            # A damaged length may hide a whole packet further on.
+            following = bytes(packet).find(_HEADER[0], 1)
+            port.unread(len(packet) - following if following > 0 else 0)
 
-    def txPacket(self, port: SdkPort, txpacket: Sequence[int]) -> int:  # noqa: N802
-        """Send a packet after its header, length and CRC are filled in."""
-        params = bytes(txpacket[_BODY_AT + 1 : -_CRC_SIZE])
-        try:
-            self.send(port, txpacket[_ID_AT], txpacket[_BODY_AT], params)
-        except BusBusy:
-            return int(COMM_PORT_BUSY)
-        return int(COMM_SUCCESS)
+    def addStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
+        """Insert FD after every FF FF FD of a packet, in place."""
+        body = bytes(packet[_BODY_AT:-_CRC_SIZE])
+        if _HEADER in body:
+            _change(packet, body.replace(_HEADER, _STUFFED))
+        return packet
 
-    def send(self, port: SdkPort, servo_id: int, instruction: int, params: bytes) -> None:
-        """Send one instruction packet; BusBusy while the port waits for another answer."""
-        if port.is_using:
-            raise BusBusy("the SDK's port is still in use by another transaction")
-        port.is_using = True
-        body = stuff(bytes((instruction,)) + params)
-        length = (len(body) + _CRC_SIZE).to_bytes(2, "little")
-        packet = _START + bytes((servo_id,)) + length + body
-        packet += self.updateCRC(0, packet, len(packet)).to_bytes(_CRC_SIZE, "little")
-        self._following.clear()
-        port.clearPort()
-        port.writePort(packet)
+    def removeStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
+        """Remove the FD after every FF FF FD of a packet, in place."""
+        self._whole = _BODY_AT + packet[_LENGTH_AT] + 256 * packet[_LENGTH_AT + 1]
+        body = bytes(packet[_BODY_AT:-_CRC_SIZE])
+        if _STUFFED in body:
+            _change(packet, body.replace(_STUFFED, _HEADER))
+        return packet
 
     def updateCRC(  # noqa: N802
         self, crc_accum: int, data_blk_ptr: Sequence[int], data_blk_size: int
@@ -182,24 +115,9 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
             crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
         return crc
 
-    def _missing(self, buffer: bytearray) -> int:
-        """Return the number of missing bytes of the first packet; drops bytes before it."""
-        while True:
-            whole = packet_length(buffer)
-            if whole == 0:
-                self._skip(buffer)
-                continue
-            return max(0, (whole or STATUS_OVERHEAD) - len(buffer))
 
-    def _skip(self, buffer: bytearray) -> None:
-        """Drop bytes up to the next possible header."""
-        following = buffer.find(HEADER[0], 1)
-        count = following if following > 0 else len(buffer)
-        self.dropped_bytes += count
-        if len(self.dropped_head) < _SHOWN_BYTES:
-            self.dropped_head = (self.dropped_head + bytes(buffer[:count]))[:_SHOWN_BYTES]
-        del buffer[:count]
-
-    def _crc_is_right(self, packet: bytes) -> bool:
-        crc = self.updateCRC(0, packet, len(packet) - _CRC_SIZE)
-        return bool(crc == int.from_bytes(packet[-_CRC_SIZE:], "little"))
+def _change(packet: list[int], body: bytes) -> None:
+    """Replace instruction and parameters of a packet."""
+    packet[_BODY_AT:-_CRC_SIZE] = body
+    length = len(body) + _CRC_SIZE
+    packet[_LENGTH_AT:_BODY_AT] = length.to_bytes(2, "little")

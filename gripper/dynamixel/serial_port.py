@@ -1,4 +1,4 @@
-"""Serial port of the servo bus: a stream of bytes, its lock file, and the SDK's port on it.
+"""Serial port of the servo bus: a stream of bytes, its lock file, and a port for the SDK.
 
 A read blocks until a byte arrives; the SDK's own port polls.
 """
@@ -11,23 +11,29 @@ import select
 import tempfile
 import termios
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Protocol
+from typing import ParamSpec, Protocol, TypeVar
 
 import serial
-from dynamixel_sdk import PortHandler
 from serial.tools import list_ports
 
 from gripper.clock import Clock
 from gripper.dynamixel.control_table import BAUD_CODES
 from gripper.errors import LimitExceeded, PortLost
 
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
 _WRITE_TIMEOUT_S = 0.1
 """Longest time in s for which a port may take no byte: 10,000 bytes at 1 Mbit/s."""
-_TIMER_GRAIN_MS = 1e-3
-"""Margin in ms by which a time-out ends early, for the rounding of floats."""
+_TIMER_GRAIN_S = 1e-6
+"""Margin in s by which a time-out ends early, for the rounding of floats."""
+_LONGEST_PACKET = 1031
+"""Bytes of the longest packet that the SDK accepts."""
+_READ_AHEAD = 256
+"""Bytes per read: answers that arrived together are read together."""
 _PORT_ERRORS = (serial.SerialException, OSError, termios.error)
 """Errors of pyserial and the operating system for a missing, used or lost port."""
 
@@ -211,11 +217,13 @@ def _opening_failed(path: str, error: Exception) -> str:
     )
 
 
-class SdkPort(PortHandler):  # type: ignore[misc]
-    """The SDK's port on any `ByteStream`, with blocking reads and monotonic time.
+class SdkPort:
+    """Port of the SDK's packet handler on any `ByteStream`, with blocking reads and monotonic time.
 
     The time-out of a packet is the time on the wire of request and answer, the return delay of
-    the servo and an allowance for adapter and operating system.
+    the servo and an allowance for adapter and operating system. Bytes that arrived while the
+    program was stopped are still read; if bytes arrive without a pause, reading ends one longest
+    packet after that.
 
     Parameters
     ----------
@@ -234,83 +242,78 @@ class SdkPort(PortHandler):  # type: ignore[misc]
         return_delay_s: float = 0.0005,
         allowance_s: float = 0.0015,
     ) -> None:
-        super().__init__("")
-        self._stream = stream
         self._clock = clock
-        self.baudrate = baudrate
-        self.tx_time_per_byte = 10_000.0 / baudrate
+        self._byte_s = 10.0 / baudrate
         self.return_delay_s = return_delay_s
         self.allowance_s = allowance_s
-        self.is_open = True
-        self.lost = False
-        self._unanswered_bytes = 0
+        self.passed = bytearray()
+        """Bytes that were read; the reader clears them."""
+        self.use(stream)
 
     def use(self, stream: ByteStream) -> None:
         """Replace a lost stream."""
         self._stream = stream
-        self.is_open, self.lost = True, False
+        self.is_using = self.lost = False
         self._unanswered_bytes = 0
+        self._ahead = b""
+        self._deadline_s = self._end_s = 0.0
 
-    def closePort(self) -> None:  # noqa: N802
+    def close(self) -> None:
         """Close the stream."""
-        self.is_open = False
-        self.is_using = False
         self._stream.close()
 
     def clearPort(self) -> None:  # noqa: N802
         """Forget what has arrived."""
-        with self._noting_loss():
-            self._stream.drop_input()
+        self._ahead = b""
+        self._on_line(self._stream.drop_input)
 
-    def writePort(self, packet: bytes) -> int:  # noqa: N802
+    def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
         """Send a packet and return its length."""
-        data = bytes(packet)
-        with self._noting_loss():
-            self._stream.write(data)
-        self._unanswered_bytes = len(data)
-        return len(data)
+        self._unanswered_bytes = len(packet)
+        self._on_line(self._stream.write, bytes(packet))
+        return len(packet)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         """Return up to ``length`` bytes, waiting no longer than the packet's time-out."""
-        left_ms = self.packet_timeout - self.getTimeSinceStart()
-        with self._noting_loss():
-            return self._stream.read(length, max(0.0, left_ms) / 1000.0)
+        if not self._ahead and length > 0:
+            now_s = self._clock.monotonic()
+            left_s = max(0.0, self._deadline_s - now_s)
+            if left_s <= 0.0:
+                self._end_s = self._end_s or now_s + _LONGEST_PACKET * self._byte_s
+                if now_s > self._end_s:
+                    return b""
+            self._ahead = self._on_line(self._stream.read, max(length, _READ_AHEAD), left_s)
+        data, self._ahead = self._ahead[: max(0, length)], self._ahead[max(0, length) :]
+        self.passed += data
+        return data
 
-    @contextmanager
-    def _noting_loss(self) -> Iterator[None]:
+    def unread(self, length: int) -> None:
+        """Let the last bytes be read again."""
+        if length:
+            self._ahead = bytes(self.passed[-length:]) + self._ahead
+            del self.passed[-length:]
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
+        """Start the time-out for an answer of that many bytes."""
+        wire_s = self._byte_s * (packet_length + self._unanswered_bytes)
+        self._unanswered_bytes = 0
+        self.start_timeout(wire_s + self.return_delay_s + self.allowance_s)
+
+    def start_timeout(self, duration_s: float) -> None:
+        """Start a time-out in s."""
+        self._deadline_s, self._end_s = self._clock.monotonic() + duration_s, 0.0
+
+    def isPacketTimeout(self) -> bool:  # noqa: N802
+        """Return whether the packet's time-out is over, and nothing is left to read."""
+        return not self._ahead and self._clock.monotonic() >= self._deadline_s - _TIMER_GRAIN_S
+
+    def _on_line(self, act: Callable[_P, _T], *args: _P.args, **named: _P.kwargs) -> _T:
+        """Use the stream, and note its loss."""
         try:
-            yield
+            return act(*args, **named)
         except PortLost:
             self.lost = True
             raise
         except OSError as error:
             self.lost = True
             raise PortLost(f"the servo line is lost: {error}") from error
-
-    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
-        """Start the time-out for an answer of that many bytes."""
-        wire_ms = self.tx_time_per_byte * (packet_length + self._unanswered_bytes)
-        self._unanswered_bytes = 0
-        self.setPacketTimeoutMillis(wire_ms + 1000.0 * (self.return_delay_s + self.allowance_s))
-
-    def setPacketTimeoutMillis(self, msec: float) -> None:  # noqa: N802
-        """Start a time-out in ms."""
-        self.packet_start_time = self.getCurrentTime()
-        self.packet_timeout = msec
-
-    def getCurrentTime(self) -> float:  # noqa: N802
-        """Return the monotonic time in ms."""
-        return self._clock.monotonic() * 1000.0
-
-    def getTimeSinceStart(self) -> float:  # noqa: N802
-        """Return the time since the start of the packet's time-out in ms."""
-        return self.getCurrentTime() - float(self.packet_start_time)
-
-    def isPacketTimeout(self) -> bool:  # noqa: N802
-        """Return whether the packet's time-out is over."""
-        return self.getTimeSinceStart() >= float(self.packet_timeout) - _TIMER_GRAIN_MS
-
-    def is_overdue(self, packet_length: int) -> bool:
-        """Return whether a packet that began before the time-out has had the time to end."""
-        wire_ms = self.tx_time_per_byte * packet_length
-        return self.getTimeSinceStart() >= float(self.packet_timeout) + wire_ms

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from gripper.dynamixel.protocol2 import CheckedPacketHandler, Instruction, StatusPacket
+from gripper.dynamixel.protocol2 import Instruction, StatusPacket
 from gripper.errors import AnswersOff, BusCorrupt, BusTimeout, LimitExceeded, ServoRejected
 
 BROADCAST_ID = 0xFE
@@ -119,10 +119,10 @@ class Heard:
             )
         return f"heard were {' and '.join(found) or 'no bytes'}"
 
-    def add(self, handler: CheckedPacketHandler) -> None:
-        """Add what the last `CheckedPacketHandler.receive` dropped."""
-        self._bytes += handler.dropped_bytes
-        self._head = (self._head + handler.dropped_head)[:_HEARD_BYTES]
+    def add(self, dropped: bytes) -> None:
+        """Add bytes that are no packet."""
+        self._bytes += len(dropped)
+        self._head = (self._head + dropped)[:_HEARD_BYTES]
 
     def add_packet(self) -> None:
         """Count a packet that answers no request."""

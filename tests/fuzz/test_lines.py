@@ -21,7 +21,7 @@ from gripper.dynamixel.control_table import (
     HOMING_OFFSET,
     VELOCITY_LIMIT,
 )
-from gripper.dynamixel.protocol2 import CheckedPacketHandler, StatusPacket, unstuff
+from gripper.dynamixel.protocol2 import CheckedPacketHandler, StatusPacket
 from gripper.dynamixel.serial_port import SdkPort
 from gripper.errors import GripperError
 from simulator.can.messages import BurstFormat, force_bytes
@@ -31,6 +31,7 @@ from simulator.servo.protocol2 import (
     crc16,
     encode_instruction,
     encode_status,
+    unstuff,
 )
 from tactile.can.bus import BulkSlcanBus
 from tactile.can.sdo_client import MAX_OBJECT_BYTES, ObjectAccess, PolledSdoClient
@@ -355,7 +356,7 @@ class Line:
             self.queue.popleft()
 
     def receive(self) -> StatusPacket | None:
-        self.port.setPacketTimeoutMillis(1.0)
+        self.port.start_timeout(0.001)
         return self.handler.receive(self.port)
 
 

@@ -314,13 +314,13 @@ def test_an_answer_that_came_while_the_program_stood_still_is_taken(
 ) -> None:
     """The machine gives the program no time between request and answer."""
     port = bus._port
-    start = port.setPacketTimeoutMillis
+    start = port.start_timeout
 
-    def stall(msec: float) -> None:
-        start(msec)
+    def stall(duration_s: float) -> None:
+        start(duration_s)
         clock.sleep(0.057)
 
-    monkeypatch.setattr(port, "setPacketTimeoutMillis", stall)
+    monkeypatch.setattr(port, "start_timeout", stall)
     for _ in range(3):
         script.expect(SYNC_132, (0.0002, IS_166), (0.0004, TWO_IS_2079))
         with bus.in_loop():

@@ -1,46 +1,48 @@
 import pytest
 from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
 
-from gripper.dynamixel.protocol2 import (
-    CheckedPacketHandler,
-    Instruction,
-    packet_length,
-    parse_status,
-)
+from gripper.dynamixel.protocol2 import CheckedPacketHandler, Instruction
+from gripper.dynamixel.serial_port import SdkPort
 from gripper.errors import BusBusy
+from simulator.servo.protocol2 import crc16
 
 
-def test_two_stuffed_places_lose_no_byte() -> None:
-    packet = bytes.fromhex("FFFFFD00010B005500FFFFFDFDFFFDFD5460")
-    status = parse_status(packet)
-    assert status.data == bytes.fromhex("FFFFFDFFFDFD")
+def with_crc(text: str) -> bytes:
+    start = bytes.fromhex(text)
+    return start + crc16(start).to_bytes(2, "little")
 
 
 @pytest.mark.parametrize(
-    ("buffer", "length"),
+    ("data", "found"),
     [
-        ("", None),
-        ("FFFF", None),
-        ("FFFFFD00010800", 15),
-        ("FFFFFDFD", 0),
-        ("AA", 0),
-        ("FFFFFD00FF", 0),
-        ("FFFFFD00010300", 0),
-        ("FFFFFD0001E803", 1007),
-        ("FFFFFD00010110", 0),
+        ("FFFFFD00010B005500FFFFFDFDFFFDFD5460", "fffffdfffdfd"),
+        ("FFFFFD0001040055", None),
+        ("FFFFFDFD", None),
+        ("AA", None),
+        ("FFFFFD0001E80355", None),
+        ("FFFFFD00010110", None),
+        (with_crc("FFFFFD0001030055").hex(), None),
     ],
 )
-def test_start_of_a_packet(buffer: str, length: int | None) -> None:
-    assert packet_length(bytes.fromhex(buffer)) == length
+def test_a_packet_is_found_whole_or_not_at_all(script, clock, data: str, found: str | None) -> None:
+    port, handler = SdkPort(script, clock), CheckedPacketHandler()
+    wire, good = bytes.fromhex(data), with_crc("FFFFFD00020500550077")
+    script.arriving = [(0.0, wire + good)]
+    port.start_timeout(0.001)
+    status = handler.receive(port)
+    if found is not None:
+        assert (status.servo_id, status.data.hex(), handler.dropped) == (1, found, b"")
+        status, wire = handler.receive(port), b""
+    assert (status.servo_id, status.data, handler.dropped) == (2, b"\x77", wire)
+    assert handler.receive(port) is None
 
 
 class Wire:
-    """A port that keeps what is written and plays back what is to be read."""
+    """A port that keeps what is written."""
 
-    def __init__(self, incoming: bytes = b"") -> None:
+    def __init__(self) -> None:
         self.is_using = False
         self.sent = b""
-        self.incoming = incoming
 
     def clearPort(self) -> None:  # noqa: N802
         pass
@@ -48,16 +50,6 @@ class Wire:
     def writePort(self, packet: bytes) -> int:  # noqa: N802
         self.sent += bytes(packet)
         return len(packet)
-
-    def readPort(self, length: int) -> bytes:  # noqa: N802
-        taken, self.incoming = self.incoming[:length], self.incoming[length:]
-        return taken
-
-    def isPacketTimeout(self) -> bool:  # noqa: N802
-        return not self.incoming
-
-    def is_overdue(self, packet_length: int) -> bool:
-        return False
 
 
 def test_the_sdk_itself_sends_the_stuffed_write_wrongly_and_ours_rightly() -> None:
