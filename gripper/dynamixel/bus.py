@@ -362,7 +362,6 @@ class ServoBus:
             raise LimitExceeded(f"{block}: not all are writable")
         params = _words(self._common_address(list(values), block), block.size)
         for servo_id, raws in values.items():
-            check_id(servo_id)
             params += bytes((servo_id,)) + block.encode(raws)
         # No servo answers: a late answer does no harm.
         self._begin(Precaution.NONE)
@@ -439,6 +438,8 @@ class ServoBus:
         return what.address + shift
 
     def _common_address(self, ids: Sequence[int], block: RegisterBlock) -> int:
+        for servo_id in ids:
+            check_id(servo_id)
         addresses = {self._address(servo_id, block) for servo_id in ids}
         if len(addresses) != 1:
             raise LimitExceeded(
@@ -481,8 +482,6 @@ class ServoBus:
         BusTimeout, BusCorrupt or ServoRejected as `_ask` does, for the first servo without a right
         answer.
         """
-        for servo_id in ids:
-            check_id(servo_id)
         policy, precaution = self.policy, self.policy.before_several
         if not policy.patient:
             ids = sorted(ids, key=self.misses)

@@ -113,8 +113,10 @@ class Feedback:
         if not under_torque:
             self._turns.clear()
         servos = tuple(
-            self._servo_state(one, raws[one.servo_id], now_s, under_torque=under_torque)
-            for one in self._settings.servos
+            [
+                self._servo_state(one, raws[one.servo_id], now_s, under_torque=under_torque)
+                for one in self._settings.servos
+            ]
         )
         if under_torque:
             self.check.check(servos, now_s, loaded=loaded)
@@ -165,24 +167,22 @@ class Feedback:
         )
 
     def _gripper_state(self, servos: tuple[ServoState, ...], now_s: float) -> ServoFeedback:
+        linkage, n_servos = self._linkage, len(servos)
         angles_rad = [servo.angle_rad for servo in servos]
-        forces_n = [
-            path.force_band_n(abs(servo.current_a))[0]
-            for path, servo in zip(
-                transmissions(self._settings, self._linkage, angles_rad), servos, strict=True
-            )
-        ]
+        opening_m_s = current_a = force_n = 0.0
+        paths = transmissions(self._settings, linkage, angles_rad)
+        for path, servo in zip(paths, servos, strict=True):
+            opening_m_s += linkage.opening_per_rad_m(servo.angle_rad) * servo.velocity_rad_s
+            current_a += abs(servo.current_a)
+            force_n += path.force_band_n(abs(servo.current_a))[0]
         return ServoFeedback(
             t_s=now_s,
-            aperture_m=self._linkage.aperture_m(angles_rad),
-            aperture_velocity_m_s=sum(
-                self._linkage.opening_per_rad_m(servo.angle_rad) * servo.velocity_rad_s
-                for servo in servos
-            ),
-            current_a=sum(abs(servo.current_a) for servo in servos) / len(servos),
-            force_from_current_n=sum(forces_n) / len(forces_n),
-            temperature_c=max(servo.temperature_c for servo in servos),
-            voltage_v=min(servo.voltage_v for servo in servos),
+            aperture_m=linkage.aperture_m(angles_rad),
+            aperture_velocity_m_s=opening_m_s,
+            current_a=current_a / n_servos,
+            force_from_current_n=force_n / n_servos,
+            temperature_c=max([servo.temperature_c for servo in servos]),
+            voltage_v=min([servo.voltage_v for servo in servos]),
             servos=servos,
         )
 

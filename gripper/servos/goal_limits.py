@@ -99,7 +99,7 @@ class GoalGuard:
         self._forces = RecentForce()
         self._stood_a: dict[int, float] = {}
         self._pushes: dict[int, int] = {}
-        self._previous_a: tuple[float, ...] = ()
+        self._previous_a = [-inf] * linkage.n_servos
         # Two apertures bound the angles. One is wide open. The other is closed, with the goal as
         # far beyond as a gripping servo needs.
         self._open_rad = linkage.angles_rad(settings.aperture_open_m)
@@ -245,23 +245,20 @@ class GoalGuard:
                 f"the servos' feedback is {age_s:.3f} s old, at most {settings.bus_loss_s} s are "
                 f"allowed: check the servo bus"
             )
-        lowering = len(goals) == len(self._previous_a) and all(
-            goal.current_a <= before_a + _EQUAL
-            for goal, before_a in zip(goals, self._previous_a, strict=True)
-        )
-        for index, goal in enumerate(goals):
+        lowering = opening = True
+        for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True)):
             self._check_goal(index, goal, state)
-        opening = all(
-            goal.angle_rad >= servo.angle_rad - _EQUAL
-            for goal, servo in zip(goals, state.servos, strict=True)
-        )
+            if goal.current_a > self._previous_a[index] + _EQUAL:
+                lowering = False
+            if goal.angle_rad < servo.angle_rad - _EQUAL:
+                opening = False
         if not lowering and not opening:
             paths = transmissions(settings, self._linkage, state.angles_rad)
-            for servo, path, goal in zip(settings.servos, paths, goals, strict=True):
-                least_n = path.force_band_n(goal.current_a)[0]
+            for one, path, goal in zip(settings.servos, paths, goals, strict=True):
+                least_n = goal.current_a * path.n_per_a - path.friction_n
                 if least_n > settings.force_max_n:
                     raise LimitExceeded(
-                        f"goal current {goal.current_a:.3f} A of servo {servo.servo_id} makes at "
+                        f"goal current {goal.current_a:.3f} A of servo {one.servo_id} makes at "
                         f"least {least_n:.1f} N, force_max_n is {settings.force_max_n} N "
                         f"({_positions(state)})"
                     )
@@ -273,7 +270,7 @@ class GoalGuard:
             newest = self.newest_force
             if newest is not None and now_s - newest.t_s <= settings.force_stale_s:
                 self.check_force()
-        self._previous_a = tuple(max(goal.current_a, goal.kept.current_a) for goal in goals)
+        self._previous_a = [max(goal.current_a, goal.kept.current_a) for goal in goals]
 
     def _excess_n(self) -> float:
         """Return the excess of the force over the cap and its allowance for noise, in N.
@@ -305,6 +302,8 @@ class GoalGuard:
                 f"current_max_a = {settings.current_max_a} A"
             )
         low_rad = self._lowest_rad[index]
+        if low_rad <= goal.angle_rad <= self._open_rad[index]:
+            return
         drive = settings.drives.of(servo.servo_id, servo.drive)
         margin_rad = max(OPENING_MARGIN_RAD, 1.1 * overrun_rad(servo.servo_model, drive))
         high_rad = self._open_rad[index] + margin_rad

@@ -94,9 +94,9 @@ class MotorTravel:
         sums.append(_Sums(now_s, volt_s, last.amp_s + dt_s * servo.motor_a, servo.angle_rad))
         while len(sums) > 2 and now_s - sums[1].t_s >= _COMPARED_S:
             sums.popleft()
-        time_s, volt_s, amp_s, travel_rad = (
-            new - old for old, new in zip(sums[0], sums[-1], strict=True)
-        )
+        old, new = sums[0], sums[-1]
+        time_s, volt_s = new.t_s - old.t_s, new.volt_s - old.volt_s
+        amp_s, travel_rad = new.amp_s - old.amp_s, new.angle_rad - old.angle_rad
         model, (v_s, error) = self._servo.servo_model, self._back_emf
         off_v_s = abs(volt_s - self._ohm * amp_s - v_s * travel_rad)
         off_v_s -= error * v_s * abs(travel_rad) + self._unknown_v(volt_s, amp_s, time_s)

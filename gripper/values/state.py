@@ -1,7 +1,7 @@
 """States of servos and gripper, and one period of the force loop for observers."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
@@ -97,11 +97,11 @@ class ServoFeedback:
     voltage_v: float
     """Lowest supply voltage in V."""
     servos: tuple[ServoState, ...]
+    angles_rad: tuple[float, ...] = field(init=False, repr=False)
+    """Angle of each servo in rad."""
 
-    @property
-    def angles_rad(self) -> tuple[float, ...]:
-        """Angle of each servo in rad."""
-        return tuple(servo.angle_rad for servo in self.servos)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "angles_rad", tuple([one.angle_rad for one in self.servos]))
 
 
 def shows_nothing(
