@@ -383,8 +383,8 @@ class Service:
         lease, number
             As `start`.
         name, fields
-            Of `cell.interfaces.host_calls.COMMANDS`. ``keep`` may be a bool; for fields of a task
-            that are 0 or empty the config's values apply.
+            Of `cell.interfaces.modbus.registers.COMMANDS`. ``keep`` may be a bool; for fields of a
+            task that are 0 or empty the config's values apply.
 
         Raises as `start`.
         """

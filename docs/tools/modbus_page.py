@@ -1,7 +1,6 @@
 """The tables of the Modbus registers and commands, made from those of all interfaces."""
 
-from cell.interfaces.host_calls import COMMANDS
-from cell.interfaces.host_values import N_TEXT, VALUES, Value
+from cell.interfaces.modbus.registers import COMMANDS, N_TEXT, VALUES, Value
 
 
 def registers_page() -> str:
@@ -11,7 +10,6 @@ def registers_page() -> str:
         + (f"; unit {value.unit:g}" if value.kind is float and value.unit != 1.0 else "")
         + " |"
         for value in VALUES
-        if value.register
     }
     return "\n".join(("| register | value |", "| --- | --- |", *(rows[n] for n in sorted(rows))))
 

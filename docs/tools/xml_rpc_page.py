@@ -2,7 +2,7 @@
 
 import inspect
 
-from cell.interfaces.host_calls import METHODS
+from cell.interfaces.xml_rpc import METHODS
 
 _TYPES = {"dict[str, float]": "pose", "float": "double", "str": "string"}
 """Names of the types in URScript, where they differ."""

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from cell.control.keeping import Keep
 from cell.control.kept_part import KeptPart
 from cell.control.lifecycle import CellLifecycle
-from cell.interfaces.host_calls import Calls
 from cell.interfaces.modbus.registers import ModbusInterface
+from cell.interfaces.xml_rpc import Calls
 from cell.runtime.lease import Lease
 from cell.service.service import RELEASE_KEY, Service
 from gripper.dynamixel.control_table import REGISTERS

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from functools import partial
 from math import degrees
-from typing import Any
+from typing import Any, NamedTuple
 
 from cell.control.part import Part
 from cell.control.plan import Pose
@@ -18,8 +18,6 @@ from cell.control.states import CellState, GraspState
 from cell.errors import CellError, ConfigError, NotInCommand, RequestRefused
 from cell.fault_catalogue import Refusal, for_display
 from cell.interfaces.access import may_connect, read_secret, same_secret
-from cell.interfaces.host_calls import COMMANDS
-from cell.interfaces.host_values import N_TEXT, VALUES, Value
 from cell.interfaces.modbus.protocol import (
     DEVICE_BUSY,
     ILLEGAL_ADDRESS,
@@ -61,6 +59,118 @@ OLDEST_MS = 0x7FFF
 """Largest age in ms, also of values never measured: large for signed and unsigned readers."""
 ANSWERED, ANSWER_UNKNOWN, ANSWER_KEPT = 1, 2, 4
 """Bits of the last identification: it has an answer; the answer is UNKNOWN; the part was kept."""
+
+
+N_TEXT = 16
+"""Registers of a text, two characters each."""
+
+
+class Value(NamedTuple):
+    """One value of a `Snapshot`."""
+
+    kind: type
+    """``int``, ``float`` or ``str``."""
+    text: str
+    """Meaning, with unit."""
+    source: str
+    """Path of its attributes."""
+    register: int
+    """Input register, for a text the first of `N_TEXT`."""
+    unit: float = 1.0
+    """Unit of the register."""
+
+    def of(self, shown: Any) -> Any:
+        """Return the value; None if it does not exist or is not measured at the moment."""
+        for name in self.source.split("."):
+            if shown is None:
+                return None
+            shown = getattr(shown, name)
+        if self.kind is not str:
+            return shown
+        return ", ".join(shown) if isinstance(shown, tuple) else shown or ""
+
+
+# fmt: off
+VALUES = (
+    Value(int, "State of the cell: number of PackTags", "status.state_number", 3),
+    Value(int, "State of the grip, 0 to 7", "status.grasp_number", 4),
+    Value(float, "Grip force in N", "status.live.force_n", 13, 0.01),
+    Value(float, "Age in s of the newest valid force",
+          "status.live.force_age_s", 23, 1e-3),
+    Value(float, "Opening between the fingers in mm",
+          "status.live.opening_mm", 14, 0.01),
+    Value(float, "Temperature of the warmest servo in degrees Celsius",
+          "status.live.temperature_c", 22),
+    Value(int, "Number of the newest job; 0: none", "job.number", 8),
+    Value(int, "State of the job: 1 accepted, 2 running, 4 done, 5 held on request, 6 aborted",
+          "job.outcome_number", 9),
+    Value(int, "Grasps of the job so far", "job.part.n_grasps", 12),
+    Value(int, "Job of the last identification, until the next one begins; 0: no answer",
+          "status.last_answer.job", 24),
+    Value(int, "Last identification: id of the label, from 1; 0: UNKNOWN",
+          "status.last_answer.label_id", 10),
+    Value(float, "Last identification: probability of the label, 0 to 1",
+          "status.last_answer.probability", 11, 1e-4),
+    Value(float, "Last identification: size in mm; 0: not measured",
+          "status.last_answer.size_mm", 15, 0.01),
+    Value(int, "Number of the newest part of an identification or sort; 0: none since the start",
+          "part.number", 96),
+    Value(str, "Label of the part", "part.label", 104),
+    Value(int, "Id of the label of the part, from 1; 0: UNKNOWN",
+          "part.label_id", 97),
+    Value(float, "Probability of the label of the part, 0 to 1",
+          "part.probability", 98, 1e-4),
+    Value(float, "Size of the part in mm; 0: not measured",
+          "part.size_mm", 99, 0.01),
+    Value(str, "Place where a sort released the part; empty: not sorted",
+          "part.place", 120),
+    Value(int, "Number of that place, from 1, rejects last; 0: not sorted",
+          "part.place_id", 100),
+    Value(int, "Grasps of the identification of the part", "part.n_grasps", 101),
+    Value(int, "Number of the pose that the cell waits for; 0: none", "pose_seq", 16),
+    Value(float, "Age in s of the newest frame of the taxels",
+          "status.live.frame_age_s", 21, 1e-3),
+)
+# fmt: on
+"""All values with a register of their own; texts stand in the page on Modbus."""
+
+
+class HostCommand(NamedTuple):
+    """A task or command that starts a job."""
+
+    name: str
+    """Task of a goal, or command of the service."""
+    fields: tuple[str, ...]
+    """Its arguments; 0: the value of the config."""
+    numbers: tuple[int, ...]
+    """Commands that start it; numbers below 20 are CntrlCmd of PackTags."""
+    text: str
+    """Description."""
+
+
+# fmt: off
+COMMANDS = (
+    HostCommand("teach", ("label", "grasps"), (20,), "Start to teach an object"),
+    HostCommand("identify", ("max_grasps", "force_n", "keep"), (2, 21),
+                "Start an identification; 0 grasps and 0 N: the values of the config"),
+    HostCommand("grip", ("force_n",), (22,),
+                "Start to grip a part and keep it, without a name"),
+    HostCommand("verify", (), (23,), "Start to check whether the held part is still the same"),
+    HostCommand("zero", (), (25,),
+                "Start to measure the zero with the empty fingers closed on each other"),
+    HostCommand("sort", ("parts", "max_grasps", "force_n"), (24,),
+                "Start to identify parts and release each at its place of `sort.places`"),
+    HostCommand("release", ("key",), (30,),
+                "Start to release the part, with key 20304 (0x4F50)"),
+    HostCommand("clear", ("reboot",), (9,),
+                "Start to acknowledge the fault; `reboot` restarts servos with a fault"),
+    HostCommand("reset", (), (1,),
+                "Start to verify the devices again, also after a shutdown"),
+    HostCommand("shutdown", (), (3,),
+                "Start to disconnect the devices; a held part stays held"),
+)
+# fmt: on
+"""All commands."""
 
 
 def _two(value: float, unit: float) -> int:
@@ -119,9 +229,9 @@ def input_registers(
     words = [0] * N_INPUT
     for value in VALUES:
         found = value.of(now)
-        if value.register and value.kind is str:
+        if value.kind is str:
             words[value.register : value.register + N_TEXT] = _text(found or "", N_TEXT)
-        elif value.register:
+        else:
             words[value.register] = _word(value, found)
     words[:3] = SIGNATURE, life, sum(bit for bit, on in bits if on)
     words[5:8] = seq, result, status.fault_number or job.fault_number

@@ -14,8 +14,8 @@ from cell.control.keeping import Keep
 from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.interfaces.host_calls import COMMANDS
-from cell.interfaces.host_values import VALUES, ur_pose
+from cell.interfaces.modbus.registers import COMMANDS, VALUES
+from cell.interfaces.xml_rpc import METHODS, ur_pose
 from cell.service.service import RELEASE_KEY
 from gripper.errors import ServoFault
 from recognition.recognizer import UNKNOWN
@@ -270,12 +270,10 @@ def test_each_part_reaches_plc_robot_and_program_once(serve) -> None:
 
 def test_no_two_values_or_commands_share_a_place_at_an_interface() -> None:
     numbers = [number for one in COMMANDS for number in one.numbers]
-    methods, registers = (
-        [getattr(one, column) for one in VALUES if getattr(one, column)]
-        for column in ("method", "register")
-    )
-    for places in ([*methods, *(one.name for one in COMMANDS)], registers, numbers):
+    registers = [one.register for one in VALUES]
+    for places in (registers, numbers):
         assert len(places) == len(set(places))
+    assert {one.name for one in COMMANDS} < set(METHODS)
     # Registers and commands of their own making.
     assert not set(registers) & {0, 1, 2, 5, 6, 7, 17, 18, 19, 20, 25, 26, 27, *range(32, 96)}
     assert not set(numbers) & {4, 40, 41}

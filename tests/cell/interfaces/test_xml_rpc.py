@@ -18,9 +18,8 @@ import pytest
 
 from cell.control.plan import Pose
 from cell.errors import TrainingSetMissing
-from cell.interfaces.host_calls import METHODS
-from cell.interfaces.host_values import ur_pose
 from cell.interfaces.http_server import REQUEST_BYTES
+from cell.interfaces.xml_rpc import METHODS, ur_pose
 from cell.service.service import RELEASE_KEY
 from gripper.errors import PartSlipped
 from tests.cell.served import Served
@@ -217,7 +216,7 @@ def test_the_last_refusal_of_each_address_says_why(connect) -> None:
 def test_methods_are_listed_with_help_and_types(connect) -> None:
     _, cell = connect()
     assert set(METHODS) < set(cell.system.listMethods())
-    assert cell.system.methodHelp("force").startswith("Grip force in N; -516")
+    assert cell.system.methodHelp("force").startswith("Return the grip force in N; -516")
     assert cell.system.methodSignature("grip") == [["int", "int", "double", "int"]]
     assert cell.system.methodSignature("next_pose") == [["struct"]]
     assert cell.system.methodSignature("held_by") == [["string"]]
