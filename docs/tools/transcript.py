@@ -1,8 +1,8 @@
-"""The transcript of a commissioning in the tutorial; `make pictures` writes it.
+"""The transcript of a commissioning beside the tutorial; `make pictures` writes it.
 
 The wizard's own terminal asks in virtual time, at the cell of the tutorial's commands. The hands
 are those of `tactile-cell simulate --ask`, moved by the person of the tests.
-`tests/cell/commissioning/test_walk.py` compares the page with it.
+`tests/cell/commissioning/test_walk.py` compares the file with it.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ from cell.simulation import simulation_of
 from tests.cell.commissioning.hands import Person, SimulatedLines
 
 TUTORIAL = Path(__file__).parents[1] / "tutorials" / "hardware.md"
-_PLACE = re.compile(r"(<!-- transcript: commission -->\n).*?(<!-- end: commission -->)", flags=re.S)
+TRANSCRIPT = Path(__file__).parents[1] / "examples" / "commissioning.txt"
 _COMMANDS = re.compile(r"(?<=<!-- practice -->\n\n```sh\n).*?(?=```)", flags=re.S)
 _FOUND = {
     "servo_port": ".../sim/servos",
@@ -37,9 +37,9 @@ _FOUND = {
     "axes_can_channel": None,
     "axes_ports": {},
 }
-"""What the simulated cell announces, as the tutorial shows it."""
+"""What the simulated cell announces, as the transcript shows it."""
 _WIDTH = 96
-"""Characters of a line of the page."""
+"""Characters of a line of the file."""
 _BOOT_S = 1.0
 """Time in s after which the simulated servos have booted."""
 
@@ -115,12 +115,10 @@ def _wrapped(line: str) -> str:
 
 
 def main() -> None:
-    """Write the transcript into the tutorial."""
-    page = TUTORIAL.read_text(encoding="utf-8")
+    """Write the file that the tutorial links to."""
     shown = "\n".join(_wrapped(line) for line in transcript().strip().splitlines())
     command = shlex.join(practice_commands()[1])
-    block = f"```text\n$ {command}\n{shown}\n```\n"
-    TUTORIAL.write_text(_PLACE.sub(lambda m: f"{m[1]}\n{block}\n{m[2]}", page), encoding="utf-8")
+    TRANSCRIPT.write_text(f"$ {command}\n{shown}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
