@@ -7,7 +7,7 @@ with these defaults and ranges.
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from math import inf, isfinite
-from typing import Any
+from typing import Any, ClassVar
 
 from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
 from gripper.dynamixel.drive import DriveCharacteristic, Drives
@@ -183,27 +183,26 @@ class GripperSettings:
     of a few mm; a grasp then needs this proof."""
     over_force: OverForce = OverForce.LOWER
     """Response when the force exceeds its cap."""
-    over_force_share: float = setting(0.5, low=0.0, high=1.0)
-    """Share of the goal currents that `OverForce.LOWER` leaves where one pad shows the force."""
-    over_force_open_m: float = setting(0.0005, above=0.0, high=0.005)
-    """Opening in m by which `OverForce.OPEN` opens, in one step."""
-    imbalance_n: float = setting(2.0, above=0.0, high=50.0)
-    imbalance_share: float = setting(0.5, low=0.0, high=2.0)
-    imbalance_s: float = setting(0.2, above=0.0, high=10.0)
+    over_force_share: ClassVar[float] = 0.5
+    """Share of the goal currents that `OverForce.LOWER` leaves where one pad shows the force.
+    [chosen]"""
+    imbalance_n: ClassVar[float] = 2.0
+    imbalance_share: ClassVar[float] = 0.5
+    imbalance_s: ClassVar[float] = 0.2
     """Largest difference of the fingers' forces in N, or as a share of the grip force if that is
-    more, and its longest time in s."""
+    more, and its longest time in s. [chosen]"""
+    slip_drop_share: ClassVar[float] = 0.15
     slip_drop_n: float = setting(0.8, above=0.0, high=20.0)
-    slip_drop_share: float = setting(0.15, low=0.0, high=1.0)
     slip_travel_m: float = setting(0.0015, above=0.0, high=0.05)
-    """A drop of the held force in N, or as a share if that is more, or closing in m while
+    """A drop of the held force as a share [chosen], or in N if that is more, or closing in m while
     holding, that is reported as a slip."""
-    slide_m: float = setting(0.0015, above=0.0, high=0.05)
+    slide_m: ClassVar[float] = 0.0015
     """Distance in m along the pads by which the centre of a held force may move; larger with more
-    noise, smaller for a sudden motion: see `gripper.force.supervision.slip`."""
-    runaway_speed_m_s: float = setting(0.02, above=0.0, high=0.5)
+    noise, smaller for a sudden motion: see `gripper.force.supervision.slip`. [chosen]"""
+    runaway_speed_m_s: ClassVar[float] = 0.02
     runaway_travel_m: float = setting(0.0005, above=0.0, high=0.05)
-    """Excess in m/s over the closing speed that the force loop needs, and its distance in m, after
-    which the part counts as lost."""
+    """Excess in m/s over the closing speed that the force loop needs [chosen], and its distance in
+    m, after which the part counts as lost."""
     settle_timeout_s: float = setting(0.5, above=0.0, high=10.0)
     """Time in s after a ramp's end in which its force must be reached."""
     settle_tolerance_n: float = setting(0.3, low=0.0, high=5.0)

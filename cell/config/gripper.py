@@ -70,44 +70,24 @@ class SlipConfig(Section):
     """When a held part counts as slipping or lost; then the goals are frozen."""
 
     drop_n: float = setting_of(GripperSettings, "slip_drop_n")
-    """Sudden drop of the held force that means a slip in N, up to 20; above the sensor's noise."""
-    drop_share: float = setting_of(GripperSettings, "slip_drop_share")
-    """The same as a share of the held force, 0 to 1; the larger of the two counts."""
+    """Sudden drop of the held force that means a slip in N, up to 20; above the sensor's noise. A
+    drop by less than 15 % of the force is none."""
     travel_mm: float = setting_of(GripperSettings, "slip_travel_m", MILLI)
     """Closing at a steady force that means a slip in mm of opening, up to 50."""
-    slide_mm: float = setting_of(GripperSettings, "slide_m", MILLI)
-    """Allowed motion of the centre of a held force along the pads in mm, up to 50; larger with more
-    noise, smaller for a sudden motion."""
-    runaway_mm_s: float = setting_of(GripperSettings, "runaway_speed_m_s", MILLI)
-    """Closing speed above that of the ramp at which the part is lost, in mm/s, up to 500."""
     runaway_mm: float = setting_of(GripperSettings, "runaway_travel_m", MILLI)
-    """Closing at that speed after which the part is lost in mm, up to 50."""
-
-
-class ImbalanceConfig(Section):
-    """Allowed difference between the forces of the fingers; above it both fingers are frozen."""
-
-    difference_n: float = setting_of(GripperSettings, "imbalance_n")
-    """Allowed difference in N, up to 50."""
-    difference_share: float = setting_of(GripperSettings, "imbalance_share")
-    """The same as a share of the grip force, 0 to 2; the larger of the two counts."""
-    time_s: float = setting_of(GripperSettings, "imbalance_s")
-    """Longest time of a larger difference in s, up to 10."""
+    """Closing by this way in mm, 20 mm/s faster than the ramp, after which the part is lost, up to
+    50."""
 
 
 class OverForceConfig(Section):
     """Reaction when the force exceeds gripper.force_max_n; it never adds force."""
 
     reaction: Literal["lower", "open", "limp"] = "lower"
-    """lower: reduce the currents, the part stays held; open: open the fingers by one
-    small step; limp: switch the torque off, a held part may drop."""
+    """lower: reduce the currents, the part stays held; open: open the fingers by 0.5 mm,
+    once; limp: switch the torque off, a held part may drop."""
     noise_n: float = setting_of(GripperSettings, "force_noise_n")
     """Tolerance above the cap for the mean of a few samples in N, up to 5; three times as much for
     one sample."""
-    left_share: float = setting_of(GripperSettings, "over_force_share")
-    """Share of the current that `lower` leaves where one pad alone shows the force, 0 to 1."""
-    open_mm: float = setting_of(GripperSettings, "over_force_open_m", MILLI)
-    """Step of `open` in mm, up to 5."""
 
 
 _Corrected = Literal[
@@ -249,8 +229,6 @@ class GripperConfig(Section):
     """When a ramp's force counts as reached."""
     slip: SlipConfig = SlipConfig()
     """When a held part slips or is lost."""
-    imbalance: ImbalanceConfig = ImbalanceConfig()
-    """Allowed difference of the fingers' forces."""
     over_force: OverForceConfig = OverForceConfig()
     """Reaction to too much force."""
     servo_care: ServoCareConfig = ServoCareConfig()

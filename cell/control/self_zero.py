@@ -28,7 +28,7 @@ _MOST_TILT_RAD = math.radians(4.0)
 """Largest tilt in rad between pads in contact; beyond it a finger is bent or a pad is loose."""
 _MOST_RATIO = 1.6
 """Largest ratio of the gains of both pads. Beyond it a grasp ends because the forces of both
-fingers differ (`gripper.limits.imbalance_share`)."""
+fingers differ (`GripperSettings.imbalance_share`)."""
 _LONGEST_S = 86_400.0
 """Age in s up to which a self-zero counts: a day."""
 _FAR_M = 2e-3

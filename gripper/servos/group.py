@@ -176,7 +176,7 @@ class Servos:
         return unconfirmed
 
     def open_a_step(self) -> None:
-        """Open by ``over_force_open_m`` from the last read positions, once."""
+        """Open by half a millimetre from the last read positions, once."""
         state = self.feedback.last
         if state is not None and self.goals.last:
             goals = stop_goals.opened_a_step(state, self._settings, self._linkage)

@@ -12,6 +12,9 @@ from gripper.servos.goal_limits import ServoGoal, closing_margin_rad
 from gripper.settings import GripperSettings
 from gripper.values.state import ServoFeedback
 
+OPENED_M = 0.0005
+"""Opening in m by which `OverForce.OPEN` opens, in one step. [chosen]"""
+
 
 def frozen(last: Sequence[ServoGoal], state: ServoFeedback) -> list[ServoGoal]:
     """Return the goals that keep the present force: the last ones without a push.
@@ -77,14 +80,13 @@ def lowered(
 def opened_a_step(
     state: ServoFeedback, settings: GripperSettings, linkage: Linkage
 ) -> list[ServoGoal]:
-    """Return goals that open by ``over_force_open_m`` from the present positions."""
+    """Return goals that open by `OPENED_M` from the present positions."""
     paths = transmissions(settings, linkage, state.angles_rad)
     currents_a = motion_currents_a(settings, paths, settings.approach_force_n)
     return [
         ServoGoal(
             angle_rad=angle_rad
-            + settings.over_force_open_m
-            / (len(state.servos) * linkage.opening_per_rad_m(angle_rad)),
+            + OPENED_M / (len(state.servos) * linkage.opening_per_rad_m(angle_rad)),
             current_a=current_a,
         )
         for angle_rad, current_a in zip(state.angles_rad, currents_a, strict=True)

@@ -60,7 +60,7 @@ def test_a_current_that_cannot_be_ends_in_limp_fingers(cell, monkeypatch) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("way", list(OverForce))
 def test_too_much_force_is_answered_as_configured_and_never_pushed_on(make_cell, way) -> None:
-    cell = make_cell(force_max_n=6.0, over_force=way, over_force_open_m=0.001)
+    cell = make_cell(force_max_n=6.0, over_force=way)
     cell.hold_part(RAMP)
     before_m, force_n = cell.mechanics.aperture_m, cell.force_n
     observe = cell.once(lambda: swell(cell, 0.0004), in_s=0.5)
