@@ -4,13 +4,13 @@ import hmac
 import re
 import socket
 import time
-from asyncio import WriteTransport
+from asyncio import TimerHandle, get_running_loop
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from ipaddress import IPv4Address, IPv6Address, ip_address, ip_network
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 from cell.config.serve import ServeConfig
@@ -18,8 +18,10 @@ from cell.data.files import read_plain
 from cell.errors import ConfigError
 
 BUSY_MAX = 64
-"""Most connections at once on one interface; a further connection replaces another one: see
-`ConnectionPlaces`."""
+"""Most connections at once on one interface; a further connection replaces another one."""
+ACCEPTED_AT_ONCE = BUSY_MAX // 4
+"""Connections that may wait; all of them are accepted before the others are read again. More could
+take all places at once."""
 _PEER_IDLE_S, _PEER_ASKED_S, _PEER_ASKED_MAX = 10, 5, 4
 """TCP keep-alive: silence in s before the first probe, time in s between two probes, number of
 probes. A peer without power is detected after 30 s."""
@@ -128,39 +130,74 @@ def notice_dead_peers(link: Any) -> None:
                 link.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
 
 
-class ConnectionPlaces:
-    """The connections of an interface: if all places are taken, a new connection replaces another.
+@dataclass(slots=True)
+class _Place:
+    """A connection, the time of its last complete request, and the timer that ends it."""
 
-    It replaces a connection of the address with most connections, so that no address blocks others.
-    Of these it takes the one with the oldest complete request, first one without any request. So
-    silent connections never block a client that sends a hold.
+    link: socket.socket
+    heard_s: float = 0.0
+    timer: TimerHandle | None = None
+
+    def end(self) -> None:
+        """End the connection: its server reads the end of the stream."""
+        with suppress(OSError):  # already closed
+            self.link.shutdown(socket.SHUT_RDWR)
+
+
+class Listener(socket.socket):
+    """A listening socket with `BUSY_MAX` places, for any server of asyncio that takes a socket.
+
+    If all places are taken, a new connection replaces one of the address with most connections, so
+    that no address blocks others. Of these it takes the one with the oldest complete request, first
+    one without any request. So silent connections never block a client that sends a hold. All
+    methods belong to the thread of the event loop. Raises OSError if it cannot listen there.
+
+    Parameters
+    ----------
+    address, port
+        Where it listens; port 0: any free port.
+    limit_s
+        Time in s after which a new connection without a complete request ends; None: no limit.
     """
 
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._heard_s: dict[WriteTransport, float] = {}
-        self._hosts: dict[WriteTransport, str] = {}
+    def __init__(self, address: str, port: int, limit_s: float | None = None) -> None:
+        family = socket.AF_INET6 if ":" in address else socket.AF_INET
+        super().__init__(fileno=socket.create_server((address, port), family=family).detach())
+        # Each connection inherits these options. TCP_NODELAY avoids a wait of 40 ms for the
+        # client's delayed acknowledgement.
+        self.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        notice_dead_peers(self)
+        self._limit_s = limit_s
+        self._places: dict[tuple[str, int], _Place] = {}
 
-    def enter(self, one: WriteTransport, host: str) -> None:
-        """Give a new connection from an address its place."""
-        leaves = None
-        with self._lock:
-            for other in [other for other in self._hosts if other.is_closing()]:
-                self._leave(other)
-            if len(self._hosts) >= BUSY_MAX:
-                crowd = Counter(self._hosts.values())
-                rank = {o: (-crowd[at], self._heard_s[o]) for o, at in self._hosts.items()}
-                leaves = min(rank, key=rank.__getitem__)
-                self._leave(leaves)
-            self._heard_s[one], self._hosts[one] = 0.0, host
-        if leaves is not None:
-            leaves.abort()
+    @property
+    def port(self) -> int:
+        """Port at which it listens."""
+        return int(self.getsockname()[1])
 
-    def _leave(self, one: WriteTransport) -> None:
-        del self._heard_s[one], self._hosts[one]
+    def accept(self) -> tuple[socket.socket, Any]:
+        """Accept a connection and give it a place."""
+        link, client = super().accept()
+        for gone in [at for at, one in self._places.items() if one.link.fileno() < 0]:
+            del self._places[gone]
+        if len(self._places) >= BUSY_MAX:
+            crowd = Counter(host for host, _ in self._places)
+            rank = {at: (-crowd[at[0]], one.heard_s) for at, one in self._places.items()}
+            self._places.pop(min(rank, key=rank.__getitem__)).end()
+        self._places[client[:2]] = _Place(link)
+        self.expect(client, self._limit_s)
+        return link, client
 
-    def heard(self, one: WriteTransport) -> None:
-        """Note the time of a complete request."""
-        with self._lock:
-            if one in self._heard_s:
-                self._heard_s[one] = time.monotonic()
+    def heard(self, client: Sequence[Any] | None) -> None:
+        """Note a complete request of a client: its connection keeps its place longest."""
+        if client is not None and (place := self._places.get((client[0], client[1]))) is not None:
+            place.heard_s = time.monotonic()
+            if place.timer is not None:
+                place.timer.cancel()
+
+    def expect(self, client: Sequence[Any] | None, limit_s: float | None) -> None:
+        """End the connection of a client if its next request is not complete in time."""
+        if client is None or limit_s is None:
+            return
+        if (place := self._places.get((client[0], client[1]))) is not None:
+            place.timer = get_running_loop().call_later(limit_s, place.end)

@@ -1,8 +1,11 @@
 """Opens all configured interfaces of a service, and closes them in order."""
 
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+import asyncio
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from errno import EACCES, EADDRINUSE
+from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
 from pkgutil import resolve_name
@@ -17,7 +20,8 @@ _INTERFACES = {
     "modbus_port": "cell.interfaces.modbus.registers:ModbusInterface",
     "xmlrpc_port": "cell.interfaces.xml_rpc:XmlRpcInterface",
 }
-"""Class of each interface by the key of its port. Its module is loaded only if the port is set."""
+"""Class of each interface by the key of its port. Its module is loaded only if the port is set.
+Its ``serve`` is a coroutine that ``end`` ends; ``close`` closes its socket."""
 
 
 def warnings(service: Service) -> tuple[str, ...]:
@@ -46,6 +50,7 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
     """
     config = service.config.serve
     found: dict[str, Any] = {"listen": config.listen}
+    interfaces: dict[str, Any] = {}
     for name in (config.tls_certificate, config.tls_key):
         if name and Path(name).exists() and not Path(name).is_file():
             raise ConfigError(f"{name}: not a plain file; name the file itself")
@@ -67,8 +72,45 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
                     f"cannot be opened: {error}{remedy}"
                 ) from error
             undo.callback(interface.close)
-            undo.enter_context(service.watching(f"the interface of serve.{key}", interface.works))
-            found[key] = interface.port
+            interfaces[key], found[key] = interface, interface.port
             if key == "http_port":
                 found |= {"token": interface.token, "view_token": interface.view_token}
+        undo.enter_context(running(service, interfaces))
         yield found
+
+
+@contextmanager
+def running(service: Service, interfaces: Mapping[str, Any]) -> Iterator[None]:
+    """Serve interfaces, by the keys of their ports, on one event loop in a thread of its own."""
+    ended = set[str]()
+
+    async def serve(key: str) -> None:
+        try:
+            await interfaces[key].serve()
+        finally:
+            ended.add(key)
+
+    async def serve_all() -> None:
+        for found in await asyncio.gather(*map(serve, interfaces), return_exceptions=True):
+            if found is not None:
+                loop.call_exception_handler({"message": "an interface failed", "exception": found})
+
+    def run() -> None:
+        with runner:
+            runner.run(serve_all())
+
+    runner = asyncio.Runner(loop_factory=asyncio.new_event_loop)
+    loop = runner.get_loop()
+    thread = threading.Thread(target=run, name="interfaces", daemon=True)
+    with ExitStack() as watched:
+        for key in interfaces:
+            works = partial(ended.isdisjoint, (key,))
+            watched.enter_context(service.watching(f"the interface of serve.{key}", works))
+        thread.start()
+        try:
+            yield
+        finally:
+            with suppress(RuntimeError):  # the loop has ended
+                for interface in interfaces.values():
+                    loop.call_soon_threadsafe(interface.end)
+            thread.join()

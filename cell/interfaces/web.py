@@ -305,7 +305,6 @@ class WebInterface(HttpServer):
             self._app(),
             config,
             config.http_port or 0,
-            name="http",
             longest=self.longest,
             pages=True,
             ws="websockets-sansio",

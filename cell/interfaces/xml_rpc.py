@@ -412,4 +412,4 @@ class XmlRpcInterface(HttpServer):
         calls.register_introspection_functions()
         for name, method in methods(Calls(service, secret)).items():
             calls.register_function(method, name)
-        super().__init__(calls, config, config.xmlrpc_port or 0, name="xml-rpc", idle_s=_IDLE_S)
+        super().__init__(calls, config, config.xmlrpc_port or 0, idle_s=_IDLE_S)

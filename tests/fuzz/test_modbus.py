@@ -1,14 +1,15 @@
 """Bad bytes at the Modbus interface: every request gets one answer, and writes all or nothing."""
 
-import socket
+import asyncio
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import ClassVar
 
 import pytest
 from hypothesis import strategies as st
 
+from cell.interfaces.access import Listener
 from cell.interfaces.modbus.protocol import ModbusError, ModbusServer, answer
 from tests.fuzz.harness import bad_input, damages, spoilt
 
@@ -78,16 +79,20 @@ def test_every_request_gets_an_answer_of_its_function_or_an_exception(request):
     return f"function {function}"
 
 
-@pytest.fixture
-def server() -> Iterator[ModbusServer]:
-    made = ModbusServer("127.0.0.1", 0, lambda _host: Memory(), request_timeout_s=5.0)
-    yield made
-    made.close()
-
-
 @pytest.mark.parametrize("header", [b"\0\1\0\1\0\6\1", b"\0\1\0\0\0\1\1", b"\0\1\0\0\1\0\1"])
-def test_what_is_no_modbus_is_closed_at_once(server: ModbusServer, header: bytes) -> None:
-    with socket.create_connection(("127.0.0.1", server.port), timeout=10.0) as link:
-        link.sendall(header + b"\3\0\0\0\1")
-        with suppress(ConnectionResetError):
-            assert link.recv(4096) == b""
+def test_what_is_no_modbus_is_closed_at_once(header: bytes) -> None:
+    async def answered() -> bytes:
+        found = b""
+        with Listener("127.0.0.1", 0) as listener:
+            server = ModbusServer(listener, lambda _host: Memory(), request_timeout_s=5.0)
+            served = asyncio.create_task(server.serve())
+            reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+            writer.write(header + b"\3\0\0\0\1")
+            with suppress(ConnectionResetError):
+                found = await asyncio.wait_for(reader.read(), 10.0)
+            writer.close()
+            server.end()
+            await served
+        return found
+
+    assert asyncio.run(answered()) == b""

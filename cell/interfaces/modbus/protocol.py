@@ -5,13 +5,11 @@ From the Modbus Application Protocol V1.1b3 and the TCP guide V1.0b.
 
 import asyncio
 import struct
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
 from contextlib import suppress
 from typing import Protocol
 
-from cell.interfaces.access import ConnectionPlaces, notice_dead_peers
+from cell.interfaces.access import ACCEPTED_AT_ONCE, Listener
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE, DEVICE_BUSY = 1, 2, 3, 4, 6
 """Exception codes."""
@@ -141,14 +139,12 @@ def _read(registers: Registers, function: int, address: int, count: int) -> byte
 
 
 class ModbusServer:
-    """Serves registers over TCP, on an event loop in its own thread.
-
-    Raises OSError if it cannot listen there.
+    """Serves registers over TCP.
 
     Parameters
     ----------
-    address, port
-        Where it listens; port 0: any free port.
+    listener
+        Socket at which it listens.
     connect
         Returns the registers for a client at that host; None refuses it.
     request_timeout_s
@@ -157,45 +153,26 @@ class ModbusServer:
 
     def __init__(
         self,
-        address: str,
-        port: int,
+        listener: Listener,
         connect: Callable[[str], Registers | None],
         *,
         request_timeout_s: float,
     ) -> None:
-        self._connect = connect
+        self._listener, self._connect = listener, connect
         self._request_timeout_s = request_timeout_s
-        self._places = ConnectionPlaces()
-        started: Future[int] = Future()
-        self._thread = threading.Thread(
-            target=lambda: asyncio.run(self._run(address, port, started)),
-            name="modbus",
-            daemon=True,
+        self._over = asyncio.Event()
+
+    async def serve(self) -> None:
+        """Answer clients until `end`; the end of the loop cancels the remaining connections."""
+        server = await asyncio.start_server(
+            self._serve, sock=self._listener, backlog=ACCEPTED_AT_ONCE
         )
-        self._thread.start()
-        self.port = started.result()
-
-    def works(self) -> bool:
-        """Whether the thread of the server runs."""
-        return self._thread.is_alive()
-
-    def close(self) -> None:
-        """End all connections and the thread. A second call does nothing."""
-        if self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._over.set)
-            self._thread.join()
-
-    async def _run(self, address: str, port: int, started: "Future[int]") -> None:
-        """Listen until `close`; the end of the loop cancels the remaining connections."""
-        self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
-        try:
-            server = await asyncio.start_server(self._serve, address, port)
-        except BaseException as error:
-            started.set_exception(error)
-            return
-        started.set_result(server.sockets[0].getsockname()[1])
         await self._over.wait()
         server.close()
+
+    def end(self) -> None:
+        """End `serve`."""
+        self._over.set()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         peer = writer.get_extra_info("peername")
@@ -203,8 +180,6 @@ class ModbusServer:
         if registers is None:
             writer.close()
             return
-        notice_dead_peers(writer.get_extra_info("socket"))
-        self._places.enter(writer.transport, peer[0])
         try:
             # Incomplete, late or invalid bytes end the connection: the next request cannot be
             # located. So does the end of the server.
@@ -212,7 +187,7 @@ class ModbusServer:
                 asyncio.IncompleteReadError, TimeoutError, OSError, asyncio.CancelledError
             ):
                 while await self._one_request(reader, writer, registers):
-                    self._places.heard(writer.transport)
+                    self._listener.heard(peer)
         finally:
             registers.disconnected()
             writer.transport.abort()

@@ -17,7 +17,7 @@ from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
 from cell.errors import CellError, ConfigError, NotInCommand, RequestRefused
 from cell.fault_catalogue import Refusal, for_display
-from cell.interfaces.access import may_connect, read_secret, same_secret
+from cell.interfaces.access import Listener, may_connect, read_secret, same_secret
 from cell.interfaces.modbus.protocol import (
     DEVICE_BUSY,
     ILLEGAL_ADDRESS,
@@ -284,19 +284,20 @@ class ModbusInterface:
                 f"{config.secret_file}: a secret for Modbus has at most {2 * N_SECRET} characters, "
                 f"not {len(self._secret)}"
             )
-        self._server = ModbusServer(
-            config.listen,
-            config.modbus_port or 0,
+        listener = Listener(config.listen, config.modbus_port or 0)
+        server = ModbusServer(
+            listener,
             lambda host: _Client(self, host) if may_connect(host, config) else None,
             request_timeout_s=config.request_timeout_s,
         )
-        self.port, self.works = self._server.port, self._server.works
+        self.port, self.serve, self.end, self.close = (
+            listener.port,
+            server.serve,
+            server.end,
+            listener.close,
+        )
 
-    def close(self) -> None:
-        """End all connections and the thread."""
-        self._server.close()
-
-    # All of the following runs on the one thread of the server.
+    # All of the following runs on the event loop.
 
     def read(self, client: "_Client", function: int, address: int, count: int) -> Sequence[int]:
         """Return registers; see `cell.interfaces.modbus.protocol.Registers`."""

@@ -4,13 +4,13 @@ import asyncio
 import os
 import socket
 import struct
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from unittest.mock import Mock
+from unittest.mock import AsyncMock, Mock
 
 import pytest
 
@@ -20,14 +20,14 @@ from cell.control.plan import Pose
 from cell.errors import CellError
 from cell.interfaces.access import (
     BUSY_MAX,
-    ConnectionPlaces,
+    Listener,
     is_for_this_machine,
     may_connect,
     same_secret,
 )
 from cell.interfaces.cli.commands.serve import report_until
 from cell.interfaces.http_server import REQUEST_BYTES, Gate
-from cell.interfaces.opening import open_interfaces, warnings
+from cell.interfaces.opening import open_interfaces, running, warnings
 from cell.interfaces.page_address import page_address, view_note
 from tests.cell.conftest import small_config
 from tests.waiting import LIMIT_S, until
@@ -121,19 +121,28 @@ def test_the_system_asks_whether_a_peer_is_still_there(serve, link, interface) -
     assert int(ticks, 16) <= 10 * 100
 
 
-def test_places_go_to_those_who_have_fewest() -> None:
-    places, gone = ConnectionPlaces(), list[int]()
-    links = [Mock(**{"is_closing.return_value": False}) for _ in range(BUSY_MAX + 3)]
-    for number, link in enumerate(links):
-        link.abort.side_effect = partial(gone.append, number)
-    for number, link in enumerate(links[:BUSY_MAX]):
-        places.enter(link, "crowd" if number % 4 else f"host {number}")
-    places.heard(links[1])
-    places.enter(links[-3], "late")
-    places.enter(links[-2], "later")
-    assert gone == [2, 3]  # of the crowd, those that were never heard, from the oldest on
-    places.enter(links[-1], "crowd")
-    assert gone == [2, 3, 5]
+def test_places_go_to_those_who_have_fewest(monkeypatch) -> None:
+    gone = list[int]()
+    numbers = iter(range(BUSY_MAX + 3))
+    others = iter(("late", "later", "crowd"))
+
+    def accept(_listener: Any) -> tuple[Any, tuple[str, int]]:
+        number = next(numbers)
+        first = "crowd" if number % 4 else f"host {number}"
+        link = Mock(**{"fileno.return_value": 9})
+        link.shutdown.side_effect = lambda _how: gone.append(number)
+        return link, (first if number < BUSY_MAX else next(others), number)
+
+    monkeypatch.setattr(socket.socket, "accept", accept)
+    with Listener("127.0.0.1", 0) as listener:
+        for _ in range(BUSY_MAX):
+            listener.accept()
+        listener.heard(("crowd", 1))
+        listener.accept()
+        listener.accept()
+        assert gone == [2, 3]  # of the crowd, those that were never heard, from the oldest on
+        listener.accept()
+        assert gone == [2, 3, 5]
 
 
 # -- who may connect ---------------------------------------------------------------------------
@@ -238,16 +247,36 @@ def test_a_taken_port_names_the_key_that_sets_another(serve, interface: str) -> 
 
 @pytest.mark.parametrize("interface", ["modbus", "xmlrpc", "http"])
 def test_an_interface_that_dies_is_a_problem_of_the_service(serve, interface: str) -> None:
-    service = serve("modbus", "xmlrpc", "http").service
+    service = serve().service
+    interfaces = {name: Ended() for name in ("modbus_port", "xmlrpc_port", "http_port")}
+    with running(service, interfaces):
+        assert service.problem == ""
+        interfaces[f"{interface}_port"].end()
+        until(lambda: service.problem)
+        assert service.problem.startswith(f"the interface of serve.{interface}_port has ended")
     assert service.problem == ""
-    (works,) = (one for name, one in service._watched.items() if f".{interface}_port" in name)
-    server = works.__self__
-    if interface == "modbus":
-        server._loop.call_soon_threadsafe(server._over.set)
-    else:
-        server._server.should_exit = True
-    server._thread.join(LIMIT_S)
-    assert service.problem.startswith(f"the interface of serve.{interface}_port has ended")
+
+
+class Ended:
+    """An interface that serves nobody."""
+
+    def __init__(self) -> None:
+        self._over = threading.Event()
+
+    async def serve(self) -> None:
+        while not self._over.is_set():
+            await asyncio.sleep(0)
+
+    def end(self) -> None:
+        self._over.set()
+
+
+def test_an_error_ends_one_interface_and_is_shown(serve, caplog) -> None:
+    service = serve().service
+    broken = SimpleNamespace(serve=AsyncMock(side_effect=OSError("no more files")), end=Mock())
+    with running(service, {"modbus_port": broken, "http_port": Ended()}):
+        until(lambda: "serve.modbus_port has ended" in service.problem)
+    assert "no more files" in caplog.text
 
 
 def test_a_program_with_a_problem_stops_its_job_and_feeds_no_watchdog(serve, capsys) -> None:
@@ -353,7 +382,8 @@ def order_of(length: int, host: bytes) -> tuple[list[str], int]:
         config=ServeConfig(),
         longest=lambda _: REQUEST_BYTES,
         pages=False,
-        whole=lambda _: None,
+        listener=Mock(),
+        idle_s=5,
     )
     scope = {
         "type": "http",

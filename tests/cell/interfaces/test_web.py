@@ -10,7 +10,7 @@ import ssl
 import threading
 import time
 from collections import deque
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from http.client import HTTPSConnection
 from importlib.metadata import version
 from typing import Any
@@ -24,7 +24,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
 from cell.errors import ModelError, PlanRefused
-from cell.interfaces.http_server import HttpConnection
+from cell.interfaces.access import Listener
+from cell.interfaces.opening import running
 from cell.interfaces.web import WebInterface
 from cell.runtime.goals import TASKS, checked_goal
 from tactile.errors import HeartbeatLost
@@ -559,7 +560,8 @@ def test_the_token_comes_as_subprotocol_or_first_message(host) -> None:
 def test_a_socket_that_takes_nothing_is_cut(serve, monkeypatch) -> None:
     for name in ("_PEER_IDLE_S", "_PEER_ASKED_S", "_PEER_ASKED_MAX"):
         monkeypatch.setattr(f"cell.interfaces.access.{name}", 1)
-    interface = WebInterface(serve(serve__http_port=0, serve__request_timeout_s=0.3).service)
+    service = serve(serve__http_port=0, serve__request_timeout_s=0.3).service
+    interface = WebInterface(service)
     link = socket.socket()
     link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     link.connect(("127.0.0.1", interface.port))
@@ -568,33 +570,28 @@ def test_a_socket_that_takes_nothing_is_cut(serve, monkeypatch) -> None:
         "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
         "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n"
     )
-    link.sendall(request.encode())
-    links = interface._server.server_state.connections
-    until(lambda: any("WebSocket" in type(one).__name__ for one in links))
-    until(lambda: not links)
-    link.close()
-    interface.close()
+    with closing(link), running(service, {"http_port": interface}):
+        link.sendall(request.encode())
+        links = interface._server.server_state.connections
+        until(lambda: any("WebSocket" in type(one).__name__ for one in links))
+        until(lambda: not links)
 
 
 def test_an_answer_does_not_wait_for_the_acknowledgement_of_the_client(serve) -> None:
     interface = WebInterface(serve(serve__http_port=0).service)
-    assert interface._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    assert interface._listener.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
     interface.close()
 
 
 @pytest.mark.long
 def test_nothing_is_left_of_sockets_that_have_ended(host) -> None:
-    before = connections_in_memory()
     for _ in range(5):
         with host.live() as link:
             link.recv(timeout=20)
     # A new connection drops those that ended; the last one may still be there.
-    until(lambda: host.get("/api/state") and connections_in_memory() <= before + 2)
-
-
-def connections_in_memory() -> int:
-    gc.collect()
-    return sum(issubclass(type(one), HttpConnection) for one in gc.get_objects())
+    listeners = [one for one in gc.get_objects() if type(one) is Listener and one.fileno() > 0]
+    (listener,) = (one for one in listeners if one.port == host.port)
+    until(lambda: host.get("/api/state") and len(listener._places) <= 2)
 
 
 def test_the_end_of_the_interface_ends_sockets_and_threads() -> None:
