@@ -1,4 +1,4 @@
-"""The paper's mathematics in numbers: each row of "What holds" in docs/explanations/method.md."""
+"""The paper's mathematics in numbers: each row of "What holds" in docs/developers/paper.md."""
 
 from dataclasses import replace
 

@@ -5,7 +5,7 @@ in the middle between neighbouring bands of the taught levels; if bands overlap,
 the overlap. A value between two thresholds belongs to the object there. So every grasp with a
 surface gets a name.
 
-Prints claims and tables, which docs/explanations/paper-reproduced.md quotes, and writes them with
+Prints claims and tables, which docs/developers/paper.md quotes, and writes them with
 the figures into out/paper/paper.html; with little effort into out/paper-small.
 """
 

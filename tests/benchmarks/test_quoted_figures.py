@@ -26,11 +26,14 @@ def quoted(page: str, command: str) -> list[str]:
 
     A command stands in the last cell of a row, or in the paragraph above the table.
     """
-    found, above = [], ""
+    found, above, is_ended = [], "", False
     for line in page.splitlines():
         if not line.startswith("|"):
-            above = line if line.strip() else above
+            if line.strip():
+                above = line if is_ended else f"{above} {line}"
+            is_ended = not line.strip()
             continue
+        is_ended = True
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if command in cells[-1]:
             found.append(cells[-2])
@@ -62,6 +65,7 @@ def test_a_figure_that_is_printed_no_more_is_named() -> None:
     assert differing(cells, "r: one grasp 97.7, 95 % 95.5 to 98.8") == ["12 of 50"]
     assert differing(["27 of 50, 23 wrong"], "23 of 50 right, 27 wrong") == ["27 of 50, 23 wrong"]
     assert quoted("| b | 3 | `x` |", "`x`") == ["3"]
+    assert quoted("By `x`, a\nparagraph:\n\n| b | 3 |\n\nOther:\n\n| c | 4 |", "`x`") == ["3"]
 
 
 @pytest.mark.long
