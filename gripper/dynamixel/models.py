@@ -4,12 +4,13 @@ Source: ROBOTIS e-Manual, pages of each model, sections "Specifications" and "Co
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from enum import IntEnum
 from functools import cache
 from math import copysign, sqrt, tau
 from types import MappingProxyType
+from typing import Any
 
 from gripper.errors import LimitExceeded
 
@@ -19,6 +20,12 @@ KT_SD = 0.15
 
 PWM_SLOPE_RAW = 140
 """Factory value of PWM Slope (register 62): 277 mV/ms."""
+
+
+_ABSENT = frozenset(
+    {"pwm_slope", "acceleration_limit", *(f"external_port_mode_{n}" for n in (1, 2, 3, 4))}
+)
+"""Names of the items of the control table that the X430 size lacks."""
 
 
 class OperatingMode(IntEnum):
@@ -57,9 +64,7 @@ class ServoModel:
     330 size list it for modes 3 and 4 only."""
     ram_shift: int = 0
     """Offset of the RAM addresses from those of the X series."""
-    absent: frozenset[str] = frozenset(
-        {"pwm_slope", "acceleration_limit", *(f"external_port_mode_{n}" for n in (1, 2, 3, 4))}
-    )
+    absent: frozenset[str] = _ABSENT
     """Names of the items of the control table that the model lacks; by default those that the X430
     size lacks."""
     factory_mode: OperatingMode = OperatingMode.POSITION
@@ -111,8 +116,6 @@ class ServoModel:
     rotor_inertia_kg_m2: float
     """Inertia of rotor and gears at the output in kg m², estimated: the vendor publishes none. The
     impact of an approach follows from it."""
-    torque_source: str
-    """Source of kt and friction."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rad_per_pulse", tau / self.pulses_per_turn)
@@ -220,96 +223,68 @@ class ServoModel:
 
 _RPM = tau / 60.0
 """Speed in rad/s of one rev/min, as data sheets give it."""
+_TABLE = """
+                     XM430-W350 XM430-W210 XL330-M288 XC330-M288
+number               1020       1030       1200       1240
+current_unit_a       2.69e-3    2.69e-3    1e-3       1e-3
+current_limit_raw    1193       1193       1750       2352
+velocity_limit_raw   350        330        445        350
+temperature_limit_c  80         80         70         70
+min_voltage_raw      95         95         35         35
+max_voltage_raw      160        160        70         70
+shutdown_raw         52         52         53         52
+position_d_gain      4000       4000       1000       1500
+position_p_gain      800        800        1000       1000
+kt_nm_a              1.80       1.333      3.4/15     0.33
+friction_nm          0.09       0.067      0.2/15     0.025
+nominal_voltage_v    12.0       12.0       5.0        5.0
+stall_torque_nm      4.1        3.0        0.52       0.93
+stall_current_a      2.3        2.3        1.47       1.8
+holding_a            0.40       0.40       0.383      0.465
+peak_a               0.80       0.80       0.717      1.04
+no_load_rev_min      46         77         103        81
+rotor_inertia_kg_m2  0.006      0.0022     0.0022     0.0035
+"""
+"""The X series. Holding and peak current of the 330 size are 100 and 350 mA, and 120 and 600 mA, of
+the supply. Sources of kt and friction:
 
-XM430_W350 = ServoModel(
-    name="XM430-W350",
-    number=1020,
-    current_unit_a=2.69e-3,
-    current_limit_raw=1193,
-    velocity_limit_raw=350,
-    temperature_limit_c=80,
-    min_voltage_raw=95,
-    max_voltage_raw=160,
-    shutdown_raw=52,
-    position_gains=(4000, 0, 800),
-    kt_nm_a=1.80,
-    friction_nm=0.09,
-    nominal_voltage_v=12.0,
-    stall_torque_nm=4.1,
-    stall_current_a=2.3,
-    holding_a=0.40,
-    peak_a=0.80,
-    no_load_rad_s=46 * _RPM,
-    rotor_inertia_kg_m2=0.006,
-    torque_source=(
-        "sweeps of the four servos of an OpenMANIPULATOR-X: 1.80 N m/A, friction 20 to 75 mA "
-        "(smorales2405/open_manipulator_x_torque_control)"
-    ),
-)
-XM430_W210 = replace(
-    XM430_W350,
-    name="XM430-W210",
-    number=1030,
-    velocity_limit_raw=330,
-    no_load_rad_s=77 * _RPM,
-    rotor_inertia_kg_m2=0.0022,
-    kt_nm_a=1.333,
-    friction_nm=0.067,
-    stall_torque_nm=3.0,
-    torque_source="stall point of the data sheet, with the friction current of the XM430-W350",
-)
-XL330_M288 = ServoModel(
-    name="XL330-M288",
-    number=1200,
-    current_unit_a=1e-3,
-    current_limit_raw=1750,
-    velocity_limit_raw=445,
-    temperature_limit_c=70,
-    min_voltage_raw=35,
-    max_voltage_raw=70,
-    shutdown_raw=53,
-    position_gains=(1000, 0, 1000),
-    error_per_pwm=256.0,
-    nominal_voltage_v=5.0,
-    no_load_rad_s=103 * _RPM,
-    rotor_inertia_kg_m2=0.0022,
-    supply_current=True,
-    kt_nm_a=3.4 / 15.0,
-    friction_nm=0.2 / 15.0,
-    falling_share=0.45,
-    kt_sd=0.25,
-    stall_torque_nm=0.52,
-    stall_current_a=1.47,
-    # 100 and 350 mA of the supply.
-    holding_a=0.383,
-    peak_a=0.717,
-    torque_source=(
-        "slow rise of a weight: 13 to 17 V on the winding for each N m and 0.1 to 0.3 V without a "
-        "load, falling 0.45 of it (logs of Rhoban/bam, revision af22604). The stall torque of the "
-        "data sheet is 1.6 times as much; the uncertainty covers both"
-    ),
-    profile_in_current_mode=False,
-    absent=XM430_W350.absent - {"pwm_slope"},
-)
-XC330_M288 = replace(
-    XL330_M288,
-    name="XC330-M288",
-    number=1240,
-    current_limit_raw=2352,
-    velocity_limit_raw=350,
-    shutdown_raw=52,
-    position_gains=(1500, 0, 1000),
-    no_load_rad_s=81 * _RPM,
-    rotor_inertia_kg_m2=0.0035,
-    kt_nm_a=0.33,
-    friction_nm=0.025,
-    stall_torque_nm=0.93,
-    stall_current_a=1.8,
-    # 120 and 600 mA of the supply.
-    holding_a=0.465,
-    peak_a=1.04,
-    torque_source="by analogy: data sheet, with the XL330's ratio of slow rise and data sheet",
-)
+- XM430-W350: sweeps of the four servos of an OpenMANIPULATOR-X: 1.80 N m/A, friction 20 to 75 mA
+  (smorales2405/open_manipulator_x_torque_control).
+- XM430-W210: stall point of the data sheet, with the friction current of the XM430-W350.
+- XL330-M288: slow rise of a weight: 13 to 17 V on the winding for each N m and 0.1 to 0.3 V without
+  a load, falling 0.45 of it (logs of Rhoban/bam, revision af22604). The stall torque of the data
+  sheet is 1.6 times as much; the uncertainty covers both.
+- XC330-M288: by analogy: data sheet, with the XL330's ratio of slow rise and data sheet.
+"""
+
+
+def _of_the_table(name: str, **further: Any) -> ServoModel:
+    """Return the model of a column, with further values."""
+    names, *rows = (line.split() for line in _TABLE.strip().splitlines())
+    values: dict[str, Any] = {}
+    for key, *texts in rows:
+        value, _, parts = texts[names.index(name)].partition("/")
+        number = float(value) if key.endswith(("_a", "_nm", "_v", "_m2", "_min")) else int(value)
+        values[key] = number / float(parts) if parts else number
+    gains = (values.pop("position_d_gain"), 0, values.pop("position_p_gain"))
+    no_load_rad_s = values.pop("no_load_rev_min") * _RPM
+    return ServoModel(
+        name=name, position_gains=gains, no_load_rad_s=no_load_rad_s, **values, **further
+    )
+
+
+_SIZE_330: Mapping[str, Any] = {
+    "supply_current": True,
+    "error_per_pwm": 256.0,
+    "falling_share": 0.45,
+    "kt_sd": 0.25,
+    "profile_in_current_mode": False,
+    "absent": _ABSENT - {"pwm_slope"},
+}
+XM430_W350 = _of_the_table("XM430-W350")
+XM430_W210 = _of_the_table("XM430-W210")
+XL330_M288 = _of_the_table("XL330-M288", **_SIZE_330)
+XC330_M288 = _of_the_table("XC330-M288", **_SIZE_330)
 
 RH_P12_RN_A = ServoModel(
     name="RH-P12-RN(A)",
@@ -343,14 +318,11 @@ RH_P12_RN_A = ServoModel(
     peak_a=1.16,
     no_load_rad_s=0.76,
     rotor_inertia_kg_m2=0.1,
-    torque_source=(
-        "170 N at each finger, 1.984 A and a lever of 2 x 57 mm make 10 N m/A, and 5 where both "
-        "fingers press with them together; measure before relying on it"
-    ),
 )
 """A gripper with one built-in servo (e-Manual, RH-P12-RN(A)). 3.33 A is its peak current, 0.76
 rad/s its closing speed of 75 mm/s. Torque constant, friction, inertia, gains and the currents of
-a hold are unpublished: they are assumed."""
+a hold are unpublished: they are assumed. 170 N at each finger, 1.984 A and a lever of 2 x 57 mm
+make 10 N m/A, and 5 where both fingers press with them together; measure before relying on it."""
 
 _MODELS = {m.name: m for m in (XM430_W350, XM430_W210, XL330_M288, XC330_M288, RH_P12_RN_A)}
 MODELS: Mapping[str, ServoModel] = MappingProxyType(_MODELS)
