@@ -5,29 +5,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 from math import ceil
 
-from gripper.dynamixel.control_table import (
-    CURRENT_LIMIT,
-    DRIVE_MODE,
-    FIRMWARE_VERSION,
-    HARDWARE_ERROR_STATUS,
-    HOMING_OFFSET,
-    MIN_VOLTAGE_LIMIT,
-    MODEL_NUMBER,
-    OPERATING_MODE,
-    POSITION_D_GAIN,
-    POSITION_I_GAIN,
-    POSITION_P_GAIN,
-    PROTOCOL_TYPE,
-    PWM_LIMIT,
-    PWM_SLOPE,
-    RETURN_DELAY_TIME,
-    SECONDARY_ID,
-    SHUTDOWN,
-    STARTUP_CONFIGURATION,
-    STATUS_RETURN_LEVEL,
-    TEMPERATURE_LIMIT,
-    VELOCITY_LIMIT,
-)
 from gripper.dynamixel.models import PWM_SLOPE_RAW, OperatingMode, ServoModel
 from gripper.dynamixel.transactions import HIGHEST_ID
 from gripper.errors import LimitExceeded
@@ -38,13 +15,11 @@ _DRIVE_MODE_MASK = 0b1101
 """Bits of Drive Mode (register 10) that must be 0: reverse, time-based profile, torque by goal."""
 _STARTUP_MASK = 0b11
 """Bits of Startup Configuration (register 60) that must be 0: torque on, RAM restored."""
-_POSITION_GAINS = (POSITION_D_GAIN, POSITION_I_GAIN, POSITION_P_GAIN)
-"""Registers of `ServoModel.position_gains`."""
 _PWM_RESERVE = 1.2
 """Reserve for motion, over the PWM share at rest: current over stall current."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Requirement:
     """Requirement of one register."""
 
@@ -65,19 +40,14 @@ class Requirement:
         return self.low <= raw & self.mask <= self.high
 
 
-def _exactly(item: str, raw: int, *, mask: int = -1) -> Requirement:
-    return Requirement(
-        item=item,
-        expected=str(raw),
-        low=raw,
-        high=raw,
-        mask=mask,
-        write_raw=raw if item in CORRECTABLE else None,
-    )
-
-
-def _between(item: str, low: int, high: int) -> Requirement:
-    return Requirement(item=item, expected=f"{low} to {high}", low=low, high=high)
+def _of(
+    item: str, low: int, high: int | None = None, expected: str = "", mask: int = -1
+) -> Requirement:
+    """Return the requirement of a register: a range, or one value, which may be written."""
+    if high is None:
+        write_raw = low if item in CORRECTABLE else None
+        return Requirement(item, expected or str(low), low, low, mask=mask, write_raw=write_raw)
+    return Requirement(item, expected or f"{low} to {high}", low, high, mask=mask)
 
 
 @cache
@@ -93,17 +63,6 @@ def requirements(
     where ``corrected`` names them. Items that change the mechanics or the protection of the servo
     are only compared: the user decides on them.
     """
-    found = _requirements(model, current_max_a, temperature_max_c)
-    return tuple(
-        r if r.item in corrected else replace(r, write_raw=None)
-        for r in found
-        if r.item not in model.absent
-    )
-
-
-def _requirements(
-    model: ServoModel, current_max_a: float, temperature_max_c: float
-) -> tuple[Requirement, ...]:
     most_a = model.winding_a(model.current_limit_raw)
     if current_max_a > most_a:
         raise LimitExceeded(
@@ -116,46 +75,42 @@ def _requirements(
     share = _PWM_RESERVE * whole_pwm * current_max_a / model.stall_current_a
     needed_pwm = min(whole_pwm, ceil(share))
     protection = int(HardwareError.OVERHEATING)
-    return (
-        _exactly(MODEL_NUMBER.name, model.number),
-        Requirement(item=FIRMWARE_VERSION.name, expected="1 or later", low=1, high=255),
-        _exactly(PROTOCOL_TYPE.name, 2),
-        _exactly(HARDWARE_ERROR_STATUS.name, 0),
-        _exactly(DRIVE_MODE.name, 0, mask=_DRIVE_MODE_MASK),
-        _exactly(HOMING_OFFSET.name, 0),
-        _exactly(STARTUP_CONFIGURATION.name, 0, mask=_STARTUP_MASK),
-        Requirement(
-            item=SHUTDOWN.name,
-            expected=f"bits {protection} set",
-            low=protection,
-            high=protection,
-            mask=protection,
+    d_gain, i_gain, p_gain = model.position_gains
+    found = [
+        _of("model_number", model.number),
+        _of("firmware_version", 1, 255, "1 or later"),
+        _of("protocol_type", 2),
+        _of("hardware_error_status", 0),
+        _of("drive_mode", 0, mask=_DRIVE_MODE_MASK),
+        _of("homing_offset", 0),
+        _of("startup_configuration", 0, mask=_STARTUP_MASK),
+        _of("shutdown", protection, expected=f"bits {protection} set", mask=protection),
+        _of("temperature_limit", round(temperature_max_c), model.temperature_limit_c),
+        _of("current_limit", needed_raw, model.current_limit_raw),
+        _of("velocity_limit", model.goal_velocity_raw, model.velocity_limit_raw),
+        _of(
+            "min_voltage_limit",
+            model.min_voltage_raw,
+            model.max_voltage_raw,
+            f"{model.min_voltage_raw} or more",
         ),
-        _between(TEMPERATURE_LIMIT.name, round(temperature_max_c), model.temperature_limit_c),
-        _between(CURRENT_LIMIT.name, needed_raw, model.current_limit_raw),
-        *(
-            [_between(VELOCITY_LIMIT.name, model.goal_velocity_raw, model.velocity_limit_raw)]
-            if model.goal_velocity_raw
-            else []
-        ),
-        Requirement(
-            item=MIN_VOLTAGE_LIMIT.name,
-            expected=f"{model.min_voltage_raw} or more",
-            low=model.min_voltage_raw,
-            high=model.max_voltage_raw,
-        ),
-        _between(PWM_LIMIT.name, needed_pwm, whole_pwm),
+        _of("pwm_limit", needed_pwm, whole_pwm),
         # No servo listens to an ID above the highest one.
-        _between(SECONDARY_ID.name, HIGHEST_ID + 1, 255),
-        _exactly(RETURN_DELAY_TIME.name, 0),
-        _exactly(OPERATING_MODE.name, int(OperatingMode.CURRENT_BASED_POSITION)),
-        _exactly(STATUS_RETURN_LEVEL.name, 2),
-        _exactly(PWM_SLOPE.name, PWM_SLOPE_RAW),
+        _of("secondary_id", HIGHEST_ID + 1, 255),
+        _of("return_delay_time", 0),
+        _of("operating_mode", int(OperatingMode.CURRENT_BASED_POSITION)),
+        _of("status_return_level", 2),
+        _of("pwm_slope", PWM_SLOPE_RAW),
         # These follow the mode, which sets the gains to its defaults.
-        *(
-            _exactly(register.name, gain)
-            for register, gain in zip(_POSITION_GAINS, model.position_gains, strict=True)
-        ),
+        _of("position_d_gain", d_gain),
+        _of("position_i_gain", i_gain),
+        _of("position_p_gain", p_gain),
+    ]
+    unneeded = model.absent if model.goal_velocity_raw else model.absent | {"velocity_limit"}
+    return tuple(
+        one if one.item in corrected else replace(one, write_raw=None)
+        for one in found
+        if one.item not in unneeded
     )
 
 
