@@ -31,16 +31,13 @@ from gripper.dynamixel.protocol2 import (
 )
 from gripper.dynamixel.serial_port import ByteStream, SdkPort
 from gripper.dynamixel.transactions import (
-    BETWEEN_COMMANDS,
     BROADCAST_ID,
     HIGHEST_ID,
-    IN_LOOP,
     PING_SIZE,
     PROTOCOL_1_SIZE,
     BusStatistics,
     Heard,
     NoAnswerError,
-    Precaution,
     Request,
     accepted,
     answers_protocol_1,
@@ -64,6 +61,8 @@ _COLLISION_READS = 3
 ANSWERS_ALL = 2
 """Content of Status Return Level (register 68) at which a servo answers each request. At 1 it
 answers pings and reads, at 0 pings only."""
+_REPETITIONS = 3
+"""How often a lost answer is requested again between commands: a servo may be slow once."""
 _ALL_SILENT_MISSES = 3
 """Lost answers in a row, of each requested servo, before a sync read waits for a quiet line."""
 _LATE_GUARD_S = 0.05
@@ -95,14 +94,14 @@ class ServoBus:
     ======= ======================================= ======= ======================================
     state   event                                   next    action
     ======= ======================================= ======= ======================================
-    CLEAN   answer lost, damaged or refused (CRC)   OWING   ping, then ask again (`RetryPolicy`)
+    CLEAN   answer lost, damaged or refused (CRC)   OWING   ping, then ask again
     OWING   ping answered                           CLEAN   nothing older is outstanding
     OWING   all repetitions lost                    SUSPECT BusTimeout or BusCorrupt
     any     `expect_late_answer`                    SUSPECT none
-    SUSPECT next transaction, `Precaution.QUIET`    CLEAN   wait until the line is quiet
+    SUSPECT next one between commands               CLEAN   wait until the line is quiet
     SUSPECT the same, where it never falls quiet    SUSPECT BusCorrupt, BusTimeout
-    SUSPECT next transaction, `Precaution.PING`     SUSPECT ping before the request
-    SUSPECT next transaction, `Precaution.NONE`     SUSPECT none
+    SUSPECT request to one servo in the loop        SUSPECT ping before the request
+    SUSPECT sync read in the loop, sync write       SUSPECT none
     SUSPECT ``_LATE_GUARD_S`` passed                CLEAN   none
     ======= ======================================= ======= ======================================
 
@@ -146,8 +145,9 @@ class ServoBus:
         self._period_s = period_s
         self._lock_timeout_s = lock_timeout_s
         self._handler = CheckedPacketHandler()
-        self.policy = BETWEEN_COMMANDS
-        """Treatment of late and lost answers."""
+        self.patient = True
+        """Whether ping and repetition wait 50 ms for their answers, and all wait for a quiet
+        line; else no transaction takes longer than a period allows, see `in_loop`."""
         self._suspect = False
         self._suspect_since_s = 0.0
         self._quiet_since_s: float | None = None
@@ -364,7 +364,7 @@ class ServoBus:
         for servo_id, raws in values.items():
             params += bytes((servo_id,)) + block.encode(raws)
         # No servo answers: a late answer does no harm.
-        self._begin(Precaution.NONE)
+        self._begin(quiet=False)
         try:
             self._handler.send(self._port, BROADCAST_ID, Instruction.SYNC_WRITE, params)
         finally:
@@ -404,14 +404,14 @@ class ServoBus:
         BusCorrupt
             When the line never becomes quiet.
         """
-        self._begin(Precaution.QUIET)
+        self._begin(quiet=True)
         try:
             yield
         finally:
             self._end()
 
-    def _begin(self, precaution: Precaution) -> None:
-        """Begin a transaction as `exclusive` does, after the precaution for a suspect line."""
+    def _begin(self, *, quiet: bool) -> None:
+        """Begin a transaction as `exclusive` does; ``quiet``: after a suspect line became quiet."""
         if not self._lock.acquire(timeout=self._lock_timeout_s):
             raise BusBusy(
                 f"another thread holds the servo bus for more than {self._lock_timeout_s} s"
@@ -420,7 +420,7 @@ class ServoBus:
             if self._closed:
                 raise PortLost("the servo bus is closed: open it again")
             self._counts["transactions"] += 1
-            if self._suspect and precaution is Precaution.QUIET:
+            if self._suspect and quiet:
                 self._wait_until_quiet()
             elif self._suspect and self._clock.monotonic() - self._suspect_since_s > _LATE_GUARD_S:
                 self._mark_clean()
@@ -460,10 +460,9 @@ class ServoBus:
         quiet. Raises ServoRejected when the servo refuses.
         """
         check_id(request.servo_id)
-        policy = self.policy
-        self._begin(policy.before_one)
+        self._begin(quiet=self.patient)
         try:
-            if self._suspect and policy.before_one is Precaution.PING:
+            if self._suspect and not self.patient:
                 self._ping(request.servo_id)
             status = accepted(self._exchange(request))
         except NoAnswerError as failure:
@@ -482,15 +481,13 @@ class ServoBus:
         BusTimeout, BusCorrupt or ServoRejected as `_ask` does, for the first servo without a right
         answer.
         """
-        policy, precaution = self.policy, self.policy.before_several
-        if not policy.patient:
+        if not self.patient:
             ids = sorted(ids, key=self.misses)
-        if min(map(self.misses, ids)) >= _ALL_SILENT_MISSES:
-            # Requests must not accumulate at a slow machine.
-            precaution = Precaution.QUIET
-        self._begin(precaution)
+        # Requests must not accumulate at a slow machine.
+        all_silent = min(map(self.misses, ids)) >= _ALL_SILENT_MISSES
+        self._begin(quiet=self.patient or all_silent)
         try:
-            deadline_s = None if policy.patient else self._clock.monotonic() + self._period_s
+            deadline_s = None if self.patient else self._clock.monotonic() + self._period_s
             found, failure = self._sync_read(ids, params, size)
             for servo_id in ids:
                 if servo_id not in found:
@@ -523,16 +520,16 @@ class ServoBus:
     def _retry(
         self, request: Request, failure: NoAnswerError, deadline_s: float | None = None
     ) -> StatusPacket:
-        """Repeat a request after a ping, as often as the policy allows; raise without an answer."""
-        pings = 0
-        for _ in range(self.policy.repetitions):
+        """Repeat a request after a ping, in the loop once; raise without an answer."""
+        pings, repetitions = 0, _REPETITIONS if self.patient else 1
+        for _ in range(repetitions):
             with suppress(NoAnswerError):
                 self._ping(request.servo_id, deadline_s)
                 pings += 1
                 self._counts["retries"] += 1
-                return accepted(self._exchange(request, patient=self.policy.patient))
+                return accepted(self._exchange(request, patient=self.patient))
         # In the loop, with one repetition, noise does the same.
-        pinged = self.policy.patient and pings == self.policy.repetitions
+        pinged = self.patient and pings == repetitions
         raise self._given_up(failure, request, pinged=pinged) from None
 
     def _given_up(
@@ -550,8 +547,8 @@ class ServoBus:
         """
         if deadline_s is not None and self._clock.monotonic() >= deadline_s:
             raise NoAnswerError(damaged=False)
-        self._exchange(ping_request(servo_id), patient=self.policy.patient)
-        if self.policy.patient and self._outstanding > 0:
+        self._exchange(ping_request(servo_id), patient=self.patient)
+        if self.patient and self._outstanding > 0:
             self._wait_until_quiet()
         self._outstanding = 0
 
@@ -620,7 +617,7 @@ class ServoBus:
         now_s = self._clock.monotonic()
         if self._quiet_since_s is None:
             self._quiet_since_s = now_s
-        patience_s = _LONGEST_QUIET_WAIT * _LATE_GUARD_S if self.policy.patient else 0.0
+        patience_s = _LONGEST_QUIET_WAIT * _LATE_GUARD_S if self.patient else 0.0
         deadline_s = now_s + patience_s
         while self._outstanding > 0:
             left_s = self._quiet_since_s + _LATE_GUARD_S - now_s
@@ -660,10 +657,10 @@ class _InLoop:
         self._bus = bus
 
     def __enter__(self) -> None:
-        self._before, self._bus.policy = self._bus.policy, IN_LOOP
+        self._before, self._bus.patient = self._bus.patient, False
 
     def __exit__(self, *_error: object) -> None:
-        self._bus.policy = self._before
+        self._bus.patient = self._before
 
 
 def _words(*values: int) -> bytes:

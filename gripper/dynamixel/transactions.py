@@ -1,11 +1,10 @@
-"""Transactions on a servo line: requests, precautions against late answers, and errors.
+"""Transactions on a servo line: requests, checks of answers, and errors.
 
 `gripper.dynamixel.bus.ServoBus` carries them out.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 from typing import NamedTuple
 
 from gripper.dynamixel.protocol2 import Instruction, StatusPacket
@@ -27,45 +26,6 @@ _HEARD_BYTES = 16
 """Bytes of what was heard on a line that an error shows: a header and what follows it."""
 _PRINTABLE = frozenset(range(0x20, 0x7F)) | {0x0A, 0x0D}
 """Bytes of a text line: a device that sends text, as a GPS receiver, is known by its words."""
-
-
-class Precaution(Enum):
-    """Action against late answers before a request goes out on a suspect line."""
-
-    QUIET = "wait until the line is quiet"
-    PING = "ping the servo: its answers come in order"
-    NONE = "send at once: the caller detects an old answer by its length or its Realtime Tick"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RetryPolicy:
-    """Treatment of late and lost answers."""
-
-    before_one: Precaution
-    before_several: Precaution
-    """Precaution before a request to one servo and before a sync read, on a suspect line."""
-    repetitions: int
-    """How often a lost answer is requested again, each time after a ping."""
-    patient: bool
-    """True: ping and repetition wait 50 ms for their answers, and transactions wait for a quiet
-    line. False: they wait for the time-out of a packet, a sync read starts no repetition after its
-    period, and a transaction fails at once if the line is not quiet."""
-
-
-BETWEEN_COMMANDS = RetryPolicy(
-    before_one=Precaution.QUIET,
-    before_several=Precaution.QUIET,
-    repetitions=3,
-    patient=True,
-)
-"""At a start and between commands: a servo may be slow once without being at fault."""
-IN_LOOP = RetryPolicy(
-    before_one=Precaution.PING,
-    before_several=Precaution.NONE,
-    repetitions=1,
-    patient=False,
-)
-"""In the force loop: no transaction may take longer than a period allows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
