@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from cell.checks.findings import CheckResult, check_result, kept_values
+from cell.checks.findings import Finding, Verdict, check_result, kept_values
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.sensor.tare import assess_health
 
@@ -32,33 +32,17 @@ _TAXELS_NAMED = 6
 """Most taxels that are named individually; further taxels are counted."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
-    """A difference from the commissioning."""
-
-    what: str
-    was: str
-    found: str
-    """Item, its value at commissioning, and its present value."""
-    step: str
-    """Key of the step to repeat, with all steps that need it."""
-
-    def advice(self, folder: Path) -> str:
-        """Return the next step for the commissioning in a folder."""
-        place = "" if folder == Path() else f" {quote(str(folder))}"
-        return f"`tactile-cell commission{place} --redo {self.step}` repeats the steps it affects"
-
-
 def _change(
-    what: str, step: str, was: Any, now: Any, text: str, *, differs: bool | None = None
-) -> list[Change]:
+    what: str, step: str, was: Any, now: Any, text: str = "{}", *, differs: bool | None = None
+) -> list[Finding]:
     """Return the change of one value; empty if it is equal, or if ``differs`` is false.
 
-    ``text`` formats both values.
+    ``text`` formats both values; ``step`` is the step to repeat.
     """
     if (was == now) if differs is None else not differs:
         return []
-    return [Change(what=what, was=text.format(was), found=text.format(now), step=step)]
+    found = f"{text.format(now)}, at commissioning {text.format(was)}"
+    return [Finding(what=what, verdict=Verdict.WARN, found=found, step=step)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +70,7 @@ def changed_unit(
     serial: int,
     revision: int,
     boards: tuple[int, int],
-) -> list[Change]:
+) -> list[Finding]:
     """Return the differences of a control unit and its pads from the commissioning.
 
     ``found`` has the values of the findings by the key of the step; the other arguments are values
@@ -101,7 +85,7 @@ def changed_unit(
     step, was = "pads_at_rest", tuple(pads.get("board_serial_numbers", boards))
     if was == boards[::-1] != boards:
         both = f"serial {was[0]} on finger 0, {was[1]} on finger 1"
-        return [*changes, Change(what="pads", was=both, found="exchanged", step=step)]
+        return [*changes, *_change("pads", step, both, "exchanged")]
     for finger in (0, 1):
         changes += _change(
             f"pads of finger {finger}", step, was[finger], boards[finger], "serial {}"
@@ -111,7 +95,7 @@ def changed_unit(
 
 def changed_servos(
     found: Mapping[str, Mapping[str, Any]], servos: Mapping[int, tuple[str, int]]
-) -> list[Change]:
+) -> list[Finding]:
     """Return the differences of servos from the commissioning; ``servos``: model, firmware."""
     changes = []
     for was in found.get("servos", {}).get("servos", ()):
@@ -126,7 +110,7 @@ def changed_pads(
     layout: TaxelLayout,
     frames: NDArray[np.uint16],
     mounts: Sequence[PadMount] = (),
-) -> list[Change]:
+) -> list[Finding]:
     """Return the differences of pads at rest from the commissioning.
 
     Parameters
@@ -150,7 +134,7 @@ def changed_pads(
     if new:
         broken = f"{np.count_nonzero(bad)}, new: {taxel_names(layout, new)}"
         was_broken = str(len(was["bad_taxels"]))
-        changes.append(Change(what="broken taxels", was=was_broken, found=broken, step=step))
+        changes += _change("broken taxels", step, was_broken, broken)
     for number, pad in enumerate(layout.pads):
         taxels, place = layout.taxels_of(number), sent_as.get(number, number)
         before, now = was["zero_counts"][place], float(np.median(zero[taxels]))
@@ -175,7 +159,7 @@ def taxel_names(layout: TaxelLayout, taxels: Sequence[int]) -> str:
     return ", ".join(named)
 
 
-def changed_gauge(was: Gauge, now: Gauge) -> list[Change]:
+def changed_gauge(was: Gauge, now: Gauge) -> list[Finding]:
     """Return the differences of the gauge object from the commissioning."""
     changes = []
     for what, before, after in (
@@ -219,16 +203,14 @@ class CommissionedValues:
     folder: Path
     found: Mapping[str, Mapping[str, Any]]
 
-    def findings(self, what: str, changes: Sequence[Change]) -> list[CheckResult]:
-        """Return the changes since the commissioning, or one finding without a change."""
+    def findings(self, what: str, changes: Sequence[Finding]) -> list[Finding]:
+        """Return the changes since the commissioning with advice, or one finding without any."""
         if not self.found:
             return []
+        place = "" if self.folder == Path() else f" {quote(str(self.folder))}"
+        command = f"`tactile-cell commission{place} --redo"
         return [
-            check_result(
-                change.what,
-                f"{change.found}, at commissioning {change.was}",
-                change.advice(self.folder),
-            )
+            replace(change, advice=f"{command} {change.step}` repeats the steps it affects")
             for change in changes
         ] or [check_result(what, "as at commissioning", ok=True)]
 

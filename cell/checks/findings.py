@@ -24,68 +24,81 @@ class Verdict(StrEnum):
     FAIL = "fail"
 
 
-@dataclass(slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
+    """One finding of a check or of a step."""
+
+    what: str = ""
+    """Checked item; empty for a finding of a step."""
+    verdict: Verdict = Verdict.PASS
+    found: str
+    """Finding, as text."""
+    advice: str = ""
+    """Next step; empty without a problem."""
+    step: str = ""
+    """Key of the step to repeat, with all steps that need it; empty without one."""
+    corrected: bool = False
+    """Whether an error was corrected now; then it has the new setting."""
+
+    @property
+    def line(self) -> str:
+        """Finding and advice as one line for the operator."""
+        return f"{self.found}: {self.advice}" if self.advice else self.found
+
+
+def check_result(
+    what: str, found: str, advice: str = "", *, ok: bool = False, bad: Verdict = Verdict.WARN
+) -> Finding:
+    """Return a finding that passes if ``ok``, and else has the verdict ``bad`` and the advice."""
+    verdict = Verdict.PASS if ok else bad
+    return Finding(what=what, verdict=verdict, found=found, advice="" if ok else advice)
+
+
+@dataclass(slots=True, kw_only=True)
+class Notes:
     """Results of a step so far; the engine keeps them, also if an error ends the step."""
 
-    status: Verdict = Verdict.PASS
-    """The worst status of its lines: WARN is usable, after FAIL the step must run again."""
-    lines: list[str] = field(default_factory=list)
-    """Lines for the operator: one fact each, a failed line with the next step."""
+    findings: list[Finding] = field(default_factory=list)
     values: dict[str, Any] = field(default_factory=dict)
     """Measured values for later steps, the record and `doctor`: any JSON values."""
     settings: dict[str, Any] = field(default_factory=dict)
     """Values of the config by dotted key, as ``{"gripper.baud_rate": 1000000}``."""
-    figures: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Pictures by name, as numbers: see `cell.commissioning.figures`."""
-    corrected: list[str] = field(default_factory=list)
-    """Lines about errors that were corrected, with the new setting."""
     began: str = ""
     ended: str = ""
     """Wall-clock times of the step (ISO 8601, UTC); the engine sets them."""
 
     def fact(self, line: str, *, corrected: bool = False) -> None:
-        """Add a line without a problem; ``corrected``: an error was corrected now."""
-        self.lines.append(line)
-        if corrected:
-            self.corrected.append(line)
+        """Add a finding without a problem; ``corrected``: an error was corrected now."""
+        self.findings.append(Finding(found=line, corrected=corrected))
 
     def warn(self, line: str, *, corrected: bool = False) -> None:
-        """Add a line with a warning for the operator; ``corrected`` as for `fact`."""
-        self.fact(line, corrected=corrected)
-        if self.status is Verdict.PASS:
-            self.status = Verdict.WARN
+        """Add a warning for the operator; ``corrected`` as for `fact`."""
+        self.findings.append(Finding(verdict=Verdict.WARN, found=line, corrected=corrected))
 
     def fail(self, line: str) -> None:
-        """Add a line with an error: the step must run again and sets nothing in the config."""
-        self.lines.append(line)
-        self.status = Verdict.FAIL
+        """Add an error: the step must run again and sets nothing in the config."""
+        self.findings.append(Finding(verdict=Verdict.FAIL, found=line))
+
+    @property
+    def status(self) -> Verdict:
+        """The worst verdict: WARN is usable, after FAIL the step must run again."""
+        found = {finding.verdict for finding in self.findings}
+        return next((one for one in reversed(Verdict) if one in found), Verdict.PASS)
 
     @property
     def failed(self) -> bool:
-        """Whether a line failed."""
+        """Whether a finding failed."""
         return self.status is Verdict.FAIL
 
+    @property
+    def lines(self) -> list[str]:
+        """The findings as lines."""
+        return [finding.line for finding in self.findings]
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CheckResult:
-    """Result of one check."""
-
-    what: str
-    """Checked item."""
-    verdict: Verdict
-    found: str
-    """Finding, as text."""
-    advice: str = ""
-    """Next step; empty without a problem."""
-
-
-def check_result(
-    what: str, found: str, advice: str = "", *, ok: bool = False, bad: Verdict = Verdict.WARN
-) -> CheckResult:
-    """Return a result that passes if ``ok``, and else has the verdict ``bad`` and the advice."""
-    verdict = Verdict.PASS if ok else bad
-    return CheckResult(what=what, verdict=verdict, found=found, advice="" if ok else advice)
+    @property
+    def corrected(self) -> list[str]:
+        """Lines about errors that were corrected; none of a step that failed."""
+        return [one.line for one in self.findings if one.corrected and not self.failed]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,25 +114,18 @@ class ProposedChange:
     """Present and new value with units; for a motion its start and its bounds."""
     undo: str
     """How to undo it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Approved:
-    """A write or motion that the operator approved; kept also if the step was left or repeated."""
-
-    step: str
-    """Key of the step."""
-    at: str
-    """Wall-clock time (ISO 8601, UTC)."""
-    write: ProposedChange
+    step: str = ""
+    at: str = ""
+    """Key of the step and wall-clock time (ISO 8601, UTC) of the approval; the engine sets them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Commissioned:
     """Content of commissioning.json."""
 
-    steps: dict[str, Finding]
-    approved: list[Approved]
+    steps: dict[str, Notes]
+    approved: list[ProposedChange]
+    """Approved writes and motions; kept also if their step was left or repeated."""
 
 
 _STORE = TypeAdapter(Commissioned)
@@ -142,5 +148,5 @@ def kept_values(folder: Path) -> dict[str, Mapping[str, Any]]:
     Raises CellError if commissioning.json cannot be read.
     """
     return {
-        key: finding.values for key, finding in read_commissioned(folder / STORE_NAME).steps.items()
+        key: notes.values for key, notes in read_commissioned(folder / STORE_NAME).steps.items()
     }

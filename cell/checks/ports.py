@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from cell.checks.findings import CheckResult, Verdict, check_result
+from cell.checks.findings import Finding, Verdict, check_result
 from cell.config.model import CellConfig
 from cell.config.positioner import AxesCanConfig, ServoAxisConfig
 from cell.config.section import SIMULATED
@@ -54,7 +54,7 @@ def can_buses(config: CellConfig) -> Iterator[tuple[str, str, TactileConfig | Ax
         yield "axes", "positioner.can", config.positioner.can
 
 
-def check_port(key: str, port: str) -> Iterator[CheckResult]:
+def check_port(key: str, port: str) -> Iterator[Finding]:
     """Check that this program can use a port, and that nothing delays or disturbs its bytes.
 
     Neither opens the port nor sends anything.

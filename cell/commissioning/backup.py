@@ -5,11 +5,11 @@ The first backup stays: it has the original state of the servo.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from cell.checks.findings import ProposedChange
 from cell.commissioning.bench import Bench
@@ -30,50 +30,13 @@ from gripper.dynamixel.control_table import (
 from gripper.dynamixel.transactions import HIGHEST_ID
 from gripper.errors import BusCorrupt, BusTimeout, ServoRejected
 
+_RATES = {code: rate for rate, code in BAUD_CODES.items()}
+"""Baud rate in bit/s by its raw value."""
 _LAST = (BAUD_RATE.name, SERVO_ID.name)
 """Items that are written last, because each of them changes the address of the servo. Between the
 two writes it has an ID that no other servo has had."""
 SETTLE_S = 0.1
 """Time in s between a change of ID or baud rate and the next request."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Backup:
-    """Original control table of a servo."""
-
-    servo_id: int
-    baud_rate: int
-    """Address of the servo after its commissioning: ID, baud rate in bit/s."""
-    found: Mapping[str, int]
-    """Raw values by the name of the item, read before the first write."""
-
-    @property
-    def set_at(self) -> "Place":
-        """Its address after its commissioning."""
-        return Place(self.servo_id, self.baud_rate)
-
-    @property
-    def found_at(self) -> "Place":
-        """Its address before."""
-        code = self.found[BAUD_RATE.name]
-        rate = next(rate for rate, number in BAUD_CODES.items() if number == code)
-        return Place(self.found[SERVO_ID.name], rate)
-
-    def wrong(self) -> str:
-        """Return which value is invalid or missing, or an empty text."""
-        for name in (MODEL_NUMBER.name, *_LAST):
-            if name not in self.found:
-                return f"{name} is missing"
-        for name, value in self.found.items():
-            low, high = REGISTERS[name].bounds if name in REGISTERS else (value, value)
-            if not low <= value <= high:
-                return f"{name} is {value}, must be from {low} to {high}"
-        servo_id, code = (self.found[name] for name in (SERVO_ID.name, BAUD_RATE.name))
-        if not max(servo_id, self.servo_id) <= HIGHEST_ID or self.servo_id < 0:
-            return f"IDs are {servo_id} and {self.servo_id}, must be from 0 to {HIGHEST_ID}"
-        if code not in BAUD_CODES.values() or self.baud_rate not in BAUD_CODES:
-            return f"baud rates are {code} (raw) and {self.baud_rate} bit/s, which no servo has"
-        return ""
 
 
 class Place(NamedTuple):
@@ -87,7 +50,41 @@ class Place(NamedTuple):
         return f"ID {self.servo_id} at {self.baud_rate} bit/s"
 
 
-_BACKUP = TypeAdapter(Backup)
+class Backup(BaseModel, frozen=True):
+    """Original control table of a servo."""
+
+    servo_id: int = Field(ge=0, le=HIGHEST_ID)
+    baud_rate: int
+    """Address of the servo after its commissioning: ID, baud rate in bit/s."""
+    found: dict[str, int]
+    """Raw values by the name of the item, read before the first write."""
+
+    @property
+    def set_at(self) -> Place:
+        """Its address after its commissioning."""
+        return Place(self.servo_id, self.baud_rate)
+
+    @property
+    def found_at(self) -> Place:
+        """Its address before."""
+        return Place(self.found[SERVO_ID.name], _RATES[self.found[BAUD_RATE.name]])
+
+    @model_validator(mode="after")
+    def _usable(self) -> Self:
+        """Refuse a missing or impossible value."""
+        for name in (MODEL_NUMBER.name, *_LAST):
+            if name not in self.found:
+                raise ValueError(f"{name} is missing")
+        for name, value in self.found.items():
+            low, high = REGISTERS[name].bounds if name in REGISTERS else (value, value)
+            high = HIGHEST_ID if name == SERVO_ID.name else high
+            if not low <= value <= high:
+                raise ValueError(f"{name} is {value}, must be from {low} to {high}")
+        code = self.found[BAUD_RATE.name]
+        if code not in _RATES or self.baud_rate not in BAUD_CODES:
+            rates = f"{code} (raw) and {self.baud_rate} bit/s"
+            raise ValueError(f"baud rates are {rates}, which no servo has")
+        return self
 
 
 def register_writes(
@@ -124,20 +121,19 @@ def backup_file(folder: Path, servo_id: int) -> Path:
     return folder / f"backup-servo{servo_id}.json"
 
 
-def keep(folder: Path, backup: Backup) -> Path | None:
-    """Write a backup and return its file; None if a backup of the same model exists.
+def keep(bench: Bench, dialog: Dialog, backup: Backup) -> None:
+    """Write a backup, and name its file; a backup of the same model stays.
 
     A backup of another model belongs to an exchanged servo, and is kept under another name.
     """
-    path = backup_file(folder, backup.servo_id)
-    earlier = _read(path)
-    if earlier is not None:
+    path = backup_file(bench.folder, backup.servo_id)
+    if earlier := _read(path):
         if earlier.found[MODEL_NUMBER.name] == backup.found[MODEL_NUMBER.name]:
-            return None
+            return
         path.rename(free_name(path))
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(path, SERVO_BACKUP, backup, error=CellError)
-    return path
+    bench.folder.mkdir(parents=True, exist_ok=True)
+    write_json(path, SERVO_BACKUP, backup.model_dump(), error=CellError)
+    dialog.say(f"backup of servo {backup.servo_id}: {path}")
 
 
 def restore(
@@ -158,10 +154,10 @@ def restore(
     places, changes = _places(bench, port, backups), {}
     for backup in backups:
         place = places[backup.servo_id]
-        if place == backup.found_at != backup.set_at:
-            continue  # it is back; other servos may have this address, too
-        with bench.servo_bus(port, place.baud_rate) as bus:
-            changes[backup.servo_id] = _differing(bus, backup)
+        if place != backup.found_at or place == backup.set_at:
+            # Else it is back; other servos may have this address, too.
+            with bench.servo_bus(port, place.baud_rate) as bus:
+                changes[backup.servo_id] = _differing(bus, backup)
     undo = "run `tactile-cell commission --redo servos`"
     writes = [
         write
@@ -187,10 +183,9 @@ def since_backup(folder: Path, bus: ServoBus, servo_id: int) -> list[tuple[str, 
 
     Empty without a backup. Raises CellError as `restore`.
     """
-    rates = {code: rate for rate, code in BAUD_CODES.items()}
 
     def text(name: str, raw: int) -> str:
-        return f"{rates.get(raw, raw)} bit/s" if name == BAUD_RATE.name else str(raw)
+        return f"{_RATES.get(raw, raw)} bit/s" if name == BAUD_RATE.name else str(raw)
 
     backup = _read(backup_file(folder, servo_id))
     differing = {} if backup is None else _differing(bus, backup)
@@ -203,15 +198,13 @@ def _read(path: Path) -> Backup | None:
     if kept is None:
         return None
     try:
-        backup = _BACKUP.validate_python(kept)
-        wrong = backup.wrong()
+        backup = Backup.model_validate(kept)
+        wrong = f"it is of servo {backup.servo_id}"
+        if backup_file(path.parent, backup.servo_id) == path:
+            return backup
     except ValidationError as error:
         wrong = problem_text(error)
-    if not wrong and backup_file(path.parent, backup.servo_id) != path:
-        wrong = f"it is of servo {backup.servo_id}"
-    if wrong:
-        raise CellError(f"{path} is damaged, nothing was written: {wrong}; {SERVO_BACKUP.remedy}")
-    return backup
+    raise CellError(f"{path} is damaged, nothing was written: {wrong}; {SERVO_BACKUP.remedy}")
 
 
 def _places(bench: Bench, port: str, backups: Sequence[Backup]) -> dict[int, Place]:
@@ -239,14 +232,12 @@ def _places(bench: Bench, port: str, backups: Sequence[Backup]) -> dict[int, Pla
 
 def _answers(bench: Bench, port: str, place: Place) -> bool:
     """Return whether one servo, or several with colliding answers, answer at an address."""
-    with bench.servo_bus(port, place.baud_rate) as bus:
+    with bench.servo_bus(port, place.baud_rate) as bus, suppress(BusCorrupt):
         try:
             bus.ping(place.servo_id)
         except BusTimeout:
             return False
-        except BusCorrupt:
-            pass
-        return True
+    return True
 
 
 def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:

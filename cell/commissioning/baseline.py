@@ -8,10 +8,8 @@ from contextlib import suppress
 from dataclasses import asdict
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.checks.changes import (
-    Change,
     CommissionedValues,
     Gauge,
     changed_gauge,
@@ -19,10 +17,9 @@ from cell.checks.changes import (
     changed_unit,
     gauge_of,
 )
-from cell.checks.findings import CheckResult, Finding, ProposedChange, kept_values
+from cell.checks.findings import Finding, Notes, ProposedChange, kept_values
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Question, Step, StepFailed
-from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.motion import look_after, watched_hand
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
@@ -46,12 +43,12 @@ _HOLD_S = 0.5
 """Time in s for which the gauge object is held and measured."""
 
 
-def changed_hardware(bench: Bench) -> list[Change]:
+def changed_hardware(bench: Bench) -> list[Finding]:
     """Read the identity of unit and servos of a bench, and return the changes.
 
     A line that cannot be opened or is silent is skipped: its own step finds the cause.
     """
-    changes: list[Change] = []
+    changes: list[Finding] = []
     if "serial_number" in bench.found.get("unit", {}):
         with suppress(TactileError), bench.can_bus() as can_bus:
             identity = read_unit(can_bus, bench.tactile().node_id).identity
@@ -69,40 +66,36 @@ def changed_hardware(bench: Bench) -> list[Change]:
     return changes
 
 
-class BaselineStep(Step):
-    """Grasps a gauge object and saves the measurement, for `tactile-cell doctor` to compare."""
-
-    key = "baseline"
-    title = "Gauge object"
-    purpose = (
-        "Grasps a stiff object that you keep for it, and stores opening, forces, current and "
-        "patches. `tactile-cell doctor --gauge` later shows what has changed."
+def keep_gauge(bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    """Grasp a gauge object and save the measurement, for `tactile-cell doctor` to compare."""
+    text = (
+        "Take a stiff object with parallel faces, as a block of 10 to 20 mm, and mark it as the "
+        "gauge of this cell. What is its name?"
     )
-    needs = ("first_force",)
-    needs_pads = True
-    undo = "nothing is written; the torque goes off at the end"
-
-    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Grasp the gauge object, and save the measurement."""
-        gauge, force_on_taxels_n = measure_gauge(bench, bench.config, dialog)
-        layout = layout_from_config(bench.config.tactile)
-        notes.fact(
-            f"{gauge.gauge} at {gauge.force_n:g} N: {gauge.held_n[0]:.2f} and "
-            f"{gauge.held_n[1]:.2f} N, opening {gauge.held_mm:.2f} mm, {gauge.current_ma:.0f} mA, "
-            f"{gauge.patch_taxels[0]} and {gauge.patch_taxels[1]} taxels touched. Keep this object "
-            "with the cell."
-        )
-        notes.values["gauge"] = asdict(gauge)
-        title = "The gauge object on the pads"
-        notes.figures["patch"] = pads_figure(title, layout, force_on_taxels_n, unit="N")
+    name = dialog.ask(Question(key="baseline.name", text=text, default="gauge block"))
+    gauge = measure_gauge(bench, bench.config, dialog, str(name))
+    notes.fact(
+        f"{gauge.gauge} at {gauge.force_n:g} N: {gauge.held_n[0]:.2f} and {gauge.held_n[1]:.2f} N, "
+        f"opening {gauge.held_mm:.2f} mm, {gauge.current_ma:.0f} mA, {gauge.patch_taxels[0]} and "
+        f"{gauge.patch_taxels[1]} taxels touched. Keep this object with the cell."
+    )
+    notes.values["gauge"] = asdict(gauge)
 
 
-def measure_gauge(
-    bench: Bench, config: CellConfig, dialog: Dialog, gauge: str | None = None
-) -> tuple[Gauge, NDArray[np.float64]]:
-    """Grasp the gauge object once and release it; return values and the force on each taxel.
+BASELINE = Step(
+    key="baseline",
+    title="Gauge object",
+    purpose="Grasps a stiff object that you keep for it, and stores opening, forces, current and "
+    "patches. `tactile-cell doctor --gauge` later shows what has changed.",
+    run=keep_gauge,
+    needs=("first_force",),
+    needs_pads=True,
+    undo="nothing is written; the torque goes off at the end",
+)
 
-    Without a name of the gauge it asks for one.
+
+def measure_gauge(bench: Bench, config: CellConfig, dialog: Dialog, gauge: str) -> Gauge:
+    """Grasp the gauge object of this name once and release it; return its measurement.
 
     Raises
     ------
@@ -113,31 +106,16 @@ def measure_gauge(
     CellError, GripperError, TactileError
         As the hand raises them.
     """
-    if gauge is None:
-        gauge = str(
-            dialog.ask(
-                Question(
-                    key="baseline.name",
-                    text="Take a stiff object with parallel faces, as a block of 10 to 20 mm, and "
-                    "mark it as the gauge of this cell. What is its name?",
-                    default="gauge block",
-                )
-            )
-        )
     layout = layout_from_config(config.tactile)
     force_n = round(float(np.mean(config.sequence.forces_n)), 2)
-    opening = f"{config.gripper.aperture_open_mm:g} mm open"
-    dialog.approve(
-        [
-            ProposedChange(
-                where="both fingers",
-                what=f"open, then grasp {gauge}",
-                before="where they stand",
-                after=f"{opening}, then {force_n:g} N",
-                undo="they open when you confirm it; the torque goes off at the end",
-            )
-        ]
+    motion_shown = ProposedChange(
+        where="both fingers",
+        what=f"open, then grasp {gauge}",
+        before="where they stand",
+        after=f"{config.gripper.aperture_open_mm:g} mm open, then {force_n:g} N",
+        undo="they open when you confirm it; the torque goes off at the end",
     )
+    dialog.approve([motion_shown])
     dialog.confirm("baseline.empty", "Take everything out of the fingers, and your hands away.")
     with watched_hand(bench, config, dialog) as (hand, motion):
         hand.start_sensor()
@@ -174,25 +152,24 @@ def measure_gauge(
             "hold it with two of its faces on the pads, and run the step again"
         )
     forces = TaxelForces(layout, make_calibration(config.tactile, layout), zero)
-    force_on_taxels_n = np.mean([forces.of(frame.counts) for frame in frames], axis=0)
-    touched = [
-        int(np.count_nonzero(force_on_taxels_n[layout.taxels_of(pad)] > 0.0))
+    taxel_force_n = np.mean([forces.of(frame.counts) for frame in frames], axis=0)
+    first, second = (
+        int(np.count_nonzero(taxel_force_n[layout.taxels_of(pad)] > 0.0))
         for pad in layout.gripping_pads
-    ]
+    )
     samples = [one.force.force_n for one in held if one.force is not None and one.force.valid]
-    felt = Gauge(
+    return Gauge(
         gauge=gauge,
         force_n=force_n,
         held_n=(_mean(n for n, _ in samples), _mean(n for _, n in samples)),
         contact_mm=round(1e3 * (outcome.contact_aperture_m or 0.0), 3),
         held_mm=_mean(1e3 * one.state.aperture_m for one in held),
         current_ma=_mean(1e3 * one.goal_current_a for one in held),
-        patch_taxels=(touched[0], touched[1]),
+        patch_taxels=(first, second),
     )
-    return felt, force_on_taxels_n
 
 
-def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[CheckResult]:
+def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[Finding]:
     """Grasp the gauge object of the commissioning again, and return the differences.
 
     The bench is that of the commissioning. The dialog shows each motion before it starts, and asks
@@ -211,7 +188,7 @@ def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[CheckR
         raise CellError(
             f"no gauge object was kept in {bench.folder}: finish `tactile-cell commission` first"
         )
-    now, _ = measure_gauge(bench, config, dialog, was.gauge)
+    now = measure_gauge(bench, config, dialog, was.gauge)
     return kept.findings(f"gauge object {was.gauge}", changed_gauge(was, now))
 
 

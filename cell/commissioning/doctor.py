@@ -11,7 +11,7 @@ import numpy as np
 
 from cell.build import Cell, build_cell
 from cell.checks.changes import CommissionedValues, changed_pads, changed_servos, changed_unit
-from cell.checks.findings import CheckResult, Verdict, check_result
+from cell.checks.findings import Finding, Verdict, check_result
 from cell.checks.ports import check_port, serial_ports
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration, pad_mounts
@@ -44,7 +44,7 @@ _PRESSED_SIGMAS = 6.0
 """Distance of a taxel's mean from the rest, in spreads of the counts, that shows pressure."""
 
 
-def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[CheckResult]:
+def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Finding]:
     """Check the machine, then each device of the cell, yielding results as they come.
 
     It only reads and verifies: no torque is switched on and nothing moves. The advised commands
@@ -59,7 +59,7 @@ def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Che
     yield from _devices(config, named, CommissionedValues.beside(config_file))
 
 
-def _machine() -> Iterator[CheckResult]:
+def _machine() -> Iterator[Finding]:
     version = ".".join(map(str, sys.version_info[:3]))
     yield check_result("Python", version, ok=True)
     for package in ("dynamixel-sdk", "canopen", "python-can", "numpy", "scipy"):
@@ -71,7 +71,7 @@ def _machine() -> Iterator[CheckResult]:
             yield check_result(package, "not installed", f"if you need it: {remedy(extra)}")
 
 
-def _self_zero(config: CellConfig, named: str) -> CheckResult:
+def _self_zero(config: CellConfig, named: str) -> Finding:
     """Return the date and values of the last self-zero."""
     if not config.gripper.pads_meet or config.self_zero == "never":
         found = (
@@ -98,7 +98,7 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
     )
 
 
-def _drives(config: CellConfig, named: str) -> CheckResult:
+def _drives(config: CellConfig, named: str) -> Finding:
     """Return the measured characteristics of the servos' drives, beside the catalogue."""
     kept = kept_zeros(config, Path(config.recording.directory), new_hand=False)
     texts: list[str] = []
@@ -126,7 +126,7 @@ def _drives(config: CellConfig, named: str) -> CheckResult:
     return check_result("servo drives", "; ".join(texts), advice, ok=not advice)
 
 
-def _devices(config: CellConfig, named: str, kept: CommissionedValues) -> Iterator[CheckResult]:
+def _devices(config: CellConfig, named: str, kept: CommissionedValues) -> Iterator[Finding]:
     """Check the devices; ``named`` is the option that names the cell in advised commands."""
     try:
         cell = build_cell(config, mover=lambda _pose: False, ask=str, partial=True)
@@ -144,7 +144,7 @@ def _devices(config: CellConfig, named: str, kept: CommissionedValues) -> Iterat
         cell.close()
 
 
-def _loop(cell: Cell) -> Iterator[CheckResult]:
+def _loop(cell: Cell) -> Iterator[Finding]:
     """List the real-time settings that the system refused to the force loop."""
     # A missing line is found by the check of its device.
     notes = [note for note in cell.notes if not note.startswith(MISSING)]
@@ -155,7 +155,7 @@ def _loop(cell: Cell) -> Iterator[CheckResult]:
         yield check_result("force loop", found, advice)
 
 
-def _guarded(what: str, check: Callable[[], list[CheckResult]]) -> Iterator[CheckResult]:
+def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]:
     try:
         yield from check()
     except VerificationFailed as error:
@@ -170,7 +170,7 @@ def _guarded(what: str, check: Callable[[], list[CheckResult]]) -> Iterator[Chec
         yield check_result(what, str(error), advice, bad=Verdict.FAIL)
 
 
-def _torque(cell: Cell, named: str) -> list[CheckResult]:
+def _torque(cell: Cell, named: str) -> list[Finding]:
     """Check that all servos or no servo has torque; one servo alone may press on a part."""
     conditions = cell.controller.hand.conditions()
     found = "; ".join(map(str, conditions))
@@ -189,7 +189,7 @@ def _torque(cell: Cell, named: str) -> list[CheckResult]:
     return [check_result(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
 
 
-def _servos(cell: Cell, named: str, kept: CommissionedValues) -> list[CheckResult]:
+def _servos(cell: Cell, named: str, kept: CommissionedValues) -> list[Finding]:
     rows = cell.controller.hand.inspect().rows
     read = {(row.servo_id, row.item): row.found for row in rows}
     servos = {
@@ -228,7 +228,7 @@ def _advice(row: VerificationRow, named: str) -> str:
 
 def _control_unit(
     cell: Cell, config: CellConfig, named: str, kept: CommissionedValues
-) -> list[CheckResult]:
+) -> list[Finding]:
     hand = cell.controller.hand
     is_unit = config.tactile.sensor.canopen
     try:
@@ -287,7 +287,7 @@ def _control_unit(
     ]
 
 
-def _axes(cell: Cell) -> Iterator[CheckResult]:
+def _axes(cell: Cell) -> Iterator[Finding]:
     """Read the state of each drive and servo of the positioner, without setting it up or moving it.
 
     The first motion after an acknowledgement clears a fault.
@@ -301,7 +301,7 @@ def _axes(cell: Cell) -> Iterator[CheckResult]:
         yield check_result(name, str(found), advice, ok=not fault, bad=Verdict.FAIL)
 
 
-def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> CheckResult:
+def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> Finding:
     """Check whether the pads are pressed, without a zero: compare with the most frequent counts."""
     layout = layout_from_config(config.tactile)
     counts = np.mean([frame.counts for frame in frames], axis=0)
@@ -320,7 +320,7 @@ def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> CheckRe
     )
 
 
-def _noise(frames: list[TactileFrame]) -> CheckResult:
+def _noise(frames: list[TactileFrame]) -> Finding:
     """Check that the samples change at rest: else frozen and dead taxels cannot be detected."""
     moving = int(np.count_nonzero(np.ptp([frame.counts for frame in frames], axis=0)))
     return check_result(
@@ -332,7 +332,7 @@ def _noise(frames: list[TactileFrame]) -> CheckResult:
     )
 
 
-def _boards(boards: tuple[int, int], config: CellConfig) -> CheckResult:
+def _boards(boards: tuple[int, int], config: CellConfig) -> Finding:
     """Check that exchanged pads would be detected: forces and labels depend on it."""
     found = f"serial {boards[0]} on finger 0, {boards[1]} on finger 1"
     if not any(boards):

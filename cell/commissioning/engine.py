@@ -5,20 +5,14 @@ the next run begins with the first step that is not done.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NoReturn, Protocol
 
-from cell.checks.findings import (
-    STORE_NAME,
-    Approved,
-    Finding,
-    ProposedChange,
-    Verdict,
-    read_commissioned,
-)
+from cell.checks.findings import STORE_NAME, Notes, ProposedChange, read_commissioned
 from cell.commissioning.bench import CONFIG_NAME, Bench
+from cell.commissioning.record import RECORD_NAME, record_text
 from cell.config.file import config_text, schema_text
 from cell.data.files import write_text
 from cell.data.formats import COMMISSIONING, write_json
@@ -80,7 +74,7 @@ class Dialog(Protocol):
     def start_step(self, step: "Step", number: int, count: int) -> None:
         """Show the step that begins: its title and purpose, as ``number`` of ``count``."""
 
-    def found(self, step: "Step", finding: Finding) -> None:
+    def found(self, step: "Step", notes: Notes) -> None:
         """Show the findings of a step."""
 
     def say(self, text: str) -> None:
@@ -119,6 +113,7 @@ class Dialog(Protocol):
         self.choose(key, text, {"done": done}, "done", watch)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
     """One step: measures something, and sets it if the person approves."""
 
@@ -127,6 +122,13 @@ class Step:
     title: str
     purpose: str
     """Heading, and in one or two sentences what it finds, writes and moves."""
+    run: Callable[[Bench, Dialog, Notes], None]
+    """Runs the step from its start, also after an earlier partial run, and notes its findings.
+
+    Nothing is written or moved without `Dialog.approve`. After it, also after an error, no servo
+    has torque that had none before, and a held part stays held. Raises WizardAborted when the
+    person leaves or refuses; only the values of the step are kept then. CellError, GripperError
+    and TactileError end the step; `carry_out` adds them to the notes."""
     needs: tuple[str, ...] = ()
     """Keys of the steps whose findings it uses; redoing one of them redoes this step."""
     needs_pads: bool = False
@@ -134,28 +136,13 @@ class Step:
     undo: str = "nothing to undo"
     """How a person reverts its writes."""
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Run the step from its start, also after an earlier partial run.
 
-        Nothing is written or moved without `Dialog.approve`. After it, also after an error, no
-        servo has torque that had none before, and a held part stays held.
-
-        Raises
-        ------
-        WizardAborted
-            When the person leaves or refuses; only the values of the step are kept then.
-        CellError, GripperError, TactileError
-            Errors that end the step; `carry_out` adds them to the notes.
-        """
-        raise NotImplementedError
-
-
-def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = None) -> Finding:
-    """Run a step and return its findings; an error of cell or lines is a failure of the step.
+def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Notes | None = None) -> Notes:
+    """Run a step and return its notes; an error of cell or lines is a failure of the step.
 
     Raises WizardAborted when the person leaves or refuses; ``notes`` has the findings until then.
     """
-    notes = notes or Finding()
+    notes = notes or Notes()
     if step.needs_pads and bench.gripper_alone:
         notes.warn("This gripper has no pads: connect its control unit, then `--redo unit`.")
         return notes
@@ -170,7 +157,6 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = 
         notes.fail(error_text(error))
     if notes.failed:
         notes.settings.clear()
-        notes.corrected.clear()
     return notes
 
 
@@ -201,64 +187,51 @@ class Engine:
         The steps; each comes after the steps that it needs.
     bench
         Lines and config; its settings and findings are filled from commissioning.json.
-    finish
-        Called with the engine after all steps are done and the config is written; returns the files
-        that it wrote (the record).
     """
 
-    def __init__(
-        self,
-        steps: Sequence[Step],
-        bench: Bench,
-        *,
-        finish: Callable[["Engine"], Sequence[Path]] = lambda _engine: (),
-    ) -> None:
+    def __init__(self, steps: Sequence[Step], bench: Bench) -> None:
         self.steps = tuple(steps)
         self.bench = bench
-        self._finish = finish
         known: list[str] = []
         for step in self.steps:
-            missing = [key for key in step.needs if key not in known]
-            if missing:
+            if missing := [key for key in step.needs if key not in known]:
                 raise CellError(f"step {step.key} needs {', '.join(missing)} before it")
             known.append(step.key)
         self.path = bench.folder / STORE_NAME
         kept = read_commissioned(self.path)
         self.approved = kept.approved
-        self.findings = {key: kept.steps[key] for key in known if key in kept.steps}
+        self.notes = {key: kept.steps[key] for key in known if key in kept.steps}
         self._fill_bench()
 
     def done(self, step: Step) -> bool:
         """Return whether a step has ended without a failure."""
-        finding = self.findings.get(step.key)
-        return finding is not None and finding.status is not Verdict.FAIL
+        return step.key in self.notes and not self.notes[step.key].failed
 
     @property
     def corrected(self) -> list[str]:
         """Corrected settings of the cell, with their new values, in the order of the steps."""
-        done = (self.findings.get(step.key, Finding()) for step in self.steps)
-        return [line for finding in done for line in finding.corrected]
+        done = (self.notes[step.key] for step in self.steps if step.key in self.notes)
+        return [line for notes in done for line in notes.corrected]
 
     def redo(self, key: str) -> tuple[str, ...]:
         """Forget a step and all that need it; return their keys.
 
         Raises CellError if the step does not exist.
         """
-        if key not in [step.key for step in self.steps]:
-            names = ", ".join(step.key for step in self.steps)
-            raise CellError(f"there is no step {key!r}; the steps are {names}")
+        keys = [step.key for step in self.steps]
+        if key not in keys:
+            raise CellError(f"there is no step {key!r}; the steps are {', '.join(keys)}")
         affected = {key}
         for step in self.steps:
             if affected.intersection(step.needs):
                 affected.add(step.key)
-        ordered = tuple(step.key for step in self.steps if step.key in affected)
-        for name in ordered:
-            self.findings.pop(name, None)
+        for name in affected:
+            self.notes.pop(name, None)
         self._store()
-        return ordered
+        return tuple(name for name in keys if name in affected)
 
     def run(self, dialog: Dialog) -> tuple[Path, ...]:
-        """Run the steps that are not done, then write the config; return the written files.
+        """Run the steps that are not done, then write config, schema and record; return the files.
 
         A failed step runs again, or the person leaves. Raises WizardAborted then; a further run
         continues with the same step. Raises CellError if the files cannot be written, or if the
@@ -270,33 +243,41 @@ class Engine:
                 self._run(step, dialog)
                 if not self.done(step):
                     self._again(step, dialog)
-        config = self.bench.folder / CONFIG_NAME
-        schema = self.bench.folder / "tactile-cell.schema.json"
-        write_text(config, config_text(self.bench.config), error=CellError, what="config")
-        write_text(schema, schema_text(), error=CellError, what="schema")
-        return (config, schema, *self._finish(self))
+        texts = {
+            CONFIG_NAME: config_text(self.bench.config),
+            "tactile-cell.schema.json": schema_text(),
+            RECORD_NAME: self.record(),
+        }
+        for name, text in texts.items():
+            write_text(self.bench.folder / name, text, error=CellError, what=name)
+        return tuple(self.bench.folder / name for name in texts)
+
+    def record(self) -> str:
+        """Return the record: each step with its findings, values and writes, to sign and file."""
+        titles = {step.key: step.title for step in self.steps}
+        return record_text(self.bench.config.name, titles, self.notes, self.approved)
 
     def _run(self, step: Step, dialog: Dialog) -> None:
         def log(writes: Sequence[ProposedChange]) -> None:
             at = _now()
-            self.approved += [Approved(step=step.key, at=at, write=write) for write in writes]
+            self.approved += [replace(write, step=step.key, at=at) for write in writes]
             self._store()
 
-        finding = Finding(began=_now())
+        notes = Notes(began=_now())
         try:
-            carry_out(step, self.bench, _Logged(dialog, log), finding)
+            carry_out(step, self.bench, _Logged(dialog, log), notes)
         except WizardAborted:
-            if finding.values:
-                left = Finding(began=finding.began, values=finding.values)
+            if notes.values:
+                left = Notes(began=notes.began, values=notes.values)
                 left.fail("It was left before its end, and goes on with what it has found so far.")
                 self._keep(step, left)
             raise
-        self._keep(step, finding)
-        dialog.found(step, finding)
+        self._keep(step, notes)
+        dialog.found(step, notes)
 
-    def _keep(self, step: Step, finding: Finding) -> None:
-        finding.ended = _now()
-        self.findings[step.key] = finding
+    def _keep(self, step: Step, notes: Notes) -> None:
+        notes.ended = _now()
+        self.notes[step.key] = notes
         self._store()
 
     def _again(self, step: Step, dialog: Dialog) -> None:
@@ -310,15 +291,15 @@ class Engine:
             leave(f"{step.title} failed")
 
     def _store(self) -> None:
-        content = {"steps": self.findings, "approved": self.approved}
+        content = {"steps": self.notes, "approved": self.approved}
         self.path.parent.mkdir(parents=True, exist_ok=True)
         write_json(self.path, COMMISSIONING, content, error=CellError)
         self._fill_bench()
 
     def _fill_bench(self) -> None:
-        found = self.findings.values()
-        self.bench.settings = {k: v for one in found for k, v in one.settings.items()}
-        self.bench.found = {key: one.values for key, one in self.findings.items()}
+        every = self.notes.values()
+        self.bench.settings = {k: v for notes in every for k, v in notes.settings.items()}
+        self.bench.found = {key: notes.values for key, notes in self.notes.items()}
 
 
 def leave(why: str) -> NoReturn:

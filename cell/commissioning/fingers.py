@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import degrees
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from cell.checks.findings import Finding, ProposedChange
+from cell.checks.findings import Notes, ProposedChange
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     LIVE_CALL_S,
@@ -67,8 +67,6 @@ Pulses = tuple[int, ...]
 Signs = tuple[Literal[1, -1], ...]
 """Direction of each servo."""
 
-_CLOSED = "closed"
-"""Answer that asks to measure the closed fingers again."""
 _MOVED_PULSES = 60
 """Travel of a servo, 5 degrees, above which a finger was moved."""
 _STILL_SHARE = 0.2
@@ -255,44 +253,39 @@ def first_way_rad(model: ServoModel, current_a: float) -> float:
     return max(_FIRST_WAY_RAD, closing_margin_rad(model, current_a))
 
 
-class FingersStep(Step):
-    """Finds directions, zeros, ends and linkage by hand, then makes the first motion."""
-
-    key = "fingers"
-    title = "Fingers"
-    purpose = (
-        "You move the fingers by hand, without torque, then close them on blocks of known size. "
-        "This gives directions, zero, ends and linkage. At the end each finger opens by itself, by "
-        "about 3 mm at the least current that moves it, and has no torque again."
-    )
-    needs = ("servos",)
-    undo = "nothing is written; run `tactile-cell commission --redo fingers`"
-
-    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Measure by hand, fit, move."""
-        gripper = bench.gripper()
-        ids = [servo.id for servo in gripper.servos]
-        with bench.servo_bus() as bus:
-            for servo_id in ids:
-                torque_off(bus, dialog, servo_id, bus.read(servo_id, TORQUE_ENABLE))
-            _Hands(bench, dialog, bus, gripper, notes).run()
-
-
 class _ClosedAgain(Exception):
     """The person measures the closed fingers again."""
+
+
+def measure_fingers(bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    """Find directions, zeros, ends and linkage by hand, then make the first motion."""
+    gripper = bench.gripper()
+    with bench.servo_bus() as bus:
+        for servo in gripper.servos:
+            torque_off(bus, dialog, servo.id, bus.read(servo.id, TORQUE_ENABLE))
+        _Hands(bench, dialog, bus, gripper, notes).run()
+
+
+FINGERS = Step(
+    key="fingers",
+    title="Fingers",
+    purpose="You move the fingers by hand, without torque, then close them on blocks of known "
+    "size. This gives directions, zero, ends and linkage. At the end each finger opens by itself, "
+    "by about 3 mm at the least current that moves it, and has no torque again.",
+    run=measure_fingers,
+    needs=("servos",),
+    undo="nothing is written; run `tactile-cell commission --redo fingers`",
+)
 
 
 class _Hands:
     """One run of the step."""
 
     def __init__(
-        self, bench: Bench, dialog: Dialog, bus: ServoBus, gripper: GripperConfig, notes: Finding
+        self, bench: Bench, dialog: Dialog, bus: ServoBus, gripper: GripperConfig, notes: Notes
     ) -> None:
-        self._bench = bench
-        self._dialog = dialog
-        self._bus = bus
-        self._gripper = gripper
-        self._notes = notes
+        self._bench, self._dialog, self._bus = bench, dialog, bus
+        self._gripper, self._notes = gripper, notes
         self._servos = list(gripper.servos)
         self._models = [MODELS[servo.model] for servo in gripper.servos]
         self._shown: Callable[[], str] = self._pulses
@@ -343,15 +336,14 @@ class _Hands:
             self._shown = self._pulses
             with suppress(_ClosedAgain):
                 closed, opened = self._ends()
-                if crossing := [
-                    f"servo {s.id}: {a} to {b} pulses"
-                    for s, m, a, b in zip(self._servos, self._models, closed, opened, strict=True)
-                    if not (min(a, b) >= 0 and max(a, b) < m.pulses_per_turn)
-                ]:
-                    raise StepFailed(
-                        f"a finger crosses the end of its encoder's turn ({'; '.join(crossing)}): "
-                        "take off the horn, turn the servo by half a turn and mount it again"
-                    )
+                for servo, model, *ends in zip(
+                    self._servos, self._models, closed, opened, strict=True
+                ):
+                    if not 0 <= min(ends) <= max(ends) < model.pulses_per_turn:
+                        raise StepFailed(
+                            f"servo {servo.id} crosses the end of its encoder's turn ({ends[0]} to "
+                            f"{ends[1]} pulses): mount its horn half a turn further"
+                        )
                 signs = directions(closed, opened)
                 return closed, opened, signs, self._blocks(closed, signs)
 
@@ -369,28 +361,20 @@ class _Hands:
             for model, raw, zero, sign in zip(self._models, raws, closed, signs, strict=True)
         )
 
-    def _ways(self, before: Sequence[int], after: Sequence[int]) -> str:
-        return ", ".join(
-            f"servo {servo.id} by {degrees(abs(b - a) * model.rad_per_pulse):.1f} deg"
-            for servo, model, a, b in zip(self._servos, self._models, before, after, strict=True)
-        )
-
     def _pulses(self) -> str:
-        return ", ".join(
-            f"servo {servo.id}: {degrees(raw * model.rad_per_pulse):.1f} deg"
-            for servo, model, raw in zip(self._servos, self._models, self._read(), strict=True)
-        )
+        turned = self._turned(self._read(), [0] * len(self._servos), [1] * len(self._servos))
+        return _degrees_text([f"servo {servo.id}:" for servo in self._servos], turned)
 
     def _by_hand(self, key: str, text: str) -> Pulses:
         """Ask for a position by hand and return it in pulses.
 
         Raises _ClosedAgain if the person measures the closed fingers again.
         """
-        answers = {"done": "done", _CLOSED: "measure the closed fingers again"}
-        if key == "close":
-            del answers[_CLOSED]
+        answers = {"done": "done"}
+        if key != "close":
+            answers["closed"] = "measure the closed fingers again"
         answer = self._dialog.choose(f"fingers.{key}", text, answers, "done", self._shown)
-        if answer == _CLOSED:
+        if answer == "closed":
             raise _ClosedAgain
         return self._read()
 
@@ -411,10 +395,12 @@ class _Hands:
             "finger 0 from now on: mark it."
         )
         while (index := moved_alone(closed, opened := self._by_hand("open_first", text))) is None:
+            names = [f"servo {servo.id} by" for servo in self._servos]
+            ways = [abs(way) for way in self._turned(opened, closed, [1] * len(closed))]
             text = (
-                f"One finger should have moved by 5 degrees or more, and no other. From closed: "
-                f"{self._ways(closed, opened)}. Close both, then open one by hand as far "
-                "as it goes."
+                "One finger should have moved by 5 degrees or more, and no other. From closed: "
+                f"{_degrees_text(names, ways)}. Close both, then open one by hand as far as it "
+                "goes."
             )
         if len(self._servos) == 1:
             return closed, opened
@@ -423,83 +409,66 @@ class _Hands:
         closed, first = tuple(closed[i] for i in order), opened[index]
         text = "Now open the other one as far as it goes."
         while abs((both := self._by_hand("open_second", text))[1] - closed[1]) < _MOVED_PULSES:
-            text = (
-                f"It has not moved: {self._ways(closed, both)}. Open the other finger by "
-                "hand as far as it goes."
-            )
+            text = "It has not moved. Open the other finger by hand as far as it goes."
         return closed, (first, both[1])
 
     def _blocks(self, closed: Pulses, signs: Signs) -> list[BlockMeasurement]:
         """Return the fingers on blocks of known size: two, and a third if no simple law fits."""
-        self._shown = lambda: ", ".join(
-            f"finger {number}: {degrees(angle):.1f} deg open"
-            for number, angle in enumerate(self._turned(self._read(), closed, signs))
-        )
+        fingers = [f"finger {number} open by" for number in range(len(signs))]
+        self._shown = lambda: _degrees_text(fingers, self._turned(self._read(), closed, signs))
         measured: list[BlockMeasurement] = []
         for number, (text, least) in enumerate(_BLOCKS, start=1):
             if number > _SIMPLE_BLOCKS and _simple(fit_linkages(measured)[0]):
                 break
-            size_mm = self._dialog.ask(
-                Question(
-                    key=f"fingers.block{number}",
-                    text=f"{text} How thick is it?",
-                    number=NumberRange(lowest=least, highest=400.0, unit="mm"),
-                    default=None if least else 0.0,
-                )
+            question = Question(
+                key=f"fingers.block{number}",
+                text=f"{text} How thick is it?",
+                number=NumberRange(lowest=least, highest=400.0, unit="mm"),
+                default=None if least else 0.0,
             )
-            if float(size_mm) <= 0.0:
+            if (size_mm := float(self._dialog.ask(question))) <= 0.0:
                 break
-            measured.append(self._on_block(number, float(size_mm), closed, signs))
+            measured.append(self._on_block(number, size_mm, closed, signs))
         return measured
 
     def _on_block(
         self, number: int, size_mm: float, closed: Pulses, signs: Signs
     ) -> BlockMeasurement:
         """Return the fingers on a block, each farther open than when closed."""
-        text = (
-            f"Hold the block of {size_mm:g} mm between the pads and close both fingers by hand "
-            "until they just touch it, flat."
-        )
+        flat = "between the pads and close both fingers by hand until they just touch it, flat."
+        text = f"Hold the block of {size_mm:g} mm {flat}"
         while True:
             angles_rad = self._turned(self._by_hand(f"on_block{number}", text), closed, signs)
-            closer = [
-                f"finger {finger} by {degrees(-angle):.1f} deg"
-                for finger, angle in enumerate(angles_rad)
-                if angle <= 0.0
-            ]
+            closer = {f"finger {i} by": -a for i, a in enumerate(angles_rad) if a <= 0.0}
             if not closer:
                 return BlockMeasurement(angles_rad=angles_rad, aperture_m=size_mm * 1e-3)
             text = (
-                f"On the block fingers are closer than in the closed position: "
-                f"{', '.join(closer)}. Was something between the pads there, or was a finger "
-                "pushed past the other one instead of opened? Then measure the closed fingers "
-                "again. Otherwise hold the block in the middle, and close both fingers until they "
-                "just touch it, flat."
+                "On the block fingers are closer than in the closed position: "
+                f"{_degrees_text(list(closer), list(closer.values()))}. Was something between the "
+                "pads there, or a finger pushed past the other one? Then measure the closed "
+                f"fingers again. Otherwise hold the block {flat}"
             )
 
     def _chosen(self, fits: Sequence[LinkageFit]) -> LinkageFit:
         """Return the linkage that the person confirms; the fit proposes one if it can."""
         sure = decided(fits)
         shown = fits if sure else sorted(fits, key=lambda fit: list(KINDS).index(fit.kind))
-        answer = self._dialog.ask(
-            Question(
-                key="fingers.kind",
-                text="How do the fingers move? The measurements fit the first one best."
-                if sure
-                else "How do the fingers move? The measurements fit more than one kind: look at "
-                "the fingers while you move them.",
-                choices=tuple(
-                    Choice(
-                        key=fit.kind,
-                        text=f"{KINDS[fit.kind]} ({fit.linkage}; residual "
-                        f"{fit.residual_m * 1e3:.2f} mm)",
-                        picture=SKETCHES[fit.kind].strip("\n"),
-                    )
-                    for fit in shown
-                ),
-                default=shown[0].kind if sure else None,
+        choices = tuple(
+            Choice(
+                key=fit.kind,
+                text=f"{KINDS[fit.kind]} ({fit.linkage}; residual {fit.residual_m * 1e3:.2f} mm)",
+                picture=SKETCHES[fit.kind].strip("\n"),
             )
+            for fit in shown
         )
+        best = "the first one best." if sure else "more than one kind: look while you move them."
+        question = Question(
+            key="fingers.kind",
+            text=f"How do the fingers move? The measurements fit {best}",
+            choices=choices,
+            default=shown[0].kind if sure else None,
+        )
+        answer = self._dialog.ask(question)
         return next(fit for fit in fits if fit.kind == answer)
 
     # The result
@@ -507,39 +476,51 @@ class _Hands:
     def _judge(
         self, fit: LinkageFit, widest_m: float, measured: Sequence[BlockMeasurement]
     ) -> None:
-        """Note the measurements by hand, and set them."""
+        """Note the measurements by hand and their differences from the config, and set them."""
         notes, drive = self._notes, fit.linkage
-        proven = len(measured) > (2 if fit.kind == "swinging" else 1)
+        linkage: dict[str, Any] = {"kind": "rack_pinion", "offset_mm": 0.0}
         if isinstance(drive, ParallelLinkage):
-            linkage = {
-                "kind": "parallel_linkage",
-                "link_mm": round(drive.link_m * 1e3, 3),
-                "offset_mm": round(drive.offset_m * 1e3, 3),
-            }
+            linkage = {"kind": "parallel_linkage", "offset_mm": round(drive.offset_m * 1e3, 3)}
+            linkage["link_mm"] = round(drive.link_m * 1e3, 3)
         elif isinstance(drive, RackPinion):
-            linkage = {
-                "kind": "rack_pinion",
-                "pinion_radius_mm": round(drive.pinion_radius_m * 1e3, 3),
-                "offset_mm": 0.0,
-            }
+            linkage["pinion_radius_mm"] = round(drive.pinion_radius_m * 1e3, 3)
         notes.settings |= {
             "gripper.servos": [servo.model_dump(mode="json") for servo in self._servos],
             "gripper.linkage": linkage,
         }
-        reach_mm, wanted_mm = (widest_m - _END_MARGIN_M) * 1e3, self._gripper.aperture_open_mm
-        for number, servo in enumerate(self._servos):
+        was_by_id = {servo.id: servo for servo in self._bench.base.gripper.servos}
+        for number, (servo, model) in enumerate(zip(self._servos, self._models, strict=True)):
             notes.fact(
                 f"finger {number}: servo {servo.id}, direction {servo.direction:+d}, zero at "
                 f"{servo.zero_pulse} pulses"
             )
-        self._compare(drive, measured)
+            was = was_by_id.get(servo.id, ServoConfig(id=servo.id))
+            if servo.direction != was.direction:
+                notes.fact(
+                    f"servo {servo.id} turns the other way: its direction was {was.direction:+d}, "
+                    f"is now {servo.direction:+d}",
+                    corrected=True,
+                )
+            if abs(off := servo.zero_pulse - was.zero_pulse) > _OFF_PULSES:
+                notes.fact(
+                    f"servo {servo.id}: its horn sits {degrees(off * model.rad_per_pulse):+.1f} deg"
+                    f" off: its zero was {was.zero_pulse} pulses, is now {servo.zero_pulse}",
+                    corrected=True,
+                )
+        before = linkage_of(self._gripper)
+        if type(before) is not type(drive) or _missed_m(before, measured) > _BAD_FIT_M:
+            notes.fact(
+                f"the linkage was {_linkage_text(before)}; it is now {_linkage_text(drive)}",
+                corrected=True,
+            )
+        reach_mm, wanted_mm = (widest_m - _END_MARGIN_M) * 1e3, self._gripper.aperture_open_mm
         if reach_mm < wanted_mm:
             notes.settings["gripper.aperture_open_mm"] = round(reach_mm, 2)
             notes.fact(
                 f"gripper.aperture_open_mm was {wanted_mm:g}, is now {reach_mm:.2f}", corrected=True
             )
         found = f"linkage: {_linkage_text(drive)}; residual {fit.residual_m * 1e3:.2f} mm"
-        if proven:
+        if len(measured) > (2 if fit.kind == "swinging" else 1):
             notes.fact(found)
         else:
             notes.warn(f"{found} (as many blocks as unknowns: check an opening with a ruler)")
@@ -550,37 +531,10 @@ class _Hands:
                 "for play, and run `tactile-cell commission --redo fingers`"
             )
 
-    def _compare(self, linkage: Linkage, measured: Sequence[BlockMeasurement]) -> None:
-        """Note differences from the config."""
-        was_by_id = {servo.id: servo for servo in self._bench.base.gripper.servos}
-        for servo, model in zip(self._servos, self._models, strict=True):
-            was = was_by_id.get(servo.id, ServoConfig(id=servo.id))
-            if servo.direction != was.direction:
-                self._notes.fact(
-                    f"servo {servo.id} turns the other way: its direction was {was.direction:+d}, "
-                    f"is now {servo.direction:+d}",
-                    corrected=True,
-                )
-            if abs(off := servo.zero_pulse - was.zero_pulse) > _OFF_PULSES:
-                off_deg = degrees(off * model.rad_per_pulse)
-                self._notes.fact(
-                    f"servo {servo.id}: its horn sits {off_deg:+.1f} deg off: its zero was "
-                    f"{was.zero_pulse} pulses, is now {servo.zero_pulse}",
-                    corrected=True,
-                )
-        before = linkage_of(self._gripper)
-        if type(before) is not type(linkage) or _missed_m(before, measured) > _BAD_FIT_M:
-            self._notes.fact(
-                f"the linkage was {_linkage_text(before)}; it is now {_linkage_text(linkage)}",
-                corrected=True,
-            )
-
     def _first_motion(self, widest_m: float) -> None:
         """Open each finger by a little, at the least current."""
-        found = self._notes.settings
-        config = self._bench.gripper(
-            **{key.removeprefix("gripper."): value for key, value in found.items()}
-        )
+        found = {key.removeprefix("gripper."): v for key, v in self._notes.settings.items()}
+        config = self._bench.gripper(**found)
         linkage = linkage_of(config)
         settings = gripper_settings(config, overruns_max=1)
         cap_a = first_current_max_a(settings)
@@ -596,37 +550,36 @@ class _Hands:
             return linkage.aperture_m(group.read_patiently().angles_rad)
 
         self._shown = lambda: f"opening {opening_m() * 1e3:.1f} mm"
-        ways_rad = [first_way_rad(model, cap_a) for model in self._models]
-        text = (
-            "Take the block out and open both fingers by hand to about half way. Keep your hands "
-            "off then."
-        )
         least_m, most_m = _LEAST_ROOM_M, widest_m - _LEAST_ROOM_M
-        self._dialog.confirm("fingers.free", text, watch=self._shown)
-        while not least_m <= (stand_m := opening_m()) <= most_m:
-            text = (
-                f"The opening is {stand_m * 1e3:.1f} mm; {least_m * 1e3:g} to {most_m * 1e3:.1f} "
-                "mm leave room for the motion. Open both fingers by hand to about half way."
-            )
+        half = "open both fingers by hand to about half way. Keep your hands off then."
+        text = f"Take the block out and {half}"
+        while True:
             self._dialog.confirm("fingers.free", text, watch=self._shown)
+            if least_m <= (stand_m := opening_m()) <= most_m:
+                break
+            text = (
+                f"The opening is {stand_m * 1e3:.1f} mm, but the motion needs {least_m * 1e3:g} to "
+                f"{most_m * 1e3:.1f} mm: {half}"
+            )
+        names = [f"finger {number} (servo {s.id})" for number, s in enumerate(self._servos)]
+        ways_rad = [first_way_rad(model, cap_a) for model in self._models]
         self._dialog.approve(
             [
                 ProposedChange(
-                    where=f"finger {number} (servo {servo.id})",
+                    where=name,
                     what="first motion",
                     before="at rest, no torque",
-                    after=f"opens by {degrees(way_rad):.1f} deg at most, with "
-                    f"{cap_a:.2f} A at most, then no torque",
+                    after=f"opens by {degrees(way_rad):.1f} deg at most, with {cap_a:.2f} A at "
+                    "most, then no torque",
                     undo="by hand",
                 )
-                for number, (servo, way_rad) in enumerate(zip(self._servos, ways_rad, strict=True))
+                for name, way_rad in zip(names, ways_rad, strict=True)
             ]
         )
         try:
             group.make_ready(part_possible=False, releasing=False)
-            for number, servo in enumerate(self._servos):
+            for number, name in enumerate(names):
                 current_a, way_rad = self._open_a_little(group, settings, number, ways_rad[number])
-                name = f"finger {number} (servo {servo.id})"
                 if way_rad <= -_WRONG_WAY_RAD:
                     raise StepFailed(
                         f"{name}: closed instead of opening, and was switched off: its direction "
@@ -641,9 +594,8 @@ class _Hands:
                     f"{name}: opened by {degrees(way_rad):.1f} deg with {current_a:.3f} A"
                 )
         except GripperError as error:
-            raise StepFailed(
-                f"the first motion ended, the servos have no torque: {error}"
-            ) from error
+            text = f"the first motion ended, the servos have no torque: {error}"
+            raise StepFailed(text) from error
         finally:
             group.go_limp()
         answer = self._dialog.choose(
@@ -653,8 +605,8 @@ class _Hands:
         )
         if answer == "no":
             raise StepFailed(
-                "what the servos report and what the fingers do differ: was a horn loose, or a "
-                "finger moved by hand meanwhile? Fasten the horns and run the step again"
+                "what the servos report and what the fingers do differ: fasten the horns, keep "
+                "your hands off, and run the step again"
             )
 
     def _open_a_little(
@@ -672,26 +624,28 @@ class _Hands:
         current_a, way_rad, shown_s = 0.0, 0.0, clock.monotonic()
         while current_a < settings.current_max_a:
             current_a = min(current_a + _RAMP_A_S * period_s, settings.current_max_a)
-            ahead = [goal_rad if i == index else 0.0 for i in range(len(start))]
-            goals = [
-                ServoGoal(angle_rad=angle + way, current_a=current_a if way else hold_a)
-                for angle, way in zip(start, ahead, strict=True)
-            ]
+            goals = [ServoGoal(angle_rad=angle, current_a=hold_a) for angle in start]
+            goals[index] = ServoGoal(angle_rad=start[index] + goal_rad, current_a=current_a)
             group.goals.write(goals, state)
             clock.sleep(period_s)
             state = group.read_patiently()
             way_rad = state.angles_rad[index] - start[index]
             if clock.monotonic() >= shown_s:
                 # The person may stop the motion here: the torque then goes off.
-                self._dialog.live(
-                    f"finger {index}", f"{degrees(way_rad):.1f} deg open, {current_a:.2f} A"
-                )
+                text = f"{degrees(way_rad):.1f} deg open, {current_a:.2f} A"
+                self._dialog.live(f"finger {index}", text)
                 shown_s = clock.monotonic() + LIVE_CALL_S
             if way_rad <= -_WRONG_WAY_RAD or way_rad >= _FIRST_WAY_RAD / 2.0:
                 break
         with suppress(GripperError):
             group.hold_position()
         return current_a, way_rad
+
+
+def _degrees_text(names: Sequence[str], angles_rad: Sequence[float]) -> str:
+    """Return angles with their names as text."""
+    pairs = zip(names, angles_rad, strict=True)
+    return ", ".join(f"{name} {degrees(angle):.1f} deg" for name, angle in pairs)
 
 
 def _linkage_text(linkage: Linkage) -> str:
@@ -703,10 +657,6 @@ def _linkage_text(linkage: Linkage) -> str:
 def _missed_m(linkage: Linkage, measured: Sequence[BlockMeasurement]) -> float:
     """Return the largest error in m of a linkage at the blocks, relative to the closed fingers."""
     closed = linkage.angles_rad(0.0)
-    return max(
-        abs(
-            linkage.aperture_m([c + a for c, a in zip(closed, one.angles_rad, strict=True)])
-            - one.aperture_m
-        )
-        for one in measured
-    )
+    ways = [[c + a for c, a in zip(closed, one.angles_rad, strict=True)] for one in measured]
+    both = zip(ways, measured, strict=True)
+    return max(abs(linkage.aperture_m(way) - one.aperture_m) for way, one in both)

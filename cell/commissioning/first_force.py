@@ -3,22 +3,21 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from math import floor
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.checks.findings import Finding, ProposedChange
+from cell.checks.findings import Notes, ProposedChange
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, NumberRange, Question, Step, StepFailed
-from cell.commissioning.figures import Figure, curves
 from cell.commissioning.motion import WatchedMotion, look_after, watched_hand
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
-from cell.control.self_zero import SelfZeros, drive_text, kept_zeros, part_between
+from cell.control.self_zero import drive_text, kept_zeros, part_between
 from cell.hand.interface import Hand
-from gripper.clock import Clock
 from gripper.errors import GripperError
 from gripper.force.by_current import cap_by_current_n
 from gripper.force.ramp import ForceRamp
@@ -47,112 +46,60 @@ _MEET_MM = 1.5
 mm, and a zero is set by hand."""
 _LAST_PERIODS = 20
 """Periods of the loop, 0.1 s, whose mean is the force at the end of a motion."""
-_GAP_S = 0.1
-"""Time in s without a set-point that separates two curves in the picture."""
 
 
-def _course(cycles: Sequence[Cycle]) -> NDArray[np.float64]:
-    """Return time in s, set-point, and measured force of finger 0 and 1 in N, of each period.
+def _forces_n(cycles: Sequence[Cycle]) -> NDArray[np.float64]:
+    """Return the measured force of finger 0 and 1 in N of each period with a set-point.
 
-    (n, 4) float64, NaN without a sample; periods without a set-point are omitted.
+    (n, 2) float64, NaN without a sample.
     """
-    rows = [
-        (one.t_s, one.setpoint_n, *((np.nan, np.nan) if one.force is None else one.force.force_n))
-        for one in cycles
-        if one.setpoint_n > 0.0
-    ]
-    return np.array(rows, dtype=np.float64).reshape(-1, 4)
+    none = (np.nan, np.nan)
+    rows = [none if c.force is None else c.force.force_n for c in cycles if c.setpoint_n > 0.0]
+    return np.array(rows, dtype=np.float64).reshape(-1, 2)
 
 
-def _grip_n(course: NDArray[np.float64]) -> NDArray[np.float64]:
+def _grip_n(cycles: Sequence[Cycle]) -> NDArray[np.float64]:
     """Return the mean measured force of both fingers in N; 0 without samples."""
-    grip_n = course[:, 2:].mean(axis=1)
+    grip_n = _forces_n(cycles).mean(axis=1)
     known = grip_n[np.isfinite(grip_n)]
     return known if known.size else np.zeros(1)
 
 
-def _figure(course: NDArray[np.float64], cap_n: float) -> Figure:
-    """Return the picture of set-point and measured force over time."""
-    # No line connects two motions.
-    gaps = np.flatnonzero(np.diff(course[:, 0]) > _GAP_S) + 1
-    t_s = np.insert(course[:, 0], gaps, course[gaps, 0])
-    asked_n, first_n, second_n = np.insert(course[:, 1:], gaps, np.nan, axis=0).T
-    return curves(
-        "Force asked for and measured",
-        t_s - t_s[0],
-        {
-            "asked": asked_n,
-            "measured": 0.5 * (first_n + second_n),
-            "finger 0": first_n,
-            "finger 1": second_n,
-        },
-        x_label="time / s",
-        y_label="force / N",
-        limits={"cap": cap_n},
+def press_first(bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    """Make the first grasp: empty fingers, watchdog, 1 N, then the cap; then pad on pad."""
+    proves = _proves_watchdog(bench.config)
+    config = changed_config(bench.config, {"gripper.watchdog_self_test": proves})
+    cap_n = config.gripper.force_max_n
+    if bench.gripper_alone:
+        cap_n = cap_by_current_n(config.gripper_settings, config.linkage)
+    limit_n = floor(10.0 * largest_setpoint_n(cap_n)) / 10.0
+    question = Question(
+        key="first_force.most",
+        text="Choose a soft part of 10 to 20 mm, for example a piece of foam or rubber. With which "
+        f"force may it be pressed? The cap of the config allows {limit_n:g} N.",
+        number=NumberRange(lowest=FIRST_FORCE_N, highest=limit_n, unit="N"),
+        default=min(limit_n, max(config.sequence.forces_n)),
     )
-
-
-class FirstForceStep(Step):
-    """Makes the first grasp: empty fingers, watchdog, 1 N, then the cap."""
-
-    key = "first_force"
-    title = "First force"
-    purpose = (
-        "The empty fingers open and prove direction and zero. Their bus watchdog must stop them "
-        "when this program is silent. Then they press a soft part with 1 N, and with the force "
-        "that you allow, and, empty again, each other. Measured force and set-point are compared. "
-        "Keep your hands away while they move."
+    most_n = float(dialog.ask(question))
+    dialog.approve(_motions(config, most_n, alone=bench.gripper_alone))
+    dialog.confirm(
+        "first_force.empty", "Take everything out of the fingers, and your hands away from them."
     )
-    needs = ("fingers", "unit", "pads_law", "link_quality")
-    undo = "nothing is written; the torque goes off at the end"
+    with watched_hand(bench, config, dialog) as (hand, motion):
+        _Trial(bench, config, dialog, notes, hand, motion).run(most_n, cap_n)
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Open, prove, grasp, release; with pads close the empty fingers on each other."""
-        proves = _proves_watchdog(bench.config)
-        config = changed_config(bench.config, {"gripper.watchdog_self_test": proves})
-        alone = bench.gripper_alone
-        cap_n = config.gripper.force_max_n
-        if alone:
-            cap_n = cap_by_current_n(config.gripper_settings, config.linkage)
-        limit_n = floor(10.0 * largest_setpoint_n(cap_n)) / 10.0
-        answer = dialog.ask(
-            Question(
-                key="first_force.most",
-                text="Choose a soft part of 10 to 20 mm, for example a piece of foam or rubber. "
-                "With which force may it be pressed? The cap of the config allows "
-                f"{limit_n:g} N.",
-                number=NumberRange(lowest=FIRST_FORCE_N, highest=limit_n, unit="N"),
-                default=min(limit_n, max(config.sequence.forces_n)),
-            )
-        )
-        most_n = float(answer)
-        dialog.approve(_motions(config, most_n, alone=alone))
-        dialog.confirm(
-            "first_force.empty",
-            "Take everything out of the fingers, and your hands away from them.",
-        )
-        with watched_hand(bench, config, dialog) as (hand, motion):
-            trial = _Trial(
-                config,
-                dialog,
-                bench.clock,
-                notes,
-                hand,
-                motion,
-                most_n=most_n,
-                cap_n=cap_n,
-                alone=alone,
-                weighed="factor" in bench.found.get("pads_law", {}),
-                zeros=kept_zeros(
-                    config,
-                    None if config.simulated else bench.folder / config.recording.directory,
-                ),
-            )
-            try:
-                trial.run()
-            finally:
-                if len(course := _course(motion.cycles)):
-                    notes.figures["force"] = _figure(course, cap_n)
+
+FIRST_FORCE = Step(
+    key="first_force",
+    title="First force",
+    purpose="The empty fingers open and prove direction and zero. Their bus watchdog must stop "
+    "them when this program is silent. Then they press a soft part with 1 N, and with the force "
+    "that you allow, and, empty again, each other. Measured force and set-point are compared. Keep "
+    "your hands away while they move.",
+    run=press_first,
+    needs=("fingers", "unit", "pads_law", "link_quality"),
+    undo="nothing is written; the torque goes off at the end",
+)
 
 
 def _proves_watchdog(config: CellConfig) -> bool:
@@ -166,30 +113,19 @@ def meets(config: CellConfig) -> bool:
 
 
 def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[ProposedChange]:
-    gripper = config.gripper
+    gripper, settings = config.gripper, config.gripper_settings
     limp = "the torque goes off at the end of the step; if you leave, the fingers stop"
+    held = "they open when you confirm it; a held part stays held if you leave"
     opened = f"{gripper.aperture_open_mm:g} mm open"
-    settings = config.gripper_settings
-    proof = []
+    motions = [
+        ("open, empty, at the least current that moves them", "where they stand", opened, limp)
+    ]
     if _proves_watchdog(config):
         travel_mm = 1e3 * proof_travel_m(settings, config.linkage, settings.aperture_open_m)
         after = f"at most {travel_mm:.1f} mm less, then open again"
-        proof = [("close until their bus watchdog stops them", opened, after, limp)]
-    motions = [
-        (
-            "open, empty, at the least current that moves them",
-            "where they stand",
-            opened,
-            limp,
-        ),
-        *proof,
-        (
-            "grasp the soft part",
-            "0 N",
-            f"{FIRST_FORCE_N:g} N, then {most_n:g} N; never above {gripper.force_max_n:g} N",
-            "they open when you confirm it; a held part stays held if you leave",
-        ),
-    ]
+        motions.append(("close until their bus watchdog stops them", opened, after, limp))
+    after = f"{FIRST_FORCE_N:g} N, then {most_n:g} N; never above {gripper.force_max_n:g} N"
+    motions.append(("grasp the soft part", "0 N", after, held))
     if meets(config) and not alone:
         after = f"pad on pad with {MEET_FORCE_N:g} N, then open again"
         motions.append(("close, empty, until the pads meet", opened, after, limp))
@@ -203,22 +139,16 @@ def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Proposed
 class _Trial:
     """One run of the step on open lines."""
 
+    bench: Bench
     config: CellConfig
     dialog: Dialog
-    clock: Clock
-    notes: Finding
+    notes: Notes
     hand: Hand
     motion: WatchedMotion
-    most_n: float
-    cap_n: float
-    alone: bool
-    weighed: bool
-    """Whether weights have confirmed the law of the pads."""
-    zeros: SelfZeros
-    """Store of the measured drive characteristics."""
 
-    def run(self) -> None:
-        if not self.alone:
+    def run(self, most_n: float, cap_n: float) -> None:
+        alone = self.bench.gripper_alone
+        if not alone:
             self.hand.start_sensor()
         self._open()
         if _proves_watchdog(self.config):
@@ -229,24 +159,23 @@ class _Trial:
         else:
             self.notes.warn(
                 "The empty fingers opened as direction, zero and linkage predict. Their bus "
-                "watchdog is not proven: servos of the 330 size have no slow motion in this mode, "
-                "and some of their firmware ignores the watchdog. Stay at the cell while it works."
+                "watchdog is not proven, and some servos of the 330 size ignore it: stay at the "
+                "cell while it works."
             )
-        if not self.alone:
+        if not alone:
             self._check_empty()
         self._ask(
             "part",
             "Hold the soft part between the pads, and keep it there until the fingers hold it.",
         )
-        self._grasp()
-        if not self.alone and meets(self.config):
+        self._grasp(most_n, cap_n)
+        if not alone and meets(self.config):
             self._meet()
 
     def _ask(self, key: str, text: str) -> None:
         """Ask for an action by hand, and supervise the grip meanwhile."""
-        self.dialog.confirm(
-            f"first_force.{key}", text, watch=lambda: look_after(self.hand, self.clock)
-        )
+        watch = partial(look_after, self.hand, self.bench.clock)
+        self.dialog.confirm(f"first_force.{key}", text, watch=watch)
 
     def _open(self) -> None:
         """Open the empty fingers; after a failure their torque may go off at the end."""
@@ -268,8 +197,8 @@ class _Trial:
         )
         if max(first_n, second_n) > limit_n:
             raise StepFailed(
-                f"More than {limit_n:.2f} N: something touches a pad, or its zero drifts. Clear "
-                "the pads, let the unit warm up for ten minutes, and run the step again."
+                f"More than {limit_n:.2f} N: clear the pads, let the unit warm up for ten minutes, "
+                "and run the step again."
             )
 
     def _meet(self) -> None:
@@ -283,24 +212,12 @@ class _Trial:
         outcome = self.hand.press_pads_together(ramp, self.motion)
         if between := part_between(outcome):
             raise StepFailed(f"{between}. It is held: take hold of it, then `--redo first_force`.")
-        last = _course(self.motion.cycles[begun:])[-_LAST_PERIODS:]
+        last_n = _forces_n(self.motion.cycles[begun:])[-_LAST_PERIODS:]
         self.hand.measure_load(self.motion)
-        first_n, second_n = (round(float(n), 3) for n in np.nanmean(last[:, 2:], axis=0))
+        first_n, second_n = (round(float(n), 3) for n in np.nanmean(last_n, axis=0))
         self.hand.release(self.motion)
         self.hand.measure_friction(self.motion)
-        drives, notes = self.hand.read_drives()
-        if self.weighed:
-            drives = {servo_id: weighed(drive) for servo_id, drive in drives.items()}
-        self.zeros.keep_drives(drives, self.motion.homing)
-        self.notes.values["drives"] = {
-            str(servo_id): asdict(drive) for servo_id, drive in drives.items()
-        }
-        for servo in self.config.gripper_settings.servos:
-            if servo.servo_id in drives:
-                text = drive_text(servo, drives[servo.servo_id])
-                self.notes.fact(f"{text[0].upper()}{text[1:]}.")
-        for text in (*notes, *filter(None, (self.zeros.unkept, self.zeros.refused))):
-            self.notes.warn(text)
+        self._keep_drives()
         opening_mm = 1e3 * outcome.final_aperture_m
         self.notes.values |= {"meet_mm": round(opening_mm, 3), "meet_n": [first_n, second_n]}
         self.notes.fact(
@@ -313,12 +230,29 @@ class _Trial:
                 "`tactile-cell commission --redo fingers`."
             )
 
-    def _grasp(self) -> None:
+    def _keep_drives(self) -> None:
+        """Keep what the motions have measured of the servos' drives."""
+        config, notes = self.config, self.notes
+        folder = None if config.simulated else self.bench.folder / config.recording.directory
+        zeros = kept_zeros(config, folder)
+        drives, remarks = self.hand.read_drives()
+        if "factor" in self.bench.found.get("pads_law", {}):  # weights have confirmed the pads
+            drives = {servo_id: weighed(drive) for servo_id, drive in drives.items()}
+        zeros.keep_drives(drives, self.motion.homing)
+        notes.values["drives"] = {str(number): asdict(drive) for number, drive in drives.items()}
+        for servo in config.gripper_settings.servos:
+            if servo.servo_id in drives:
+                text = drive_text(servo, drives[servo.servo_id])
+                notes.fact(f"{text[0].upper()}{text[1:]}.")
+        for text in (*remarks, *filter(None, (zeros.unkept, zeros.refused))):
+            notes.warn(text)
+
+    def _grasp(self, most_n: float, cap_n: float) -> None:
         """Press the soft part, and release it."""
         ramp, motion = self.config.sequence.ramp, self.motion
         first_n = max(FIRST_FORCE_N, 1.5 * self.config.gripper.contact_force_n)
         measured: list[list[float]] = []
-        for force_n in dict.fromkeys((first_n, max(first_n, self.most_n))):
+        for force_n in dict.fromkeys((first_n, max(first_n, most_n))):
             follow = self.hand.squeeze if measured else self.hand.grasp
             outcome = follow(ramp_from_config(ramp, force_n), motion)
             if outcome.result in (GraspResult.NO_CONTACT, GraspResult.PART_LOST):
@@ -328,15 +262,15 @@ class _Trial:
                 )
             since = len(motion.cycles)
             self.hand.hold_at(force_n, _HOLD_S, motion)
-            held_n = _grip_n(_course(motion.cycles[since:]))
+            held_n = _grip_n(motion.cycles[since:])
             measured.append([force_n, *(round(float(n), 3) for n in (held_n.mean(), held_n.max()))])
             self._judge(force_n, float(held_n.mean()), outcome)
         self.hand.hold_at(first_n, 0.0, motion)
-        peak_n = float(_grip_n(_course(motion.cycles)).max())
+        peak_n = float(_grip_n(motion.cycles).max())
         self.notes.values |= {"asked_held_peak_n": measured, "peak_n": round(peak_n, 3)}
-        if peak_n > self.cap_n + _WRONG_N:
+        if peak_n > cap_n + _WRONG_N:
             self.notes.fail(
-                f"The force reached {peak_n:.2f} N, above the cap of {self.cap_n:g} N: lower "
+                f"The force reached {peak_n:.2f} N, above the cap of {cap_n:g} N: lower "
                 "gripper.contact.approach_force_n, or gripper.approach_speed_mm_s, and run the "
                 "step again."
             )

@@ -1,17 +1,16 @@
 """The law from counts to newtons: checked with weights or a kitchen scale, and corrected."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
-from cell.checks.findings import Finding
+from cell.checks.findings import Notes
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, NumberRange, Question, Step, StepFailed
-from cell.commissioning.figures import curves
 from cell.commissioning.pads import sequence_forces_n
 from cell.commissioning.unit import unit_sensor
 from cell.config.tactile import LinearCalibrationConfig, TableCalibrationConfig, TactileConfig
@@ -40,8 +39,7 @@ _LEAST_LOAD_N = 0.2
 """Smallest load in N that counts: the noise is a tenth of smaller ones."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Factor:
+class Factor(NamedTuple):
     """Straight line through the origin from the shown forces to the true ones."""
 
     factor: float
@@ -66,9 +64,7 @@ def fit_factor(true_n: ArrayLike, shown_n: ArrayLike) -> Factor:
         raise ValueError("the pads show no force under these loads")
     factor = float(true @ shown) / power
     residual_n = float(np.sqrt(np.mean((true - factor * shown) ** 2)))
-    return Factor(
-        factor=factor, residual_n=residual_n, residual_share=residual_n / float(true.max())
-    )
+    return Factor(factor, residual_n, residual_n / float(true.max()))
 
 
 def table_parts(tared_counts: ArrayLike, adc_max: int) -> list[float]:
@@ -116,51 +112,51 @@ def fit_table(
     return np.round(nodes[1:], 1).tolist(), np.round(force_n, 5).tolist(), residual_n
 
 
-class LawStep(Step):
-    """Asks for three loads on each inner pad, and sets the law: its factor, or a table."""
-
-    key = "pads_law"
-    title = "Newtons of the pads"
-    purpose = (
-        "You load each inner pad three times with a weight or against a kitchen scale and type "
-        "its reading in grams: the law from counts to newtons is checked, and its factor set. "
-        "Nothing moves."
+def measure_law(bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    """Ask for three loads on each inner pad, and set the law: its factor, or a table."""
+    answer = dialog.choose(
+        "pads_law.with",
+        "Do you have weights of up to a kilogram, or a kitchen scale? Nothing may touch the pads "
+        "while you answer: their zero is taken next.",
+        {"scale": "yes", "skip": "no: forces stay unchecked"},
+        "scale",
     )
-    needs = ("pads_pressed",)
-    needs_pads = True
-    undo = "nothing to undo: it is a setting of the config (tactile.calibration)"
+    if answer == "skip":
+        notes.warn(
+            "The forces of the pads were not checked: they may be wrong by a fifth and more. Run "
+            "this step again with a kitchen scale before parts that can break."
+        )
+        return
+    dialog.say(
+        "Lay a flat stamp of about 10 mm across on the middle of the pad. Press it against the "
+        "scale, or lay the weight on it, and keep it so until the next question."
+    )
+    # Loads of an unfinished run, e.g. after an error of the unit.
+    kept = bench.found.get(LAW.key, {}).get(_TYPED, ([], []))
+    loads = [list(map(tuple, of_finger)) for of_finger in kept]
+    if n_kept := sum(map(len, loads)):
+        dialog.say(f"{n_kept} loads are kept from before.")
+    notes.values[_TYPED] = loads
+    with unit_sensor(bench) as sensor:
+        sensor.tare(bench.tactile().tare_frames)
+        for finger in (0, 1):
+            _load(sensor, dialog, finger, _targets_n(bench), loads[finger])
+        adc_max = sensor.layout.adc_max
+    del notes.values[_TYPED]
+    judge_law(bench.tactile(), loads, notes, adc_max)
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Ask for the loads, and judge them."""
-        answer = dialog.choose(
-            "pads_law.with",
-            "Do you have weights of up to a kilogram, or a kitchen scale? Nothing may touch "
-            "the pads while you answer: their zero is taken next.",
-            {"scale": "yes", "skip": "no: forces stay unchecked"},
-            "scale",
-        )
-        if answer == "skip":
-            notes.warn(
-                "The forces of the pads were not checked: they may be wrong by a fifth and more. "
-                "Run this step again with a kitchen scale before parts that can break."
-            )
-            return
-        dialog.say(
-            "Lay a flat stamp of about 10 mm across on the middle of the pad. Press it against the "
-            "scale, or lay the weight on it, and keep it so until the next question."
-        )
-        # Loads of an unfinished run, e.g. after an error of the unit.
-        loads = [list(map(tuple, of)) for of in bench.found.get(self.key, {}).get(_TYPED, ([], []))]
-        if kept := sum(map(len, loads)):
-            dialog.say(f"{kept} loads are kept from before.")
-        notes.values[_TYPED] = loads
-        with unit_sensor(bench) as sensor:
-            sensor.tare(bench.tactile().tare_frames)
-            for finger in (0, 1):
-                _load(sensor, dialog, finger, _targets_n(bench), loads[finger])
-            adc_max = sensor.layout.adc_max
-        del notes.values[_TYPED]
-        judge_law(bench.tactile(), loads, notes, adc_max)
+
+LAW = Step(
+    key="pads_law",
+    title="Newtons of the pads",
+    purpose="You load each inner pad three times with a weight or against a kitchen scale and type "
+    "its reading in grams: the law from counts to newtons is checked, and its factor set. Nothing "
+    "moves.",
+    run=measure_law,
+    needs=("pads_pressed",),
+    needs_pads=True,
+    undo="nothing to undo: it is a setting of the config (tactile.calibration)",
+)
 
 
 Load = tuple[float, ...]
@@ -224,7 +220,7 @@ def _force_n(sensor: TactileSensor, pad: int, counts: NDArray[np.float64]) -> fl
 def judge_law(
     tactile: TactileConfig,
     loads: Sequence[Sequence[Load]],
-    notes: Finding,
+    notes: Notes,
     adc_max: int = 0,
 ) -> None:
     """Judge the law by the loads on both inner pads, and correct it.
@@ -233,23 +229,14 @@ def judge_law(
     each load, by finger. Raises StepFailed if the loads show no law.
     """
     both = [load for of_finger in loads for load in of_finger if load[0] >= _LEAST_LOAD_N]
-    true_n = sorted(load[0] for load in both)
-    both_n = [[load[:2] for load in of_finger] for of_finger in loads]
-    shown = {f"finger {n}": _at(sorted(both_n[n]), true_n) for n in range(len(loads))}
-    notes.figures["law"] = curves(
-        "Force by the pads over that of the scale",
-        true_n,
-        shown | {"a pad that is right": true_n},
-        x_label="scale / N",
-        y_label="pads / N",
-    )
     try:
-        fits = [fit_factor(*zip(*of_finger, strict=True)) for of_finger in both_n]
-        fit = fit_factor(*zip(*(load[:2] for load in both), strict=True))
-    except (ValueError, TypeError) as error:
-        raise StepFailed(
-            f"No law can be found: {error}. Press on the middle of each pad."
-        ) from error
+        *fits, fit = (
+            fit_factor([load[0] for load in one], [load[1] for load in one])
+            for one in (*loads, both)
+        )
+    except ValueError as error:
+        text = f"No law can be found: {error}. Press on the middle of each pad."
+        raise StepFailed(text) from error
     notes.values |= {
         "loads_n": [list(map(list, of_finger)) for of_finger in loads],
         "factor": fit.factor,
@@ -272,9 +259,8 @@ def judge_law(
         bent = off = False
     if bent or not _rising(loads):
         raise StepFailed(
-            "The loads do not fit one law: was the stamp beside the pad, or did it move? Load the "
-            "middle of the pad again. If they still do not fit, the pads need another calibration "
-            "(tactile.calibration.kind)."
+            "The loads do not fit one law: load the middle of the pad again. If they still do not "
+            "fit, the pads need another calibration (tactile.calibration.kind)."
         )
     if differ:
         notes.settings["tactile.pad_gains"] = [round(gain, 4) for gain in gains]
@@ -283,21 +269,20 @@ def judge_law(
             "finger 1; set in tactile.pad_gains. Check whether both have the same foam.",
             corrected=True,
         )
-    if off and not isinstance(tactile.calibration, TableCalibrationConfig):
-        law = tactile.calibration
-        linear = isinstance(law, LinearCalibrationConfig)
-        key = f"tactile.calibration.{'force_per_count_n' if linear else 'gain'}"
-        before = law.force_per_count_n if isinstance(law, LinearCalibrationConfig) else law.gain
-        notes.settings[key] = round(before * fit.factor, 6)
+    law = tactile.calibration
+    if off and not isinstance(law, TableCalibrationConfig):
+        key = "force_per_count_n" if isinstance(law, LinearCalibrationConfig) else "gain"
+        before = float(getattr(law, key))
+        notes.settings[f"tactile.calibration.{key}"] = round(before * fit.factor, 6)
         notes.warn(
-            f"The law was {abs(1.0 / fit.factor - 1.0):.0%} off: {key} was {before:g}, is now "
-            f"{before * fit.factor:.3g}",
+            f"The law was {abs(1.0 / fit.factor - 1.0):.0%} off: tactile.calibration.{key} was "
+            f"{before:g}, is now {before * fit.factor:.3g}",
             corrected=True,
         )
 
 
 def _set_table(
-    loads: Sequence[Sequence[Load]], gains: Sequence[float], adc_max: int, notes: Finding
+    loads: Sequence[Sequence[Load]], gains: Sequence[float], adc_max: int, notes: Notes
 ) -> bool:
     """Set the table of the loads, and return whether they lie on it."""
     true_n = [load[0] / gain for one, gain in zip(loads, gains, strict=True) for load in one]
@@ -328,9 +313,3 @@ def _rising(loads: Sequence[Sequence[Load]]) -> bool:
         for less, more in pairwise(sorted(of_finger))
         if more[0] > 1.1 * less[0]
     )
-
-
-def _at(loads: Sequence[Load], places_n: Sequence[float]) -> list[float]:
-    """Return the shown forces at some true forces, interpolated between the loads."""
-    true_n, shown_n = zip(*loads, strict=True) if loads else ((0.0,), (0.0,))
-    return [float(v) for v in np.interp(places_n, true_n, shown_n, left=np.nan, right=np.nan)]

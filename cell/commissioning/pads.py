@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.checks.changes import taxel_names
-from cell.checks.findings import Finding
+from cell.checks.findings import Notes
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step
-from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.unit import unit_sensor
 from cell.config.model import TAXELS_OF_SMALL_PART, CellConfig
 from cell.errors import ConfigError
@@ -65,11 +64,6 @@ def sequence_forces_n(bench: Bench) -> tuple[float, float]:
         return CellConfig().sequence.forces_n
 
 
-def read_frames(sensor: TactileSensor, n_frames: int) -> Counts:
-    """Return the raw counts of the next frames, (n_frames, n_taxels) uint16."""
-    return np.stack([sensor.read(timeout_s=1.0).frame.counts for _ in range(n_frames)])
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PadsAtRest:
     """Untouched pads."""
@@ -112,7 +106,7 @@ def judge_rest(
     layout: TaxelLayout,
     frames: Counts,
     rest: PadsAtRest,
-    notes: Finding,
+    notes: Notes,
     *,
     limits: TareLimits,
     contact_force_n: float,
@@ -132,11 +126,10 @@ def judge_rest(
     health = rest.health
     kinds = {"dead": health.dead, "stuck": health.stuck, "at full scale": health.saturated}
     for name, mask in kinds.items():
-        if mask.any():
-            taxels = np.flatnonzero(mask).tolist()
-            what = f"{name}: {taxel_names(layout, taxels)}. Their neighbours replace them."
-            one = len(taxels) == 1
-            notes.warn(f"1 taxel is {what}" if one else f"{len(taxels)} taxels are {what}")
+        if taxels := np.flatnonzero(mask).tolist():
+            are = "1 taxel is" if len(taxels) == 1 else f"{len(taxels)} taxels are"
+            names = taxel_names(layout, taxels)
+            notes.warn(f"{are} {name}: {names}. Their neighbours replace them.")
     for index, pad in enumerate(layout.pads):
         n_bad = int(np.count_nonzero(health.bad[layout.taxels_of(index)]))
         if too_many_bad(n_bad, pad.n_taxels, limits.bad_share):
@@ -164,8 +157,8 @@ def judge_rest(
         largest_n = TAXELS_OF_SMALL_PART * rest.full_n[index]
         if most_force_n > largest_n:
             notes.warn(
-                f"A small part saturates {name} at {largest_n:.1f} N, the sequence asks for up "
-                f"to {most_force_n:g} N: ask for less, or grasp larger parts only."
+                f"A small part saturates {name} at {largest_n:.1f} N, below the {most_force_n:g} N "
+                "of the sequence: ask for less, or grasp larger parts only."
             )
     if not notes.failed:
         try:
@@ -174,63 +167,56 @@ def judge_rest(
             notes.fail(f"No zero can be taken: {why}.")
 
 
-class PadsAtRestStep(Step):
-    """Takes zero and noise of each taxel, finds broken ones, compares full scale and forces."""
-
-    key = "pads_at_rest"
-    title = "Pads at rest"
-    purpose = (
-        "Reads the taxels for two seconds while nothing touches the pads: zero, noise, dead and "
-        "stuck taxels, and whether the forces of the config can be measured. Nothing "
-        "moves."
+def measure_rest(bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    """Take zero and noise of each taxel, find broken ones, compare full scale and forces."""
+    dialog.say("Keep your hands and everything else off the pads for two seconds.")
+    with unit_sensor(bench) as sensor:
+        frames = np.stack([sensor.read(timeout_s=1.0).frame.counts for _ in range(_REST_FRAMES)])
+        layout, calibration = sensor.layout, sensor.calibration
+        boards = (0, 0) if sensor.identity is None else sensor.identity.boards
+    rest = rest_of(layout, calibration, frames)
+    zero, noise = _by_pad(layout, rest.zero_counts), _by_pad(layout, rest.noise_counts)
+    first_n, second_n = (rest.noise_n[pad] for pad in layout.gripping_pads)
+    notes.fact(
+        f"{layout.n_taxels} taxels read: zero {min(zero):.1f} to {max(zero):.1f}, noise "
+        f"{min(noise):.1f} to {max(noise):.1f} counts of {layout.adc_max} by pad; at rest the "
+        f"force of the inner pads varies by {first_n:.2f} and {second_n:.2f} N."
     )
-    needs = ("unit",)
-    needs_pads = True
+    judge_rest(
+        layout,
+        frames,
+        rest,
+        notes,
+        limits=sensor_settings(bench.tactile()).tare_limits,
+        contact_force_n=bench.gripper().contact_force_n,
+        most_force_n=sequence_forces_n(bench)[1],
+    )
+    alike = boards[0] == boards[1]
+    notes.settings["tactile.board_serial_numbers"] = None if alike else list(boards)
+    if alike:
+        notes.warn(
+            "The boards of both fingers have the same serial number, so exchanged pads are not "
+            "detected: press each pad after every work on their cables."
+        )
+    notes.values |= {
+        "board_serial_numbers": list(boards),
+        "zero_counts": zero,
+        "noise_counts": noise,
+        "noise_n": list(rest.noise_n),
+        "full_n": list(rest.full_n),
+        "bad_taxels": np.flatnonzero(rest.health.bad).tolist(),
+    }
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Read frames, and judge them."""
-        dialog.say("Keep your hands and everything else off the pads for two seconds.")
-        with unit_sensor(bench) as sensor:
-            frames = read_frames(sensor, _REST_FRAMES)
-            layout, calibration = sensor.layout, sensor.calibration
-            boards = (0, 0) if sensor.identity is None else sensor.identity.boards
-        rest = rest_of(layout, calibration, frames)
-        zero, noise = _by_pad(layout, rest.zero_counts), _by_pad(layout, rest.noise_counts)
-        grip = layout.gripping_pads
-        notes.fact(
-            f"{layout.n_taxels} taxels read: zero {min(zero):.1f} to {max(zero):.1f}, noise "
-            f"{min(noise):.1f} to {max(noise):.1f} counts of {layout.adc_max} by pad; at rest the "
-            f"force of the inner pads varies by {rest.noise_n[grip[0]]:.2f} and "
-            f"{rest.noise_n[grip[1]]:.2f} N."
-        )
-        judge_rest(
-            layout,
-            frames,
-            rest,
-            notes,
-            limits=sensor_settings(bench.tactile()).tare_limits,
-            contact_force_n=bench.gripper().contact_force_n,
-            most_force_n=sequence_forces_n(bench)[1],
-        )
-        alike = boards[0] == boards[1]
-        notes.settings["tactile.board_serial_numbers"] = None if alike else list(boards)
-        if alike:
-            notes.warn(
-                "The boards of both fingers have the same serial number, so pads that are "
-                "exchanged later are not detected: press each pad after every work on their cables."
-            )
-        notes.values |= {
-            "board_serial_numbers": list(boards),
-            "zero_counts": zero,
-            "noise_counts": noise,
-            "noise_n": list(rest.noise_n),
-            "full_n": list(rest.full_n),
-            "bad_taxels": np.flatnonzero(rest.health.bad).tolist(),
-        }
-        notes.figures |= {
-            "zero": pads_figure("Zero", layout, rest.zero_counts, unit="counts"),
-            "noise": pads_figure("Noise", layout, rest.noise_counts, unit="counts"),
-        }
+
+PADS_AT_REST = Step(
+    key="pads_at_rest",
+    title="Pads at rest",
+    purpose="Reads the taxels for two seconds while nothing touches the pads: zero, noise, dead "
+    "and stuck taxels, and whether the forces of the config can be measured. Nothing moves.",
+    run=measure_rest,
+    needs=("unit",),
+    needs_pads=True,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -339,61 +325,56 @@ def mount_lines(layout: TaxelLayout, mounts: Sequence[PadMount]) -> list[str]:
     return lines
 
 
-class PadsPressedStep(Step):
-    """Asks for a press on a corner of each pad, and sets position and rotation of the pads."""
-
-    key = "pads_pressed"
-    title = "Which pad is where"
-    purpose = (
-        "You press each pad with a fingertip, one after another: exchanged fingers, turned and "
-        "mirrored pads are found and set in the config. Nothing moves."
+def find_mounting(bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    """Ask for a press on a corner of each pad, and set position and rotation of the pads."""
+    dialog.say(
+        "Finger 0 is the one that the first servo drives. Nothing may touch the pads at first."
     )
-    needs = ("pads_at_rest",)
-    needs_pads = True
-    undo = "nothing to undo: it is a setting of the config (tactile.mounting)"
+    with unit_sensor(bench, mounted=False) as sensor:
+        layout = sensor.layout
+        sensor.tare(bench.tactile().tare_frames)
+        presses = _Presses(sensor, bench.clock, dialog)
+        grip = layout.gripping_pads
+        in_turn = sorted(range(layout.n_pads), key=lambda pad: pad not in grip)
+        missing = [pad for pad in in_turn if not presses.press(pad)]
+    names = [pad.name for pad in layout.pads]
+    mounts = mounts_of(layout, presses.patches)
+    notes.fact(f"{len(presses.patches)} pads were pressed, one after another.")
+    for line in mount_lines(layout, mounts):
+        notes.warn(line, corrected=True)
+    if bench.tactile().sends_forces and not Mounting(layout, mounts).unit_can_sum:
+        notes.warn(
+            "The inner pads have different mountings, so the force comes from whole frames, which "
+            "is slower: turn one pad, or set gripper.approach_speed_mm_s to 12."
+        )
+    for pad, (row, column) in presses.crosstalk.items():
+        if max(row, column) >= _LEAST_CROSSTALK:
+            notes.fact(
+                f"Crosstalk of {names[pad]}: the rest of the row shows {row:.0%} of the pressed "
+                f"taxel, the rest of the column {column:.0%}."
+            )
+    for pad in missing:
+        (notes.fail if pad in grip else notes.warn)(
+            f"{names[pad]} was not found: no other pad of its size showed a patch. Check its plug "
+            "and cable."
+        )
+    notes.values |= {
+        "crosstalk": {names[pad]: shares for pad, shares in presses.crosstalk.items()},
+        "patches": {names[pad]: asdict(patch) for pad, patch in presses.patches.items()},
+    }
+    notes.settings["tactile.mounting"] = [asdict(mount) for mount in mounts]
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Ask for presses on the pads, and judge their mounting."""
-        dialog.say(
-            "Finger 0 is the one that the first servo drives. Nothing may touch the pads at first."
-        )
-        with unit_sensor(bench, mounted=False) as sensor:
-            layout = sensor.layout
-            sensor.tare(bench.tactile().tare_frames)
-            presses = _Presses(sensor, bench.clock, dialog)
-            grip = layout.gripping_pads
-            in_turn = sorted(range(layout.n_pads), key=lambda pad: pad not in grip)
-            missing = [pad for pad in in_turn if not presses.press(pad)]
-        patches = presses.patches
-        mounts = mounts_of(layout, patches)
-        notes.fact(f"{len(patches)} pads were pressed, one after another.")
-        for line in mount_lines(layout, mounts):
-            notes.warn(line, corrected=True)
-        if bench.tactile().sends_forces and not Mounting(layout, mounts).unit_can_sum:
-            notes.warn(
-                "The inner pads have different mountings, so the unit's force messages cannot be "
-                "used and the force comes from whole frames, which is slower: turn the pad on its "
-                "finger, run this step again, or set gripper.approach_speed_mm_s to 12."
-            )
-        for pad, (row, column) in presses.crosstalk.items():
-            if max(row, column) >= _LEAST_CROSSTALK:
-                notes.fact(
-                    f"Crosstalk of {layout.pads[pad].name}: the rest of the row shows {row:.0%} of "
-                    f"the pressed taxel, the rest of the column {column:.0%}."
-                )
-        notes.values["crosstalk"] = {
-            layout.pads[pad].name: shares for pad, shares in presses.crosstalk.items()
-        }
-        for pad in missing:
-            (notes.fail if pad in grip else notes.warn)(
-                f"{layout.pads[pad].name} was not found: no other pad of its size showed a patch. "
-                "Check its plug and cable."
-            )
-        notes.values["patches"] = {layout.pads[pad].name: asdict(p) for pad, p in patches.items()}
-        notes.settings["tactile.mounting"] = [asdict(mount) for mount in mounts]
-        notes.figures["patches"] = pads_figure(
-            "Patches as the unit sends them", layout, presses.shown_n, unit="N"
-        )
+
+PADS_PRESSED = Step(
+    key="pads_pressed",
+    title="Which pad is where",
+    purpose="You press each pad with a fingertip, one after another: exchanged fingers, turned and "
+    "mirrored pads are found and set in the config. Nothing moves.",
+    run=find_mounting,
+    needs=("pads_at_rest",),
+    needs_pads=True,
+    undo="nothing to undo: it is a setting of the config (tactile.mounting)",
+)
 
 
 class _Presses:
@@ -405,9 +386,7 @@ class _Presses:
         """Measured patch by requested pad."""
         self.crosstalk: dict[int, tuple[float, float]] = {}
         """`crosstalk_of` each requested pad."""
-        self.shown_n = np.zeros(sensor.layout.n_taxels)
-        """(n_taxels,) float64: largest force in N on each taxel, for the picture."""
-        self._force_n = self.shown_n
+        self._force_n = np.zeros(sensor.layout.n_taxels)
 
     def press(self, pad: int) -> bool:
         """Ask for a press on a pad, and keep its patch; return whether it was found."""
@@ -427,10 +406,7 @@ class _Presses:
             answer = dialog.choose(
                 "pads_pressed.again",
                 f"Press {name} again?",
-                {
-                    "again": "press it again",
-                    "skip": "it shows nothing: continue without it",
-                },
+                {"again": "press it again", "skip": "it shows nothing: continue without it"},
                 "again",
                 watch=lambda: _patch_text(layout, self._look()[-1]),
             )
@@ -457,7 +433,6 @@ class _Presses:
                 if patch is not None:
                     steady.append(patch)
             if len(steady) >= _PRESS_FRAMES:
-                np.maximum(self.shown_n, self._force_n, out=self.shown_n)
                 return steady[-1]
             self._dialog.live("fingertip", _patch_text(self._sensor.layout, patch))
         return None
@@ -476,23 +451,13 @@ def _complaint(
     if patch is None:
         return f"No pad showed a fingertip within {_PRESS_TIMEOUT_S:.0f} s."
     asked, seen = layout.pads[pad], layout.pads[patch.pad]
-    taken = {found.pad: other for other, found in patches.items()}
-    if patch.pad in taken:
-        return (
-            f"The patch is where {layout.pads[taken[patch.pad]].name} was found: was another pad "
-            f"pressed than {asked.name}?"
-        )
+    for other, found in patches.items():
+        if found.pad == patch.pad:
+            return f"The patch is where {layout.pads[other].name} was found: press {asked.name}."
     if (asked.rows, asked.columns) != (seen.rows, seen.columns):
-        return (
-            f"The patch is on {seen.name} of {seen.rows} x {seen.columns} taxels, {asked.name} has "
-            f"{asked.rows} x {asked.columns}: was another pad pressed?"
-        )
-    off = [
-        abs(place)
-        for place, n in ((patch.along, asked.rows), (patch.across, asked.columns))
-        if n > 1
-    ]
-    if min(off, default=1.0) < _OFF_MIDDLE:
+        return f"The patch is on {seen.name}, a pad of another size: press {asked.name}."
+    places = ((patch.along, asked.rows), (patch.across, asked.columns))
+    if min((abs(place) for place, n in places if n > 1), default=1.0) < _OFF_MIDDLE:
         return "The patch is in the middle of the pad: press nearer to the corner."
     return ""
 

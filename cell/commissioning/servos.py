@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from cell.checks.findings import Finding
+from cell.checks.findings import Notes
 from cell.commissioning.backup import (
     SETTLE_S,
     Backup,
@@ -31,7 +31,6 @@ from gripper.dynamixel.control_table import (
 from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.models import MODELS, ServoModel, model_name
 from gripper.dynamixel.transactions import protocol_1_text
-from gripper.errors import LinkTooSlow
 from gripper.servos.verification import Requirement, compare, requirements
 from gripper.values.servo_checks import hardware_error_names, overload_text
 
@@ -93,84 +92,75 @@ def scan_servos(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = 
     return Scan(servos=tuple(servos), shared=tuple(shared), damaged=tuple(damaged))
 
 
-class ServosStep(Step):
-    """Finds, numbers, checks and sets the servos of the fingers."""
-
-    key = "servos"
-    title = "Servos"
-    purpose = (
-        "Scans all baud rates, gives new servos their IDs one at a time, compares model, firmware, "
-        "supply and registers. Keeps each control table in a backup before it writes; shows each "
-        "write before. Nothing moves."
-    )
-    needs = ("ports",)
-    undo = "`tactile-cell commission --restore` writes the backups back"
-
-    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Find, number, check and set the servos."""
-        port, rate = bench.gripper().port, bench.gripper().baud_rate
-        use_servo_models(SERVO_MODELS.usable())
-        placed = _numbered(bench, dialog, port, rate, notes)
-        fingers, others = _of_fingers(placed, dialog)
-        servos = [{"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers]
-        notes.settings |= {"gripper.baud_rate": rate, "gripper.servos": servos}
-        notes.values["servos"] = [
-            {"id": one.servo_id, "model": model_name(one.model_number), "firmware": one.firmware}
-            for one in placed
-        ]
-        for one in placed:
+def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    """Find, number, check and set the servos of the fingers."""
+    port, rate = bench.gripper().port, bench.gripper().baud_rate
+    use_servo_models(SERVO_MODELS.usable())
+    placed = _numbered(bench, dialog, port, rate, notes)
+    fingers = _of_fingers(placed, dialog)
+    notes.settings["gripper.baud_rate"] = rate
+    notes.settings["gripper.servos"] = [
+        {"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers
+    ]
+    notes.values["servos"] = [
+        {"id": one.servo_id, "model": model_name(one.model_number), "firmware": one.firmware}
+        for one in placed
+    ]
+    volts = set()
+    for one in placed:
+        name = model_name(one.model_number)
+        notes.fact(f"servo {one.servo_id}: {name}, firmware {one.firmware}")
+        if one not in fingers:
             notes.fact(
-                f"servo {one.servo_id}: {model_name(one.model_number)}, firmware {one.firmware}"
+                f"servo {one.servo_id} drives no finger: an axis needs a port of its own, see the "
+                "step `axes`"
             )
-        for one in fingers:
-            if _model(one) is None:
-                notes.fail(
-                    f"servo {one.servo_id} is {model_name(one.model_number)}, whose grip force "
-                    f"cannot be bounded here. Use one of {', '.join(MODELS)}"
-                )
-        volts = {m.nominal_voltage_v for one in fingers if (m := _model(one)) is not None}
-        if len(volts) > 1:
+        elif name in MODELS:
+            volts.add(MODELS[name].nominal_voltage_v)
+        else:
             notes.fail(
-                f"the servos of the fingers need different supplies "
-                f"({', '.join(f'{v:g} V' for v in sorted(volts))}): use two of one model"
+                f"servo {one.servo_id} is {name}, whose grip force cannot be bounded here. Use one "
+                f"of {', '.join(MODELS)}"
             )
-        if notes.failed:
-            return
-        with bench.servo_bus(port, rate) as bus:
-            _set_up(bench, bus, dialog, fingers, notes)
-            for one in fingers:
-                for name, was, now in since_backup(bench.folder, bus, one.servo_id):
-                    notes.fact(
-                        f"servo {one.servo_id}: {name} was {was}, is now {now}", corrected=True
-                    )
-            try:
-                period_s = 1.0 / bench.gripper().loop_rate_hz
-                median_s = check_link(bus, [one.servo_id for one in fingers], period_s)
-                notes.fact(f"round trip of a ping: {1e3 * median_s:.2f} ms (median)")
-            except LinkTooSlow as error:
-                notes.fail(str(error))
-        for other in others:
-            notes.fact(
-                f"servo {other.servo_id} drives no finger: an axis needs a port of its own, see "
-                "the step `axes`"
-            )
+    if len(volts) > 1:
+        notes.fail(
+            "the servos of the fingers need different supplies "
+            f"({', '.join(f'{v:g} V' for v in sorted(volts))}): use two of one model"
+        )
+    if notes.failed:
+        return
+    with bench.servo_bus(port, rate) as bus:
+        _set_up(bench, bus, dialog, fingers, notes)
+        for one in fingers:
+            for name, was, now in since_backup(bench.folder, bus, one.servo_id):
+                notes.fact(f"servo {one.servo_id}: {name} was {was}, is now {now}", corrected=True)
+        period_s = 1.0 / bench.gripper().loop_rate_hz
+        median_s = check_link(bus, [one.servo_id for one in fingers], period_s)
+        notes.fact(f"round trip of a ping: {1e3 * median_s:.2f} ms (median)")
 
 
-def _model(identity: ServoIdentity) -> ServoModel | None:
-    """Return the model if it can limit its current, else None."""
-    return next((m for m in MODELS.values() if m.number == identity.model_number), None)
+SERVOS = Step(
+    key="servos",
+    title="Servos",
+    purpose="Scans all baud rates, gives new servos their IDs one at a time, compares model, "
+    "firmware, supply and registers. Keeps each control table in a backup before it writes; shows "
+    "each write before. Nothing moves.",
+    run=find_servos,
+    needs=("ports",),
+    undo="`tactile-cell commission --restore` writes the backups back",
+)
 
 
 # Finding and numbering
 
 
 def _numbered(
-    bench: Bench, dialog: Dialog, port: str, rate: int, notes: Finding
+    bench: Bench, dialog: Dialog, port: str, rate: int, notes: Notes
 ) -> list[ServoIdentity]:
     """Return the servos, each with an ID of its own at one baud rate."""
     found = scan_servos(bench, port, dialog)
     # An interrupted step has saved their number; numbered servos answer alone.
-    n_wanted = int(bench.found.get(ServosStep.key, {}).get(_COUNT, 0))
+    n_wanted = int(bench.found.get(SERVOS.key, {}).get(_COUNT, 0))
     while True:
         if found.crowded:
             n_wanted = _MOST_FINGER_SERVOS
@@ -179,9 +169,8 @@ def _numbered(
         elif not found.servos:
             _look_for_protocol_1(bench, port)
             raise StepFailed(
-                "no servo answers at any baud rate: check the supply (12 V at the servos, its LED "
-                "flashes once at power-on), the three or four wires to the adapter, and that the "
-                "adapter is one for half-duplex lines (U2D2)"
+                "no servo answers at any baud rate: check the supply (12 V; its LED flashes once "
+                "at power-on), the wires to the adapter, and that it is half-duplex (U2D2)"
             )
         else:
             _demand_answers(bench, dialog, port, found)
@@ -224,26 +213,17 @@ def _demand_answers(bench: Bench, dialog: Dialog, port: str, found: Scan) -> Non
 def _connected(dialog: Dialog, last: ServoIdentity) -> bool:
     """Return whether the person has connected the next servo; False if there is no other."""
     answers = {"done": "it is connected", "none": "there is no other: one drives both fingers"}
-    answer = dialog.choose(
-        "servos.connect_next",
-        f"Servo {last.servo_id} has its number. Connect the next servo beside it, and switch its "
-        "supply on.",
-        answers,
-        "done",
-    )
-    return answer == "done"
+    text = f"Servo {last.servo_id} has its number. Connect the next servo beside it, and switch its"
+    return dialog.choose("servos.connect_next", f"{text} supply on.", answers, "done") == "done"
 
 
 def _ask_for_one_alone(dialog: Dialog, found: Scan) -> None:
-    shared = "; ".join(
-        f"several servos answer as ID {one.identity.servo_id} at {one.baud_rate} bit/s"
-        for one in found.shared
-    )
-    damaged = "; ".join(f"damaged answers at {rate} bit/s" for rate in found.damaged)
+    several = [f"ID {one.identity.servo_id} at {one.baud_rate} bit/s" for one in found.shared]
+    several += [f"damaged bytes at {rate} bit/s" for rate in found.damaged]
     dialog.confirm(
         "servos.connect_one",
-        f"{'; '.join(filter(None, (shared, damaged)))}. New servos all have ID 1, and nothing "
-        "can be written to one of them. Disconnect all servos but one.",
+        f"Several servos answer as {', '.join(several)}. New servos all have ID 1, and nothing can "
+        "be written to one of them. Disconnect all servos but one.",
         "one servo is connected",
     )
 
@@ -290,10 +270,8 @@ def _renumber(
             changes[SERVO_ID.name] = (old_id, new_id)
         changes[BAUD_RATE.name] = (f"{servo.baud_rate} bit/s", f"{rate} bit/s")
         where = f"servo {old_id} at {servo.baud_rate} bit/s"
-        dialog.approve(register_writes(where, changes, ServosStep.undo))
-        kept = keep(bench.folder, Backup(servo_id=new_id, baud_rate=rate, found=table))
-        if kept is not None:
-            dialog.say(f"backup of the servo: {kept}")
+        dialog.approve(register_writes(where, changes, SERVOS.undo))
+        keep(bench, dialog, Backup(servo_id=new_id, baud_rate=rate, found=table))
         if new_id != old_id:
             bus.write(old_id, SERVO_ID, new_id)
             bench.clock.sleep(SETTLE_S)
@@ -309,12 +287,9 @@ def torque_off(bus: ServoBus, dialog: Dialog, servo_id: int, torque: int) -> Non
         return
     answer = dialog.choose(
         "servos.torque",
-        f"Servo {servo_id} has its torque on: it may hold a part. Its registers can be "
-        "written without torque only. Take the part out, or hold it: otherwise it falls.",
-        {
-            "off": "nothing is held; switch the torque off",
-            "leave": "leave it as it is",
-        },
+        f"Servo {servo_id} has its torque on: it may hold a part. Its registers can be written "
+        "without torque only. Take the part out, or hold it: otherwise it falls.",
+        {"off": "nothing is held; switch the torque off", "leave": "leave it as it is"},
         "leave",
     )
     if answer != "off":
@@ -324,29 +299,23 @@ def torque_off(bus: ServoBus, dialog: Dialog, servo_id: int, torque: int) -> Non
     bus.write(servo_id, TORQUE_ENABLE, 0)
 
 
-def _of_fingers(
-    placed: Sequence[ServoIdentity], dialog: Dialog
-) -> tuple[list[ServoIdentity], list[ServoIdentity]]:
-    """Return the servos of the fingers and the others; ask only if there are more than two."""
-    fingers = list(placed)
+def _of_fingers(placed: Sequence[ServoIdentity], dialog: Dialog) -> list[ServoIdentity]:
+    """Return the servos of the fingers; ask only if there are more than two."""
+    fingers = {
+        str(one.servo_id): f"servo {one.servo_id} ({model_name(one.model_number)})"
+        for one in placed
+    }
     while len(fingers) > _MOST_FINGER_SERVOS:
-        answer = dialog.choose(
-            "servos.other",
-            "A gripper has one or two servos. Which one drives no finger?",
-            {
-                str(one.servo_id): f"servo {one.servo_id} ({model_name(one.model_number)})"
-                for one in fingers
-            },
-        )
-        fingers = [one for one in fingers if str(one.servo_id) != answer]
-    return fingers, [one for one in placed if one not in fingers]
+        text = "A gripper has one or two servos. Which one drives no finger?"
+        del fingers[dialog.choose("servos.other", text, fingers)]
+    return [one for one in placed if str(one.servo_id) in fingers]
 
 
 # Registers
 
 
 def _set_up(
-    bench: Bench, bus: ServoBus, dialog: Dialog, fingers: Sequence[ServoIdentity], notes: Finding
+    bench: Bench, bus: ServoBus, dialog: Dialog, fingers: Sequence[ServoIdentity], notes: Notes
 ) -> None:
     """Compare the registers of the servos and set the different ones.
 
@@ -369,7 +338,7 @@ def _set_up(
     writes = [
         write
         for servo_id, found in changes.items()
-        for write in register_writes(f"servo {servo_id}", found, ServosStep.undo)
+        for write in register_writes(f"servo {servo_id}", found, SERVOS.undo)
     ]
     if not writes:
         notes.fact("all registers are as the cell needs them")
@@ -378,9 +347,7 @@ def _set_up(
         torque_off(bus, dialog, servo_id, table[TORQUE_ENABLE.name])
     dialog.approve(writes)
     for servo_id, table in tables.items():
-        backup = Backup(servo_id=servo_id, baud_rate=bus.baudrate, found=table)
-        if (kept := keep(bench.folder, backup)) is not None:
-            dialog.say(f"backup of servo {servo_id}: {kept}")
+        keep(bench, dialog, Backup(servo_id=servo_id, baud_rate=bus.baudrate, found=table))
         for name, (_, after) in changes[servo_id].items():
             bus.write(servo_id, REGISTERS[name], after)
         found = {name: bus.read(servo_id, REGISTERS[name]) for name in table}
@@ -417,9 +384,7 @@ def wanted_changes(
     return changes
 
 
-def check_supply(
-    servo_id: int, model: ServoModel, table: Mapping[str, int], notes: Finding
-) -> None:
+def check_supply(servo_id: int, model: ServoModel, table: Mapping[str, int], notes: Notes) -> None:
     """Note a wrong supply voltage of a servo."""
     unit_v = model.voltage_unit_v
     supply_v = table[PRESENT_INPUT_VOLTAGE.name] * unit_v

@@ -4,13 +4,13 @@ import json
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
-from cell.checks.findings import Finding, ProposedChange
+from cell.checks.findings import Notes, ProposedChange
 from cell.checks.ports import lasting_name
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
@@ -34,7 +34,12 @@ from tactile.control_unit.search import (
     read_vendor,
     scan_nodes,
 )
-from tactile.control_unit.settings import ExpectedIdentity, least_sync_period_s, message_bits
+from tactile.control_unit.settings import (
+    ExpectedIdentity,
+    LinkSettings,
+    least_sync_period_s,
+    message_bits,
+)
 from tactile.control_unit.setup import identity_checks
 from tactile.errors import BusNotOpened, TactileError
 from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
@@ -104,81 +109,82 @@ def _started(bench: Bench, tactile: TactileConfig) -> Iterator[TactileSensor]:
         yield undo.enter_context(TactileSensor(source, law, clock=bench.clock, settings=settings))
 
 
-class UnitStep(Step):
-    """Finds the control unit, configures it as each start does, and saves its identity."""
-
-    key = "unit"
-    title = "Control unit and its CAN bus"
-    purpose = (
-        "Finds the CAN interface, its bit rate, the node-ID of the control unit, its identity and "
-        "its taxels. Other devices on the same bus may be disturbed for some seconds. Nothing "
-        "moves; settings of the unit are shown before, and are lost when it is switched off."
-    )
-    needs = ("ports",)
-    undo = "Switch the control unit off and on: nothing is stored in it."
-
-    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Find the unit, judge it, start its link."""
-        if not bench.tactile().sensor.canopen:
-            _find_boards(bench, dialog, notes)
-            return
-        place = _interface(bench, dialog)
-        if place is None:
-            notes.values["gripper_alone"] = True
-            notes.settings |= {"tactile.interface": "socketcan", "tactile.channel": _NO_CHANNEL}
-            notes.warn(
-                "A gripper without pads: its force comes from the motors' current alone, which is "
-                "less exact. The config names no bus (tactile.channel: none); a cell needs the "
-                "control unit."
-            )
-            return
-        interface, channel = place
-        bitrate, heard, how = _bit_rate(bench, dialog, interface, channel)
-        notes.fact(f"Bit rate {bitrate:,} bit/s on {channel} ({interface}), found by {how}.")
-        notes.settings |= {
-            "tactile.interface": interface,
-            "tactile.channel": channel,
-            "tactile.bitrate": bitrate,
-            # The steps of the pads find it again.
-            "tactile.board_serial_numbers": None,
-            "tactile.mounting": [],
-        }
-        with bench.can_bus(interface, channel, bitrate) as bus:
-            unit = read_unit(bus, _node(bus, heard, dialog, notes))
-            layout = _judge(unit, bench, notes)
-            _fit_period(layout, bitrate, bench, notes)
-            found = {key.removeprefix("tactile."): v for key, v in notes.settings.items()}
-            tactile = bench.tactile(**found)
-            dialog.approve(_writes(unit, tactile))
-            link = link_settings(tactile)
-            with open_sensor(bus, layout, node_id=tactile.node_id, link=link) as sensor:
-                for _ in range(_FRAMES):
-                    sensor.read()
-                forces = len(sensor.take_forces())
-        for key in ("bitrate", "node_id"):
-            was, now = getattr(bench.base.tactile, key), found[key]
-            if was != now:
-                notes.fact(f"tactile.{key} was {was}, is now {now}", corrected=True)
-        notes.fact(f"The unit boots, keeps its set-up and sends frames ({forces} force messages).")
-        identity = unit.identity
-        notes.values |= {
-            "bitrate": bitrate,
-            "nodes_heard": list(heard.nodes),
-            "node_id": unit.node_id,
-            "name": identity.name,
-            "serial_number": identity.serial,
-            "revision": identity.revision,
-            "board_serial_numbers": list(identity.boards),
-            "layout_hash": unit.layout_hash,
-            "pads": [list(shape) for shape in unit.pad_shapes],
-            "sends_forces": unit.sends_forces,
-        }
+def find_unit(bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    """Find the control unit, judge it, configure it as each start does, and start its link."""
+    if not bench.tactile().sensor.canopen:
+        _find_boards(bench, dialog, notes)
+        return
+    place = _interface(bench, dialog)
+    if place is None:
+        notes.values["gripper_alone"] = True
+        notes.settings |= {"tactile.interface": "socketcan", "tactile.channel": _NO_CHANNEL}
+        notes.warn(
+            "A gripper without pads: its force comes from the motors' current, which is less "
+            "exact. The config names no bus (tactile.channel: none); a cell needs the control unit."
+        )
+        return
+    interface, channel = place
+    bitrate, heard, how = _bit_rate(bench, dialog, interface, channel)
+    notes.fact(f"Bit rate {bitrate:,} bit/s on {channel} ({interface}), found by {how}.")
+    notes.settings |= {
+        "tactile.interface": interface,
+        "tactile.channel": channel,
+        "tactile.bitrate": bitrate,
+        # The steps of the pads find it again.
+        "tactile.board_serial_numbers": None,
+        "tactile.mounting": [],
+    }
+    with bench.can_bus(interface, channel, bitrate) as bus:
+        unit = read_unit(bus, _node(bus, heard, dialog, notes))
+        layout = _judge(unit, bench, notes)
+        _fit_period(layout, bitrate, bench, notes)
+        tactile = _so_far(bench, notes)
+        link = link_settings(tactile)
+        dialog.approve(_writes(unit, link))
+        with open_sensor(bus, layout, node_id=tactile.node_id, link=link) as sensor:
+            for _ in range(_FRAMES):
+                sensor.read()
+            forces = len(sensor.take_forces())
+    for key in ("bitrate", "node_id"):
+        was, now = getattr(bench.base.tactile, key), getattr(tactile, key)
+        if was != now:
+            notes.fact(f"tactile.{key} was {was}, is now {now}", corrected=True)
+    notes.fact(f"The unit boots, keeps its set-up and sends frames ({forces} force messages).")
+    notes.values |= {
+        "bitrate": bitrate,
+        "nodes_heard": list(heard.nodes),
+        "node_id": unit.node_id,
+        "name": unit.identity.name,
+        "serial_number": unit.identity.serial,
+        "revision": unit.identity.revision,
+        "board_serial_numbers": list(unit.identity.boards),
+        "layout_hash": unit.layout_hash,
+        "pads": [list(shape) for shape in unit.pad_shapes],
+        "sends_forces": unit.sends_forces,
+    }
 
 
-def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
+UNIT = Step(
+    key="unit",
+    title="Control unit and its CAN bus",
+    purpose="Finds the CAN interface, its bit rate, the node-ID of the control unit, its identity "
+    "and its taxels. Other devices on the same bus may be disturbed for some seconds. Nothing "
+    "moves; settings of the unit are shown before, and are lost when it is switched off.",
+    run=find_unit,
+    needs=("ports",),
+    undo="Switch the control unit off and on: nothing is stored in it.",
+)
+
+
+def _so_far(bench: Bench, notes: Notes) -> TactileConfig:
+    """Return the section of the config with what this step has found."""
+    found = {key.removeprefix("tactile."): value for key, value in notes.settings.items()}
+    return bench.tactile(**found)
+
+
+def _find_boards(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     """Find the lines of the sensor's boards, and check that both send whole frames."""
     tactile = bench.tactile()
-    sensor = tactile.sensor.model_dump(mode="json")
     notes.settings["tactile.mounting"] = []
     if tactile.sensor.on_can:
         place = _interface(bench, dialog)
@@ -189,16 +195,15 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
         ports = bench.ports_beside(bench.gripper().port)
         if len(ports) != len(tactile.serial_ports):
             raise StepFailed(
-                f"Serial ports without that of the servos: {', '.join(ports) or 'none'}; the "
-                f"sensor needs {len(tactile.serial_ports)}. Plug in the boards alone, or write "
-                "tactile.sensor.ports into the config."
+                f"Serial ports beside that of the servos: {', '.join(ports) or 'none'}; the sensor "
+                f"needs {len(tactile.serial_ports)}. Plug in the boards alone, or write "
+                "tactile.sensor.ports."
             )
-        sensor["ports"] = [lasting_name(port) for port in ports]
-        notes.settings["tactile.sensor"] = sensor
-        if any("/by-path/" in port for port in sensor["ports"]):
+        names = [lasting_name(port) for port in ports]
+        notes.settings["tactile.sensor"] = tactile.sensor.model_dump() | {"ports": names}
+        if any("/by-path/" in name for name in names):
             notes.fact("Boards without serial numbers are named by their USB sockets: leave them.")
-    found = {key.removeprefix("tactile."): value for key, value in notes.settings.items()}
-    tactile = bench.tactile(**found)
+    tactile = _so_far(bench, notes)
     with _started(bench, tactile) as boards:
         began_s = boards.read().t_s
         for _ in range(_RATE_FRAMES):
@@ -209,8 +214,8 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
     least_hz = _LEAST_RATE / tactile.frame_period_s
     if rate_hz < least_hz:
         notes.warn(
-            f"{rate_hz:.0f} frames a second are few, {least_hz:.0f} are usual: plug each "
-            "board into a USB port of its own, not into a hub."
+            f"{rate_hz:.0f} frames a second are few, {least_hz:.0f} are usual: plug each board "
+            "into a USB port of its own, not into a hub."
         )
     notes.values |= {"rate_hz": rate_hz, "sends_forces": False}
 
@@ -232,17 +237,14 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
         answer = dialog.choose(
             "unit.none",
             "No CAN interface was found. Does this gripper have a control unit?",
-            {
-                "yes": "yes: plug in its adapter",
-                "alone": "no: a gripper without pads, for now",
-            },
+            {"yes": "yes: plug in its adapter", "alone": "no: a gripper without pads, for now"},
             "yes",
         )
         if answer == "alone":
             return None
         raise StepFailed(
-            "No CAN interface was found: neither a network interface of CAN (`ip link`) nor a "
-            "serial port that the servos do not use. Plug the adapter in; for SocketCAN "
+            "No CAN interface was found: no network interface of CAN (`ip link`), and no serial "
+            "port beside that of the servos. Plug the adapter in; for SocketCAN "
             "`ip link set can0 up type can bitrate 1000000`."
         )
     if len(places) == 1:
@@ -254,18 +256,16 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
         {key: f"{name} ({kind})" for key, (kind, name) in by_key.items()},
         next(iter(by_key)),
     )
-    return by_key[str(answer)]
+    return by_key[answer]
 
 
 def network_interfaces() -> list[str]:
     """Return the names of the system's CAN interfaces."""
     found = []
     for path in sorted(Path("/sys/class/net").glob("*/type")):
-        try:
+        with suppress(OSError):
             if path.read_text("ascii").strip() == _CAN_INTERFACE:
                 found.append(path.parent.name)
-        except OSError:
-            continue
     return found
 
 
@@ -273,18 +273,13 @@ def _system_bit_rate(interface: str, channel: str) -> int | None:
     """Return the bit rate in bit/s that the system has set; None if the adapter can set it."""
     if interface != "socketcan":
         return None
+    command = ["ip", "-details", "-json", "link", "show", channel]
     try:
-        shown = subprocess.run(
-            ["ip", "-details", "-json", "link", "show", channel],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=2.0,
-        ).stdout
-        rate = json.loads(shown)[0]["linkinfo"]["info_data"]["bittiming"]["bitrate"]
+        shown = subprocess.run(command, capture_output=True, text=True, check=True, timeout=2.0)
+        info = json.loads(shown.stdout)[0]["linkinfo"]["info_data"]
+        return int(info["bittiming"]["bitrate"])
     except (OSError, subprocess.SubprocessError, ValueError, LookupError, TypeError):
         return None
-    return int(rate)
 
 
 def _bit_rate(
@@ -311,23 +306,18 @@ def _bit_rate(
     if len(refused) == len(rates):
         raise refused[rates[0]]
     tried = ", ".join(f"{rate:,}" for rate in rates if rate not in refused)
-    remedy = (
-        "a unit of another bit rate has to be set to one of these"
-        if fixed is None
-        else "the interface has the bit rate that the system gave it: set it to that of the unit "
-        f"with `ip link set {channel} down`, then `ip link set {channel} up type can bitrate RATE`"
-    )
+    remedy = "" if fixed is None else f" Or set the rate of the unit with `ip link set {channel}`."
     at_another = f" {errors} error frames came: a device uses another bit rate." if errors else ""
     raise StepFailed(
-        f"No CAN traffic and no reply on {channel} ({interface}) at {tried} bit/s. Check "
-        "the supply of the control unit, CAN_H and CAN_L, the common ground and both terminating "
-        f"resistors (60 Ohm between CAN_H and CAN_L, switched off); {remedy}.{at_another}"
+        f"No CAN traffic and no reply on {channel} ({interface}) at {tried} bit/s. Check the "
+        "supply of the control unit, CAN_H and CAN_L, the common ground and both terminating "
+        f"resistors (60 Ohm between CAN_H and CAN_L, switched off).{remedy}{at_another}"
     )
 
 
-def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Finding) -> int:
+def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Notes) -> int:
     """Return the node-ID of the control unit among the nodes on the bus."""
-    expected = ExpectedIdentity()
+    wanted = (ExpectedIdentity().vendor_id, ExpectedIdentity().product_code)
     units, others = [], []
     for node in sorted({*heard.nodes, *scan_nodes(bus).nodes}):
         try:
@@ -335,7 +325,7 @@ def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Finding) -> int
         except TactileError as error:
             others.append(f"node {node} does not answer ({error})")
             continue
-        if (vendor, product) == (expected.vendor_id, expected.product_code):
+        if (vendor, product) == wanted:
             units.append(node)
         else:
             others.append(
@@ -344,24 +334,19 @@ def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Finding) -> int
     if not units:
         there = "; ".join(others) or f"{heard.messages} messages were received and no node answers"
         raise StepFailed(
-            f"No control unit is on the bus: {there}. A control unit of this software has vendor "
-            f"{expected.vendor_id:#x}, product {expected.product_code:#x} (object 1018h): check "
-            "which device is plugged in, its supply and its firmware."
+            f"No control unit is on the bus: {there}. It has vendor {wanted[0]:#x}, product "
+            f"{wanted[1]:#x} (object 1018h): check the device, its supply and its firmware."
         )
     for other in others:
         notes.fact(f"Beside it, {other}.")
     if len(units) == 1:
         return units[0]
-    answer = dialog.choose(
-        "unit.node",
-        "Several control units answer. Which one belongs to this gripper?",
-        {str(node): f"node {node}" for node in units},
-        str(units[0]),
-    )
-    return int(answer)
+    text = "Several control units answer. Which one belongs to this gripper?"
+    choices = {str(node): f"node {node}" for node in units}
+    return int(dialog.choose("unit.node", text, choices, str(units[0])))
 
 
-def _judge(unit: FoundUnit, bench: Bench, notes: Finding) -> TaxelLayout:
+def _judge(unit: FoundUnit, bench: Bench, notes: Notes) -> TaxelLayout:
     """Judge a unit by identity and taxels; returns its layout."""
     identity = unit.identity
     notes.fact(
@@ -376,8 +361,8 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Finding) -> TaxelLayout:
     )
     if wrong:
         raise StepFailed(
-            f"Its EDS is not that of this software: {wrong}. Another major revision behaves "
-            "differently on the bus: update the unit's firmware, or this software."
+            f"Its EDS is not that of this software: {wrong}. Update the unit's firmware, or this "
+            "software."
         )
     layout, written = _layout(unit, bench)
     notes.fact(f"Layout {layout.name}: {layout.n_taxels} taxels on {layout.n_pads} pads.")
@@ -388,9 +373,8 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Finding) -> TaxelLayout:
     }
     if not unit.sends_forces:
         notes.warn(
-            "The unit has no force messages (object 2140h): the force comes from whole frames and "
-            "is slower. Update the firmware of the unit, or set "
-            "gripper.approach_speed_mm_s to 12."
+            "The unit has no force messages (object 2140h), so the force comes from whole frames "
+            "and is slower: update its firmware, or set gripper.approach_speed_mm_s to 12."
         )
     return layout
 
@@ -405,14 +389,13 @@ def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
         return own, given
     shapes = ", ".join(f"{rows} x {columns}" for rows, columns in unit.pad_shapes)
     raise StepFailed(
-        f"Its layout is unknown (hash {unit.layout_hash}): {unit.n_taxels} taxels on "
-        f"{len(unit.pad_shapes)} pads of {shapes}, full scale {unit.adc_max}. Known layouts are "
-        f"{', '.join(LAYOUTS)}. Write its pads with faces and pitches into tactile.layout of a "
-        "config, or plug in the unit of this gripper."
+        f"Its layout is unknown (hash {unit.layout_hash}): {unit.n_taxels} taxels on pads of "
+        f"{shapes}, full scale {unit.adc_max}. Write its pads into tactile.layout, or plug in the "
+        f"unit of this gripper. Known layouts: {', '.join(LAYOUTS)}."
     )
 
 
-def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Finding) -> None:
+def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Notes) -> None:
     """Set a period of SYNC that fits a frame, if that of the config is too short."""
     tactile, messages = bench.tactile(), FrameFormat.of(layout).n_messages
     burst_ms = 1e3 * messages * message_bits(MESSAGE_BYTES) / bitrate
@@ -425,19 +408,14 @@ def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Finding)
         bench.tactile(sync_period_ms=least_ms)
     except ConfigError as error:
         raise StepFailed(
-            f"{taken}, too long for a grip: set the control unit to a faster bit rate, 1,000,000 "
-            "bit/s at best."
+            f"{taken}, too long for a grip: set the unit to 1,000,000 bit/s."
         ) from error
     notes.settings["tactile.sync_period_ms"] = least_ms
-    notes.fact(
-        f"{taken}: the period of SYNC is set to {least_ms:g} ms. A faster bit rate makes the grip "
-        "softer."
-    )
+    notes.fact(f"{taken}: the period of SYNC is {least_ms:g} ms now. A faster rate grips softer.")
 
 
-def _writes(unit: FoundUnit, tactile: TactileConfig) -> list[ProposedChange]:
+def _writes(unit: FoundUnit, link: LinkSettings) -> list[ProposedChange]:
     """Return the writes to the unit at each start of the link."""
-    link = link_settings(tactile)
     coming = (
         round(1e6 * link.sync_period_s),
         round(1e6 * link.window_s),

@@ -16,7 +16,6 @@ from pathlib import Path
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Engine, Question
-from cell.commissioning.record import write_record
 from cell.commissioning.walk import all_steps
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
@@ -98,7 +97,7 @@ def transcript() -> str:
         cell.clock.sleep(_BOOT_S)
         lines = SimulatedLines(cell, ports=(base.gripper.port,))
         bench = Bench(Path(folder) / "my-cell", lines, given=given, base=base)
-        engine = Engine(all_steps(), bench, finish=write_record)
+        engine = Engine(all_steps(), bench)
         dialog = _Typing(Person(cell, {r"With which force may it be": ("", "")}))
         dialog.finished(engine, engine.run(dialog))
         text = printed.getvalue().replace(f"{folder}/", "")

@@ -66,9 +66,9 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
 
 @pytest.mark.long
 def test_the_page_on_updates_can_be_typed(here) -> None:
-    Path("commissioning.html").write_text("signed")
+    Path("commissioning.md").write_text("signed")
     printed = list(typed("update.md"))
-    for name in ("commissioning.html", "parts.model.npz", "tactile-cell.yaml"):
+    for name in ("commissioning.md", "parts.model.npz", "tactile-cell.yaml"):
         assert Path("../press-4", name).read_bytes() == Path(name).read_bytes()
     (shown,) = blocks("update.md", "text")
     name = r"\.\./before-update\.tar: 3 files, \d+\.\d MB\n"

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cell.checks.findings import Finding, ProposedChange, Verdict
+from cell.checks.findings import Notes, ProposedChange, Verdict
 from cell.commissioning.engine import Dialog, Engine, Question, Step, leave
 from cell.interfaces.cli.terminal import ask, out, plain_text, print_line
 
@@ -32,12 +32,12 @@ class TerminalDialog(Dialog):
         out.print(f"\n[bold]{number}/{count} {plain_text(step.title)}[/]")
         print_line(step.purpose)
 
-    def found(self, step: Step, finding: Finding) -> None:
-        """Print the finding of a step."""
+    def found(self, step: Step, notes: Notes) -> None:
+        """Print the findings of a step."""
         self._end_line()
-        verdict = finding.status
+        verdict = notes.status
         out.print(f"[{_COLOURS[verdict]}]{verdict.value}[/] {plain_text(step.title)}")
-        for line in finding.lines:
+        for line in notes.lines:
             print_line(f"  {line}")
 
     def say(self, text: str) -> None:

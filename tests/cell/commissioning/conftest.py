@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from cell.checks.findings import Finding, Verdict
+from cell.checks.findings import Notes, Verdict
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Step, carry_out
 from gripper.dynamixel.control_table import TORQUE_ENABLE
@@ -49,7 +49,7 @@ class Stand:
         leave_at: Sequence[str] = (),
         moment: Callable[[], None] | None = None,
         **replies: Any,
-    ) -> Finding:
+    ) -> Notes:
         """Carry a step out with a person anew, who answers as named, ``__`` for the point."""
         self.person = Person(self.cell, **replies)
         self.person.script.leave_at = list(leave_at)
@@ -60,7 +60,7 @@ class Stand:
         """Return hands that do something, as a reply."""
         return self.person.does(*words)
 
-    def passes(self, step: Step, **options: Any) -> Finding:
+    def passes(self, step: Step, **options: Any) -> Notes:
         """Carry a step out as `run`; fail where it does not pass."""
         finding = self.run(step, **options)
         assert finding.status is Verdict.PASS, finding.lines

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from cell.checks.findings import Finding, ProposedChange
+from cell.checks.findings import Notes, ProposedChange
 from cell.commissioning.bench import LineOpener
 from cell.commissioning.engine import Dialog, Question, Step, WizardAborted
 from cell.simulation import open_can_bus, open_servo_port
@@ -35,7 +35,7 @@ class Script(Dialog):
     questions: list[Question] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
     writes: list[ProposedChange] = field(default_factory=list)
-    findings: dict[str, Finding] = field(default_factory=dict)
+    findings: dict[str, Notes] = field(default_factory=dict)
     watched: list[str] = field(default_factory=list)
     began: list[str] = field(default_factory=list)
     otherwise: Callable[[Question], str | float | None] = lambda _question: None
@@ -48,7 +48,7 @@ class Script(Dialog):
         assert 1 <= number <= count
         self.began.append(step.key)
 
-    def found(self, step: Step, finding: Finding) -> None:
+    def found(self, step: Step, finding: Notes) -> None:
         self.findings[step.key] = finding
 
     def say(self, text: str) -> None:

@@ -21,7 +21,7 @@ from tests.cell.conftest import REAL, call, small_config
 
 FILES = {
     "commissioning.json": b"{}",
-    "commissioning.html": b"<p>signed",
+    "commissioning.md": b"<p>signed",
     "backup-servo1.json": b"{}",
     "bolts.npz": b"model" * 1000,
     "bolts.grasps.npz": b"grasps" * 5000,

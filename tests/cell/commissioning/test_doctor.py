@@ -12,7 +12,7 @@ import pytest
 
 import cell.commissioning.doctor
 from cell.build import build_cell
-from cell.checks.findings import CheckResult, Verdict
+from cell.checks.findings import Finding, Verdict
 from cell.commissioning.doctor import _boards, examine
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
@@ -31,7 +31,7 @@ REAL = {
 }
 
 
-def by_name(findings: list[CheckResult]) -> dict[str, CheckResult]:
+def by_name(findings: list[Finding]) -> dict[str, Finding]:
     return {finding.what: finding for finding in findings}
 
 
@@ -55,9 +55,7 @@ def test_the_simulated_cell_is_well() -> None:
     [(1, Verdict.PASS, "as at commissioning"), (7, Verdict.WARN, "serial 1, at commissioning")],
 )
 def test_a_cell_that_was_commissioned_is_compared_with_it(tmp_path, serial, verdict, found) -> None:
-    kept = {"status": "pass", "lines": [], "settings": {}, "figures": {}, "began": "", "ended": ""}
-    steps = {"unit": kept | {"values": {"serial_number": serial}}}
-    store = {"steps": steps, "approved": []}
+    store = {"steps": {"unit": {"values": {"serial_number": serial}}}, "approved": []}
     write_json(tmp_path / "commissioning.json", COMMISSIONING, store, error=CellError)
     everything = list(examine(CellConfig(), tmp_path / "tactile-cell.yaml"))
     assert any(f.verdict is verdict and found in f.found for f in everything)
@@ -173,10 +171,10 @@ def test_boards_without_force_messages_and_numbers_are_well() -> None:
 
 
 @pytest.fixture
-def altered(meddle: Any) -> Callable[[Callable[[Any], None]], list[CheckResult]]:
+def altered(meddle: Any) -> Callable[[Callable[[Any], None]], list[Finding]]:
     """Return what examines a simulated cell after something was done to it."""
 
-    def run(act: Callable[[Any], None]) -> list[CheckResult]:
+    def run(act: Callable[[Any], None]) -> list[Finding]:
         meddle(lambda made: act(made.simulated))
         return list(examine(CellConfig()))
 

@@ -9,17 +9,17 @@ import pytest
 from cell.checks.findings import Verdict
 from cell.commissioning.engine import WizardAborted
 from cell.commissioning.fingers import (
+    FINGERS,
     KINDS,
     SKETCHES,
     BlockMeasurement,
-    FingersStep,
     decided,
     directions,
     fit_linkages,
     moved_alone,
     zero_pulse,
 )
-from cell.commissioning.servos import ServosStep
+from cell.commissioning.servos import SERVOS
 from cell.config.file import changed_config
 from gripper.dynamixel.models import XM430_W350
 from gripper.mechanics.kinematics import ParallelLinkage, RackPinion
@@ -29,7 +29,7 @@ from simulator.settings import SimulatedServoSettings
 from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.marks import LONG
 
-STEP = FingersStep()
+STEP = FINGERS
 BLOCKS_M = (0.010, 0.030)
 
 
@@ -91,7 +91,7 @@ def limp(stand: MakeStand) -> MakeStand:
 
     def make(*faults: str) -> Stand:
         one = stand(*faults, aperture_m=0.03)
-        one.passes(ServosStep())
+        one.passes(SERVOS)
         return one
 
     return make
@@ -107,7 +107,7 @@ def test_one_servo_with_a_pinion(stand) -> None:
         servos=(SimulatedServoSettings(servo_id=1, mount=ServoMount(direction=-1)),),
         linkage=RackLinkage(pinion_radius_m=0.02),
     )
-    servos = one.run(ServosStep(), servos__count="1").settings
+    servos = one.run(SERVOS, servos__count="1").settings
     one.bench.settings = {**one.bench.settings, **servos}
     found = one.passes(STEP, fingers__kind="pinion")
     assert "fingers.open_second" not in one.person.script.asked

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cell.checks.changes import (
+    CommissionedValues,
     Gauge,
     changed_gauge,
     changed_pads,
@@ -17,10 +18,10 @@ from cell.checks.changes import (
     changed_unit,
     gauge_of,
 )
-from cell.checks.findings import STORE_NAME, Finding, Verdict
-from cell.commissioning.baseline import BaselineStep, changed_hardware, gauge_again
+from cell.checks.findings import STORE_NAME, Notes, Verdict
+from cell.commissioning.baseline import BASELINE, changed_hardware, gauge_again
 from cell.commissioning.engine import WizardAborted
-from cell.commissioning.first_force import FirstForceStep
+from cell.commissioning.first_force import FIRST_FORCE
 from cell.control.self_zero import kept_zeros
 from cell.data.formats import COMMISSIONING, write_json
 from cell.errors import CellError
@@ -33,7 +34,7 @@ from tactile.layout import PadMount, pinch_layout
 from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.marks import LONG
 
-STEP = FirstForceStep()
+STEP = FIRST_FORCE
 
 
 @pytest.fixture
@@ -43,7 +44,7 @@ def one(stand: MakeStand) -> Stand:
 
 
 @pytest.fixture(scope="module")
-def grasped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stand, Finding]]:
+def grasped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stand, Notes]]:
     """A cell after its first grasp, whose pads were checked with weights, and what was found."""
     noise = NoiseModel(level=0.3)
     settings = SimulatorSettings(layout=pinch_layout(), aperture_m=0.014, noise=noise)
@@ -66,7 +67,6 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> N
     assert one.torques == [0, 0]
     assert len(one.person.script.writes) == 4
     assert abs(finding.values["meet_mm"]) < 1.0
-    assert finding.figures["force"]["limits"] == {"cap": 15.0}
 
 
 def kept_drives(one: Stand) -> list[DriveCharacteristic]:
@@ -213,14 +213,17 @@ def test_the_same_hardware_has_not_changed() -> None:
     ],
 )
 def test_another_unit_or_pad_names_the_step(change, what, step) -> None:
-    (found,) = changed_unit(FOUND, **SOUND | change)
+    changes = changed_unit(FOUND, **SOUND | change)
+    kept = CommissionedValues(folder=Path("box"), found=FOUND)
+    (found,) = kept.findings("control unit", changes)
     assert (found.what, found.step) == (what, step)
-    assert f"commission box --redo {step}`" in found.advice(Path("box"))
+    assert f"commission box --redo {step}`" in found.advice
 
 
 def test_another_servo_names_its_step() -> None:
     (found,) = changed_servos(FOUND, {1: ("XM430-W210", 46), 2: ("XM430-W350", 46)})
-    assert (found.what, found.was, found.step) == ("servo 1", "XM430-W350, firmware 46", "servos")
+    assert (found.what, found.step) == ("servo 1", "servos")
+    assert found.found == "XM430-W210, firmware 46, at commissioning XM430-W350, firmware 46"
 
 
 def test_pads_that_drift_shake_or_break_are_named() -> None:
@@ -247,7 +250,7 @@ def test_what_was_found_at_rest_is_compared_taxel_by_taxel_where_pads_are_exchan
     frames[:, 78 + 3] = 0
     assert changed_pads(found, pinch_layout(), frames, exchanged) == []
     (broken, *_) = changed_pads(found, pinch_layout(), frames)
-    assert broken.found == "1, new: finger1.inner row 0 column 3"
+    assert broken.found.startswith("1, new: finger1.inner row 0 column 3")
 
 
 @pytest.mark.parametrize(
@@ -279,7 +282,7 @@ def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(one) -> None:
 @pytest.mark.slow
 def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(stand, tmp_path) -> None:
     one = stand(noise=NoiseModel(level=0.3))
-    finding = one.passes(BaselineStep())
+    finding = one.passes(BASELINE)
     was = gauge_of({"baseline": finding.values})
     assert was.held_n == pytest.approx((was.force_n, was.force_n), rel=0.1)
     assert was.held_mm < was.contact_mm < 11.0
@@ -287,9 +290,7 @@ def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(stand, tm
     bench, script = one.bench, one.person.script
     with pytest.raises(CellError, match="no gauge object was kept"):
         gauge_again(bench, bench.config, script)
-    kept = {"status": "pass", "lines": [], "values": finding.values, "settings": {}}
-    entry = kept | {"figures": {}, "began": "", "ended": ""}
-    store = {"steps": {"baseline": entry}, "approved": []}
+    store = {"steps": {"baseline": {"values": finding.values}}, "approved": []}
     write_json(tmp_path / STORE_NAME, COMMISSIONING, store, error=CellError)
     (same,) = gauge_again(bench, bench.config, script)
     assert (same.verdict, same.found) == (Verdict.PASS, "as at commissioning")
@@ -301,6 +302,6 @@ def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(stand, tm
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["ball", "cylinder"])
 def test_a_gauge_without_parallel_faces_is_refused(one, part) -> None:
-    finding = one.run(BaselineStep(), baseline__place=one.does(f"part {part}"))
+    finding = one.run(BASELINE, baseline__place=one.does(f"part {part}"))
     assert finding.status is Verdict.FAIL
     assert "but the gauge needs parallel faces: take a block" in finding.lines[-1]

@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from cell.checks import ports
-from cell.checks.findings import Finding, Verdict
+from cell.checks.findings import Notes, Verdict
 from cell.checks.ports import check_port, lasting_name, usb_identity, users_of
 from cell.commissioning import axes
-from cell.commissioning.axes import AxesStep
+from cell.commissioning.axes import AXES
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import carry_out
-from cell.commissioning.ports import PortsStep
+from cell.commissioning.ports import PORTS
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.simulation import simulation_of
@@ -38,7 +38,7 @@ def lines() -> SimulatedLines:
 
 def test_the_only_port_is_taken_unasked(tmp_path) -> None:
     bench = Bench(tmp_path, SimulatedLines(SimulatedCell()))
-    found = carry_out(PortsStep(), bench, script := Script())
+    found = carry_out(PORTS, bench, script := Script())
     assert found.settings == {"gripper.port": "/dev/ttyUSB0"}
     assert script.asked == []
 
@@ -53,7 +53,7 @@ def test_a_port_is_found_by_pulling_and_putting_back_its_plug(tmp_path, lines) -
 
     both = [lambda: without("/dev/ttyUSB0", "/dev/ttyACM0"), lambda: without("/dev/ttyUSB1")]
     script = Script({"ports.unplug": [*both], "ports.plug_back": [lambda: None, back]})
-    found = carry_out(PortsStep(), Bench(tmp_path, lines), script)
+    found = carry_out(PORTS, Bench(tmp_path, lines), script)
     assert found.settings == {"gripper.port": "/dev/ttyUSB2"}
     assert "2 ports are gone" in script.text
     assert script.asked.count("ports.plug_back") == 2
@@ -66,7 +66,7 @@ def test_a_cell_without_any_port_asks_for_the_plug(tmp_path, lines) -> None:
         lines.ports = ("/dev/ttyUSB0",)
 
     script = Script({"ports.plug_in": [lambda: None, plug_in]})
-    assert carry_out(PortsStep(), Bench(tmp_path, lines), script).status is Verdict.PASS
+    assert carry_out(PORTS, Bench(tmp_path, lines), script).status is Verdict.PASS
     assert script.asked == ["ports.plug_in"] * 2
 
 
@@ -76,7 +76,7 @@ def test_a_slow_latency_timer_is_named_with_the_command_that_mends_it(
     monkeypatch.setattr(ports, "latency_timer_ms", lambda _port: 16)
     (port := tmp_path / "ttyUSB0").touch()
     bench = Bench(tmp_path, SimulatedLines(SimulatedCell(), (str(port),)))
-    found = carry_out(PortsStep(), bench, Script())
+    found = carry_out(PORTS, bench, Script())
     assert found.status is Verdict.WARN
     advice = found.lines[-1]
     assert "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer" in advice
@@ -93,7 +93,7 @@ def test_a_port_of_another_group_is_named_with_the_command(tmp_path, monkeypatch
     monkeypatch.setattr(grp, "getgrgid", lambda _number: (entries[grp],))
     monkeypatch.setattr(pwd, "getpwuid", lambda _number: (entries[pwd],))
     bench = Bench(tmp_path, given={"gripper.port": str(device)})
-    found = carry_out(PortsStep(), bench, Script())
+    found = carry_out(PORTS, bench, Script())
     assert found.status is Verdict.FAIL
     group, user = ("staff", "robot") if named else (str(device.stat().st_gid), str(os.getuid()))
     assert f"sudo usermod -a -G {group} {user}, " in found.lines[-1]
@@ -105,7 +105,7 @@ def test_a_port_that_is_taken_or_gone_is_named(tmp_path, lines) -> None:
             raise PortLost(f"serial port {port} is used by another program")
 
     bench = Bench(tmp_path, Taken(lines.cell))
-    found = carry_out(PortsStep(), bench, Script())
+    found = carry_out(PORTS, bench, Script())
     assert found.status is Verdict.FAIL
     assert "used by another program" in found.lines[-1]
 
@@ -247,14 +247,14 @@ def cell() -> Iterator[SimulatedCell]:
 
 def found(
     tmp_path: Path, cell: SimulatedCell, script: Script, ports: tuple[str, ...] = (GRIPPER, WRIST)
-) -> Finding:
+) -> Notes:
     bench = Bench(tmp_path, LinesWithAxes(cell, ports))
     bench.settings = {
         "gripper.port": GRIPPER,
         "tactile.interface": "socketcan",
         "tactile.channel": "can0",
     }
-    return carry_out(AxesStep(), bench, script)
+    return carry_out(AXES, bench, script)
 
 
 def test_a_wrist_and_drives_are_found_and_named(tmp_path, cell, monkeypatch) -> None:

@@ -9,8 +9,8 @@ import pytest
 from cell.commissioning.backup import backup_file, restore
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Engine, WizardAborted
-from cell.commissioning.ports import PortsStep
-from cell.commissioning.servos import ServosStep
+from cell.commissioning.ports import PORTS
+from cell.commissioning.servos import SERVOS
 from cell.data.formats import SERVO_BACKUP, write_json
 from cell.errors import CellError, ConfigError
 from gripper.dynamixel.bus import ServoBus
@@ -19,7 +19,7 @@ from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.cell.commissioning.hands import Person, Script
 from tests.marks import LONG
 
-STEP = ServosStep()
+STEP = SERVOS
 PORT = "/dev/ttyUSB0"
 
 
@@ -93,7 +93,7 @@ def test_servos_in_protocol_1_are_named_with_the_register(one, rate: int) -> Non
 
 @pytest.mark.slow
 def test_a_step_that_goes_on_knows_that_two_servos_answered(new) -> None:
-    engine = Engine([PortsStep(), STEP], new.bench)
+    engine = Engine([PORTS, STEP], new.bench)
     for leave_at in (["servos.connect_next"], []):
         person = Person(new.cell)
         person.script.leave_at = leave_at
@@ -101,7 +101,7 @@ def test_a_step_that_goes_on_knows_that_two_servos_answered(new) -> None:
         with suppress(WizardAborted, ConfigError):
             engine.run(person.script)
     assert person.script.asked == ["servos.connect_next"]
-    assert [one["id"] for one in engine.findings["servos"].values["servos"]] == [1, 2]
+    assert [one["id"] for one in engine.notes["servos"].values["servos"]] == [1, 2]
 
 
 def test_a_second_servo_that_is_not_there_after_all_is_not_waited_for(new) -> None:
@@ -182,7 +182,7 @@ FOUND = {"model_number": 1020, "id": 1, "baud_rate": 1, "homing_offset": 0}
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"found": {"id": 300}}, "id is 300, must be from 0 to 255"),
+        ({"found": {"id": 300}}, "id is 300, must be from 0 to 252"),
         ({"found": {"id": 253}}, "must be from 0 to 252"),
         ({"found": {"baud_rate": 77}}, "baud"),
         ({"baud_rate": 77}, "77 bit/s, which no servo has"),

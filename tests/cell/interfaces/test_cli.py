@@ -21,7 +21,7 @@ from rich.console import Console
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from cell.checks.findings import CheckResult, Verdict
+from cell.checks.findings import Finding, Verdict
 from cell.config.file import changed_config, config_text, load_config
 from cell.config.model import CellConfig
 from cell.control.records import GraspRecord
@@ -523,7 +523,7 @@ def test_examples_are_the_configs_of_the_repository(tmp_path, fail) -> None:
 
 
 def test_doctor_passes_and_fails(tmp_path, config, fail, monkeypatch) -> None:
-    found = [CheckResult(what="disk", verdict=Verdict.PASS, found="room", advice="none")]
+    found = [Finding(what="disk", verdict=Verdict.PASS, found="room", advice="none")]
     monkeypatch.setattr("cell.interfaces.cli.commands.doctor.examine", lambda *_: iter(found))
     assert call("doctor", "-c", config, "--json", tmp_path / "d.json") == (
         "pass  disk: room  -> none\n"

@@ -14,9 +14,9 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from cell.checks.findings import Finding, ProposedChange, Verdict
+from cell.checks.findings import Notes, ProposedChange
 from cell.commissioning.engine import Choice, NumberRange, Question, WizardAborted, leave
-from cell.commissioning.ports import PortsStep
+from cell.commissioning.ports import PORTS
 from cell.control.positioner import PatientCaller
 from cell.control.states import CellState
 from cell.errors import CellStopped, PositionerError
@@ -124,10 +124,11 @@ def test_writes_are_shown_and_refused_unless_yes_is_typed(typed, capsys) -> None
 
 def test_findings_are_printed_with_their_lines(typed, capsys) -> None:
     asked = typed()
-    step = PortsStep()
+    step, notes = PORTS, Notes()
+    notes.warn("16 ms [slow]")
     asked.start_step(step, 1, 3)
     asked.live("scan", "57600 bit/s")
-    asked.found(step, Finding(status=Verdict.WARN, lines=["16 ms [slow]"]))
+    asked.found(step, notes)
     shown = capsys.readouterr().out
     assert "1/3 Ports" in shown
     assert "warn Ports" in shown

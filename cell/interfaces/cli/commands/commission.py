@@ -9,10 +9,8 @@ from cell.commissioning.backup import restore as restore_servos
 from cell.commissioning.baseline import changed_hardware
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Engine, WizardAborted
-from cell.commissioning.record import write_record
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
-from cell.installation import missing_note
 from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.signals import as_interrupts
 from cell.interfaces.cli.terminal import print_line, print_note
@@ -65,7 +63,7 @@ def commission(
 
     Shows each write and motion before it is done. Leave at any time with q or Ctrl-C; the same
     command continues there. At the end the folder has tactile-cell.yaml and the record,
-    commissioning.html.
+    commissioning.md.
     """
     given = {} if servo_port is None else {"gripper.port": servo_port}
     if can is not None:
@@ -78,9 +76,7 @@ def commission(
             "tactile.channel": base.tactile.channel,
         } | given
     bench = Bench(folder, given=given, base=base)
-    if no_record := missing_note("report", "record"):
-        print_note(no_record)
-    engine = Engine(all_steps(), bench, finish=(lambda _engine: ()) if no_record else write_record)
+    engine = Engine(all_steps(), bench)
     dialog = TerminalDialog()
     try:
         with as_interrupts():
@@ -97,7 +93,7 @@ def commission(
             for key in redo or ():
                 print_line(f"steps to repeat: {', '.join(engine.redo(key))}")
             for change in changed_hardware(bench):
-                print_note(f"{change.what}: {change.found}, at commissioning {change.was}")
+                print_note(f"{change.what}: {change.found}")
                 print_line(f"steps to repeat: {', '.join(engine.redo(change.step))}")
             files = engine.run(dialog)
     except KeyboardInterrupt:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cell.checks.findings import CheckResult, Verdict
+from cell.checks.findings import Finding, Verdict
 from cell.commissioning.baseline import gauge_again
 from cell.commissioning.bench import Bench
 from cell.commissioning.doctor import examine
@@ -46,7 +46,7 @@ def doctor(
     findings = []
     cell = cell_config(config)
 
-    def checks() -> Iterator[CheckResult]:
+    def checks() -> Iterator[Finding]:
         yield from examine(cell, config)
         if gauge:
             if config is None or cell.simulated:
