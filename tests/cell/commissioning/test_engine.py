@@ -169,7 +169,7 @@ def test_steps_stand_behind_those_they_need(tmp_path: Path) -> None:
 def test_the_command_goes_on_where_it_was_left_and_writes_config_and_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cell.commissioning.walk.all_steps", steps)
+    monkeypatch.setattr("cell.interfaces.cli.commands.commission.all_steps", steps)
     command = ["commission", str(tmp_path), "--servo-port", "/dev/ttyUSB7", "--can", "socketcan:c"]
     left = CliRunner().invoke(app, command, input="\nq\n")
     assert (left.exit_code, (tmp_path / CONFIG_NAME).exists()) == (1, False)

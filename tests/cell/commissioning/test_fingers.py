@@ -150,7 +150,7 @@ def test_a_wrong_linkage_and_opening_of_the_config_are_named(one) -> None:
     one.bench.settings = {k: v for k, v in one.bench.settings.items() if "aperture" not in k}
     linkage, opening = one.passes(STEP).corrected
     assert "the linkage was rack_pinion, pinion_radius_mm 40" in linkage
-    assert "is now parallel_linkage, link_mm 60.7" in linkage
+    assert "is now parallel_linkage, link_mm 60." in linkage
     assert opening.startswith("gripper.aperture_open_mm was 150, is now 11")
 
 
