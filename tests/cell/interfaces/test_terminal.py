@@ -74,7 +74,7 @@ def test_a_refused_restore_names_the_command_that_asks_again(tmp_path, monkeypat
     def refused(*_bench: object, **_begin: object) -> None:
         leave("refused")
 
-    monkeypatch.setattr("cell.commissioning.backup.restore", refused)
+    monkeypatch.setattr("cell.interfaces.cli.commands.commission.restore_servos", refused)
     options = ["--restore", "--servo-port", "/dev/ttyUSB0"]
     ended = CliRunner().invoke(app, ["commission", str(tmp_path), *options])
     assert ended.exit_code == 1
