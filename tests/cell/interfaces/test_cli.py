@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -528,9 +528,7 @@ def test_doctor_passes_and_fails(tmp_path, config, fail, monkeypatch) -> None:
     assert call("doctor", "-c", config, "--json", tmp_path / "d.json") == (
         "pass  disk: room  -> none\n"
     )
-    assert read_json(tmp_path / "d.json")["findings"] == [
-        {"what": "disk", "verdict": "pass", "found": "room", "advice": "none"}
-    ]
+    assert read_json(tmp_path / "d.json")["findings"] == [asdict(found[0])]
     found[0] = replace(found[0], verdict=Verdict.FAIL)
     assert "1 of 1 checks failed" in fail("doctor", "-c", config)
 
