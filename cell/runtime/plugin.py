@@ -339,11 +339,6 @@ class TactileCellPlugin:
         """Names by label id, from 1: ``serve.objects`` of the config, then other taught labels."""
         return self._parts.labels
 
-    def state(self) -> str:
-        """Return the state of the cell, a PackML name."""
-        with self._calling():
-            return self.cell.controller.life.state.value
-
     def status(self) -> HostStatus:
         """Return the states of cell and grip, the live values, and the last answer."""
         with self._calling():
@@ -354,11 +349,6 @@ class TactileCellPlugin:
                 recording_fault=self.cell.recording_fault or "",
                 last_answer=self._parts.last,
             )
-
-    def fault(self) -> str | None:
-        """Return the latched fault as text; None without a fault."""
-        with self._calling():
-            return self.cell.controller.life.fault
 
     def alive(self) -> None:
         """Count as a call of the host, and do nothing else; see ``host_timeout_s``."""

@@ -91,7 +91,7 @@ def test_axes_bring_the_object_and_stop_when_a_drive_is_silent(free_machine, tmp
         cell.ask(inject="axis1.silence")
         with pytest.raises(JobFailed, match=SILENT):
             plugin.result(job, LIMIT_S)
-        assert plugin.state() == "ABORTED"
+        assert plugin.status().state == "ABORTED"
         # The drive that is silent stops by itself when it misses its host.
         until(lambda: not any(a["moving"] for a in cell.ask(state=True)["axes"].values()))
         stopped = positions(cell)

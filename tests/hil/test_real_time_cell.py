@@ -142,8 +142,8 @@ def test_a_part_that_one_finger_holds_alone_is_let_go(simulator, tmp_path) -> No
     assert simulator.grip_n() > 0.5
 
     with TactileCellPlugin(simulator.config_path) as plugin:
-        assert plugin.state() == "ABORTED"
-        assert "servo 1 has no torque (overload)" in str(plugin.fault())
+        assert plugin.status().state == "ABORTED"
+        assert "servo 1 has no torque (overload)" in str(plugin.status().fault)
         with pytest.raises(ServoFault, match="clear it with a reboot"):
             plugin.clear(LIMIT_S)
     assert simulator.grip_n() > 0.5
@@ -215,22 +215,22 @@ def test_a_part_is_kept_in_real_time_until_the_host_lets_it_go(simulator) -> Non
         job = plugin.start({"task": "identify", "present": "box", "keep": "always", "seed": 9})
         answer = plugin.result(job, LIMIT_S)
         assert answer.kept
-        assert (plugin.state(), plugin.status().state_number) == ("COMPLETE", 17)
+        assert (plugin.status().state, plugin.status().state_number) == ("COMPLETE", 17)
         for _ in range(20):
             threading.Event().wait(0.1)
-            assert plugin.fault() is None
+            assert plugin.status().fault is None
             assert simulator.grip_n() == pytest.approx(4.0, abs=1.0)
         found = plugin.result(plugin.start({"task": "verify"}), LIMIT_S)
         assert (found.held, found.same) == (True, True)
-        assert plugin.state() == "COMPLETE"
+        assert plugin.status().state == "COMPLETE"
         plugin.cancel(job)
         plugin.release()
         assert simulator.grip_n() == 0.0
-        assert plugin.state() == "IDLE"
+        assert plugin.status().state == "IDLE"
 
         grip = {"task": "grip", "force_n": 3.0, "present": "ball"}
         plugin.result(plugin.start(grip), LIMIT_S)
         simulator.ask(inject="object.gone")
         until(plugin.fault)
         assert plugin.status().grasp == "PART LOST"
-        assert str(plugin.fault()).endswith(" s after the grip")
+        assert str(plugin.status().fault).endswith(" s after the grip")

@@ -82,7 +82,7 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> N
     ) as failed:
         done(plugin, TeachGoal(label="pin", grasps=1, present="ball"))
     assert failed.value.fault_number == 519
-    assert (plugin.labels, plugin.state()) == (("ball", "box"), "IDLE")
+    assert (plugin.labels, plugin.status().state) == (("ball", "box"), "IDLE")
     assert done(plugin, TeachGoal(label="pin", grasps=2, present="ball", seed=1)) == 2
     assert plugin.labels == ("ball", "box", "pin")
 
@@ -95,7 +95,7 @@ def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -
         plugin.start(TeachGoal(label="my mug"))
     exec(typed.replace('"grasps": 6', '"grasps": 3'), {"cell": plugin})
     assert plugin.labels == ("ball", "box", "my mug")
-    assert (plugin.state(), plugin.simulate({"state": True})["placed"]) == ("IDLE", None)
+    assert (plugin.status().state, plugin.simulate({"state": True})["placed"]) == ("IDLE", None)
     with pytest.raises(JobFailed, match="no contact"):
         done(plugin, IdentifyGoal(present="nothing"))
 
@@ -116,9 +116,9 @@ def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(p
             plugin.simulate({"inject": fault})
             with pytest.raises(JobFailed):
                 done(plugin, VerifyGoal())
-            assert plugin.state() == "ABORTED"
+            assert plugin.status().state == "ABORTED"
         plugin.result(plugin.begin_simulation_reset(), LIMIT_S)
-        assert (plugin.state(), grip_n(plugin)) == ("IDLE", 0.0)
+        assert (plugin.status().state, grip_n(plugin)) == ("IDLE", 0.0)
         assert plugin.simulate({"state": True})["faults"] == {}
 
 
@@ -151,7 +151,7 @@ def test_teach_then_identify(make_plugin: Any) -> None:
     shown = {"task": "identify", "grasps": answer.n_grasps, "of": 3, "best": answer.label}
     assert {name: progress[name] for name in shown} == shown
     assert progress["shape"].startswith("flat, ")
-    assert plugin.state() == "IDLE"
+    assert plugin.status().state == "IDLE"
 
 
 # -- cancelling --------------------------------------------------------------------------------
@@ -170,7 +170,7 @@ def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
     job = plugin.start(IdentifyGoal(present="ball"))
     assert pressing.wait(LIMIT_S)
     assert plugin.feedback(job).outcome is JobOutcome.EXECUTING
-    assert plugin.state() == "EXECUTE"
+    assert plugin.status().state == "EXECUTE"
     for refused in (lambda: plugin.start(IdentifyGoal()), plugin.release):
         with pytest.raises(CellStateError, match="is not over"):
             refused()
@@ -182,7 +182,7 @@ def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
         plugin.result(job, LIMIT_S)
     assert failed.value.outcome is plugin.feedback(job).outcome is JobOutcome.CANCELED
     assert isinstance(failed.value.__cause__, CellStopped)
-    assert (plugin.state(), plugin.fault()) == ("HELD", None)
+    assert (plugin.status().state, plugin.status().fault) == ("HELD", None)
     assert grip_n(plugin) > 0.8
     for refused in (plugin.clear, plugin.reset, lambda: plugin.start(TeachGoal(label="ball"))):
         with pytest.raises(CellStateError, match="cell is HELD; allowed: release, shutdown"):
@@ -190,7 +190,7 @@ def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
     with pytest.raises(CellStateError, match="no job 3"):
         plugin.feedback(Job(number=3, worker="another"))
     plugin.release(LIMIT_S)
-    assert plugin.state() == "IDLE"
+    assert plugin.status().state == "IDLE"
     assert grip_n(plugin) == 0.0
     # A cancel that comes too late stops nothing of the next job.
     plugin.cancel(job)
@@ -208,9 +208,9 @@ def test_a_job_that_is_cancelled_as_soon_as_it_is_accepted_is_cancelled(plugin: 
         plugin.cancel(job)
         with pytest.raises(JobFailed, match="CANCELED"):
             plugin.result(job, LIMIT_S)
-        if plugin.state() == "HELD":
+        if plugin.status().state == "HELD":
             plugin.release(LIMIT_S)
-        assert plugin.state() == "IDLE"
+        assert plugin.status().state == "IDLE"
 
 
 @pytest.mark.slow
@@ -248,18 +248,18 @@ def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
 @pytest.mark.slow
 def test_a_servo_at_fault_is_latched_at_loading_and_mended_by_clear(make_plugin: Any) -> None:
     plugin = make_plugin(quick_config(simulator__faults=["servo1.overload"]))
-    assert plugin.state() == "ABORTED"
-    assert "0x20: overload" in plugin.fault()
+    assert plugin.status().state == "ABORTED"
+    assert "0x20: overload" in plugin.status().fault
     with pytest.raises(CellStateError, match="0x20: overload"):
         plugin.start(TeachGoal(label="ball", grasps=1))
     with pytest.raises(ServoFault, match="clear it with a reboot"):
         plugin.clear()
-    assert plugin.state() == "ABORTED"
+    assert plugin.status().state == "ABORTED"
     plugin.clear(reboot=True)
-    assert (plugin.fault(), plugin.status().fault_number) == (None, 0)
+    assert (plugin.status().fault, plugin.status().fault_number) == (None, 0)
     assert str(plugin.release(LIMIT_S)) == "the fingers are open"
     plugin.reset(LIMIT_S)
-    assert plugin.state() == "IDLE"
+    assert plugin.status().state == "IDLE"
     assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
 
 
@@ -298,8 +298,8 @@ def test_the_host_moves_and_may_veto(make_plugin: Any, taught: Any) -> None:
     assert placed.x_m == pytest.approx(5e-4)
     with pytest.raises(JobFailed, match="ABORTED: the host refused to move"):
         done(plugin, IdentifyGoal())
-    assert plugin.state() == "IDLE"
-    assert plugin.fault() is None
+    assert plugin.status().state == "IDLE"
+    assert plugin.status().fault is None
     assert not plugin.cell.controller.life.holding
     answers.append(None)
     assert done(plugin, IdentifyGoal(max_grasps=1)).n_grasps == 1
@@ -363,7 +363,7 @@ def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again(
     plugin = make_plugin(model=taught.result.model, save=path)
     with pytest.raises(JobFailed, match="ball is taught and in use, but not saved: cannot ") as bad:
         done(plugin, TeachGoal(label="ball", grasps=1))
-    assert (bad.value.fault_number, plugin.state()) == (502, "IDLE")
+    assert (bad.value.fault_number, plugin.status().state) == (502, "IDLE")
     done(plugin, GripGoal(force_n=3.0))
     where.unlink()
     where.mkdir()
@@ -495,7 +495,7 @@ def test_an_absent_object_ends_teaching_and_the_grasps_before_it_are_kept(make_p
         plugin.result(job, LIMIT_S)
     assert isinstance(failed.value.__cause__, NoPartFound)
     assert plugin.feedback(job).progress["missed"] == 2
-    assert (plugin.state(), plugin.labels) == ("IDLE", ())
+    assert (plugin.status().state, plugin.labels) == ("IDLE", ())
     assert done(plugin, TeachGoal(label="ball", grasps=1, seed=5)) == 1
     assert plugin.labels == ("ball",)
 
@@ -554,7 +554,7 @@ def test_config_files_and_the_context_manager(plugin_class: Any, tmp_path: Path)
     path.write_text("name: from a file\nself_zero: never\ntactile: {tare_frames: 10}\n")
     with plugin_class(path) as plugin:
         assert plugin.info()["name"] == "from a file"
-    assert plugin.state() == "STOPPED"
+    assert plugin.status().state == "STOPPED"
 
 
 def test_an_idle_cell_in_real_time_is_supervised(make_plugin: Any, meddle: Any) -> None:
@@ -566,8 +566,8 @@ def test_an_idle_cell_in_real_time_is_supervised(make_plugin: Any, meddle: Any) 
     meddle(live)
     plugin = make_plugin()
     plugin.cell.simulated.inject("unit.off")
-    until(plugin.fault)
-    assert plugin.state() == "ABORTED"
+    until(lambda: plugin.status().fault)
+    assert plugin.status().state == "ABORTED"
 
 
 # -- Parts that a host has kept, through the plugin ------------------------------------------------
@@ -606,7 +606,7 @@ def test_the_force_of_the_grasps_is_the_hosts(plugin: TactileCellPlugin) -> None
         plugin.start({"task": "identify", "force_n": 0.0})
     with pytest.raises(JobFailed, match="the ramp asks for 50"):
         done(plugin, GripGoal(force_n=50.0))
-    assert plugin.fault() is None
+    assert plugin.status().fault is None
 
 
 @pytest.mark.slow

@@ -227,7 +227,7 @@ def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read() -> None:
 
 def test_each_call_of_the_host_is_heard() -> None:
     with TactileCellPlugin(quick_config(host_timeout_s=1000.0)) as plugin:
-        for call in (plugin.alive, plugin.state, plugin.status, plugin.fault, plugin.forget_drift):
+        for call in (plugin.alive, plugin.status, plugin.forget_drift):
             plugin._lease._heard_s = -1.0
             call()
             assert plugin._lease._heard_s > 0.0, call

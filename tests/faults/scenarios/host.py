@@ -191,7 +191,7 @@ def host_is_silent(row: FaultRow) -> Observed:
     with TactileCellPlugin(campaign_config(row.changes)) as plugin:
         job = plugin.start(TeachGoal(label="ball", grasps=1000))
         threading.Event().wait(3.0 * HOST_TIMEOUT_S)
-        status, state = plugin.feedback(job), plugin.state()
+        status, state = plugin.feedback(job), plugin.status().state
         if state == CellState.HELD:
             plugin.release()
         silent = re.search(r"host' was silent for ([0-9.]+) s", status.error)
