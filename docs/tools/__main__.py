@@ -1,7 +1,7 @@
 """Writes the tables that are made from the code into the pages: ``python -m docs.tools``.
 
-In a page a table is between ``<!-- made: NAME -->`` and ``<!-- end: NAME -->``. With
-``--check`` nothing is written, and a page that differs from the code is an error.
+In a page a table is between ``<!-- made: NAME -->`` and ``<!-- end: NAME -->``; logs are files of
+their own. With ``--check`` nothing is written, and a page that differs from the code is an error.
 """
 
 import re
@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from docs.tools.api_page import directives_page, names_page
 from docs.tools.archive_page import archive_page
 from docs.tools.campaign_page import campaign_page, reactions_page
 from docs.tools.catalogue_page import catalogue_page
@@ -19,7 +18,7 @@ from docs.tools.faults_page import faults_page
 from docs.tools.modbus_page import commands_page, registers_page
 from docs.tools.recording_page import recording_page
 from docs.tools.states_page import states_page, states_picture
-from docs.tools.unit_page import objects_page, start_page, vectors_page
+from docs.tools.unit_page import objects_page, start_log, vectors_page
 from docs.tools.walk_page import walk_page
 from docs.tools.xml_rpc_page import xml_rpc_page
 
@@ -33,21 +32,17 @@ MAKERS: dict[str, Callable[[], str]] = {
     "faults": faults_page,
     "modbus commands": commands_page,
     "modbus registers": registers_page,
-    "names of gripper": lambda: names_page("gripper"),
-    "names of plugin.md": lambda: directives_page("plugin.md"),
-    "names of pytest-plugin.md": lambda: directives_page("pytest-plugin.md"),
-    "names of recognition": lambda: names_page("recognition"),
-    "names of tactile": lambda: names_page("tactile"),
     "reactions": reactions_page,
     "recording": recording_page,
     "states": states_page,
     "states picture": states_picture,
     "unit objects": objects_page,
-    "unit start": start_page,
     "unit vectors": vectors_page,
     "xml-rpc": xml_rpc_page,
 }
 """What makes each table."""
+LOGS = {"examples/control-unit-start.txt": start_log}
+"""What makes each file."""
 _TABLE = re.compile(r"(<!-- made: (.+?) -->\n).*?(<!-- end: \2 -->)", flags=re.S)
 
 
@@ -60,9 +55,10 @@ def main() -> None:
     """Write all pages whose tables have changed; with ``--check``, name them and exit with 1."""
     docs = Path(__file__).parents[1]
     stale = []
-    for path in sorted((*docs.glob("*/*.md"), *docs.glob("images/*.svg"))):
-        page = path.read_text(encoding="utf-8")
-        if (new := filled(page)) != page:
+    pages = sorted((*docs.glob("*/*.md"), *docs.glob("images/*.svg")))
+    made = {path: filled(path.read_text(encoding="utf-8")) for path in pages}
+    for path, new in (made | {docs / name: log() for name, log in LOGS.items()}).items():
+        if not path.exists() or path.read_text(encoding="utf-8") != new:
             stale.append(str(path.relative_to(docs.parent)))
             if "--check" not in sys.argv:
                 path.write_text(new, encoding="utf-8")

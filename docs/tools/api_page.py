@@ -1,15 +1,9 @@
 """Python reference: the public names of a package, and every class in their signatures."""
 
 import inspect
-import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from importlib import import_module
-from pathlib import Path
-from pkgutil import resolve_name
 from typing import Any, get_args, get_type_hints
-
-_DIRECTIVE = re.compile(r"^\.\. (\w+):: ([\w.]+)(?:\(\))?\n((?:   :.*\n)*)", flags=re.M)
-"""A directive of Sphinx: its kind, name and options."""
 
 
 def api_page(package: str) -> str:
@@ -28,48 +22,6 @@ def api_page(package: str) -> str:
             places[one] = f"{one.__module__}.{one.__qualname__}"
             waiting += _named(one)
     return "".join(f"\n```{{eval-rst}}\n{_directive(places[one], one)}\n```\n" for one in places)
-
-
-def names_page(package: str) -> str:
-    """Return one row for each name that a program takes from a package."""
-    face = import_module(package)
-    names = sorted(face.__all__, key=lambda name: name[0].isupper())
-    return _table(
-        (f"{package}.{name}", getattr(face, name)) for name in names if not name.isupper()
-    )
-
-
-def directives_page(page: str) -> str:
-    """Return one row for each name of the directives in a page, and for the members they show."""
-    text = (Path(__file__).parents[1] / "reference" / page).read_text(encoding="utf-8")
-    return _table(_directed(text))
-
-
-def _directed(text: str) -> Iterator[tuple[str, Any]]:
-    module = ""
-    for kind, name, options in _DIRECTIVE.findall(text):
-        if kind == "currentmodule":
-            module = f"{name}."
-        elif kind != "automodule":
-            one = resolve_name(
-                name if name.partition(".")[0].islower() and "." in name else module + name
-            )
-            short = name.removesuffix(".__call__").rpartition(".")[2]
-            yield short, one
-            members = [] if ":members:" not in options else vars(one).items()
-            yield from (
-                (f"{short}.{member}", found)
-                for member, found in members
-                if not member.startswith("_") and inspect.isfunction(inspect.unwrap(found))
-            )
-
-
-def _table(named: Iterable[tuple[str, Any]]) -> str:
-    rows = ["| name | meaning |", "| --- | --- |"]
-    for name, one in named:
-        first = (inspect.getdoc(one) or "").partition("\n\n")[0]
-        rows.append(f"| `{name}` | {' '.join(first.split())} |")
-    return "\n".join(rows)
 
 
 def _directive(place: str, one: Any) -> str:

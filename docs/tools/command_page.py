@@ -1,48 +1,58 @@
 """The reference of the command line, made from the commands themselves."""
 
 import re
-from typing import Any
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 from typer.main import get_command
 
 from cell.interfaces.cli.app import app
 
+_SHARED_BY = 4
+"""Commands from which on an option with one text stands in the table of shared options."""
+
+
+class _Command(NamedTuple):
+    name: str
+    help: str
+    rows: list[tuple[str, str]]
+
 
 def command_page() -> str:
-    """Return a section for each command: usage, help, arguments and options."""
+    """Return the options that commands share, and a section for each command."""
     command: Any = get_command(app)
-    return "\n".join(_sections(command, "tactile-cell", None))
+    commands = list(_commands(command, "tactile-cell", None))
+    often = Counter(row for one in commands for row in one.rows)
+    shared = [row for row, n in often.items() if n >= _SHARED_BY]
+    lines = ["## Shared options\n", *_table(shared)]
+    for one in commands:
+        lines += [f"## {one.name}\n", f"{one.help}\n"]
+        lines += _table([row for row in one.rows if row not in shared])
+        if also := [row[0].split(" ")[0].strip("`,") for row in one.rows if row in shared]:
+            lines.append(f"Shared: {', '.join(f'`{name}`' for name in also)}.\n")
+    return "\n".join(lines)
 
 
-def _sections(command: Any, name: str, parent: Any) -> list[str]:
+def _commands(command: Any, name: str, parent: Any) -> Iterator[_Command]:
     command = getattr(command, "load", lambda: command)()
     context = command.context_class(command, info_name=name.rsplit(" ", 1)[-1], parent=parent)
     subcommands: dict[str, Any] = getattr(command, "commands", {})
-    if subcommands:
-        lines = [command.help, ""] if parent else []
-        return lines + [
-            line
-            for key, child in subcommands.items()
-            for line in _sections(child, f"{name} {key}", context)
-        ]
-    usage = " ".join([name, *command.collect_usage_pieces(context)])
-    lines = [
-        f"## {name}",
-        "",
-        command.help,
-        "",
-        "```sh",
-        usage,
-        "```",
-        "",
-        "| | |",
-        "| --- | --- |",
-    ]
-    for parameter in command.params:
-        written, meaning = parameter.get_help_record(context)
-        meaning = re.sub(r"(?<!\w)--?[a-z][a-z-]*", r"`\g<0>`", meaning)
-        lines.append(f"| `{_cell(written)}` | {_cell(meaning)} |")
-    return [*lines, ""]
+    for key, child in subcommands.items():
+        yield from _commands(child, f"{name} {key}", context)
+    if not subcommands:
+        records = [parameter.get_help_record(context) for parameter in command.params]
+        yield _Command(name, command.help, [_row(*record) for record in records])
+
+
+def _row(written: str, meaning: str) -> tuple[str, str]:
+    meaning = re.sub(r"(?<!\w)--?[a-z][a-z-]*", r"`\g<0>`", meaning)
+    return f"`{_cell(written)}`", _cell(meaning)
+
+
+def _table(rows: list[tuple[str, str]]) -> list[str]:
+    lines = [f"| {written} | {meaning} |" for written, meaning in rows]
+    return ["| | |\n| --- | --- |", *lines, ""] if lines else []
 
 
 def _cell(text: str) -> str:

@@ -34,10 +34,10 @@ _TYPES = {2: "i8", 3: "i16", 5: "u8", 6: "u16", 7: "u32", 9: "text", 15: "bytes"
 Message = tuple[int, bytes]
 
 
-def start_page() -> str:
-    """Return the messages of a start as a table, segments of long transfers left out."""
-    rows = ("| " + " | ".join(row) + " |" for row in _rows(_start(_captured())))
-    return "\n".join(("| host | unit | meaning |", "| --- | --- | --- |", *rows))
+def start_log() -> str:
+    """Return the messages of a start, one line each: host, unit, meaning; long ones shortened."""
+    rows = _rows(_start(_captured()))
+    return "".join(f"{host:28}  {unit:28}  {meaning}\n" for host, unit, meaning in rows)
 
 
 def objects_page() -> str:
@@ -110,7 +110,7 @@ def _start(messages: Iterable[Message]) -> Iterator[Message]:
 def _rows(messages: Iterable[Message]) -> Iterator[tuple[str, str, str]]:
     asked, what = "", ""
     for can_id, data in messages:
-        shown = f"`{can_id:03X}: {_hex(data)}`"
+        shown = f"{can_id:03X}: {_hex(data)}"
         if can_id == _REQUEST:
             asked, what = shown, _asked(data)
         elif can_id == _RESPONSE:
@@ -118,7 +118,7 @@ def _rows(messages: Iterable[Message]) -> Iterator[tuple[str, str, str]]:
         elif can_id == od.COB_NMT:
             yield shown, "", f"NMT: {_NMT[data[0]]}, node {data[1]}"
         elif can_id == od.COB_SYNC:
-            yield f"`{can_id:03X}:`", "", "SYNC"
+            yield f"{can_id:03X}:", "", "SYNC"
         elif can_id == _FRAME:
             yield "", shown, f"frame, message {data[0] & 0x3F}, phase {data[0] >> 6}"
         else:
