@@ -73,8 +73,7 @@ def test_a_figure_that_is_printed_no_more_is_named() -> None:
 @pytest.mark.parametrize(
     ("page", "command", "options", "n_cells"),
     [
-        ("README.md", "`make run`", "", 4),
-        ("README.md", "`tactile-cell run -c config/papers-ramp.yaml`", "-c papers-ramp", 1),
+        ("README.md", "`make run`", "", 2),
         (
             "docs/how-to/open-parallel-gripper.md",
             "`tactile-cell run",

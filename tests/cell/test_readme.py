@@ -1,4 +1,4 @@
-"""The README's example is the one in docs/examples and runs; what the README names exists."""
+"""The README's test is that of a page; the example of hosts runs; what the README names exists."""
 
 import json
 import os
@@ -17,11 +17,10 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_readme_shows_the_example_that_is_run() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    (shown,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    example = (ROOT / "docs/examples/host_program.py").read_text(encoding="utf-8")
-    assert shown == example.split("\n\n", 1)[1]
+def test_readme_shows_the_test_that_is_run() -> None:
+    page = (ROOT / "docs/how-to/test-your-cell.md").read_text(encoding="utf-8")
+    shown, typed = (re.findall(r"```python\n.*?```", text, re.DOTALL) for text in (README, page))
+    assert shown == typed
 
 
 @pytest.mark.slow
