@@ -4,7 +4,7 @@ Only `Gripper.release` lets a part go. Faults, exceptions, `keep_grip` and `clos
 goals and torque.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import Self
@@ -298,7 +298,12 @@ class Gripper:
         ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             With the grip kept.
         """
-        return self._close(ramp, observer, self._grasping.run)
+        self._check_grasp(ramp)
+        with self._life.command("grasp", observer):
+            self._make_ready()
+            self._life.part_possible = True
+            outcome = self._grasping.run(ramp)
+        return self._keep(outcome)
 
     def press_pads_together(
         self, ramp: ForceRamp, observer: Observer | None = None
@@ -318,7 +323,12 @@ class Gripper:
         LimitExceeded, ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             As `grasp`.
         """
-        return self._close(ramp, observer, self._grasping.press_pads_together)
+        self._check_grasp(ramp)
+        with self._life.command("grasp", observer):
+            self._make_ready()
+            self._life.part_possible = True
+            outcome = self._grasping.press_pads_together(ramp)
+        return self._keep(outcome)
 
     def hold(self, duration_s: float, observer: Observer | None = None) -> ServoFeedback:
         """Control the force at its last set-point for a time in s.
@@ -549,13 +559,8 @@ class Gripper:
         if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
             self._life.phase = GripperPhase.OFF
 
-    def _close(
-        self,
-        ramp: ForceRamp,
-        observer: Observer | None,
-        run: Callable[[ForceRamp], GraspOutcome],
-    ) -> GraspOutcome:
-        """Close with one of the runs of a grasp, and keep what is held after it."""
+    def _check_grasp(self, ramp: ForceRamp) -> None:
+        """Raise where a grasp is not possible now, or not with this ramp."""
         self._life.check_ready("grasp")
         if self.settings.watchdog_self_test and not self._watchdog_proven:
             raise GripperStateError(
@@ -563,10 +568,9 @@ class Gripper:
                 "open the gripper, the test follows"
             )
         self.check_ramp(ramp)
-        with self._life.command("grasp", observer):
-            self._make_ready()
-            self._life.part_possible = True
-            outcome = run(ramp)
+
+    def _keep(self, outcome: GraspOutcome) -> GraspOutcome:
+        """Keep what is held after a grasp, and return its outcome."""
         held = outcome.result in (GraspResult.FORCE_REACHED, GraspResult.FORCE_NOT_REACHED)
         self._life.part_possible = self._life.controlled = held
         self._life.phase = GripperPhase.HOLDING if held else GripperPhase.IDLE

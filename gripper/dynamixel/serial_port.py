@@ -11,10 +11,10 @@ import select
 import tempfile
 import termios
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import ParamSpec, Protocol, TypeVar
+from typing import NoReturn, Protocol
 
 import serial
 from serial.tools import list_ports
@@ -22,9 +22,6 @@ from serial.tools import list_ports
 from gripper.clock import Clock
 from gripper.dynamixel.control_table import BAUD_CODES
 from gripper.errors import LimitExceeded, PortLost
-
-_P = ParamSpec("_P")
-_T = TypeVar("_T")
 
 _WRITE_TIMEOUT_S = 0.1
 """Longest time in s for which a port may take no byte: 10,000 bytes at 1 Mbit/s."""
@@ -265,25 +262,36 @@ class SdkPort:
     def clearPort(self) -> None:  # noqa: N802
         """Forget what has arrived."""
         self._ahead = b""
-        self._on_line(self._stream.drop_input)
+        try:
+            self._stream.drop_input()
+        except (PortLost, OSError) as error:
+            self._lose(error)
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
         """Send a packet and return its length."""
         self._unanswered_bytes = len(packet)
-        self._on_line(self._stream.write, bytes(packet))
+        try:
+            self._stream.write(bytes(packet))
+        except (PortLost, OSError) as error:
+            self._lose(error)
         return len(packet)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         """Return up to ``length`` bytes, waiting no longer than the packet's time-out."""
-        if not self._ahead and length > 0:
+        if length <= 0:
+            return b""
+        if not self._ahead:
             now_s = self._clock.monotonic()
             left_s = max(0.0, self._deadline_s - now_s)
             if left_s <= 0.0:
                 self._end_s = self._end_s or now_s + _LONGEST_PACKET * self._byte_s
                 if now_s > self._end_s:
                     return b""
-            self._ahead = self._on_line(self._stream.read, max(length, _READ_AHEAD), left_s)
-        data, self._ahead = self._ahead[: max(0, length)], self._ahead[max(0, length) :]
+            try:
+                self._ahead = self._stream.read(max(length, _READ_AHEAD), left_s)
+            except (PortLost, OSError) as error:
+                self._lose(error)
+        data, self._ahead = self._ahead[:length], self._ahead[length:]
         self.passed += data
         return data
 
@@ -307,13 +315,9 @@ class SdkPort:
         """Return whether the packet's time-out is over, and nothing is left to read."""
         return not self._ahead and self._clock.monotonic() >= self._deadline_s - _TIMER_GRAIN_S
 
-    def _on_line(self, act: Callable[_P, _T], *args: _P.args, **named: _P.kwargs) -> _T:
-        """Use the stream, and note its loss."""
-        try:
-            return act(*args, **named)
-        except PortLost:
-            self.lost = True
-            raise
-        except OSError as error:
-            self.lost = True
-            raise PortLost(f"the servo line is lost: {error}") from error
+    def _lose(self, error: PortLost | OSError) -> NoReturn:
+        """Note the loss of the stream, and raise it as PortLost."""
+        self.lost = True
+        if isinstance(error, PortLost):
+            raise error
+        raise PortLost(f"the servo line is lost: {error}") from error

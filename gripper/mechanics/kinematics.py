@@ -284,14 +284,15 @@ def end_transmissions(settings: GripperSettings, linkage: Linkage) -> list[Trans
 
 def mean_friction_n(paths: Sequence[Transmission]) -> float:
     """Return half the width of the friction band in N, the mean of the servos."""
-    return sum(path.friction_n for path in paths) / len(paths)
+    return sum([path.friction_n for path in paths]) / len(paths)
 
 
 def driving_n(state: ServoFeedback, paths: Sequence[Transmission]) -> float:
     """Return the driving force in N of the measured currents, without friction."""
-    return sum(
-        -servo.current_a * path.n_per_a for servo, path in zip(state.servos, paths, strict=True)
-    ) / len(paths)
+    drive_n = 0.0
+    for servo, path in zip(state.servos, paths, strict=True):
+        drive_n -= servo.current_a * path.n_per_a
+    return drive_n / len(paths)
 
 
 def motion_currents_a(

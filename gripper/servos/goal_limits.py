@@ -214,7 +214,10 @@ class GoalGuard:
 
     def force_is_too_high(self) -> bool:
         """Return whether the measured force is above the cap by more than noise."""
-        return self._excess_n() > 0.0
+        for sample in self._forces:
+            if max(sample.force_n) > self._settings.force_max_n:
+                return self._excess_n() > 0.0
+        return False
 
     def check_force(self, *, noise_excluded: bool = False) -> None:
         """Raise ForceAboveCap while the measured force is above the cap.

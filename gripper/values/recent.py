@@ -70,16 +70,19 @@ class RecentForce:
     @property
     def finger_means_n(self) -> tuple[float, float]:
         """Mean force in N on finger 0 and finger 1."""
-        n = len(self._samples)
-        return (
-            sum([sample.force_n[0] for sample in self._samples]) / n,
-            sum([sample.force_n[1] for sample in self._samples]) / n,
-        )
+        first_n = second_n = 0.0
+        for sample in self._samples:
+            first_n += sample.force_n[0]
+            second_n += sample.force_n[1]
+        return first_n / len(self._samples), second_n / len(self._samples)
 
     @property
     def grip_n(self) -> float:
         """Mean grip force in N."""
-        return sum([sample.grip_n for sample in self._samples]) / len(self._samples)
+        both_n = 0.0
+        for sample in self._samples:
+            both_n += sample.force_n[0] + sample.force_n[1]
+        return 0.5 * both_n / len(self._samples)
 
     @property
     def noise_n(self) -> float:
@@ -101,7 +104,9 @@ class RecentForce:
         if samples and sample.t_s <= samples[-1].t_s:
             return None
         samples.append(sample)
-        variance_n2 = sum([one.noise_n**2 for one in samples])
+        variance_n2 = 0.0
+        for one in samples:
+            variance_n2 += one.noise_n**2
         replaced: list[ForceSample] = []
         for left in range(len(samples) - 1, 0, -1):
             variance_n2 -= samples[0].noise_n ** 2
