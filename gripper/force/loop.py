@@ -22,8 +22,7 @@ from gripper.errors import (
 from gripper.force.timing import LoopStatistics, LoopTimer
 from gripper.mechanics.impact import most_peak_n
 from gripper.servos.goal_limits import ServoGoal
-from gripper.servos.group import Servos
-from gripper.servos.stop_goals import holding_position, lowered
+from gripper.servos.group import Servos, holding_position, lowered
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample, ForceSensor
 from gripper.values.state import GRAIN_M, Cycle, GripperPhase, Observer, ServoFeedback

@@ -9,7 +9,7 @@ from math import cos, inf, pi
 from gripper.errors import LimitExceeded
 from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage, end_transmissions
-from gripper.servos.heat import longest_s
+from gripper.servos.winding import longest_s
 from gripper.settings import GripperSettings, check_number
 
 

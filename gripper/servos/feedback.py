@@ -17,10 +17,9 @@ from gripper.dynamixel.control_table import (
 from gripper.errors import BusCorrupt
 from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.health import ServoHealth
-from gripper.servos.heat import WindingHeat
 from gripper.servos.motion import ServoMotion
 from gripper.servos.plausibility import FeedbackCheck
-from gripper.servos.winding import Supply, winding_a
+from gripper.servos.winding import Supply, WindingHeat, winding_a
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.state import ServoFeedback, ServoState
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, suppress
+from dataclasses import replace
 
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
@@ -24,9 +25,14 @@ from gripper.errors import (
     ServoFault,
 )
 from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
-from gripper.servos import stop_goals
 from gripper.servos.feedback import Feedback
-from gripper.servos.goal_limits import GOAL_BLOCK, GoalGuard, GoalWriter, ServoGoal
+from gripper.servos.goal_limits import (
+    GOAL_BLOCK,
+    GoalGuard,
+    GoalWriter,
+    ServoGoal,
+    closing_margin_rad,
+)
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
@@ -38,6 +44,8 @@ _GOAL_TRIES = 3
 """Writes of the first goals until a servo counts as not accepting them."""
 _STOP_TRIES = 3
 """Writes of the goals that stop a motion until a servo counts as not obeying."""
+_OPENED_M = 0.0005
+"""Opening in m by which `OverForce.OPEN` opens, in one step. [chosen]"""
 _STALE_PERIODS = 2.0
 """Age of the feedback, in periods, above which moving fingers are read again before a stop."""
 _FARTHEST_GOAL_RAD = 1.0
@@ -140,16 +148,16 @@ class Servos:
         """
         state, last = self.feedback.last, self.goals.last
         if state is not None and last:
-            goals = stop_goals.frozen(last, state)
+            goals = frozen(last, state)
             if not goes_on:
-                goals = stop_goals.for_hours(goals, self._settings)
+                goals = for_hours(goals, self._settings)
             self.goals.write(goals, state, final=True)
 
     def hold_position(self, share: float = 1.0) -> None:
         """Set the goals to the last read positions, with a share of the currents."""
         state, last = self.feedback.last, self.goals.last
         if state is not None and last:
-            self.goals.write(stop_goals.holding_position(last, state, share), state)
+            self.goals.write(holding_position(last, state, share), state)
 
     def stop_motion(self, share: float = 1.0) -> list[int]:
         """End a motion at the present positions; return the IDs of servos not confirmed to obey.
@@ -179,7 +187,16 @@ class Servos:
         """Open by half a millimetre from the last read positions, once."""
         state = self.feedback.last
         if state is not None and self.goals.last:
-            goals = stop_goals.opened_a_step(state, self._settings, self._linkage)
+            settings, linkage = self._settings, self._linkage
+            paths = transmissions(settings, linkage, state.angles_rad)
+            currents_a = motion_currents_a(settings, paths, settings.approach_force_n)
+            half_m = _OPENED_M / len(state.servos)
+            goals = [
+                ServoGoal(
+                    angle_rad=at_rad + half_m / linkage.opening_per_rad_m(at_rad), current_a=a
+                )
+                for at_rad, a in zip(state.angles_rad, currents_a, strict=True)
+            ]
             self.goals.write(goals, state)
 
     # Torque and bus watchdog
@@ -402,3 +419,63 @@ class Servos:
             if self._bus.read(servo_id, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW:
                 self._bus.write(servo_id, BUS_WATCHDOG, 0)
         return False
+
+
+def frozen(last: Sequence[ServoGoal], state: ServoFeedback) -> list[ServoGoal]:
+    """Return the goals that keep the present force: the last ones without a push.
+
+    A goal that opens would let the part go. That finger is held at its present position, and
+    position control uses as much of the current as it needs.
+    """
+    return [
+        replace(goal.kept, angle_rad=min(goal.kept.angle_rad, servo.angle_rad))
+        for goal, servo in zip(last, state.servos, strict=True)
+    ]
+
+
+def for_hours(goals: Sequence[ServoGoal], settings: GripperSettings) -> list[ServoGoal]:
+    """Return goals with at most the currents that the servos bear for hours."""
+    return [
+        replace(goal, current_a=min(goal.current_a, one.servo_model.holding_a))
+        for goal, one in zip(goals, settings.servos, strict=True)
+    ]
+
+
+def holding_position(
+    last: Sequence[ServoGoal], state: ServoFeedback, share: float
+) -> list[ServoGoal]:
+    """Return goals at the present positions, with a share of the frozen currents.
+
+    No finger pushes on, and none yields by more than position control of the servos does.
+    """
+    return [
+        replace(goal, angle_rad=servo.angle_rad, current_a=share * goal.current_a)
+        for goal, servo in zip(frozen(last, state), state.servos, strict=True)
+    ]
+
+
+def lowered(
+    first: Sequence[ServoGoal],
+    last: Sequence[ServoGoal],
+    share: float,
+    state: ServoFeedback,
+    settings: GripperSettings,
+) -> list[ServoGoal]:
+    """Return goals with a share of the first currents; below 0 they drive the fingers open.
+
+    The last goals may brake: then their currents are less than the share, and they stay.
+    """
+    if share >= 0.0:
+        return [
+            replace(goal, current_a=min(share * goal.current_a, now.kept.current_a))
+            for goal, now in zip(first, last, strict=True)
+        ]
+    models = (one.servo_model for one in settings.servos)
+    return [
+        replace(
+            goal,
+            angle_rad=servo.angle_rad + closing_margin_rad(model, -share * goal.current_a),
+            current_a=-share * goal.current_a,
+        )
+        for goal, servo, model in zip(first, state.servos, models, strict=True)
+    ]

@@ -1,11 +1,16 @@
-"""The servo group after a trip of the bus watchdog: old goals never act again."""
+"""The servo group: stop goals, and old goals that never act again after a trip of the watchdog."""
+
+from dataclasses import replace
 
 import pytest
 
 from gripper.errors import BusTimeout, ServoFault
 from gripper.force.ramp import ForceRamp
+from gripper.servos.goal_limits import ServoGoal
+from gripper.servos.group import frozen
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
+from tests.values import make_servo, make_state
 
 
 @pytest.fixture
@@ -108,3 +113,20 @@ def test_a_trip_between_two_questions_is_found(cell, monkeypatch) -> None:
         cell.gripper.hold(0.5)
     let_time_pass(cell)
     assert cell.peak_n < 6.5
+
+
+def goals(angle_rad: float, current_a: float) -> list[ServoGoal]:
+    return [ServoGoal(angle_rad=angle_rad, current_a=current_a)]
+
+
+@pytest.mark.parametrize(("last_rad", "kept_rad"), [(0.40, 0.40), (0.60, 0.50)])
+def test_a_frozen_finger_never_opens(last_rad: float, kept_rad: float) -> None:
+    state = make_state(servos=(make_servo(angle_rad=0.5),))
+    assert frozen(goals(last_rad, 0.3), state) == goals(kept_rad, 0.3)
+
+
+def test_a_push_does_not_stay_on_a_frozen_finger() -> None:
+    state = make_state(servos=(make_servo(angle_rad=0.5),))
+    (rest,) = goals(0.40, 0.2)
+    for pushes in goals(0.40, 0.6) + goals(0.60, 0.1):
+        assert frozen([replace(pushes, rest=rest)], state) == [rest]

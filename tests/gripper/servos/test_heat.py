@@ -9,8 +9,8 @@ from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350
 from gripper.force.ramp import ForceRamp, heat_note
 from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.servos.goal_limits import ServoGoal
-from gripper.servos.heat import WindingHeat, longest_s
-from gripper.servos.stop_goals import for_hours
+from gripper.servos.group import for_hours
+from gripper.servos.winding import WindingHeat, longest_s
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspResult
 
