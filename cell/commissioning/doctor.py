@@ -8,6 +8,7 @@ from pathlib import Path
 from shlex import quote
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.build import Cell, build_cell
 from cell.checks.changes import CommissionedValues, changed_pads, changed_servos, changed_unit
@@ -34,7 +35,6 @@ from gripper.settings import CORRECTABLE
 from gripper.values.servo_checks import VerificationRow, overload_text
 from motion.errors import AxisMissing, AxisSilent, MotionError
 from tactile.errors import IdentityMismatch, TactileError
-from tactile.source import TactileFrame
 
 _AT_START = "the cell sets it at its start"
 """Advice for a register that a start corrects."""
@@ -74,26 +74,24 @@ def _machine() -> Iterator[Finding]:
 def _self_zero(config: CellConfig, named: str) -> Finding:
     """Return the date and values of the last self-zero."""
     if not config.gripper.pads_meet or config.self_zero == "never":
-        found = (
-            "none: gripper.pads_meet is false" if config.self_zero != "never" else "switched off"
-        )
+        off = config.self_zero == "never"
+        found = "switched off" if off else "none: gripper.pads_meet is false"
         return check_result("self-zero", found, ok=True)
     kept = kept_zeros(config, Path(config.recording.directory))
+    at = datetime.fromtimestamp(kept.measured_s)
     if kept.newest is None:
-        last = datetime.fromtimestamp(kept.measured_s).date()
-        none = f"none of today, the last is of {last}" if kept.measured_s else "not measured"
+        none = f"none of today, the last is of {at.date()}" if kept.measured_s else "not measured"
         return check_result(
             "self-zero",
             kept.refused or none,
             f"take everything out of the grip, then `tactile-cell hand zero{named}`: at teaching, "
             "at the start of a session and after each change of pads or servos",
         )
-    opening_mm = 1e3 * kept.newest.opening_m
     ratio = float(np.exp(kept.newest.log_gain_ratio))
     return check_result(
         "self-zero",
-        f"of {datetime.fromtimestamp(kept.measured_s):%Y-%m-%d %H:%M}: pads meet at "
-        f"{opening_mm:+.2f} mm, finger 0 measures {ratio:.2f} times finger 1",
+        f"of {at:%Y-%m-%d %H:%M}: pads meet at {1e3 * kept.newest.opening_m:+.2f} mm, finger 0 "
+        f"measures {ratio:.2f} times finger 1",
         ok=True,
     )
 
@@ -101,27 +99,22 @@ def _self_zero(config: CellConfig, named: str) -> Finding:
 def _drives(config: CellConfig, named: str) -> Finding:
     """Return the measured characteristics of the servos' drives, beside the catalogue."""
     kept = kept_zeros(config, Path(config.recording.directory), new_hand=False)
-    texts: list[str] = []
-    drives: list[DriveCharacteristic] = []
-    advice = ""
+    texts, drives, advice = list[str](), list[DriveCharacteristic](), ""
     for servo in config.gripper_settings.servos:
-        servo_id = servo.servo_id
-        if servo_id not in kept.drives:
-            texts.append(f"servo {servo_id}: not measured, catalogue values within 30 % are used")
+        if servo.servo_id not in kept.drives:
+            texts.append(f"servo {servo.servo_id}: not measured, catalogue values within 30 %")
+            advice = f"`tactile-cell hand zero{named}` measures them, with nothing in the grip"
             continue
-        drive = DriveCharacteristic(**kept.drives[servo_id]["drive"])
+        drive = DriveCharacteristic(**kept.drives[servo.servo_id]["drive"])
         at = datetime.fromtimestamp(drive.measured_s)
         where = "" if drive.temperature_c is None else f" at {drive.temperature_c:.0f} C"
         texts.append(f"{drive_text(servo, drive)}, {at:%Y-%m-%d}{where}")
         drives.append(drive)
+    advice *= config.gripper.pads_meet
     if any(map(disagreement, [drives, *([drive] for drive in drives)])):
         advice = (
-            "pads and motor constant disagree: the law of the pads, or the current scale, is "
-            "wrong; press a known weight on the pads, `tactile-cell commission --redo pads_law`"
-        )
-    if len(kept.drives) < len(texts) and config.gripper.pads_meet:
-        advice = (
-            advice or f"`tactile-cell hand zero{named}` measures them, with nothing in the grip"
+            "pads and motor constant disagree: press a known weight on the pads with "
+            "`tactile-cell commission --redo pads_law`"
         )
     return check_result("servo drives", "; ".join(texts), advice, ok=not advice)
 
@@ -177,15 +170,15 @@ def _torque(cell: Cell, named: str) -> list[Finding]:
     if any(condition.answers_off for condition in conditions):
         return [check_result(_TORQUE, found, f"{_AT_START}; a part may be in the grip")]
     limp = [condition for condition in conditions if condition.answers and not condition.torque_on]
+    clear = f"`tactile-cell hand clear{named} --reboot`"
     if not any(condition.torque_on for condition in conditions):
-        failed = any(condition.shut_down for condition in conditions)
-        advice = f"remedy the cause of the error, then `tactile-cell hand clear{named} --reboot`"
-        return [check_result(_TORQUE, found, advice, ok=not failed, bad=Verdict.FAIL)]
-    advice = (
-        f"a part may be in the grip: release it with `tactile-cell hand release{named} --confirm`"
-    )
+        ok = not any(condition.shut_down for condition in conditions)
+        advice = f"remedy the cause of the error, then {clear}"
+        return [check_result(_TORQUE, found, advice, ok=ok, bad=Verdict.FAIL)]
+    release = f"`tactile-cell hand release{named} --confirm`"
+    advice = f"a part may be in the grip: release it with {release}"
     if any(condition.shut_down for condition in limp):
-        advice += f", then clear the error with `tactile-cell hand clear{named} --reboot`"
+        advice += f", then clear the error with {clear}"
     return [check_result(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
 
 
@@ -193,24 +186,21 @@ def _servos(cell: Cell, named: str, kept: CommissionedValues) -> list[Finding]:
     rows = cell.controller.hand.inspect().rows
     read = {(row.servo_id, row.item): row.found for row in rows}
     servos = {
-        servo_id: (
-            model_name(int(read[servo_id, MODEL_NUMBER.name])),
-            int(read[servo_id, FIRMWARE_VERSION.name]),
-        )
-        for servo_id in {row.servo_id for row in rows}
-    }
-    same = kept.findings("servos", changed_servos(kept.found, servos))
-    return same + [
-        check_result(
-            f"servo {row.servo_id} {row.item}",
-            f"{row.found} (expected {row.expected})"
-            + (f", {overload_text(int(row.found))}" if row.item == SHUTDOWN.name else ""),
-            _advice(row, named),
-            ok=row.ok,
-            bad=Verdict.WARN if row.item in CORRECTABLE else Verdict.FAIL,
+        row.servo_id: (
+            model_name(int(read[row.servo_id, MODEL_NUMBER.name])),
+            int(read[row.servo_id, FIRMWARE_VERSION.name]),
         )
         for row in rows
-    ]
+    }
+    findings = kept.findings("servos", changed_servos(kept.found, servos))
+    for row in rows:
+        found = f"{row.found} (expected {row.expected})"
+        if row.item == SHUTDOWN.name:
+            found += f", {overload_text(int(row.found))}"
+        bad = Verdict.WARN if row.item in CORRECTABLE else Verdict.FAIL
+        what = f"servo {row.servo_id} {row.item}"
+        findings.append(check_result(what, found, _advice(row, named), ok=row.ok, bad=bad))
+    return findings
 
 
 def _advice(row: VerificationRow, named: str) -> str:
@@ -237,29 +227,26 @@ def _control_unit(
         advice = "check which unit and pads are plugged in"
         if kept.found:
             advice += (
-                "; for new pads `tactile-cell commission --redo pads_at_rest`, for a new unit "
-                "`--redo unit`, in the folder of the commissioning: the dependent steps are "
-                "repeated"
+                "; new pads: `tactile-cell commission --redo pads_at_rest`, new unit: `--redo "
             )
+            advice += "unit`, in the folder of the commissioning"
         return [check_result("control unit", str(error), advice, bad=Verdict.FAIL)]
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
-    n_saturated = int(readings[-1].saturated.sum())
+    frames = np.stack([reading.frame.counts for reading in readings])
+    n_saturated, n_taxels = int(readings[-1].saturated.sum()), frames.shape[1]
+    n_moving = int(np.count_nonzero(np.ptp(frames, axis=0)))
     source = hand.statistics.source
     forces, statistics = source.forces, source.frames
     lost = statistics.lost + statistics.torn + statistics.corrupt
     changes = changed_unit(
         kept.found, serial=identity.serial, revision=identity.revision, boards=identity.boards
     )
-    frames = np.stack([reading.frame.counts for reading in readings])
     changes += changed_pads(kept.found, hand.layout, frames, pad_mounts(config.tactile))
+    number = f", serial {identity.serial}, revision {identity.revision:#x}" if is_unit else ""
+    from_frames = f"{identity.name} sends frames alone; the force comes from them"
     return [
         *kept.findings("control unit and pads", changes),
-        check_result(
-            "control unit" if is_unit else "sensor",
-            identity.name
-            + (f", serial {identity.serial}, revision {identity.revision:#x}" if is_unit else ""),
-            ok=True,
-        ),
+        check_result("control unit" if is_unit else "sensor", f"{identity.name}{number}", ok=True),
         check_result(
             "tactile frames",
             f"{statistics.complete} whole, {lost} lost or damaged",
@@ -270,19 +257,23 @@ def _control_unit(
             "force messages",
             f"{forces.received} received, {forces.lost} lost"
             if identity.sends_forces
-            else FORCE_FROM_FRAMES
-            if is_unit
-            else f"{identity.name} sends frames alone; the force comes from them",
+            else (FORCE_FROM_FRAMES if is_unit else from_frames),
             ok=(identity.sends_forces or not is_unit) and not forces.lost,
         ),
         check_result(
             "taxels at rest",
-            f"{n_saturated} of {len(readings[-1].saturated)} saturated",
+            f"{n_saturated} of {n_taxels} saturated",
             "is something touching the pads?",
             ok=not n_saturated,
         ),
-        _load([reading.frame for reading in readings], config, named),
-        _noise([reading.frame for reading in readings]),
+        _load(frames, config, named),
+        check_result(
+            "noise of the taxels",
+            f"{n_moving} of {n_taxels} change at rest",
+            "without noise, frozen, dead and stuck taxels are detected only while the force "
+            "changes: press each pad once and check that its force follows",
+            ok=n_moving >= n_taxels // 2,
+        ),
         _boards(identity.boards, config),
     ]
 
@@ -301,34 +292,24 @@ def _axes(cell: Cell) -> Iterator[Finding]:
         yield check_result(name, str(found), advice, ok=not fault, bad=Verdict.FAIL)
 
 
-def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> Finding:
-    """Check whether the pads are pressed, without a zero: compare with the most frequent counts."""
+def _load(frames: NDArray[np.uint16], config: CellConfig, named: str) -> Finding:
+    """Check whether the pads are pressed, without a zero: compare with the most frequent counts.
+
+    ``frames`` are (n, n_taxels) counts.
+    """
     layout = layout_from_config(config.tactile)
-    counts = np.mean([frame.counts for frame in frames], axis=0)
+    counts = frames.mean(axis=0)
     rest = float(np.median(counts))
     spread = 1.4826 * float(np.median(np.abs(counts - rest)))
     over = np.where(counts - rest > _PRESSED_SIGMAS * spread + 1.0, counts - rest, 0.0)
     force_n = make_calibration(config.tactile, layout).force_n(over)
     first_n, second_n = (float(force_n[layout.taxels_of(p)].sum()) for p in layout.gripping_pads)
-    pressed = max(first_n, second_n) >= config.gripper.contact_force_n
     return check_result(
         "pads' force",
         f"about {first_n:.1f} N on finger 0, {second_n:.1f} N on finger 1, without a zero",
         "a part may be held; look. If the servos answer, release it with "
         f"`tactile-cell hand release{named} --confirm`",
-        ok=not pressed,
-    )
-
-
-def _noise(frames: list[TactileFrame]) -> Finding:
-    """Check that the samples change at rest: else frozen and dead taxels cannot be detected."""
-    moving = int(np.count_nonzero(np.ptp([frame.counts for frame in frames], axis=0)))
-    return check_result(
-        "noise of the taxels",
-        f"{moving} of {len(frames[0].counts)} change at rest",
-        "without noise, frozen, dead and stuck taxels are detected only while the force changes: "
-        "press each pad once and check that its force follows",
-        ok=moving >= len(frames[0].counts) // 2,
+        ok=max(first_n, second_n) < config.gripper.contact_force_n,
     )
 
 
@@ -339,14 +320,9 @@ def _boards(boards: tuple[int, int], config: CellConfig) -> Finding:
         found = "no serial numbers"
     if config.tactile.board_serial_numbers is not None or config.simulated:
         return check_result("pads' boards", found, ok=True)
+    found += "; tactile.board_serial_numbers is empty: exchanged pads are not detected"
     advice = "these boards look the same: press each pad after every work on the cables"
     if boards[0] != boards[1]:
-        advice = (
-            f"press each pad to check its finger, then write [{boards[0]}, "
-            f"{boards[1]}] into the config"
-        )
-    return check_result(
-        "pads' boards",
-        f"{found}; tactile.board_serial_numbers is empty: exchanged pads are not detected",
-        advice,
-    )
+        numbers = f"[{boards[0]}, {boards[1]}]"
+        advice = f"press each pad to check its finger, then write {numbers} into the config"
+    return check_result("pads' boards", found, advice)

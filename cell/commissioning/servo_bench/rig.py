@@ -12,7 +12,7 @@ from cell.commissioning.servos import scan_servos
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK, REGISTERS, TICK_MODULO
-from gripper.dynamixel.models import MODELS, OperatingMode, ServoModel
+from gripper.dynamixel.models import MODELS, OperatingMode, ServoModel, model_name
 from gripper.errors import GripperError
 
 _PERIOD_S = 0.005
@@ -47,6 +47,12 @@ class Reading(NamedTuple):
     """Present PWM over the whole, -1 to 1."""
     voltage_v: float
     temperature_c: float
+
+
+def _check(value: float, most: float, unit: str) -> None:
+    """Raise StepFailed for a command beyond the limit of the bench."""
+    if abs(value) > most:
+        raise StepFailed(f"{value:g} {unit} is beyond the {most:g} of the bench")
 
 
 def records(rows: Sequence[Reading]) -> Any:
@@ -117,8 +123,7 @@ class Rig:
 
     def current(self, current_a: float) -> None:
         """Set Goal Current in A of the register, within the limit of the bench."""
-        if abs(current_a) > self.most_a:
-            raise StepFailed(f"{current_a} A are beyond the {self.most_a:.2f} A of the bench")
+        _check(current_a, self.most_a, "A")
         self.write(goal_current=round(current_a / self.model.current_unit_a))
 
     @property
@@ -128,21 +133,17 @@ class Rig:
 
     def pwm(self, raw: int) -> None:
         """Set Goal PWM in counts, within the limit of the bench."""
-        if abs(raw) > self.most_pwm_raw:
-            raise StepFailed(f"{raw} counts of PWM are beyond the {self.most_pwm_raw} of the bench")
+        _check(raw, self.most_pwm_raw, "counts of PWM")
         self.write(goal_pwm=raw)
 
     def velocity(self, velocity_rad_s: float) -> None:
         """Set Goal Velocity in rad/s, within the limit of the bench."""
-        if abs(velocity_rad_s) > _FASTEST_RAD_S:
-            raise StepFailed(f"{velocity_rad_s} rad/s are beyond the {_FASTEST_RAD_S} of the bench")
+        _check(velocity_rad_s, _FASTEST_RAD_S, "rad/s")
         self.write(goal_velocity=round(velocity_rad_s / self.model.velocity_unit_rad_s))
 
     def position(self, pulses: int, *, profile_raw: int = 0) -> None:
         """Set Goal Position in pulses, at most `_FARTHEST_PULSES` away, and Profile Velocity."""
-        away = pulses - self.sample().position_pulses
-        if abs(away) > _FARTHEST_PULSES:
-            raise StepFailed(f"a goal {away} pulses away is beyond the {_FARTHEST_PULSES} allowed")
+        _check(pulses - self.sample().position_pulses, _FARTHEST_PULSES, "pulses away")
         self.write(profile_velocity=profile_raw, goal_position=pulses)
         self._goal_pulses = pulses
 
@@ -167,10 +168,8 @@ class Rig:
         )
         self.log.append(reading)
         if reading.temperature_c >= HOTTEST_C:
-            raise StepFailed(
-                f"the servo has {reading.temperature_c:.0f} degC, the bench ends at "
-                f"{HOTTEST_C:.0f} degC: let it cool, then run the step again"
-            )
+            limit = f"{reading.temperature_c:.0f} degC, the bench ends at {HOTTEST_C:.0f} degC"
+            raise StepFailed(f"the servo has {limit}: let it cool, then run the step again")
         return reading
 
     def watch(
@@ -202,26 +201,18 @@ def open_rig(bench: Bench, port: str, dialog: Dialog) -> Iterator[Rig]:
         answers = len(found.servos) + len(found.shared)
         raise StepFailed(f"{answers} servos answer on {port}: connect the one to be measured alone")
     rate, identity = found.servos[0]
-    model = next((m for m in MODELS.values() if m.number == identity.model_number), None)
-    if model is None:
-        raise StepFailed(
-            f"servo {identity.servo_id} has the model number {identity.model_number}, the bench "
-            f"measures {', '.join(MODELS)}"
-        )
+    name = model_name(identity.model_number)
+    if name not in MODELS:
+        raise StepFailed(f"this is a {name}, the bench measures {', '.join(MODELS)}")
     with bench.servo_bus(port, rate) as bus:
-        rig = Rig(bus, identity.servo_id, model, bench.clock)
+        rig = Rig(bus, identity.servo_id, MODELS[name], bench.clock)
         if rig.read("torque_enable"):
-            raise StepFailed(
-                f"servo {identity.servo_id} has torque: it may hold something. Switch its torque "
-                f"off, or its supply"
-            )
-        sides = {"1": "the position grows", "-1": "the position falls"}
-        rig.press = int(
-            dialog.choose(
-                "servo.press",
-                "Turn the horn by hand to where the arm presses down on the scale.",
-                sides,
-                watch=lambda: f"position {rig.sample().position_pulses}",
-            )
+            raise StepFailed("the servo has torque, it may hold something: switch its supply off")
+        answer = dialog.choose(
+            "servo.press",
+            "Turn the horn by hand to where the arm presses down on the scale.",
+            {"1": "the position grows", "-1": "the position falls"},
+            watch=lambda: f"position {rig.sample().position_pulses}",
         )
+        rig.press = int(answer)
         yield rig
