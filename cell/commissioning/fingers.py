@@ -27,6 +27,7 @@ from cell.commissioning.engine import (
 )
 from cell.commissioning.servos import torque_off
 from cell.config.gripper import GripperConfig, ServoConfig, gripper_settings, linkage_of
+from cell.errors import raised_as
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK, TORQUE_ENABLE
 from gripper.dynamixel.models import MODELS, ServoModel
@@ -253,10 +254,6 @@ def first_way_rad(model: ServoModel, current_a: float) -> float:
     return max(_FIRST_WAY_RAD, closing_margin_rad(model, current_a))
 
 
-class _ClosedAgain(Exception):
-    """The person measures the closed fingers again."""
-
-
 def measure_fingers(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     """Find directions, zeros, ends and linkage by hand, then make the first motion."""
     gripper = bench.gripper()
@@ -328,24 +325,17 @@ class _Hands:
     # By hand
 
     def _measured(self) -> tuple[Pulses, Pulses, Signs, list[BlockMeasurement]]:
-        """Return the positions closed and wide open, the directions, and the fingers on blocks.
-
-        All is measured again if the person finds that the fingers were not closed.
-        """
-        while True:
-            self._shown = self._pulses
-            with suppress(_ClosedAgain):
-                closed, opened = self._ends()
-                for servo, model, *ends in zip(
-                    self._servos, self._models, closed, opened, strict=True
-                ):
-                    if not 0 <= min(ends) <= max(ends) < model.pulses_per_turn:
-                        raise StepFailed(
-                            f"servo {servo.id} crosses the end of its encoder's turn ({ends[0]} to "
-                            f"{ends[1]} pulses): mount its horn half a turn further"
-                        )
-                signs = directions(closed, opened)
-                return closed, opened, signs, self._blocks(closed, signs)
+        """Return the positions closed and wide open, the directions, and the fingers on blocks."""
+        closed, opened = self._ends()
+        for servo, model, *ends in zip(self._servos, self._models, closed, opened, strict=True):
+            if not 0 <= min(ends) <= max(ends) < model.pulses_per_turn:
+                raise StepFailed(
+                    f"servo {servo.id} crosses the end of its encoder's turn ({ends[0]} to "
+                    f"{ends[1]} pulses): mount its horn half a turn further"
+                )
+        with raised_as(StepFailed, ValueError):
+            signs = directions(closed, opened)
+        return closed, opened, signs, self._blocks(closed, signs)
 
     def _read(self) -> Pulses:
         """Return Present Position of each servo in pulses, in the order of the fingers."""
@@ -366,16 +356,8 @@ class _Hands:
         return _degrees_text([f"servo {servo.id}:" for servo in self._servos], turned)
 
     def _by_hand(self, key: str, text: str) -> Pulses:
-        """Ask for a position by hand and return it in pulses.
-
-        Raises _ClosedAgain if the person measures the closed fingers again.
-        """
-        answers = {"done": "done"}
-        if key != "close":
-            answers["closed"] = "measure the closed fingers again"
-        answer = self._dialog.choose(f"fingers.{key}", text, answers, "done", self._shown)
-        if answer == "closed":
-            raise _ClosedAgain
+        """Ask for a position by hand and return it in pulses."""
+        self._dialog.confirm(f"fingers.{key}", text, watch=self._shown)
         return self._read()
 
     def _ends(self) -> tuple[Pulses, Pulses]:
@@ -388,29 +370,23 @@ class _Hands:
             "The servos have no torque. Take out whatever is between the fingers and close them "
             "by hand until their pads touch, in the middle.",
         )
-        text = (
-            "Open the fingers by hand as far as they go."
-            if len(self._servos) == 1
-            else "Open one finger by hand as far as it goes, and leave the other. This one is "
-            "finger 0 from now on: mark it."
-        )
-        while (index := moved_alone(closed, opened := self._by_hand("open_first", text))) is None:
+        both = "Open one finger by hand as far as it goes, and leave the other. This one is finger "
+        one = "Open the fingers by hand as far as they go."
+        text = one if len(self._servos) == 1 else f"{both}0 from now on: mark it."
+        opened = self._by_hand("open_first", text)
+        if (index := moved_alone(closed, opened)) is None:
             names = [f"servo {servo.id} by" for servo in self._servos]
             ways = [abs(way) for way in self._turned(opened, closed, [1] * len(closed))]
-            text = (
-                "One finger should have moved by 5 degrees or more, and no other. From closed: "
-                f"{_degrees_text(names, ways)}. Close both, then open one by hand as far as it "
-                "goes."
+            raise StepFailed(
+                "one finger should have moved by 5 degrees or more, and no other. From closed: "
+                f"{_degrees_text(names, ways)}"
             )
         if len(self._servos) == 1:
             return closed, opened
         order = [index, 1 - index]
         self._servos = [self._servos[i] for i in order]
-        closed, first = tuple(closed[i] for i in order), opened[index]
-        text = "Now open the other one as far as it goes."
-        while abs((both := self._by_hand("open_second", text))[1] - closed[1]) < _MOVED_PULSES:
-            text = "It has not moved. Open the other finger by hand as far as it goes."
-        return closed, (first, both[1])
+        last = self._by_hand("open_second", "Now open the other one as far as it goes.")[1]
+        return tuple(closed[i] for i in order), (opened[index], last)
 
     def _blocks(self, closed: Pulses, signs: Signs) -> list[BlockMeasurement]:
         """Return the fingers on blocks of known size: two, and a third if no simple law fits."""
@@ -435,19 +411,20 @@ class _Hands:
         self, number: int, size_mm: float, closed: Pulses, signs: Signs
     ) -> BlockMeasurement:
         """Return the fingers on a block, each farther open than when closed."""
-        flat = "between the pads and close both fingers by hand until they just touch it, flat."
-        text = f"Hold the block of {size_mm:g} mm {flat}"
-        while True:
-            angles_rad = self._turned(self._by_hand(f"on_block{number}", text), closed, signs)
-            closer = {f"finger {i} by": -a for i, a in enumerate(angles_rad) if a <= 0.0}
-            if not closer:
-                return BlockMeasurement(angles_rad=angles_rad, aperture_m=size_mm * 1e-3)
-            text = (
-                "On the block fingers are closer than in the closed position: "
+        raws = self._by_hand(
+            f"on_block{number}",
+            f"Hold the block of {size_mm:g} mm between the pads and close both fingers by hand "
+            "until they just touch it, flat.",
+        )
+        angles_rad = self._turned(raws, closed, signs)
+        closer = {f"finger {i} by": -a for i, a in enumerate(angles_rad) if a <= 0.0}
+        if closer:
+            raise StepFailed(
+                "on the block fingers are closer than in the closed position: "
                 f"{_degrees_text(list(closer), list(closer.values()))}. Was something between the "
-                "pads there, or a finger pushed past the other one? Then measure the closed "
-                f"fingers again. Otherwise hold the block {flat}"
+                "pads there, or a finger pushed past the other one?"
             )
+        return BlockMeasurement(angles_rad=angles_rad, aperture_m=size_mm * 1e-3)
 
     def _chosen(self, fits: Sequence[LinkageFit]) -> LinkageFit:
         """Return the linkage that the person confirms; the fit proposes one if it can."""

@@ -68,27 +68,47 @@ _COMMENT_WIDTH = 98
 """Characters of a comment line, without indent and number sign."""
 
 
-def config_text(config: CellConfig, *, comments: bool = True) -> str:
+SHORT_KEYS = (
+    "name", "gripper.port", "gripper.servos", "gripper.linkage", "gripper.aperture_open_mm",
+    "gripper.force_max_n", "tactile.interface", "tactile.channel", "tactile.layout",
+    "sequence.force_n", "sequence.max_grasps", "sequence.error_rate", "positioner.kind",
+    "recording.directory", "serve.listen", "serve.http_port",
+)  # fmt: skip
+"""Keys that most users set, by dotted path: a short config has these alone."""
+
+
+def config_text(config: CellConfig, *, comments: bool = True, keys: Sequence[str] = ("",)) -> str:
     """Return a config as YAML that `parse_config` reads back to an equal value.
 
     With comments the meaning and choices of each key are above it. Keys without a value, and keys
-    of other kinds, are comments.
+    of other kinds, are comments. ``keys`` are dotted paths: other keys are left out, and read back
+    as their defaults.
     """
-    return SCHEMA_LINE + "".join(f"{line}\n" for line in _lines(config, "", comments=comments))
+    lines = _lines(config, "", comments=comments, keys=keys)
+    return SCHEMA_LINE + "".join(f"{line}\n" for line in lines)
 
 
 def _lines(
-    section: BaseModel, indent: str, *, comments: bool, kinds: Sequence[str] = ()
+    section: BaseModel,
+    indent: str,
+    *,
+    comments: bool,
+    kinds: Sequence[str] = (),
+    keys: Sequence[str] = ("",),
 ) -> Iterator[str]:
     """Return the lines of a section; ``kinds`` are the kinds of its union."""
     for name, key in type(section).model_fields.items():
+        # The rest of each path within the key; empty: all of it.
+        inner_keys = [one.partition(".")[2] for one in keys if one.partition(".")[0] in ("", name)]
+        if not inner_keys:
+            continue
         value = getattr(section, name)
         if comments:
             yield from _comment(_meaning(key, kinds if name == "kind" else ()), indent)
         if isinstance(value, BaseModel):
             union = [_kind_of(one) for one in sections_in(key)]
             yield f"{indent}{name}:"
-            yield from _lines(value, indent + "  ", comments=comments, kinds=union)
+            yield from _lines(value, indent + "  ", comments=comments, kinds=union, keys=inner_keys)
         elif isinstance(value, tuple) and any(isinstance(one, BaseModel) for one in value):
             yield f"{indent}{name}:"
             for one in value:
@@ -141,10 +161,10 @@ def _alternatives(key: FieldInfo, value: object, indent: str) -> Iterator[str]:
         yield f"{indent}# {'each entry' if entries else 'or'}:"
         for name, inner in kind.model_fields.items():
             shown = inner.default
-            if shown is PydanticUndefined or isinstance(shown, BaseModel):
+            if shown is PydanticUndefined or next(iter(sections_in(inner)), None):
                 shown = next(iter(_choices(inner)), None)
             yield from _comment(_meaning(inner), f"{indent}#   ")
-            yield f"{indent}#   {name}:{'' if shown is None else f' {shown}'}"
+            yield f"{indent}#   {name}:{'' if shown is None else f' {_scalar(shown)}'}"
             yield from _alternatives(inner, None, f"{indent}#   ")
 
 

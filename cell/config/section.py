@@ -155,7 +155,7 @@ class Installed:
 
 def sections_in(key: FieldInfo) -> Iterator[type[Section]]:
     """Return the sections that a key may hold, through unions, lists, notes and plugins."""
-    yield from _sections_of(key.annotation)
+    yield from dict.fromkeys(_sections_of(key.annotation))
 
 
 def _sections_of(annotation: Any) -> Iterator[type[Section]]:

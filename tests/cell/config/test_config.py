@@ -1,5 +1,6 @@
 import json
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from ruamel.yaml import YAML
 
 from cell.config.file import (
     MAX_BYTES,
+    SHORT_KEYS,
     changed_config,
     config_text,
     load_config,
@@ -87,6 +89,18 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
     assert [key for key in sorted(keys) if f"{key}:" not in text] == []
     assert "One of: parallel_linkage, rack_pinion." in text
     assert "# host_timeout_s:" in text
+
+
+def test_a_short_config_has_the_keys_that_users_set_with_their_meaning() -> None:
+    text = config_text(CellConfig(), keys=SHORT_KEYS)
+    assert parse_config(text, source="short") == CellConfig()
+    keys = [line.split(":")[0] for line in text.splitlines() if re.match(r" *\w+:", line)]
+    assert [key for key in SHORT_KEYS if key.rpartition(".")[2] not in map(str.strip, keys)] == [
+        "serve.http_port"
+    ]
+    assert len(keys) < 40 < text.count("#")
+    assert "# http_port:" in text
+    assert "baud_rate" not in text
 
 
 PORT = "gripper: {port: /dev/ttyUSB0}\n"

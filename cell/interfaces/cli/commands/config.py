@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 import cell.config
-from cell.config.file import config_text, load_config, schema_text
+from cell.config.file import SHORT_KEYS, config_text, load_config, schema_text
 from cell.data.files import write_text
 from cell.errors import ConfigError
 from cell.interfaces.cli.options import FOLDER_CONFIG, TextOutOption
@@ -45,11 +45,15 @@ def init(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    short: Annotated[
+        bool, typer.Option("--short", help="Write the keys alone that most users set.")
+    ] = False,
 ) -> None:
     """Write a config file with explained keys, and its schema."""
     if path.exists() and not force:
         raise ConfigError(f"{path} exists; name another file or add --force")
-    text = config_text(load_config(None if example is None else _examples()[example]))
+    config = load_config(None if example is None else _examples()[example])
+    text = config_text(config, keys=SHORT_KEYS if short else ("",))
     schema_path = path.parent / "tactile-cell.schema.json"
     write_text(path, text, error=ConfigError, what="config")
     write_text(schema_path, schema_text(), error=ConfigError, what="schema")
