@@ -56,32 +56,28 @@ class PartLog:
         """Begin a job that finds parts."""
         self._job, self._since_s = (job, task), self.controller.clock.monotonic()
 
-    def add(self, found: Identification, remark: str, **fate: Any) -> Part:
-        """Return the part of an identification; ``fate`` has what became of it."""
-        shorts = (record.outcome.short for record in found.records)
-        self._n_parts += 1
-        part = self._part(
-            number=self._n_parts,
-            label=found.label,
-            label_id=self.label_id(found.label),
-            probabilities=found.fused.probabilities,
-            n_grasps=len(found.records),
-            n_ended_early=found.n_ended_early,
-            shape=found.shape,
-            drift=found.drift,
-            remark=remark or next(filter(None, shorts), ""),
-            **fate,
-        )
-        self._report(part, found)
-        return part
+    def add(self, found: Identification | None, remark: str = "", **fate: Any) -> Part:
+        """Return the part of an identification; ``fate`` has what became of it.
 
-    def miss(self) -> None:
-        """Report a turn without a part."""
-        self._report(self._part(), None)
-
-    def _part(self, **fields: Any) -> Part:
+        None: a turn without a part, which is a `Part` without a label.
+        """
         before_s, self._since_s = self._since_s, self.controller.clock.monotonic()
-        return Part(
+        fields: dict[str, Any] = {}
+        if found is not None:
+            shorts = (record.outcome.short for record in found.records)
+            self._n_parts += 1
+            fields = fate | {
+                "number": self._n_parts,
+                "label": found.label,
+                "label_id": self.label_id(found.label),
+                "probabilities": found.fused.probabilities,
+                "n_grasps": len(found.records),
+                "n_ended_early": found.n_ended_early,
+                "shape": found.shape,
+                "drift": found.drift,
+                "remark": remark or next(filter(None, shorts), ""),
+            }
+        part = Part(
             job=self._job[0],
             task=self._job[1],
             time_s=self.wall_s(),
@@ -89,10 +85,9 @@ class PartLog:
             presented=self.controller.journal.brought or "",
             **fields,
         )
-
-    def _report(self, part: Part, found: Identification | None) -> None:
         for on_part in self.listeners:
             on_part(part, found)
+        return part
 
 
 class TaxelNewtons:

@@ -284,7 +284,7 @@ class Tasks:
         try:
             found, remark = self.named(goal, progress)
         except NoPartFound:
-            self.parts.miss()
+            self.parts.add(None)
             raise
         rejected = found.label == UNKNOWN
         part = self.parts.last = self.parts.add(found, remark, kept=found.kept, rejected=rejected)
@@ -378,7 +378,7 @@ class Tasks:
             except NoPartFound:
                 answer.n_missed += 1
                 misses += 1
-                self.parts.miss()
+                self.parts.add(None)
                 progress()
                 if misses == MISSES_IN_A_ROW:
                     raise

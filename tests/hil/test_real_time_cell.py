@@ -231,6 +231,6 @@ def test_a_part_is_kept_in_real_time_until_the_host_lets_it_go(simulator) -> Non
         grip = {"task": "grip", "force_n": 3.0, "present": "ball"}
         plugin.result(plugin.start(grip), LIMIT_S)
         simulator.ask(inject="object.gone")
-        until(plugin.fault)
+        until(lambda: plugin.status().fault)
         assert plugin.status().grasp == "PART LOST"
         assert str(plugin.status().fault).endswith(" s after the grip")

@@ -2,12 +2,14 @@
 
 import shlex
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
+
+from rich.table import Table
 
 from cell.build import Cell, build_cell
 from cell.config.file import load_config
@@ -34,6 +36,7 @@ from cell.interfaces.cli.terminal import (
     print_line,
     print_note,
     progress_bar,
+    show,
     write_json,
 )
 from cell.learning.progress import Progress
@@ -157,13 +160,13 @@ class RunningCell:
 
         return self.plugin.run(goal, on_progress=shown)
 
-    def finish(self, values: Mapping[str, Any]) -> None:
-        """Write the JSON of the command, with the recording and the health of loop and links.
+    def finish(self, lines: Iterable[str | Table], values: Mapping[str, Any]) -> None:
+        """Show the result of the command, its JSON with the recording and the health of the loop.
 
         Raises RecordingError if the recording has stopped: the job has its answer all the same.
         """
         made = {"recording": self.plugin.recording_path, "health": self.plugin.cell.health()}
-        write_json(self.json_file, {**values, **made})
+        show(lines, {**values, **made}, self.json_file)
         self.plugin.cell.check_recording()
 
 

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, TextIO, cast
@@ -193,6 +193,13 @@ def progress_bar(line: Callable[[], str] = str) -> Iterator[Callable[[str, int, 
         finally:
             # Only the bars stay on the screen.
             bars.line = str
+
+
+def show(lines: Iterable[str | Table], data: Any = None, path: Path | None = None) -> None:
+    """Print a result, lines and tables, and write it as JSON; as `write_json`."""
+    for line in lines:
+        print_line(line) if isinstance(line, str) else print_table(line)
+    write_json(path, data)
 
 
 def write_json(path: Path | None, data: Any) -> None:

@@ -32,7 +32,7 @@ from cell.data.recording_reader import read_recording
 from cell.errors import ConfigError, RecordingError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.app import app
-from cell.interfaces.cli.commands.run import confusion_table, print_result
+from cell.interfaces.cli.commands.run import confusion_table, result_lines
 from cell.interfaces.cli.terminal import (
     ask,
     percent,
@@ -42,6 +42,7 @@ from cell.interfaces.cli.terminal import (
     print_note,
     print_table,
     progress_bar,
+    show,
 )
 from cell.learning.model import load_model
 from recognition.recognizer import UNKNOWN
@@ -188,7 +189,7 @@ def test_the_paper_is_put_beside_its_five_objects(capsys) -> None:
         model=None,
         recording=None,
     )
-    print_result(result, {})
+    show(result_lines(result, {}))
     lines = capsys.readouterr().out.splitlines()
     assert "its Table 1): 48 of 50 right" in lines[0]
     assert "  ball: ball 90, cylinder 10" in lines
@@ -396,8 +397,8 @@ def test_a_terminal_obeys_no_text_of_a_file(tmp_path, capsys, monkeypatch) -> No
     config.write_text('"\\e[2Jkey": 1\n', encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
         load_config(config)
-    for show in (print_line, print_error, print_note, print_cell):
-        show(f"{caught.value}\r[bold] \u202e\x9b")
+    for print_one in (print_line, print_error, print_note, print_cell):
+        print_one(f"{caught.value}\r[bold] \u202e\x9b")
     shown = "".join(capsys.readouterr())
     assert shown.count("\\x1b[2Jkey: unknown key") == 4
     assert shown.count("\\r[bold] \\u202e\\x9b") == 4
@@ -747,7 +748,7 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
         raising(ReportError("cannot write report: no space left")),
     )
     monkeypatch.setattr(
-        "cell.interfaces.cli.commands.run.print_result", lambda *given: printed.append(given)
+        "cell.interfaces.cli.commands.run.result_lines", lambda *_: printed.append("shown") or ()
     )
     said = fail("run", "-c", config)
     assert said.endswith("error: cannot write report: no space left")

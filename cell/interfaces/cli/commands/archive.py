@@ -16,7 +16,7 @@ from cell.interfaces.cli.options import (
     ObjectsOption,
     PictureOption,
 )
-from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
+from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, show
 from cell.learning.parallel import workers
 from cell.report.figures import confusion_figure, write_picture
 from cell.report.page import write_report
@@ -46,11 +46,11 @@ def add(
     for path, why in done.left.items():
         named = why if path in why else f"{path}: {why}"
         print_note(f"left for the next run: {named}")
-    print_line(
+    line = (
         f"{done.n_grasps} grasps of {done.n_files} files added to {target}; {done.n_there} files "
         f"and {done.n_before} grasps were there already"
     )
-    write_json(json_file, done)
+    show([line], done, json_file)
 
 
 def export(
@@ -92,10 +92,7 @@ def report(
     selection = parse_selection(cells, days, objects)
     answers = ask(archive, selection)
     write_report(output, archive_report(answers, archive))
-    for line in lines(answers):
-        print_line(line)
-    print_line(f"report: {output}")
-    write_json(json_file, answers.as_json())
+    show([*lines(answers), f"report: {output}"], answers.as_json(), json_file)
 
 
 def confusion(

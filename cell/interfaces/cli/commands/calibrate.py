@@ -17,7 +17,7 @@ from cell.interfaces.cli.options import (
     SeedOption,
 )
 from cell.interfaces.cli.session import RunningCell, cell_config, pads_of, running_cell
-from cell.interfaces.cli.terminal import print_line, write_json
+from cell.interfaces.cli.terminal import show
 from cell.learning.model import load_model, save_model
 from cell.learning.training import calibrate_model, follow_shift, gaugeable
 from cell.runtime.goals import TeachGoal
@@ -85,12 +85,12 @@ def calibrate(
         sections=loaded.sections,
     )
     values = {"model": output, "gauge": gauge, **corrected.grid.values, "n_grasps": n_grasps}
-    write_json(json_file, values)
-    print_line(
+    line = (
         f"{n_grasps} grasps of {' and '.join(gauge) if gauge else 'a shift'}: "
         f"{drift_text(corrected.grid.drift)} (+-{1e3 * corrected.grid.offset_sd_m:.1f} mm): "
         f"{output}"
     )
+    show([line], values, json_file)
     if cell is not None:
         cell.plugin.cell.check_recording()
 

@@ -17,7 +17,7 @@ from cell.interfaces.cli.options import (
     MostOption,
     ObjectsOption,
 )
-from cell.interfaces.cli.terminal import percent, print_line, write_json
+from cell.interfaces.cli.terminal import percent, print_line, show
 from cell.learning.model import load_model
 from cell.learning.parallel import workers
 
@@ -42,15 +42,11 @@ def compare(
     with workers(jobs) as mapper:
         found = compare_models(*models, grasps, mapper)
     only = (found.only_first, found.only_second)
-    for path, right, wrong, alone in zip(
-        (first, second), found.right, found.wrong, only, strict=True
-    ):
-        print_line(
-            f"{path}: named rightly {percent(right)}, wrongly {percent(wrong)}; {alone} grasps "
-            "that the other one does not name rightly"
-        )
-    print_line(
-        f"{second} names {percent(found.difference, found.interval)} more of {found.n} grasps "
-        "rightly"
-    )
-    write_json(json_file, found)
+    each = zip((first, second), found.right, found.wrong, only, strict=True)
+    lines = [
+        f"{path}: named rightly {percent(right)}, wrongly {percent(wrong)}; {alone} grasps "
+        "that the other one does not name rightly"
+        for path, right, wrong, alone in each
+    ]
+    gained = percent(found.difference, found.interval)
+    show([*lines, f"{second} names {gained} more of {found.n} grasps rightly"], found, json_file)

@@ -14,7 +14,7 @@ from cell.errors import CellError
 from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.options import ConfigOption, JsonOption
 from cell.interfaces.cli.session import cell_config
-from cell.interfaces.cli.terminal import out, print_line, write_json
+from cell.interfaces.cli.terminal import out, print_line, show, write_json
 from cell.plugins import GROUPS
 
 
@@ -67,9 +67,11 @@ def doctor(
 def _list_plugins(json_file: Path | None) -> None:
     """Print each plugin, its package, and the reason if it does not load."""
     found = [plugin for group in GROUPS for plugin in group.examine()]
-    for one in found:
-        state = f"FAIL  {one.problem}" if one.problem else "loads"
-        print_line(f"{one.group:<12} {one.name:<18} {one.package:<20} {state}")
-    write_json(json_file, {"plugins": found})
+    states = [f"FAIL  {one.problem}" if one.problem else "loads" for one in found]
+    lines = [
+        f"{one.group:<12} {one.name:<18} {one.package:<20} {state}"
+        for one, state in zip(found, states, strict=True)
+    ]
+    show(lines, {"plugins": found}, json_file)
     if failed := sum(bool(one.problem) for one in found):
         raise CellError(f"{failed} of {len(found)} plugins do not load")

@@ -1,6 +1,7 @@
 """`model evaluate`: measures recognisers on recorded grasps."""
 
 import math
+from collections.abc import Iterator
 from typing import Annotated
 
 import typer
@@ -24,9 +25,8 @@ from cell.interfaces.cli.terminal import (
     percent,
     print_line,
     print_note,
-    print_table,
     progress_bar,
-    write_json,
+    show,
 )
 from cell.learning.labelled_grasps import duplicate_grasps
 from cell.learning.parallel import workers
@@ -119,8 +119,9 @@ def evaluate(
             gauge=gauge,
             progress=progress,
         )
-    _print_evaluation(result)
-    write_json(json_file, result.as_json())
+    for name, reason in result.left_out.items():
+        print_note(f"{name} is left out: {reason}")
+    show(_lines(result), result.as_json(), json_file)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -151,19 +152,17 @@ def _drift(text: str | None) -> Drift:
         return parse_drift(text)
 
 
-def _print_evaluation(result: EvaluationResult) -> None:
+def _lines(result: EvaluationResult) -> Iterator[str | Table]:
 
-    print_line(
+    yield (
         f"{result.split}: {result.n_train} grasps to train, {result.n_test} to test, "
         f"{len(result.labels)} objects"
     )
     if result.drift != NO_DRIFT:
-        print_line(f"drift of the tested grasps: {drift_text(result.drift)}")
+        yield f"drift of the tested grasps: {drift_text(result.drift)}"
     if result.gauged is not None:
         found = drift_text(result.gauged.drift)
-        print_line(f"gauged with {result.n_gauged} grasps of {result.gauge}: {found}")
-    for name, reason in result.left_out.items():
-        print_note(f"{name} is left out: {reason}")
+        yield f"gauged with {result.n_gauged} grasps of {result.gauge}: {found}"
     fused = sorted({k for f in result.recognizers.values() for k in f.full.fused_accuracy} - {1})
     right, named = Table(header_style="bold"), Table(header_style="bold")
     for table, columns in (
@@ -197,37 +196,37 @@ def _print_evaluation(result: EvaluationResult) -> None:
                 f"{100 * (1.0 - evaluation.named_right - evaluation.named_wrong):.1f}",
                 _with_interval(evaluation.unknown_auroc, evaluation.auroc_interval, 1.0, 3),
             )
-    print_table(right)
-    print_table(named)
-    print_line(
+    yield right
+    yield named
+    yield (
         "AUROC: separation of taught objects from objects left out of teaching; 1 is perfect, 0.5 "
         "is chance. Intervals at 95 % draw objects, not grasps, and no fused grasp counts twice"
     )
     if any(math.isnan(f.full.unknown_auroc) for f in result.recognizers.values()):
-        print_line(
+        yield (
             f"-: not measured; AUROC leaves out one object and teaches the others. It needs three "
             f"objects (here {len(result.labels)}) and a split within each"
         )
     for name, figures in result.recognizers.items():
-        _print_details(name, figures.full)
-    print_line(f"took {result.seconds:.1f} s")
+        yield from _details(name, figures.full)
+    yield f"took {result.seconds:.1f} s"
 
 
-def _print_details(name: str, evaluation: Evaluation) -> None:
-    """Print the confusions of a recogniser, its `unknown` and its figures with drift correction."""
+def _details(name: str, evaluation: Evaluation) -> Iterator[str | Table]:
+    """Yield the confusions of a recogniser, its `unknown` and its figures with drift correction."""
     if pairs := evaluation.confused:
         shown_pairs = [f"{n} x {truth} as {answer}" for truth, answer, n in pairs[:_PAIRS]]
         rest = f", and {len(pairs) - _PAIRS} more pairs" if len(pairs) > _PAIRS else ""
-        print_line(f"{name} confuses, one grasp each: {', '.join(shown_pairs)}{rest}")
+        yield f"{name} confuses, one grasp each: {', '.join(shown_pairs)}{rest}"
     rows = [row for row in evaluation.unknown_reliability if row[2]]
     if rows:
         shares = (
             f"{low:g} to {high:g}: {100 * new / n:.0f} % of {n}" for low, high, n, new in rows
         )
-        print_line(f"{name}, unknown and share of left-out objects there: {', '.join(shares)}")
+        yield f"{name}, unknown and share of left-out objects there: {', '.join(shares)}"
     shift = evaluation.shift
     if shift is not None:
-        print_line(
+        yield (
             f"{name} with drift correction, after the first {shift.before}: "
             f"{percent(shift.accuracy, shift.interval)}, "
             f"named rightly {100 * shift.named_right:.1f} %, wrongly "

@@ -41,10 +41,10 @@ def zero(
         cell.run(ZeroGoal(), lambda job: found.update(job.progress))
         if zero_note := cell.plugin.health()["zero"]["text"]:
             print_note(zero_note)
-    print_line(found["text"])
+    lines = [found["text"]]
     if (moved_mm := found["zero"]["moved_mm"]) is not None:
-        print_line(f"{moved_mm:+.2f} mm since the last measurement")
-    cell.finish(found["zero"])
+        lines.append(f"{moved_mm:+.2f} mm since the last measurement")
+    cell.finish(lines, found["zero"])
 
 
 def release(

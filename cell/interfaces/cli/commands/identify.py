@@ -23,7 +23,7 @@ from cell.interfaces.cli.options import (
     SeedOption,
 )
 from cell.interfaces.cli.session import cell_config, pads_of, release_command, running_cell
-from cell.interfaces.cli.terminal import percent, print_line, write_json
+from cell.interfaces.cli.terminal import percent, show
 from cell.learning.model import load_model
 from cell.learning.pad_knowledge import pad_knowledge
 from cell.learning.shape_reading import NO_SHAPE, beside, shape_reader
@@ -91,11 +91,12 @@ def identify(
         cell.plugin.watch_parts(lambda _, found: trials.append(found) if found else None)
         part = cell.run(goal)
     (found,) = trials
+    lines: list[str] = []
     for number, (record, posterior, shape) in enumerate(
         zip_longest(found.records, found.posteriors, found.shapes), start=1
     ):
         alone = fuse([posterior])
-        print_line(
+        lines.append(
             f"grasp {number}: {alone.name} {percent(alone.name_probability)}"
             + (f" (nearest: {alone.best})" if alone.name == UNKNOWN else "")
             + (f"; {shape or NO_SHAPE}" if found.shapes else "")
@@ -103,20 +104,20 @@ def identify(
         )
     was = f" (it was {part.presented})" if part.presented else ""
     if part.remark not in ("", *(record.ended for record in found.records)):
-        print_line(part.remark)
+        lines.append(part.remark)
     felt = beside(part.label, part.shape)
-    print_line(f"answer: {part.label} {percent(found.fused.name_probability)}{felt}{was}")
+    lines.append(f"answer: {part.label} {percent(found.fused.name_probability)}{felt}{was}")
     if part.kept and config is not None and not checked.simulated:
-        print_line(f"the part is kept; to release it: {release_command(config)}")
+        lines.append(f"the part is kept; to release it: {release_command(config)}")
     elif part.kept:
-        print_line("the part was kept until the simulated cell ended with this command")
+        lines.append("the part was kept until the simulated cell ended with this command")
     values = {
         "probabilities": part.probabilities,
         "shapes": [shape and shape.as_dict() for shape in found.shapes],
         "ramps": [record.ramp_as_json() for record in found.records],
         "drift": part.drift and part.drift.values,
     }
-    cell.finish(part.model_dump() | values)
+    cell.finish(lines, part.model_dump() | values)
 
 
 def _identify_recorded(
@@ -132,11 +133,11 @@ def _identify_recorded(
     found, recorded = load_model(model), read_grasps(dataset)
     found = replace(found, recognizer=loaded(found, config).recognizer)
     answers = identify_recorded(found, recorded, follow=follow, read_shape=read_shape)
-    shown = []
+    lines, shown = list[str](), []
     for number, (grasp, answer) in enumerate(zip(recorded, answers, strict=True)):
         posterior, shape, drift = answer
         probability = posterior.name_probability
-        print_line(
+        lines.append(
             f"grasp {number:4d}: {posterior.name:<24} {percent(probability)}"
             + ("" if read_shape is None else f"   {shape or NO_SHAPE}")
             + (f"   (was {grasp.label})" if grasp.label else "")
@@ -152,5 +153,5 @@ def _identify_recorded(
         shown.append(values if drift is None else values | {"drift": drift.values})
     _, (*_, last) = max(zip(recorded, answers, strict=True), key=lambda one: one[0].start_ms)
     if last is not None and last.likely:
-        print_line(f"the sensors have drifted since teaching: {drift_text(last.drift)}")
-    write_json(json_file, {"answers": shown})
+        lines.append(f"the sensors have drifted since teaching: {drift_text(last.drift)}")
+    show(lines, {"answers": shown}, json_file)

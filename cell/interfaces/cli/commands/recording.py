@@ -22,7 +22,7 @@ from cell.interfaces.cli.options import (
     PictureOption,
     RecordingOutOption,
 )
-from cell.interfaces.cli.terminal import plain_text, print_line, print_table, write_json
+from cell.interfaces.cli.terminal import plain_text, print_line, print_table, show
 from cell.report.figures import grasp_figure, write_picture
 from cell.report.page import write_report
 from cell.report.recorded import recorded_report
@@ -113,9 +113,9 @@ def recover(
     """Save the undamaged data of a damaged recording to a new file."""
     target = output or recording.with_name(f"{recording.stem}-recovered.mcap")
     found = recover_recording(recording, target)
-    print_line(f"{recording}: {found.lost_reason or 'complete, nothing is lost'}")
-    print_line(
+    lines = (
+        f"{recording}: {found.lost_reason or 'complete, nothing is lost'}",
         f"{found.recording}: {found.n_frames} frames, {found.n_cycles} periods of the loop, "
-        f"{found.n_grasps} whole grasps; {found.n_broken_grasps} broken grasps are left out"
+        f"{found.n_grasps} whole grasps; {found.n_broken_grasps} broken grasps are left out",
     )
-    write_json(json_file, found)
+    show(lines, found, json_file)

@@ -9,7 +9,12 @@ from cell.config.file import load_config
 from cell.data.dataset import read_grasps
 from cell.errors import CellError
 from cell.interfaces.cli.options import CaptureOption, JsonOption, RecognizerOption, SplitOption
-from cell.interfaces.cli.terminal import percent, print_line, print_note, progress_bar, write_json
+from cell.interfaces.cli.terminal import (
+    percent,
+    print_note,
+    progress_bar,
+    show,
+)
 from cell.runtime.replay import replay_grasps
 from recognition.recognizers import DEFAULT_TRAINER
 
@@ -44,17 +49,15 @@ def replay(
             progress=progress,
         )
     same = "bit for bit the same" if result.frames_equal else "NOT the same"
-    print_line(
+    lines = [
         f"{result.n_grasps} grasps: {result.frames_sent} frames sent, "
-        f"{result.frames_received} received, {same}"
-    )
-    print_line(
-        f"openings differ by at most {result.aperture_error_mm:.3f} mm: servos report pulses"
-    )
+        f"{result.frames_received} received, {same}",
+        f"openings differ by at most {result.aperture_error_mm:.3f} mm: servos report pulses",
+    ]
     if result.accuracy is not None:
-        print_line(f"named right by one grasp: {percent(result.accuracy, result.interval)}")
+        lines.append(f"named right by one grasp: {percent(result.accuracy, result.interval)}")
     else:
         print_note(f"no grasp was identified: {result.unnamed}")
-    write_json(json_file, result)
+    show(lines, result, json_file)
     if not result.frames_equal:
         raise CellError(f"frames differ: {result.difference}")

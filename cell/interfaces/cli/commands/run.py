@@ -1,7 +1,7 @@
 """`run`: the main job, teaches objects and identifies each of them."""
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -22,7 +22,7 @@ from cell.interfaces.cli.options import (
     SeedOption,
 )
 from cell.interfaces.cli.session import cell_config, pads_of, running_cell
-from cell.interfaces.cli.terminal import percent, plain_text, print_line, print_note, print_table
+from cell.interfaces.cli.terminal import percent, plain_text, print_note
 from cell.learning.model import load_model
 from cell.learning.taught_cache import MODEL_FILE, keep_model
 from cell.report.confusion import TABLE_1, TABLE_1_LABELS, ConfusionTable, paper_table
@@ -90,10 +90,10 @@ def run(
             failed = error
     if config is None and seed is None and not faults:
         _keep_for_serve(result, checked)
-    print_result(result, true_sizes(checked))
+    lines = [*result_lines(result, true_sizes(checked))]
     if no_report:
         print_note(no_report)
-    cell.finish(result.as_json())
+    cell.finish(lines, result.as_json())
     if failed is not None:
         raise failed
 
@@ -132,8 +132,8 @@ def _labels(config: CellConfig, objects: Sequence[str] | None, taught: Sequence[
     return labels
 
 
-def print_result(result: MainResult, true_sizes: Mapping[str, str]) -> None:
-    """Print confusion tables, shapes, times and files of a run, and the paper's table.
+def result_lines(result: MainResult, true_sizes: Mapping[str, str]) -> Iterator[str | Table]:
+    """Yield confusion tables, shapes, times and files of a run, and the paper's table.
 
     ``true_sizes`` are those of simulated objects, texts by label.
     """
@@ -141,26 +141,25 @@ def print_result(result: MainResult, true_sizes: Mapping[str, str]) -> None:
         order = [TABLE_1_LABELS.index(label) for label in result.labels]
         paper = paper_table()
         right = f"{paper.n_right} of {paper.n} right"
-        print_line(f"The paper's own cell (its Table 1): {right}; per cent:")
+        yield f"The paper's own cell (its Table 1): {right}; per cent:"
         rows = [[TABLE_1[row][column] for column in order] for row in order]
-        print_table(confusion_table(result.labels, rows))
+        yield confusion_table(result.labels, rows)
     same: dict[bytes, list[ConfusionTable]] = {}
     for counted in result.scores.values():
         same.setdefault(counted.counts.tobytes(), []).append(counted)
     for alike in same.values():
         for counted in alike:
             accuracy = percent(counted.accuracy, counted.interval)
-            print_line(f"{counted.name}: {counted.text}; {accuracy}, in brackets the 95 % interval")
-        print_table(confusion_table(result.labels, alike[0].counts.tolist()))
-    print_line(f"One grasp takes {result.grasp_s:.1f} s of the cell's time.")
-    for remark in result.remarks:
-        print_line(remark)
+            yield f"{counted.name}: {counted.text}; {accuracy}, in brackets the 95 % interval"
+        yield confusion_table(result.labels, alike[0].counts.tolist())
+    yield f"One grasp takes {result.grasp_s:.1f} s of the cell's time."
+    yield from result.remarks
     shapes = shapes_view(
         [(one.presented, one.label, one.shape) for one in result.parts], true_sizes
     )
     for group in [] if shapes is None else shapes["groups"]:
         sizes = f"; {group['text']}" if group["text"] else ""
-        print_line(f"{group['label']} feels like: {group['kinds']}{sizes}")
+        yield f"{group['label']} feels like: {group['kinds']}{sizes}"
     files = {
         "report": result.report,
         "recording": result.recording,
@@ -169,8 +168,8 @@ def print_result(result: MainResult, true_sizes: Mapping[str, str]) -> None:
     }
     for name, path in files.items():
         if path is not None:
-            print_line(f"{name + ':':<10} {path}")
-    print_line(f"The whole run took {result.seconds:.0f} s.")
+            yield f"{name + ':':<10} {path}"
+    yield f"The whole run took {result.seconds:.0f} s."
 
 
 def confusion_table(labels: Sequence[str], confusion: Sequence[Sequence[float]]) -> Table:

@@ -1,5 +1,6 @@
 """`sort`: identifies parts and releases each at its place."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 import typer
@@ -16,7 +17,7 @@ from cell.interfaces.cli.options import (
     SeedOption,
 )
 from cell.interfaces.cli.session import cell_config, pads_of, running_cell
-from cell.interfaces.cli.terminal import plain_text, print_line, print_note, print_table
+from cell.interfaces.cli.terminal import plain_text, print_note, show
 from cell.learning.model import load_model
 from cell.runtime.goals import FEED_MAX, SortGoal
 from cell.runtime.main_job import teach_objects
@@ -71,14 +72,14 @@ def sort(
             cell.plugin.watch_parts(lambda part, found: each.append(part) if found else None)
             cell.run(goal, lambda job: tally.update(job.progress))
     finally:
-        print_tally(tally)
-    cell.finish({name: tally[name] for name in TALLY_KEYS} | {"parts": each})
+        show(tally_lines(tally))
+    cell.finish((), {name: tally[name] for name in TALLY_KEYS} | {"parts": each})
 
 
-def print_tally(tally: dict[str, Any]) -> None:
-    """Print the number of parts at each place, and the wrong ones, from the progress of a sort."""
+def tally_lines(tally: dict[str, Any]) -> Iterator[str | Table]:
+    """Yield the number of parts at each place, and the wrong ones, from the progress of a sort."""
     if not tally.get("n_parts"):
-        print_line("no part was sorted")
+        yield "no part was sorted"
         return
     table = Table(header_style="bold")
     table.add_column("part")
@@ -89,9 +90,9 @@ def print_tally(tally: dict[str, Any]) -> None:
             plain_text(truth), *(str(count) if count else "" for count in counts.values())
         )
     table.add_row("all", *(str(count) for count in tally["places"].values()), style="bold")
-    print_table(table)
+    yield table
     missed = f", {tally['n_missed']} times no part was found" if tally["n_missed"] else ""
-    print_line(
+    yield (
         f"{tally['n_parts']} parts sorted, {100 * tally['share_named']:.0f} % with a name, "
         f"{tally['n_rejected']} rejected{missed}"
     )
@@ -99,4 +100,4 @@ def print_tally(tally: dict[str, Any]) -> None:
         wrong = ", ".join(
             f"part {part['number']}, {part['was']} to {part['place']}" for part in tally["mistakes"]
         )
-        print_line(f"mistakes: {wrong or 'none'}")
+        yield f"mistakes: {wrong or 'none'}"

@@ -20,7 +20,7 @@ from cell.interfaces.cli.options import (
     SeedOption,
 )
 from cell.interfaces.cli.session import cell_config, pads_of, running_cell
-from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
+from cell.interfaces.cli.terminal import print_line, progress_bar, show
 from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend, name_recorded
 from cell.learning.pad_knowledge import pad_knowledge
 from cell.learning.teach_from_drawing import teach_drawing
@@ -144,18 +144,15 @@ def _teach_grasps(
                 if shown["short"]:
                     print_line(shown["short"])
     values = {"label": goal.label, "n_grasps": shown["grasps"], "n_missed": shown["missed"]}
-    print_line(f"recording: {cell.plugin.recording_path}")
-    cell.finish(values | {"dataset": dataset})
+    cell.finish([f"recording: {cell.plugin.recording_path}"], values | {"dataset": dataset})
 
 
 def _name_recorded(source: Path, label: str, dataset: Path, json_file: Path | None) -> None:
 
     added, before = name_recorded(source, label, dataset)
-    print_line(f"{added} grasps of {source} added to {dataset} as {label} ({before} were there)")
-    write_json(
-        json_file,
-        {"label": label, "n_grasps": added, "dataset": dataset, "source": source},
-    )
+    line = f"{added} grasps of {source} added to {dataset} as {label} ({before} were there)"
+    values = {"label": label, "n_grasps": added, "dataset": dataset, "source": source}
+    show([line], values, json_file)
 
 
 def _teach_drawing(
@@ -186,24 +183,15 @@ def _teach_drawing(
             progress=progress,
         )
     append_to_dataset(dataset, before, grasps)
-    print_line(
-        f"{len(grasps)} virtual grasps of {label} added to {dataset} ({len(before)} were there)"
-    )
-    print_line(f"{known}")
+    lines = [
+        f"{len(grasps)} virtual grasps of {label} added to {dataset} ({len(before)} were there)",
+        str(known),
+    ]
     if known.rest is None:
         noise = config.simulator
-        print_line(
+        lines.append(
             f"noise of the config (simulator.noise: {noise.noise}, level {noise.noise_level:g}); "
             "if the sensor has more, taught objects become unknown: --gauge measures its noise"
         )
-    write_json(
-        json_file,
-        {
-            "label": label,
-            "n_grasps": len(grasps),
-            "dataset": dataset,
-            "source": "drawing",
-            "drawing": drawing,
-            "pads": known.as_dict(),
-        },
-    )
+    values = {"label": label, "n_grasps": len(grasps), "dataset": dataset, "source": "drawing"}
+    show(lines, values | {"drawing": drawing, "pads": known.as_dict()}, json_file)

@@ -19,7 +19,13 @@ from cell.interfaces.cli.options import (
     ObjectsOption,
     RecognizerOption,
 )
-from cell.interfaces.cli.terminal import percent, print_line, print_note, progress_bar, write_json
+from cell.interfaces.cli.terminal import (
+    percent,
+    print_line,
+    print_note,
+    progress_bar,
+    show,
+)
 from cell.learning.labelled_grasps import duplicate_grasps
 from cell.learning.model import save_model
 from cell.learning.parallel import workers
@@ -81,34 +87,32 @@ def train(
         trainer_name=recognizer,
         pads=grasps[0].pads,
     )
-    print_line(
+    lines = [
         f"{len(labels)} objects taught with {len(grasps)} grasps"
         + ("" if recognizer == DEFAULT_TRAINER else f", recogniser {recognizer}")
         + f": {model}"
-    )
+    ]
     if prior is not None:
-        print_line(
+        lines.append(
             f"spread between days and cells: gain {100 * prior.log_gain_sd:.0f} %, opening "
             f"{prior.offset_sd_mm:.1f} mm"
         )
-    for one in gains:
-        print_line(
-            f"{one.n} grasps of {one.n_parts} {one.what} left out in turn: named rightly "
-            f"{percent(one.right_without)} without it, {percent(one.right)} with it, a difference "
-            f"of {percent(one.gained, one.interval)}; wrongly {percent(one.wrong_without)} and "
-            f"{percent(one.wrong)}"
-        )
+    lines += [
+        f"{one.n} grasps of {one.n_parts} {one.what} left out in turn: named rightly "
+        f"{percent(one.right_without)} without it, {percent(one.right)} with it, a difference "
+        f"of {percent(one.gained, one.interval)}; wrongly {percent(one.wrong_without)} and "
+        f"{percent(one.wrong)}"
+        for one in gains
+    ]
     summary = summarise_teaching(grasps)
+    values = {
+        "model": str(model),
+        "recognizer": recognizer,
+        "n_grasps": len(grasps),
+        "labels": list(labels),
+        "teaching": summary,
+    }
+    spread_found = {} if prior is None else {"spread": spread_values(prior, gains)}
+    show(lines, values | spread_found, json_file)
     for note in summary.notes:
         print_note(note)
-    write_json(
-        json_file,
-        {
-            "model": str(model),
-            "recognizer": recognizer,
-            "n_grasps": len(grasps),
-            "labels": list(labels),
-            "teaching": summary,
-        }
-        | ({} if prior is None else {"spread": spread_values(prior, gains)}),
-    )
