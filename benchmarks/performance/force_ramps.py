@@ -334,8 +334,8 @@ class PlainPi:
         share = min(1.0, (sample.t_s - self._sample_s) / self.mean_s)
         grip.force_n += share * (sample.grip_n - grip.force_n)
         self._sample_s = sample.t_s
-        grip.rate_n_s = (setpoint_n - grip.asked_n) / dt_s if dt_s > 0.0 else 0.0
-        grip.asked_n, error_n = setpoint_n, setpoint_n - grip.force_n
+        grip.rate_n_s = (setpoint_n - grip.planned_n) / dt_s if dt_s > 0.0 else 0.0
+        grip.planned_n, error_n = setpoint_n, setpoint_n - grip.force_n
         if grip.rate_n_s == 0.0 and abs(error_n) <= self.rest_n:
             self._integral_n, grip.balance_n = 0.0, grip.force_n
             return grip.balance_n

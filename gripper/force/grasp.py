@@ -1,5 +1,6 @@
 """One grasp: approach, contact, ramp, settling; then holding, backing off and further ramps."""
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf
@@ -16,7 +17,7 @@ from gripper.force.approach.mechanics_proof import (
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.loop import Action, LoopRunner, Moment, Running
-from gripper.force.ramp import ForceRamp, RampEnd
+from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.slip import LevelSlip
 from gripper.mechanics.kinematics import Linkage
@@ -62,7 +63,7 @@ class GraspRun:
         self._free = free
         self._linkage = linkage
         self._settings = settings
-        self._end = RampEnd()
+        self._end = threading.Event()
         self._ramp_step: ContactStep | None = None
         self._closed_is_proven = False
         self._widest_m, self._touched = 0.0, 0
@@ -88,29 +89,30 @@ class GraspRun:
         self._widest_m, self._touched = 0.0, 0
 
     def end_ramp(self) -> None:
-        """End the running ramp at its present set-point; see `Gripper.end_ramp`."""
-        self._end.request()
+        """End the running ramp at its present set-point, from any thread; see `Gripper.end_ramp`.
+
+        Each grasp discards earlier requests.
+        """
+        self._end.set()
 
     def run(self, ramp: ForceRamp) -> GraspOutcome:
         """Approach, then follow the ramp to its end, or until it is ended on request."""
         self.forget()
-        with self._end.counting():
-            reached = self._approach(self._settings)
-            contact = reached.state
-            if reached.event is ApproachEvent.OBSTRUCTED:
-                raise _obstructed(contact)
-            if reached.event is not ApproachEvent.CONTACT:
-                closing = -contact.aperture_velocity_m_s > STANDING_M_S
-                closed = contact.aperture_m <= self._settings.aperture_min_m
-                self._confirm_empty(contact, ran=closed or closing, approached=True)
-                self._set_phase(GripperPhase.APPROACHING)
-                self._prove_closed(contact)
-                return GraspOutcome(
-                    result=GraspResult.NO_CONTACT, final_aperture_m=contact.aperture_m
-                )
-            self._widest_m = max(self._widest_m, reached.touch_m)
-            self._touched += 1
-            return self._press(ramp, reached, slip=LevelSlip(self._settings))
+        self._end.clear()
+        reached = self._approach(self._settings)
+        contact = reached.state
+        if reached.event is ApproachEvent.OBSTRUCTED:
+            raise _obstructed(contact)
+        if reached.event is not ApproachEvent.CONTACT:
+            closing = -contact.aperture_velocity_m_s > STANDING_M_S
+            closed = contact.aperture_m <= self._settings.aperture_min_m
+            self._confirm_empty(contact, ran=closed or closing, approached=True)
+            self._set_phase(GripperPhase.APPROACHING)
+            self._prove_closed(contact)
+            return GraspOutcome(result=GraspResult.NO_CONTACT, final_aperture_m=contact.aperture_m)
+        self._widest_m = max(self._widest_m, reached.touch_m)
+        self._touched += 1
+        return self._press(ramp, reached, slip=LevelSlip(self._settings))
 
     def press_pads_together(self, ramp: ForceRamp) -> GraspOutcome:
         """Close the empty fingers onto each other and follow a ramp, see `Gripper`."""
@@ -120,10 +122,10 @@ class GraspRun:
         self._closed_is_proven = True
         if reached.event is ApproachEvent.OBSTRUCTED:
             raise _obstructed(contact)
-        with self._end.counting():
-            if contact.aperture_m > ZERO_RANGE_M:
-                self._end.request()
-            return self._press(ramp, reached, slip=None)
+        self._end.clear()
+        if contact.aperture_m > ZERO_RANGE_M:
+            self._end.set()
+        return self._press(ramp, reached, slip=None)
 
     def _press(self, ramp: ForceRamp, reached: Approach, *, slip: LevelSlip | None) -> GraspOutcome:
         """Follow a ramp on the touched part; forget a part that is lost on the ramp."""
@@ -224,41 +226,45 @@ class RampTime:
         self._waited_s: float | None = None
         self.asked_n = ramp.final_n
         """Planned force in N at the end of the ramp."""
-        self.ramp = ramp
-        self.elapsed_s = 0.0
-        """Time since the beginning of the ramp in s."""
+        self._begin(ramp)
 
-    @property
-    def setpoint_n(self) -> float:
+    def _begin(self, ramp: ForceRamp) -> None:
+        self.ramp, self.elapsed_s, self._waited_s = ramp, 0.0, None
+        self._look()
+
+    def _look(self) -> None:
+        segment, within_s = self.ramp.at(self.elapsed_s)
+        self.setpoint_n = segment.force_n(within_s)
         """Present set-point in N."""
-        return self.ramp.setpoint_n(self.elapsed_s)
-
-    @property
-    def level(self) -> int | None:
+        self.arrival_n = segment.end_n
+        """End of the present change of force in N."""
+        self.level = segment.level
         """Index of the held level; None on the way to it."""
-        return None if self._waited_s is not None else self.ramp.level_at(self.elapsed_s)
 
     def pass_by(self, dt_s: float, force_n: float, aperture_m: float) -> None:
         """Advance by ``dt_s`` s, at a force of ``force_n`` N and an opening in m.
 
         A rise ends with closed fingers: part and foam yield without more force.
         """
-        least_m, least_n = self._settings.least_pressed_m, self._settings.contact_force_n
-        if aperture_m <= least_m and least_n <= self.setpoint_n < self.ramp.final_n:
-            self.ramp = self.ramp.ended_at(self.elapsed_s, most_n=max(force_n, least_n))
-            self.elapsed_s, self._waited_s = 0.0, None
+        settings, least_n = self._settings, self._settings.contact_force_n
+        closed = aperture_m <= settings.least_pressed_m
+        if closed and least_n <= self.setpoint_n < self.ramp.final_n:
+            self._begin(self.ramp.ended_at(self.elapsed_s, most_n=max(force_n, least_n)))
             return
         if self._waited_s is None:
-            changed = self.ramp.level_at(self.elapsed_s) is None
+            changed = self.level is None
             self.elapsed_s += dt_s
-            if not changed or self.ramp.level_at(self.elapsed_s) is None:
+            self._look()
+            if not changed or self.level is None:
                 return
             self._waited_s = 0.0
-        setpoint_n = self.setpoint_n
-        near_n = self._settings.settle_tolerance_at_n(setpoint_n)
         self._waited_s += dt_s
-        if force_n >= setpoint_n - near_n or self._waited_s > self._settings.settle_timeout_s:
+        least_n = self.setpoint_n - settings.settle_tolerance_at_n(self.setpoint_n)
+        self._look()
+        if force_n >= least_n or self._waited_s > settings.settle_timeout_s:
             self._waited_s = None
+        else:
+            self.level = None
 
     def settled(self, force_n: float) -> bool:
         """Return whether the ramp is over and its force reached, or its time is over."""
@@ -320,8 +326,7 @@ class GripStep:
     def _action(self, moment: Moment, control: GripControl) -> Action:
         """Return the action of one period at the present time on the ramp."""
         setpoint_n, level = self._time.setpoint_n, self._time.level
-        arrival_n = self._time.ramp.arrival_n(self._time.elapsed_s)
-        goals = control.goals(moment, setpoint_n, arrival_n=arrival_n)
+        goals = control.goals(moment, setpoint_n, arrival_n=self._time.arrival_n)
         self._peak_n = max(self._peak_n, control.force_n)
         if self.lost:
             goals = tuple(
@@ -378,7 +383,7 @@ class ContactStep(GripStep):
         linkage: Linkage,
         ramp: ForceRamp,
         reached: Approach,
-        end: RampEnd,
+        end: threading.Event,
         *,
         slip: LevelSlip | None,
     ) -> None:
@@ -420,7 +425,7 @@ class ContactStep(GripStep):
     def _ends_early(self) -> bool:
         """Return whether to end the ramp now: requested, not over, and enough to hold a part."""
         return (
-            self._end.requested
+            self._end.is_set()
             and self._time.ramp.duration_s - self._time.elapsed_s > _EQUAL_S
             and self._time.setpoint_n >= self._settings.contact_force_n
         )

@@ -1,8 +1,6 @@
 """Force ramp: the set-point of the grip force over time as a value, its limits and its end."""
 
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, inf, pi
 
@@ -80,14 +78,8 @@ class ForceRamp:
         cls, force_n: float, rate_n_s: float, hold_s: float = 0.0, start_n: float = 0.0
     ) -> "ForceRamp":
         """Return a straight line from start_n to force_n at rate_n_s (a magnitude), then a hold."""
-        check_number("force_n", force_n, low=0.0)
-        check_number("start_n", start_n, low=0.0)
-        rise_s = abs(force_n - start_n) / check_number("rate_n_s", rate_n_s, above=0.0)
-        return cls(
-            segments=(
-                RampSegment(duration_s=rise_s, start_n=start_n, end_n=force_n),
-                _hold(force_n, check_number("hold_s", hold_s, low=0.0), 0),
-            )
+        return cls.staircase(
+            (check_number("force_n", force_n, low=0.0),), rate_n_s, hold_s, start_n
         )
 
     @classmethod
@@ -147,23 +139,23 @@ class ForceRamp:
 
     def setpoint_n(self, elapsed_s: float) -> float:
         """Return the force in N at a time since the start; the ends extend without bound."""
-        segment, within_s = self._at(elapsed_s)
+        segment, within_s = self.at(elapsed_s)
         return segment.force_n(within_s)
 
-    def arrival_n(self, elapsed_s: float) -> float:
-        """Return the force in N at which the present piece ends."""
-        return self._at(elapsed_s)[0].end_n
-
-    def level_at(self, elapsed_s: float) -> int | None:
-        """Return the index of the level held at that time, None while the force changes."""
-        return self._at(elapsed_s)[0].level
+    def at(self, elapsed_s: float) -> tuple[RampSegment, float]:
+        """Return the piece of a time since the start, and the time within it, both in s."""
+        for segment in self.segments[:-1]:
+            if elapsed_s < segment.duration_s:
+                return segment, elapsed_s
+            elapsed_s -= segment.duration_s
+        return self.segments[-1], elapsed_s
 
     def ended_at(self, elapsed_s: float, *, most_n: float = inf) -> "ForceRamp":
         """Return a ramp that ends at the force of a time since the start, without a hold.
 
         Its level is the one held then, or else the next one, with at most ``most_n`` N.
         """
-        segment, within_s = self._at(elapsed_s)
+        segment, within_s = self.at(elapsed_s)
         following = self.segments[self.segments.index(segment) :]
         level = next((s.level for s in following if s.level is not None), None)
         return ForceRamp(segments=(_hold(min(segment.force_n(within_s), most_n), 0.0, level),))
@@ -196,13 +188,6 @@ class ForceRamp:
     def _lead_in(self, from_n: float, to_n: float) -> RampSegment:
         duration_s = abs(to_n - from_n) / (self.max_rate_n_s or 1.0)
         return RampSegment(duration_s=duration_s, start_n=from_n, end_n=to_n)
-
-    def _at(self, elapsed_s: float) -> tuple[RampSegment, float]:
-        for segment in self.segments[:-1]:
-            if elapsed_s < segment.duration_s:
-                return segment, elapsed_s
-            elapsed_s -= segment.duration_s
-        return self.segments[-1], elapsed_s
 
 
 def largest_ramp_n(settings: GripperSettings, linkage: Linkage) -> float:
@@ -265,35 +250,6 @@ def heat_note(force_n: float, settings: GripperSettings, linkage: Linkage) -> st
                 f"take a shorter lever or a stronger servo"
             )
     return note
-
-
-class RampEnd:
-    """Request to end a ramp at its present force, from any thread.
-
-    It has an effect only during a grasp: a late request is not kept for the next one.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._running = False
-        self.requested = False
-        """True when the ramp of the running grasp must end."""
-
-    @contextmanager
-    def counting(self) -> Iterator[None]:
-        """Accept requests from the beginning of a grasp to its end."""
-        with self._lock:
-            self._running, self.requested = True, False
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._running = self.requested = False
-
-    def request(self) -> None:
-        """Request the end of the running grasp's ramp; does nothing without a grasp."""
-        with self._lock:
-            self.requested = self._running
 
 
 def _hold(force_n: float, duration_s: float, level: int | None) -> RampSegment:

@@ -17,8 +17,8 @@ from cell.runtime.lease import Lease
 from cell.service.service import RELEASE_KEY, Service
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.force.loop import Action
-from gripper.force.supervision.doubt import Doubted
 from gripper.force.supervision.empty_grip import EmptyGrip
+from gripper.force.supervision.part_watch import PartWatch
 from gripper.gripper import Gripper
 from gripper.servos.group import Servos
 from gripper.values.state import GripperPhase
@@ -123,7 +123,7 @@ def test_a_grip_that_a_fault_opens_and_torque_that_comes_by_itself_are_found(
 def test_a_part_that_the_cell_lets_go_by_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     fault = "unit.force_gain=0@contact+80ms"
     drive(fault=fault)
-    monkeypatch.setattr(Doubted, "lost", lambda *_: True)
+    monkeypatch.setattr(PartWatch, "_confirmed", lambda *_: True)
     monkeypatch.setattr(EmptyGrip, "step", lambda *_: Action(done=True))
     with pytest.raises(InvariantBroken, match=r"open by themselves on a part .* [123]\.\d"):
         drive(fault=fault)

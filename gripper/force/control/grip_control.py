@@ -10,7 +10,6 @@ from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.history import History
 from gripper.force.estimates.stiffness import KNOWN_N
 from gripper.force.loop import Moment
-from gripper.force.supervision.pad_checks import PadChecks
 from gripper.force.supervision.part_watch import PartWatch
 from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n, transmissions
 from gripper.servos.goal_limits import ServoGoal
@@ -52,7 +51,7 @@ class GripControl:
             stiffness=reached.stiffness,
             apertures=History(),
             setpoint_n=force_n,
-            asked_n=force_n,
+            planned_n=force_n,
             force_n=force_n,
             balance_n=force_n,
             drive_n=force_n,
@@ -61,10 +60,9 @@ class GripControl:
         yielded_m = max(reached.touch_m - state.aperture_m, 0.0)
         # A high load at the first touch: stiff, or no part at all.
         contact_n_m = force_n / max(yielded_m, GRAIN_M) if force_n > KNOWN_N else None
-        self.watch = PartWatch(grip, contact_n_m)
-        """Decides whether the part is gone; called before `goals` in each period."""
         given_m = GIVE_RAD * sum(map(linkage.opening_per_rad_m, state.angles_rad))
-        self._checks = PadChecks(settings, state, now_s, widest_m=state.aperture_m + given_m)
+        self.watch = PartWatch(grip, contact_n_m, widest_m=state.aperture_m + given_m)
+        """Decides whether the part is gone; called before `goals` in each period."""
         # The opening shrinks by the yield of both pads, and each end of it is off by a grain.
         yielded_m += 2.0 * GRAIN_M
         pad_n_m = 2.0 * _HARDENS * max(force_n, self.watch.pads.empty_n) / yielded_m
@@ -81,7 +79,6 @@ class GripControl:
     def resume(self) -> None:
         """Begin again after a pause: samples from before it are discarded."""
         self.watch.resume()
-        self._checks.resume()
         self._law.resume()
 
     def goals(
@@ -105,7 +102,7 @@ class GripControl:
         Raises
         ------
         ForceImbalance, PositionContradicted
-            As `PadChecks.check`.
+            As `PartWatch.check_pads`.
         LimitExceeded
             When the pads jump or contradict the currents, see `ForceLaw`.
         """
@@ -116,7 +113,7 @@ class GripControl:
         usable = sample is not None and sample.valid and not self.watch.doubts
         if sample is not None and usable:
             self.watch.pads.take(sample)
-            self._checks.check(moment, self.watch.pads, rises=rises_n > 0.0)
+            self.watch.check_pads(moment, rises=rises_n > 0.0)
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
         period = Period(
             moment=moment,

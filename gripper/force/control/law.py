@@ -278,7 +278,7 @@ class ForceLaw:
             self._begin(period.moment.now_s)
         observer = self.observer
         self._advance_plan(period)
-        grip.asked_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
+        grip.planned_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
         if sample is not None and sample.by_current:
             grip.force_n = grip.balance_n = sample.grip_n
             return min(self._edge_n(period), period.drive_max_n)

@@ -22,7 +22,7 @@ class Grip:
     """Opening of the last periods in m."""
     setpoint_n: float
     """Set-point of the grip force in N in the last period."""
-    asked_n: float
+    planned_n: float
     rate_n_s: float = 0.0
     """Commanded force in N now, on the way to the set-point, and its rate in N/s."""
     force_n: float

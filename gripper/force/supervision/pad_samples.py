@@ -62,16 +62,21 @@ class PadSamples:
         return max(self.recent.finger_means_n) < self.empty_n
 
     @property
+    def newest_text(self) -> str:
+        """Force of the newest sample on both fingers as text."""
+        return "{:.2f} and {:.2f} N".format(*self.recent.newest.force_n)
+
+    @property
     def before_n(self) -> float:
         """Largest grip force in N of the look-back window, a mean of enough samples."""
         return max((force_n for _, force_n in self._before_n), default=0.0)
 
-    def suddenly_empty(self, asked_n: float) -> bool:
-        """Return whether almost no force is left although ``asked_n`` N were requested.
+    def suddenly_empty(self, planned_n: float) -> bool:
+        """Return whether almost no force is left although ``planned_n`` N were planned.
 
         One sample is enough if its noise cannot hide the earlier force; a fast sensor needs more.
         """
-        much_n = min(asked_n, self.before_n)
+        much_n = min(planned_n, self.before_n)
         if much_n <= _SUDDEN_RATIO * self.empty_n:
             return False
         newest = self._newest(much_n)

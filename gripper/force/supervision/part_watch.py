@@ -1,26 +1,100 @@
-"""Decision that a gripped part is gone: pads compared with frames, motors and opening."""
+"""Watch of a gripped part: whether it is there, and whether pads and fingers agree.
+
+Force samples alone do not decide: a control unit with zero messages would let a held part go.
+Another measurement must confirm them: fingers that run together, or a newer whole frame. If a frame
+still shows load, or the motors press and the fingers stand, the measurements contradict each other:
+this is a fault, and the grip is kept.
+"""
 
 from collections import deque
-from collections.abc import Callable
+from math import inf
+from typing import NamedTuple
 
+from gripper.errors import ForceImbalance, GripContradicted, PositionContradicted
 from gripper.force.estimates.grip import Grip
+from gripper.force.estimates.stiffness import KNOWN_N
 from gripper.force.loop import Moment
-from gripper.force.supervision.doubt import (
-    BREAKAWAY_SHARE,
-    Doubted,
-    Evidence,
-    Motion,
-    Sure,
-    Suspected,
-)
-from gripper.force.supervision.pad_samples import PadSamples
-from gripper.force.supervision.runaway import Runaway
+from gripper.force.supervision.pad_samples import HELD_SHARE, FrameMean, PadSamples
 from gripper.mechanics.kinematics import driving_n, mean_friction_n, transmissions
-from gripper.values.recent import LOOK_BACK_S
+from gripper.values.force_sensor import ForceSample
+from gripper.values.recent import FRAME_S, LOOK_BACK_S
+from gripper.values.state import GRAIN_M, STANDING_M_S, ServoFeedback
+
+_EMPTY_S = 5 * FRAME_S
+"""Time in s for which pads must be empty before a part may be lost, and for which loaded pads must
+contradict a position before an error: five frames."""
+_RUN_M_S, RUN_M = 0.008, 3 * GRAIN_M
+"""Growth of the closing speed in m/s, and travel in m, above which nothing holds the fingers apart:
+three counts of the servos' velocity, three counts of an encoder. On a part fingers come to rest
+under a constant drive. [resolution]"""
+_FIRM_N_M = 1000.0
+"""Least stiffness in N/m of a part with which this travel is no oscillation. [tuned]"""
+_FOLLOWS_S = 0.03
+"""Time in s for which fingers on a part keep their speed under a constant drive. [tuned]"""
+SOFTEST_N_M = 200.0
+"""Stiffness in N/m of a part with unknown stiffness: foam. [chosen]"""
+_STAND_S, _STAND_M, _STAND_M_S = 0.04, GRAIN_M, 1.5 * STANDING_M_S
+"""Time in s, and limits of travel in m and speed in m/s, of standing fingers: free fingers travel
+several times as far with a drive of `_PRESSING_N`. [tuned]"""
+_PRESSING_N, BREAKAWAY_SHARE = 1.0, 0.3
+"""Driving force in N beyond friction at rest that certainly moves free fingers, and the largest
+ratio of that friction to friction in motion. [assumed]"""
+_UNDECIDED_S = 0.3
+"""Longest time in s until another measurement confirms the loss; then it counts as contradicted.
+[chosen]"""
+_RUNAWAY_RESERVE, _RUNAWAY_N = 2.0, 1.0
+"""Largest closing speed of a ramp on the part, in multiples of that by its stiffness; and growth of
+the load in N by a known stiffness above which the travel alone shows that the part is gone.
+[tuned]"""
+_BLIND_N, _BLIND_SHARE = 6.0, 0.05
+"""Growth of the force in N that the stiffness predicts for a travel, and the share of it below
+which the pads do not measure the load of the fingers. [tuned]"""
+STEADY_S = 0.3
+"""Time in s of a hold until force and fingers rest, with any part. [tuned]"""
+_SINKS_S, _CREEP_M = 0.1, 0.0005
+"""Time in s after a rise until the fingers stand, and the distance in m by which foam may yield
+after it: a sixth of the yield of two pads of 3 mm. [chosen]"""
+ADVICE = (
+    "A part that one of them still shows is not let go: the goals are frozen and the grip kept. "
+    "Look at the part, check control unit, pads and cable, then clear the fault and release"
+)
+
+
+class _Motion(NamedTuple):
+    """Fingers and their drive at one time."""
+
+    t_s: float
+    aperture_m: float
+    closing_m_s: float
+    drive_n: float
+
+
+class _Doubt:
+    """Samples that show empty pads: the fingers, the force and the frames since their beginning.
+
+    Parameters
+    ----------
+    began
+        The fingers' motion at the beginning.
+    force_n
+        Grip force before it in N.
+    since_s
+        Monotonic time of the first of these samples in s.
+    """
+
+    def __init__(self, began: _Motion, force_n: float, since_s: float) -> None:
+        self.began, self.force_n = began, force_n
+        self.frames = FrameMean(since_s)
+        self.empty_s = 0.0
+        """Time in s for which the pads have been empty."""
+        self.acts_s: float | None = None
+        """Monotonic time in s from which the samples are not used for control; None before."""
+        self.shown = ""
+        """What the samples showed then, as text."""
 
 
 class PartWatch:
-    """Decides whether a gripped part is gone.
+    """Decides whether a gripped part is gone, and compares its pads with the fingers.
 
     Parameters
     ----------
@@ -28,34 +102,38 @@ class PartWatch:
         What is known of the grip; its owner adds to it.
     contact_n_m
         Stiffness in N/m that the first touch showed; None where it did not.
+    widest_m
+        Opening in m beyond which no part can press on both pads.
     """
 
-    def __init__(self, grip: Grip, contact_n_m: float | None) -> None:
+    def __init__(self, grip: Grip, contact_n_m: float | None, *, widest_m: float = inf) -> None:
         self.pads = PadSamples(grip.settings)
         """Newest force samples."""
+        self.ran = False
+        """Whether the fingers have run together, unlike on any part."""
         self._grip = grip
         self._contact_n_m = contact_n_m
-        self._motions: deque[Motion] = deque()
-        self._runaway = Runaway(grip, self.pads)
-        self._stages: dict[type[Sure], Sure] = {one: one() for one in (Sure, Suspected, Doubted)}
-        self._stage = self._stages[Sure]
-        self._was_held = self._ran = False
+        self._motions: deque[_Motion] = deque()
+        self._doubt: _Doubt | None = None
+        self._was_held = False
+        self._run_from: tuple[float, float, float] | None = None
+        self._ahead_from: tuple[float, float] | None = None
+        self._steady_s = 0.0
+        self._widest_m, self._sunk_m = widest_m, grip.apertures.newest
+        self._rose_s: float | None = None
+        self._contradicted_s = self._uneven_s = 0.0
 
     @property
     def doubts(self) -> bool:
         """Whether the samples must not be used for control: they show a part as gone."""
-        return isinstance(self._stage, Doubted)
-
-    @property
-    def ran(self) -> bool:
-        """Whether the fingers have run together, unlike on any part."""
-        return self._ran or (isinstance(self._stage, Doubted) and self._stage.ran)
+        return self._doubt is not None and self._doubt.acts_s is not None
 
     def resume(self) -> None:
         """Begin again after a pause: earlier values are discarded."""
         self.pads.clear()
         self._motions.clear()
-        self._stage = self._stages[Sure]
+        self._doubt = None
+        self._uneven_s = 0.0
 
     def lost(self, moment: Moment) -> bool:
         """Return whether the part is gone.
@@ -72,46 +150,203 @@ class PartWatch:
         """
         grip, pads, state, sample = self._grip, self.pads, moment.state, moment.sample
         closing_m_s = -state.aperture_velocity_m_s
-        self._motions.append(Motion(moment.now_s, state.aperture_m, closing_m_s, grip.balance_n))
+        self._motions.append(_Motion(moment.now_s, state.aperture_m, closing_m_s, grip.balance_n))
         while moment.now_s - self._motions[0].t_s > LOOK_BACK_S:
             self._motions.popleft()
-        seen = sample is not None and sample.valid
-        if sample is not None and seen:
+        if sample is not None and sample.valid:
             pads.take(sample)
-            self._was_held |= grip.asked_n >= grip.settings.contact_force_n
-        # If noise has ended the approach slightly early, no part can be lost.
-        seen &= self._was_held
-        paths = transmissions(grip.settings, grip.linkage, state.angles_rad)
-        breakaway_n = (1.0 + BREAKAWAY_SHARE) * mean_friction_n(paths)
+            # If noise has ended the approach slightly early, no part can be lost.
+            self._was_held |= grip.planned_n >= grip.settings.contact_force_n
+            if self._was_held:
+                self._compare(moment, sample)
         stiffness_n_m = grip.stiffness.stiffness_n_m
         if stiffness_n_m is None:
             stiffness_n_m = self._contact_n_m
-        empty, sudden = seen and pads.empty, seen and pads.suddenly_empty(grip.asked_n)
-        pressing_n, motions = driving_n(state, paths) - breakaway_n, tuple(self._motions)
-        evidence = Evidence(
-            moment, pads, empty, sudden, motions, grip.apertures, stiffness_n_m, pressing_n
-        )
-        if seen:
-            self._stage.step(evidence)
-            while (target := self._due(evidence)) is not None:
-                before, self._stage = self._stage, self._stages[target]
-                self._stage.enter(evidence, before)
         closed = state.aperture_m < grip.settings.aperture_min_m and not pads.loaded
-        runs_away = self._runaway.found(moment, stiffness_n_m)
-        self._ran = closed or runs_away
-        return self._ran or self._stage.lost(evidence)
+        runs_away = self._runs_away(moment, stiffness_n_m)
+        self.ran = closed or runs_away
+        return self.ran or (self.doubts and self._confirmed(moment, stiffness_n_m))
 
-    def _due(self, evidence: Evidence) -> type[Sure] | None:
-        for source, condition, target in TRANSITIONS:
-            if type(self._stage) is source and condition(self._stage, evidence):
-                return target
-        return None
+    def _compare(self, moment: Moment, sample: ForceSample) -> None:
+        """Begin or end a doubt by a valid sample; GripContradicted when it shows the part again."""
+        pads, doubt = self.pads, self._doubt
+        empty, sudden = pads.empty, pads.suddenly_empty(self._grip.planned_n)
+        if doubt is None:
+            if not (empty or sudden):
+                return
+            # The first fingers' motion that this sample may have missed.
+            since_s = sample.t_s - 2.0 * sample.lag_s
+            motions = self._motions
+            began = next((m for m in reversed(motions) if m.t_s <= since_s), motions[0])
+            self._doubt = doubt = _Doubt(began, pads.before_n, sample.t_s)
+        elif self.doubts and pads.loaded_again(doubt.force_n):
+            raise self._contradicted(moment, doubt, f"now it is {pads.newest_text} again")
+        doubt.frames.push(sample)
+        doubt.empty_s = doubt.empty_s + moment.dt_s if empty else 0.0
+        if doubt.acts_s is not None:
+            return
+        if not (empty or sudden):
+            self._doubt = None
+        elif sudden or doubt.empty_s > _EMPTY_S:
+            doubt.acts_s, doubt.shown = moment.now_s, pads.newest_text
+
+    def _confirmed(self, moment: Moment, stiffness_n_m: float | None) -> bool:
+        """Return whether another measurement confirms the loss; else may raise GripContradicted.
+
+        Free fingers without a drive also stand: `EmptyGrip` tests this before they open.
+        """
+        doubt, motion, grip = self._doubt, self._motions[-1], self._grip
+        assert doubt is not None
+        assert doubt.acts_s is not None
+        stiffness_n_m = stiffness_n_m or SOFTEST_N_M
+        if _run(moment, motion, doubt.began, stiffness_n_m):
+            self.ran = stiffness_n_m >= _FIRM_N_M
+            return True
+        if doubt.frames and min(doubt.frames.finger_means_n) > self.pads.loaded_n:
+            first_n, second_n = doubt.frames.finger_means_n
+            shows = f"a frame scanned since then shows {first_n:.2f} and {second_n:.2f} N"
+            raise self._contradicted(moment, doubt, shows)
+        paths = transmissions(grip.settings, grip.linkage, moment.state.angles_rad)
+        friction_n = (1.0 + BREAKAWAY_SHARE) * mean_friction_n(paths)
+        pressing_n = driving_n(moment.state, paths) - friction_n
+        if pressing_n < _PRESSING_N:
+            return bool(doubt.frames) or moment.sample is None or moment.sample.frame_s is None
+        waited_s = motion.t_s - doubt.acts_s
+        if (
+            waited_s >= _STAND_S
+            and abs(grip.apertures.at(motion.t_s - _STAND_S) - motion.aperture_m) <= _STAND_M
+            and abs(motion.closing_m_s) <= _STAND_M_S
+        ):
+            shows = (
+                f"the fingers stand at an opening of {1e3 * motion.aperture_m:.1f} mm although the "
+                f"motors press with {pressing_n:.1f} N beyond friction"
+            )
+            raise self._contradicted(moment, doubt, shows)
+        if waited_s >= _UNDECIDED_S:
+            raise self._contradicted(moment, doubt, "neither frames nor fingers confirm that")
+        return False
+
+    def _contradicted(self, moment: Moment, doubt: _Doubt, shows: str) -> GripContradicted:
+        since_ms = 1e3 * (moment.now_s - doubt.began.t_s)
+        return GripContradicted(
+            f"the force samples fell from {doubt.force_n:.2f} N to {doubt.shown} "
+            f"{since_ms:.0f} ms ago, below {self.pads.empty_n:.2f} N a pad is empty; {shows}. "
+            f"{ADVICE}"
+        )
+
+    def _runs_away(self, moment: Moment, stiffness_n_m: float | None) -> bool:
+        """Return whether the fingers close faster, and farther, than is possible on a part.
+
+        On a soft part they run far when friction breaks, and its stiffness is uncertain before the
+        force has grown: then the pads decide, by a sample after the start. Later, and in a steady
+        hold, the travel is enough.
+        """
+        state, sample, settings = moment.state, moment.sample, self._grip.settings
+        rate_n_s, recent = self._grip.rate_n_s, self.pads.recent
+        self._steady_s = 0.0 if rate_n_s != 0.0 else self._steady_s + moment.dt_s
+        if stiffness_n_m is None and rate_n_s != 0.0:
+            return False
+        wanted_m_s = 0.0 if stiffness_n_m is None else max(0.0, rate_n_s / stiffness_n_m)
+        most_m_s = settings.runaway_speed_m_s + _RUNAWAY_RESERVE * wanted_m_s
+        if -state.aperture_velocity_m_s <= most_m_s:
+            self._run_from = self._ahead_from = None
+            return False
+        force_n = recent.grip_n if recent else 0.0
+        if self._run_from is None:
+            self._run_from = moment.now_s, state.aperture_m, force_n
+            self._ahead_from = state.aperture_m, force_n
+        began_s, began_m, began_n = self._run_from
+        travel_m = began_m - state.aperture_m
+        if sample is not None and sample.valid:
+            late_n = [one.grip_n for one in recent if one.measured_s >= began_s]
+            if late_n:
+                mean_n = sum(late_n) / len(late_n)
+                if mean_n > max(self.pads.empty_n, HELD_SHARE * began_n):
+                    self._run_from = moment.now_s, state.aperture_m, force_n
+                    return self._meets_nothing(state, sample, stiffness_n_m)
+                return travel_m >= settings.runaway_travel_m
+        yields_m = inf if stiffness_n_m is None else _RUNAWAY_N / stiffness_n_m
+        known = self._steady_s > STEADY_S or began_n > KNOWN_N
+        return known and travel_m >= max(settings.runaway_travel_m, yields_m)
+
+    def _meets_nothing(
+        self, state: ServoFeedback, sample: ForceSample, stiffness_n_m: float | None
+    ) -> bool:
+        """Return whether fingers that run ahead meet nothing although the pads are loaded.
+
+        The force does not grow with their travel. One finger alone may be a drifting encoder.
+        """
+        if stiffness_n_m is None or self._ahead_from is None:
+            return False
+        settings, linkage = self._grip.settings, self._grip.linkage
+        began_m, began_n = self._ahead_from
+        travel_m = began_m - self._grip.apertures.at(sample.measured_s)
+        promised_n = stiffness_n_m * travel_m
+        least_m_s = 0.5 * settings.runaway_speed_m_s / len(state.servos)
+        return (
+            all(
+                -servo.velocity_rad_s * linkage.opening_per_rad_m(servo.angle_rad) > least_m_s
+                for servo in state.servos
+            )
+            and travel_m >= settings.runaway_travel_m
+            and promised_n >= _BLIND_N
+            and self.pads.recent.grip_n - began_n < _BLIND_SHARE * promised_n
+        )
+
+    def check_pads(self, moment: Moment, *, rises: bool) -> None:
+        """Compare the newest samples with the opening, and those of both fingers.
+
+        ``rises``: whether the set-point is higher than in the last period.
+
+        Raises
+        ------
+        PositionContradicted
+            When pads are loaded although the fingers, by their position, cannot press on a part.
+        ForceImbalance
+            When the forces of the fingers differ for too long.
+        """
+        if rises or self._rose_s is None:
+            self._rose_s = moment.now_s
+        if moment.now_s - self._rose_s <= _SINKS_S:
+            self._sunk_m = moment.state.aperture_m
+        # No part presses on both pads of fingers that are wider open than at the contact, or
+        # closed. A small part in the foam may sink further by the creep of the foam.
+        settings, aperture_m = self._grip.settings, moment.state.aperture_m
+        least_m = min(settings.least_pressed_m, self._sunk_m - _CREEP_M)
+        possible = least_m <= aperture_m <= self._widest_m or not self.pads.loaded
+        self._contradicted_s = 0.0 if possible else self._contradicted_s + moment.dt_s
+        first_n, second_n = self.pads.recent.finger_means_n
+        if self._contradicted_s >= _EMPTY_S:
+            raise PositionContradicted(
+                f"the servos report an opening of {aperture_m * 1e3:.1f} mm while the pads "
+                f"measure {first_n:.2f} and {second_n:.2f} N on a part that can be from "
+                f"{least_m * 1e3:.1f} to {self._widest_m * 1e3:.1f} mm wide: a position is wrong, "
+                f"or the pads press on each other; the goals are frozen and the grip kept. Look at "
+                f"the part, check encoder, horn and linkage, then clear the fault and release"
+            )
+        allowed_n = max(settings.imbalance_n, settings.imbalance_share * 0.5 * (first_n + second_n))
+        even = abs(first_n - second_n) <= allowed_n
+        self._uneven_s = 0.0 if even else self._uneven_s + moment.dt_s
+        if self._uneven_s > settings.imbalance_s:
+            raise ForceImbalance(
+                f"the fingers press with {first_n:.2f} and {second_n:.2f} N, a difference of "
+                f"{allowed_n:.2f} N is allowed for {settings.imbalance_s} s: both are frozen; "
+                f"check whether a finger is blocked or a pad is blind"
+            )
 
 
-TRANSITIONS: tuple[tuple[type[Sure], Callable[[Sure, Evidence], bool], type[Sure]], ...] = (
-    (Sure, lambda _, seen: seen.empty or seen.sudden, Suspected),
-    (Suspected, lambda _, seen: not (seen.empty or seen.sudden), Sure),
-    (Suspected, lambda suspected, seen: seen.sudden or suspected.lasts, Doubted),
-)
-"""Stage of the doubt, condition of its end, and next stage. The last one ends with the loss of the
-part, or with a contradiction, which is a fault."""
+def _run(moment: Moment, motion: _Motion, began: _Motion, stiffness_n_m: float) -> bool:
+    """Return whether all fingers have closed since then, unlike on any part.
+
+    A grown drive makes a part yield, and the earlier drive does so for a moment; but on a part the
+    fingers then become slower.
+    """
+    if any(servo.velocity_rad_s > 0.0 for servo in moment.state.servos):
+        return False
+    yields_m = max(0.0, motion.drive_n - began.drive_n) / stiffness_n_m
+    travel_m = began.aperture_m - motion.aperture_m
+    before_m_s = max(0.0, began.closing_m_s)
+    before_m = before_m_s * min(motion.t_s - began.t_s, _FOLLOWS_S)
+    far = travel_m >= RUN_M + yields_m + before_m and motion.closing_m_s >= before_m_s
+    faster = motion.closing_m_s - before_m_s >= _RUN_M_S and travel_m >= yields_m
+    return far or faster

@@ -8,7 +8,7 @@ from math import exp, hypot, sqrt
 
 from gripper.errors import PartSlipped
 from gripper.force.loop import Moment
-from gripper.force.supervision.runaway import STEADY_S
+from gripper.force.supervision.part_watch import STEADY_S
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.recent import FRAME_S, RecentForce

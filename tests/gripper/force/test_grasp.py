@@ -9,7 +9,7 @@ import pytest
 from gripper.errors import ForceSensorStale, GraspStopped, PartLost
 from gripper.force.grasp import GripStep, HoldStep, RampTime
 from gripper.force.loop import Moment
-from gripper.force.ramp import ForceRamp, RampEnd
+from gripper.force.ramp import ForceRamp
 from gripper.servos.goal_limits import ServoGoal
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspResult
@@ -186,16 +186,6 @@ def test_any_thread_may_ask(started) -> None:
     asking = Asking(started, 4.0)
     asking.acts = (from_elsewhere,)
     assert started.gripper.grasp(LINEAR, asking).ended_early
-
-
-def test_requests_count_during_a_grasp_only() -> None:
-    end = RampEnd()
-    end.request()
-    with end.counting():
-        assert not end.requested
-        end.request()
-        assert end.requested
-    assert not end.requested
 
 
 @pytest.mark.slow

@@ -54,8 +54,8 @@ def test_linear() -> None:
     ramp = ForceRamp.linear(8.0, rate_n_s=2.0, hold_s=1.0)
     assert ramp.duration_s == 5.0
     assert ramp.setpoint_n(1.5) == 3.0
-    assert ramp.level_at(1.0) is None
-    assert ramp.level_at(4.5) == 0
+    assert ramp.at(1.0)[0].level is None
+    assert ramp.at(4.5)[0].level == 0
     assert ramp.max_rate_n_s == 2.0
     assert ForceRamp.linear(2.0, 2.0, start_n=4.0).setpoint_n(0.5) == 3.0
 
@@ -64,11 +64,11 @@ def test_staircase_names_its_levels() -> None:
     ramp = ForceRamp.staircase((1.0, 3.0, 4.0), rate_n_s=2.0, hold_s=0.5)
     assert ramp.duration_s == pytest.approx(0.5 + 1.0 + 0.5 + 3 * 0.5)
     times_s = [0.2, 0.7, 1.5, 2.2, 2.7, 3.2, 99.0]
-    assert [ramp.level_at(t) for t in times_s] == [None, 0, None, 1, None, 2, 2]
+    assert [ramp.at(t)[0].level for t in times_s] == [None, 0, None, 1, None, 2, 2]
     assert [ramp.setpoint_n(t) for t in (0.7, 2.2, 3.2)] == [1.0, 3.0, 4.0]
     late = ramp.starting_from(2.0)
-    assert late.level_at(0.1) is None
-    assert late.level_at(0.6) == 1
+    assert late.at(0.1)[0].level is None
+    assert late.at(0.6)[0].level == 1
 
 
 def test_s_curve_is_smooth_at_its_ends() -> None:
@@ -128,6 +128,6 @@ def test_an_ended_ramp_stays_at_its_force_and_names_the_level_it_was_at_or_on_it
         ended = ramp.ended_at(elapsed_s)
         assert ended.duration_s == 0.0
         assert (ended.start_n, ended.final_n) == (force_n, force_n)
-        assert {ended.level_at(t) for t in (0.0, 1.0)} == {level}
+        assert {ended.at(t)[0].level for t in (0.0, 1.0)} == {level}
     smooth = ForceRamp.s_curve(4.0, 2.0)
     assert smooth.ended_at(1.0).final_n == pytest.approx(2.0)

@@ -1,4 +1,4 @@
-"""The watch over a part alone: stages of its doubt, and the witnesses that end it."""
+"""The watch of a part alone: its doubt, and the measurements that end it."""
 
 from dataclasses import replace
 from functools import partial
@@ -14,8 +14,7 @@ from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
-from gripper.force.supervision.doubt import RUN_M, Doubted, Sure, Suspected
-from gripper.force.supervision.part_watch import TRANSITIONS, PartWatch
+from gripper.force.supervision.part_watch import RUN_M, PartWatch
 from gripper.mechanics.kinematics import transmissions
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
@@ -73,19 +72,19 @@ class Watched:
 def watched() -> Watched:
     made = Watched()
     assert not made.period(30)
-    assert type(made.watch._stage) is Sure
+    assert made.watch._doubt is None
     return made
 
 
 def test_pads_that_are_empty_for_a_moment_are_no_doubt(watched: Watched) -> None:
-    watched.grip.asked_n = 0.7  # so little that nothing is sudden
+    watched.grip.planned_n = 0.7  # so little that nothing is sudden
     watched.force_n = watched.frame_n = 0.0
     watched.period(15)
-    assert type(watched.watch._stage) is Suspected
+    assert watched.watch._doubt is not None
     assert not watched.watch.doubts
     watched.force_n = watched.frame_n = 3.0
     assert not watched.period(15)
-    assert type(watched.watch._stage) is Sure
+    assert watched.watch._doubt is None
 
 
 def test_much_force_that_is_gone_at_once_is_doubted_and_a_frame_confirms_it(watched) -> None:
@@ -116,7 +115,7 @@ def test_fingers_that_run_together_confirm_it(watched: Watched) -> None:
 def test_another_witness_that_shows_the_part_is_a_contradiction(
     watched: Watched, changes, shows, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gripper.force.supervision.doubt._run", lambda *_: False)
+    monkeypatch.setattr("gripper.force.supervision.part_watch._run", lambda *_: False)
     watched.force_n = 0.0
     for name, value in changes.items():
         setattr(watched, name, value)
@@ -153,11 +152,7 @@ def test_one_large_sample_at_the_start_is_no_force_that_is_gone() -> None:
 def test_nothing_is_lost_that_was_never_held() -> None:
     never = Watched(force_n=0.0)
     assert not never.period(100)
-    assert type(never.watch._stage) is Sure
-
-
-def test_each_stage_can_be_reached() -> None:
-    assert {target for _, _, target in TRANSITIONS} == {Sure, Suspected, Doubted}
+    assert never.watch._doubt is None
 
 
 @pytest.mark.slow
