@@ -90,8 +90,7 @@ def loaded(modules: str) -> set[str]:
             ),
         ),
         (
-            "gripper, gripper.dynamixel.control_table, gripper.force.ramp, "
-            "gripper.force.estimates.history",
+            "gripper, gripper.dynamixel.control_table, gripper.force.ramp",
             SERVOS,
         ),
         (

@@ -3,7 +3,7 @@
 from math import inf
 
 from gripper.force.control.grip_control import GripControl
-from gripper.force.estimates.history import History
+from gripper.force.estimates.grip import History
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.identification import LoadPoint
 from gripper.mechanics.kinematics import Linkage, transmissions

@@ -6,7 +6,7 @@ from enum import Enum
 from math import inf
 
 from gripper.force.approach.contact import LOADED_SHARE, ContactDetector, FirstTouch
-from gripper.force.estimates.stiffness import StiffnessEstimate
+from gripper.force.estimates.grip import StiffnessEstimate
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
 from gripper.mechanics.kinematics import (

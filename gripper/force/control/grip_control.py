@@ -6,9 +6,7 @@ from math import hypot
 from gripper.force.approach.approach import Approach
 from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
 from gripper.force.control.law import STIFFNESS_SD, ForceLaw, Period
-from gripper.force.estimates.grip import Grip
-from gripper.force.estimates.history import History
-from gripper.force.estimates.stiffness import KNOWN_N
+from gripper.force.estimates.grip import KNOWN_N, Grip, History
 from gripper.force.loop import Moment
 from gripper.force.supervision.part_watch import PartWatch
 from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n, transmissions

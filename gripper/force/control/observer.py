@@ -17,8 +17,7 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from gripper.force.estimates.grip import Grip
-from gripper.force.estimates.history import History
+from gripper.force.estimates.grip import Grip, History
 from gripper.force.loop import Moment
 from gripper.servos.motion import position_sd_rad
 from gripper.values.force_sensor import ForceSample

@@ -1,12 +1,113 @@
-"""State of one grip that control and supervision share."""
+"""State of one grip that control and supervision share, with the stiffness of its part."""
 
+from collections import deque
 from dataclasses import dataclass, field
+from math import inf
 
-from gripper.force.estimates.history import History
-from gripper.force.estimates.stiffness import StiffnessEstimate
+from gripper.force.loop import Moment
 from gripper.mechanics.impact import impact_limit
 from gripper.mechanics.kinematics import Linkage
 from gripper.settings import GripperSettings
+from gripper.values.recent import ONE_FRAME_S
+from gripper.values.state import GRAIN_M
+
+_LENGTH = 128
+"""Periods kept of a value: 0.64 s at 200 Hz, several times the delay of a sensor. [chosen]"""
+_MEAN_SAMPLES = 3
+"""Number of samples in a mean for a stiffness: 60 ms at 50 Hz. [tuned]"""
+_TOUCH_SHARE = 0.3
+"""Share of ``contact_force_n`` below which a sample shows no touch. [tuned]"""
+KNOWN_N = 3.0
+"""Force in N from which a stiffness is known well; it is measured anew each 0.7 N. [tuned]"""
+_SLOPE_N = 0.7
+"""Growth of the force in N for one stiffness: several times the noise. [tuned]"""
+STIFFEST_N_M = 1e5
+"""Largest stiffness in N/m, of part and pads or of one pad: steel between foam is far below it.
+[chosen]"""
+
+
+class History:
+    """Values of the last periods by time."""
+
+    def __init__(self) -> None:
+        self._entries: deque[tuple[float, float]] = deque(maxlen=_LENGTH)
+        self._shift = 0.0
+
+    def add(self, now_s: float, value: float) -> None:
+        """Add the value of now."""
+        self._entries.append((now_s, value - self._shift))
+
+    @property
+    def newest(self) -> float:
+        """The value that was added last."""
+        return self._entries[-1][1] + self._shift
+
+    def at(self, t_s: float) -> float:
+        """Return the value at a time in s; the oldest one where the time is before it."""
+        for then_s, value in reversed(self._entries):
+            if then_s <= t_s:
+                return value + self._shift
+        return self._entries[0][1] + self._shift
+
+    def shift(self, by: float) -> None:
+        """Add ``by`` to all values."""
+        self._shift += by
+
+
+class StiffnessEstimate:
+    """Stiffness of the gripped part: growth of the grip force over travel, from the touch on.
+
+    It distinguishes foam from steel and need not be exact.
+
+    Parameters
+    ----------
+    settings
+        Settings of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings) -> None:
+        self._touch_n = _TOUCH_SHARE * settings.contact_force_n
+        self.apertures = History()
+        """Opening of the last periods in m."""
+        self._block: list[tuple[float, float]] = []
+        self._block_s = -inf
+        self._pairs: deque[tuple[float, float]] = deque(maxlen=_MEAN_SAMPLES)
+        self._anchor: tuple[float, float] | None = None
+        self._sample_s: float | None = None
+        self._stiffness_n_m: float | None = None
+
+    @property
+    def stiffness_n_m(self) -> float | None:
+        """Growth of the grip force for each m of closing; None before it was measured."""
+        return self._stiffness_n_m
+
+    def push(self, moment: Moment) -> None:
+        """Add the present opening and the newest sample, which may be the same as before."""
+        self.apertures.add(moment.now_s, moment.state.aperture_m)
+        sample = moment.sample
+        if sample is None or not sample.valid or sample.t_s == self._sample_s:
+            return
+        self._sample_s = sample.t_s
+        self._block.append((sample.grip_n, self.apertures.at(sample.measured_s)))
+        if sample.t_s - self._block_s < ONE_FRAME_S:
+            return
+        n = len(self._block)
+        pair = (sum(one[0] for one in self._block) / n, sum(one[1] for one in self._block) / n)
+        self._block_s = sample.t_s
+        self._block.clear()
+        if pair[0] < self._touch_n:
+            self._anchor = pair
+            self._pairs.clear()
+            return
+        self._pairs.append(pair)
+        if self._anchor is None or len(self._pairs) < _MEAN_SAMPLES:
+            return
+        mean_n = sum(pair[0] for pair in self._pairs) / _MEAN_SAMPLES
+        mean_m = sum(pair[1] for pair in self._pairs) / _MEAN_SAMPLES
+        if mean_n - self._anchor[0] >= _SLOPE_N:
+            travel_m = max(self._anchor[1] - mean_m, GRAIN_M)
+            self._stiffness_n_m = min((mean_n - self._anchor[0]) / travel_m, STIFFEST_N_M)
+            self._anchor = (mean_n, mean_m)
 
 
 @dataclass(slots=True, kw_only=True)

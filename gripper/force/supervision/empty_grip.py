@@ -4,8 +4,13 @@ from gripper.errors import GripContradicted
 from gripper.force.approach.approach import BOOST_PER_S, LEAD_M
 from gripper.force.approach.contact import LOADED_SHARE
 from gripper.force.loop import Action, Moment
-from gripper.force.supervision.pad_samples import FrameMean
-from gripper.force.supervision.part_watch import ADVICE, BREAKAWAY_SHARE, RUN_M, SOFTEST_N_M
+from gripper.force.supervision.part_watch import (
+    ADVICE,
+    BREAKAWAY_SHARE,
+    RUN_M,
+    SOFTEST_N_M,
+    FrameMean,
+)
 from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_currents_a, transmissions
 from gripper.servos.goal_limits import ServoGoal
 from gripper.settings import GripperSettings

@@ -4,9 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from gripper.force.control.law import Period
-from gripper.force.estimates.grip import Grip
-from gripper.force.estimates.history import History
-from gripper.force.estimates.stiffness import StiffnessEstimate
+from gripper.force.estimates.grip import Grip, History, StiffnessEstimate
 from gripper.force.loop import Moment
 from gripper.mechanics.kinematics import ParallelLinkage, transmissions
 from gripper.settings import GripperSettings

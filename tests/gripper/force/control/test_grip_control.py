@@ -9,7 +9,7 @@ import pytest
 from benchmarks.performance.force_ramps import PARTS, Rig
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import ForceSensorStale, GripperError, LimitExceeded
-from gripper.force.estimates.stiffness import StiffnessEstimate
+from gripper.force.estimates.grip import StiffnessEstimate
 from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample

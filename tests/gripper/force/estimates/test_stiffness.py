@@ -6,7 +6,7 @@ from statistics import median
 
 import pytest
 
-from gripper.force.estimates.stiffness import StiffnessEstimate
+from gripper.force.estimates.grip import StiffnessEstimate
 from gripper.force.loop import Moment
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample

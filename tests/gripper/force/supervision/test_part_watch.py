@@ -10,8 +10,7 @@ from benchmarks.performance.force_ramps import PARTS
 from benchmarks.performance.touch import TouchRig
 from gripper.dynamixel.models import XM430_W350
 from gripper.errors import GripContradicted, PartLost
-from gripper.force.estimates.grip import Grip
-from gripper.force.estimates.stiffness import StiffnessEstimate
+from gripper.force.estimates.grip import Grip, StiffnessEstimate
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.part_watch import RUN_M, PartWatch
