@@ -3,8 +3,7 @@
 from collections.abc import Callable, Mapping
 
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
-from gripper.force.approach.free_motion import MoveTo
-from gripper.force.approach.mechanics_proof import FirstMotion
+from gripper.force.approach.empty_motion import FirstMotion, MoveTo
 from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.grasp import GraspRun
 from gripper.force.load_trial import LoadTrial

@@ -25,8 +25,8 @@ from gripper.errors import (
     ServoFault,
     VerificationFailed,
 )
-from gripper.force.approach.free_motion import MoveTo, StandStill
-from gripper.force.approach.mechanics_proof import FirstMotion, standing_rows
+from gripper.force.approach.empty_motion import FirstMotion, MoveTo, StandStill
+from gripper.force.approach.mechanics_proof import standing_rows
 from gripper.force.by_current import ForceByCurrent, assume_friction, cap_by_current_n
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion

@@ -373,7 +373,7 @@ BOARDS = _with(FLEXITAC, (
     FaultRow(45, "unplugged at the start", "the cable of a board is out at the start",
              "board.unplugged=1", "REJECT", START_S, number=303),
     FaultRow(45, "board off", "a board falls silent",
-             "board.off=1@contact+0.105s", "HOLD", BOARD_SILENT_S, number=401),
+             "board.off=1@contact+0.1s", "HOLD", BOARD_SILENT_S, number=401),
     FaultRow(45, "board off at the start", "a board sends nothing from the start on",
              "board.off=0", "REJECT", START_S + 0.05, number=401),
     FaultRow(45, "frozen", "a board sends its last frame for ever",

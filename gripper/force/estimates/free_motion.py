@@ -36,9 +36,6 @@ the encoder in 0.08 s at 200 Hz. A point has two parts or more. [resolution]"""
 _EVEN_SHARE = 0.15
 """Share by which the currents of both halves of a free motion may differ, without what accelerates
 them. [tuned]"""
-_COMMON_SHARE = 0.7
-"""Share of the change of the friction at one speed by which that of other speeds changes, too:
-temperature changes it at all speeds. [tuned]"""
 _SAME_SPEED = 1.3
 """Ratio of speeds below which they are one point: the newest motion counts. [chosen]"""
 _FEW_POINTS, _MOST_POINTS = 4, 16
@@ -164,7 +161,8 @@ class FreeMotion:
             points.clear()
             earlier.clear()
             self._priors[servo_id] = prior = drive.distrusted
-        follows = (point.current_a / earlier[-1].current_a) ** _COMMON_SHARE if earlier else 1.0
+        # Temperature changes the friction of all speeds.
+        follows = point.current_a / earlier[-1].current_a if earlier else 1.0
         others = [one for one in points if not _alike(one, point)][1 - _MOST_POINTS :]
         points[:] = [one.at_current(follows * one.current_a, model.winding_ohm) for one in others]
         points.append(point)
