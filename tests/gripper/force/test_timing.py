@@ -75,7 +75,7 @@ def grasp_with_stall(cell: Any, stall_s: float, *, times: int = 1) -> list[Cycle
 
 @pytest.mark.parametrize("stall_s", [0.010, 0.050, 0.2])
 def test_a_ramp_never_catches_up_with_a_jump(make_cell: Any, stall_s: float) -> None:
-    cell = make_cell(watchdog_s=0.4)
+    cell = make_cell(watchdog_s=0.4, rate_hz=200.0, noise_n=0.1)
     cycles = grasp_with_stall(cell, stall_s)
     setpoints_n = [c.setpoint_n for c in cycles if c.setpoint_n > 0.0]
     assert max(np.diff(setpoints_n)) <= RATE_N_S * 2.0 * cell.gripper.settings.period_s + 1e-9
