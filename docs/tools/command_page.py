@@ -42,7 +42,7 @@ def _commands(command: Any, name: str, parent: Any) -> Iterator[_Command]:
         yield from _commands(child, f"{name} {key}", context)
     if not subcommands:
         records = [parameter.get_help_record(context) for parameter in command.params]
-        yield _Command(name, command.help, [_row(*record) for record in records])
+        yield _Command(name, command.help, [_row(*record) for record in records if record])
 
 
 def _row(written: str, meaning: str) -> tuple[str, str]:

@@ -82,7 +82,7 @@ FaultOption = Annotated[
 ]
 CaptureOption = Annotated[
     Path | None,
-    typer.Option("--capture", help="Write the simulated CAN traffic to this pcap file."),
+    typer.Option("--capture", help="Write the CAN traffic to this pcap file.", hidden=True),
 ]
 GaugeOption = Annotated[
     Path | None,

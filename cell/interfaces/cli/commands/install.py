@@ -23,9 +23,9 @@ def install(
     remove: Annotated[
         bool, typer.Option("--remove", help="Remove the files; asks before each file.")
     ] = False,
-    root: Annotated[
-        Path, typer.Option("--root", help="Folder to use as /, for example of a disk image.")
-    ] = Path("/"),
+    root: Annotated[Path, typer.Option("--root", help="Folder to use as /.", hidden=True)] = Path(
+        "/"
+    ),
 ) -> None:
     """Print udev rules, user and systemd unit of the service. Nothing is written without --apply.
 

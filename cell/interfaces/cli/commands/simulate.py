@@ -46,7 +46,7 @@ def simulate(
         ),
     ] = None,
     with_parent: Annotated[
-        bool, typer.Option("--with-parent", help="End when the parent program ends.")
+        bool, typer.Option("--with-parent", help="End when the parent program ends.", hidden=True)
     ] = False,
 ) -> None:
     """Run the simulated cell for other programs, until SIGTERM.
