@@ -159,8 +159,6 @@ class GripperSettings:
     """Cap of the measured grip force in N, at most `HARD_FORCE_CAP_N`."""
     force_noise_n: float = setting(0.5, low=0.0, high=5.0)
     """Excess of the mean of a few samples over the cap in N that noise may cause."""
-    grasp_force_max_n: float | None = setting(None, above=0.0)
-    """Largest force in N of a ramp, at most `largest_setpoint_n` of the cap; None: this limit."""
     current_max_a: float = setting(0.8, low=0.05)
     """Cap of the goal current in A, at most the stall current of each servo's model."""
     temperature_max_c: float = setting(70.0, low=30.0, high=80.0)
@@ -227,8 +225,6 @@ class GripperSettings:
                     f"current_max_a is {self.current_max_a:g} A, servo {servo.servo_id} "
                     f"({servo.model}) makes at most {most_a:g} A"
                 )
-        if self.grasp_force_max_n is not None:
-            check_number("grasp_force_max_n", self.grasp_force_max_n, high=self.force_max_n)
         if not self.corrected_registers <= CORRECTABLE:
             raise LimitExceeded(
                 f"corrected_registers names {sorted(self.corrected_registers - CORRECTABLE)}, only "
@@ -249,10 +245,7 @@ class GripperSettings:
     @property
     def grasp_force_limit_n(self) -> float:
         """Largest force in N that a ramp may ask for: its overshoot stays below the cap."""
-        largest_n = largest_setpoint_n(self.force_max_n)
-        return (
-            largest_n if self.grasp_force_max_n is None else min(largest_n, self.grasp_force_max_n)
-        )
+        return largest_setpoint_n(self.force_max_n)
 
     @property
     def watchdog_raw(self) -> int:

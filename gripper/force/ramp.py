@@ -210,14 +210,9 @@ def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> 
     """
     largest_n = max(ramp.start_n, ramp.final_n)
     if largest_n > settings.grasp_force_limit_n:
-        cap = (
-            f", so that its overshoot stays below force_max_n = {settings.force_max_n} N"
-            if settings.grasp_force_max_n is None
-            else ""
-        )
         raise LimitExceeded(
-            f"the ramp asks for {largest_n} N, the limit is "
-            f"{settings.grasp_force_limit_n:.2f} N{cap}"
+            f"the ramp asks for {largest_n} N, the limit is {settings.grasp_force_limit_n:.2f} N, "
+            f"so that its overshoot stays below force_max_n = {settings.force_max_n} N"
         )
     if ramp.final_n < settings.contact_force_n:
         raise LimitExceeded(

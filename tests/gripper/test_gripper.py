@@ -231,7 +231,7 @@ def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_started) -> None:
 
 
 def test_a_ramp_beyond_a_limit_is_refused_before_anything_moves(make_started) -> None:
-    cell = make_started(force_max_n=20.0, grasp_force_max_n=10.0, current_max_a=0.35)
+    cell = make_started(force_max_n=11.0, current_max_a=0.35)
     with pytest.raises(LimitExceeded, match=r"12.* the limit is 10"):
         cell.gripper.grasp(ForceRamp.linear(12.0, 5.0))
     with pytest.raises(LimitExceeded, match="current_max_a"):
@@ -364,7 +364,6 @@ def test_zero_position_near_the_end_of_a_turn_does_not_matter(make_started) -> N
     [
         ("force_max_n", 51.0),
         ("force_max_n", float("nan")),
-        ("grasp_force_max_n", 50.5),
         ("loop_rate_hz", 5.0),
         ("aperture_min_m", 0.05),
         ("watchdog_s", 3.0),
