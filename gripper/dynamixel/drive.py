@@ -212,6 +212,8 @@ class Drives:
         self._newest = dict(newest or {})
         self.kept: dict[str, Any] = {}
         """Values of these drives at the last angles, each with what it was computed of."""
+        self.version = 0
+        """Count of the changes: older values do not hold."""
         self.stiction = 1.5
         """Friction at rest over that in motion, as the pushes of the force law have shown it. At
         first that of an XM430, 1.3 to 1.8. [log]"""
@@ -228,7 +230,7 @@ class Drives:
     def put(self, servo_id: int, drive: DriveCharacteristic) -> None:
         """Replace that of a servo."""
         self._newest[servo_id] = drive
-        self.kept.clear()
+        self.version += 1
 
 
 class DriveReport(NamedTuple):

@@ -85,8 +85,9 @@ def impact_limit(
         and ``aperture_min_m``.
     """
     # Settings are compared by identity, which is enough and quick.
-    key = (id(settings), linkage, angles_rad and tuple(angles_rad))
-    kept: tuple[object, GripperSettings, ImpactLimit] | None = settings.drives.kept.get("impact")
+    drives = settings.drives
+    key = (drives.version, id(settings), linkage, angles_rad and tuple(angles_rad))
+    kept: tuple[object, GripperSettings, ImpactLimit] | None = drives.kept.get("impact")
     if kept is not None and kept[0] == key:
         return kept[2]
     ends_m = (settings.aperture_open_m, settings.aperture_min_m)
@@ -115,7 +116,7 @@ def impact_limit(
         momentum_n_s_m=sqrt(stiffness_n_m * mass_kg),
         load_share=load_share,
     )
-    settings.drives.kept["impact"] = key, settings, limit
+    drives.kept["impact"] = key, settings, limit
     return limit
 
 

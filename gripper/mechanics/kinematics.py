@@ -210,7 +210,7 @@ class Transmission(_Path):
         """Half the width of the friction band without a load, as grip force in N."""
         return self.drive.breakaway_a * self.n_per_a
 
-    @property
+    @cached_property
     def _passive_n(self) -> float:
         """Largest force in N that the gearing holds without a current."""
         drive = self.drive
@@ -261,7 +261,8 @@ def transmissions(
 
     A period of the loop asks for those of its feedback several times: the last ones are kept.
     """
-    drives, key = settings.drives, (settings.servos, linkage, tuple(angles_rad))
+    drives = settings.drives
+    key = (drives.version, settings.servos, linkage, tuple(angles_rad))
     kept: tuple[object, tuple[Transmission, ...]] | None = drives.kept.get("transmissions")
     if kept is not None and kept[0] == key:
         return kept[1]

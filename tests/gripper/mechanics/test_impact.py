@@ -13,7 +13,7 @@ from cell.errors import ConfigError
 from gripper.errors import LimitExceeded
 from gripper.force.approach import approach
 from gripper.mechanics.impact import approach_speed_m_s, check_approach, impact_limit
-from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.mechanics.kinematics import ParallelLinkage, transmissions
 from gripper.servos.goal_limits import GoalGuard
 from gripper.settings import GripperSettings, ServoSettings
 from tests.values import measured_drives
@@ -124,3 +124,20 @@ def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone() -> None
             passed = force_cap.trial(9008, HARMED)
     assert passed.broken, "the caller alone does not pass the cap: nothing is shown"
     assert not kept.broken, str(kept)
+
+
+def test_a_new_drive_counts_at_once_and_equal_angles_are_computed_once() -> None:
+    settings, linkage, angles_rad = GripperSettings(), LINKAGE, (0.1, 0.1)
+    paths = transmissions(settings, linkage, angles_rad)
+    limit = impact_limit(settings, linkage, angles_rad)
+    assert transmissions(settings, linkage, list(angles_rad)) is paths
+    assert impact_limit(settings, linkage, angles_rad) is limit
+    heavy = replace(paths[0].drive, breakaway_a=0.2, inertia_ratio=2.0)
+    settings.drives.put(1, heavy)
+    assert [path.drive for path in transmissions(settings, linkage, angles_rad)] == [
+        heavy,
+        paths[1].drive,
+    ]
+    assert impact_limit(settings, linkage, angles_rad).mass_kg > 1.5 * limit.mass_kg
+    capped = replace(settings, force_max_n=9.0)
+    assert impact_limit(capped, linkage, angles_rad).most_n == pytest.approx(8.1)
