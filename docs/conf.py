@@ -1,7 +1,8 @@
 """Sphinx: pages in Markdown (MyST), API pages from docstrings.
 
-A line ``<!-- api: PACKAGE -->`` in a page is replaced by the directives of the package's names. The
-tables that are made from the code stand in the pages: ``python -m docs.tools`` writes them.
+A line ``<!-- api: PACKAGE -->`` in a page is replaced by the directives of the package's names, and
+``<!-- fill: NAME -->`` by what a command of the program prints too. Other tables that are made from
+the code stand in the pages: ``python -m docs.tools`` writes them.
 """
 
 import re
@@ -14,9 +15,12 @@ from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.ext.napoleon.docstring import NumpyDocstring
 
-sys.path.insert(0, str(Path(__file__).parent / "tools"))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from api_page import api_page
+from docs.tools.api_page import api_page
+from docs.tools.command_page import command_page
+from docs.tools.config_page import config_page
+from docs.tools.faults_page import faults_page
 
 project = "tactile-cell"
 author = "The tactile-cell maintainers"
@@ -56,9 +60,14 @@ nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries: their site
 NumpyDocstring._consume_inline_attribute = lambda self: ("", self._consume_to_end())  # noqa: SLF001
 
 
+FILLED = {"command line": command_page, "config": config_page, "faults": faults_page}
+"""What makes each text that a command prints too."""
+
+
 def fill(_app: Any, _name: str, source: list[str]) -> None:
-    """Replace the markers of packages by the directives of their names."""
-    source[0] = re.sub("<!-- api: (.+?) -->", lambda found: api_page(found[1]), source[0])
+    """Replace the markers of packages by the directives of their names, others by their texts."""
+    page = re.sub("<!-- api: (.+?) -->", lambda found: api_page(found[1]), source[0])
+    source[0] = re.sub("<!-- fill: (.+?) -->", lambda found: FILLED[found[1]](), page)
 
 
 def math(self: Any, node: nodes.math | nodes.math_block) -> None:

@@ -12,9 +12,7 @@ from pathlib import Path
 from docs.tools.archive_page import archive_page
 from docs.tools.campaign_page import campaign_page, reactions_page
 from docs.tools.catalogue_page import catalogue_page
-from docs.tools.command_page import command_page
-from docs.tools.config_page import config_page
-from docs.tools.faults_page import faults_page
+from docs.tools.command_page import overview_page
 from docs.tools.modbus_page import commands_page, registers_page
 from docs.tools.recording_page import recording_page
 from docs.tools.states_page import states_page, states_picture
@@ -26,10 +24,8 @@ MAKERS: dict[str, Callable[[], str]] = {
     "archive": archive_page,
     "campaign": campaign_page,
     "catalogue": catalogue_page,
-    "command line": command_page,
+    "commands": overview_page,
     "commissioning": walk_page,
-    "config": config_page,
-    "faults": faults_page,
     "modbus commands": commands_page,
     "modbus registers": registers_page,
     "reactions": reactions_page,

@@ -21,8 +21,7 @@ class _Command(NamedTuple):
 
 def command_page() -> str:
     """Return the options that commands share, and a section for each command."""
-    command: Any = get_command(app)
-    commands = list(_commands(command, "tactile-cell", None))
+    commands = _all_commands()
     often = Counter(row for one in commands for row in one.rows)
     shared = [row for row, n in often.items() if n >= _SHARED_BY]
     lines = ["## Shared options\n", *_table(shared)]
@@ -32,6 +31,16 @@ def command_page() -> str:
         if also := [row[0].split(" ")[0].strip("`,") for row in one.rows if row in shared]:
             lines.append(f"Shared: {', '.join(f'`{name}`' for name in also)}.\n")
     return "\n".join(lines)
+
+
+def overview_page() -> str:
+    """Return one line for each command."""
+    rows = [(f"`{one.name}`", one.help.partition("\n\n")[0]) for one in _all_commands()]
+    return "\n".join(_table(rows))
+
+
+def _all_commands() -> list[_Command]:
+    return list(_commands(get_command(app), "tactile-cell", None))
 
 
 def _commands(command: Any, name: str, parent: Any) -> Iterator[_Command]:

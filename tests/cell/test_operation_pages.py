@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.build import build_cell
-from cell.config.file import changed_config, config_text, load_config
+from cell.config.file import changed_config, config_text, load_config, parse_config
 from cell.control.plan import GraspStep, Pose
 from cell.interfaces.cli.app import app
 from cell.service.history import History
@@ -62,6 +62,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
     model = Path(taught.result.model)
     Path("parts.model.npz").write_bytes(model.read_bytes())
     return Path.cwd()
+
+
+def test_the_config_of_the_page_on_keys_is_valid() -> None:
+    (shown,) = blocks("../reference/config.md", "yaml")
+    assert parse_config(shown, source="page").gripper.port.startswith("/dev")
 
 
 @pytest.mark.long
