@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,11 +46,12 @@ class CanLinkFaults:
     @property
     def disturbs(self) -> bool:
         """Whether messages to the host must be handled one by one."""
-        return any(getattr(self, name) for name in ("drop_next", "delay_s", "bus_off", *_RATES))
+        return any(_DISTURBING(self))
 
 
 _RATES = tuple(one.name for one in fields(CanLinkFaults) if one.name.endswith("_rate"))
-"""Knobs that are probabilities."""
+_DISTURBING = attrgetter("drop_next", "delay_s", "bus_off", *_RATES)
+"""Knobs that change messages one by one; those of ``_RATES`` are probabilities."""
 
 
 @dataclass(slots=True, kw_only=True)

@@ -7,6 +7,7 @@ error in one of them shows as a disagreement.
 import struct
 from binascii import crc_hqx
 from dataclasses import dataclass
+from functools import cache
 from math import ceil
 
 import numpy as np
@@ -72,11 +73,15 @@ class BurstFormat:
         filling = bytes(n_messages * size - len(samples) - _TRAILER_BYTES)
         checked = samples + filling + struct.pack("<HB", counter, status)
         data = checked + struct.pack("<H", crc_hqx(checked, 0xFFFF))
-        phase = counter % 4 << 8 * header_bytes - 2
-        return [
-            (phase | n).to_bytes(header_bytes, "big") + data[n * size : (n + 1) * size]
-            for n in range(n_messages)
-        ]
+        heads = _heads(header_bytes, n_messages, counter % 4)
+        return [head + data[n * size : (n + 1) * size] for n, head in enumerate(heads)]
+
+
+@cache
+def _heads(header_bytes: int, n_messages: int, phase: int) -> tuple[bytes, ...]:
+    """Return the heads of the messages of a burst: its phase, and the number of each."""
+    first = phase << 8 * header_bytes - 2
+    return tuple((first | n).to_bytes(header_bytes, "big") for n in range(n_messages))
 
 
 def force_bytes(message: ForceMessage) -> bytes:

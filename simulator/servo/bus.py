@@ -135,9 +135,10 @@ class ServoBusDevice:
     def _answer_protocol_1(self, data: bytes, now_s: float) -> None:
         """Let servos in Protocol 1.0 answer a ping in it; they carry out nothing else here."""
         for servo in self.servos:
+            if not servo.speaks_protocol_1:
+                continue
             body = bytes((servo.servo_id, 2, Instruction.PING))
-            ping = _protocol_1(body)
-            if servo.speaks_protocol_1 and self._listens(servo, now_s) and data == ping:
+            if data == _protocol_1(body) and self._listens(servo, now_s):
                 self._reply(servo, _protocol_1(body[:2] + b"\x00"), now_s)
 
     def _hears(self, servo: SimulatedServo, now_s: float) -> bool:
