@@ -13,6 +13,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 
+from dynamixel_sdk import COMM_SUCCESS, Protocol1PacketHandler
+
 from gripper.clock import Clock
 from gripper.dynamixel.control_table import (
     MODEL_NUMBER,
@@ -34,18 +36,15 @@ from gripper.dynamixel.transactions import (
     BROADCAST_ID,
     HIGHEST_ID,
     PING_SIZE,
-    PROTOCOL_1_SIZE,
     BusStatistics,
     Heard,
     NoAnswerError,
     Request,
     accepted,
-    answers_protocol_1,
     check_id,
     checked,
     given_up,
     ping_request,
-    protocol_1_ping,
 )
 from gripper.errors import (
     AnswersOff,
@@ -248,19 +247,13 @@ class ServoBus:
 
     def scan_protocol_1(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[int, ...]:
         """Ping each ID once in Protocol 1.0 and return the servos' IDs; for diagnosis."""
-        found = []
+        found, handler = [], Protocol1PacketHandler()
         with self.exclusive():
             for servo_id in ids:
-                self._port.clearPort()
-                self._port.writePort(protocol_1_ping(servo_id))
-                self._port.setPacketTimeout(PROTOCOL_1_SIZE)
-                answer = b""
-                while len(answer) < PROTOCOL_1_SIZE:
-                    data = self._port.readPort(PROTOCOL_1_SIZE - len(answer))
-                    if not data:
-                        break
-                    answer += data
-                if answers_protocol_1(servo_id, answer):
+                ping = [0, 0, servo_id, 2, int(Instruction.PING), 0]
+                answer, result, _ = handler.txRxPacket(self._port, ping)
+                # Not its echo.
+                if result == COMM_SUCCESS and answer != ping:
                     found.append(servo_id)
             self._mark_suspect()
         return tuple(found)

@@ -17,9 +17,6 @@ HIGHEST_ID = 252
 PING_SIZE = 3
 """Bytes of data in the answer to a ping: Model Number (2) and Firmware Version (1)."""
 
-PROTOCOL_1_SIZE = 6
-"""Bytes of the answer to a ping in Protocol 1.0, and of the ping."""
-
 _CRC_REFUSED = 3
 """Error number of a servo that received a damaged request (e-Manual, "Error": CRC)."""
 _HEARD_BYTES = 16
@@ -106,25 +103,6 @@ class NoAnswerError(Exception):
 def ping_request(servo_id: int) -> Request:
     """Return the request of a ping."""
     return Request(servo_id, Instruction.PING, PING_SIZE, f"ping of servo {servo_id}")
-
-
-def protocol_1_ping(servo_id: int) -> bytes:
-    """Return a ping in Protocol 1.0 (e-Manual): header, ID, length, instruction, checksum."""
-    return _protocol_1(servo_id, Instruction.PING)
-
-
-def answers_protocol_1(servo_id: int, data: bytes) -> bool:
-    """Return whether bytes are the answer of a servo to its `protocol_1_ping`, not its echo."""
-    return (
-        len(data) == PROTOCOL_1_SIZE
-        and data == _protocol_1(servo_id, data[-2])
-        and data != protocol_1_ping(servo_id)
-    )
-
-
-def _protocol_1(servo_id: int, instruction_or_error: int) -> bytes:
-    body = bytes((servo_id, 2, instruction_or_error))
-    return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
 def protocol_1_text(ids: Sequence[int]) -> str:
