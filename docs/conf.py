@@ -1,7 +1,7 @@
 """Sphinx: pages in Markdown (MyST), API pages from docstrings.
 
 A line ``<!-- api: PACKAGE -->`` in a page is replaced by the directives of the package's names, and
-``<!-- fill: NAME -->`` by what a command of the program prints too. Other tables that are made from
+``<!-- fill: NAME -->`` by what a command prints or a file has too. Other tables that are made from
 the code stand in the pages: ``python -m docs.tools`` writes them.
 """
 
@@ -21,6 +21,8 @@ from docs.tools.api_page import api_page
 from docs.tools.command_page import command_page
 from docs.tools.config_page import config_page
 from docs.tools.faults_page import faults_page
+from docs.tools.recording_page import recording_page
+from docs.tools.unit_page import objects_page
 
 project = "tactile-cell"
 author = "The tactile-cell maintainers"
@@ -60,8 +62,14 @@ nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries: their site
 NumpyDocstring._consume_inline_attribute = lambda self: ("", self._consume_to_end())  # noqa: SLF001
 
 
-FILLED = {"command line": command_page, "config": config_page, "faults": faults_page}
-"""What makes each text that a command prints too."""
+FILLED = {
+    "command line": command_page,
+    "config": config_page,
+    "faults": faults_page,
+    "recording": recording_page,
+    "unit objects": objects_page,
+}
+"""What makes each text that a command prints, or a file of the program has, too."""
 
 
 def fill(_app: Any, _name: str, source: list[str]) -> None:

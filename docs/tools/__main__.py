@@ -14,9 +14,8 @@ from docs.tools.campaign_page import campaign_page, reactions_page
 from docs.tools.catalogue_page import catalogue_page
 from docs.tools.command_page import overview_page
 from docs.tools.modbus_page import commands_page, registers_page
-from docs.tools.recording_page import recording_page
 from docs.tools.states_page import states_page, states_picture
-from docs.tools.unit_page import objects_page, start_log, vectors_page
+from docs.tools.unit_page import start_log, vectors_page
 from docs.tools.walk_page import walk_page
 from docs.tools.xml_rpc_page import xml_rpc_page
 
@@ -29,10 +28,8 @@ MAKERS: dict[str, Callable[[], str]] = {
     "modbus commands": commands_page,
     "modbus registers": registers_page,
     "reactions": reactions_page,
-    "recording": recording_page,
     "states": states_page,
     "states picture": states_picture,
-    "unit objects": objects_page,
     "unit vectors": vectors_page,
     "xml-rpc": xml_rpc_page,
 }

@@ -29,13 +29,13 @@ def catalogue_page() -> str:
     for hundred, heading in _CHAPTERS.items():
         rows = [
             f"| {fault.number} | {fault.text}<br>`{kind.__name__}` | {fault.cause} | "
-            f"{fault.remedy} | {ways[fault.steps]} | {_GRIPS.get(fault.grip, fault.grip)} |"
+            f"{fault.remedy} | {ways[fault.steps]}: {_GRIPS.get(fault.grip, fault.grip)} |"
             for kind, fault in sorted(CATALOGUE.items(), key=lambda entry: entry[1].number)
             if fault.number // 100 == hundred
         ]
         if rows:
-            head = "| number | text, error class | usual cause | remedy | way | grip |"
-            parts += [f"### {hundred}xx: {heading}\n", head, "|---|---|---|---|---|---|", *rows, ""]
+            head = "| number | text, error class | usual cause | remedy | way: grip |"
+            parts += [f"### {hundred}xx: {heading}\n", head, "|---|---|---|---|---|", *rows, ""]
     return "\n".join(parts)
 
 

@@ -101,6 +101,7 @@ def states_page() -> str:
     return "\n".join(
         (
             "## States of the cell\n",
+            "The cell acts in states with *, and waits in the others.\n",
             _states(),
             "## Commands\n",
             "The table has the result of each command without a fault; others are refused.",
@@ -176,12 +177,11 @@ def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 def _states() -> str:
     return _table(
-        ("number", "state", "acts or waits", "what the cell does", "what the grip does"),
+        ("number", "state", "what the cell does", "what the grip does"),
         [
             (
                 str(state.number),
-                state.value,
-                "acts" if state.acting else "waits",
+                state.value + (" *" if state.acting else ""),
                 *DOES[state],
             )
             for state in sorted(CellState, key=lambda state: state.number)
