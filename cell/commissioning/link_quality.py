@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,13 +9,9 @@ from cell.checks.findings import Notes
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step
 from cell.commissioning.unit import unit_sensor
-from gripper.clock import Clock
-from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK
 from gripper.dynamixel.latency import check_link
-from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusCorrupt, BusTimeout
-from tactile.sensor.sensor import TactileSensor
 from tactile.source import SourceStatistics
 
 DURATION_S = 60.0
@@ -35,67 +30,15 @@ _LIVE_S = 1.0
 """Time in s between two texts on the screen."""
 
 
-@dataclass(slots=True)
-class LinkQuality:
-    """Measurements of both lines."""
-
-    answer_s: list[float] = field(default_factory=list)
-    """Time in s from the request to all servos to their answers, of each answered period."""
-    force_gap_s: list[float] = field(default_factory=list)
-    """Time in s between two force messages."""
-    periods: int = 0
-    """Periods of the force loop."""
-    overruns: int = 0
-    """Periods whose work took longer than the period."""
-
-
-def watch_lines(
-    sensor: TactileSensor | None,
-    bus: ServoBus,
-    ids: Sequence[int],
-    clock: Clock,
-    *,
-    period_s: float,
-    duration_s: float,
-    dialog: Dialog,
-) -> LinkQuality:
-    """Read all servos, and the pads if there are any, once a period; return the quality of both.
-
-    Raises GripperError or TactileError if a line fails permanently.
-    """
-    quality = LinkQuality()
-    began_s = due_s = shown_s = clock.monotonic()
-    messages_s: list[float] = []
-    while due_s < began_s + duration_s - 0.5 * period_s:
-        asked_s = clock.monotonic()
-        with suppress(BusTimeout, BusCorrupt):
-            bus.sync_read(ids, PRESENT_BLOCK)
-            quality.answer_s.append(clock.monotonic() - asked_s)
-        if sensor is not None:
-            sensor.poll()
-            messages_s += [message.t_s for message in sensor.take_forces()]
-        quality.periods += 1
-        due_s += period_s
-        now_s = clock.monotonic()
-        if now_s > due_s:
-            quality.overruns += 1
-            due_s = now_s
-        if now_s - shown_s >= _LIVE_S:
-            shown_s = now_s
-            dialog.live("lines", f"{now_s - began_s:.0f} of {duration_s:.0f} s")
-        clock.sleep(max(0.0, due_s - clock.monotonic()))
-    quality.force_gap_s = np.diff(messages_s).tolist()
-    return quality
-
-
 def check_lines(
     bench: Bench, dialog: Dialog, notes: Notes, *, duration_s: float = DURATION_S
 ) -> None:
-    """Watch both lines at the rate of the force loop, and judge the counts."""
-    gripper = bench.gripper()
+    """Read servos and pads at the rate of the force loop, and judge times and losses."""
+    gripper, tactile, clock = bench.gripper(), bench.tactile(), bench.clock
     ids = [servo.id for servo in gripper.servos]
     period_s = 1.0 / gripper.loop_rate_hz
     dialog.say(f"Both lines are watched for {duration_s:.0f} s. Move each cable a little.")
+    answer_s, messages_s, periods, overruns = list[float](), list[float](), 0, 0
     with ExitStack() as undo:
         sensor = None
         if not bench.gripper_alone:
@@ -106,32 +49,42 @@ def check_lines(
         if sensor is not None:
             sensor.read(timeout_s=1.0)
             sensor.take_forces()
-        quality = watch_lines(
-            sensor,
-            bus,
-            ids,
-            bench.clock,
-            period_s=period_s,
-            duration_s=duration_s,
-            dialog=dialog,
-        )
+        began_s = due_s = shown_s = clock.monotonic()
+        while due_s < began_s + duration_s - 0.5 * period_s:
+            asked_s = clock.monotonic()
+            with suppress(BusTimeout, BusCorrupt):
+                bus.sync_read(ids, PRESENT_BLOCK)
+                answer_s.append(clock.monotonic() - asked_s)
+            if sensor is not None:
+                sensor.poll()
+                messages_s += [message.t_s for message in sensor.take_forces()]
+            periods += 1
+            due_s += period_s
+            now_s = clock.monotonic()
+            if now_s > due_s:
+                overruns += 1
+                due_s = now_s
+            if now_s - shown_s >= _LIVE_S:
+                shown_s = now_s
+                dialog.live("lines", f"{now_s - began_s:.0f} of {duration_s:.0f} s")
+            clock.sleep(max(0.0, due_s - clock.monotonic()))
         source = None if sensor is None else sensor.source.statistics
         after = bus.statistics
-    _judge_servos(quality, before, after, period_s, notes)
+    again = (after.retries - before.retries, after.corrupt - before.corrupt)
+    _judge_servos(answer_s, periods - len(answer_s), again, period_s, notes)
     if source is not None:
-        tactile = bench.tactile()
         force_period_s = 1e-3 * tactile.force_period_ms * tactile.sends_forces
-        _judge_pads(quality, source, force_period_s, notes)
+        _judge_pads(np.diff(messages_s).tolist(), source, force_period_s, notes)
     notes.fact(
-        f"Loop: {quality.overruns} of {quality.periods} periods of {1e3 * period_s:g} ms took too "
-        "long, without the real-time priority of the cell's loop."
+        f"Loop: {overruns} of {periods} periods of {1e3 * period_s:g} ms took too long, without "
+        "the real-time priority of the cell's loop."
     )
-    if quality.overruns > _OVERRUN_SHARE * quality.periods:
+    if overruns > _OVERRUN_SHARE * periods:
         notes.warn(
             "This machine is too busy for the force loop: end other programs, and grant the loop "
             "its real-time priority (`ulimit -r`, limits.conf: rtprio)."
         )
-    notes.values |= {"overruns": quality.overruns, "periods": quality.periods}
+    notes.values |= {"overruns": overruns, "periods": periods}
 
 
 LINK_QUALITY = Step(
@@ -146,20 +99,19 @@ LINK_QUALITY = Step(
 
 
 def _judge_servos(
-    quality: LinkQuality, before: BusStatistics, after: BusStatistics, period_s: float, notes: Notes
+    answer_s: list[float], lost: int, again: tuple[int, int], period_s: float, notes: Notes
 ) -> None:
-    """Judge the counts of the servos' line."""
-    lost, retries = quality.periods - len(quality.answer_s), after.retries - before.retries
-    damaged = after.corrupt - before.corrupt
-    answer_ms = _quantiles_ms(quality.answer_s)
+    """Judge the counts of the servos' line: one question in each period."""
+    periods, (retries, damaged) = lost + len(answer_s), again
+    answer_ms = _quantiles_ms(answer_s)
     middle_ms, high_ms, worst_ms = answer_ms
     notes.fact(
-        f"Servos: {quality.periods} questions, answers after {middle_ms:.2f} ms (median), "
+        f"Servos: {periods} questions, answers after {middle_ms:.2f} ms (median), "
         f"{high_ms:.2f} ms (99 %), {worst_ms:.2f} ms at most; {lost} without an answer, {retries} "
         f"asked twice, {damaged} damaged."
     )
     notes.values |= {"answer_ms": answer_ms, "lost_answers": lost, "retries": retries}
-    if lost + retries + damaged > _LOSS_SHARE * quality.periods:
+    if lost + retries + damaged > _LOSS_SHARE * periods:
         notes.warn(
             "The servos' line loses answers: check its plugs, the ground between adapter and "
             "servos, and keep its cable away from the motors' supply."
@@ -172,12 +124,12 @@ def _judge_servos(
 
 
 def _judge_pads(
-    quality: LinkQuality, source: SourceStatistics, force_period_s: float, notes: Notes
+    gap_s: list[float], source: SourceStatistics, force_period_s: float, notes: Notes
 ) -> None:
     """Judge the counts of the CAN bus."""
     frames, forces = source.frames, source.forces
     lost = frames.lost + frames.torn + frames.corrupt
-    _, high_ms, worst_ms = gap_ms = _quantiles_ms(quality.force_gap_s)
+    _, high_ms, worst_ms = gap_ms = _quantiles_ms(gap_s)
     notes.fact(
         f"Pads: {frames.complete} frames, {lost} lost or damaged; {forces.received} force "
         f"messages, {forces.lost} lost, {high_ms:.1f} ms between two (99 %), {worst_ms:.1f} ms at "

@@ -30,33 +30,27 @@ def record_text(
     approved
         Approved writes and motions.
     """
-    return "".join(f"{line}\n" for line in _lines(cell, titles, notes, approved))
-
-
-def _lines(
-    cell: str,
-    titles: Mapping[str, str],
-    notes: Mapping[str, Notes],
-    approved: Sequence[ProposedChange],
-) -> Iterator[str]:
-    yield f"# Commissioning of {cell}\n"
-    yield f"tactile-cell {version('tactile-cell')}, Python {platform.python_version()} on "
-    yield f"{platform.node()}, {platform.system()} {platform.release()}\n"
-    yield "## Errors found and corrected\n"
-    corrected = [line for one in notes.values() for line in one.corrected]
-    yield from (f"- {line}" for line in corrected or ["none"])
+    system = f"{platform.system()} {platform.release()}, Python {platform.python_version()}"
+    corrected = [line for one in notes.values() for line in one.corrected] or ["none"]
+    lines = [
+        f"# Commissioning of {cell}\n",
+        f"tactile-cell {version('tactile-cell')} on {platform.node()}, {system}\n",
+        "## Errors found and corrected\n",
+        *(f"- {line}" for line in corrected),
+    ]
     for key, title in titles.items():
-        yield f"\n## {title}\n"
-        one = notes.get(key)
-        yield "not done" if one is None else f"{one.status}, {one.began} to {one.ended}\n"
-        if one is not None:
-            yield from (f"- {line}" for line in one.lines)
-            yield from (f"- `{name}`: {_text(value)}" for name, value in one.settings.items())
-            yield from (f"- {name}: {value}" for name, value in _flat(one.values))
+        lines.append(f"\n## {title}\n")
+        if one := notes.get(key):
+            lines.append(f"{one.status}, {one.began} to {one.ended}\n")
+            lines += [f"- {line}" for line in one.lines]
+            lines += [f"- `{name}`: {_text(value)}" for name, value in one.settings.items()]
+            lines += [f"- {name}: {value}" for name, value in _flat(one.values)]
+        else:
+            lines.append("not done\n")
         for write in (write for write in approved if write.step == key):
             change = f"{write.where}: {write.what}: {write.before} -> {write.after}"
-            yield f"- approved {write.at}: {change}; undo: {write.undo}"
-    yield "\nDate, name, signature:"
+            lines.append(f"- approved {write.at}: {change}; undo: {write.undo}")
+    return "\n".join([*lines, "\nDate, name, signature:\n"])
 
 
 def _flat(values: Mapping[str, Any], way: str = "") -> Iterator[tuple[str, str]]:

@@ -132,31 +132,27 @@ class CellConfig(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         least_n, most_n = self.sequence.forces_n
-        allowed_n = self.gripper.ramp_force_max_n
+        allowed_n, contact_n = self.gripper.ramp_force_max_n, self.gripper.contact_force_n
+        carry_n = self.sequence.carry_force_n
+        cap = f"gripper.force_max_n = {self.gripper.force_max_n:g} N"
         if most_n > allowed_n:
             raise ValueError(
-                f"sequence asks for {most_n:g} N, but gripper.force_max_n = "
-                f"{self.gripper.force_max_n:g} N allows ramps up to {allowed_n:.2f} N; lower the "
-                "force, or raise the cap after a risk assessment"
+                f"sequence asks for {most_n:g} N, but {cap} allows ramps up to {allowed_n:.2f} N; "
+                "lower the force, or raise the cap after a risk assessment"
             )
-        if least_n < self.gripper.contact_force_n:
+        ramps, why = (1.0, "to hold a part")
+        if self.sequence.regrasp == "none":
+            ramps, why = (3.0, "times 3 for a further ramp: sequence.regrasp is none")
+        if least_n < ramps * contact_n:
             raise ValueError(
                 f"sequence asks for {least_n:g} N; it needs at least gripper.contact_force_n = "
-                f"{self.gripper.contact_force_n:g} N to hold a part"
+                f"{contact_n:g} N {why}"
             )
-        contact_n = self.gripper.contact_force_n
-        if self.sequence.regrasp == "none" and least_n < 3.0 * contact_n:
-            raise ValueError(
-                f"sequence asks for {least_n:g} N; with sequence.regrasp none it needs at least "
-                f"{3.0 * contact_n:g} N, three times gripper.contact_force_n: a further ramp "
-                "begins at twice this force"
-            )
-        carry_n = self.sequence.carry_force_n
-        if not self.gripper.contact_force_n <= carry_n <= allowed_n:
+        if not contact_n <= carry_n <= allowed_n:
             raise ValueError(
                 f"sequence.carry_force_n is {carry_n:g} N; it must be at least "
-                f"gripper.contact_force_n = {self.gripper.contact_force_n:g} N and, with "
-                f"gripper.force_max_n = {self.gripper.force_max_n:g} N, at most {allowed_n:.2f} N"
+                f"gripper.contact_force_n = {contact_n:g} N and, with {cap}, at most "
+                f"{allowed_n:.2f} N"
             )
         with raised_as(ValueError, ConfigError):
             layout = layout_from_config(self.tactile)
@@ -182,11 +178,8 @@ class CellConfig(Section):
         on_can = self.tactile.sensor.on_can
         if not simulated[0] and on_can and self.tactile.channel == "":
             raise ValueError("tactile.channel is empty; name the channel of the CAN interface")
-        if (
-            self.positioner.kind == "simulated"
-            and not simulated[0]
-            and self.positioner.socket == ""
-        ):
+        elsewhere = not simulated[0] and not self.positioner.socket
+        if elsewhere and self.positioner.kind == "simulated":
             raise ValueError(
                 "positioner.kind is simulated but the cell is not: choose operator or callback, "
                 "or name the socket of a simulated cell in another process"
@@ -213,9 +206,8 @@ class CellConfig(Section):
                     f"gripper.{name} is beyond gripper.linkage, its lengths and offset_mm: {error}"
                 ) from error
         with raised_as(ValueError, LimitExceeded, where="gripper"):
-            check_ramp(
-                ramp_from_config(self.sequence.ramp, most_n), self.gripper_settings, self.linkage
-            )
+            ramp = ramp_from_config(self.sequence.ramp, most_n)
+            check_ramp(ramp, self.gripper_settings, self.linkage)
         gripper, tactile = self.gripper, self.tactile
         most_hz = largest_rate_hz(gripper.baud_rate, len(gripper.servos))
         if gripper.loop_rate_hz > most_hz:
@@ -256,13 +248,10 @@ class CellConfig(Section):
 
     def _check_axes(self, simulated: bool) -> None:
         """Refuse axes that do not fit the sequence, and a mix of simulated and real ports."""
-        positioner = self.positioner
+        positioner, can, tactile = self.positioner, self.positioner.can, self.tactile
         positioner.check_sequence(self.sequence)
-        shared = (positioner.can.interface, positioner.can.channel) == (
-            self.tactile.interface,
-            self.tactile.channel,
-        )
-        lone = self.tactile.sensor.lone_on_can
+        shared = (can.interface, can.channel) == (tactile.interface, tactile.channel)
+        lone = tactile.sensor.lone_on_can
         if lone and shared and positioner.drives and not simulated:
             raise ValueError(
                 f"positioner.can is the bus of tactile: {lone}; give them a bus without "
@@ -305,10 +294,8 @@ class CellConfig(Section):
     @property
     def brings_objects(self) -> bool:
         """Whether the simulated cell brings the objects by itself, without asking a person."""
-        kind = self.positioner.kind
-        return kind == "simulated" or (
-            kind == "axes" and (self.simulated or bool(self.positioner.socket))
-        )
+        kind, there = self.positioner.kind, bool(self.positioner.socket)
+        return kind == "simulated" or (kind == "axes" and (self.simulated or there))
 
     @property
     def gripper_settings(self) -> GripperSettings:
