@@ -101,7 +101,7 @@ class Notes:
         return [one.line for one in self.findings if one.corrected and not self.failed]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ProposedChange:
     """A write to a device, or a motion, which is shown before it is done."""
 

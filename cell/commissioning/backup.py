@@ -92,13 +92,7 @@ def register_writes(
 ) -> list[ProposedChange]:
     """Return the writes of some items of a servo, given by name with present and new value."""
     return [
-        ProposedChange(
-            where=where,
-            what=f"{name} ({REGISTERS[name].address})",
-            before=str(before),
-            after=str(after),
-            undo=undo,
-        )
+        ProposedChange(where, f"{name} ({REGISTERS[name].address})", str(before), str(after), undo)
         for name, (before, after) in changes.items()
     ]
 

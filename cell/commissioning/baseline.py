@@ -108,14 +108,9 @@ def measure_gauge(bench: Bench, config: CellConfig, dialog: Dialog, gauge: str) 
     """
     layout = layout_from_config(config.tactile)
     force_n = round(float(np.mean(config.sequence.forces_n)), 2)
-    motion_shown = ProposedChange(
-        where="both fingers",
-        what=f"open, then grasp {gauge}",
-        before="where they stand",
-        after=f"{config.gripper.aperture_open_mm:g} mm open, then {force_n:g} N",
-        undo="they open when you confirm it; the torque goes off at the end",
-    )
-    dialog.approve([motion_shown])
+    after = f"{config.gripper.aperture_open_mm:g} mm open, then {force_n:g} N"
+    what, undo = f"open, then grasp {gauge}", "they open when you confirm it, then have no torque"
+    dialog.approve([ProposedChange("both fingers", what, "where they stand", after, undo)])
     dialog.confirm("baseline.empty", "Take everything out of the fingers, and your hands away.")
     with watched_hand(bench, config, dialog) as (hand, motion):
         hand.start_sensor()

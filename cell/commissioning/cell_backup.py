@@ -1,8 +1,4 @@
-"""Backup of a cell: one tar of its files, and its restore into a new folder.
-
-A file that the config names outside the current folder is in the folder ``outside`` of the backup,
-and the config in the backup names it there.
-"""
+"""Backup of a cell: one tar of its files, and its restore into a new folder."""
 
 import os
 import tarfile
@@ -11,12 +7,12 @@ from glob import escape
 from io import BytesIO
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from cell.checks.findings import STORE_NAME
 from cell.commissioning.bench import CONFIG_NAME
 from cell.commissioning.record import RECORD_NAME
-from cell.config.file import changed_config, config_file_text, config_text, load_config
+from cell.config.file import config_file_text, load_config
 from cell.config.model import CellConfig
 from cell.control.self_zero import zero_file
 from cell.data.files import DAMAGE, open_plain, write_atomically
@@ -31,8 +27,9 @@ _MESH = "mesh:file="
 def back_up(path: Path, config_file: Path, models: Sequence[Path] = ()) -> int:
     """Write the files of a cell to a new tar; return their number.
 
-    The config has the name `CONFIG_NAME` there. Raises ConfigError if the config is not valid;
-    CellError if a file cannot be read or written, or if two files have the same name.
+    The config has the name `CONFIG_NAME` there. Raises ConfigError if the config is not valid.
+    Raises CellError if a file cannot be read or written, if a shape is outside of the folder, or if
+    two files have the same name.
 
     Parameters
     ----------
@@ -47,13 +44,11 @@ def back_up(path: Path, config_file: Path, models: Sequence[Path] = ()) -> int:
     config = load_config(config_file)
     if os.path.lexists(path):
         raise CellError(f"{path} exists; backups are never overwritten, name another file")
-    files, changes = dict[str, Path](), dict[str, Any]()
-    for name, source in (*_own_files(config_file.parent, models), *_named_files(config, changes)):
+    files = dict[str, Path]()
+    for name, source in (*_own_files(config_file.parent, models), *_named_files(config)):
         if files.setdefault(name, source).resolve() != source.resolve():
             raise CellError(f"{files[name]} and {source} have the same name; rename one of them")
-    text = (
-        config_text(changed_config(config, changes)) if changes else config_file_text(config_file)
-    )
+    text = config_file_text(config_file).encode()
 
     def write(out: BinaryIO) -> None:
         with tarfile.open(fileobj=out, mode="w", dereference=True) as archive:
@@ -62,8 +57,8 @@ def back_up(path: Path, config_file: Path, models: Sequence[Path] = ()) -> int:
                     archive.addfile(archive.gettarinfo(arcname=name, fileobj=file), file)
             # The config is last: an archive that is cut off lacks it.
             info = archive.gettarinfo(config_file, CONFIG_NAME)
-            info.size = len(text.encode())
-            archive.addfile(info, BytesIO(text.encode()))
+            info.size = len(text)
+            archive.addfile(info, BytesIO(text))
 
     write_atomically(path, write, error=CellError, what="backup")
     return len(files) + 1
@@ -83,24 +78,20 @@ def _matching(folder: Path, *patterns: str) -> Iterator[tuple[str, Path]]:
     return ((path.relative_to(folder).as_posix(), path) for path in found if path.is_file())
 
 
-def _named_files(config: CellConfig, changes: dict[str, Any]) -> Iterator[tuple[str, Path]]:
-    """Yield name and path of the files that a config names; add its new values by dotted key."""
-    directory = config.recording.directory
-    zero = zero_file(Path(directory), config.name)
-    if _leaves(directory):
-        changes["recording.directory"] = directory = "outside/out"
-    if zero.is_file():
-        yield (PurePosixPath(directory) / zero.name).as_posix(), zero
-    objects = [one.model_dump() for one in config.simulator.objects]
-    for number, values in enumerate(objects):
-        if not values["shape"].startswith(_MESH):
-            continue
-        name = mesh = values["shape"].removeprefix(_MESH)
-        if _leaves(mesh):
-            name = f"outside/{number}-{Path(mesh).name}"
-            values["shape"] = f"{_MESH}{name}"
-            changes["simulator.objects"] = objects
-        yield PurePosixPath(name).as_posix(), Path(mesh)
+def _named_files(config: CellConfig) -> Iterator[tuple[str, Path]]:
+    """Yield name and path of the files that a config names: shapes, and a self-zero beside it.
+
+    Raises CellError for a shape outside the folder.
+    """
+    zero = zero_file(Path(config.recording.directory), config.name)
+    if zero.is_file() and not _leaves(str(zero)):
+        yield zero.as_posix(), zero
+    for shape in (one.shape for one in config.simulator.objects):
+        mesh = shape.removeprefix(_MESH)
+        if mesh != shape and _leaves(mesh):
+            raise CellError(f"{mesh} is outside of the folder of the config; copy it there")
+        if mesh != shape:
+            yield PurePosixPath(mesh).as_posix(), Path(mesh)
 
 
 def _leaves(name: str) -> bool:

@@ -540,18 +540,12 @@ class _Hands:
             )
         names = [f"finger {number} (servo {s.id})" for number, s in enumerate(self._servos)]
         ways_rad = [first_way_rad(model, cap_a) for model in self._models]
+        most = f"at most, with {cap_a:.2f} A at most, then no torque"
+        bounds = [f"opens by {degrees(way_rad):.1f} deg {most}" for way_rad in ways_rad]
+        motions = zip(names, bounds, strict=True)
+        rest = "at rest, no torque"
         self._dialog.approve(
-            [
-                ProposedChange(
-                    where=name,
-                    what="first motion",
-                    before="at rest, no torque",
-                    after=f"opens by {degrees(way_rad):.1f} deg at most, with {cap_a:.2f} A at "
-                    "most, then no torque",
-                    undo="by hand",
-                )
-                for name, way_rad in zip(names, ways_rad, strict=True)
-            ]
+            [ProposedChange(one, "first motion", rest, after, "by hand") for one, after in motions]
         )
         try:
             group.make_ready(part_possible=False, releasing=False)

@@ -129,10 +129,7 @@ def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Proposed
     if meets(config) and not alone:
         after = f"pad on pad with {MEET_FORCE_N:g} N, then open again"
         motions.append(("close, empty, until the pads meet", opened, after, limp))
-    return [
-        ProposedChange(where="both fingers", what=what, before=before, after=after, undo=undo)
-        for what, before, after, undo in motions
-    ]
+    return [ProposedChange("both fingers", *motion) for motion in motions]
 
 
 @dataclass(frozen=True, slots=True)

@@ -423,13 +423,8 @@ def _writes(unit: FoundUnit, link: LinkSettings) -> list[ProposedChange]:
         0x380 + unit.node_id,
         round(1e3 * link.force_period_s),
     )
+    where, undo = f"control unit, node {unit.node_id}", "switch it off and on; it is not stored"
     return [
-        ProposedChange(
-            where=f"control unit, node {unit.node_id}",
-            what=name,
-            before=str(before),
-            after=str(after),
-            undo="switch the unit off and on; it is not stored",
-        )
+        ProposedChange(where, name, str(before), str(after), undo)
         for (name, before), after in zip(unit.registers, coming, strict=False)
     ]
