@@ -15,6 +15,7 @@ ramps and names fast ones.
 
 import math
 from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -25,6 +26,7 @@ from benchmarks._measure import line, repeats
 from benchmarks.recognition._grasps import asked, cell_grasps, figures
 from cell.learning.training import GAUGE_GRASPS
 from recognition.evaluation.splits import a_day_later
+from recognition.grasp import Grasp
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 from simulator.servo.mechanics import ServoMount
 from simulator.settings import SimulatedServoSettings
@@ -67,8 +69,8 @@ OTHER = {
     "servos": servos(2058, 2058),
 }
 """Settings of the other cell."""
-N_DRAWN = 20
-"""Cells drawn at random."""
+DRAWN = range(100, 120)
+"""Seeds of cells drawn at random, which chose nothing."""
 RATES_N_S = {5.0: 0.3, 20.0: 0.1, 40.0: 0.05}
 """Rates of the ramps in N/s, and how long each is held in s."""
 _ZEROED = {"self_zero": "always"}
@@ -81,8 +83,8 @@ def main(effort: float = 1.0) -> None:
     new_objects = dict(list(NEVER_TAUGHT.items())[: repeats(len(NEVER_TAUGHT), effort)])
     taught = ForceRampTrainer().fit(zeroed_grasps(taught_objects, n, seed=51))
     same = zeroed_grasps(taught_objects, n, seed=52)
-    there = zeroed_grasps(taught_objects | new_objects, n, seed=53, **OTHER)
-    zeroed, later = ([a_day_later(grasp) for grasp in grasps] for grasps in (there, same))
+    elsewhere = zeroed_grasps(taught_objects | new_objects, n, seed=53, **OTHER)
+    zeroed, later = ([a_day_later(grasp) for grasp in grasps] for grasps in (elsewhere, same))
     untold, bare = ([replace(grasp, zero=None) for grasp in grasps] for grasps in (zeroed, later))
     test, new = ([g for g in untold if (g.label in TAUGHT) is known] for known in (True, False))
     line("compared", f"{len(taught_objects)} objects, {n} grasps each; {len(new)} grasps of others")
@@ -107,14 +109,20 @@ def main(effort: float = 1.0) -> None:
         every += [one for one in answers if one.taught]
         line(f"  gauged by {label}", figures(answers))
     line("  gauged, all together", figures(every, times=len(taught_objects)))
+    seeds = DRAWN[: repeats(len(DRAWN), effort)]
+    there = partial(_drawn_grasps, taught_objects | new_objects, max(n // 4, 2))
     drawn = []
-    for seed in range(repeats(N_DRAWN, effort)):
-        objects, other = taught_objects | new_objects, drawn_cell(seed)
-        found = zeroed_grasps(objects, max(n // 4, 2), seed=200 + seed, **other)
-        drawn += (answers := asked(taught, [a_day_later(grasp) for grasp in found]))
-        line(f"  drawn cell, {1e-3 * other['foam'].modulus_pa:.0f} kPa", figures(answers))
+    with ProcessPoolExecutor() as workers:
+        for seed, found in zip(seeds, workers.map(there, seeds), strict=True):
+            drawn += (answers := asked(taught, [a_day_later(grasp) for grasp in found]))
+            modulus_pa = drawn_cell(seed)["foam"].modulus_pa
+            line(f"  drawn cell, {1e-3 * modulus_pa:.0f} kPa", figures(answers))
     line("  drawn cells, all together", figures(drawn))
     rates(taught_objects, n)
+
+
+def _drawn_grasps(objects: Mapping[str, str], n_grasps: int, seed: int) -> list[Grasp]:
+    return zeroed_grasps(objects, n_grasps, seed=200 + seed, **drawn_cell(seed))
 
 
 def drawn_cell(seed: int) -> dict[str, Any]:
