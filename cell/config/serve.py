@@ -47,8 +47,8 @@ class ServeConfig(Section):
     """Further names and addresses of this machine, without port, in requests over HTTP or XML-RPC.
     localhost, its host name and its own address are always allowed; others are refused."""
     request_timeout_s: float = Field(default=5.0, ge=0.1, le=60.0)
-    """Longest time in s from the first to the last byte of a request, 0.1 to 60; then the
-    connection is closed."""
+    """Longest time in s until the last byte of a request, 0.1 to 60; then the connection is closed.
+    After an answer over HTTP or XML-RPC it begins after the longest permitted silence."""
     modbus_port: Port | None = None
     """Port of Modbus TCP, for PLCs, e.g. 5020; 0: any free port; none: closed. Port 502 needs extra
     rights."""
