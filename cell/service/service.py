@@ -234,7 +234,7 @@ class Service:
         self.chosen_part: str | None = None
         """Part between the fingers of the simulated cell for all jobs; None: the next one for each.
         """
-        self._n_in_turn = 0
+        self._in_turn = self._n_in_turn = 0
         self._watched: dict[str, Callable[[], bool]] = {}
         self.lease.watch(note)
 
@@ -318,14 +318,12 @@ class Service:
             job has this number, it is returned, and nothing is done twice. 0: not checked.
         """
         checked, in_turn = self._with_part(checked_goal(goal))
-
-        def begin() -> Job:
-            job = self.plugin.start(checked)
-            self._n_in_turn += in_turn  # a refused or repeated request takes no turn
-            return job
-
         given = checked.model_dump(exclude_defaults=True)
-        return self.begin(lease, checked.task, begin, number=number, given=given)
+        start = partial(self.plugin.start, checked)
+        found = self.begin(lease, checked.task, start, number=number, given=given)
+        if in_turn and found != self._in_turn:  # a refused or repeated request takes no turn
+            self._in_turn, self._n_in_turn = found, self._n_in_turn + 1
+        return found
 
     def _with_part(self, goal: Goal) -> tuple[Goal, bool]:
         """Return a goal with the chosen part, or the next one, for the simulated cell.
