@@ -124,7 +124,7 @@ class DriveMeasurement:
                     found = fit_load(trial.rising, trial.falling, before)
                     settings.drives.put(servo.servo_id, found)
             finally:
-                control.grip.moving = None
+                control.begin_again(state)
             self._free.compare()
             return tuple(spans)
 

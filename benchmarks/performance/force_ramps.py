@@ -318,6 +318,9 @@ class PlainPi:
         self._grip, self._sample_s = grip, now_s
         self._integral_n = 0.0
 
+    def begin(self, now_s: float) -> None:
+        """Begin again after a measurement."""
+
     def resume(self) -> None:
         """Begin again after a pause."""
 
@@ -329,7 +332,7 @@ class PlainPi:
             period.setpoint_n,
             period.sample,
         )
-        if sample is None or grip.moving is not None:
+        if sample is None:
             return grip.balance_n
         share = min(1.0, (sample.t_s - self._sample_s) / self.mean_s)
         grip.force_n += share * (sample.grip_n - grip.force_n)

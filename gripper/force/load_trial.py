@@ -2,12 +2,13 @@
 
 from math import inf
 
+from gripper.force.control.drive_goals import GIVE_RAD
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.grip import History
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.identification import LoadPoint
 from gripper.mechanics.kinematics import Linkage, transmissions
-from gripper.servos.goal_limits import running_lead_rad
+from gripper.servos.goal_limits import ServoGoal, most_closed_rad, running_lead_rad
 
 _LOAD_N_S = {True: 8.0, False: 7.0}
 """Rate in N/s of the drive of the moving finger while the force rises (True) and falls: by a drive
@@ -47,7 +48,7 @@ class LoadTrial:
         self._linkage = linkage
         self._finger = finger
         self._low_n, self._high_n = range_n
-        control.grip.moving = finger
+        self._held_rad: tuple[float, ...] = ()
         control.resume()
 
     def start(self, *, rises: bool) -> None:
@@ -73,31 +74,51 @@ class LoadTrial:
         moved_n = 0.0 if self._from_n is None else self._sign * (control.force_n - self._from_n)
         locked = moved_n < _LOCKED_SHARE * (self._high_n - self._low_n)
         rate_n_s = _LOCKED_N_S if locked else _LOAD_N_S[self._rises]
-        control.grip.trial_rad = self._next_rad(moment, rate_n_s)
         end_n = self._high_n if self._rises else self._low_n
         done = self._sign * (control.force_n - end_n) >= 0.0 or self._stalled_s > _LIMITED_S
-        goals = control.goals(moment, self._high_n)
+        goals = self._goals(moment, rate_n_s)
         return Action(goals=goals, setpoint_n=self._high_n, done=done)
 
-    def _next_rad(self, moment: Moment, rate_n_s: float) -> float:
+    def _goals(self, moment: Moment, rate_n_s: float) -> list[ServoGoal]:
+        """Return the goals of the moving finger, and of the other one, which holds its position."""
+        settings, state = self._control.grip.settings, moment.state
+        paths = transmissions(settings, self._linkage, state.angles_rad)
+        self._held_rad = self._held_rad or state.angles_rad
+        goals = []
+        for index, (path, own) in enumerate(zip(paths, settings.servos, strict=True)):
+            most_a = min(settings.current_max_a, path.pressing_current_a(settings.force_max_n))
+            if index == self._finger:
+                least_rad = most_closed_rad(settings, self._linkage)[index]
+                angle_rad = max(self._next_rad(moment, path.n_per_a, rate_n_s), least_rad)
+                angle_rad = min(angle_rad, self._held_rad[index] + GIVE_RAD)
+            else:
+                load_a = max(self._control.force_n, 0.0) / path.n_per_a
+                lead_rad = running_lead_rad(own.servo_model, load_a, 0.0)
+                angle_rad = self._held_rad[index] - lead_rad
+                most_a = min(most_a, load_a + path.drive.most_breakaway_a)
+            goals.append(ServoGoal(angle_rad=angle_rad, current_a=most_a, setpoint_n=self._high_n))
+        return goals
+
+    def _next_rad(self, moment: Moment, n_per_a: float, rate_n_s: float) -> float:
         """Return the goal of the finger, which changes its drive at a rate while it stands."""
-        settings = self._control.grip.settings
-        model = settings.servos[self._finger].servo_model
+        model = self._control.grip.settings.servos[self._finger].servo_model
         servo = moment.state.servos[self._finger]
         if self._goal_rad is None:
             self._asked_a = servo.current_a
             self._goal_rad = servo.angle_rad + running_lead_rad(model, servo.current_a, 0.0)
-        path = transmissions(settings, self._linkage, moment.state.angles_rad)[self._finger]
         before_rad = running_lead_rad(model, self._asked_a, 0.0)
-        self._asked_a -= self._sign * rate_n_s * moment.dt_s / path.n_per_a
+        self._asked_a -= self._sign * rate_n_s * moment.dt_s / n_per_a
         self._goal_rad += running_lead_rad(model, self._asked_a, 0.0) - before_rad
         return self._goal_rad
 
     def _push(self, moment: Moment) -> None:
+        """Use the newest sample: a point of the load. Raises as `PartWatch.check_pads`."""
         servo, sample = moment.state.servos[self._finger], moment.sample
         self._currents.add(moment.now_s, -servo.current_a)
         if sample is None or not sample.valid or sample.t_s <= self._sample_s:
             return
         self._sample_s = sample.t_s
+        self._control.watch.pads.take(sample)
+        self._control.watch.check_pads(moment, rises=False)
         load_nm = sample.grip_n * self._linkage.effective_radius_m(servo.angle_rad)
         self._points.append(LoadPoint(load_nm, self._currents.at(sample.measured_s)))

@@ -13,7 +13,7 @@ from gripper.servos.goal_limits import (
     most_closed_rad,
     running_lead_rad,
 )
-from gripper.values.state import ServoFeedback, ServoState
+from gripper.values.state import ServoFeedback
 
 GIVE_RAD = 0.03
 """Largest opening of a goal beyond the contact in rad: pads and part are not deeper. [assumed]"""
@@ -43,7 +43,6 @@ class DriveGoals:
         self._contact_rad = self._deepest_rad = contact.angles_rad
         self._least_rad = most_closed_rad(grip.settings, grip.linkage)
         self._touch_m = touch_m
-        self._held: tuple[int | None, int, float] = (None, 0, 0.0)
         self._stop_rad: tuple[float, ...] | None = None
 
     @property
@@ -62,8 +61,7 @@ class DriveGoals:
         grip, drive_n = self._grip, self._grip.drive_n
         goals = []
         self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
-        # No part can be lost while the pads press on each other.
-        if state.aperture_m < self._touch_m or grip.moving is not None:
+        if state.aperture_m < self._touch_m:
             self._stop_rad = None
         elif self._stop_rad is None:
             self._stop_rad = state.angles_rad
@@ -79,19 +77,6 @@ class DriveGoals:
             self._least_rad,
             strict=True,
         ):
-            if grip.moving is not None:
-                held = settings is not grip.settings.servos[grip.moving]
-                angle_rad = max(grip.trial_rad, min(least_rad, servo.angle_rad))
-                goals.append(
-                    self._holding(self._held_rad(servo), settings.servo_model, path)
-                    if held
-                    else ServoGoal(
-                        angle_rad=min(angle_rad, contact_rad + GIVE_RAD),
-                        current_a=min(abs(drive_n) / path.n_per_a, grip.settings.current_max_a),
-                        setpoint_n=grip.setpoint_n,
-                    )
-                )
-                continue
             # A position that drifts open must not move a closing goal to the open side.
             closed_rad = min(least_rad, servo.angle_rad)
             held_n = max(balance_n, 0.0) + _REST_SHARE * path.friction_n
@@ -123,20 +108,4 @@ class DriveGoals:
             angle_rad=max(deepest_rad - closing_margin_rad(model, current_a), closed_rad),
             current_a=current_a,
             setpoint_n=self._grip.setpoint_n,
-        )
-
-    def _held_rad(self, servo: ServoState) -> float:
-        """Return the position of a finger while only the other one moves."""
-        if self._held[:2] != (self._grip.moving, servo.servo_id):
-            self._held = (self._grip.moving, servo.servo_id, servo.angle_rad)
-        return self._held[2]
-
-    def _holding(self, held_rad: float, model: ServoModel, path: Transmission) -> ServoGoal:
-        """Return the goal of a finger that is held by position, against the force of the pads."""
-        grip = self._grip
-        current_a = max(grip.force_n, 0.0) / path.n_per_a
-        return ServoGoal(
-            angle_rad=held_rad - running_lead_rad(model, current_a, 0.0),
-            current_a=min(current_a + path.drive.most_breakaway_a, grip.settings.current_max_a),
-            setpoint_n=grip.setpoint_n,
         )

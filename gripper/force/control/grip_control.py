@@ -79,6 +79,12 @@ class GripControl:
         self.watch.resume()
         self._law.resume()
 
+    def begin_again(self, state: ServoFeedback) -> None:
+        """Begin the law at the present force and opening: others have moved the fingers."""
+        self.grip.apertures.add(state.t_s, state.aperture_m)
+        self.grip.force_n = self.grip.balance_n = self.grip.drive_n = self.force_n
+        self._law.begin(state.t_s)
+
     def goals(
         self,
         moment: Moment,

@@ -77,9 +77,6 @@ _LEAST_OPENING_SHARE = 0.3
 """Least friction of opening fingers over that of closing ones. [chosen]"""
 _RELAXED_S = 1.0
 """Time in s of a hold by current after which the current falls to what the force needs. [chosen]"""
-_TRIAL_MEAN_S = 0.02
-"""Time constant in s of the force by which a finger is held while the other one is measured.
-[chosen]"""
 _JUMP_N, _JUMP_SHARE, _JUMP_SDS = 0.8, 0.15, 4.0
 """Sudden growth of the measured force that no drive makes: in N, as a share of the set-point, and
 in standard deviations. [chosen]"""
@@ -241,10 +238,10 @@ class ForceLaw:
         self._grip = grip
         self._stiffness = stiffness_n_m, stiffness_sd
         self._pushes = Pushes(grip.settings.drives)
-        self._begin(now_s)
+        self.begin(now_s)
 
-    def _begin(self, now_s: float) -> None:
-        """Begin at the present force."""
+    def begin(self, now_s: float) -> None:
+        """Begin at the present force, at a monotonic time in s."""
         grip = self._grip
         self.observer = GripObserver(
             grip, now_s, stiffness_n_m=self._stiffness[0], stiffness_sd=self._stiffness[1]
@@ -255,7 +252,6 @@ class ForceLaw:
         self._started_m, self._most_m_s = grip.apertures.newest, 0.0
         self._falls, self._still_s = False, 0.0
         self._shown_n_m: float | None = None
-        self._trial_s: float | None = None
         self._jumped_s: float | None = None
         self._contradicted_s = 0.0
 
@@ -272,10 +268,6 @@ class ForceLaw:
             When the pads report a jump of the force, or contradict the currents for some time.
         """
         grip, sample = self._grip, period.sample
-        if grip.moving is not None:
-            return self._follow_trial(period)
-        if self._trial_s is not None:
-            self._begin(period.moment.now_s)
         observer = self.observer
         self._advance_plan(period)
         grip.planned_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
@@ -299,18 +291,6 @@ class ForceLaw:
         else:
             push_n = self._moving_n(period, sample, error_n, speed_m_s, frictions_n)
         return min(grip.balance_n + push_n, period.drive_max_n)
-
-    def _follow_trial(self, period: Period) -> float:
-        """Return the largest drive in N, while one finger is measured and nothing is corrected."""
-        grip, sample = self._grip, period.sample
-        if self._trial_s is None:
-            self._trial_s = period.moment.now_s
-        if sample is not None and sample.t_s > self._trial_s:
-            share = min(1.0, (sample.t_s - self._trial_s) / _TRIAL_MEAN_S)
-            grip.force_n += share * (sample.grip_n - grip.force_n)
-            self._trial_s = sample.t_s
-        grip.balance_n = driving_n(period.state, period.paths)
-        return period.drive_max_n
 
     def _observe(self, period: Period, sample: ForceSample | None) -> tuple[float, float]:
         """Advance the observer, and return the friction in N of closing and opening fingers."""

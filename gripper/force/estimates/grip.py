@@ -131,10 +131,6 @@ class Grip:
     """Estimated grip force in N, and the drive in N that balances it without friction."""
     drive_n: float
     """Driving force of the last period in N. It opens below 0."""
-    moving: int | None = None
-    """Index of the finger that is measured, with the other held by position; None: neither."""
-    trial_rad: float = 0.0
-    """Goal of that finger in rad."""
     mass_kg: float = field(init=False)
     """Moving mass of a finger at the pad in kg."""
 

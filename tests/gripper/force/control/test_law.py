@@ -9,7 +9,7 @@ import pytest
 from gripper.errors import LimitExceeded
 from gripper.force.control.law import ForceLaw, ForcePlan
 from gripper.force.control.observer import GripObserver
-from gripper.mechanics.kinematics import Transmission, driving_n, transmissions
+from gripper.mechanics.kinematics import Transmission, transmissions
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from tests.gripper.force.grips import LINKAGE, PERIOD_S, STATE, make_grip, make_period
@@ -203,16 +203,3 @@ def test_by_current_the_drive_is_the_edge_of_the_friction_and_then_its_middle() 
     friction_n = make_period(0.0, 0.0).friction_n
     assert drives_n[80] == pytest.approx(4.0 + friction_n, abs=0.1)
     assert drives_n[-1] == pytest.approx(4.0, abs=0.1)
-
-
-def test_a_trial_of_one_finger_corrects_nothing() -> None:
-    grip = make_grip(2.0)
-    law = ForceLaw(grip, 0.0, stiffness_n_m=1e4, stiffness_sd=0.5)
-    grip.moving = 0
-    for i in range(40):
-        tried = make_period(i * PERIOD_S, 5.0, 3.0, drive_n=4.0)
-        assert law.step(tried) == tried.drive_max_n
-    assert grip.force_n == pytest.approx(3.0, abs=0.05)
-    assert grip.balance_n == pytest.approx(driving_n(tried.state, tried.paths))
-    grip.moving = None
-    assert law.step(make_period(0.2, 3.0, 3.0)) == pytest.approx(3.0, abs=0.3)
