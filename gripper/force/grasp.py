@@ -28,11 +28,6 @@ from gripper.values.state import STANDING_M_S, GripperPhase, ServoFeedback
 _BEGINS_M, _SURPRISE_M = 0.0005, 0.0015
 """Margin in m by which the next part may be wider than all earlier ones: the first value, and the
 second over the number of these parts, because each is equally likely to be the widest. [tuned]"""
-_REST_S = 0.08
-"""Rest of the fingers at the contact in s, so that the ramp begins at the force there. [tuned]"""
-_TOUCH_S = 0.065
-"""Least time in s from the brake at a first touch to the ramp after a hard touch, with more than
-the force of a contact: the force of the touch must decay first. [tuned]"""
 _EQUAL_S = 1e-9
 """Difference of times in s that is ignored: sums of periods are rounded. [chosen]"""
 
@@ -391,11 +386,7 @@ class ContactStep(GripStep):
         self._linkage = linkage
         self._reached, self._contact = reached, reached.state
         self._end = end
-        self._rest = ContactRest(
-            reached.state.t_s + _REST_S,
-            hard_n=reached.settings.contact_force_n,
-            hard_until_s=reached.braked_s + _TOUCH_S,
-        )
+        self._rest = ContactRest(reached.state.t_s)
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period. Raises PartSlipped when a held part slips."""

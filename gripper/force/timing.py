@@ -1,16 +1,13 @@
 """Timing statistics of the loop, in bounded memory."""
 
+from collections import Counter
 from dataclasses import dataclass, field
 from math import log10
 
 _FIRST_S = 1e-6
 """Upper edge of the first bin in s. [chosen]"""
-_PER_DECADE = 40
-"""Bins for each factor of ten: each is 6 % wide. [chosen]"""
-_DECADES = 7
-"""Factors of ten that the bins cover: 1 us to 10 s. [chosen]"""
-_N_BINS = _PER_DECADE * _DECADES + 2
-"""All bins, with one below and one above that range."""
+_PER_DECADE, _MOST = 40, 1e7
+"""Bins for each factor of ten, each 6 % wide, and the last one over the first: 10 s. [chosen]"""
 LATE_SHARE = 0.5
 """Delay of a period, as a share of its length, above which it counts as late. [chosen]"""
 
@@ -32,42 +29,27 @@ class Distribution:
 class Histogram:
     """Histogram of durations in bins evenly spaced on a logarithmic scale from 1 us to 10 s."""
 
-    __slots__ = ("_counts", "_max_s", "_n")
-
     def __init__(self) -> None:
-        self._counts = [0] * _N_BINS
-        self._n = 0
+        self._counts: Counter[int] = Counter()
         self._max_s = 0.0
 
     def add(self, duration_s: float) -> None:
         """Count one duration in s; what is below 1 us, or negative, counts as that."""
-        if duration_s <= _FIRST_S:
-            place = 0
-        else:
-            place = min(_N_BINS - 1, 1 + int(_PER_DECADE * log10(duration_s / _FIRST_S)))
-        self._counts[place] += 1
-        self._n += 1
+        within = min(max(duration_s / _FIRST_S, 1.0), _MOST)
+        self._counts[int(_PER_DECADE * log10(within)) + (within > 1.0)] += 1
         self._max_s = max(self._max_s, duration_s)
-
-    def quantile_s(self, share: float) -> float:
-        """Return the duration in s that a share of all do not exceed; 0 where there are none."""
-        wanted = share * self._n
-        seen = 0
-        for place, count in enumerate(self._counts):
-            seen += count
-            if count and seen >= wanted:
-                return min(self._max_s, float(_FIRST_S * 10.0 ** (place / _PER_DECADE)))
-        return 0.0
 
     def distribution(self) -> Distribution:
         """Return what was counted."""
-        return Distribution(
-            n=self._n,
-            p50_s=self.quantile_s(0.5),
-            p99_s=self.quantile_s(0.99),
-            p999_s=self.quantile_s(0.999),
-            max_s=self._max_s,
-        )
+        n, seen = self._counts.total(), 0
+        edges_s: list[float] = []
+        shares = [0.5, 0.99, 0.999]
+        for place in sorted(self._counts):
+            seen += self._counts[place]
+            edge_s = min(self._max_s, _FIRST_S * 10.0 ** (place / _PER_DECADE))
+            edges_s += [edge_s for share in shares[len(edges_s) :] if seen >= share * n]
+        p50_s, p99_s, p999_s = edges_s or (0.0, 0.0, 0.0)
+        return Distribution(n=n, p50_s=p50_s, p99_s=p99_s, p999_s=p999_s, max_s=self._max_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

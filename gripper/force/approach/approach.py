@@ -103,9 +103,6 @@ class Approach:
         """Result of the last step."""
         self.state = state
         """Its feedback."""
-        self.braked_s = state.t_s
-        """Monotonic time in s of the newest first touch that braked a finger; that of the start
-        before one."""
         self.stiffness = StiffnessEstimate(settings)
         """Stiffness of the part so far."""
         self.settings = settings
@@ -221,7 +218,7 @@ class Approach:
         for index, finger in enumerate(self._fingers):
             if finger.braked_s is None:
                 if shows[index] and moment.young:
-                    self.braked_s = finger.braked_s = moment.now_s
+                    finger.braked_s = moment.now_s
                     finger.drive_n = _CREEP_N
             elif moment.now_s - finger.braked_s > _DOUBT_S and not lasts[index]:
                 finger.braked_s = None

@@ -18,15 +18,12 @@ _EMPTY_SAMPLES = 20
 """Number of samples for the noise of an empty pad. [tuned]"""
 _TOUCH_SAMPLES = 8
 """Most newest samples whose mean is compared with it; older ones are of the empty pad. [tuned]"""
-_CONTACT_QUIET_N = 0.1
-"""Noise in N of the mean that shows a contact: a sixth of the force of one. [tuned]"""
-_REST_QUIET_YOUNG_N = 0.12
-"""Noise in N of the mean force at the contact that ends the rest, for new samples, after which the
-force soon becomes more exact. Otherwise `QUIET_N`. [tuned]"""
-_REST_SAMPLES = 4
-"""Samples of that mean for a slower sensor. [tuned]"""
-_REST_SETTLING_S = 0.01
-"""Time in s after the contact before its samples count. [tuned]"""
+_CONTACT_QUIET_N, _REST_SAMPLES = 0.1, 4
+"""Noise in N of the mean that shows a contact, a sixth of the force of one; and samples of the mean
+at rest for a slower sensor. [tuned]"""
+_REST_S, _REST_SETTLING_S = 0.08, 0.01
+"""Longest rest of the fingers at the contact in s, so that the ramp begins at the force there, and
+time in s before its samples count. [tuned]"""
 
 
 class FirstTouch:
@@ -125,21 +122,16 @@ class ContactDetector:
 
 
 class ContactRest:
-    """Rest of the fingers on the part, and the force that the pads measure in it.
+    """Rest of the fingers on the part, until the pads have measured its force.
 
     Parameters
     ----------
-    until_s
-        Monotonic time in s at which the rest ends, or earlier if the force is known.
-    hard_n, hard_until_s
-        Force in N above which the touch was hard, and the earliest end of the rest after it.
+    begun_s
+        Monotonic time in s of the contact.
     """
 
-    def __init__(self, until_s: float, *, hard_n: float, hard_until_s: float) -> None:
-        self._until_s = until_s
-        self._hard_n, self._hard_until_s = hard_n, hard_until_s
-        self._begun_s: float | None = None
-        self._settled = False
+    def __init__(self, begun_s: float) -> None:
+        self._begun_s = begun_s
         self._samples = RecentForce(least=_REST_SAMPLES)
 
     @property
@@ -149,15 +141,14 @@ class ContactRest:
 
     def goes_on(self, moment: Moment) -> bool:
         """Add the newest sample and return whether the fingers still rest."""
-        if self._begun_s is None:
-            self._begun_s = moment.now_s
-        sample = moment.sample
+        sample, settled_s = moment.sample, self._begun_s + _REST_SETTLING_S
         if sample is not None and sample.valid:
-            if not self._settled:
+            if self._samples and self._samples.oldest.measured_s < settled_s <= sample.measured_s:
                 self._samples.clear()
-                self._settled = sample.measured_s >= self._begun_s + _REST_SETTLING_S
             self._samples.push(sample)
-        quiet_n = _REST_QUIET_YOUNG_N if moment.young else QUIET_N
-        known = self._settled and self._samples.noise_n <= quiet_n
-        hard = self.force_n >= self._hard_n and moment.now_s < self._hard_until_s
-        return moment.now_s < self._until_s and (hard or not known)
+        known = (
+            self._samples
+            and self._samples.oldest.measured_s >= settled_s
+            and self._samples.noise_n <= QUIET_N
+        )
+        return moment.now_s < self._begun_s + _REST_S and not known
