@@ -105,7 +105,7 @@ FLEXITAC, OF_USKIN = _preset("flexitac"), _preset("uskin")
 OF_RH_P12 = _preset("rh-p12-rn", "gripper") | {"gripper.aperture_open_mm": 14.0}
 LONG_HOLD = {"sequence.ramp.hold_s": 3.0}
 PAPER_PADS = {"tactile.layout": "paper"}
-NOISELESS = {"simulator.noise": "none", "gripper.aperture_open_mm": 14.0}
+NOISELESS = {"simulator.noise": "none", "gripper.aperture_open_mm": 13.6}
 """A sensor without noise, and an approach whose touch frames and force messages show alike."""
 EQUAL = {"simulator.servos.gearing": "ideal"}
 """Servos of the same friction: fingers that meet do so in the middle."""
@@ -190,7 +190,7 @@ CAN_BUS = _with(PAPER_PADS, (
 
 CONTROL_UNIT = _with(PAPER_PADS, (
     FaultRow(9, "", "the unit reboots in the ramp; the limit counts its boot of 20 ms",
-             "unit.reboot@contact+0.1s", "HOLD", BOOT_S + LOOP_S, can.unit_reboots,
+             "unit.reboot@contact+0.1s", "HOLD", BOOT_S + LOOP_S, can.unit_reboots, WIDE,
              number=308),
     FaultRow(10, "heartbeat lost", "the heartbeat stops",
              "unit.heartbeat_off@contact+0.1s", "HOLD", 0.25 + LOOP_S, number=305),
