@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -17,8 +17,8 @@ from gripper.dynamixel.models import ServoModel
 from gripper.errors import GripperError
 
 
-def compared(model: ServoModel, values: Values) -> Iterator[tuple[bool, str]]:
-    """Return whether each measured number agrees with the model, and a line with both."""
+def findings(model: ServoModel, values: Values) -> list[str]:
+    """Return the lines of the result: each number with the model's, and what else was found."""
     drive = DriveCharacteristic.catalogue(model)
     use = "use `measured` in the config"
     ratio = f"{use}, or the force is off by this ratio"
@@ -32,16 +32,12 @@ def compared(model: ServoModel, values: Values) -> Iterator[tuple[bool, str]]:
         ("coulomb_a", drive.coulomb_a, 0.5, use),
         ("breakaway_a", drive.breakaway_a, 0.5, use),
     )
+    lines = []
     for name, of_model, within, consequence in rows:
         if (found := values.get(name)) is not None:
             agrees = abs(found - of_model) <= within * of_model
             verdict = "agrees" if agrees else f"differs: {consequence}"
-            yield agrees, f"{name}: model {of_model:.4g}, measured {found:.4g}, {verdict}"
-
-
-def findings(model: ServoModel, values: Values) -> list[str]:
-    """Return the lines of the result that are no comparison of numbers."""
-    lines = []
+            lines.append(f"{name}: model {of_model:.4g}, measured {found:.4g}, {verdict}")
     if (gains := values.get("gains_mode_5")) is not None:
         lines.append(f"gains that mode 5 sets by itself (D, I, P): {gains}")
     if (window_s := values.get("velocity_mean_s")) is not None:
@@ -79,33 +75,27 @@ def run_bench(rig: Rig, dialog: Dialog, folder: Path) -> tuple[Path, ...]:
     values: Values = {}
     done: list[str] = []
     try:
-        for number in range(1, len(STEPS) + 1):
-            _run_step(number, rig, dialog, values, done)
+        for number, step in enumerate(STEPS, start=1):
+            answer = dialog.choose(
+                f"{step.key}.begin",
+                f"{number}/{len(STEPS)} {step.title} (about {step.minutes} min)\n{step.prepare}",
+                {"run": "ready: run the step", "leave": "leave the step out"},
+                "run",
+            )
+            if answer == "leave":
+                continue
+            try:
+                with rig.running(step.key):
+                    found = step.run(rig, dialog)
+                values |= {name: value for name, value in found.items() if value is not None}
+                done.append(step.key)
+            except (StepFailed, GripperError) as why:
+                dialog.say(f"{step.title} failed: {why}")
     finally:
-        for _, line in compared(rig.model, values):
-            dialog.say(line)
         for line in findings(rig.model, values):
             dialog.say(line)
         files = _write(rig, values, done, folder)
     return files
-
-
-def _run_step(number: int, rig: Rig, dialog: Dialog, values: Values, done: list[str]) -> None:
-    step = STEPS[number - 1]
-    answer = dialog.choose(
-        f"{step.key}.begin",
-        f"{number}/{len(STEPS)} {step.title} (about {step.minutes} min)\n{step.prepare}",
-        {"run": "ready: run the step", "leave": "leave the step out"},
-        "run",
-    )
-    if answer == "leave":
-        return
-    try:
-        with rig.running(step.key):
-            values |= {k: v for k, v in step.run(rig, dialog).items() if v is not None}
-        done.append(step.key)
-    except (StepFailed, GripperError) as why:
-        dialog.say(f"{step.title} failed: {why}")
 
 
 def _write(rig: Rig, values: Values, done: Sequence[str], folder: Path) -> tuple[Path, ...]:

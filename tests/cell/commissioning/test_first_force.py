@@ -18,7 +18,7 @@ from cell.checks.changes import (
     changed_unit,
     gauge_of,
 )
-from cell.checks.findings import STORE_NAME, Notes, Verdict
+from cell.checks.findings import STORE_NAME, Finding, Notes, Verdict
 from cell.commissioning.baseline import BASELINE, changed_hardware, gauge_again
 from cell.commissioning.engine import WizardAborted
 from cell.commissioning.first_force import FIRST_FORCE
@@ -203,27 +203,31 @@ def test_the_same_hardware_has_not_changed() -> None:
     assert changed_pads({}, pinch_layout(), frames) == []
 
 
+SERVOS = {1: ("XM430-W210", 46), 2: ("XM430-W350", 46)}
+
+
+def gauge(**change: Any) -> list[Finding]:
+    return changed_gauge(GAUGE, replace(GAUGE, **change))
+
+
 @pytest.mark.parametrize(
-    ("change", "what", "step"),
+    ("changes", "what", "step"),
     [
-        ({"serial": 8}, "control unit", "unit"),
-        ({"revision": 0x10002}, "firmware of the control unit", "unit"),
-        ({"boards": (1, 9)}, "pads of finger 1", "pads_at_rest"),
-        ({"boards": (2, 1)}, "pads", "pads_at_rest"),
+        (changed_unit(FOUND, **SOUND | {"serial": 8}), "control unit", "unit"),
+        (changed_unit(FOUND, **SOUND | {"revision": 2}), "firmware of the control unit", "unit"),
+        (changed_unit(FOUND, **SOUND | {"boards": (1, 9)}), "pads of finger 1", "pads_at_rest"),
+        (changed_unit(FOUND, **SOUND | {"boards": (2, 1)}), "pads", "pads_at_rest"),
+        (changed_servos(FOUND, SERVOS), "servo 1", "servos"),
+        (gauge(held_mm=9.2), "opening on the gauge object", "fingers"),
+        (gauge(held_n=(4.5, 3.5)), "forces of both fingers", "pads_law"),
+        (gauge(current_ma=600.0), "current of the motors at the same force", "pads_law"),
     ],
 )
-def test_another_unit_or_pad_names_the_step(change, what, step) -> None:
-    changes = changed_unit(FOUND, **SOUND | change)
-    kept = CommissionedValues(folder=Path("box"), found=FOUND)
-    (found,) = kept.findings("control unit", changes)
+def test_what_has_changed_names_the_step_to_repeat(changes, what, step) -> None:
+    (found,) = CommissionedValues(folder=Path("box"), found=FOUND).findings("all", changes)
     assert (found.what, found.step) == (what, step)
+    assert ", at commissioning " in found.found
     assert f"commission box --redo {step}`" in found.advice
-
-
-def test_another_servo_names_its_step() -> None:
-    (found,) = changed_servos(FOUND, {1: ("XM430-W210", 46), 2: ("XM430-W350", 46)})
-    assert (found.what, found.step) == ("servo 1", "servos")
-    assert found.found == "XM430-W210, firmware 46, at commissioning XM430-W350, firmware 46"
 
 
 def test_pads_that_drift_shake_or_break_are_named() -> None:
@@ -251,19 +255,6 @@ def test_what_was_found_at_rest_is_compared_taxel_by_taxel_where_pads_are_exchan
     assert changed_pads(found, pinch_layout(), frames, exchanged) == []
     (broken, *_) = changed_pads(found, pinch_layout(), frames)
     assert broken.found.startswith("1, new: finger1.inner row 0 column 3")
-
-
-@pytest.mark.parametrize(
-    ("change", "what", "step"),
-    [
-        ({"held_mm": 9.2}, "opening on the gauge object", "fingers"),
-        ({"held_n": (4.5, 3.5)}, "forces of both fingers", "pads_law"),
-        ({"current_ma": 600.0}, "current of the motors at the same force", "pads_law"),
-    ],
-)
-def test_a_gauge_object_that_feels_otherwise_names_the_step(change, what, step) -> None:
-    (found,) = changed_gauge(GAUGE, replace(GAUGE, **change))
-    assert (found.what, found.step) == (what, step)
 
 
 def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(one) -> None:

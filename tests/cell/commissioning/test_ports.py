@@ -70,19 +70,6 @@ def test_a_cell_without_any_port_asks_for_the_plug(tmp_path, lines) -> None:
     assert script.asked == ["ports.plug_in"] * 2
 
 
-def test_a_slow_latency_timer_is_named_with_the_command_that_mends_it(
-    tmp_path, monkeypatch
-) -> None:
-    monkeypatch.setattr(ports, "latency_timer_ms", lambda _port: 16)
-    (port := tmp_path / "ttyUSB0").touch()
-    bench = Bench(tmp_path, SimulatedLines(SimulatedCell(), (str(port),)))
-    found = carry_out(PORTS, bench, Script())
-    assert found.status is Verdict.WARN
-    advice = found.lines[-1]
-    assert "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer" in advice
-    assert 'ATTR{latency_timer}="1"' in advice
-
-
 @pytest.mark.parametrize("named", [True, False])
 def test_a_port_of_another_group_is_named_with_the_command(tmp_path, monkeypatch, named) -> None:
     device = tmp_path / "tty"
@@ -212,6 +199,9 @@ def test_each_obstacle_at_a_port_is_named(
     bad = [one for one in findings if one.verdict is not Verdict.PASS]
     assert [(one.what, one.verdict) for one in bad] == [(what, verdict)] * bool(text)
     assert all(text in one.found and one.advice for one in bad)
+    if obstacle == "slow":
+        assert "echo 1 | sudo tee" in bad[0].advice
+        assert 'ATTR{latency_timer}="1"' in bad[0].advice
 
 
 GRIPPER, WRIST = "/dev/ttyUSB0", "/dev/ttyUSB1"
