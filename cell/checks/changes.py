@@ -13,6 +13,7 @@ from pydantic import TypeAdapter
 from cell.checks.findings import Finding, Verdict, check_result, kept_values
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.sensor.tare import assess_health
+from tactile.source import SourceIdentity
 
 _OPENING_MM = 0.3
 """Reported difference of the opening in mm. Placing the object by hand gives less: a box tilted by
@@ -30,6 +31,10 @@ _LEAST_NOISE = 1.0
 """Noise in counts; smaller values are raised to it before the factor applies."""
 _TAXELS_NAMED = 6
 """Most taxels that are named individually; further taxels are counted."""
+
+
+Found = Mapping[str, Mapping[str, Any]]
+"""Values of the findings by the key of the step."""
 
 
 def _change(
@@ -64,38 +69,24 @@ class Gauge:
     """Touched taxels of the inner pad of finger 0 and 1."""
 
 
-def changed_unit(
-    found: Mapping[str, Mapping[str, Any]],
-    *,
-    serial: int,
-    revision: int,
-    boards: tuple[int, int],
-) -> list[Finding]:
-    """Return the differences of a control unit and its pads from the commissioning.
-
-    ``found`` has the values of the findings by the key of the step; the other arguments are values
-    of the present unit.
-    """
+def changed_unit(found: Found, now: SourceIdentity) -> list[Finding]:
+    """Return the differences of a control unit and its pads from the commissioning."""
     unit, pads = found.get("unit", {}), found.get("pads_at_rest", {})
-    was_serial, was_revision = unit.get("serial_number", serial), unit.get("revision", revision)
+    serial, revision = unit.get("serial_number", now.serial), unit.get("revision", now.revision)
     firmware = "firmware of the control unit"
-    changes = _change("control unit", "unit", was_serial, serial, "serial {}") or _change(
-        firmware, "unit", was_revision, revision, "revision {:#x}"
-    )
-    step, was = "pads_at_rest", tuple(pads.get("board_serial_numbers", boards))
-    if was == boards[::-1] != boards:
+    changes = _change("control unit", "unit", serial, now.serial, "serial {}")
+    changes = changes or _change(firmware, "unit", revision, now.revision, "revision {:#x}")
+    was = tuple(pads.get("board_serial_numbers", now.boards))
+    if was == now.boards[::-1] != now.boards:
         both = f"serial {was[0]} on finger 0, {was[1]} on finger 1"
-        return [*changes, *_change("pads", step, both, "exchanged")]
+        return changes + _change("pads", "pads_at_rest", both, "exchanged")
     for finger in (0, 1):
-        changes += _change(
-            f"pads of finger {finger}", step, was[finger], boards[finger], "serial {}"
-        )
+        what, number = f"pads of finger {finger}", now.boards[finger]
+        changes += _change(what, "pads_at_rest", was[finger], number, "serial {}")
     return changes
 
 
-def changed_servos(
-    found: Mapping[str, Mapping[str, Any]], servos: Mapping[int, tuple[str, int]]
-) -> list[Finding]:
+def changed_servos(found: Found, servos: Mapping[int, tuple[str, int]]) -> list[Finding]:
     """Return the differences of servos from the commissioning; ``servos``: model, firmware."""
     changes = []
     for was in found.get("servos", {}).get("servos", ()):
@@ -106,7 +97,7 @@ def changed_servos(
 
 
 def changed_pads(
-    found: Mapping[str, Mapping[str, Any]],
+    found: Found,
     layout: TaxelLayout,
     frames: NDArray[np.uint16],
     mounts: Sequence[PadMount] = (),
@@ -190,7 +181,7 @@ def changed_gauge(was: Gauge, now: Gauge) -> list[Finding]:
     return changes
 
 
-def gauge_of(found: Mapping[str, Mapping[str, Any]]) -> Gauge | None:
+def gauge_of(found: Found) -> Gauge | None:
     """Return the gauge object of the commissioning; None without a gauge object."""
     values = found.get("baseline", {}).get("gauge")
     return None if values is None else TypeAdapter(Gauge).validate_python(values)
@@ -201,7 +192,7 @@ class CommissionedValues:
     """Values of the commissioning and its folder; empty without a commissioning."""
 
     folder: Path
-    found: Mapping[str, Mapping[str, Any]]
+    found: Found
 
     def findings(self, what: str, changes: Sequence[Finding]) -> list[Finding]:
         """Return the changes since the commissioning with advice, or one finding without any."""

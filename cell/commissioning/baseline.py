@@ -51,13 +51,8 @@ def changed_hardware(bench: Bench) -> list[Finding]:
     changes: list[Finding] = []
     if "serial_number" in bench.found.get("unit", {}):
         with suppress(TactileError), bench.can_bus() as can_bus:
-            identity = read_unit(can_bus, bench.tactile().node_id).identity
-            changes += changed_unit(
-                bench.found,
-                serial=identity.serial,
-                revision=identity.revision,
-                boards=identity.boards,
-            )
+            unit = read_unit(can_bus, bench.tactile().node_id)
+            changes += changed_unit(bench.found, unit.identity)
     if "servos" in bench.found:
         with suppress(GripperError), bench.servo_bus() as servo_bus:
             pings = [servo_bus.ping(servo.id) for servo in bench.gripper().servos]

@@ -238,9 +238,7 @@ def _control_unit(
     source = hand.statistics.source
     forces, statistics = source.forces, source.frames
     lost = statistics.lost + statistics.torn + statistics.corrupt
-    changes = changed_unit(
-        kept.found, serial=identity.serial, revision=identity.revision, boards=identity.boards
-    )
+    changes = changed_unit(kept.found, identity)
     changes += changed_pads(kept.found, hand.layout, frames, pad_mounts(config.tactile))
     number = f", serial {identity.serial}, revision {identity.revision:#x}" if is_unit else ""
     from_frames = f"{identity.name} sends frames alone; the force comes from them"

@@ -31,6 +31,7 @@ from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
 from tactile.layout import PadMount, pinch_layout
+from tactile.source import SourceIdentity
 from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.marks import LONG
 
@@ -179,7 +180,7 @@ FOUND: dict[str, Any] = {
         ]
     },
 }
-SOUND: dict[str, Any] = {"serial": 7, "revision": 0x10001, "boards": (1, 2)}
+SOUND = SourceIdentity(name="unit", serial=7, revision=0x10001, boards=(1, 2))
 GAUGE = Gauge(
     gauge="block",
     force_n=4.0,
@@ -192,14 +193,14 @@ GAUGE = Gauge(
 
 
 def test_the_same_hardware_has_not_changed() -> None:
-    assert changed_unit(FOUND, **SOUND) == []
+    assert changed_unit(FOUND, SOUND) == []
     assert changed_servos(FOUND, {1: ("XM430-W350", 46), 2: ("XM430-W350", 46)}) == []
     assert changed_gauge(GAUGE, replace(GAUGE, contact_mm=10.3, current_ma=430.0)) == []
     rng = np.random.default_rng(0)
     frames = np.clip(rng.normal(100.0, 80.0, (10, 156)), 1, None).astype(np.uint16)
     frames[:, 3] = 0
     assert changed_pads(FOUND, pinch_layout(), frames) == []
-    assert changed_unit({}, **SOUND) == changed_servos({}, {1: ("other", 1)}) == []
+    assert changed_unit({}, SOUND) == changed_servos({}, {1: ("other", 1)}) == []
     assert changed_pads({}, pinch_layout(), frames) == []
 
 
@@ -213,10 +214,10 @@ def gauge(**change: Any) -> list[Finding]:
 @pytest.mark.parametrize(
     ("changes", "what", "step"),
     [
-        (changed_unit(FOUND, **SOUND | {"serial": 8}), "control unit", "unit"),
-        (changed_unit(FOUND, **SOUND | {"revision": 2}), "firmware of the control unit", "unit"),
-        (changed_unit(FOUND, **SOUND | {"boards": (1, 9)}), "pads of finger 1", "pads_at_rest"),
-        (changed_unit(FOUND, **SOUND | {"boards": (2, 1)}), "pads", "pads_at_rest"),
+        (changed_unit(FOUND, replace(SOUND, serial=8)), "control unit", "unit"),
+        (changed_unit(FOUND, replace(SOUND, revision=2)), "firmware of the control unit", "unit"),
+        (changed_unit(FOUND, replace(SOUND, boards=(1, 9))), "pads of finger 1", "pads_at_rest"),
+        (changed_unit(FOUND, replace(SOUND, boards=(2, 1))), "pads", "pads_at_rest"),
         (changed_servos(FOUND, SERVOS), "servo 1", "servos"),
         (gauge(held_mm=9.2), "opening on the gauge object", "fingers"),
         (gauge(held_n=(4.5, 3.5)), "forces of both fingers", "pads_law"),

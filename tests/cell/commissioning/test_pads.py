@@ -118,7 +118,7 @@ def test_corners_are_named_as_a_person_sees_them() -> None:
 @pytest.mark.parametrize(
     ("noises", "force_per_count_n", "most_n", "status", "named"),
     [
-        ((20.0, 20.0), 1e-4, 8.0, Verdict.WARN, "A small part saturates finger0.inner at 3.2 N"),
+        ((20.0, 20.0), 1e-4, 8.0, Verdict.WARN, "A small part saturates finger0.inner at 3.1 N"),
         ((20.0, 20.0), 1e-4, 3.0, Verdict.PASS, ""),
         ((10.0, 60.0), 1e-4, 2.0, Verdict.WARN, "finger1.inner is noisy: "),
         ((10.0, 60.0), 2e-3, 2.0, Verdict.FAIL, "The force of finger1.inner at rest varies by 0."),
