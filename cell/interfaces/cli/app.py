@@ -23,10 +23,10 @@ _ENDED_BY_CTRL_C = 130
 # fmt: off
 _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "model": {
-        "train": ("train:train", "Train a recogniser on data sets and write a model file."),
-        "calibrate": ("calibrate:calibrate", "Correct a model for the drift since teaching."),
-        "evaluate": ("evaluate:evaluate", "Measure recognisers on recorded grasps."),
-        "compare": ("compare:compare", "Compare two models on the same grasps."),
+        "train": ("model:train", "Train a recogniser on data sets and write a model file."),
+        "calibrate": ("model:calibrate", "Correct a model for the drift since teaching."),
+        "evaluate": ("model:evaluate", "Measure recognisers on recorded grasps."),
+        "compare": ("model:compare", "Compare two models on the same grasps."),
     },
     "config": {
         "init": ("config:init", "Write a config file with explained keys, and its schema."),
@@ -37,13 +37,13 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "zero": ("hand:zero", "Close the empty fingers on each other; measure zero and gains."),
         "release": ("hand:release", "Let go of a part of an earlier run; it may fall."),
         "clear": ("hand:clear", "Show errors of servos and axes, and clear them."),
-        "bench": ("bench:bench", "Measure one servo on a bench."),
+        "bench": ("commission:bench", "Measure one servo on a bench."),
     },
     "service": {
-        "install": ("install:install", "Print udev rules, user and systemd unit of the service."),
-        "backup": ("backup:backup", "Write all files of a cell to one file."),
-        "restore": ("backup:restore", "Unpack a backup into a new folder."),
-        "support": ("support:support", "Pack files for remote support."),
+        "install": ("service:install", "Print udev rules, user and systemd unit of the service."),
+        "backup": ("service:backup", "Write all files of a cell to one file."),
+        "restore": ("service:restore", "Unpack a backup into a new folder."),
+        "support": ("service:support", "Pack files for remote support."),
     },
     "recording": {
         "report": ("recording:report", "Write the report page of a recording."),
@@ -51,7 +51,7 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "list": ("recording:list_recordings", "List the recordings in a folder."),
         "mark": ("recording:mark", "Mark recordings, so that they are never deleted."),
         "unmark": ("recording:unmark", "Remove the mark of recordings."),
-        "replay": ("replay:replay", "Send recorded grasps through the real protocols."),
+        "replay": ("recording:replay", "Send recorded grasps through the real protocols."),
         "recover": ("recording:recover", "Save the undamaged data of a damaged recording."),
     },
     "archive": {

@@ -1,4 +1,4 @@
-"""`commission`: guides from new parts to the first grasp of a cell."""
+"""`commission`: guides from new parts to the first grasp; `hand bench`: measures one servo."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +9,8 @@ from cell.commissioning.backup import restore as restore_servos
 from cell.commissioning.baseline import changed_hardware
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Engine, WizardAborted
+from cell.commissioning.servo_bench.result import run_bench
+from cell.commissioning.servo_bench.rig import open_rig
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
 from cell.interfaces.cli.dialog import TerminalDialog
@@ -104,3 +106,23 @@ def commission(
         print_note(refused if restore else str(left))
         raise typer.Exit(1) from None
     dialog.finished(engine, files)
+
+
+def bench(
+    port: Annotated[str, typer.Argument(help="Serial port, for example /dev/ttyUSB0.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of log and result.")] = Path(),
+) -> None:
+    """Measure one servo in an hour: torque, friction, velocity register, heat, watchdog.
+
+    The servo is alone on its line and no part of a gripper. Each step says what it moves, asks
+    first, and can be left out. Writes all readings (CSV) and the values (JSON), for `measured` of
+    a servo in the config.
+    """
+    dialog = TerminalDialog()
+    try:
+        with as_interrupts(), open_rig(Bench(folder), port, dialog) as rig:
+            files = run_bench(rig, dialog, folder)
+    except (KeyboardInterrupt, WizardAborted):
+        print_note(f"left: the torque is off; what was measured is in {folder}")
+        raise typer.Exit(1) from None
+    print_line(f"written: {', '.join(map(str, files))}")

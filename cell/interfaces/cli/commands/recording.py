@@ -1,4 +1,4 @@
-"""`recording`: lists, marks, reports on, plots and recovers recordings."""
+"""`recording`: lists, marks, reports on, plots, replays and recovers recordings."""
 
 from datetime import datetime
 from itertools import islice
@@ -9,23 +9,37 @@ import typer
 from rich.table import Table
 
 from cell.archive.selection import cell_of, day_of, is_archive, parse_selection
+from cell.config.file import load_config
 from cell.data.dataset import read_grasps
 from cell.data.recording_reader import read_recording, recover_recording
 from cell.data.retention import mark as mark_one, recordings, unmark as unmark_one
 from cell.errors import CellError
 from cell.installation import extra
 from cell.interfaces.cli.options import (
+    CaptureOption,
     CellsOption,
     DaysOption,
     JsonOption,
     ObjectsOption,
     PictureOption,
+    RecognizerOption,
     RecordingOutOption,
+    SplitOption,
 )
-from cell.interfaces.cli.terminal import plain_text, print_line, print_table, show
+from cell.interfaces.cli.terminal import (
+    percent,
+    plain_text,
+    print_line,
+    print_note,
+    print_table,
+    progress_bar,
+    show,
+)
 from cell.report.figures import grasp_figure, write_picture
 from cell.report.page import write_report
 from cell.report.recorded import recorded_report
+from cell.runtime.replay import replay_grasps
+from recognition.recognizers import DEFAULT_TRAINER
 
 RecordingsArgument = Annotated[list[Path], typer.Argument(help="Recordings (.mcap).")]
 
@@ -119,3 +133,48 @@ def recover(
         f"{found.n_grasps} whole grasps; {found.n_broken_grasps} broken grasps are left out",
     )
     show(lines, found, json_file)
+
+
+ReplayConfigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--config", "-c", help="Config file of the cell [default: one made for the grasps' pads]."
+    ),
+]
+
+
+def replay(
+    source: Annotated[Path, typer.Argument(help="Data set or recording.")],
+    split: SplitOption = "chronological:0.6",
+    limit: Annotated[
+        int | None, typer.Option("--limit", min=1, help="Replay at most so many [default: all].")
+    ] = None,
+    recognizer: RecognizerOption = DEFAULT_TRAINER,
+    config: ReplayConfigOption = None,
+    capture: CaptureOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Send recorded grasps through the real protocols, compare, and identify them."""
+    with progress_bar() as progress:
+        result = replay_grasps(
+            read_grasps(source),
+            load_config(config) if config is not None else None,
+            split=split,
+            limit=limit,
+            recognizer=recognizer,
+            capture=capture,
+            progress=progress,
+        )
+    same = "bit for bit the same" if result.frames_equal else "NOT the same"
+    lines = [
+        f"{result.n_grasps} grasps: {result.frames_sent} frames sent, "
+        f"{result.frames_received} received, {same}",
+        f"openings differ by at most {result.aperture_error_mm:.3f} mm: servos report pulses",
+    ]
+    if result.accuracy is not None:
+        lines.append(f"named right by one grasp: {percent(result.accuracy, result.interval)}")
+    else:
+        print_note(f"no grasp was identified: {result.unnamed}")
+    show(lines, result, json_file)
+    if not result.frames_equal:
+        raise CellError(f"frames differ: {result.difference}")

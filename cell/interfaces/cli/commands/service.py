@@ -1,16 +1,18 @@
-"""`service install`: udev rules, user and systemd unit of a cell that runs as a service."""
+"""`service`: files of an installed cell: system files, backups, a bundle for support."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from cell.commissioning.cell_backup import back_up, restore as unpack
 from cell.config.serve import ALL_CLOSED
 from cell.data.files import write_text
 from cell.errors import CellError
 from cell.interfaces.cli import system_files as system
-from cell.interfaces.cli.options import ConfigOption, ModelOption
+from cell.interfaces.cli.options import FOLDER_CONFIG, ConfigOption, ModelOption
 from cell.interfaces.cli.session import cell_config
+from cell.interfaces.cli.support_bundle import write_bundle
 from cell.interfaces.cli.terminal import ask, print_line, print_note
 
 
@@ -101,3 +103,56 @@ def _print_commands(when: str, commands: tuple[str, ...]) -> None:
     print_line(f"{when}, as root:")
     for command in commands:
         print_line(f"  {command}")
+
+
+def backup(
+    file: Annotated[Path, typer.Argument(help="Backup to write (.tar).")],
+    config: ConfigOption = None,
+    model: Annotated[
+        list[Path] | None,
+        typer.Option("--model", "-m", help="Model in another folder; repeat for several."),
+    ] = None,
+) -> None:
+    """Write config, self-zero, models, data sets, photos, findings and record to one file.
+
+    It takes the files in the folder of the config, and those that the config names. Recordings,
+    history, tokens, secrets and certificates are left out.
+    """
+    n_files = back_up(file, config or FOLDER_CONFIG, model or ())
+    print_line(f"{file}: {n_files} files, {file.stat().st_size / 1e6:.1f} MB")
+
+
+def restore(
+    file: Annotated[Path, typer.Argument(help="Backup to restore.")],
+    folder: Annotated[Path, typer.Argument(help="New folder for the cell.")],
+) -> None:
+    """Unpack a backup into a new folder; nothing is written to a device."""
+    print_line(f"{folder}: {unpack(file, folder)} files of {file}")
+
+
+_MB = 1_000_000
+"""Bytes in a megabyte."""
+
+
+def support(
+    file: Annotated[Path, typer.Argument(help="Bundle to write (.zip).")],
+    config: ConfigOption = None,
+    recordings: Annotated[
+        Path | None,
+        typer.Option("--recordings", help="Folder of recordings [default: recording.directory]."),
+    ] = None,
+    limit_mb: Annotated[
+        float,
+        typer.Option("--limit-mb", min=0.0, help="Largest recording that is packed, in MB."),
+    ] = 50.0,
+) -> None:
+    """Pack config, versions, last faults, health, journal and the last recording for support.
+
+    Tokens and secrets are removed. The service may run meanwhile. Check the bundle before you send
+    it: it contains names of objects and machines.
+    """
+    cell = cell_config(config)
+    folder = recordings or Path(cell.recording.directory)
+    for member in write_bundle(file, cell, folder, round(limit_mb * _MB)):
+        print_line(f"  {member.name}: {member.note}")
+    print_line(f"wrote {file}")

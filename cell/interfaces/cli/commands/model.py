@@ -1,0 +1,443 @@
+"""`model`: trains, calibrates, evaluates and compares recognisers."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from cell.archive.compare import compare as compare_models
+from cell.archive.evaluate import EvaluationResult, evaluate_recognizers
+from cell.archive.selected_grasps import selected_grasps
+from cell.archive.selection import EVERYTHING, is_archive, parse_selection
+from cell.archive.spread import spread_gains, spread_values, with_spread
+from cell.data.dataset import read_grasps
+from cell.errors import CellError, ConfigError, raised_as
+from cell.interfaces.cli.options import (
+    MAX_SEED,
+    MOST_GRASPS,
+    CellsOption,
+    ConfigOption,
+    DaysOption,
+    GraspsArgument,
+    JobsOption,
+    JsonOption,
+    ModelOption,
+    ModelOutOption,
+    MostOption,
+    ObjectsOption,
+    OutOption,
+    RecognizerOption,
+    SeedOption,
+    known_recognizers,
+)
+from cell.interfaces.cli.session import RunningCell, cell_config, pads_of, running_cell
+from cell.interfaces.cli.terminal import percent, print_line, print_note, progress_bar, show
+from cell.learning.labelled_grasps import duplicate_grasps
+from cell.learning.model import load_model, save_model
+from cell.learning.parallel import workers
+from cell.learning.teaching_summary import summarise_teaching
+from cell.learning.training import calibrate_model, follow_shift, gaugeable, train as train_model
+from cell.runtime.goals import TeachGoal
+from recognition.drift.drift import NO_DRIFT, Drift, drift_text, parse_drift
+from recognition.evaluation.evaluation import Evaluation
+from recognition.grasp import Grasp
+from recognition.recognizer import UNKNOWN
+from recognition.recognizers import DEFAULT_TRAINER, trainer_names
+
+
+def train(
+    datasets: Annotated[
+        list[str], typer.Argument(help="Archives, data sets or recordings of labelled grasps.")
+    ],
+    model: ModelOutOption,
+    recognizer: RecognizerOption = DEFAULT_TRAINER,
+    aperture: Annotated[
+        bool,
+        typer.Option("--aperture/--no-aperture", help="Also use the opening of the fingers."),
+    ] = True,
+    spread: Annotated[
+        bool | None,
+        typer.Option(
+            "--spread/--no-spread",
+            help="Learn how far days and cells lie apart, and measure what that gains on those "
+            "left out in turn [default: with archives].",
+        ),
+    ] = None,
+    cells: CellsOption = None,
+    days: DaysOption = None,
+    objects: ObjectsOption = None,
+    most: MostOption = MOST_GRASPS,
+    jobs: JobsOption = 1,
+    json_file: JsonOption = None,
+) -> None:
+    """Train a recogniser on data sets and write a model file."""
+    selection = parse_selection(cells, days, objects)
+    grasps = selected_grasps(datasets, selection, most, print_line)
+    if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
+        raise CellError("the data sets are of different pads; train a model for each")
+    if twice := len(duplicate_grasps(grasps)):
+        print_note(f"{twice} of {len(grasps)} grasps occur twice: probabilities are too high")
+    trained = train_model(grasps, recognizer, use_aperture=aperture)
+    prior, gains = None, []
+    if any(map(is_archive, datasets)) if spread is None else spread:
+        trained, prior = with_spread(trained, grasps)
+    if prior is not None:
+        with workers(jobs) as mapper, progress_bar() as progress:
+            gains = spread_gains(
+                grasps, recognizer, use_aperture=aperture, mapper=mapper, progress=progress
+            )
+    elif spread:
+        print_note(
+            "no spread is learnt: it takes the default recogniser, grasps without a self-zero, "
+            "and objects of several days or cells"
+        )
+    labels = trained.recognizer.labels
+    save_model(
+        model,
+        trained.recognizer,
+        trainer_name=recognizer,
+        pads=grasps[0].pads,
+    )
+    lines = [
+        f"{len(labels)} objects taught with {len(grasps)} grasps"
+        + ("" if recognizer == DEFAULT_TRAINER else f", recogniser {recognizer}")
+        + f": {model}"
+    ]
+    if prior is not None:
+        lines.append(
+            f"spread between days and cells: gain {100 * prior.log_gain_sd:.0f} %, opening "
+            f"{prior.offset_sd_mm:.1f} mm"
+        )
+    lines += [
+        f"{one.n} grasps of {one.n_parts} {one.what} left out in turn: named rightly "
+        f"{percent(one.right_without)} without it, {percent(one.right)} with it, a difference "
+        f"of {percent(one.gained, one.interval)}; wrongly {percent(one.wrong_without)} and "
+        f"{percent(one.wrong)}"
+        for one in gains
+    ]
+    summary = summarise_teaching(grasps)
+    values = {
+        "model": str(model),
+        "recognizer": recognizer,
+        "n_grasps": len(grasps),
+        "labels": list(labels),
+        "teaching": summary,
+    }
+    spread_found = {} if prior is None else {"spread": spread_values(prior, gains)}
+    show(lines, values | spread_found, json_file)
+    for note in summary.notes:
+        print_note(note)
+
+
+def calibrate(
+    output: ModelOutOption,
+    dataset: GraspsArgument = None,
+    gauge: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--gauge",
+            help="A taught object; repeat for several: two give a better result than one. "
+            "Without it, DATASET holds any grasps of a shift.",
+        ),
+    ] = None,
+    model: ModelOption = None,
+    grasps: Annotated[
+        int, typer.Option("--grasps", "-n", min=1, max=100, help="Grasps of each gauge object.")
+    ] = 3,
+    config: ConfigOption = None,
+    out_folder: OutOption = None,
+    seed: SeedOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Correct a model for the drift of the sensors since teaching.
+
+    Uses known objects, or any grasps of a shift.
+    """
+    if model is None:
+        raise ConfigError("--model is missing; `tactile-cell model train` makes one")
+    taken: dict[str, list[Grasp]] = {}
+    cell: RunningCell | None = None
+    if dataset is not None:
+        loaded = load_model(model)
+        found = list(read_grasps(dataset))
+        taken = {
+            label: _grasps_of(label, found, dataset, alone=len(gauge or ()) == 1)
+            for label in gauge or ()
+        }
+        corrected = calibrate_model(loaded, taken) if gauge else follow_shift(loaded, found)
+        n_grasps = sum(map(len, taken.values())) if gauge else len(found)
+    elif not gauge:
+        raise ConfigError("the object is missing: add --gauge NAME, or name grasps of a shift")
+    else:
+        checked = cell_config(config, seed=seed)
+        loaded = load_model(model, pads_of(checked))
+        gaugeable(loaded, *gauge)
+        with running_cell(
+            checked, "calibrate", out_folder, config_file=config, json_file=json_file
+        ) as cell:
+            for label in gauge:
+                cell.run(TeachGoal(label=label, grasps=grasps, seed=checked.seed, train=False))
+        for label in gauge:
+            taken[label] = [g for g in cell.plugin.model.training_set if g.label == label]
+        corrected = calibrate_model(loaded, taken)
+        n_grasps = sum(map(len, taken.values()))
+    save_model(
+        output,
+        corrected,
+        trainer_name=loaded.trainer_name,
+        pads=loaded.pads,
+        sections=loaded.sections,
+    )
+    values = {"model": output, "gauge": gauge, **corrected.grid.values, "n_grasps": n_grasps}
+    line = (
+        f"{n_grasps} grasps of {' and '.join(gauge) if gauge else 'a shift'}: "
+        f"{drift_text(corrected.grid.drift)} (+-{1e3 * corrected.grid.offset_sd_m:.1f} mm): "
+        f"{output}"
+    )
+    show([line], values, json_file)
+    if cell is not None:
+        cell.plugin.cell.check_recording()
+
+
+def _grasps_of(gauge: str, grasps: list[Grasp], dataset: Path, *, alone: bool) -> list[Grasp]:
+    """Return the grasps of a gauge; grasps without a label belong to it if it is the only one."""
+    taken = [grasp for grasp in grasps if grasp.label in ({gauge, ""} if alone else {gauge})]
+    if not taken:
+        labels = ", ".join(sorted({repr(grasp.label) for grasp in grasps}))
+        raise CellError(
+            f"{dataset}: its {len(grasps)} grasps have no {gauge!r}, but {labels}; use one of "
+            "these names for --gauge"
+        )
+    return taken
+
+
+_PAIRS = 5
+"""Number of pairs of confused objects that are printed, the most frequent first."""
+_MANY_GRASPS = 1000
+"""Number of grasps from which several processes save more time than their start takes."""
+
+
+def evaluate(
+    datasets: Annotated[
+        list[str], typer.Argument(help="Archives, data sets or recordings of labelled grasps.")
+    ],
+    train_on: Annotated[
+        str | None,
+        typer.Option("--train", help="Train on this file or archive, test on all of DATASETS."),
+    ] = None,
+    split: Annotated[
+        str,
+        typer.Option(
+            "--split",
+            help="chronological:FRACTION or shuffled:FRACTION to train on. Or leave out in turn "
+            "series: each one of an object that has several; days, cells: each of them.",
+        ),
+    ] = "chronological:0.6",
+    fuse: Annotated[str, typer.Option("--fuse", help="Numbers of grasps to fuse.")] = "1,2,3,5",
+    recognizers: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--recognizer",
+            help="Repeat for several kinds, as doctor lists them with --plugins "
+            f"[default: {', '.join(trainer_names())}].",
+            callback=known_recognizers,
+        ),
+    ] = None,
+    drift: Annotated[
+        str | None,
+        typer.Option(
+            "--drift", help="Add a drift to the tested grasps, for example gain=0.7,aperture_mm=-4."
+        ),
+    ] = None,
+    gauge: Annotated[
+        str | None,
+        typer.Option("--gauge", help="Find the drift from the first 3 tested grasps of LABEL."),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, max=MAX_SEED)] = 0,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "--jobs",
+            min=0,
+            help="Processes, 0: one for each core [default: 0 from 1000 grasps, else 1].",
+        ),
+    ] = None,
+    cells: CellsOption = None,
+    days: DaysOption = None,
+    objects: ObjectsOption = None,
+    most: MostOption = MOST_GRASPS,
+    json_file: JsonOption = None,
+) -> None:
+    """Measure recognisers on recorded grasps: accuracy, fusion, unknown objects.
+
+    With 95 % intervals. Unknown objects are left out of teaching.
+    """
+    names = recognizers or trainer_names()
+    selection = parse_selection(cells, days, objects)
+    grasps = selected_grasps(datasets, selection, most, print_line)
+    taught = None
+    if train_on is not None:
+        taught = selected_grasps([train_on], EVERYTHING, most, print_line)
+    if twice := len(duplicate_grasps([*(taught or ()), *grasps])):
+        print_note(f"{twice} tested grasps were taught or occur twice: the accuracy is too high")
+    if jobs is None:
+        jobs = 0 if len(grasps) >= _MANY_GRASPS else 1
+    with workers(jobs) as mapper, progress_bar() as progress:
+        result = evaluate_recognizers(
+            grasps,
+            split=split,
+            train=taught,
+            names=names,
+            fuse=_numbers(fuse),
+            seed=seed,
+            mapper=mapper,
+            drift=_drift(drift),
+            gauge=gauge,
+            progress=progress,
+        )
+    for name, reason in result.left_out.items():
+        print_note(f"{name} is left out: {reason}")
+    show(_lines(result), result.as_json(), json_file)
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+
+    try:
+        numbers = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if not numbers or min(numbers) < 1:
+        raise ConfigError(f"--fuse is {text!r}; write numbers from 1, for example 1,2,3,5")
+    return numbers
+
+
+def _with_interval(
+    value: float, interval: tuple[float, float], unit: float = 100.0, digits: int = 1
+) -> str:
+    if math.isnan(value):
+        return "-"
+    low, high = (f"{unit * end:.{digits}f}" for end in interval)
+    return f"{unit * value:.{digits}f} ({low} to {high})"
+
+
+def _drift(text: str | None) -> Drift:
+
+    if text is None:
+        return NO_DRIFT
+    with raised_as(ConfigError, ValueError, where="--drift"):
+        return parse_drift(text)
+
+
+def _lines(result: EvaluationResult) -> Iterator[str | Table]:
+
+    yield (
+        f"{result.split}: {result.n_train} grasps to train, {result.n_test} to test, "
+        f"{len(result.labels)} objects"
+    )
+    if result.drift != NO_DRIFT:
+        yield f"drift of the tested grasps: {drift_text(result.drift)}"
+    if result.gauged is not None:
+        found = drift_text(result.gauged.drift)
+        yield f"gauged with {result.n_gauged} grasps of {result.gauge}: {found}"
+    fused = sorted({k for f in result.recognizers.values() for k in f.full.fused_accuracy} - {1})
+    right, named = Table(header_style="bold"), Table(header_style="bold")
+    for table, columns in (
+        (
+            right,
+            ("likeliest right, %", "one grasp", "95 % interval", *(f"{k} fused" for k in fused)),
+        ),
+        (named, ("one grasp, %", "named right", "named wrong", UNKNOWN, "AUROC")),
+    ):
+        for column in columns:
+            table.add_column(column, justify="left" if column is columns[0] else "right")
+    for name, figures in result.recognizers.items():
+        rows = [(name, figures.full)]
+        if figures.without_aperture not in (None, figures.full):
+            rows.append(("  tactile only", figures.without_aperture))
+        for shown, evaluation in rows:
+            low, high = evaluation.interval
+            right.add_row(
+                shown,
+                f"{100 * evaluation.single_accuracy:.1f}",
+                f"{100 * low:.1f} to {100 * high:.1f}",
+                *(
+                    _with_interval(evaluation.fused_accuracy[k], evaluation.fused_interval[k])
+                    for k in fused
+                ),
+            )
+            named.add_row(
+                shown,
+                f"{100 * evaluation.named_right:.1f}",
+                f"{100 * evaluation.named_wrong:.1f}",
+                f"{100 * (1.0 - evaluation.named_right - evaluation.named_wrong):.1f}",
+                _with_interval(evaluation.unknown_auroc, evaluation.auroc_interval, 1.0, 3),
+            )
+    yield right
+    yield named
+    yield (
+        "AUROC: separation of taught objects from objects left out of teaching; 1 is perfect, 0.5 "
+        "is chance. Intervals at 95 % draw objects, not grasps, and no fused grasp counts twice"
+    )
+    if any(math.isnan(f.full.unknown_auroc) for f in result.recognizers.values()):
+        yield (
+            f"-: not measured; AUROC leaves out one object and teaches the others. It needs three "
+            f"objects (here {len(result.labels)}) and a split within each"
+        )
+    for name, figures in result.recognizers.items():
+        yield from _details(name, figures.full)
+    yield f"took {result.seconds:.1f} s"
+
+
+def _details(name: str, evaluation: Evaluation) -> Iterator[str | Table]:
+    """Yield the confusions of a recogniser, its `unknown` and its figures with drift correction."""
+    if pairs := evaluation.confused:
+        shown_pairs = [f"{n} x {truth} as {answer}" for truth, answer, n in pairs[:_PAIRS]]
+        rest = f", and {len(pairs) - _PAIRS} more pairs" if len(pairs) > _PAIRS else ""
+        yield f"{name} confuses, one grasp each: {', '.join(shown_pairs)}{rest}"
+    rows = [row for row in evaluation.unknown_reliability if row[2]]
+    if rows:
+        shares = (
+            f"{low:g} to {high:g}: {100 * new / n:.0f} % of {n}" for low, high, n, new in rows
+        )
+        yield f"{name}, unknown and share of left-out objects there: {', '.join(shares)}"
+    shift = evaluation.shift
+    if shift is not None:
+        yield (
+            f"{name} with drift correction, after the first {shift.before}: "
+            f"{percent(shift.accuracy, shift.interval)}, "
+            f"named rightly {100 * shift.named_right:.1f} %, wrongly "
+            f"{100 * shift.named_wrong:.1f} %"
+        )
+
+
+def compare(
+    first: Annotated[Path, typer.Argument(help="File of a taught model.")],
+    second: Annotated[Path, typer.Argument(help="File of another one.")],
+    datasets: Annotated[
+        list[str], typer.Argument(help="Archives, data sets or recordings that taught neither.")
+    ],
+    cells: CellsOption = None,
+    days: DaysOption = None,
+    objects: ObjectsOption = None,
+    most: MostOption = MOST_GRASPS,
+    jobs: JobsOption = 1,
+    json_file: JsonOption = None,
+) -> None:
+    """Compare two models on the same grasps: paired, with an interval of 95 %."""
+    models = load_model(first), load_model(second)
+    selection = parse_selection(cells, days, objects)
+    grasps = selected_grasps(datasets, selection, most, print_line)
+    with workers(jobs) as mapper:
+        found = compare_models(*models, grasps, mapper)
+    only = (found.only_first, found.only_second)
+    each = zip((first, second), found.right, found.wrong, only, strict=True)
+    lines = [
+        f"{path}: named rightly {percent(right)}, wrongly {percent(wrong)}; {alone} grasps "
+        "that the other one does not name rightly"
+        for path, right, wrong, alone in each
+    ]
+    gained = percent(found.difference, found.interval)
+    show([*lines, f"{second} names {gained} more of {found.n} grasps rightly"], found, json_file)
