@@ -218,7 +218,7 @@ class Gripper:
             with self._servos.in_loop():
                 self._runner.read()
             return None
-        with self._life.latching():
+        try:
             if self._carried is not None:
                 return self._runner.period(self._carried)
             with self._servos.in_loop():
@@ -226,6 +226,9 @@ class Gripper:
             if state is None:
                 return None
             self._health.poll(state, watchdog=self._life.part_possible)
+        except BaseException as error:
+            self._life.latch(error)
+            raise
         return Cycle(
             t_s=state.t_s,
             phase=self._life.phase,

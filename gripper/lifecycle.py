@@ -163,12 +163,14 @@ class Lifecycle:
         self._runner.observer = observer
         self.running = True
         try:
-            with self.latching():
-                yield
+            yield
             self.phase = COMMANDS[command].after or self.phase
         except GraspStopped as stop:
             self._stop(stop)
             self.rest()
+            raise
+        except BaseException as error:
+            self.latch(error)
             raise
         finally:
             self.running = False
@@ -196,23 +198,16 @@ class Lifecycle:
         finally:
             self.running = False
 
-    @contextmanager
-    def latching(self) -> Iterator[None]:
-        """Latch each error as a fault and keep the grip; a requested stop is no fault."""
-        try:
-            yield
-        except GraspStopped:
-            raise
-        except BaseException as error:
-            self.fault = error
-            phase, self.phase = self.phase, GripperPhase.HELD_AFTER_FAULT
-            left = FingersLeft.UNCONFIRMED
-            # The raised error names the cause; a bus that fails again adds nothing.
-            with suppress(GripperError):
-                left = fault_response(error, self._runner, self._settings, moving=phase.moving)
-            self._note_fingers(error, phase, left)
-            self.motion_unconfirmed = phase.moving and left is FingersLeft.UNCONFIRMED
-            raise
+    def latch(self, error: BaseException) -> None:
+        """Latch an error as a fault, and keep the grip."""
+        self.fault = error
+        phase, self.phase = self.phase, GripperPhase.HELD_AFTER_FAULT
+        left = FingersLeft.UNCONFIRMED
+        # The raised error names the cause; a bus that fails again adds nothing.
+        with suppress(GripperError):
+            left = fault_response(error, self._runner, self._settings, moving=phase.moving)
+        self._note_fingers(error, phase, left)
+        self.motion_unconfirmed = phase.moving and left is FingersLeft.UNCONFIRMED
 
     def _stop(self, stop: GraspStopped) -> None:
         if not self.phase.moving:

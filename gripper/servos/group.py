@@ -225,7 +225,7 @@ class Servos:
         if releasing and not goals_in_force:
             health.make_releasable()
         if limp is not None or not health.torque_on_everywhere():
-            self._switch_on(self._motion_current_a(limp))
+            self.restart_watchdog(self._motion_current_a(limp), switch_on=True)
         elif not goals_in_force or self._finds_trip():
             if part_possible and not releasing:
                 raise ServoFault(
@@ -236,12 +236,18 @@ class Servos:
                 )
             self.restart_watchdog(self._motion_current_a())
 
-    def restart_watchdog(self, current_a: float) -> None:
-        """Clear a tripped watchdog, set the goals to the present positions and arm it again."""
+    def restart_watchdog(self, current_a: float, *, switch_on: bool = False) -> None:
+        """Clear a tripped watchdog, set the goals to the present positions and arm it again.
+
+        With ``switch_on`` the torque comes on before the watchdog is armed.
+        """
         self._check_mode()
         self.disarm_watchdog()
         self._hold_present_position(current_a)
-        self._arm_watchdog()
+        for servo_id in self._ids if switch_on else ():
+            self._bus.write(servo_id, TORQUE_ENABLE, 1)
+        for servo_id in self._ids:
+            self._bus.write(servo_id, BUS_WATCHDOG, self._settings.watchdog_raw)
 
     def disarm_watchdog(self, *, but: Sequence[int] = (), keep_trips: bool = False) -> None:
         """Disarm, or clear after a trip, the bus watchdog of each servo (register 98) but some.
@@ -305,10 +311,6 @@ class Servos:
                 self._clock.sleep(_BOOT_RETRY_S)
         self.forget()
 
-    def _arm_watchdog(self) -> None:
-        for servo_id in self._ids:
-            self._bus.write(servo_id, BUS_WATCHDOG, self._settings.watchdog_raw)
-
     def _finds_trip(self) -> bool:
         """Arm the bus watchdogs that are not armed; return whether one has tripped, which stays so.
 
@@ -322,15 +324,6 @@ class Servos:
             elif raw != self._settings.watchdog_raw:
                 self._bus.write(servo_id, BUS_WATCHDOG, self._settings.watchdog_raw)
         return tripped
-
-    def _switch_on(self, current_a: float) -> None:
-        """Set the goals to the present positions, switch the torque on, arm the watchdog."""
-        self._check_mode()
-        self.disarm_watchdog()
-        self._hold_present_position(current_a)
-        for servo_id in self._ids:
-            self._bus.write(servo_id, TORQUE_ENABLE, 1)
-        self._arm_watchdog()
 
     def _check_goal_is_near(self, servo: ServoState, model: ServoModel) -> None:
         """Raise FeedbackImplausible where a servo under torque is too far from its goal.
