@@ -1,8 +1,11 @@
 """The gripper on simulated servos with friction, inertia and an elastic part, in virtual time."""
 
 import itertools
+import sys
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
+from types import FrameType
 
 import pytest
 
@@ -19,6 +22,8 @@ from gripper.values.state import Cycle, GripperPhase
 from tests.marks import LONG
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
+MOST_CALLS = 900
+"""Largest number of calls of functions by the gripper in a period of a hold; 800 were counted."""
 
 
 def test_start_corrects_the_mode_and_moves_nothing(cell) -> None:
@@ -153,6 +158,24 @@ def test_holding_does_not_hunt_and_takes_the_current_of_the_force(cell) -> None:
     cell.gripper.hold(5.0, lambda c: goals_a.append(c.goal_current_a))
     assert cell.peak_n - cell.least_n < 0.6
     assert goals_a[-1] == pytest.approx(8.0 * 0.06 / 1.8, rel=0.15)
+
+
+def test_a_period_takes_few_calls(make_cell) -> None:
+    """Each call costs processor time, on the controller of a real cell too."""
+    cell, calls = make_cell(rate_hz=200.0, noise_n=0.1), 0
+    cell.hold_part(ForceRamp.linear(4.0, rate_n_s=10.0))
+    folder = str(Path(models.__file__).parent.parent)
+
+    def count(frame: FrameType, event: str, _what: object) -> None:
+        nonlocal calls
+        calls += event.endswith("call") and frame.f_code.co_filename.startswith(folder)
+
+    sys.setprofile(count)
+    try:
+        cell.gripper.hold(0.5)
+    finally:
+        sys.setprofile(None)
+    assert 0 < calls / (0.5 / cell.settings.period_s) < MOST_CALLS
 
 
 def ticks(cell, seconds: float, creep_m_s: float = 0.0) -> None:
