@@ -222,7 +222,7 @@ def _ask_for_one_alone(dialog: Dialog, found: Scan) -> None:
     several += [f"damaged bytes at {rate} bit/s" for rate in found.damaged]
     dialog.confirm(
         "servos.connect_one",
-        f"Several servos answer as {', '.join(several)}. New servos all have ID 1, and nothing can "
+        f"Several servos answer: {', '.join(several)}. New servos all have ID 1, and nothing can "
         "be written to one of them. Disconnect all servos but one.",
         "one servo is connected",
     )

@@ -89,14 +89,9 @@ def config_text(config: CellConfig, *, comments: bool = True, keys: Sequence[str
 
 
 def _lines(
-    section: BaseModel,
-    indent: str,
-    *,
-    comments: bool,
-    kinds: Sequence[str] = (),
-    keys: Sequence[str] = ("",),
+    section: BaseModel, indent: str, *, comments: bool, keys: Sequence[str] = ("",)
 ) -> Iterator[str]:
-    """Return the lines of a section; ``kinds`` are the kinds of its union."""
+    """Return the lines of a section."""
     for name, key in type(section).model_fields.items():
         # The rest of each path within the key; empty: all of it.
         inner_keys = [one.partition(".")[2] for one in keys if one.partition(".")[0] in ("", name)]
@@ -104,11 +99,10 @@ def _lines(
             continue
         value = getattr(section, name)
         if comments:
-            yield from _comment(_meaning(key, kinds if name == "kind" else ()), indent)
+            yield from _comment(_meaning(key), indent)
         if isinstance(value, BaseModel):
-            union = [_kind_of(one) for one in sections_in(key)]
             yield f"{indent}{name}:"
-            yield from _lines(value, indent + "  ", comments=comments, kinds=union, keys=inner_keys)
+            yield from _lines(value, indent + "  ", comments=comments, keys=inner_keys)
         elif isinstance(value, tuple) and any(isinstance(one, BaseModel) for one in value):
             yield f"{indent}{name}:"
             for one in value:
@@ -132,22 +126,20 @@ def _comment(text: str, indent: str) -> Iterator[str]:
     yield from textwrap.wrap(text, _COMMENT_WIDTH, initial_indent=start, subsequent_indent=start)
 
 
-def _meaning(key: FieldInfo, kinds: Sequence[str] = ()) -> str:
+def _meaning(key: FieldInfo) -> str:
     """Return the description of a key, with its choices if it has any."""
     text = " ".join((key.description or "").split())
+    kinds = [_kind_of(one) for one in sections_in(key)]
     choices = kinds if len(kinds) > 1 else _choices(key)
     unnamed = [choice for choice in choices if not re.search(rf"\b{re.escape(choice)}\b", text)]
-    return f"{text} One of: {', '.join(choices)}." if unnamed else text
+    return f"{text} One of: {', '.join(choices)}." if unnamed and len(choices) > 1 else text
 
 
 def _choices(key: FieldInfo) -> list[str]:
     """Return the allowed names or numbers of a key; an empty list if it has a range."""
     if get_origin(key.annotation) is Literal:
         return [str(choice) for choice in get_args(key.annotation)]
-    for note in key.metadata:
-        if isinstance(note, Installed):
-            return list(note.names)
-    return []
+    return [name for note in key.metadata if isinstance(note, Installed) for name in note.names]
 
 
 def _alternatives(key: FieldInfo, value: object, indent: str) -> Iterator[str]:
