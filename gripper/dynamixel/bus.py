@@ -138,7 +138,8 @@ class ServoBus:
         """IDs of the servos whose last answer had the Alert bit."""
         self.baudrate = baudrate
         self._least_allowance_s = allowance_s
-        self._port = SdkPort(stream, clock, baudrate=baudrate, allowance_s=allowance_s)
+        self.port = SdkPort(stream, clock, baudrate=baudrate, allowance_s=allowance_s)
+        """The line, with its time-outs."""
         self._name = name
         self._clock = clock
         self._period_s = period_s
@@ -162,27 +163,15 @@ class ServoBus:
     @property
     def lost(self) -> bool:
         """Whether the line has failed since it was opened; then call `use` with a new one."""
-        return self._port.lost
+        return self.port.lost
 
     def use(self, stream: ByteStream) -> None:
         """Continue with a reopened line."""
-        self._port.use(stream)
-
-    @property
-    def return_delay_s(self) -> float:
-        """Longest Return Delay Time of the servos in s (register 9; default 0.5 ms).
-
-        Part of every time-out.
-        """
-        return self._port.return_delay_s
-
-    @return_delay_s.setter
-    def return_delay_s(self, delay_s: float) -> None:
-        self._port.return_delay_s = delay_s
+        self.port.use(stream)
 
     def fit_allowance(self, wanted_s: float, most_s: float) -> None:
         """Set the time for adapter and operating system in a time-out; never below the usual."""
-        self._port.allowance_s = max(self._least_allowance_s, min(wanted_s, most_s))
+        self.port.allowance_s = max(self._least_allowance_s, min(wanted_s, most_s))
 
     @property
     def statistics(self) -> BusStatistics:
@@ -233,11 +222,11 @@ class ServoBus:
         found: list[ServoIdentity] = []
         damaged = False
         with self.exclusive():
-            self._handler.send(self._port, BROADCAST_ID, Instruction.PING, b"")
+            self._handler.send(self.port, BROADCAST_ID, Instruction.PING, b"")
             wire_s = 10.0 / self.baudrate * (STATUS_OVERHEAD + PING_SIZE) * (HIGHEST_ID + 1)
             slots_s = _SLOT_S * HIGHEST_ID
-            self._port.start_timeout(wire_s + slots_s + self._port.allowance_s)
-            while (status := self._handler.receive(self._port)) is not None:
+            self.port.start_timeout(wire_s + slots_s + self.port.allowance_s)
+            while (status := self._handler.receive(self.port)) is not None:
                 damaged |= bool(self._handler.dropped) or len(status.data) != PING_SIZE
                 if len(status.data) == PING_SIZE:
                     found.append(self._identity(status))
@@ -251,7 +240,7 @@ class ServoBus:
         with self.exclusive():
             for servo_id in ids:
                 ping = [0, 0, servo_id, 2, int(Instruction.PING), 0]
-                answer, result, _ = handler.txRxPacket(self._port, ping)
+                answer, result, _ = handler.txRxPacket(self.port, ping)
                 # Not its echo.
                 if result == COMM_SUCCESS and answer != ping:
                     found.append(servo_id)
@@ -359,7 +348,7 @@ class ServoBus:
         # No servo answers: a late answer does no harm.
         self._begin(quiet=False)
         try:
-            self._handler.send(self._port, BROADCAST_ID, Instruction.SYNC_WRITE, params)
+            self._handler.send(self.port, BROADCAST_ID, Instruction.SYNC_WRITE, params)
         finally:
             self._end()
 
@@ -382,7 +371,7 @@ class ServoBus:
         """Close the line; the servos keep their last goals, and transactions raise PortLost."""
         with self._lock:
             self._closed = True
-            self._port.close()
+            self.port.close()
 
     @contextmanager
     def exclusive(self) -> Iterator[None]:
@@ -422,7 +411,7 @@ class ServoBus:
             raise
 
     def _end(self) -> None:
-        self._port.is_using = False
+        self.port.is_using = False
         self._lock.release()
 
     def _address(self, servo_id: int, what: Register | RegisterBlock) -> int:
@@ -552,7 +541,7 @@ class ServoBus:
 
         The servos answer one after the other: after a missing answer no other follows.
         """
-        self._handler.send(self._port, BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
+        self._handler.send(self.port, BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
         found: dict[int, StatusPacket] = {}
         try:
             for servo_id in ids:
@@ -562,18 +551,18 @@ class ServoBus:
         return found, NoAnswerError(damaged=False)
 
     def _exchange(self, request: Request, *, patient: bool = False) -> StatusPacket:
-        self._handler.send(self._port, request.servo_id, request.instruction, request.params)
+        self._handler.send(self.port, request.servo_id, request.instruction, request.params)
         return self._receive(request.servo_id, request.size, patient=patient)
 
     def _receive(self, servo_id: int, size: int, *, patient: bool = False) -> StatusPacket:
         """Return the next correct answer; drop damaged, late and foreign ones."""
         if patient:
-            self._port.start_timeout(_LATE_GUARD_S)
+            self.port.start_timeout(_LATE_GUARD_S)
         else:
-            self._port.setPacketTimeout(STATUS_OVERHEAD + size)
+            self.port.setPacketTimeout(STATUS_OVERHEAD + size)
         damaged = False
         while True:
-            status = self._handler.receive(self._port)
+            status = self._handler.receive(self.port)
             self._heard.add(self._handler.dropped)
             if status is None:
                 self._outstanding += 1
@@ -616,8 +605,8 @@ class ServoBus:
             left_s = self._quiet_since_s + _LATE_GUARD_S - now_s
             if left_s <= 0.0:
                 break
-            self._port.start_timeout(min(left_s, max(0.0, deadline_s - now_s)))
-            status = self._handler.receive(self._port)
+            self.port.start_timeout(min(left_s, max(0.0, deadline_s - now_s)))
+            status = self._handler.receive(self.port)
             self._heard.add(self._handler.dropped)
             now_s = self._clock.monotonic()
             if status is not None:

@@ -152,7 +152,7 @@ class ServoHealth:
         for servo in self._settings.servos:
             rows += self._verify_one(servo, correct=correct)
         if correct:
-            self._bus.return_delay_s = 0.0
+            self._bus.port.return_delay_s = 0.0
         report = VerificationReport(rows=tuple(rows))
         if refuse and not report.ok:
             errors = [row for row in report.failed if row.item == HARDWARE_ERROR_STATUS.name]

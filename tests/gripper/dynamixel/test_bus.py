@@ -104,8 +104,7 @@ def test_a_lost_answer_is_asked_for_again_behind_a_ping(script, bus, clock) -> N
 
 
 def test_a_lost_answer_of_a_sync_read_costs_less_than_a_period(script, bus, clock) -> None:
-    bus.return_delay_s = 0.0
-    assert bus.return_delay_s == 0.0
+    bus.port.return_delay_s = 0.0
     script.expect(SYNC_132, (0.0003, IS_166))
     script.expect(PING_2, (0.0003, PONG_2))
     script.expect(READ_132_2, (0.0003, TWO_IS_2079))
@@ -313,7 +312,7 @@ def test_an_answer_that_came_while_the_program_stood_still_is_taken(
     script, bus, clock, monkeypatch
 ) -> None:
     """The machine gives the program no time between request and answer."""
-    port = bus._port
+    port = bus.port
     start = port.start_timeout
 
     def stall(duration_s: float) -> None:
