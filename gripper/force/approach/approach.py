@@ -32,13 +32,13 @@ _STANDING_SHARE, _RUNNING_SHARE = 0.2, 0.8
 """Shares of the nominal speed below which a finger stands, and above which it runs. [chosen]"""
 _STALL_TIME_S = 0.5
 """Time in s for which both must last before the fingers are stalled. [chosen]"""
-LEAD_M = 0.006
+_LEAD_M = 0.006
 """Lead of the goal before the fingers in m: their motion if no further goal is written. [chosen]"""
 _LEAD_RESERVE = 1.3
 """Lead relative to that for friction and speed. [chosen]"""
 _CHANGING_S = 0.1
 """Longest time in s until the fingers reach a new speed; the goal then runs on. [chosen]"""
-BOOST_PER_S = 2.0
+_BOOST_PER_S = 2.0
 """Growth in 1/s of the factor on the current of fingers that stand still untouched; it falls twice
 as fast. At most it is `MOST_FRICTION`. [tuned]"""
 _BRAKED_S, _DOUBT_S = 0.01, 0.05
@@ -89,6 +89,8 @@ class Approach:
         Feedback at the start.
     widest_m
         Opening in m above which no part begins; None if not known.
+    may_boost
+        Whether the current may grow while the fingers stand untouched.
     """
 
     def __init__(
@@ -98,6 +100,7 @@ class Approach:
         state: ServoFeedback,
         *,
         widest_m: float | None = None,
+        may_boost: bool = True,
     ) -> None:
         self.event = ApproachEvent.CLOSING
         """Result of the last step."""
@@ -118,6 +121,7 @@ class Approach:
                 to_m_s=approach_speed_m_s(settings, linkage, state.angles_rad),
             )
         self._travels = state.aperture_m > self._slow_at_m
+        self._may_boost = may_boost
         self._changed_s, self._changes = state.t_s, True
         self._aperture_m = state.aperture_m
         self._detector = ContactDetector(settings.contact_force_n, settings.contact_samples)
@@ -180,7 +184,7 @@ class Approach:
             self._take(moment, moment.sample)
         self._plan(moment)
         touched = self._touched()
-        self._boost(moment, free=not any(touched))
+        self._boost(moment, free=self._may_boost and not any(touched))
         self.event = self._result(moment.now_s, touched)
         currents_a = self._most_a if self._changes and self._travels else self.currents_a
         angles_rad = self._linkage.angles_rad(self._aperture_m)
@@ -260,11 +264,11 @@ class Approach:
                     self._reach_m, self.settings.servos, self.currents_a, strict=True
                 )
             )
-        return max(LEAD_M, _LEAD_RESERVE * self._lead_m, pressing_m)
+        return max(_LEAD_M, _LEAD_RESERVE * self._lead_m, pressing_m)
 
     def _boost(self, moment: Moment, *, free: bool) -> None:
         """Let the current of each finger grow while it stands untouched."""
-        step = BOOST_PER_S * moment.dt_s
+        step = _BOOST_PER_S * moment.dt_s
         for finger, servo, path in zip(
             self._fingers, moment.state.servos, self._paths, strict=True
         ):

@@ -1,7 +1,9 @@
 """Confirmation that nothing is held, before an opening without a request."""
 
+from dataclasses import replace
+
 from gripper.errors import GripContradicted
-from gripper.force.approach.approach import BOOST_PER_S, LEAD_M
+from gripper.force.approach.approach import Approach, ApproachEvent
 from gripper.force.approach.contact import LOADED_SHARE
 from gripper.force.loop import Action, Moment
 from gripper.force.supervision.part_watch import (
@@ -11,8 +13,7 @@ from gripper.force.supervision.part_watch import (
     SOFTEST_N_M,
     FrameMean,
 )
-from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_currents_a, transmissions
-from gripper.servos.goal_limits import ServoGoal
+from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.settings import GripperSettings
 from gripper.values.recent import LEAST_SAMPLES, RecentForce
 from gripper.values.state import ServoFeedback
@@ -47,8 +48,8 @@ class EmptyGrip:
     stiffness_n_m
         Stiffness of the part in N/m; None if not known.
     approached
-        Whether an approach has just ended, so that nothing yields to its current; the current then
-        grows, as in the approach, while the fingers stand.
+        Whether an approach has just ended, so that nothing yields to its current; the current may
+        then grow while the fingers stand.
     ran
         Whether the fingers have already closed, unlike on any part.
     """
@@ -63,26 +64,17 @@ class EmptyGrip:
         approached: bool,
         ran: bool,
     ) -> None:
-        paths = transmissions(settings, linkage, state.angles_rad)
-        friction_n = max(path.friction_n for path in paths)
-        pressed_n = settings.approach_force_n + BREAKAWAY_SHARE * friction_n
+        friction_n = max(
+            path.friction_n for path in transmissions(settings, linkage, state.angles_rad)
+        )
         self._settings = settings
-        self._linkage = linkage
-        self._currents_a = motion_currents_a(settings, paths, settings.approach_force_n)
-        self._most_a = [
-            min(
-                (MOST_FRICTION if approached else 1.0) * current_a,
-                settings.current_max_a,
-                path.pressing_current_a(settings.force_max_n),
-            )
-            for current_a, path in zip(self._currents_a, paths, strict=True)
-        ]
+        self._approach = Approach(settings, linkage, state, may_boost=approached)
         self._run_m = RUN_M
         if not approached:
+            pressed_n = settings.approach_force_n + BREAKAWAY_SHARE * friction_n
             self._run_m += pressed_n / (stiffness_n_m or SOFTEST_N_M)
         self._loaded_n = LOADED_SHARE * settings.contact_force_n
-        self._begun = state
-        self._goal_m = state.aperture_m
+        self._begun_m = state.aperture_m
         self._late_s = state.t_s + self._run_m / settings.approach_speed_m_s + _TRY_S
         self._ran = ran
         self._watch_from(state.t_s)
@@ -94,43 +86,25 @@ class EmptyGrip:
 
     def step(self, moment: Moment) -> Action:
         """Return the goals of a period. Raises GripContradicted when anything shows a part."""
-        state = moment.state
         if self._ran:
             return self._pads(moment)
-        travel_m = self._begun.aperture_m - state.aperture_m
-        if travel_m >= self._run_m or state.aperture_m <= self._settings.aperture_min_m:
+        state, approach = moment.state, self._approach
+        goals, travel_m = approach.step(moment).goals, self._begun_m - state.aperture_m
+        assert goals is not None
+        if travel_m >= self._run_m or approach.event is ApproachEvent.LIMIT:
             self._ran = True
             self._watch_from(moment.now_s)
-            return Action(goals=self._goals(state, state.aperture_m))
-        if moment.now_s >= self._late_s:
+            stands = zip(goals, state.angles_rad, strict=True)
+            return Action(goals=[replace(goal, angle_rad=angle_rad) for goal, angle_rad in stands])
+        self._pads(moment)
+        if moment.now_s >= self._late_s or approach.event is not ApproachEvent.CLOSING:
             raise GripContradicted(
                 f"the force samples show empty pads, but the fingers stand at an opening of "
-                f"{1e3 * state.aperture_m:.1f} mm: with {max(self._currents_a):.2f} A, which moves "
-                f"free ones, they have closed by {1e3 * travel_m:.1f} of "
+                f"{1e3 * state.aperture_m:.1f} mm: with {max(approach.currents_a):.2f} A, which "
+                f"moves free ones, they have closed by {1e3 * travel_m:.1f} of "
                 f"{1e3 * self._run_m:.1f} mm. {ADVICE}"
             )
-        self._pads(moment)
-        boost = 1.0 + BOOST_PER_S * moment.dt_s
-        self._currents_a = [
-            min(boost * current_a, most_a)
-            for current_a, most_a in zip(self._currents_a, self._most_a, strict=True)
-        ]
-        self._goal_m = max(
-            self._goal_m - self._settings.approach_speed_m_s * moment.dt_s,
-            state.aperture_m - LEAD_M,
-        )
-        return Action(goals=self._goals(state, self._goal_m))
-
-    def _goals(self, state: ServoFeedback, aperture_m: float) -> tuple[ServoGoal, ...]:
-        """Return goals that close both fingers evenly to an opening, from where they stand."""
-        now_rad = self._linkage.angles_rad(state.aperture_m)
-        goal_rad = self._linkage.angles_rad(aperture_m)
-        return tuple(
-            ServoGoal(angle_rad=servo.angle_rad + goal - now, current_a=current_a)
-            for servo, now, goal, current_a in zip(
-                state.servos, now_rad, goal_rad, self._currents_a, strict=True
-            )
-        )
+        return Action(goals=goals)
 
     def _pads(self, moment: Moment) -> Action:
         """Return no goals; the last step where frames and samples show empty pads."""
