@@ -380,7 +380,6 @@ class BusLossMonitor:
         self._recent: deque[bool] = deque(
             maxlen=ceil(self._most_lost / settings.feedback_loss_max_share)
         )
-        self._lost = 0
 
     def start_counting(self) -> None:
         """Restart the count of periods in a row: the servos were not read for a while."""
@@ -393,13 +392,7 @@ class BusLossMonitor:
     def answered(self) -> None:
         """Count a period with feedback."""
         self.start_counting()
-        self._count(lost=False)
-
-    def _count(self, *, lost: bool) -> None:
-        if len(self._recent) == self._recent.maxlen:
-            self._lost -= self._recent.popleft()
-        self._recent.append(lost)
-        self._lost += lost
+        self._recent.append(False)
 
     def missed(self, error: BusTimeout | BusCorrupt, asked_s: float, now_s: float) -> None:
         """Count a period with a lost answer and a lost repetition.
@@ -420,7 +413,7 @@ class BusLossMonitor:
         BusUnreliable
             When too many of the last periods had no feedback.
         """
-        self._count(lost=True)
+        self._recent.append(True)
         if self._in_row == 0:
             self._since_s = asked_s
         self._in_row += 1
@@ -441,10 +434,9 @@ class BusLossMonitor:
                 f"written, the servos' own watchdog acts. {error}"
             ) from error
         # A lasting loss is a loss of the bus; the share is checked at the start of the next one.
-        if self._in_row == 1 and self._lost > self._most_lost:
-            lost, periods = self._lost, self._recent.maxlen
+        if self._in_row == 1 and (lost := sum(self._recent)) > self._most_lost:
+            periods = self._recent.maxlen
             self._recent.clear()
-            self._lost = 0
             raise BusUnreliable(
                 f"{lost} of the last {periods} periods had no feedback of the servos, "
                 f"feedback_loss_max_share is {self._settings.feedback_loss_max_share:.0%}: the "

@@ -2,9 +2,10 @@
 
 from collections import deque
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from math import exp, hypot, sqrt
+from statistics import fmean
+from typing import NamedTuple
 
 from gripper.errors import PartSlipped
 from gripper.force.loop import Moment
@@ -121,8 +122,7 @@ class SlipWatch:
             self._usual_n += share * (sample.grip_n - self._usual_n)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Centre:
+class _Centre(NamedTuple):
     """Mean of centres of force in m, and the variance of each coordinate in m²."""
 
     x_m: float
@@ -131,13 +131,9 @@ class _Centre:
 
     @classmethod
     def of(cls, samples: Collection[ForceSample]) -> "_Centre":
-        n = len(samples)
-        places = [sample.centre_m for sample in samples if sample.centre_m is not None]
-        return cls(
-            x_m=sum(x_m for x_m, _ in places) / n,
-            y_m=sum(y_m for _, y_m in places) / n,
-            variance_m2=sum(sample.centre_noise_m**2 for sample in samples) / n**2,
-        )
+        x_m, y_m = zip(*(one.centre_m for one in samples if one.centre_m), strict=True)
+        variances_m2 = [one.centre_noise_m**2 for one in samples]
+        return cls(fmean(x_m), fmean(y_m), fmean(variances_m2) / len(variances_m2))
 
     def beyond_m(self, other: "_Centre", allowed_m: float) -> float:
         """Return the distance in m; 0 if it is allowed or within the noise."""
