@@ -46,6 +46,12 @@ _WORN = 5.0
 """Ratio of the friction to the catalogue's above which a servo is not sound. A servo without a
 load may have a tenth of the catalogue's, as an XL330's gearing (arXiv 2410.08650). [assumed]"""
 
+_FRICTION = (
+    *("coulomb_a", "stribeck_a", "viscous_a_s", "stribeck_rad_s", "stribeck_exponent"),
+    *("offset_a", "breakaway_a", "friction_sd"),
+)
+"""Fields of a drive characteristic that free motions measure."""
+
 
 class FreeMotion:
     """Watcher of the servos during free motion; keeps their friction in `settings.drives`.
@@ -167,17 +173,11 @@ class FreeMotion:
         points[:] = [one.at_current(follows * one.current_a, model.winding_ohm) for one in others]
         points.append(point)
         self._priors[servo_id] = prior = prior.with_friction(follows)
-        found = fit_friction(points, prior)
+        before = replace(drive, **{name: getattr(prior, name) for name in _FRICTION})
+        found = fit_friction(points, before)
         found = replace(
             found,
             breakaway_a=(found.coulomb_a + found.stribeck_a) * drive.breakaway_share,
-            rising_a_nm=drive.rising_a_nm,
-            falling_a_nm=drive.falling_a_nm,
-            yielding_share=drive.yielding_share,
-            falling_sd=drive.falling_sd,
-            inertia_ratio=drive.inertia_ratio,
-            inertia_sd=drive.inertia_sd,
-            load_sd=drive.load_sd,
             temperature_c=servo.temperature_c,
         )
         if (back_emf_v_s := fit_back_emf(points, model)) is not None:
