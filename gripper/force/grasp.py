@@ -222,7 +222,7 @@ class RampTime:
     def __init__(self, settings: GripperSettings, ramp: ForceRamp) -> None:
         self._settings = settings
         self._waited_s: float | None = None
-        self.asked_n = ramp.final_n
+        self.requested_n = ramp.final_n
         """Planned force in N at the end of the ramp."""
         self._begin(ramp)
 
@@ -342,11 +342,11 @@ class GripStep:
         """Return the outcome of the ramp, of which ``final`` is the last feedback."""
         contact = self._contact
         final_n = 0.0 if self.control is None else self.control.force_n
-        asked_n, ended_n = self._time.asked_n, self._time.ramp.final_n
-        reached = abs(final_n - asked_n) <= self._settings.settle_tolerance_at_n(asked_n)
+        requested_n, ended_n = self._time.requested_n, self._time.ramp.final_n
+        reached = abs(final_n - requested_n) <= self._settings.settle_tolerance_at_n(requested_n)
         held = GraspResult.FORCE_REACHED if reached else GraspResult.FORCE_NOT_REACHED
-        closed = ended_n < asked_n and not (reached or self.lost)
-        short = _too_small(self._settings, asked_n, final_n, final.aperture_m) if closed else ""
+        closed = ended_n < requested_n and not (reached or self.lost)
+        short = _too_small(self._settings, requested_n, final_n, final.aperture_m) if closed else ""
         return GraspOutcome(
             result=GraspResult.PART_LOST if self.lost else held,
             contact_t_s=None if contact is None else contact.t_s,
@@ -490,9 +490,9 @@ def _check_part(control: GripControl, moment: Moment) -> None:
         )
 
 
-def _too_small(settings: GripperSettings, asked_n: float, force_n: float, aperture_m: float) -> str:
+def _too_small(settings: GripperSettings, most_n: float, force_n: float, aperture_m: float) -> str:
     return (
-        f"the part is too small or too soft for {asked_n:.1f} N: the ramp ended at {force_n:.1f} N "
+        f"the part is too small or too soft for {most_n:.1f} N: the ramp ended at {force_n:.1f} N "
         f"and an opening of {1e3 * aperture_m:.1f} mm (gripper.aperture_min_mm is "
         f"{1e3 * settings.least_pressed_m:g}). Ask for less force, or lower that key as far as the "
         f"foam of the pads yields"

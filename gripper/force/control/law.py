@@ -82,7 +82,7 @@ _JUMP_N, _JUMP_SHARE, _JUMP_SDS = 0.8, 0.15, 4.0
 in standard deviations. [chosen]"""
 _JUMP_S, _CONTRADICTED_S = 0.75 * FRAME_S, 15 * FRAME_S
 """Times in s after which a jump, and a missing drive that is too large, are an error. [chosen]"""
-_MOST_LACKING_N, _LACKING_SDS = 3.0, 5.0
+_MOST_MISSING_N, _MISSING_SDS = 3.0, 5.0
 """Largest missing drive in N, beside the friction and the uncertainty of the servos. [chosen]"""
 
 
@@ -282,7 +282,7 @@ class ForceLaw:
         speed_m_s = observer.speed_after_m_s(_ACTS_S, grip.drive_n, frictions_n)
         way_m = 0.5 * (observer.speed_m_s + speed_m_s) * _ACTS_S
         force_n = observer.force_n + observer.stiffness_n_m * way_m
-        grip.force_n, grip.balance_n = observer.force_n, force_n + observer.lacking_n
+        grip.force_n, grip.balance_n = observer.force_n, force_n + observer.missing_n
         if sample is None:
             return min(grip.balance_n, period.drive_max_n)
         error_n = self.plan.force_n + self.plan.rate_n_s * _ACTS_S - force_n
@@ -440,14 +440,14 @@ class ForceLaw:
 
     def _check(self, period: Period) -> None:
         """Raise LimitExceeded when the drive lacks more than is plausible for some time."""
-        lacking_n, force_n = self.observer.lacking_n, self.observer.force_n
+        missing_n, force_n = self.observer.missing_n, self.observer.force_n
         doubt_n = max(path.doubt_n(period.setpoint_n) for path in period.paths)
-        limit_n = _MOST_LACKING_N + period.friction_n + _LACKING_SDS * doubt_n
-        plausible = abs(lacking_n) <= limit_n
+        limit_n = _MOST_MISSING_N + period.friction_n + _MISSING_SDS * doubt_n
+        plausible = abs(missing_n) <= limit_n
         self._contradicted_s = 0.0 if plausible else self._contradicted_s + period.moment.dt_s
         if self._contradicted_s > _CONTRADICTED_S:
             raise LimitExceeded(
-                f"force sensor and servo current disagree by {-lacking_n:.2f} N, more than "
+                f"force sensor and servo current disagree by {-missing_n:.2f} N, more than "
                 f"{limit_n:.2f} N: the sensor shows {force_n:.2f} N where the current makes "
-                f"{force_n + lacking_n:.2f} N. Check the pads, the tare and the torque figures"
+                f"{force_n + missing_n:.2f} N. Check the pads, the tare and the torque figures"
             )

@@ -22,13 +22,13 @@ from gripper.force.loop import Moment
 from gripper.servos.motion import position_sd_rad
 from gripper.values.force_sensor import ForceSample
 
-_START_SD_N, _LACKING_SD_N = 0.3, 0.2
+_START_SD_N, _MISSING_SD_N = 0.3, 0.2
 """Standard deviations in N of the force and of the missing drive at the start. [chosen]"""
 _CREEP_N = 0.02
 """Random change of the force in N in a period: foam creeps by 7 % in a second. [assumed]"""
 _RIPPLE_M_S = 0.0004
 """Random change of the speed in m/s in a period: noise of the current, 7 mA. [log]"""
-_LACKING_N_RS, _LACKING_N_RM = 1.0, 200.0
+_MISSING_N_RS, _MISSING_N_RM = 1.0, 200.0
 """Random walk of the missing drive in N per root of a second, and the same for each m/s: friction
 changes with place and speed. [chosen]"""
 _MOVED_SDS = 3.0
@@ -59,11 +59,11 @@ class GripObserver:
         self.speed_m_s = 0.0
         """Closing speed of a pad in m/s; 0 where friction locks the fingers."""
         self._breaks = False
-        self.lacking_n = 0.0
+        self.missing_n = 0.0
         """Missing force of the drive in N."""
         self._way_m, self._start_m = 0.0, grip.apertures.newest
         self._way_m2 = _way_sd_m(grip) ** 2
-        variances = (_START_SD_N**2, 0.0, _LACKING_SD_N**2, self._way_m2)
+        variances = (_START_SD_N**2, 0.0, _MISSING_SD_N**2, self._way_m2)
         self._p = np.diag(variances)
         self._forces = History()
         self._forces.add(now_s, self.force_n)
@@ -96,7 +96,7 @@ class GripObserver:
         """
         if self.speed_m_s == 0.0:
             return 0.0
-        push_n, (closing_n, opening_n) = drive_n - self.lacking_n - self.force_n, frictions_n
+        push_n, (closing_n, opening_n) = drive_n - self.missing_n - self.force_n, frictions_n
         braked_n = push_n - (closing_n if self.speed_m_s > 0.0 else -opening_n)
         after_m_s = self.speed_m_s + braked_n * dt_s / self.mass_kg
         return after_m_s if after_m_s * self.speed_m_s > 0.0 else 0.0
@@ -118,7 +118,7 @@ class GripObserver:
             self._p = f @ self._p @ f.T
             self._p[0, 0] += (self.stiffness_sd * stiffness * way_m) ** 2
             self._p[1, 1] += _RIPPLE_M_S**2
-            self._p[2, 2] += (_LACKING_N_RS**2 + (_LACKING_N_RM * self.speed_m_s) ** 2) * dt_s
+            self._p[2, 2] += (_MISSING_N_RS**2 + (_MISSING_N_RM * self.speed_m_s) ** 2) * dt_s
         if self.speed_m_s == 0.0:
             self._p[1], self._p[:, 1] = 0.0, 0.0
         self._p[0, 0] += _CREEP_N**2
@@ -150,10 +150,10 @@ class GripObserver:
     def _correct(self, of: int, error: float, noise2: float) -> None:
         """Correct the state by one of its measured entries."""
         gains = self._p[:, of] / (self._p[of, of] + noise2)
-        force_n, speed_m_s, lacking_n, way_m = (gains * error).tolist()
+        force_n, speed_m_s, missing_n, way_m = (gains * error).tolist()
         self.force_n = max(0.0, self.force_n + force_n)
         self.speed_m_s += speed_m_s
-        self.lacking_n += lacking_n
+        self.missing_n += missing_n
         self._way_m += way_m
         self._p -= np.outer(gains, self._p[of])
 

@@ -262,7 +262,7 @@ def test_a_ramp_is_over_when_its_force_is_there_or_the_time_for_it_is_up() -> No
 def test_a_rise_ends_where_the_fingers_are_closed() -> None:
     time = passed(RampTime(SETTINGS, STAIRS), 0.05, 1.5)
     time.pass_by(0.005, 1.4, SETTINGS.least_pressed_m)
-    assert (time.ramp.final_n, time.asked_n) == (pytest.approx(1.4), 4.0)
+    assert (time.ramp.final_n, time.requested_n) == (pytest.approx(1.4), 4.0)
     assert time.settled(1.4)
 
 
