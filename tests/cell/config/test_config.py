@@ -3,7 +3,7 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jsonschema
 import numpy as np
@@ -22,9 +22,12 @@ from cell.config.file import (
     recorded_config,
     schema_text,
 )
+from cell.config.gripper import OverForceConfig
 from cell.config.model import CellConfig
+from cell.config.positioner import ServoAxisConfig
 from cell.config.section import Declared
 from cell.config.tactile import (
+    LayoutName,
     PadConfig,
     PadsConfig,
     TactileConfig,
@@ -32,10 +35,14 @@ from cell.config.tactile import (
     layout_from_pads,
 )
 from cell.control.records import pad_array
+from cell.data.formats import CONFIG
 from cell.errors import ConfigError
+from cell.sensors.flexitac import FlexiTacConfig
+from gripper.dynamixel.models import MODELS
 from gripper.settings import GripperSettings, OverForce
 from recognition.grasp import PadArray
-from tactile.layout import paper_layout, pinch_layout
+from tactile.flexitac.stream import PROFILES
+from tactile.layout import LAYOUTS, paper_layout, pinch_layout
 from tests.cell.conftest import plain_pads
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.marks import LONG
@@ -65,6 +72,20 @@ def test_an_example_is_written_in_full_with_the_schema_named(name) -> None:
         assert parse_config(written, source=name) == config
     assert text.startswith("# yaml-language-server: $schema=tactile-cell.schema.json\n")
     jsonschema.validate(YAML(typ="safe", pure=True).load(text), json.loads(schema_text()))
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "names"),
+    [
+        (ServoAxisConfig, "model", [model.name for model in MODELS.values() if model.turns]),
+        (FlexiTacConfig, "profile", PROFILES),
+        (OverForceConfig, "reaction", OverForce),
+        (CellConfig, "format", [str(CONFIG)]),
+    ],
+)
+def test_choices_are_those_of_the_part_that_they_set(section, key, names) -> None:
+    assert set(get_args(section.model_fields[key].annotation)) == set(names)
+    assert set(get_args(LayoutName)) == set(LAYOUTS)
 
 
 def test_every_key_of_the_schema_says_what_it_means() -> None:
