@@ -17,7 +17,6 @@ from cell.commissioning.unit import unit_sensor
 from cell.config.model import TAXELS_OF_SMALL_PART, CellConfig
 from cell.errors import ConfigError
 from cell.hand.build import sensor_settings
-from tactile.clock import Clock
 from tactile.control_unit.node import Mounting
 from tactile.errors import TareRefused
 from tactile.layout import PadMount, TaxelLayout
@@ -43,13 +42,9 @@ _LEAST_CROSSTALK = 0.01
 _PRESS_N = 0.5
 """Force in N on a pad that counts as pressed by a fingertip, by any law."""
 _PRESS_FRAMES = 10
-"""Frames in a row, 0.2 s, in which the patch does not move."""
-_PRESS_APART = 0.3
-"""Largest motion of a resting patch, in half extents of the pad."""
+"""Frames whose mean shows a resting fingertip: 0.2 s."""
 _OFF_MIDDLE = 0.15
 """Least distance from the pad's middle, in half extents, of a patch on one side."""
-_PRESS_TIMEOUT_S = 30.0
-"""Longest wait in s for a pressed pad."""
 _LOOK_FRAMES = 5
 """Frames between two texts on the screen: ten a second."""
 
@@ -333,13 +328,18 @@ def find_mounting(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     with unit_sensor(bench, mounted=False) as sensor:
         layout = sensor.layout
         sensor.tare(bench.tactile().tare_frames)
-        presses = _Presses(sensor, bench.clock, dialog)
         grip = layout.gripping_pads
-        in_turn = sorted(range(layout.n_pads), key=lambda pad: pad not in grip)
-        missing = [pad for pad in in_turn if not presses.press(pad)]
+        patches: dict[int, Patch] = {}
+        crosstalk: dict[int, tuple[float, float]] = {}
+        for pad in sorted(range(layout.n_pads), key=lambda pad: pad not in grip):
+            force_n = _pressed(sensor, dialog, pad, patches)
+            if force_n is not None and (patch := pressed_at(layout, force_n)):
+                patches[pad] = patch
+                crosstalk[pad] = crosstalk_of(layout, patch.pad, force_n)
+        dialog.say("Lift the fingertip.")
     names = [pad.name for pad in layout.pads]
-    mounts = mounts_of(layout, presses.patches)
-    notes.fact(f"{len(presses.patches)} pads were pressed, one after another.")
+    mounts = mounts_of(layout, patches)
+    notes.fact(f"{len(patches)} pads were pressed, one after another.")
     for line in mount_lines(layout, mounts):
         notes.warn(line, corrected=True)
     if bench.tactile().sends_forces and not Mounting(layout, mounts).unit_can_sum:
@@ -347,20 +347,20 @@ def find_mounting(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             "The inner pads have different mountings, so the force comes from whole frames, which "
             "is slower: turn one pad, or set gripper.approach_speed_mm_s to 12."
         )
-    for pad, (row, column) in presses.crosstalk.items():
+    for pad, (row, column) in crosstalk.items():
         if max(row, column) >= _LEAST_CROSSTALK:
             notes.fact(
                 f"Crosstalk of {names[pad]}: the rest of the row shows {row:.0%} of the pressed "
                 f"taxel, the rest of the column {column:.0%}."
             )
-    for pad in missing:
+    for pad in (one for one in range(layout.n_pads) if one not in patches):
         (notes.fail if pad in grip else notes.warn)(
             f"{names[pad]} was not found: no other pad of its size showed a patch. Check its plug "
             "and cable."
         )
     notes.values |= {
-        "crosstalk": {names[pad]: shares for pad, shares in presses.crosstalk.items()},
-        "patches": {names[pad]: asdict(patch) for pad, patch in presses.patches.items()},
+        "crosstalk": {names[pad]: shares for pad, shares in crosstalk.items()},
+        "patches": {names[pad]: asdict(patch) for pad, patch in patches.items()},
     }
     notes.settings["tactile.mounting"] = [asdict(mount) for mount in mounts]
 
@@ -377,71 +377,34 @@ PADS_PRESSED = Step(
 )
 
 
-class _Presses:
-    """Asks for presses on the pads, one after another."""
+def _pressed(
+    sensor: TactileSensor, dialog: Dialog, pad: int, patches: Mapping[int, Patch]
+) -> NDArray[np.float64] | None:
+    """Ask for a press on a pad until its patch can be that of the pad; None if it shows nothing.
 
-    def __init__(self, sensor: TactileSensor, clock: Clock, dialog: Dialog) -> None:
-        self._sensor, self._clock, self._dialog = sensor, clock, dialog
-        self.patches: dict[int, Patch] = {}
-        """Measured patch by requested pad."""
-        self.crosstalk: dict[int, tuple[float, float]] = {}
-        """`crosstalk_of` each requested pad."""
-        self._force_n = np.zeros(sensor.layout.n_taxels)
+    Returns (n_taxels,) float64: the force on each taxel in N. ``patches`` are those of other pads.
+    """
 
-    def press(self, pad: int) -> bool:
-        """Ask for a press on a pad, and keep its patch; return whether it was found."""
-        layout, dialog = self._sensor.layout, self._dialog
-        name = layout.pads[pad].name
-        while True:
-            dialog.say(f"Press {name} with a fingertip {corner_text(layout, pad)}; hold it.")
-            patch = self._patch()
-            complaint = _complaint(layout, pad, patch, self.patches)
-            if patch is not None and not complaint:
-                self.patches[pad] = patch
-                self.crosstalk[pad] = crosstalk_of(layout, patch.pad, self._force_n)
-                dialog.say(f"{name} is found. Lift the fingertip.")
-                self._lifted()
-                return True
-            dialog.say(complaint)
-            answer = dialog.choose(
-                "pads_pressed.again",
-                f"Press {name} again?",
-                {"again": "press it again", "skip": "it shows nothing: continue without it"},
-                "again",
-                watch=lambda: _patch_text(layout, self._look()[-1]),
-            )
-            if answer == "skip":
-                return False
-            self._lifted()
+    def force_n(n_frames: int) -> NDArray[np.float64]:
+        forces = [sensor.read(timeout_s=1.0).force_n for _ in range(n_frames)]
+        return np.asarray(np.mean(forces, axis=0))
 
-    def _look(self) -> list[Patch | None]:
-        """Read some frames, which serves the link, and return the patch in each."""
-        patches = []
-        for _ in range(_LOOK_FRAMES):
-            self._force_n = self._sensor.read(timeout_s=1.0).force_n
-            patches.append(pressed_at(self._sensor.layout, self._force_n))
-        return patches
-
-    def _patch(self) -> Patch | None:
-        """Wait until a fingertip rests on a pad, and return its patch; None after the time-out."""
-        deadline_s = self._clock.monotonic() + _PRESS_TIMEOUT_S
-        steady: list[Patch] = []
-        while self._clock.monotonic() < deadline_s:
-            for patch in self._look():
-                if patch is None or (steady and not _same_place(patch, steady[0])):
-                    steady = []
-                if patch is not None:
-                    steady.append(patch)
-            if len(steady) >= _PRESS_FRAMES:
-                return steady[-1]
-            self._dialog.live("fingertip", _patch_text(self._sensor.layout, patch))
-        return None
-
-    def _lifted(self) -> None:
-        """Wait until nothing presses a pad, at most for the time-out of a press."""
-        deadline_s = self._clock.monotonic() + _PRESS_TIMEOUT_S
-        while self._clock.monotonic() < deadline_s and self._look()[-1] is not None:
-            self._dialog.live("fingertip", "still there")
+    layout = sensor.layout
+    while True:
+        answer = dialog.choose(
+            "pads_pressed.press",
+            f"Press {layout.pads[pad].name} with a fingertip {corner_text(layout, pad)}; hold it.",
+            {"done": "it is pressed", "skip": "it shows nothing: continue without it"},
+            "done",
+            watch=lambda: _patch_text(layout, pressed_at(layout, force_n(_LOOK_FRAMES))),
+        )
+        if answer == "skip":
+            return None
+        found_n = force_n(_PRESS_FRAMES)
+        complaint = _complaint(layout, pad, pressed_at(layout, found_n), patches)
+        if not complaint:
+            return found_n
+        dialog.say(complaint)
 
 
 def _complaint(
@@ -449,7 +412,7 @@ def _complaint(
 ) -> str:
     """Return why a patch cannot be that of the requested pad, or an empty text."""
     if patch is None:
-        return f"No pad showed a fingertip within {_PRESS_TIMEOUT_S:.0f} s."
+        return "No pad shows a fingertip."
     asked, seen = layout.pads[pad], layout.pads[patch.pad]
     for other, found in patches.items():
         if found.pad == patch.pad:
@@ -460,11 +423,6 @@ def _complaint(
     if min((abs(place) for place, n in places if n > 1), default=1.0) < _OFF_MIDDLE:
         return "The patch is in the middle of the pad: press nearer to the corner."
     return ""
-
-
-def _same_place(one: Patch, other: Patch) -> bool:
-    apart = max(abs(one.along - other.along), abs(one.across - other.across))
-    return one.pad == other.pad and apart < _PRESS_APART
 
 
 def _patch_text(layout: TaxelLayout, patch: Patch | None) -> str:

@@ -143,7 +143,7 @@ PRACTICE: Practice = {
     r"How do the fingers move\?": ("", "1"),
     r"Take the block out": ("empty; half", ""),
     r"Did each finger open": ("", "1"),
-    r"!Press (\S+) with a fingertip (.+); hold": (r"press \1 \2", ""),
+    r"Press (\S+) with a fingertip (.+); hold": (r"press \1 \2", ""),
     r"!Lift the fingertip": ("lift", ""),
     r"!Take the load off": ("lift", ""),
     r"Nothing may touch the pads while": ("empty", ""),

@@ -71,29 +71,20 @@ def test_pads_that_sit_otherwise_are_found_named_and_set(stand, mounts, named) -
     assert found == mounts
 
 
-def test_a_dead_pad_is_named_and_fails_the_step(one, monkeypatch) -> None:
-    monkeypatch.setattr("cell.commissioning.pads._PRESS_TIMEOUT_S", 5.0)
-    finding = one.run(
-        PRESSED, practice={"!Press finger0.inner": ("lift", "")}, pads_pressed__again="skip"
-    )
+def test_a_dead_pad_is_named_and_fails_the_step(one) -> None:
+    finding = one.run(PRESSED, pads_pressed__press=[one.does("lift"), "skip", None])
     assert finding.status is Verdict.FAIL
     assert "finger0.inner was not found" in finding.lines[-1]
-    assert "No pad showed a fingertip within 5 s" in one.person.script.text
+    assert "No pad shows a fingertip" in one.person.script.text
     assert finding.settings == {}
 
 
 def test_the_wrong_pad_or_its_middle_is_asked_for_again(one) -> None:
-    practice = {"!Press finger1.inner with": ("press finger0.inner", "")}
-
-    def again() -> str:
-        one.does("lift")()
-        # First the middle of the right pad, then its corner.
-        if one.person.practice.pop("!Press finger1.inner with")[0] == "press finger0.inner":
-            one.person.practice["!Press finger1.inner with"] = ("press finger1.inner", "")
-        return "again"
-
-    one.passes(PRESSED, practice=practice, pads_pressed__again=again)
-    assert one.person.script.asked == ["pads_pressed.again"] * 2
+    wrong = [one.does(f"press finger{number}.inner") for number in (0, 1)]
+    one.passes(PRESSED, pads_pressed__press=[None, *wrong, None])
+    assert one.person.script.asked == ["pads_pressed.press"] * 4
+    assert "The patch is where finger0.inner was found" in one.person.script.text
+    assert "in the middle of the pad" in one.person.script.text
 
 
 @pytest.mark.parametrize("layout", [pinch_layout(), paper_layout()])
@@ -101,7 +92,7 @@ def test_each_pad_is_found_by_who_follows_the_words(stand, layout) -> None:
     one = stand(layout=layout)
     one.knows(tactile__layout=layout.name)
     assert one.passes(PRESSED).settings == {"tactile.mounting": []}
-    assert one.person.script.asked == []
+    assert one.person.script.asked == ["pads_pressed.press"] * layout.n_pads
 
 
 def test_corners_are_named_as_a_person_sees_them() -> None:
