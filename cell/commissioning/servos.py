@@ -96,26 +96,25 @@ def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     """Find, number, check and set the servos of the fingers."""
     port, rate = bench.gripper().port, bench.gripper().baud_rate
     use_servo_models(SERVO_MODELS.usable())
-    placed = _numbered(bench, dialog, port, rate, notes)
-    fingers = _of_fingers(placed, dialog)
+    fingers = _numbered(bench, dialog, port, rate, notes)
+    if len(fingers) > _MOST_FINGER_SERVOS:
+        raise StepFailed(
+            f"{len(fingers)} servos answer on {port}, a gripper has one or two: give each servo of "
+            "an axis a port of its own"
+        )
     notes.settings["gripper.baud_rate"] = rate
     notes.settings["gripper.servos"] = [
         {"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers
     ]
     notes.values["servos"] = [
         {"id": one.servo_id, "model": model_name(one.model_number), "firmware": one.firmware}
-        for one in placed
+        for one in fingers
     ]
     volts = set()
-    for one in placed:
+    for one in fingers:
         name = model_name(one.model_number)
         notes.fact(f"servo {one.servo_id}: {name}, firmware {one.firmware}")
-        if one not in fingers:
-            notes.fact(
-                f"servo {one.servo_id} drives no finger: an axis needs a port of its own, see the "
-                "step `axes`"
-            )
-        elif name in MODELS:
+        if name in MODELS:
             volts.add(MODELS[name].nominal_voltage_v)
         else:
             notes.fail(
@@ -297,18 +296,6 @@ def torque_off(bus: ServoBus, dialog: Dialog, servo_id: int, torque: int) -> Non
     change = {TORQUE_ENABLE.name: ("on", "off")}
     dialog.approve(register_writes(f"servo {servo_id}", change, "release or start the cell"))
     bus.write(servo_id, TORQUE_ENABLE, 0)
-
-
-def _of_fingers(placed: Sequence[ServoIdentity], dialog: Dialog) -> list[ServoIdentity]:
-    """Return the servos of the fingers; ask only if there are more than two."""
-    fingers = {
-        str(one.servo_id): f"servo {one.servo_id} ({model_name(one.model_number)})"
-        for one in placed
-    }
-    while len(fingers) > _MOST_FINGER_SERVOS:
-        text = "A gripper has one or two servos. Which one drives no finger?"
-        del fingers[dialog.choose("servos.other", text, fingers)]
-    return [one for one in placed if str(one.servo_id) in fingers]
 
 
 # Registers

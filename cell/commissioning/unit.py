@@ -151,16 +151,9 @@ def find_unit(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             notes.fact(f"tactile.{key} was {was}, is now {now}", corrected=True)
     notes.fact(f"The unit boots, keeps its set-up and sends frames ({forces} force messages).")
     notes.values |= {
-        "bitrate": bitrate,
-        "nodes_heard": list(heard.nodes),
-        "node_id": unit.node_id,
-        "name": unit.identity.name,
         "serial_number": unit.identity.serial,
         "revision": unit.identity.revision,
         "board_serial_numbers": list(unit.identity.boards),
-        "layout_hash": unit.layout_hash,
-        "pads": [list(shape) for shape in unit.pad_shapes],
-        "sends_forces": unit.sends_forces,
     }
 
 
@@ -217,7 +210,7 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             f"{rate_hz:.0f} frames a second are few, {least_hz:.0f} are usual: plug each board "
             "into a USB port of its own, not into a hub."
         )
-    notes.values |= {"rate_hz": rate_hz, "sends_forces": False}
+    notes.values["rate_hz"] = rate_hz
 
 
 def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
