@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 
-from gripper.errors import GripContradicted, GripperStateError, PartLost, PositionContradicted
+from gripper.errors import GripContradicted, GripperStateError, PartLost
 from gripper.force.approach.approach import Approach, ApproachEvent
 from gripper.force.approach.contact import ContactRest
 from gripper.force.approach.mechanics_proof import (
@@ -28,9 +28,6 @@ from gripper.values.state import STANDING_M_S, GripperPhase, ServoFeedback
 _BEGINS_M, _SURPRISE_M = 0.0005, 0.0015
 """Margin in m by which the next part may be wider than all earlier ones: the first value, and the
 second over the number of these parts, because each is equally likely to be the widest. [tuned]"""
-_YIELDS_N = 2.0
-"""Rise of the force in N with which each pad yields by a count of the encoder or more: foam by some
-ten counts, silicone by some. [chosen]"""
 _EQUAL_S = 1e-9
 """Difference of times in s that is ignored: sums of periods are rounded. [chosen]"""
 
@@ -388,8 +385,6 @@ class ContactStep(GripStep):
         super().__init__(reached.settings, None, ramp, slip=slip)
         self._linkage = linkage
         self._reached, self._contact = reached, reached.state
-        self._still = {one.servo_id: one.position_raw for one in reached.state.servos}
-        self._begun_n = 0.0
         self._end = end
         self._rest = ContactRest(reached.state.t_s)
 
@@ -400,27 +395,7 @@ class ContactStep(GripStep):
             return Action()
         control = self._advance(moment)
         self.lost = control.watch.lost(moment)
-        action = self._action(moment, control)
-        self._look_for_stuck_encoder(moment.state, ended=action.done and not self.lost)
-        return action
-
-    def _look_for_stuck_encoder(self, state: ServoFeedback, *, ended: bool) -> None:
-        """Compare positions with those at the contact; PositionContradicted at the end of a ramp.
-
-        An encoder that is stuck since shortly before the contact shows a wrong size of the part.
-        """
-        for servo in state.servos:
-            if servo.position_raw != self._still.get(servo.servo_id):
-                self._still.pop(servo.servo_id, None)
-        assert self.control is not None
-        risen_n = self.control.force_n - self._begun_n
-        if ended and self._still and risen_n >= _YIELDS_N:
-            raise PositionContradicted(
-                f"servo {min(self._still)}: its position has not changed by a count since the "
-                f"contact, although its pad yields: the force has risen by {risen_n:.1f} N. Its "
-                f"encoder is stuck, so the opening is unknown. The goals are frozen and the grip "
-                f"kept. Check encoder, horn and linkage, then clear the fault and release"
-            )
+        return self._action(moment, control)
 
     def _advance(self, moment: Moment) -> GripControl:
         """Advance the time on the ramp: begin it, end it early, or continue."""
@@ -428,8 +403,7 @@ class ContactStep(GripStep):
             self.control = GripControl(
                 self._linkage, self._reached, force_n=self._rest.force_n, now_s=moment.now_s
             )
-            self._begun_n = self._rest.force_n
-            begun = self._time.ramp.starting_from(self._begun_n)
+            begun = self._time.ramp.starting_from(self._rest.force_n)
             self._time = RampTime(self._settings, begun)
         elif not self._ended and self._ends_early():
             ended = self._time.ramp.ended_at(self._time.elapsed_s)

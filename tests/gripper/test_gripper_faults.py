@@ -102,29 +102,6 @@ def test_the_force_stays_below_its_cap_with_a_wrong_encoder_at_any_moment(make_c
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("before_m", [0.2e-3, *map(LONG, (0.5e-3, 1e-3))])
-@pytest.mark.parametrize("stiffness_n_m", [2000.0, 20_000.0])
-def test_an_encoder_stuck_just_before_the_contact_gives_no_size(
-    make_started, before_m, stiffness_n_m
-) -> None:
-    """Over so short a way voltage and current of the motor cannot contradict the position."""
-    cell = make_started(rate_hz=200.0, noise_n=0.1, stiffness_n_m=stiffness_n_m)
-    motor = cell.motors[1]
-
-    def stick(_now_s: float) -> None:
-        near_m = sum(cell.mechanics.finger_position_m) - cell.part.width_m
-        if motor.stuck_at_rad is None and near_m <= 2.0 * before_m:
-            motor.stuck_at_rad = motor.angle_rad
-
-    cell.clock.on_advance.append(stick)
-    with pytest.raises(PositionContradicted):
-        cell.gripper.grasp(RAMP)
-    kept_n = cell.force_n
-    cell.clock.sleep(0.5)
-    assert cell.force_n > 0.9 * kept_n > 0.5
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("at_n", [0.5, 2.0, 4.0])
 @pytest.mark.parametrize("rate_hz", [None, 200.0])
 def test_currents_that_freeze_in_a_grip_let_no_part_go(
