@@ -57,10 +57,12 @@ def test_pinch_layout_is_row_by_row_and_centred() -> None:
     )
 
 
-def test_arrays_cannot_be_written() -> None:
+def test_arrays_cannot_be_written_and_a_pad_that_is_not_there_is_named() -> None:
     for array in (PAPER.taxel_xy_m, PAPER.position_m, PAPER.taxel_pad):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
+    with pytest.raises(IndexError, match="pad 10"):
+        PAPER.taxels_of(10)
 
 
 def test_hash_covers_what_gives_the_samples_their_meaning() -> None:
@@ -115,8 +117,3 @@ def test_impossible_pads_are_refused(change: dict, says: str) -> None:
 def test_impossible_layouts_are_refused(change: dict, says: str) -> None:
     with pytest.raises(LayoutError, match=says):
         replace(TaxelLayout(name="small", pads=tuple(INNER)), **change)
-
-
-def test_unknown_pad_raises() -> None:
-    with pytest.raises(IndexError, match="pad 10"):
-        paper_layout().taxels_of(10)

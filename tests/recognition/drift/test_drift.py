@@ -29,7 +29,7 @@ from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest
 from recognition.recognizers import make_trainer
 from tests.cell.archive.fleet import SIZES_MM, ramp
-from tests.recognition.conftest import accuracy
+from tests.recognition.conftest import accuracy, part
 
 
 @pytest.mark.parametrize(
@@ -283,16 +283,9 @@ def test_what_cannot_gauge_says_why(taught, fresh):
 
 
 def test_grasps_too_short_for_rest_and_load_teach_no_rest(train):
-    short = [
-        dataclasses.replace(
-            grasp, **{n: getattr(grasp, n)[:5] for n in ("counts", "t_s", "aperture_m", "force_n")}
-        )
-        for grasp in train[:3]
-    ]
-    with pytest.raises(
-        ValueError, match=r"5 frames in the median, at least 6 .* from rest to load"
-    ):
-        learn_rest(short)
+    says = r"5 frames in the median, at least 6 .* from rest to load"
+    with pytest.raises(ValueError, match=says):
+        learn_rest([part(grasp, slice(5)) for grasp in train[:3]])
 
 
 # -- Self-zero from made-up frames -----------------------------------------------------------------

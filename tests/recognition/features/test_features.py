@@ -1,14 +1,10 @@
 """Values that a grasp takes, and those that it refuses."""
 
 import dataclasses
-import importlib
-import inspect
-import pkgutil
 
 import numpy as np
 import pytest
 
-import recognition.features
 from recognition.features.aperture import aperture_features
 from recognition.features.footprint import (
     describe_footprint,
@@ -207,30 +203,6 @@ def described(train):
     return load_levels(train, rest), rest
 
 
-def feature_functions():
-    """Return the names of the public functions of the package that make features."""
-    modules = [
-        importlib.import_module(f"recognition.features.{found.name}")
-        for found in pkgutil.iter_modules(recognition.features.__path__)
-    ]
-    return {
-        name
-        for module in modules
-        for name, function in inspect.getmembers(module, inspect.isfunction)
-        if name.endswith("_features") and function.__module__ == module.__name__
-    }
-
-
-def test_every_feature_function_has_an_entry():
-    used = {name for group in FEATURE_GROUPS for name in group.features.__code__.co_names}
-    used |= {group.features.__name__ for group in FEATURE_GROUPS}
-    assert feature_functions() - used == {"touch_features", "aperture_features"}
-
-
-def test_each_group_has_a_name_of_its_own():
-    assert len({group.name for group in FEATURE_GROUPS}) == len(FEATURE_GROUPS)
-
-
 @pytest.fixture(scope="module")
 def footprints(described):
     levels, rest = described
@@ -238,14 +210,6 @@ def footprints(described):
         describe_footprint(maps, levels.noise[..., column], pad_grid(rest.pads, pad))
         for column, (maps, pad) in enumerate(zip(levels.maps, rest.gripping, strict=True))
     ]
-
-
-def test_each_group_has_a_row_of_finite_features_for_each_grasp(train, described, footprints):
-    for group in FEATURE_GROUPS:
-        values = group.features(described[0], footprints)
-        assert values.shape[0] == len(train), group.name
-        assert values.shape[1] > 0, group.name
-        assert np.all(np.isfinite(values)), group.name
 
 
 @pytest.mark.parametrize("opening", [True, False])

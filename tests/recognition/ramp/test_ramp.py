@@ -9,6 +9,7 @@ from recognition.features.aperture import aperture_features
 from recognition.features.footprint import describe_footprint, growth_features, pad_grid
 from recognition.ramp.levels import LOAD_FRACTIONS, load_levels, stack_levels
 from recognition.ramp.ramp import Rest, find_ramp, held_part, learn_rest
+from tests.recognition.conftest import part
 
 
 @pytest.fixture
@@ -46,7 +47,7 @@ def test_a_rest_above_all_frames_cuts_nothing_off(factory):
     rest = learn_rest(factory.many(3, seed=3, pads=pads, gripping=(0, 1, 2)))
     rest.counts[pads.taxels_of(2)] += 20_000.0
     pressed = factory.one(factory.things[0], np.random.default_rng(6), pads=pads)
-    loaded = _cut(pressed, np.arange(-5, 0))
+    loaded = part(pressed, np.arange(-5, 0))
     ramp = find_ramp(loaded, rest)
     assert ramp.touched
     assert ramp.load.sum(axis=1).max() < 0.0
@@ -86,14 +87,7 @@ def test_noise_alone_is_not_touched(factory):
 
 def test_a_grasp_that_begins_loaded_is_taken_against_the_taught_rest(train):
     rest, whole = learn_rest(train), train[0]
-    tail = dataclasses.replace(
-        whole,
-        counts=whole.counts[20:],
-        t_s=whole.t_s[20:],
-        aperture_m=whole.aperture_m[20:],
-        force_n=whole.force_n[20:],
-    )
-    ramp = find_ramp(tail, rest)
+    ramp = find_ramp(part(whole, slice(20, None)), rest)
     assert ramp.start == 0
     assert ramp.load[-1] == pytest.approx(find_ramp(whole, rest).load[-1], rel=1e-6)
 
@@ -116,7 +110,7 @@ def test_a_ramp_of_a_cell_has_the_same_levels_at_any_rate(train):
     command_n = np.r_[np.zeros(before), np.linspace(0.5, 6.0, whole.n_frames - before)]
     at_once = dataclasses.replace(whole, force_n=command_n, source="cell one")
     frames = np.r_[0:before, np.repeat(np.arange(before, whole.n_frames), 4)]
-    slow = _cut(at_once, frames)
+    slow = part(at_once, frames)
     fast, slowly = (load_levels([g], rest) for g in (at_once, slow))
     assert fast.touch_aperture_mm == pytest.approx(1e3 * whole.aperture_m[before])
     assert slowly.touch_aperture_mm == pytest.approx(fast.touch_aperture_mm)
@@ -161,23 +155,6 @@ def test_rest_refuses_what_it_cannot_learn_from(factory, train):
         find_ramp(other[0], learn_rest(train))
 
 
-def test_rest_comes_back_from_its_arrays(rest, train):
-    again = Rest.from_arrays(rest.to_arrays())
-    again.check(train[0].pads)
-    assert again.gripping == rest.gripping
-    assert np.array_equal(again.counts, rest.counts)
-
-
-def _cut(grasp, frames):
-    return dataclasses.replace(
-        grasp,
-        counts=grasp.counts[frames],
-        t_s=0.02 * np.arange(len(frames)),
-        aperture_m=grasp.aperture_m[frames],
-        force_n=grasp.force_n[frames],
-    )
-
-
 def test_a_drift_of_all_taxels_is_no_load_however_large(factory):
     pads = factory.pads(adc_max=255)
     grasps = factory.many(3, seed=4, pads=pads, noise_counts=16.0)
@@ -193,13 +170,13 @@ def test_what_follows_the_release_is_left_out(train):
     rest, whole = learn_rest(train), train[0]
     n = whole.n_frames
     assert held_part(whole, rest)[0] is whole
-    let_go = _cut(whole, np.r_[0:n, n - 1 : -1 : -1])
+    let_go = part(whole, np.r_[0:n, n - 1 : -1 : -1])
     held, _ = held_part(let_go, rest)
     assert n - 2 <= held.n_frames <= n + n // 4
     before, after = (load_levels([g], rest) for g in (whole, let_go))
     for one, other in zip(before.maps, after.maps, strict=True):
         assert other[0, -1] == pytest.approx(one[0, -1], abs=0.1 * one.max())
-    assert learn_rest([_cut(g, np.r_[0:n, n - 1 : -1 : -1]) for g in train]).gripping == (
+    assert learn_rest([part(g, np.r_[0:n, n - 1 : -1 : -1]) for g in train]).gripping == (
         rest.gripping
     )
 
@@ -236,7 +213,7 @@ def test_a_taxel_that_sticks_reads_as_those_beside_it(factory):
 
 def test_a_load_that_is_held_all_the_time_is_not_stuck(train):
     rest, whole = learn_rest(train), train[0]
-    held = _cut(whole, np.full(20, whole.n_frames - 1))
+    held = part(whole, np.full(20, whole.n_frames - 1))
     assert find_ramp(held, rest).load[-1] == pytest.approx(
         (whole.counts[-1] - rest.counts).reshape(2, -1).sum(axis=1)
     )

@@ -17,7 +17,7 @@ from recognition.quadric.level import (
 from recognition.quadric.thresholds import check_level, find_thresholds
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
-from tests.recognition.conftest import make_pads
+from tests.recognition.conftest import make_pads, part
 
 PAPER_FINGER = ((16, 4), (16, 4), (16, 2), (16, 2), (6, 2))
 
@@ -104,11 +104,7 @@ def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform():
     taught = LevelCheckTrainer().fit(_taught(PAPER, rng))
     nothing = _grasp(PAPER, 0.0, rng)
     tip_only = _grasp(PAPER, 0.5, rng, touched=(4,))  # a pad of 6 x 2: two rows are no surface
-    one_frame = dataclasses.replace(
-        nothing,
-        **{name: getattr(nothing, name)[:1] for name in ("counts", "t_s", "aperture_m", "force_n")},
-    )
-    for grasp in (tip_only, one_frame):
+    for grasp in (tip_only, part(nothing, slice(1))):
         posterior = taught.posterior(grasp)
         assert (posterior.unknown, posterior.probability) == (1.0, pytest.approx([1 / 3] * 3))
         assert taught.check(grasp) == UNKNOWN

@@ -1,14 +1,10 @@
 """All recognisers that are taught: right answers, strange grasps, odd input, back from arrays."""
 
 import dataclasses
-import importlib
-import inspect
-import pkgutil
 
 import numpy as np
 import pytest
 
-import recognition.recognizers
 from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.evaluation.splits import a_day_later
@@ -20,7 +16,7 @@ from recognition.recognizers import DEFAULT_TRAINER, make_trainer, trainer_names
 from recognition.recognizers.force_ramp.view import describe
 from recognition.recognizers.force_ramp.view_training import even_in_time
 from tests.marks import LONG
-from tests.recognition.conftest import accuracy
+from tests.recognition.conftest import accuracy, part
 
 OURS = ("force_ramp", "shrinkage_lda")
 
@@ -35,38 +31,11 @@ def taught(name, teach):
     return teach(name)
 
 
-def part(grasp, frames):
-    return dataclasses.replace(
-        grasp,
-        counts=grasp.counts[frames],
-        t_s=grasp.t_s[frames],
-        aperture_m=grasp.aperture_m[frames],
-        force_n=grasp.force_n[frames],
-    )
-
-
 @pytest.mark.slow
 def test_no_feature_of_the_default_has_a_unit_that_taught_grasps_hardly_show(teach):
     taught = teach("force_ramp")
     for view in (taught.touch, taught.both):
         assert view.model.discriminant.scale.min() >= 0.02
-
-
-def test_every_trainer_of_the_chapter_has_an_entry():
-    modules = [
-        importlib.import_module(found.name)
-        for found in pkgutil.walk_packages(
-            recognition.recognizers.__path__, "recognition.recognizers."
-        )
-    ]
-    classes = {
-        one
-        for module in modules
-        for _, one in inspect.getmembers(module, inspect.isclass)
-        if one.__module__ == module.__name__
-    }
-    made = {type(make_trainer(name)) for name in trainer_names()}
-    assert {one for one in classes if one.__name__.endswith("Trainer")} == made
 
 
 def test_registry_makes_each_trainer_both_ways():

@@ -381,9 +381,12 @@ def test_a_linear_sensor_is_read_under_its_own_law(pads: PadArray, kind: str) ->
     assert wrong.high_m - wrong.low_m > answer.high_m - answer.low_m
 
 
-def test_a_length_is_found_too(pads: PadArray) -> None:
+def test_a_length_is_found_too_and_the_text_says_the_same_as_the_plain_data(pads: PadArray) -> None:
     answer = shape_of(pressed(pads, Body("cylinder", 7.0), seed=4))
     assert 1e3 * answer.dimensions_m["length"] == pytest.approx(17.5, abs=1.0)
+    plain = answer.as_dict()
+    low, high = plain["interval_mm"]
+    assert str(answer) == f"cylinder, {plain['size_mm']:.1f} mm ({low:.1f} to {high:.1f})"
 
 
 @pytest.mark.slow
@@ -432,13 +435,6 @@ def test_what_no_kind_explains_is_unclear(pads: PadArray) -> None:
     assert answer.misfit > 3.0
     assert answer.likeliest in SHAPE_MODELS
     assert str(answer).startswith("unclear, ")
-
-
-def test_the_text_and_the_plain_data_say_the_same(pads: PadArray) -> None:
-    answer = shape_of(pressed(pads, Body("cylinder", 7.0), seed=0))
-    plain = answer.as_dict()
-    low, high = plain["interval_mm"]
-    assert str(answer) == f"cylinder, {plain['size_mm']:.1f} mm ({low:.1f} to {high:.1f})"
 
 
 def test_an_untouched_pad_tells_nothing(pads: PadArray) -> None:
@@ -613,9 +609,7 @@ def test_along_them_they_differ() -> None:
     assert surface("flat", 6.9e-3, 4.1e-3)[1] == 0.0
     assert surface("dumbbell", 1e-3, 0.0)[1] == 0.0
     assert surface("dumbbell", 4e-3, 0.0) == (0.0, 1.0)
-
-
-def test_an_end_covers_a_part_of_its_cell() -> None:
+    # An end covers a part of its cell.
     assert surface("cylinder", 10e-3, 0.0)[1] == pytest.approx(0.5)
 
 

@@ -11,7 +11,7 @@ from recognition.statistics.calibration import (
     fit_temperature,
     to_probability,
 )
-from recognition.statistics.class_spread import ClassSpread, fit_class_spread
+from recognition.statistics.class_spread import fit_class_spread
 from recognition.statistics.fusion import (
     MAX_UNKNOWN,
     DecisionKind,
@@ -121,13 +121,6 @@ def test_too_few_rows_are_refused():
         fit_lda(np.eye(4), np.array([0, 0, 1, 1]), 3)
 
 
-def test_discriminant_comes_back_from_its_arrays():
-    x, y = gaussians(np.random.default_rng(5))
-    lda = fit_lda(x, y, 3)
-    again = LinearDiscriminant.from_arrays(lda.to_arrays("a_"), "a_")
-    assert np.array_equal(again.distances(x), lda.distances(x))
-
-
 def test_folds_are_runs_in_time_that_leave_each_class_something():
     classes = np.array([0] * 7 + [1] * 2 + [2])
     folds = blocked_folds(classes, 3)
@@ -206,11 +199,6 @@ def test_distances_are_those_of_the_covariance(spread):
         assert spread.distances(z, plain(z))[:, c] == pytest.approx(expected)
 
 
-def test_it_comes_back_from_its_arrays(spread):
-    again = ClassSpread.from_arrays(spread.to_arrays("s_"), "s_")
-    assert np.array_equal(again.precision, spread.precision)
-
-
 # -- Sizes of the taught grasps --------------------------------------------------------------------
 
 
@@ -270,13 +258,6 @@ def test_a_lonely_one_of_many_grasps_teaches_no_size():
     many = np.append(np.linspace(9.5, 10.5, 59), 14.0)[:, None] + np.array([0.0, 2.0])
     (at_the_lonely,) = novelty(fit_sizes(many, np.zeros(60, dtype=np.int64)), [many[-1].tolist()])
     assert at_the_lonely > 6.0
-
-
-def test_sizes_come_back_from_their_arrays():
-    found = fit_sizes(sizes(0.2), CLASSES)
-    again = TaughtSizes.from_arrays(found.to_arrays("s_"), "s_")
-    assert np.array_equal(again.mm, found.mm)
-    assert np.array_equal(again.unit_mm, found.unit_mm)
 
 
 # -- Fusing grasps: what must hold for any posteriors, and when to stop ----------------------------

@@ -286,8 +286,11 @@ def test_an_adapter_that_numbers_itself_is_opened_by_its_number(monkeypatch) -> 
 
 
 def test_other_interfaces_are_opened_by_python_can_and_shared_within_a_program() -> None:
-    for bus in [open_bus("virtual", "tactile-test") for _ in range(2)]:
-        bus.shutdown()
+    first, second = (open_bus("virtual", "tactile-test") for _ in range(2))
+    first.send(message(7))
+    assert second.recv(1.0).arbitration_id == 7
+    for bus in (first, second):
+        close_bus(bus)
 
 
 def test_a_missing_bus_sends_nothing_and_leaves_nothing_open(caplog) -> None:

@@ -103,6 +103,9 @@ def test_a_node_that_never_appears_is_missing_and_the_message_says_who_is_there(
     with pytest.raises(NodeMissing, match=r"within 3 s; node-IDs heard: 6"):
         idle.link.start()
     assert idle.clock.monotonic() - start_s == pytest.approx(3.0, abs=0.01)
+    idle.unit.faults.dead = False
+    idle.link.stop()
+    assert idle.link.start().serial == 4711
 
 
 @pytest.mark.parametrize(
@@ -420,15 +423,6 @@ def test_calls_out_of_order_are_refused(idle) -> None:
     assert idle.unit.state == "PRE-OPERATIONAL"
     with pytest.raises(LinkStateError):
         idle.link.poll()
-
-
-def test_a_failed_start_can_be_repeated_after_close(idle) -> None:
-    idle.unit.faults.dead = True
-    with pytest.raises(NodeMissing):
-        idle.link.start()
-    idle.unit.faults.dead = False
-    idle.link.stop()
-    assert idle.link.start().serial == 4711
 
 
 # --- settings ------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import canopen
 import pytest
 
 from simulator.can.wire import mean_bits
@@ -18,13 +17,7 @@ from tactile.control_unit.settings import (
 )
 from tactile.control_unit.watch import NodeWatch, emergency_text
 from tactile.errors import BusErrorPassive
-from tactile.frames.codec import FrameFormat
 from tactile.layout import paper_layout
-
-
-@pytest.fixture(scope="module")
-def dictionary() -> canopen.ObjectDictionary:
-    return od.of_node(5)
 
 
 def test_dcfchk_finds_nothing() -> None:
@@ -33,49 +26,6 @@ def test_dcfchk_finds_nothing() -> None:
         [checker, "-n", "5", od.EDS_PATH], capture_output=True, text=True, check=False, timeout=30
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-
-
-def test_every_tpdo_maps_64_bits(dictionary: canopen.ObjectDictionary) -> None:
-    for index, known in ((0x1A00, od.TPDO1_ENTRIES), (0x1A01, od.TPDO2_ENTRIES)):
-        entries = [dictionary[index][sub].default for sub in dictionary[index] if sub]
-        assert tuple(entries) == known
-        assert sum(entry & 0xFF for entry in entries) == 64
-        for entry in entries:
-            variable = dictionary[entry >> 16][entry >> 8 & 0xFF]
-            assert variable.pdo_mappable
-            assert len(variable) == entry & 0xFF
-
-
-def test_defaults_of_the_communication(
-    dictionary: canopen.ObjectDictionary,
-) -> None:
-    assert dictionary[od.TPDO1_PARAMETER][1].default == 0x185
-    assert dictionary[od.EMCY_COB_ID].default == 0x85
-    assert dictionary[od.ERROR_HISTORY][0].default == 0
-
-
-def test_defaults_are_the_papers_layout(dictionary: canopen.ObjectDictionary) -> None:
-    layout = paper_layout()
-    form = FrameFormat.of(layout)
-    found = [
-        [dictionary[index][sub].default for sub in (1, 2, 3, 4)]
-        for index in (od.IDENTITY, od.LAYOUT, od.FORMAT)
-    ]
-    assert found == [
-        [od.VENDOR_ID, od.PRODUCT_CODE, od.REVISION, 1],
-        [layout.n_pads, layout.n_taxels, layout.layout_hash, layout.adc_max],
-        [layout.sample_bits, layout.sample_bytes, form.n_messages, form.header_bytes],
-    ]
-
-
-def test_every_index_constant_is_in_the_dictionary(dictionary: canopen.ObjectDictionary) -> None:
-    indices = {
-        value
-        for name, value in vars(od).items()
-        if name.isupper() and isinstance(value, int) and 0x1000 <= value <= 0x2FFF
-    }
-    assert len(indices) > 20
-    assert indices <= set(dictionary)
 
 
 QUIET = LinkSettings(force_period_s=0.0, heartbeat_s=10.0)

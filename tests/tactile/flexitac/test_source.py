@@ -126,17 +126,6 @@ def test_a_fault_in_operation_is_raised_by_each_call_until_a_new_start(
     assert run(cell, source, 0.2)
 
 
-@pytest.mark.slow
-def test_single_damaged_frames_are_left_out_and_counted(cell, source) -> None:
-    source.start()
-    rest = np.mean([one.counts for one in run(cell, source, 0.5)], axis=0)
-    cell.inject("board.lost_byte=0.005")
-    found = run(cell, source, 6.0)
-    assert source.statistics.frames.torn >= 3
-    # A frame that is shifted by one byte differs from the rest by the spread of its taxels.
-    assert max(np.abs(one.counts - rest).mean() for one in found) < 1.5
-
-
 def test_repeated_frames_are_not_handed_out_as_fresh_ones(cell, source) -> None:
     source.start()
     run(cell, source, 0.5)
@@ -243,27 +232,6 @@ def test_a_header_inside_that_comes_and_goes_does_not_matter(stream) -> None:
     assert [one.samples for one in got] == [frame[2:] for frame in sent[-len(got) :]]
 
 
-def test_a_header_inside_that_stays_is_ambiguous_until_it_goes(stream) -> None:
-    for number, frame in enumerate(frames(30)):
-        assert stream.feed(frame[:50] + HEADER + frame[52:], number * PERIOD_S) == []
-    assert "ambiguous: AA 55 is at 2 places" in stream.trouble
-    got = [
-        one
-        for number, frame in enumerate(frames(30, seed=1), start=30)
-        for one in stream.feed(frame, number * PERIOD_S)
-    ]
-    assert stream.locked
-    assert got[-1].samples == frames(30, seed=1)[-1][2:]
-
-
-def test_a_header_inside_does_not_disturb_a_stream_that_is_locked(stream) -> None:
-    now_s = locked(stream)
-    for number, frame in enumerate(frames(10), start=1):
-        marked = frame[:50] + HEADER + frame[52:]
-        (got,) = stream.feed(marked, now_s + number * PERIOD_S)
-        assert got.samples == marked[2:]
-
-
 @pytest.mark.parametrize("place", [2, 3, 128, 257])
 @pytest.mark.parametrize("extra", [False, True])
 def test_a_frame_that_lost_or_gained_a_byte_is_never_handed_out(place: int, extra: bool) -> None:
@@ -288,13 +256,6 @@ def test_a_frame_that_ends_with_a_byte_of_the_next_one_waits_for_its_header(stre
     assert stream.feed(other[:1], now_s + 2 * PERIOD_S) == []
     assert stream.feed(other[1:], now_s + 2 * PERIOD_S + 0.002) == []
     assert stream.torn == 1
-
-
-@pytest.mark.parametrize("sent", ["12x32", "16x32"])
-def test_the_frames_of_another_profile_are_named(stream, sent: str) -> None:
-    for number, frame in enumerate(frames(20, profile=sent)):
-        assert stream.feed(frame, number * PERIOD_S) == []
-    assert stream.trouble == f"its frames are {sent}: set tactile.sensor.profile to that"
 
 
 def test_bytes_without_frames_are_named(stream) -> None:

@@ -125,16 +125,6 @@ def noiseless() -> tuple[TactileSensor, Frames]:
     return sensor, frames
 
 
-def pinching(*, noise: bool) -> tuple[TactileSensor, Frames]:
-    """Return a tared sensor of the layout that has the gripping pads alone, with a linear law."""
-    frames = Frames(pinch_layout())
-    frames.noise = noise
-    sensor = TactileSensor(frames, LinearCalibration(0.001, 4095), clock=frames)
-    sensor.start()
-    sensor.tare(20)
-    return sensor, frames
-
-
 @pytest.fixture
 def frames() -> Frames:
     return Frames()
@@ -207,14 +197,6 @@ def test_fingers_and_pads_are_kept_apart(sensor, frames) -> None:
     assert set(LAYOUT.taxel_pad[reading.active]) == {5}
     with pytest.raises(ValueError, match="read-only"):
         reading.force_n[0] = 1.0
-
-
-def test_pinch_layout_with_a_linear_law_and_little_noise() -> None:
-    sensor, frames = pinching(noise=False)
-    frames.base[30:36] = 300.0
-    reading = readings(sensor, frames, 4)[-1]
-    assert reading.finger_force_n == pytest.approx((1.8, 0.0))
-    assert reading.ok
 
 
 # --- quality -------------------------------------------------------------------------------------
@@ -366,7 +348,10 @@ def test_noise_alone_is_no_drift() -> None:
 
 
 def test_without_pads_beside_the_grip_only_open_pads_are_judged() -> None:
-    sensor, frames = pinching(noise=True)
+    frames = Frames(pinch_layout())
+    sensor = TactileSensor(frames, LinearCalibration(0.001, 4095), clock=frames)
+    sensor.start()
+    sensor.tare(20)
     frames.base[:] = 50.0
     assert readings(sensor, frames, 5)[-1].ok
     with pytest.raises(ZeroDrifted, match=r"\+50"):
