@@ -3,9 +3,7 @@
 import itertools
 import json
 import math
-import socket
 import struct
-from contextlib import closing
 
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from cell.config.file import config_text, parse_config
 from cell.config.model import CellConfig
 from cell.errors import ConfigError
 from simulator.errors import SimulatorSettingsError
-from simulator.realtime.socket_server import LINE_LIMIT, PositionerServer
 from simulator.world.shape_files import load_mesh
 from simulator.world.shapes import Shape
 from tests.fuzz.harness import bad_input, damages, spoilt
@@ -105,17 +102,3 @@ def test_a_mesh_is_refused_or_has_heights(tmp_path, data, words, harm):
         return "refused"
     assert_heights(shape)
     return "read"
-
-
-def test_a_line_that_is_no_request_to_the_simulated_cell_is_answered_with_the_reason(tmp_path):
-    with (
-        closing(PositionerServer(tmp_path / "socket", dict)) as server,
-        socket.socket(socket.AF_UNIX) as client,
-    ):
-        client.connect(str(server.path))
-        client.sendall(b'{"a": 1\n[1]\n\xff\n' + 9_000 * b"[" + b"\n")
-        for _ in range(5):
-            server.poll(server.filenos())
-        found = [json.loads(line)["error"] for line in client.recv(LINE_LIMIT).splitlines()]
-    assert ["not valid JSON" in one for one in found] == [True, False, True, True]
-    assert found[1] == "a request is a JSON object"

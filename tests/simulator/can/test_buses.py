@@ -13,15 +13,38 @@ from hypothesis import given, settings, strategies as st
 from simulator.can.faults import CanLinkFaults
 from simulator.can.link import CanLink
 from simulator.can.memory_bus import InMemoryCanBus
+from simulator.can.node import SendBurst
 from simulator.can.slcan import OUTPUT_LIMIT, SlcanAdapter
 from simulator.can.wire import Burst, CanWire, mean_bits
 from simulator.clock import VirtualClock
 from simulator.devices import CellDevices
 from simulator.errors import SimulatorStateError
 from simulator.settings import SimulatorSettings
-from tests.simulator.can.conftest import Echo
 
 TPDO_ID = 0x185
+
+
+class Echo:
+    """Keeps what it hears, and sends what the test gives to `send`."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[float, int, bytes]] = []
+        self.due_s = math.inf
+        """When it sends a heartbeat by itself."""
+
+    def connect(self, send: SendBurst) -> None:
+        self.send = send
+
+    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
+        self.heard.append((now_s, can_id, data))
+
+    def advance(self, now_s: float) -> None:
+        if now_s >= self.due_s:
+            due_s, self.due_s = self.due_s, math.inf
+            self.send(due_s, 0x705, [b"\x05"])
+
+    def next_event_s(self) -> float:
+        return self.due_s
 
 
 def message(can_id: int, *data: int) -> can.Message:

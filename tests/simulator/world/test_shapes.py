@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+import trimesh
 
 from simulator.errors import SimulatorSettingsError
 from simulator.world import shape_files
@@ -12,9 +13,7 @@ from simulator.world.shapes import (
     Ellipsoid,
     ObjectPose,
     Shape,
-    cylinder,
     dumbbell,
-    ellipsoid,
     posed_heights,
     resting_pose,
     thicknesses_m,
@@ -110,25 +109,18 @@ def test_a_dumbbell_is_thin_in_the_middle_and_rounded_at_its_ends() -> None:
     ("text", "shape"),
     [
         ("ball", PAPER_OBJECTS["ball"]),
-        ("cylinder", PAPER_OBJECTS["cylinder"]),
         ("sphere:diameter=9.5mm", PAPER_OBJECTS["ball"]),
         ("ellipsoid:length=14mm,diameter=11.7mm", PAPER_OBJECTS["oval"]),
         ("box:length=15.9mm,width=1cm,height=10000um", PAPER_OBJECTS["box"]),
         ("cylinder:diameter=6mm,length=.02m", PAPER_OBJECTS["cylinder"]),
         ("dumbbell:length=13mm,diameter=10mm", PAPER_OBJECTS["dumbbell"]),
-        (
-            "dumbbell:length=13mm,diameter=10mm,waist_diameter=6mm,waist_length=6mm",
-            PAPER_OBJECTS["dumbbell"],
-        ),
     ],
 )
 def test_shapes_are_read_from_text(text, shape) -> None:
     # Off the grid's points, so that none lies on a rim.
     x_m, y_m = (a + 0.013e-3 for a in GRID)
-    for found, wanted in zip(
-        parse_shape(text).heights(x_m, y_m, 0.0), shape.heights(x_m, y_m, 0.0), strict=True
-    ):
-        np.testing.assert_allclose(found, wanted, atol=1e-9)
+    found, wanted = (one.heights(x_m, y_m, 0.0) for one in (parse_shape(text), shape))
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +128,6 @@ def test_shapes_are_read_from_text(text, shape) -> None:
     [
         ("cube", "unknown shape 'cube'"),
         ("ellipsoid: length=14 mm, width=1cm, height=9e-3m", "unit"),
-        ("torus:diameter=3mm", "unknown shape"),
         ("cylinder:diameter=6mm", "needs diameter, length"),
         ("cylinder:diameter=6mm,length=20mm,width=3mm", "needs diameter, length"),
         ("cylinder:diameter=6,length=20mm", "unit"),
@@ -157,48 +148,44 @@ def test_texts_that_are_no_shape_are_refused(text, message) -> None:
 def test_impossible_poses_and_sizes_are_refused() -> None:
     with pytest.raises(SimulatorSettingsError, match="x_m"):
         ObjectPose(x_m=math.nan)
-    with pytest.raises(SimulatorSettingsError, match="length_m"):
-        cylinder(diameter_m=6e-3, length_m=math.inf)
     with pytest.raises(SimulatorSettingsError, match="smaller"):
         dumbbell(length_m=1e-2, diameter_m=1e-2, waist_length_m=2e-2)
-    with pytest.raises(SimulatorSettingsError, match="ellipsoid"):
-        ellipsoid(length_m=1e-2, diameter_m=1e-2, width_m=1e-2)
+
+
+BOX = trimesh.creation.box(extents=(16.0, 10.0, 6.0))
+BOX_TEXT = BOX.export(file_type="stl_ascii")
 
 
 @pytest.fixture
-def trimesh():
-    return pytest.importorskip("trimesh")
+def stl(tmp_path):
+    """Return what writes a mesh, or the text of one, to a file."""
+
+    def write(mesh):
+        path = tmp_path / "part.stl"
+        data = mesh.encode() if isinstance(mesh, str) else mesh.export(file_type="stl")
+        path.write_bytes(data)
+        return path
+
+    return write
 
 
-@pytest.fixture
-def ball_file(trimesh, tmp_path):
-    path = tmp_path / "ball.stl"
-    path.write_bytes(trimesh.creation.icosphere(radius=5.0).export(file_type="stl"))
-    return path
-
-
-def test_a_mesh_of_a_box_is_that_box(trimesh, tmp_path) -> None:
-    path = tmp_path / "box.stl"
-    mesh = trimesh.creation.box(extents=(16.0, 10.0, 6.0))
+def test_a_mesh_of_a_box_is_that_box(stl) -> None:
+    mesh = BOX.copy()
     mesh.apply_translation((100.0, 5.0, -3.0))
-    path.write_bytes(mesh.export(file_type="stl"))
-    shape = parse_shape(f"mesh:file={path}")
+    shape = parse_shape(f"mesh:file={stl(mesh)}")
     box = Box(length_m=16e-3, width_m=10e-3, height_m=6e-3)
     x_m, y_m = (a + 0.01e-3 for a in GRID)
     for roll_rad in (0.0, 0.5 * math.pi):
-        for found, wanted in zip(
-            shape.heights(x_m, y_m, roll_rad), box.heights(x_m, y_m, roll_rad), strict=True
-        ):
-            np.testing.assert_allclose(found, wanted, atol=1e-9)
+        found, wanted = (one.heights(x_m, y_m, roll_rad) for one in (shape, box))
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
     assert shape.roll_step_rad == 0.0
 
 
-def test_a_mesh_is_the_same_whole_and_in_pieces(ball_file, monkeypatch) -> None:
-    mesh = load_mesh(ball_file)
+def test_a_mesh_is_the_same_whole_and_in_pieces(stl, monkeypatch) -> None:
+    mesh = load_mesh(stl(trimesh.creation.icosphere(radius=5.0)))
     whole = mesh.heights(*GRID, 0.3)
     exact = Ellipsoid(length_m=10e-3, width_m=10e-3, height_m=10e-3).heights(*GRID, 0.3)
     within = np.hypot(*GRID) < 4.5e-3
-    assert np.isfinite(whole[0][within]).all()
     for found, right in zip(whole, exact, strict=True):
         assert found[within] == pytest.approx(right[within], abs=0.1e-3)
     monkeypatch.setattr(shape_files, "_PAIRS", 100)
@@ -213,21 +200,18 @@ SHRUNK = (
 
 
 @pytest.mark.parametrize(
-    "export",
+    "text",
     [
-        lambda text: "\ufeff" + text.replace("endsolid", SHRUNK).upper(),
-        lambda text: text.replace("normal -1.0", "normal nan").replace("0.0", "-nan(ind)", 2),
-        lambda text: text.replace("endfacet\n", "endfacet\nendsolid a\nsolid b\n", 1),
-        lambda text: text.replace("endsolid", "end solid"),
+        "\ufeff" + BOX_TEXT.replace("endsolid", SHRUNK).upper(),
+        BOX_TEXT.replace("normal -1.0", "normal nan").replace("0.0", "-nan(ind)", 2),
+        BOX_TEXT.replace("endfacet\n", "endfacet\nendsolid a\nsolid b\n", 1),
+        BOX_TEXT.replace("endsolid", "end solid"),
     ],
     ids=["capitals, byte order mark", "normals", "two solids", "end solid"],
 )
-def test_a_mesh_as_programs_export_it_is_read(trimesh, tmp_path, export) -> None:
-    path = tmp_path / "box.stl"
-    text = trimesh.creation.box(extents=(16.0, 10.0, 6.0)).export(file_type="stl_ascii")
-    assert export(text) != text
-    path.write_text(export(text), encoding="utf-8")
-    low, high = load_mesh(path).heights(np.zeros(1), np.zeros(1), 0.0)
+def test_a_mesh_as_programs_export_it_is_read(stl, text) -> None:
+    assert text != BOX_TEXT
+    low, high = load_mesh(stl(text)).heights(np.zeros(1), np.zeros(1), 0.0)
     assert low[0] + high[0] == pytest.approx(6e-3)
 
 
@@ -235,13 +219,9 @@ def test_a_mesh_as_programs_export_it_is_read(trimesh, tmp_path, export) -> None
     ("size_mm", "shown"),
     [((0.6, 0.4, 0.2), r"0\.6 x 0\.4 x 0\.2"), ((1e5, 5.0, 5.0), r"1e\+05 x 5 x 5")],
 )
-def test_a_mesh_in_another_unit_is_refused_with_its_size(trimesh, tmp_path, size_mm, shown) -> None:
-    path = tmp_path / "box.stl"
-    path.write_bytes(trimesh.creation.box(extents=size_mm).export(file_type="stl"))
+def test_a_mesh_in_another_unit_is_refused_with_its_size(stl, size_mm, shown) -> None:
+    path = stl(trimesh.creation.box(extents=size_mm))
     with pytest.raises(SimulatorSettingsError, match=f"{shown} mm .* export it in mm"):
-        load_mesh(path)
-    path.write_bytes(path.read_bytes()[:-7])
-    with pytest.raises(SimulatorSettingsError, match=r"677 bytes, but its 12 .* need 684"):
         load_mesh(path)
 
 
@@ -254,59 +234,47 @@ def test_a_mesh_in_another_unit_is_refused_with_its_size(trimesh, tmp_path, size
         ("endsolid", "endsolid\nx", 88),
     ],
 )
-def test_a_text_mesh_with_a_wrong_line_is_refused_with_its_number(
-    trimesh, tmp_path, right, wrong, line
-) -> None:
-    path = tmp_path / "box.stl"
-    text = trimesh.creation.box(extents=(16.0, 10.0, 6.0)).export(file_type="stl_ascii")
-    path.write_text(text.replace(right, wrong, 1))
+def test_a_text_mesh_with_a_wrong_line_is_refused_with_its_number(stl, right, wrong, line) -> None:
     with pytest.raises(SimulatorSettingsError, match=rf"text STL whose line {line} is neither"):
-        load_mesh(path)
+        load_mesh(stl(BOX_TEXT.replace(right, wrong, 1)))
 
 
-def test_a_disc_of_a_few_nanometres_is_refused_however_it_lies_in_its_file(
-    trimesh, tmp_path
-) -> None:
+def test_a_disc_of_a_few_nanometres_is_refused_however_it_lies_in_its_file(stl) -> None:
     disc = trimesh.creation.cylinder(radius=5.0, height=1e-2)
     disc.apply_transform(trimesh.transformations.rotation_matrix(0.7, (1.0, 1.0, 0.0)))
-    path = tmp_path / "disc.stl"
-    path.write_bytes(disc.export(file_type="stl"))
     with pytest.raises(SimulatorSettingsError, match=r"mean thickness of 0\.00998 mm"):
-        load_mesh(path)
+        load_mesh(stl(disc))
 
 
-@pytest.mark.parametrize(("along_mm", "n_bodies"), [(30.0, 2), (9.0, 1), (0.0, 1)])
-def test_a_mesh_of_bodies_that_lie_apart_is_refused(trimesh, tmp_path, along_mm, n_bodies) -> None:
+@pytest.mark.parametrize("along_mm", [30.0, 9.0, 0.0])
+def test_a_mesh_of_bodies_that_lie_apart_is_refused(stl, along_mm) -> None:
     """Bodies that overlap are one part, and so is a body with a cavity."""
     first, second = (trimesh.creation.box(extents=(side,) * 3) for side in (10.0, 8.0))
     if along_mm == 0.0:
         second.invert()
     second.apply_translation((along_mm, 0.0, 0.0))
-    path = tmp_path / "two.stl"
-    path.write_bytes(trimesh.util.concatenate(first, second).export(file_type="stl"))
-    if n_bodies == 1:
+    path = stl(trimesh.util.concatenate(first, second))
+    if along_mm < 10.0:
         assert load_mesh(path).triangles_m.shape == (24, 3, 3)
         return
     with pytest.raises(SimulatorSettingsError, match="2 separate bodies, but a gripper holds one"):
         load_mesh(path)
 
 
-def test_meshes_that_are_no_solid_are_refused(trimesh, tmp_path) -> None:
-    mesh = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
-    open_box = trimesh.Trimesh(mesh.vertices, mesh.faces[:-2])
-    path = tmp_path / "open.stl"
-    path.write_bytes(open_box.export(file_type="stl"))
+def test_meshes_that_are_no_solid_are_refused(stl) -> None:
     with pytest.raises(SimulatorSettingsError, match="no closed surface"):
+        load_mesh(stl(trimesh.Trimesh(BOX.vertices, BOX.faces[:-2])))
+    path = stl(BOX)
+    path.write_bytes(path.read_bytes()[:-7])
+    with pytest.raises(SimulatorSettingsError, match=r"677 bytes, but its 12 .* need 684"):
         load_mesh(path)
-    path.write_bytes(b"no mesh at all")
-    with pytest.raises(SimulatorSettingsError):
-        load_mesh(path)
-    with pytest.raises(SimulatorSettingsError, match="shape"):
-        MeshShape(triangles_m=np.zeros((0, 3, 3)))
-    with pytest.raises(SimulatorSettingsError, match="finite"):
-        MeshShape(triangles_m=np.full((1, 3, 3), np.nan))
-    with pytest.raises(SimulatorSettingsError, match="limit"):
-        MeshShape(triangles_m=np.zeros((200_001, 3, 3)))
+    for triangles_m, says in (
+        (np.zeros((0, 3, 3)), "shape"),
+        (np.full((1, 3, 3), np.nan), "finite"),
+        (np.zeros((200_001, 3, 3)), "limit"),
+    ):
+        with pytest.raises(SimulatorSettingsError, match=says):
+            MeshShape(triangles_m=triangles_m)
 
 
 @pytest.mark.parametrize(

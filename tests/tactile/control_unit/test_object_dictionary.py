@@ -17,6 +17,7 @@ from tactile.control_unit.settings import (
 )
 from tactile.control_unit.watch import NodeWatch, emergency_text
 from tactile.errors import BusErrorPassive
+from tactile.frames.codec import FrameFormat
 from tactile.layout import paper_layout
 
 
@@ -26,6 +27,21 @@ def test_dcfchk_finds_nothing() -> None:
         [checker, "-n", "5", od.EDS_PATH], capture_output=True, text=True, check=False, timeout=30
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_the_defaults_of_the_eds_are_those_of_the_papers_layout() -> None:
+    dictionary, layout = od.of_node(5), paper_layout()
+    form = FrameFormat.of(layout)
+    found = [
+        [dictionary[index][sub].default for sub in (1, 2, 3, 4)]
+        for index in (od.IDENTITY, od.LAYOUT, od.FORMAT)
+    ]
+    assert found == [
+        [od.VENDOR_ID, od.PRODUCT_CODE, od.REVISION, 1],
+        [layout.n_pads, layout.n_taxels, layout.layout_hash, layout.adc_max],
+        [layout.sample_bits, layout.sample_bytes, form.n_messages, form.header_bytes],
+    ]
+    assert dictionary[od.EMCY_COB_ID].default == 0x85
 
 
 QUIET = LinkSettings(force_period_s=0.0, heartbeat_s=10.0)
