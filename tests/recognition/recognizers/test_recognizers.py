@@ -40,6 +40,7 @@ def test_no_feature_of_the_default_has_a_unit_that_taught_grasps_hardly_show(tea
 
 def test_registry_makes_each_trainer_both_ways():
     assert DEFAULT_TRAINER in trainer_names()
+    assert set(trainer_names()) == {*OURS, "level_check"}
     for name in trainer_names():
         assert make_trainer(name).name == name
         assert make_trainer(name).uses_aperture == (name in OURS)
