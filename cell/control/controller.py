@@ -155,6 +155,7 @@ class CellController:
         """
         self.life.check(Command.RELEASE)
         self.life.forget_cancel()
+        self.life.obey_cancel("before the fingers moved; the grip is kept")
         return self._release("on request")
 
     def put_down(self) -> ReleaseReport:
@@ -186,8 +187,10 @@ class CellController:
         gripper.errors.GripperError
             If no servo answers, or no servo that answers can be moved.
         """
-        self.life.go(Event.RELEASE_HELD)
+        self.life.check(Command.RELEASE_HELD)
         self.life.forget_cancel()
+        self.life.obey_cancel("before the fingers moved; the grip is kept")
+        self.life.go(Event.RELEASE_HELD)
         self.hand.stop_sensor()
         self.journal.note("release", "on request, before the start")
         with self.life.latching_faults():

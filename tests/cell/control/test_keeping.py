@@ -238,7 +238,7 @@ def test_forces_of_the_config_that_could_not_hold_a_part_are_refused() -> None:
     for carry_n in (0.3, 14.9):
         with pytest.raises(ConfigError, match=f"carry_force_n is {carry_n:g} N; it must be at"):
             quick_config(sequence__carry_force_n=carry_n)
-    with pytest.raises(ConfigError, match=r"three times gripper\.contact_force_n"):
+    with pytest.raises(ConfigError, match=r"contact_force_n = 0\.6 N times 3"):
         quick_config(sequence__regrasp="none", sequence__force_n=[1.7, 8.0])
 
 
