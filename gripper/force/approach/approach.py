@@ -34,8 +34,6 @@ _STALL_TIME_S = 0.5
 """Time in s for which both must last before the fingers are stalled. [chosen]"""
 _LEAD_M = 0.006
 """Lead of the goal before the fingers in m: their motion if no further goal is written. [chosen]"""
-_LEAD_RESERVE = 1.3
-"""Lead relative to that for friction and speed. [chosen]"""
 _CHANGING_S = 0.1
 """Longest time in s until the fingers reach a new speed; the goal then runs on. [chosen]"""
 _BOOST_PER_S = 2.0
@@ -47,9 +45,6 @@ _BRAKED_S, _DOUBT_S = 0.01, 0.05
 _CREEP_N, _CREEP_N_S = 0.2, 20.0
 """First drive in N of a braked finger, less than the force of the pad, and its growth in N/s.
 [tuned]"""
-_CREEP_COUNTS = 1.5
-"""Speed in those of a servo at rest above which a braked finger has lost the part, and stops again.
-[resolution]"""
 
 
 class ApproachEvent(Enum):
@@ -264,7 +259,7 @@ class Approach:
                     self._reach_m, self.settings.servos, self.currents_a, strict=True
                 )
             )
-        return max(_LEAD_M, _LEAD_RESERVE * self._lead_m, pressing_m)
+        return max(_LEAD_M, self._lead_m, pressing_m)
 
     def _boost(self, moment: Moment, *, free: bool) -> None:
         """Let the current of each finger grow while it stands untouched."""
@@ -284,7 +279,7 @@ class Approach:
         finger, servo, path = self._fingers[index], moment.state.servos[index], self._paths[index]
         model = self.settings.servos[index].servo_model
         assert finger.braked_s is not None
-        runs = -servo.velocity_rad_s > _CREEP_COUNTS * slow_rad_s(model)
+        runs = -servo.velocity_rad_s > slow_rad_s(model)
         if runs or moment.now_s - finger.braked_s < _BRAKED_S:
             return ServoGoal(angle_rad=servo.angle_rad, current_a=self.currents_a[index])
         finger.drive_n += _CREEP_N_S * moment.dt_s

@@ -18,9 +18,6 @@ _EMPTY_SAMPLES = 20
 """Number of samples for the noise of an empty pad. [tuned]"""
 _TOUCH_SAMPLES = 8
 """Most newest samples whose mean is compared with it; older ones are of the empty pad. [tuned]"""
-_CONTACT_QUIET_N, _REST_SAMPLES = 0.1, 4
-"""Noise in N of the mean that shows a contact, a sixth of the force of one; and samples of the mean
-at rest for a slower sensor. [tuned]"""
 _REST_S, _REST_SETTLING_S = 0.08, 0.01
 """Longest rest of the fingers at the contact in s, so that the ramp begins at the force there, and
 time in s before its samples count. [tuned]"""
@@ -98,7 +95,7 @@ class ContactDetector:
         self._samples = samples
         self._counts = [0, 0]
         self._first_s = [0.0, 0.0]
-        self._recent = RecentForce(_CONTACT_QUIET_N, least=1, longest_s=ONE_FRAME_S)
+        self._recent = RecentForce(least=1, longest_s=ONE_FRAME_S)
 
     @property
     def touched(self) -> tuple[bool, bool]:
@@ -132,7 +129,7 @@ class ContactRest:
 
     def __init__(self, begun_s: float) -> None:
         self._begun_s = begun_s
-        self._samples = RecentForce(least=_REST_SAMPLES)
+        self._samples = RecentForce()
 
     @property
     def force_n(self) -> float:

@@ -16,7 +16,7 @@ from gripper.force.supervision.part_watch import (
 from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.settings import GripperSettings
 from gripper.values.recent import LEAST_SAMPLES, RecentForce
-from gripper.values.state import ServoFeedback
+from gripper.values.state import GRAIN_M, ServoFeedback
 
 _TRY_S = 0.5
 """Time in s, beyond that of the travel, within which free fingers have closed. [chosen]"""
@@ -24,8 +24,8 @@ _CONFIRMING_FRAMES = 3
 """Frames after the stop of the fingers that confirm that nothing is held: in their mean no earlier
 touched taxel still counts as touched. [tuned]"""
 
-_CLOSED_M = 0.0002
-"""Largest distance in m of closed fingers from their smallest opening: two counts. [chosen]"""
+_CLOSED_M = 2 * GRAIN_M
+"""Largest distance in m of closed fingers from their smallest opening: two counts."""
 _CLOSED_ADVICE = (
     "The fingers are closed (gripper.aperture_min_mm): a part is too small to be held, or the pads "
     "press on each other because gripper.approach_speed_mm_s is high. The grip is kept: look, then "
