@@ -386,7 +386,7 @@ class ContactStep(GripStep):
         self._linkage = linkage
         self._reached, self._contact = reached, reached.state
         self._end = end
-        self._rest = ContactRest(reached.state.t_s)
+        self._rest = ContactRest(reached.state.t_s, hard_n=reached.settings.contact_force_n)
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period. Raises PartSlipped when a held part slips."""

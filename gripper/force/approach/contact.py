@@ -125,10 +125,12 @@ class ContactRest:
     ----------
     begun_s
         Monotonic time in s of the contact.
+    hard_n
+        Force in N of a hard touch, after which the fingers rest for the whole time: it must decay.
     """
 
-    def __init__(self, begun_s: float) -> None:
-        self._begun_s = begun_s
+    def __init__(self, begun_s: float, *, hard_n: float) -> None:
+        self._begun_s, self._hard_n = begun_s, hard_n
         self._samples = RecentForce()
 
     @property
@@ -148,4 +150,5 @@ class ContactRest:
             and self._samples.oldest.measured_s >= settled_s
             and self._samples.noise_n <= QUIET_N
         )
-        return moment.now_s < self._begun_s + _REST_S and not known
+        hard = self.force_n >= self._hard_n
+        return moment.now_s < self._begun_s + _REST_S and (hard or not known)
