@@ -33,18 +33,22 @@ from tests.recognition.conftest import accuracy, part
 
 
 @pytest.mark.parametrize(
-    "values",
+    ("kind", "values"),
     [
-        {"log_gain_sd": 0.0},
-        {"offset_sd_mm": -1.0},
-        {"offset_mm": 60.0},
-        {"log_gain": float("nan")},
-        {"unchanged": 1.5},
+        (DriftPrior, {"log_gain_sd": 0.0}),
+        (DriftPrior, {"offset_sd_mm": -1.0}),
+        (DriftPrior, {"offset_mm": 60.0}),
+        (DriftPrior, {"log_gain": float("nan")}),
+        (DriftPrior, {"unchanged": 1.5}),
+        (Drift, {"gains": (0.0,)}),
+        (Drift, {"gains": (1.0, 9.0)}),
+        (Drift, {"gains": ()}),
+        (Drift, {"aperture_offset_m": 0.2}),
     ],
 )
-def test_a_prior_out_of_range_is_refused(values):
+def test_values_out_of_range_are_refused(kind, values):
     with pytest.raises(ValueError, match="must be"):
-        DriftPrior(**values)
+        kind(**values)
 
 
 def evidence(grid, log_gain, offset_mm, sd=(0.1, 0.5)):
@@ -166,14 +170,6 @@ def test_a_drift_is_read_from_its_text():
 def test_other_texts_are_refused(text):
     with pytest.raises(ValueError, match=r"gain=0\.7,aperture_mm=-4"):
         parse_drift(text)
-
-
-@pytest.mark.parametrize(
-    "values", [{"gains": (0.0,)}, {"gains": (1.0, 9.0)}, {"gains": ()}, {"aperture_offset_m": 0.2}]
-)
-def test_values_out_of_range_are_refused(values):
-    with pytest.raises(ValueError, match="must be"):
-        Drift(**values)
 
 
 def test_applied_it_scales_clips_and_moves_and_undone_it_is_gone(fresh):

@@ -1,4 +1,4 @@
-""""""
+"""The paper's quadric: contact, motions, eigenvalues, height fields, sweeps and thresholds."""
 
 import numpy as np
 import pytest
@@ -118,7 +118,7 @@ def test_an_untouched_pad_is_refused_with_its_largest_height():
         main_patch(heights((0, 3, 3, 1.0), (1, 3, 3, 9.0)), PADS, 0, 2.0)
 
 
-# --  ----------------------------------------------------------------------------------------------
+# -- Motions of a quadric --------------------------------------------------------------------------
 
 
 numbers = st.floats(-3.0, 3.0)
@@ -164,7 +164,7 @@ def test_a_scale_of_nothing_is_refused():
         quadric.scaling([1.0, 0.0])
 
 
-# --  ----------------------------------------------------------------------------------------------
+# -- Eigenvalues -----------------------------------------------------------------------------------
 
 
 GRADED = np.array([-1e2, -3.0, 1e-3, 40.0])
@@ -215,7 +215,7 @@ def test_the_value_scales_with_the_matrix_whatever_its_sign(Q, factor):
     assert smallest_eigenvalue(-factor * Q).value == pytest.approx(factor * value, abs=1e-11)
 
 
-# --  ----------------------------------------------------------------------------------------------
+# -- Height fields ---------------------------------------------------------------------------------
 
 
 def _grid(n=7, pitch_m=0.002):
@@ -282,7 +282,7 @@ def test_degenerate_points_are_refused(xy, message):
         fit_height_field(xy, np.zeros(len(xy)))
 
 
-# --  ----------------------------------------------------------------------------------------------
+# -- Sweeps ----------------------------------------------------------------------------------------
 
 
 # the paper's objects as full quadrics in mm, k = -1

@@ -47,10 +47,6 @@ class Echo:
         return self.due_s
 
 
-def message(can_id: int, *data: int) -> can.Message:
-    return can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
-
-
 def echo_bus(faults: CanLinkFaults | None = None) -> tuple[Echo, InMemoryCanBus, VirtualClock]:
     echo, clock = Echo(), VirtualClock(start_s=10.0)
     return echo, InMemoryCanBus(echo, clock, faults=faults), clock

@@ -258,13 +258,6 @@ def open_client(endpoint: ServoPty, speed: int = termios.B1000000) -> int:
     return descriptor
 
 
-def drain(descriptor: int) -> bytes:
-    try:
-        return os.read(descriptor, 4096)
-    except BlockingIOError:
-        return b""
-
-
 def test_a_packet_that_waited_feeds_the_watchdog(endpoint, device, client):
     servo = device.servos[0]
     servo.write(64, b"\x01", 1.0)
@@ -303,7 +296,7 @@ def test_a_client_that_never_reads_does_not_block(endpoint, client):
         os.write(client, everything)
         due_s = endpoint.poll(float(i))
     assert due_s == 199.0
-    while drain(client):
+    while received(client):
         due_s = endpoint.poll(300.0)
     assert due_s is None
 
@@ -404,50 +397,50 @@ def test_recorded_grasps_are_played_by_number() -> None:
 
 
 @pytest.mark.parametrize(
-    "request_",
+    ("request_", "says"),
     [
-        {},
-        {"place": "ball", "remove": True},
-        {"dance": True},
-        {"place": 3},
-        {"place": "teapot"},
-        {"place": "mesh:file=/etc/passwd"},
-        {"place": "ball", "pose": [1]},
-        {"place": "ball", "pose": {"x_mm": 1.0}},
-        {"place": "ball", "pose": {"x_m": float("nan")}},
-        {"place": "ball", "pose": {"x_m": 1.0}},
-        {"place": "ball", "pose": {"y_m": 1e308}},
-        {"place": "ball", "pose": {"y_m": 10**400}},
-        {"place": "ball", "offset": {"x_m": 9.0}},
-        {"define": "ball", "shape": "box"},
-        {"define": "nothing", "shape": "box"},
-        {"press": ["finger0.tip"]},
-        {"press": "finger2.tip"},
-        {"press": "finger0.tip", "at": "left"},
-        {"press": "finger0.tip", "at": [["left"]]},
-        {"press": "finger0.tip", "force_n": -1.0},
-        {"hand": {"3": 0.01}},
-        {"hand": {"1": "wide"}},
-        {"hand": {}},
-        {"hand": 7},
-        {"remove": False},
-        {"state": 1},
-        {"play": 0},
-        {"inject": 5},
-        {"inject": "can.lost"},
-        {"inject": "servos.delayed=" + "9" * 400},
-        {"clear": None},
-        {"clear": "can.loss"},
+        ({}, "needs one of place"),
+        ({"place": "ball", "remove": True}, "needs one of place"),
+        ({"dance": True}, "needs one of place"),
+        ({"place": 3}, "a shape is a name or text, got 3"),
+        ({"place": "teapot"}, "no object 'teapot'; there are"),
+        ({"place": "mesh:file=/etc/passwd"}, "mesh files are named in the settings"),
+        ({"place": "ball", "pose": [1]}, "a pose is an object of x_m"),
+        ({"place": "ball", "pose": {"x_mm": 1.0}}, "a pose is an object of x_m"),
+        ({"place": "ball", "pose": {"x_m": float("nan")}}, "x_m is nan"),
+        ({"place": "ball", "pose": {"x_m": 1.0}}, "lies beside the pad"),
+        ({"place": "ball", "pose": {"y_m": 1e308}}, "limit 100 m"),
+        ({"place": "ball", "pose": {"y_m": 10**400}}, "must be a finite number"),
+        ({"place": "ball", "offset": {"x_m": 9.0}}, "lies beside the pad"),
+        ({"define": "ball", "shape": "box"}, "take another name"),
+        ({"define": "nothing", "shape": "box"}, "take another name"),
+        ({"press": ["finger0.tip"]}, "there is no pad"),
+        ({"press": "finger2.tip"}, "there is no pad"),
+        ({"press": "finger0.tip", "at": "left"}, "a pad has the places tip, left"),
+        ({"press": "finger0.tip", "at": [["left"]]}, "a pad has the places tip, left"),
+        ({"press": "finger0.tip", "force_n": -1.0}, "force_n is -1.0"),
+        ({"hand": {"3": 0.01}}, "there is no servo 3"),
+        ({"hand": {"1": "wide"}}, "1 is 'wide'"),
+        ({"hand": {}}, "hand takes an object"),
+        ({"hand": 7}, "hand takes an object"),
+        ({"remove": False}, "remove takes true, got False"),
+        ({"state": 1}, "state takes true, got 1"),
+        ({"play": 0}, "it has no recorded grasps"),
+        ({"inject": 5}, "inject takes the text of a fault"),
+        ({"inject": "can.lost"}, "did you mean can.loss"),
+        ({"inject": "servos.delayed=" + "9" * 400}, "at most 200 letters"),
+        ({"clear": None}, "clear takes the text of a fault"),
+        ({"clear": "can.loss"}, "injected faults: none"),
     ],
     ids=str,
 )
 def test_requests_that_make_no_sense_are_refused_and_change_nothing(
-    requests, devices, request_
+    requests, devices, request_, says
 ) -> None:
-    before = repr((devices.faults.can, devices.faults.unit, devices.faults.servo_wire))
-    with pytest.raises(SimulatorError):
+    before = repr((devices.faults, devices.offset, list(devices.physical.objects)))
+    with pytest.raises(SimulatorError, match=re.escape(says)):
         requests(request_)
-    assert repr((devices.faults.can, devices.faults.unit, devices.faults.servo_wire)) == before
+    assert repr((devices.faults, devices.offset, list(devices.physical.objects))) == before
     assert devices.physical.placed is None
 
 

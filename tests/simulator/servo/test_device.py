@@ -208,11 +208,6 @@ def ids(answer: bytes) -> list[int]:
     return [p.packet_id for p in PacketParser().push(answer) if p.intact]
 
 
-def sync_read(address: int, size: int, *servo_ids: int) -> bytes:
-    parameters = address.to_bytes(2, "little") + size.to_bytes(2, "little") + bytes(servo_ids)
-    return encode_instruction(0xFE, Instruction.SYNC_READ, parameters)
-
-
 @pytest.mark.parametrize(
     ("instruction", "parameters", "led"),
     [(Instruction.READ, "8400 0400", 0), (Instruction.WRITE, "4100 01", 1)],
@@ -242,19 +237,16 @@ def test_group_instructions_cut_off_are_passed_over(bench, instruction: int, par
 # Wire time
 
 
-def round_trip_s(bench, request: bytes) -> float:
-    start_s = bench.clock.monotonic()
-    bench.stream.write(request)
-    due_s = start_s
-    while bench.stream.read(256, 0.02):
-        due_s = bench.clock.monotonic()
-    return due_s - start_s
-
-
 def test_slow_lines_and_return_delay_add_up(servo_bench):
     bench = servo_bench(baudrate=57600, settings={"baud_rate": 1, "return_delay_time": 250})
     expected_s = (16 + 2 * 21) * 10 / 57600 + 2 * 500e-6
-    assert round_trip_s(bench, sync_read(126, 10, 1, 2)) == pytest.approx(expected_s)
+    start_s = bench.clock.monotonic()
+    bench.stream.write(
+        encode_instruction(0xFE, Instruction.SYNC_READ, bytes((126, 0, 10, 0, 1, 2)))
+    )
+    while bench.stream.read(256, 0.02):
+        end_s = bench.clock.monotonic()
+    assert end_s - start_s == pytest.approx(expected_s)
 
 
 # Faults of the wire

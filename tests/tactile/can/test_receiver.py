@@ -3,7 +3,6 @@
 import fcntl
 import gc
 import os
-import pty
 import queue
 import subprocess
 import sys
@@ -168,7 +167,7 @@ def test_polled_source_bounds_what_it_takes_at_once(bus) -> None:
 
 
 class Adapter:
-    """The other end of a pseudo-terminal."""
+    """The other end of a pseudo-terminal, without an exclusive mode: as for an administrator."""
 
     def __init__(self) -> None:
         self.master, slave = os.openpty()
@@ -310,16 +309,6 @@ with bus_lock(sys.argv[1], sys.argv[2]):
 """
 
 
-@pytest.fixture
-def port() -> Iterator[str]:
-    """A pseudo-terminal that takes no exclusive mode: as for an administrator."""
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    yield os.ttyname(slave)
-    os.close(master)
-    os.close(slave)
-
-
 def held_elsewhere(interface: str, channel: str) -> "subprocess.Popen[str]":
     process = subprocess.Popen(
         [sys.executable, "-c", HOLD, interface, channel],
@@ -332,8 +321,8 @@ def held_elsewhere(interface: str, channel: str) -> "subprocess.Popen[str]":
 
 
 @pytest.mark.parametrize("interface", ["slcan", "socketcan"])
-def test_a_second_program_is_refused_until_the_first_has_ended(interface, port) -> None:
-    channel = port if interface == "slcan" else "can77"
+def test_a_second_program_is_refused_until_the_first_has_ended(interface, adapter) -> None:
+    channel = adapter.path if interface == "slcan" else "can77"
     with held_elsewhere(interface, channel) as other:
         with pytest.raises(BusNotOpened, match="used by another program of this kind"):
             open_bus(interface, channel)
@@ -342,10 +331,10 @@ def test_a_second_program_is_refused_until_the_first_has_ended(interface, port) 
         pass
 
 
-def test_a_link_to_the_port_is_the_same_port_and_closing_gives_it_back(port, tmp_path) -> None:
+def test_a_link_to_the_port_is_the_same_port_and_closing_gives_it_back(adapter, tmp_path) -> None:
     link = tmp_path / "adapter"
-    link.symlink_to(port)
-    bus = open_bus("slcan", port)
+    link.symlink_to(adapter.path)
+    bus = open_bus("slcan", adapter.path)
     with pytest.raises(BusNotOpened, match="used by another program"):
         open_bus("slcan", str(link))
     close_bus(bus)
@@ -361,15 +350,15 @@ def test_a_lock_file_of_another_user_is_used(tmp_path, monkeypatch) -> None:
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def test_a_bit_rate_that_an_adapter_lacks_leaves_its_port_free(port) -> None:
+def test_a_bit_rate_that_an_adapter_lacks_leaves_its_port_free(adapter) -> None:
     with pytest.raises(BusNotOpened, match="bitrate") as refused:
-        open_bus("slcan", port, bitrate=800_000)
-    handle = os.open(port, os.O_RDWR | os.O_NOCTTY)
+        open_bus("slcan", adapter.path, bitrate=800_000)
+    handle = os.open(adapter.path, os.O_RDWR | os.O_NOCTTY)
     try:
         # As the driver locks it; the error above keeps all that it has seen alive.
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     finally:
         os.close(handle)
     assert refused.value.__cause__ is not None
-    with bus_lock("slcan", port):
+    with bus_lock("slcan", adapter.path):
         pass

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tactile.errors import FrameTimeout, NodeRebooted, TareRefused, ZeroDrifted
+from tactile.errors import FrameTimeout, TareRefused, ZeroDrifted
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import FoamCalibration, LinearCalibration
 from tactile.sensor.filters import Neighbourhood
@@ -54,7 +54,6 @@ class Frames:
         self.running = True
         self.stuck: dict[int, int] = {}
         self.alter: Callable[[np.ndarray], None] = lambda counts: None
-        self.error: Exception | None = None
         self.closed = False
 
     def monotonic(self) -> float:
@@ -73,8 +72,6 @@ class Frames:
         raise AssertionError("it sends no force messages")
 
     def poll(self) -> Arrivals:
-        if self.error is not None:
-            raise self.error
         frames = []
         while self.running and self.now_s >= self.next_s:
             counts = self.base.copy()
@@ -381,12 +378,6 @@ def test_start_forgets_the_zero(sensor, frames) -> None:
     assert sensor.layout is LAYOUT
     sensor.stop()
     assert frames.closed
-
-
-def test_faults_of_the_link_pass_through(sensor, frames) -> None:
-    frames.error = NodeRebooted("boot-up")
-    with pytest.raises(NodeRebooted):
-        sensor.poll()
 
 
 # --- tare ----------------------------------------------------------------------------------------
