@@ -212,6 +212,14 @@ def test_a_request_to_stop_does_not_end_a_carry(cell) -> None:
     assert cell.force_n == pytest.approx(4.0, abs=0.6)
 
 
+def test_a_part_that_a_hard_touch_compressed_may_open_the_fingers_again(make_started) -> None:
+    cell = make_started(n_servos=1, linkage="rack")
+    touched = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0))
+    cell.gripper.hold_at(2.0, 0.5)
+    assert touched.contact_aperture_m < cell.mechanics.aperture_m - 0.5e-3
+    assert cell.force_n > 1.0
+
+
 @pytest.mark.slow
 def test_a_part_is_squeezed_again_in_the_same_grip(started) -> None:
     with pytest.raises(GripperStateError):

@@ -59,7 +59,9 @@ class GripControl:
         # A high load at the first touch: stiff, or no part at all.
         contact_n_m = force_n / max(yielded_m, GRAIN_M) if force_n > KNOWN_N else None
         given_m = GIVE_RAD * sum(map(linkage.opening_per_rad_m, state.angles_rad))
-        self.watch = PartWatch(grip, contact_n_m, widest_m=state.aperture_m + given_m)
+        # A hard touch has compressed the part already.
+        widest_m = max(reached.touch_m, state.aperture_m) + given_m
+        self.watch = PartWatch(grip, contact_n_m, widest_m=widest_m)
         """Decides whether the part is gone; called before `goals` in each period."""
         # The opening shrinks by the yield of both pads, and each end of it is off by a grain.
         yielded_m += 2.0 * GRAIN_M
