@@ -24,7 +24,9 @@ import numpy as np
 
 from benchmarks._measure import line, repeats
 from benchmarks.recognition._grasps import asked, cell_grasps, figures
+from cell.errors import CellError
 from cell.learning.training import GAUGE_GRASPS
+from gripper.errors import GripperError
 from recognition.evaluation.splits import a_day_later
 from recognition.grasp import Grasp
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
@@ -33,6 +35,7 @@ from simulator.settings import SimulatedServoSettings
 from simulator.world.foam import Foam
 from simulator.world.press import PadPair
 from simulator.world.taxels import SensorLaw
+from tactile.errors import TactileError
 
 TAUGHT = {
     "oval": "ellipsoid:length=14mm,diameter=11.7mm",
@@ -114,15 +117,22 @@ def main(effort: float = 1.0) -> None:
     drawn = []
     with ProcessPoolExecutor() as workers:
         for seed, found in zip(seeds, workers.map(there, seeds), strict=True):
+            what = f"  drawn cell, {1e-3 * drawn_cell(seed)['foam'].modulus_pa:.0f} kPa"
+            if isinstance(found, str):
+                line(what, f"ended with a fault: {found}")
+                continue
             drawn += (answers := asked(taught, [a_day_later(grasp) for grasp in found]))
-            modulus_pa = drawn_cell(seed)["foam"].modulus_pa
-            line(f"  drawn cell, {1e-3 * modulus_pa:.0f} kPa", figures(answers))
+            line(what, figures(answers))
     line("  drawn cells, all together", figures(drawn))
     rates(taught_objects, n)
 
 
-def _drawn_grasps(objects: Mapping[str, str], n_grasps: int, seed: int) -> list[Grasp]:
-    return zeroed_grasps(objects, n_grasps, seed=200 + seed, **drawn_cell(seed))
+def _drawn_grasps(objects: Mapping[str, str], n_grasps: int, seed: int) -> list[Grasp] | str:
+    """Return the grasps of a drawn cell, or the error that ended them."""
+    try:
+        return zeroed_grasps(objects, n_grasps, seed=200 + seed, **drawn_cell(seed))
+    except (CellError, GripperError, TactileError) as error:
+        return f"{type(error).__name__}: {error}"
 
 
 def drawn_cell(seed: int) -> dict[str, Any]:
