@@ -1,6 +1,7 @@
 """Layouts: sizes, positions, hash, refusals."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -84,36 +85,29 @@ def test_hash_covers_what_gives_the_samples_their_meaning() -> None:
     assert int(layout.layout_hash, 16) > 0
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"finger": 2}, "finger is 2"),
-        ({"face": "back"}, "back"),
-        ({"rows": 0}, "0 x 3"),
-        ({"columns": 256}, "2 x 256"),
-        ({"pitch_x_m": 0.0}, "pitch"),
-        ({"pitch_y_m": float("nan")}, "pitch"),
-        ({"centre_m": (0.0, float("inf"), 0.0)}, "finite"),
-        ({"y_axis": (0.0, 2.0, 0.0)}, "orthonormal"),
-        ({"y_axis": (1.0, 0.0, 0.0)}, "orthonormal"),
-    ],
-)
-def test_impossible_pads_are_refused(change: dict, says: str) -> None:
-    with pytest.raises(LayoutError, match=says):
-        replace(INNER[0], **change)
+SMALL = TaxelLayout(name="small", pads=tuple(INNER))
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("whole", "change", "says"),
     [
-        ({"sample_bits": 12}, "12"),
-        ({"adc_max": 256}, "256"),
-        ({"adc_max": 0}, "adc_max is 0"),
-        ({"pads": (INNER[0],)}, "1 and 0"),
-        ({"pads": (INNER[0], replace(INNER[0], name="b"), INNER[1])}, "2 and 1"),
-        ({"pads": (INNER[0], replace(INNER[1], name="f0"))}, "repeat"),
+        (INNER[0], {"finger": 2}, "finger is 2"),
+        (INNER[0], {"face": "back"}, "back"),
+        (INNER[0], {"rows": 0}, "0 x 3"),
+        (INNER[0], {"columns": 256}, "2 x 256"),
+        (INNER[0], {"pitch_x_m": 0.0}, "pitch"),
+        (INNER[0], {"pitch_y_m": float("nan")}, "pitch"),
+        (INNER[0], {"centre_m": (0.0, float("inf"), 0.0)}, "finite"),
+        (INNER[0], {"y_axis": (0.0, 2.0, 0.0)}, "orthonormal"),
+        (INNER[0], {"y_axis": (1.0, 0.0, 0.0)}, "orthonormal"),
+        (SMALL, {"sample_bits": 12}, "12"),
+        (SMALL, {"adc_max": 256}, "256"),
+        (SMALL, {"adc_max": 0}, "adc_max is 0"),
+        (SMALL, {"pads": (INNER[0],)}, "1 and 0"),
+        (SMALL, {"pads": (INNER[0], replace(INNER[0], name="b"), INNER[1])}, "2 and 1"),
+        (SMALL, {"pads": (INNER[0], replace(INNER[1], name="f0"))}, "repeat"),
     ],
 )
-def test_impossible_layouts_are_refused(change: dict, says: str) -> None:
+def test_impossible_pads_and_layouts_are_refused(whole: Any, change: dict, says: str) -> None:
     with pytest.raises(LayoutError, match=says):
-        replace(TaxelLayout(name="small", pads=tuple(INNER)), **change)
+        replace(whole, **change)

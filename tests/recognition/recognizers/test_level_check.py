@@ -60,14 +60,18 @@ def _taught(pads, rng, **options):
     ]
 
 
+@pytest.fixture
+def rng():
+    return np.random.default_rng(10)
+
+
 @pytest.fixture(params=LAYOUTS)
 def pads(request):
     return LAYOUTS[request.param]
 
 
 @pytest.mark.parametrize("force", [True, False])
-def test_objects_that_press_differently_are_named_on_every_layout(pads, force):
-    rng = np.random.default_rng(10)
+def test_objects_that_press_differently_are_named_on_every_layout(pads, force, rng):
     taught = LevelCheckTrainer().fit(_taught(pads, rng, force=force))
     assert taught.labels == ("high", "low", "middle")
     for label, peak in (("low", 0.2), ("middle", 0.4), ("high", 0.8)):
@@ -78,16 +82,14 @@ def test_objects_that_press_differently_are_named_on_every_layout(pads, force):
         assert taught.check(grasp) == label
 
 
-def test_a_level_outside_every_band_is_unknown(pads):
-    rng = np.random.default_rng(11)
+def test_a_level_outside_every_band_is_unknown(pads, rng):
     taught = LevelCheckTrainer().fit(_taught(pads, rng))
     between = _grasp(pads, 0.28, rng)
     assert taught.posterior(between).name == UNKNOWN
     assert taught.check(between) == UNKNOWN
 
 
-def test_objects_with_one_level_share_the_probability_and_close_the_window():
-    rng = np.random.default_rng(12)
+def test_objects_with_one_level_share_the_probability_and_close_the_window(rng):
     grasps = [_grasp(PINCH, 0.5, rng, label=label) for label in "ab" for _ in range(8)]
     taught = LevelCheckTrainer().fit(grasps)
     assert taught.levels.closed in (((0, 1),), ((1, 0),))
@@ -99,8 +101,7 @@ def test_objects_with_one_level_share_the_probability_and_close_the_window():
     assert taught.check(middle) == UNKNOWN
 
 
-def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform():
-    rng = np.random.default_rng(13)
+def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform(rng):
     taught = LevelCheckTrainer().fit(_taught(PAPER, rng))
     nothing = _grasp(PAPER, 0.0, rng)
     tip_only = _grasp(PAPER, 0.5, rng, touched=(4,))  # a pad of 6 x 2: two rows are no surface
@@ -116,8 +117,7 @@ def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform():
         grip_level(silent)
 
 
-def test_arrays_hold_all_that_was_learnt():
-    rng = np.random.default_rng(14)
+def test_arrays_hold_all_that_was_learnt(rng):
     settings = LevelSettings(force_n=6.0, rim=0, reading=Reading.ALGEBRAIC_MINIMUM)
     taught = LevelCheckTrainer(settings=settings).fit(_taught(PINCH, rng))
     arrays = taught.to_arrays()
@@ -140,8 +140,7 @@ def test_arrays_hold_all_that_was_learnt():
             LevelCheckRecognizer.from_arrays({**arrays, name: np.array(bad)})
 
 
-def test_other_pads_are_refused():
-    rng = np.random.default_rng(15)
+def test_other_pads_are_refused(rng):
     taught = LevelCheckTrainer().fit(_taught(PINCH, rng))
     with pytest.raises(ValueError, match="2 pads with 128 taxels up to 255; taught were 2"):
         taught.posterior(_grasp(INNER, 0.4, rng))
@@ -149,8 +148,7 @@ def test_other_pads_are_refused():
         LevelCheckTrainer().fit([*_taught(PINCH, rng), *_taught(INNER, rng)])
 
 
-def test_an_object_without_any_surface_stays_without_a_level():
-    rng = np.random.default_rng(16)
+def test_an_object_without_any_surface_stays_without_a_level(rng):
     grasps = _taught(PAPER, rng)
     spoilt = [_grasp(PAPER, 0.5, rng, touched=(4,), label="tip") for _ in range(3)]
     taught = LevelCheckTrainer().fit([*grasps, *spoilt])
@@ -179,15 +177,13 @@ def test_the_trainer_says_what_it_is_and_refuses_what_does_not_teach():
 # --- the level of one grasp -----------------------------------------------------------------
 
 
-def test_the_level_is_a_quarter_over_the_fitted_peak_in_counts_of_255(pads):
-    rng = np.random.default_rng(18)
+def test_the_level_is_a_quarter_over_the_fitted_peak_in_counts_of_255(pads, rng):
     grasp = _grasp(pads, 0.5, rng, noise=0.0, width_m=0.012)
     level = grip_level(grasp, LevelSettings(rim=0))
     assert level == pytest.approx(0.25 / (0.5 * 255), rel=0.1)
 
 
-def test_noise_of_the_paper_moves_the_level_by_less_than_its_windows():
-    rng = np.random.default_rng(19)
+def test_noise_of_the_paper_moves_the_level_by_less_than_its_windows(rng):
     quiet = grip_level(_grasp(INNER, 0.5, np.random.default_rng(1), noise=0.0))
     noisy = [grip_level(_grasp(INNER, 0.5, rng, noise=10 / 255)) for _ in range(20)]
     assert np.mean(noisy) == pytest.approx(quiet, rel=0.15)
@@ -206,8 +202,7 @@ def test_gripping_pads_are_the_most_loaded_and_its_counterpart():
         gripping_pads(np.zeros(10), PAPER)
 
 
-def test_frames_near_a_share_of_the_force_or_of_the_load():
-    rng = np.random.default_rng(20)
+def test_frames_near_a_share_of_the_force_or_of_the_load(rng):
     grasp = _grasp(PINCH, 0.5, rng)
     assert frames_near(grasp, 1.0, 0.01).tolist() == list(range(27, 38))
     half = frames_near(grasp, 0.5, 0.03)
@@ -231,8 +226,7 @@ def test_a_fixed_force_that_was_not_reached_is_refused():
     )
 
 
-def test_lambda_of_force_falls_along_the_ramp_and_gives_thresholds_at_its_end():
-    rng = np.random.default_rng(24)
+def test_lambda_of_force_falls_along_the_ramp_and_gives_thresholds_at_its_end(rng):
     shares = (0.01, 0.25, 0.5, 1.0)
     settings = LevelSettings(tolerance=0.02)
     values = ramp_levels(_grasp(PAPER, 0.6, rng), shares, settings)
@@ -252,8 +246,7 @@ def test_steps_of_the_ramp_without_contact_are_nan():
     assert np.isnan(ramp_levels(grasp, (0.5, 1.0))).all()
 
 
-def test_levels_are_taken_at_the_force_that_every_taught_grasp_reached():
-    rng = np.random.default_rng(5)
+def test_levels_are_taken_at_the_force_that_every_taught_grasp_reached(rng):
     taught = _taught(PINCH, rng)
     weak = dataclasses.replace(taught[0], force_n=0.5 * taught[0].force_n)
     recognizer = LevelCheckTrainer().fit([*taught, weak])
@@ -296,8 +289,7 @@ def test_noise_of_the_whole_pad_does_not_hide_the_first_touch_in_the_baseline():
     assert np.mean(loud) == pytest.approx(quiet, rel=0.06)
 
 
-def test_more_noise_than_taught_is_seen_and_widens_bands_and_probabilities():
-    rng = np.random.default_rng(6)
+def test_more_noise_than_taught_is_seen_and_widens_bands_and_probabilities(rng):
     taught = LevelCheckTrainer().fit(_taught(PAPER, rng))
     calm, loud = (_grasp(PAPER, 0.4, np.random.default_rng(7), noise=n) for n in (0.005, 0.1))
     assert taught.more_noise(calm) == 0.0
@@ -311,8 +303,7 @@ def test_more_noise_than_taught_is_seen_and_widens_bands_and_probabilities():
     assert hopeless.posterior(loud).unknown == 1.0
 
 
-def test_noise_predicts_how_far_levels_of_one_touch_vary():
-    rng = np.random.default_rng(8)
+def test_noise_predicts_how_far_levels_of_one_touch_vary(rng):
     grasps = [_held(INNER, 0.5, rng, 0.03, 20) for _ in range(60)]
     seen = np.std(np.log([grip_level(grasp) for grasp in grasps]))
     counts, per_count = usual_noise(grasps, LevelSettings())

@@ -25,22 +25,22 @@ from recognition.statistics.lda import LinearDiscriminant, fit_lda
 from recognition.statistics.taught_sizes import TaughtSizes, fit_sizes
 
 
-def gaussians(rng, n=60, shift=3.0, n_features=6):
+def gaussians(seed, n=60, shift=3.0, n_features=6):
+    rng = np.random.default_rng(seed)
     centres = np.eye(3, n_features) * shift
     classes = np.repeat([0, 1, 2], n)
     return centres[classes] + rng.normal(size=(3 * n, n_features)), classes
 
 
 def test_nearest_class_is_the_right_one():
-    rng = np.random.default_rng(0)
-    x, y = gaussians(rng, shift=6.0)
+    x, y = gaussians(0, shift=6.0)
     lda = fit_lda(x, y, 3)
     assert np.array_equal(lda.distances(x).argmin(axis=1), y)
     assert lda.centres.shape == (3, 2)
 
 
 def test_the_axes_that_separate_best_are_kept():
-    x, y = gaussians(np.random.default_rng(0), shift=6.0)
+    x, y = gaussians(0, shift=6.0)
     x[y == 2] += 12.0
     every, one = fit_lda(x, y, 3), fit_lda(x, y, 3, most_axes=1)
     assert one.centres == pytest.approx(every.centres[:, :1])
@@ -48,8 +48,7 @@ def test_the_axes_that_separate_best_are_kept():
 
 
 def test_distances_are_in_standard_deviations():
-    rng = np.random.default_rng(1)
-    x, y = gaussians(rng, n=2000, shift=5.0)
+    x, y = gaussians(1, n=2000, shift=5.0)
     lda = fit_lda(x, y, 3)
     own = lda.distances(x)[np.arange(len(y)), y]
     assert own.mean() == pytest.approx(2.0, rel=0.05)
@@ -58,8 +57,7 @@ def test_distances_are_in_standard_deviations():
 
 
 def test_scale_and_offset_of_a_feature_do_not_matter():
-    rng = np.random.default_rng(2)
-    x, y = gaussians(rng)
+    x, y = gaussians(2)
     moved = x * np.array([1e3, 1, 1e-3, 5, 1, 1]) + 7.0
     assert fit_lda(moved, y, 3).distances(moved) == pytest.approx(
         fit_lda(x, y, 3).distances(x), rel=1e-6
@@ -67,16 +65,15 @@ def test_scale_and_offset_of_a_feature_do_not_matter():
 
 
 def test_more_features_than_rows_and_constant_features_are_no_trouble():
-    rng = np.random.default_rng(3)
-    x, y = gaussians(rng, n=4, shift=8.0, n_features=50)
+    x, y = gaussians(3, n=4, shift=8.0, n_features=50)
     x[:, 10:20] = 1.0
     lda = fit_lda(x, y, 3)
     assert np.array_equal(lda.distances(x).argmin(axis=1), y)
-    assert np.all(np.isfinite(lda.distances(rng.normal(size=(5, 50)))))
+    assert np.all(np.isfinite(lda.distances(x + 1.0)))
 
 
 def test_what_few_rows_hardly_show_to_vary_has_the_least_unit():
-    x, y = gaussians(np.random.default_rng(3))
+    x, y = gaussians(3)
     x = np.column_stack([x, np.zeros(len(x))])
     once = np.eye(1, 7, k=6)
 
@@ -89,8 +86,7 @@ def test_what_few_rows_hardly_show_to_vary_has_the_least_unit():
 
 
 def test_full_shrinkage_leaves_plain_scaled_distance():
-    rng = np.random.default_rng(4)
-    x, y = gaussians(rng)
+    x, y = gaussians(4)
     lda = fit_lda(x, y, 3, min_shrinkage=1.0)
     means = np.stack([x[y == k].mean(axis=0) for k in range(3)])
     scaled = (((means[0] - means[1]) / lda.scale) ** 2).sum()
@@ -99,8 +95,7 @@ def test_full_shrinkage_leaves_plain_scaled_distance():
 
 
 def test_what_no_class_has_shown_lies_beside_them_all():
-    rng = np.random.default_rng(8)
-    x, y = gaussians(rng, n=2000, shift=5.0)
+    x, y = gaussians(8, n=2000, shift=5.0)
     lda = fit_lda(x, y, 3)
     again = LinearDiscriminant.from_arrays(lda.to_arrays("a_"), "a_")
 

@@ -61,18 +61,10 @@ class Conversation(ServoBench):
 
     def __init__(self, values: dict[int, dict[str, int]]) -> None:
         super().__init__(model=XM430_W210)
-        self._registers = {servo.servo_id: servo.core.registers for servo in self.servos}
-        for servo_id in self._registers:
-            self.put(servo_id, "firmware_version", FIRMWARE)
-        for servo_id, named in values.items():
-            for name, value in named.items():
-                self.put(servo_id, name, value)
-
-    def put(self, servo_id: int, name: str, value: int) -> None:
-        self._registers[servo_id].put(name, value)
-
-    def get(self, servo_id: int, name: str) -> int:
-        return self._registers[servo_id].get(name)
+        self.registers = {servo.servo_id: servo.core.registers for servo in self.servos}
+        for servo_id, registers in self.registers.items():
+            for name, value in ({"firmware_version": FIRMWARE} | values.get(servo_id, {})).items():
+                registers.put(name, value)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +76,7 @@ def test_the_manuals_example(values, request_, answer, changed) -> None:
     # Mode 5 takes currents and positions.
     talk = Conversation({i: {"operating_mode": 5} | values.get(i, {}) for i in (1, 2)})
     assert talk.exchange(wire(PREFIX + request_)) == wire(answer)
-    assert {key: talk.get(*key) for key in changed} == changed
+    assert {(i, name): talk.registers[i].get(name) for i, name in changed} == changed
 
 
 @pytest.mark.parametrize(
@@ -100,11 +92,11 @@ def test_bytes_that_are_stuffed_both_ways() -> None:
     talk = Conversation({1: {"operating_mode": 5}})
     stuffed = "FFFFFD00 01 0A00 03 7400 FFFFFDFDFF 23E5"
     assert talk.exchange(wire(stuffed)) == wire(ACK)
-    assert talk.get(1, "goal_position") == -131073
+    assert talk.registers[1].get("goal_position") == -131073
     # As the vendor's package 4.1.0 sends it: the stuffing does not reach the wire.
     assert talk.exchange(wire("FFFFFD00 01 0900 03 7400 FFFFFDFF CB05")) == b""
     for name, value in (("current", -1), ("velocity", -3), ("position", 2048)):
-        talk.put(1, f"present_{name}", value)
+        talk.registers[1].put(f"present_{name}", value)
     answer = talk.exchange(dxl2.InstructionPacket(1, 0x02, dxl2.Params([126, 0, 10, 0])).raw)
     assert answer == wire("FFFFFD00 01 0F00 55 00 FFFFFDFDFFFFFF00080000 49F0")
 
@@ -113,4 +105,4 @@ def test_a_factory_reset_of_all_servos_changes_nothing() -> None:
     talk = Conversation({2: {"temperature_limit": 61}})
     everything = dxl2.InstructionPacket(0xFE, 0x06, dxl2.Params([0xFF])).raw
     assert talk.exchange(everything) == b""
-    assert talk.get(2, "temperature_limit") == 61
+    assert talk.registers[2].get("temperature_limit") == 61

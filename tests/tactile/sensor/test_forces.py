@@ -111,17 +111,22 @@ def test_the_noise_of_a_message_follows_what_is_touched() -> None:
     assert 0.05 < light_n <= sensor.scan_noise_n < 0.4
 
 
+def gripping(*, noise: bool = True) -> tuple[TactileSensor, Frames, GripForce[ForceSample]]:
+    """Return a sensor of frames alone that has taken its zero, and its force for a loop."""
+    link = Frames()
+    link.noise = noise
+    sensor = TactileSensor(link, CALIBRATION, clock=link)
+    sensor.start()
+    sensor.tare()
+    sensor.refresh()
+    return sensor, link, GripForce(sensor, ForceSample)
+
+
 @pytest.mark.parametrize(("noise", "alone"), [(False, True), (True, False)])
 def test_the_force_of_quiet_frames_is_that_of_one_frame_and_of_noisy_ones_the_mean(
     noise: bool, alone: bool
 ) -> None:
-    link = Frames()
-    link.noise = noise
-    sensor = TactileSensor(link, CALIBRATION, clock=link)
-    force = GripForce(sensor, ForceSample)
-    sensor.start()
-    sensor.tare()
-    sensor.refresh()
+    sensor, link, force = gripping(noise=noise)
     link.press(4.0, "blob")
     readings(sensor, link, 1)
     reading, sample = sensor.latest, force.latest_force()
@@ -151,12 +156,7 @@ def test_messages_of_a_taxel_at_full_scale_are_a_lower_bound(status, at_least) -
 
 @pytest.mark.parametrize("full", [True, False])
 def test_a_frame_of_a_taxel_at_full_scale_is_a_lower_bound(full: bool) -> None:
-    link = Frames()
-    sensor = TactileSensor(link, CALIBRATION, clock=link)
-    force = GripForce(sensor, ForceSample)
-    sensor.start()
-    sensor.tare()
-    sensor.refresh()
+    sensor, link, force = gripping()
     forces = np.zeros(408)
     forces[33], forces[[29, 32, 34, 37]] = 20.0 if full else 1.5, 1.0
     link.base = CALIBRATION.counts(forces)
