@@ -88,15 +88,9 @@ class ServoBench:
 
 
 @pytest.fixture
-def servo_bench() -> Callable[..., ServoBench]:
-    """Return the maker of a bench with servos; takes what `ServoBench` takes."""
-    return ServoBench
-
-
-@pytest.fixture
-def bench(servo_bench: Callable[..., ServoBench]) -> ServoBench:
+def bench() -> ServoBench:
     """Two XM430-W350 as they come."""
-    return servo_bench()
+    return ServoBench()
 
 
 class Driver:
@@ -124,14 +118,12 @@ class Driver:
 
 
 @pytest.fixture
-def serve(
-    servo_bench: Callable[..., ServoBench], tmp_path: Path
-) -> Iterator[Callable[..., Driver]]:
+def serve(tmp_path: Path) -> Iterator[Callable[..., Driver]]:
     """Return what puts a bench on a pseudo-terminal; takes what `ServoBench` takes."""
     drivers: list[Driver] = []
 
     def make(**options: object) -> Driver:
-        drivers.append(Driver(servo_bench(**options), tmp_path / "servos"))
+        drivers.append(Driver(ServoBench(**options), tmp_path / "servos"))
         return drivers[-1]
 
     yield make

@@ -54,7 +54,7 @@ def test_a_rest_above_all_frames_cuts_nothing_off(factory):
     assert held_part(loaded, rest)[0] is loaded
 
 
-def test_rest_follows_an_offset_that_was_not_taught(rest, factory, pads, train):
+def test_rest_follows_an_offset_that_was_not_taught(rest, train):
     lifted = dataclasses.replace(train[0], counts=train[0].counts + 30)
     assert find_ramp(lifted, rest).load == pytest.approx(find_ramp(train[0], rest).load)
 

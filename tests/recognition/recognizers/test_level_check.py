@@ -183,12 +183,6 @@ def test_the_level_is_a_quarter_over_the_fitted_peak_in_counts_of_255(pads, rng)
     assert level == pytest.approx(0.25 / (0.5 * 255), rel=0.1)
 
 
-def test_noise_of_the_paper_moves_the_level_by_less_than_its_windows(rng):
-    quiet = grip_level(_grasp(INNER, 0.5, np.random.default_rng(1), noise=0.0))
-    noisy = [grip_level(_grasp(INNER, 0.5, rng, noise=10 / 255)) for _ in range(20)]
-    assert np.mean(noisy) == pytest.approx(quiet, rel=0.15)
-
-
 def test_gripping_pads_are_the_most_loaded_and_its_counterpart():
     load = np.array([9.0, 0, 0, 0, 6, 5, 0, 0, 0, 0])
     assert gripping_pads(load, PAPER) == (0, 5)

@@ -622,12 +622,3 @@ def test_dimensions_have_the_names_of_drawings() -> None:
     assert sizes["flat"]["length"] == pytest.approx(14e-3)
     assert sizes["flat"]["width"] == pytest.approx(8e-3)
     assert sizes["dumbbell"]["waist_length"] == pytest.approx(0.5 * sizes["dumbbell"]["length"])
-
-
-@pytest.mark.parametrize("kind", sorted(SHAPE_MODELS))
-def test_priors_and_starts_fit_the_parameters(kind: str) -> None:
-    model = SHAPE_MODELS[kind]
-    assert len(model.mean) == len(model.sd) == model.n_own == 1 + len(OTHERS[kind])
-    starts = model.starts(4e-3, 8e-3, 3e-3)
-    assert starts
-    assert all(len(start) == model.n_own - 1 for start in starts)

@@ -367,14 +367,6 @@ def test_last_message_vectors(counts: np.ndarray, counter: int, status: int, las
     assert PAPER.burst(counts, counter, status)[58] == bytes.fromhex(last)
 
 
-def test_message_vectors() -> None:
-    messages = PAPER.burst(RAMP, 0x1235, 0)
-    assert len(messages) == 59
-    assert messages[0] == bytes.fromhex("40 00 01 02 03 04 05 06")
-    assert messages[1] == bytes.fromhex("41 07 08 09 0A 0B 0C 0D")
-    assert messages[57] == bytes.fromhex("79 8F 90 91 92 93 94 95")
-
-
 def test_pinch_layout_sends_16_bit_little_endian_and_zero_padding() -> None:
     pinch = BurstFormat(n_taxels=156, sample_bytes=2)
     counts = np.full(156, 0x0ABC)

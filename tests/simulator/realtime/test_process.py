@@ -38,6 +38,7 @@ from simulator.servo.protocol2 import Instruction, encode_instruction
 from simulator.servo.wrist import WristMount
 from simulator.settings import RecordedGrasp, SimulatorSettings
 from tactile.layout import pinch_layout
+from tests.simulator.conftest import ServoBench
 
 SCRIPT = """
 import json
@@ -231,8 +232,8 @@ PING = encode_instruction(1, Instruction.PING)
 
 
 @pytest.fixture
-def device(servo_bench) -> ServoBusDevice:
-    return servo_bench().device
+def device() -> ServoBusDevice:
+    return ServoBench().device
 
 
 @pytest.fixture

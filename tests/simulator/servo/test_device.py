@@ -1,7 +1,6 @@
 """Simulated servos on one bus: access rules, errors, service instructions, faults of the wire."""
 
 import math
-from collections.abc import Callable
 
 import pytest
 
@@ -12,13 +11,14 @@ from simulator.servo.bus import MemoryServoStream
 from simulator.servo.firmware import WatchdogStop
 from simulator.servo.motor import DriveMode
 from simulator.servo.protocol2 import Instruction, PacketParser, encode_instruction, encode_status
+from tests.simulator.conftest import ServoBench
 
 RANGE, LENGTH, LIMIT, ACCESS = 4, 5, 6, 7
 
 
 @pytest.mark.parametrize("model", [XM430_W350, XL330_M288, XC330_M288])
-def test_factory_values(servo_bench, model):
-    bench = servo_bench(model=model, settings={"baud_rate": 3})
+def test_factory_values(model):
+    bench = ServoBench(model=model, settings={"baud_rate": 3})
     for name, value in model.factory_defaults.items():
         if name not in {"id", "baud_rate", "return_delay_time"}:
             register = REGISTERS[name]
@@ -101,8 +101,8 @@ def test_writing_the_mode_resets_gains_profiles_and_goals(bench):
     ("model", "gains"),
     [(XM430_W350, (4000, 0, 800)), (XL330_M288, (0, 0, 400)), (XC330_M288, (500, 0, 1100))],
 )
-def test_a_change_to_mode_5_loads_its_gains(servo_bench, model, gains):
-    bench = servo_bench([1], model=model)
+def test_a_change_to_mode_5_loads_its_gains(model, gains):
+    bench = ServoBench([1], model=model)
     plain = [bench.read(1, address, 2) for address in (80, 82, 84)]
     assert plain == [0 if model is XM430_W350 else gains[0], *gains[1:]]
     bench.write(1, 11, 1, 5)
@@ -112,8 +112,8 @@ def test_a_change_to_mode_5_loads_its_gains(servo_bench, model, gains):
 
 
 @pytest.mark.parametrize(("model", "error"), [(XM430_W350, ACCESS), (XL330_M288, 0)])
-def test_only_the_330_size_has_a_pwm_slope(servo_bench, model, error):
-    bench = servo_bench([1], model=model)
+def test_only_the_330_size_has_a_pwm_slope(model, error):
+    bench = ServoBench([1], model=model)
     assert bench.write(1, 62, 1, 70) == error
     if not error:
         bench.write(1, 64, 1, 1)
@@ -136,24 +136,24 @@ def test_the_realtime_tick_counts_ms_and_wraps(bench):
     assert servo.read(120, 2, 32.768).data == bytes(2)
 
 
-def test_homing_offset_shifts_and_reverse_mirrors_only_the_motor(servo_bench):
-    plain = servo_bench().read(1, 132, 4, signed=True)
-    offset = servo_bench(settings={"homing_offset": 100, "operating_mode": 4})
+def test_homing_offset_shifts_and_reverse_mirrors_only_the_motor():
+    plain = ServoBench().read(1, 132, 4, signed=True)
+    offset = ServoBench(settings={"homing_offset": 100, "operating_mode": 4})
     assert offset.read(1, 132, 4, signed=True) == plain + 100
-    reverse = servo_bench(settings={"homing_offset": 100, "drive_mode": 1, "operating_mode": 4})
+    reverse = ServoBench(settings={"homing_offset": 100, "drive_mode": 1, "operating_mode": 4})
     assert reverse.read(1, 132, 4, signed=True) == (-plain) % 4096 + 100
-    ignored = servo_bench(settings={"homing_offset": 2000, "operating_mode": 3})
+    ignored = ServoBench(settings={"homing_offset": 2000, "operating_mode": 3})
     assert ignored.read(1, 132, 4, signed=True) == plain
 
 
-def multi_turn(servo_bench):
-    bench = servo_bench([1], settings={"operating_mode": 4})
+def multi_turn():
+    bench = ServoBench([1], settings={"operating_mode": 4})
     bench.motors[0].angle_rad += 3 * math.tau
     return bench
 
 
-def test_extended_position_counts_turns_until_a_reboot(servo_bench):
-    bench = multi_turn(servo_bench)
+def test_extended_position_counts_turns_until_a_reboot():
+    bench = multi_turn()
     before = bench.read(1, 132, 4, signed=True)
     assert before > 3 * 4096
     bench.ask(1, Instruction.REBOOT)
@@ -162,8 +162,8 @@ def test_extended_position_counts_turns_until_a_reboot(servo_bench):
 
 
 @pytest.mark.parametrize("entry", ["mode", "torque"])
-def test_mode_3_falls_back_to_one_turn(servo_bench, entry: str):
-    bench = multi_turn(servo_bench)
+def test_mode_3_falls_back_to_one_turn(entry: str):
+    bench = multi_turn()
     bench.write(1, 11, 1, 3)
     if entry == "torque":
         bench.motors[0].angle_rad += math.tau
@@ -184,8 +184,8 @@ def test_reboot_answers_first_then_is_deaf_and_loses_its_ram(bench):
     assert bench.read(1, 120, 2) < 1000
 
 
-def test_startup_configuration_switches_the_torque_on(servo_bench):
-    bench = servo_bench(settings={"startup_configuration": 1})
+def test_startup_configuration_switches_the_torque_on():
+    bench = ServoBench(settings={"startup_configuration": 1})
     assert bench.read(1, 64, 1) == 1
 
 
@@ -237,8 +237,8 @@ def test_group_instructions_cut_off_are_passed_over(bench, instruction: int, par
 # Wire time
 
 
-def test_slow_lines_and_return_delay_add_up(servo_bench):
-    bench = servo_bench(baudrate=57600, settings={"baud_rate": 1, "return_delay_time": 250})
+def test_slow_lines_and_return_delay_add_up():
+    bench = ServoBench(baudrate=57600, settings={"baud_rate": 1, "return_delay_time": 250})
     expected_s = (16 + 2 * 21) * 10 / 57600 + 2 * 500e-6
     start_s = bench.clock.monotonic()
     bench.stream.write(
@@ -279,9 +279,9 @@ def test_a_knob_hits_packets_while_it_is_on(bench, knob: str, expected: bytes):
     assert bench.exchange(PING) == PONG
 
 
-def test_chances_are_the_same_with_the_same_seed(servo_bench):
+def test_chances_are_the_same_with_the_same_seed():
     def lost(seed: int) -> list[int]:
-        bench = servo_bench()
+        bench = ServoBench()
         bench.device.faults.seed = seed
         bench.device.faults.drop = 0.3
         return [i for i in range(60) if not bench.exchange(PING, 0.001)]
@@ -374,11 +374,11 @@ ALERT = 0x80
 
 
 @pytest.fixture
-def closing(servo_bench: Callable):
+def closing():
     """Return a bench in mode 5 that presses both fingers on a wall with 100 counts of current."""
 
     def make(watchdog_stop: WatchdogStop = WatchdogStop.HOLD):
-        pressing = servo_bench(settings={"operating_mode": 5})
+        pressing = ServoBench(settings={"operating_mode": 5})
         for servo in pressing.servos:
             servo.core.watchdog_stop = watchdog_stop
         pressing.clock.sleep(0.01)
@@ -399,8 +399,8 @@ def pressing(closing):
     return closing()
 
 
-def test_position_mode_reaches_its_goal_and_says_so(servo_bench):
-    pressing = servo_bench()
+def test_position_mode_reaches_its_goal_and_says_so():
+    pressing = ServoBench()
     goal = pressing.read(1, 132, 4) - 300
     pressing.write(1, 112, 4, 100)
     pressing.write(1, 64, 1, 1)
@@ -421,8 +421,8 @@ def test_position_mode_reaches_its_goal_and_says_so(servo_bench):
     [(0, (102, 2), -80, (126, 2)), (1, (104, 4), -40, (128, 4)), (16, (100, 2), -200, (124, 2))],
     ids=["current", "velocity", "pwm"],
 )
-def test_current_velocity_and_pwm_modes(servo_bench, mode, goal_item, goal, shown_item):
-    pressing = servo_bench(settings={"operating_mode": mode})
+def test_current_velocity_and_pwm_modes(mode, goal_item, goal, shown_item):
+    pressing = ServoBench(settings={"operating_mode": mode})
     assert pressing.write(1, *goal_item, 0) == 0
     pressing.write(1, 64, 1, 1)
     assert pressing.write(1, *goal_item, goal) == 0
@@ -436,10 +436,8 @@ def test_current_velocity_and_pwm_modes(servo_bench, mode, goal_item, goal, show
     [(0, 102, (38, 2, 90), 126), (16, 100, (36, 2, 300), 124)],
     ids=["current", "pwm"],
 )
-def test_a_limit_lowered_afterwards_bounds_the_goal(
-    servo_bench, mode, goal_address, limit, shown_address
-):
-    pressing = servo_bench(settings={"operating_mode": mode})
+def test_a_limit_lowered_afterwards_bounds_the_goal(mode, goal_address, limit, shown_address):
+    pressing = ServoBench(settings={"operating_mode": mode})
     pressing.write(1, goal_address, 2, -700)
     pressing.write(1, *limit)
     pressing.write(1, 64, 1, 1)
@@ -447,8 +445,8 @@ def test_a_limit_lowered_afterwards_bounds_the_goal(
     assert pressing.read(1, shown_address, 2, signed=True) == pytest.approx(-limit[-1], abs=2)
 
 
-def test_the_gains_reach_the_motor(servo_bench):
-    pressing = servo_bench(model=XC330_M288, settings={"operating_mode": 5})
+def test_the_gains_reach_the_motor():
+    pressing = ServoBench(model=XC330_M288, settings={"operating_mode": 5})
     pressing.write(1, 64, 1, 1)
     assert (pressing.motors[0].command.p_gain, pressing.motors[0].command.d_gain) == (1100, 500)
     pressing.write(1, 80, 2, 700)
@@ -460,10 +458,8 @@ def test_the_gains_reach_the_motor(servo_bench):
 
 
 @pytest.mark.parametrize(("model", "obeyed"), [(XM430_W350, 1), (XL330_M288, 0)])
-def test_the_profile_reaches_the_motor_but_not_in_mode_5_of_the_330_size(
-    servo_bench, model, obeyed: int
-):
-    pressing = servo_bench(model=model, settings={"operating_mode": 5})
+def test_the_profile_reaches_the_motor_but_not_in_mode_5_of_the_330_size(model, obeyed: int):
+    pressing = ServoBench(model=model, settings={"operating_mode": 5})
     pressing.write(1, 112, 4, 40)
     pressing.write(1, 108, 4, 20)
     pressing.write(1, 64, 1, 1)
@@ -473,8 +469,8 @@ def test_the_profile_reaches_the_motor_but_not_in_mode_5_of_the_330_size(
     assert command.profile_acceleration_rad_s2 == obeyed * 20 * XM430_W350.acceleration_unit_rad_s2
 
 
-def test_reverse_mode_turns_the_motor_the_other_way(servo_bench):
-    pressing = servo_bench(settings={"operating_mode": 1, "drive_mode": 1})
+def test_reverse_mode_turns_the_motor_the_other_way():
+    pressing = ServoBench(settings={"operating_mode": 1, "drive_mode": 1})
     pressing.write(1, 64, 1, 1)
     pressing.write(1, 104, 4, 40)
     pressing.clock.sleep(0.1)
@@ -586,8 +582,8 @@ def test_a_wrong_supply_alerts_but_keeps_the_torque_by_default(pressing, voltage
     assert pressing.write(1, 0, 2, 0) == ALERT | 7
 
 
-def test_the_xl330_shuts_down_on_a_wrong_supply(servo_bench):
-    pressing = servo_bench(model=XL330_M288)
+def test_the_xl330_shuts_down_on_a_wrong_supply():
+    pressing = ServoBench(model=XL330_M288)
     pressing.write(1, 64, 1, 1)
     pressing.motors[0].voltage_v = 3.0
     pressing.clock.sleep(0.01)

@@ -80,15 +80,6 @@ def test_regions_grow_through_allowed_taxels_only() -> None:
     assert not HOOD.connected(mask(taxel(9, 0)), allowed).any()
 
 
-def test_moving_mean_settles_after_its_window() -> None:
-    mean = MovingMean(3)
-    outputs = [mean.step(np.array([x]))[0] for x in (0, 0, 0, 6, 6, 6)]
-    assert outputs == [0, 0, 0, 2, 4, 6]
-    assert mean.full
-    mean.reset()
-    assert not mean.full
-
-
 @pytest.mark.parametrize("passes", [1, 2])
 def test_smoothing_gain_is_what_noise_shrinks_by(passes: int) -> None:
     rng = np.random.default_rng(4)
