@@ -49,21 +49,16 @@ def test_a_closed_cell_is_of_no_use() -> None:
         cell.can_bus.recv(0)
 
 
-def test_callbacks_see_each_piece_and_the_end() -> None:
-    clock = VirtualClock()
+@pytest.mark.parametrize(("start_s", "way_s", "n"), [(0.0, 0.0035, 4), (1.0, 0.3, 300)])
+def test_callbacks_see_each_piece_and_the_end_and_rounding_makes_no_further_one(
+    start_s, way_s, n
+) -> None:
+    clock = VirtualClock(start_s=start_s)
     seen: list[float] = []
     clock.on_advance.append(seen.append)
-    clock.sleep(0.0035)
-    assert seen == pytest.approx([0.001, 0.002, 0.003, 0.0035])
-    assert clock.monotonic() == seen[-1]
-
-
-def test_rounding_makes_no_extra_piece() -> None:
-    clock = VirtualClock(start_s=0.1)
-    seen: list[float] = []
-    clock.on_advance.append(seen.append)
-    clock.sleep(0.3)
-    assert (len(seen), seen[-1]) == (300, 0.1 + 0.3)
+    clock.sleep(way_s)
+    assert seen[:-1] == pytest.approx([start_s + 1e-3 * k for k in range(1, n)])
+    assert clock.monotonic() == seen[-1] == start_s + way_s
 
 
 def test_the_past_changes_nothing() -> None:

@@ -55,7 +55,7 @@ def test_a_rest_above_all_frames_cuts_nothing_off(factory):
 
 
 def test_rest_follows_an_offset_that_was_not_taught(rest, train):
-    lifted = dataclasses.replace(train[0], counts=train[0].counts + 30)
+    lifted = dataclasses.replace(train[0], counts=train[0].counts + 1000)
     assert find_ramp(lifted, rest).load == pytest.approx(find_ramp(train[0], rest).load)
 
 

@@ -211,9 +211,12 @@ def test_readings_before_the_tare_are_not_ok() -> None:
 
 
 def test_a_gap_starts_the_mean_anew(sensor, frames) -> None:
+    frames.press(4.0)
     readings(sensor, frames, 5)
     frames.next_s += 0.2
-    assert [r.ok for r in readings(sensor, frames, 4)] == [False, False, True, True]
+    after = readings(sensor, frames, 4)
+    assert [r.ok for r in after] == [False, False, True, True]
+    assert after[0].finger_force_n[0] == pytest.approx(4.0, abs=0.8)
 
 
 def test_converter_fault_and_a_zero_of_the_unit_are_objections(sensor, frames) -> None:
