@@ -153,11 +153,6 @@ def taught(teach):
     return teach("force_ramp")
 
 
-@pytest.fixture(scope="module")
-def touch(teach):
-    return teach("force_ramp", use_aperture=False)
-
-
 def test_a_drift_is_read_from_its_text():
     assert parse_drift("gain=0.7, aperture_mm=-4") == DRIFT
     assert parse_drift("aperture_mm=2") == Drift(aperture_offset_m=2e-3)
@@ -262,7 +257,8 @@ def test_grasps_without_a_drift_show_none(taught, fresh):
     assert followed.grid.unchanged > 0.5
 
 
-def test_touch_alone_is_gauged_too(touch, fresh):
+def test_touch_alone_is_gauged_too(teach, fresh):
+    touch = teach("force_ramp", use_aperture=False)
     found = touch.gauge("egg", [DRIFT.apply(g) for g in fresh if g.label == "egg"][:3]).grid
     assert found.drift.gain == pytest.approx(0.7, rel=0.3)
     assert found.drift.aperture_offset_m == pytest.approx(0.0, abs=1e-6)
@@ -478,6 +474,9 @@ def zero_of(drift: Drift) -> SelfZero:
     )
 
 
+NO_DRIFT = zero_of(Drift(gains=(1.0, 1.0)))
+
+
 def named(taught: Any, grasps: Sequence[Grasp]) -> float:
     """Return the share of grasps that get the name of their object."""
     return float(np.mean([taught.posterior(g).name == g.label for g in grasps]))
@@ -485,12 +484,12 @@ def named(taught: Any, grasps: Sequence[Grasp]) -> float:
 
 @pytest.mark.slow
 def test_two_self_zeros_undo_what_has_changed_for_each_grasp(train, fresh) -> None:
-    drift, none = Drift(gains=(0.7, 0.9), aperture_offset_m=-4e-3), Drift(gains=(1.0, 1.0))
-    taught = make_trainer("force_ramp").fit([replace(g, zero=zero_of(none)) for g in train])
+    drift = Drift(gains=(0.7, 0.9), aperture_offset_m=-4e-3)
+    taught = make_trainer("force_ramp").fit([replace(g, zero=NO_DRIFT) for g in train])
     later = [drift.apply(a_day_later(g)) for g in fresh]
     told = [replace(g, zero=zero_of(drift)) for g in later]
 
-    undrifted = [replace(g, zero=zero_of(none)) for g in fresh]
+    undrifted = [replace(g, zero=NO_DRIFT) for g in fresh]
     assert named(taught, told) >= named(taught, undrifted) - 0.05
     assert named(taught, told) > named(taught, later) + 0.1
     again = type(taught).from_arrays(taught.to_arrays())
@@ -509,20 +508,19 @@ def test_two_self_zeros_undo_what_has_changed_for_each_grasp(train, fresh) -> No
 
 @pytest.mark.slow
 def test_grasps_of_several_sessions_teach_as_of_one(train, fresh) -> None:
-    drift, none = Drift(gains=(0.8, 0.9), aperture_offset_m=2e-3), Drift(gains=(1.0, 1.0))
+    drift = Drift(gains=(0.8, 0.9), aperture_offset_m=2e-3)
     half = [
-        replace(g, zero=zero_of(none)) if i % 2 else replace(drift.apply(g), zero=zero_of(drift))
+        replace(g, zero=NO_DRIFT) if i % 2 else replace(drift.apply(g), zero=zero_of(drift))
         for i, g in enumerate(train)
     ]
     taught = make_trainer("force_ramp").fit(half)
-    told = [replace(g, zero=zero_of(none)) for g in fresh]
+    told = [replace(g, zero=NO_DRIFT) for g in fresh]
     assert named(taught, told) > 0.8
 
 
 @pytest.mark.slow
 def test_a_self_zero_ties_the_opening_of_what_was_taught_from_drawings(train, fresh) -> None:
-    nominal_m = zero_of(Drift(gains=(1.0, 1.0))).opening_m
-    drawn = [replace(g, zero=drawn_zero(nominal_m), thickness_m=8e-3) for g in train]
+    drawn = [replace(g, zero=drawn_zero(NO_DRIFT.opening_m), thickness_m=8e-3) for g in train]
     taught = make_trainer("force_ramp").fit(drawn)
     drift = Drift(gains=(1.0, 1.0), aperture_offset_m=-3e-3)
     later = [drift.apply(a_day_later(g)) for g in fresh]
@@ -539,10 +537,9 @@ def test_a_self_zero_ties_the_opening_of_what_was_taught_from_drawings(train, fr
 
 @pytest.mark.slow
 def test_what_was_taught_without_a_self_zero_leaves_all_without(train, fresh) -> None:
-    zeroed = [replace(g, zero=zero_of(Drift(gains=(1.0, 1.0)))) for g in train]
-    measured = zeroed[0].zero
+    zeroed = [replace(g, zero=NO_DRIFT) for g in train]
     newer = [replace(g, zero=drawn_zero(), source=DRAWING_SOURCE, start_ms=2**40) for g in train]
-    assert make_trainer("force_ramp").fit([*zeroed, *newer]).zero == measured
+    assert make_trainer("force_ramp").fit([*zeroed, *newer]).zero == NO_DRIFT
     some = make_trainer("force_ramp").fit([*train[:1], *zeroed[1:]])
     assert some.zero is None
-    assert some.grid_at(replace(fresh[0], zero=measured)) is some.grid
+    assert some.grid_at(replace(fresh[0], zero=NO_DRIFT)) is some.grid

@@ -231,14 +231,10 @@ def test_grasps_that_agree_are_surer_of_the_kind_but_not_as_if_nothing_were_shar
 
 
 def test_what_no_kind_explains_stays_unclear() -> None:
-    strange = joint_answer([linear_fit("sphere", 9.0, chi2=150.0)])
-    found = fuse_shapes([strange, strange, answer_of_one()])
+    strange, usual = (joint_answer([linear_fit("sphere", 9.0, chi2=x)]) for x in (150.0, 30.0))
+    found = fuse_shapes([strange, strange, usual])
     assert (found.kind, found.likeliest) == (UNCLEAR, "sphere")
-    assert fuse_shapes([strange, answer_of_one(), answer_of_one()]).kind == "sphere"
-
-
-def answer_of_one() -> ShapeAnswer:
-    return joint_answer([linear_fit("sphere", 9.0)])
+    assert fuse_shapes([strange, usual, usual]).kind == "sphere"
 
 
 def test_what_cannot_be_fused_is_refused() -> None:
@@ -248,13 +244,10 @@ def test_what_cannot_be_fused_is_refused() -> None:
     with pytest.raises(ValueError, match="cannot be fused again"):
         fuse_shapes([fused, fused])
     fits = [linear_fit(kind, 9.0) for kind in N_OWN]
-    other = joint_answer([_trusting(fit) for fit in fits])
+    sds = [np.r_[fit.prior_sd[:-1], 0.5 * fit.prior_sd[-1]] for fit in fits]
+    other = joint_answer([replace(fit, prior_sd=sd) for fit, sd in zip(fits, sds, strict=True)])
     with pytest.raises(ValueError, match="different uncertainty"):
         fuse_shapes([joint_answer(fits), other])
-
-
-def _trusting(fit: ShapeFit) -> ShapeFit:
-    return replace(fit, prior_sd=np.r_[fit.prior_sd[:-1], 0.5 * fit.prior_sd[-1]])
 
 
 def test_a_foam_that_explains_all_grasps_is_that_of_the_cell() -> None:
