@@ -599,7 +599,6 @@ def test_what_is_between_the_fingers_and_on_the_pads(at: At) -> None:
         ("finger0.inner tip left", 13.5, 3.5),
         ("finger1.inner near tip and right edge", 13.5, 3.5),
         ("finger0.inner base right", 2.5, 0.5),
-        ("finger0.outer tip left", 13.5, 3.5),
         ("finger1.side_a tip right", 13.5, 1.5),
         ("finger0.side_b base left", 2.5, 1.5),
         ("finger0.tip left inside", 5, 1.5),

@@ -28,14 +28,12 @@ PAPER = FrameFormat(n_taxels=408, sample_bytes=1)
 @pytest.mark.parametrize(
     ("n_taxels", "sample_bytes", "messages", "header"),
     [
-        (1, 1, 1, 1),
         (2, 1, 1, 1),
         (3, 1, 2, 1),
         (443, 1, 64, 1),
         (444, 1, 75, 2),
         (156, 2, 46, 1),
         (408, 1, 59, 1),
-        (408, 2, 137, 2),
         (6 * 16384 - 5, 1, 16384, 2),
     ],
 )

@@ -260,7 +260,6 @@ def frames_until_found(check: ForceCheck, shown_n: float, frame_n: float, **more
         (0.0, 2.0, 0.02, 0.2, 2),  # the messages are empty
         (4.0, 6.0, 0.02, 0.2, 2),  # 2 N less
         (5.16, 6.0, 0.02, 0.15, 3),  # 14 % less
-        (5.16, 6.0, 0.045, 0.3, 12),
         (5.2, 6.0, 0.045, 0.3, 12),  # each third message at 0.6
         (2.6, 3.0, 0.02, 0.15, 12),
         (9.6, 6.0, 0.02, 0.2, 2),  # another table
