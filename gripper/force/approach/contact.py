@@ -18,9 +18,10 @@ _EMPTY_SAMPLES = 20
 """Number of samples for the noise of an empty pad. [tuned]"""
 _TOUCH_SAMPLES = 8
 """Most newest samples whose mean is compared with it; older ones are of the empty pad. [tuned]"""
-_REST_S, _REST_SETTLING_S = 0.08, 0.01
-"""Longest rest of the fingers at the contact in s, so that the ramp begins at the force there, and
-time in s before its samples count. [tuned]"""
+_REST_S, _HARD_S, _REST_SETTLING_S = 0.08, 0.065, 0.01
+"""Longest rest of the fingers at the contact in s, so that the ramp begins at the force there, its
+least length after a hard touch, whose force must decay, and time in s before its samples count.
+[tuned]"""
 
 
 class FirstTouch:
@@ -126,7 +127,7 @@ class ContactRest:
     begun_s
         Monotonic time in s of the contact.
     hard_n
-        Force in N of a hard touch, after which the fingers rest for the whole time: it must decay.
+        Least force in N of a hard touch.
     """
 
     def __init__(self, begun_s: float, *, hard_n: float) -> None:
@@ -150,5 +151,6 @@ class ContactRest:
             and self._samples.oldest.measured_s >= settled_s
             and self._samples.noise_n <= QUIET_N
         )
-        hard = self.force_n >= self._hard_n
-        return moment.now_s < self._begun_s + _REST_S and (hard or not known)
+        rested_s = moment.now_s - self._begun_s
+        fresh = self.force_n >= self._hard_n and rested_s < _HARD_S
+        return rested_s < _REST_S and (fresh or not known)
