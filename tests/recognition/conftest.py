@@ -103,6 +103,19 @@ def make_grasps(
     ]
 
 
+def grasp_of(pads: PadArray, counts: Any, force_n: Any = np.nan, label: str = "") -> Grasp:
+    """Return a grasp of these counts, 20 ms apart, without an opening."""
+    n = len(counts)
+    return Grasp(
+        pads=pads,
+        counts=np.clip(np.round(counts), 0, pads.adc_max),
+        t_s=0.02 * np.arange(n),
+        aperture_m=np.full(n, np.nan),
+        force_n=np.broadcast_to(force_n, n),
+        label=label,
+    )
+
+
 def part(grasp: Grasp, frames: Any) -> Grasp:
     """Return some frames of a grasp, 20 ms apart."""
     taken = {name: getattr(grasp, name)[frames] for name in ("counts", "aperture_m", "force_n")}

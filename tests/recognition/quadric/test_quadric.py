@@ -6,22 +6,13 @@ from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from recognition.errors import ContactError, QuadricError, TrajectoryError, TransformError
-from recognition.grasp import Grasp
 from recognition.quadric import quadric
 from recognition.quadric.contact import estimate_baseline, main_patch, noise_threshold, robust_noise
 from recognition.quadric.eigen import Reading, smallest_eigenvalue
 from recognition.quadric.quadric import fit_height_field, height_field_matrix
 from recognition.quadric.thresholds import check_level, find_thresholds, with_noise
 from recognition.quadric.trajectory import PAPER_SWEEP, SweepSettings, sweep
-from tests.recognition.conftest import make_pads
-
-
-def _grasp(pads, counts):
-    n = len(counts)
-    nothing = np.full(n, np.nan)
-    return Grasp(
-        pads=pads, counts=counts, t_s=np.arange(n) * 0.02, aperture_m=nothing, force_n=nothing
-    )
+from tests.recognition.conftest import grasp_of, make_pads
 
 
 def _ramp(pads, rng, *, n_quiet, n_frames=30, offset=0.0, noise=3.0):
@@ -30,7 +21,7 @@ def _ramp(pads, rng, *, n_quiet, n_frames=30, offset=0.0, noise=3.0):
     bump[: 16 * 4] = 150.0 * np.exp(-np.sum((pads.taxel_xy_m[:64] / 0.006) ** 2, axis=1))
     load = np.clip((np.arange(n_frames) - n_quiet + 1) / (n_frames - n_quiet), 0, 1)
     counts = offset + load[:, None] * bump + rng.normal(scale=noise, size=(n_frames, pads.n_taxels))
-    return _grasp(pads, np.clip(np.round(counts), 0, 255))
+    return grasp_of(pads, counts)
 
 
 PADS = make_pads(shapes=((16, 4), (16, 4)), adc_max=255, pitch_m=4e-3)
@@ -60,7 +51,7 @@ def test_baseline_of_a_grasp_that_begins_in_contact_is_the_pads_median():
 def test_baseline_of_one_frame():
     counts = np.full((1, PADS.n_taxels), 7)
     counts[0, 20:23] = 90
-    found = estimate_baseline(_grasp(PADS, counts))
+    found = estimate_baseline(grasp_of(PADS, counts))
     assert found.counts == pytest.approx(np.full(PADS.n_taxels, 7.0))
     assert found.quiet_frames.tolist() == [0, 0]
 
@@ -68,7 +59,7 @@ def test_baseline_of_one_frame():
 def test_noise_of_the_paper_is_found_with_its_one_sided_offset():
     rng = np.random.default_rng(2)
     noise = np.clip(np.abs(rng.normal(scale=10, size=(40, PADS.n_taxels))), 1, 20)
-    found = estimate_baseline(_grasp(PADS, np.round(noise)))
+    found = estimate_baseline(grasp_of(PADS, noise))
     assert found.counts.mean() == pytest.approx(noise.mean(), abs=0.3)
     assert found.noise_counts == pytest.approx([noise.std()] * 2, rel=0.2)
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from recognition.errors import ContactError, QuadricError, RecognitionError
-from recognition.grasp import Grasp
 from recognition.quadric.eigen import Reading
 from recognition.quadric.level import (
     LevelSettings,
@@ -17,7 +16,7 @@ from recognition.quadric.level import (
 from recognition.quadric.thresholds import check_level, find_thresholds
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
-from tests.recognition.conftest import make_pads, part
+from tests.recognition.conftest import grasp_of, make_pads, part
 
 PAPER_FINGER = ((16, 4), (16, 4), (16, 2), (16, 2), (6, 2))
 
@@ -40,15 +39,7 @@ def _grasp(pads, peak, rng, *, label="", touched=None, noise=0.01, force=True, w
     cap = np.maximum(1 - np.sum(((pads.taxel_xy_m - shift) / width_m) ** 2, axis=1), 0)
     cap = np.where(np.isin(pads.taxel_pad, touched), peak * cap, 0.0)
     counts = load[:, None] * cap + np.abs(rng.normal(scale=noise, size=(len(load), pads.n_taxels)))
-    nothing = np.full(len(load), np.nan)
-    return Grasp(
-        pads=pads,
-        counts=np.clip(np.round(counts * pads.adc_max), 0, pads.adc_max),
-        t_s=np.arange(len(load)) * 0.02,
-        aperture_m=nothing,
-        force_n=8.0 * load if force else nothing,
-        label=label,
-    )
+    return grasp_of(pads, counts * pads.adc_max, 8.0 * load if force else np.nan, label)
 
 
 def _taught(pads, rng, **options):
@@ -258,13 +249,7 @@ def _held(pads, peak, rng, noise, n_frames):
     load = np.concatenate([np.zeros(12), np.ones(n_frames)])
     cap = np.maximum(1 - np.sum((pads.taxel_xy_m / 0.006) ** 2, axis=1), 0) * peak
     values = load[:, None] * cap + 0.2 + rng.normal(scale=noise, size=(len(load), pads.n_taxels))
-    return Grasp(
-        pads=pads,
-        counts=np.clip(np.round(values * pads.adc_max), 0, pads.adc_max),
-        t_s=np.arange(len(load)) * 0.02,
-        aperture_m=np.full(len(load), np.nan),
-        force_n=8.0 * load,
-    )
+    return grasp_of(pads, values * pads.adc_max, 8.0 * load)
 
 
 def test_the_patch_does_not_grow_with_the_number_of_frames_averaged():

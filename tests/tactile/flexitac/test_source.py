@@ -15,7 +15,7 @@ from tactile.flexitac.source import FlexiTacSource
 from tactile.flexitac.stream import HEADER, PROFILES, FrameStream
 from tactile.layout import LAYOUTS, PadMount, TaxelLayout
 from tactile.source import FrameStatus
-from tests.tactile.conftest import run
+from tests.tactile.conftest import assert_latches, run
 
 LAYOUT = LAYOUTS["flexitac_12x32"]()
 
@@ -110,20 +110,9 @@ def test_a_layout_of_another_size_is_refused(cell) -> None:
 def test_a_fault_in_operation_is_raised_by_each_call_until_a_new_start(
     cell, source, fault, named
 ) -> None:
-    source.start()
-    run(cell, source, 0.5)
-    began_s = cell.clock.monotonic()
-    injected = cell.inject(fault)
-    with pytest.raises(LinkFault, match=named):
-        run(cell, source, 3.0)
     # The profile shows in the next frame that is no whole one, damage among fifty.
-    assert cell.clock.monotonic() - began_s < (1.5 if "=0.5" in fault else 0.2)
-    with pytest.raises(LinkFault, match=named):
-        source.poll()
-    injected.clear()
-    source.stop()
-    source.start()
-    assert run(cell, source, 0.2)
+    limit_s = 1.5 if "=0.5" in fault else 0.2
+    assert_latches(cell, source, fault, LinkFault, named, limit_s=limit_s)
 
 
 def test_repeated_frames_are_not_handed_out_as_fresh_ones(cell, source) -> None:

@@ -14,7 +14,7 @@ from tactile.errors import BusOff, DuplicateNode, FrameTimeout, LayoutError, Lin
 from tactile.layout import LAYOUTS, PadMount
 from tactile.uskin.messages import BoardIds, samples, xr1944
 from tactile.uskin.source import UskinSource
-from tests.tactile.conftest import run
+from tests.tactile.conftest import assert_latches, run
 
 LAYOUT = LAYOUTS["uskin_4x4"]()
 NEWER = [
@@ -111,19 +111,7 @@ def test_frames_come_at_the_rate_of_the_boards_and_in_the_mounted_order(cell) ->
 def test_a_fault_in_operation_is_raised_by_each_call_until_a_new_start(
     cell: SimulatedCell, source: UskinSource, fault: str, error: type[LinkFault], named: str
 ) -> None:
-    source.start()
-    run(cell, source, 1.0)
-    began_s = cell.clock.monotonic()
-    injected = cell.inject(fault)
-    with pytest.raises(error, match=named):
-        run(cell, source, 2.0)
-    assert cell.clock.monotonic() - began_s < 1.0
-    with pytest.raises(error, match=named):
-        source.poll()
-    injected.clear()
-    source.stop()
-    source.start()
-    assert run(cell, source, 0.2)
+    assert_latches(cell, source, fault, error, named, limit_s=1.0)
 
 
 @pytest.mark.slow
