@@ -426,6 +426,7 @@ def test_recorded_grasps_are_played_by_number() -> None:
         ({"hand": 7}, "hand takes an object"),
         ({"remove": False}, "remove takes true, got False"),
         ({"state": 1}, "state takes true, got 1"),
+        ({"kinds": 1}, "kinds takes true, got 1"),
         ({"play": 0}, "it has no recorded grasps"),
         ({"inject": 5}, "inject takes the text of a fault"),
         ({"inject": "can.lost"}, "did you mean can.loss"),
