@@ -33,9 +33,6 @@ _STEPS = 6
 """Steps of the iteration."""
 _FAR_M = 1.0
 """Distance in m instead of an infinite one, where nothing faces the pad."""
-_SLOW_CONTACT_S = (0.0, 0.05)
-"""Shortest and longest time in s from the first touch to the ramp: a finger brakes, and presses
-slowly until the contact is sure (simulated cell; longer for rounder objects)."""
 _SLOW_WAY_M = 2e-3
 """Distance in m before the touch of the widest part in which fast fingers slow down: 0.5 mm margin
 and 1.5 mm for mass and servo."""
@@ -353,13 +350,12 @@ class VirtualPads:
         depth_m = sum(float(np.interp(impact_n, p.force_n, p.depth_m)) for p in presses)
         way_m = course.aperture_open_m - touch_m + depth_m
         wait_s = rng.uniform(0.01, 0.04)
-        pause_s = rng.uniform(*_SLOW_CONTACT_S)
         # Other parts begin wider: the fingers travel fast up to there.
         travel_m = rng.uniform(0.7, 1.0) * max(0.0, way_m - _SLOW_WAY_M)
         travel_s = travel_m / max(course.travel_speed_m_s, course.approach_speed_m_s)
         closing_s = travel_s + (way_m - travel_m) / course.approach_speed_m_s
         n_closing = math.ceil((wait_s + closing_s) / course.period_s)
-        times_s = course.period_s * np.arange(n_closing + round(pause_s / course.period_s))
+        times_s = course.period_s * np.arange(n_closing)
         closed_m: NDArray[np.float64] = np.interp(
             times_s - wait_s, [0.0, travel_s, closing_s], [0.0, travel_m, way_m]
         )
@@ -378,7 +374,7 @@ def _force_course(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return force and set-point in N in each frame from the start of the ramp."""
     actual = ramp.starting_from(impact_n)
-    n = math.ceil(actual.duration_s / course.period_s) + int(rng.integers(1, 5))
+    n = math.ceil(actual.duration_s / course.period_s) + int(rng.integers(0, 3))
     setpoint_n = np.array([actual.setpoint_n(course.period_s * i) for i in range(n)])
     scale = rng.normal(1.0, course.force_sd)
     force_n = np.empty(n)

@@ -172,6 +172,7 @@ def test_a_damaged_data_set_is_refused_or_unchanged(tmp_path, harm):
     return "refused" if found is None else "unchanged"
 
 
+@pytest.mark.slow
 @bad_input(changes=changes, sound={"changes": []})
 def test_a_data_set_of_other_arrays_is_refused_or_valid(tmp_path, changes):
     members = changed(members_of(good_dataset()), changes)

@@ -26,6 +26,7 @@ SYMMETRIC = arrays(np.float64, (4, 4), elements=st.floats(-10, 10)).map(lambda a
 IDENTITY = np.eye(4)
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(Q=SYMMETRIC)
 def test_program_and_descent_find_the_smallest_eigenvalue(Q):
