@@ -39,10 +39,12 @@ _CHANGING_S = 0.1
 _BOOST_PER_S = 2.0
 """Growth in 1/s of the factor on the current of fingers that stand still untouched; it falls twice
 as fast. At most it is `MOST_FRICTION`. [tuned]"""
-_DOUBT_S = 0.05
-"""Time in s after which a braked finger runs on without force on its pad. [chosen]"""
-_CREEP_N_S = 20.0
-"""Growth in N/s of the drive of a braked finger. [tuned]"""
+_BRAKED_S, _DOUBT_S = 0.01, 0.05
+"""Times in s for which a braked finger stops, and after which it runs on without force on its pad.
+[chosen]"""
+_CREEP_N, _CREEP_N_S = 0.2, 20.0
+"""First drive in N of a braked finger, less than the force of the pad, and its growth in N/s.
+[tuned]"""
 
 
 class ApproachEvent(Enum):
@@ -60,7 +62,7 @@ class _Finger:
 
     boost: float = 1.0
     braked_s: float | None = None
-    drive_n: float = 0.0
+    drive_n: float = _CREEP_N
     waits_rad: float | None = None
 
 
@@ -216,7 +218,7 @@ class Approach:
             if finger.braked_s is None:
                 if shows[index] and moment.young:
                     finger.braked_s = moment.now_s
-                    finger.drive_n = 0.0
+                    finger.drive_n = _CREEP_N
             elif moment.now_s - finger.braked_s > _DOUBT_S and not lasts[index]:
                 finger.braked_s = None
                 self._aperture_m = moment.state.aperture_m - self._lead_m
@@ -276,7 +278,9 @@ class Approach:
         """Return the goal of a braked finger: first at rest, then with growing force."""
         finger, servo, path = self._fingers[index], moment.state.servos[index], self._paths[index]
         model = self.settings.servos[index].servo_model
-        if -servo.velocity_rad_s > slow_rad_s(model):
+        assert finger.braked_s is not None
+        runs = -servo.velocity_rad_s > slow_rad_s(model)
+        if runs or moment.now_s - finger.braked_s < _BRAKED_S:
             return ServoGoal(angle_rad=servo.angle_rad, current_a=self.currents_a[index])
         finger.drive_n += _CREEP_N_S * moment.dt_s
         current_a = min(
