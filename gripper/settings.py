@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
 from gripper.dynamixel.drive import DriveCharacteristic, Drives
+from gripper.dynamixel.latency import LEAST_RATE_HZ
 from gripper.dynamixel.models import ServoModel, require_current_control
 from gripper.errors import LimitExceeded
 
@@ -128,8 +129,8 @@ class GripperSettings:
 
     servos: tuple[ServoSettings, ...] = (ServoSettings(servo_id=1), ServoSettings(servo_id=2))
     """One servo that drives both fingers, or two that drive one each (finger 0, finger 1)."""
-    loop_rate_hz: float = setting(200.0, low=20.0, high=1000.0)
-    """Rate of the loop in Hz."""
+    loop_rate_hz: float = setting(200.0, low=LEAST_RATE_HZ, high=1000.0)
+    """Rate of the loop in Hz. In a longer period a push accelerates a finger too much."""
     aperture_open_m: float = setting(0.018, low=0.002, high=0.4)
     """Opening of `Gripper.open` and `Gripper.release` in m."""
     aperture_min_m: float = setting(0.0005, low=-0.02, high=0.4)

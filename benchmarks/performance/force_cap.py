@@ -72,7 +72,7 @@ def drawn_changes(seed: int) -> dict[str, Any]:
             {"id": i, "model": model} for i in draw.choice(((1,), (1, 2), (1, 2), (1, 2)))
         ],
         "gripper.linkage": draw.choice(_LINKAGES),
-        "gripper.loop_rate_hz": draw.choice((50.0, 100.0, 200.0, 200.0, 400.0)),
+        "gripper.loop_rate_hz": draw.choice((100.0, 100.0, 200.0, 200.0, 400.0)),
         "gripper.aperture_open_mm": draw.choice((12.0, 14.0, 18.0, 25.0)),
         "gripper.approach_speed_mm_s": draw.choice((5.0, 20.0, 40.0, 60.0, 100.0, 200.0)),
         "gripper.contact_force_n": contact_n,

@@ -139,9 +139,13 @@ def test_an_overload_that_is_only_reported_is_a_note_and_keeps_the_grip(
     )
 
 
-def test_an_adapter_with_a_latency_of_16_ms_is_refused_with_the_remedy(cell) -> None:
-    cell.device.faults.delay_s = 0.016
-    with pytest.raises(LinkTooSlow, match=r"latency timer.*loop_rate_hz to 4\d"):
+@pytest.mark.parametrize(
+    ("delay_s", "remedy"),
+    [(0.016, r"latency timer.*raise the baud rate\. Nothing"), (0.004, r"loop_rate_hz to 1\d\d\.")],
+)
+def test_an_adapter_with_much_latency_is_refused_with_the_remedy(cell, delay_s, remedy) -> None:
+    cell.device.faults.delay_s = delay_s
+    with pytest.raises(LinkTooSlow, match=remedy):
         cell.gripper.start()
     assert cell.gripper.phase is GripperPhase.OFF
 

@@ -8,7 +8,7 @@ import pytest
 
 TACTILE_CELL = [sys.executable, "-P", "-c", "from cell.interfaces.cli import main; main()"]
 UNHURRIED = {
-    "gripper.loop_rate_hz": 50.0,
+    "gripper.loop_rate_hz": 100.0,
     "tactile.sync_period_ms": 40.0,
     "tactile.force_period_ms": 20,
     "gripper.force_stale_ms": 400.0,
