@@ -31,11 +31,6 @@ NOTHING_HELD = {
 """Results of a grasp that holds nothing and cannot be used for recognition."""
 
 
-_STILL = (
-    "the position of servo {servo} has not changed in the ramp: its encoder may be stuck, so the "
-    "opening of this grasp is not used; check encoder and horn if this comes again"
-)
-
 BACK_OFF_SHARE = 0.3
 """Start of a further ramp in the same grip, as a share of its end: the lowest level of load at
 which a recogniser takes footprints (`recognition.ramp.levels`)."""
@@ -171,8 +166,6 @@ class Grasper:
             self.journal.grasp(record.grasp)
             if record.ended:
                 self.journal.note("ramp", record.ended)
-            if collector.still:
-                self.journal.note("opening", _STILL.format(servo=collector.still[0]))
         return record
 
     def _judged(self, record: GraspRecord, judge: Judge) -> bool:

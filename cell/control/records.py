@@ -15,10 +15,6 @@ from recognition.recognizer import Posterior
 from tactile.layout import TaxelLayout
 from tactile.source import TactileFrame
 
-_YIELDS_N = 2.0
-"""Rise of the force in N in which each pad usually yields by a count of the encoder or more: foam
-by some ten counts. With a stiff part and pad, a finger with much friction may stand. [chosen]"""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspRecord:
@@ -116,24 +112,6 @@ class GraspCollector:
         """Mean force by the law of the pads in N from one frame to the next, (n_frames,)."""
         return np.array([mean_n for _, _, mean_n in self._frames])
 
-    @property
-    def still(self) -> tuple[int, ...]:
-        """IDs of servos whose position has not changed by a count while the force rose.
-
-        Their encoder may be stuck since before the contact, so the opening is not known.
-        """
-        ramp = [cycle for cycle in self.cycles if cycle.setpoint_n > 0.0]
-        forces_n = [cycle.force.grip_n for cycle in ramp if cycle.force is not None]
-        if not forces_n or forces_n[-1] - forces_n[0] < _YIELDS_N:
-            return ()
-        first, *others = ([one.position_raw for one in cycle.state.servos] for cycle in ramp)
-        moved = np.any(np.array(others) != first, axis=0)
-        return tuple(
-            servo.servo_id
-            for servo, moves in zip(ramp[0].state.servos, moved, strict=True)
-            if not moves
-        )
-
     def during(self, spans: Sequence[TimeSpan]) -> NDArray[np.int64]:
         """Return (n_frames,) int64: number of the span in which a frame came; -1 outside of all."""
         number = np.full(self.n_frames, -1)
@@ -143,18 +121,14 @@ class GraspCollector:
         return number
 
     def grasp(self, label: str = "", command: GraspCommand | None = None) -> Grasp:
-        """Return the collected grasp, without opening if a servo was `still`.
-
-        Raises ValueError if no frame came.
-        """
+        """Return the collected grasp. Raises ValueError if no frame came."""
         counts = self.counts
-        openings_m = np.array([cycle.state.aperture_m for _, cycle, _ in self._frames])
         t_s = np.array([frame.t_s for frame, _, _ in self._frames])
         return Grasp(
             pads=self.pads,
             counts=counts,
             t_s=t_s - t_s[0],
-            aperture_m=np.full_like(openings_m, np.nan) if self.still else openings_m,
+            aperture_m=np.array([cycle.state.aperture_m for _, cycle, _ in self._frames]),
             force_n=np.array([cycle.setpoint_n for _, cycle, _ in self._frames]),
             label=label,
             source=self.source,

@@ -4,16 +4,14 @@ import math
 import re
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from cell.control.plan import GraspStep, Pose, plan
-from cell.control.records import GraspCollector, pad_array
+from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, CellStopped, NoPartFound, PlanRefused, PositionerError
@@ -66,29 +64,6 @@ def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) 
     assert phases == sorted(phases, key=[APPROACHING, RAMPING].index)
     pressed = grasp.counts.astype(int)
     assert pressed[-1].max() > pressed[0].max() + 40
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("stuck", "least_n"), [(True, 0.0), (False, 0.0), (True, 3.0)])
-def test_a_servo_that_stands_while_the_force_rises_leaves_the_opening_out(
-    bench: Any, stuck, least_n
-) -> None:
-    """With stiff pads and parts voltage and current of the motor do not contradict its position."""
-    record = bench.ready().grasp(4.0)
-    collector = GraspCollector(record.grasp.pads, source="", start_ms=0)
-    for cycle, counts in zip(
-        record.cycles[-record.grasp.n_frames :], record.grasp.counts, strict=True
-    ):
-        first, second = cycle.state.servos
-        servos = (first, replace(second, position_raw=2000) if stuck else second)
-        ramp = cycle.setpoint_n > least_n
-        collector.add(
-            replace(cycle, state=replace(cycle.state, servos=servos), setpoint_n=float(ramp)),
-            [SimpleNamespace(counts=counts, t_s=cycle.t_s)],
-        )
-    found = stuck and not least_n
-    assert collector.still == ((2,) if found else ())
-    assert np.isnan(collector.grasp().aperture_m).all() == found
 
 
 @pytest.mark.slow
