@@ -28,6 +28,9 @@ from gripper.values.state import STANDING_M_S, GripperPhase, ServoFeedback
 _BEGINS_M, _SURPRISE_M = 0.0005, 0.0015
 """Margin in m by which the next part may be wider than all earlier ones: the first value, and the
 second over the number of these parts, because each is equally likely to be the widest. [tuned]"""
+_HARD = 2.0
+"""Least force of a hard touch over the force of a contact. A usual touch must not rest longer: the
+opening after it is the size of the part. [chosen]"""
 _EQUAL_S = 1e-9
 """Difference of times in s that is ignored: sums of periods are rounded. [chosen]"""
 
@@ -386,7 +389,7 @@ class ContactStep(GripStep):
         self._linkage = linkage
         self._reached, self._contact = reached, reached.state
         self._end = end
-        self._rest = ContactRest(reached.state.t_s, hard_n=reached.settings.contact_force_n)
+        self._rest = ContactRest(reached.state.t_s, hard_n=_HARD * reached.settings.contact_force_n)
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period. Raises PartSlipped when a held part slips."""

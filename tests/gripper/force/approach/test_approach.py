@@ -203,7 +203,7 @@ def rests_s(rest: ContactRest, period_s: float, force_n: float, noise_n: float) 
         (0.02, 0.3, 1.0, 0.08),
         (0.005, 0.15, 1.0, 0.03),
         (0.001, 0.01, 1.0, 0.01),
-        (0.001, 0.01, 0.6, 0.03),
+        (0.001, 0.01, 0.6, 0.065),
     ],
 )
 def test_the_rest_ends_where_the_force_of_a_light_touch_is_known(
