@@ -163,7 +163,8 @@ CAN_BUS = _with(PAPER_PADS, (
     FaultRow(5, "wrong length", "some of them",
              "can.wrong_dlc=0.05@contact+0.1s..contact+0.12s", "NOTE", None),
     FaultRow(5, "wrong length often", "every second of them",
-             "can.wrong_dlc=0.5@contact+0.1s", "HOLD", SETS_S, number=307),
+             "can.wrong_dlc=0.5@contact+0.1s", "HOLD", SETS_S,
+             number=(307, 308)),  # a heartbeat that is cut to no byte is a boot-up
     FaultRow(5, "short payload", "fewer bytes than the length says",
              "can.short=0.5@contact+0.1s", "HOLD", SETS_S, number=307),
     FaultRow(5, "unknown COB-ID", "20 foreign messages a second",

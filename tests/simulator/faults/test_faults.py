@@ -89,6 +89,7 @@ def test_what_is_no_fault_is_refused_and_changes_nothing(cell, text, complaint) 
     assert cell.injector.faults == ()
 
 
+@pytest.mark.slow
 @given(st.text(max_size=60) | st.from_regex(r"(can|unit|servo1)\.[a-z]+=?[0-9.@a-z+s]*"))
 @settings(max_examples=60)
 def test_any_text_is_a_fault_or_refused(text) -> None:
