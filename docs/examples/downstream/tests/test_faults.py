@@ -19,7 +19,7 @@ def still_held(cell):
 def test_lost_frames_hold_the_part_until_a_person_has_acted(station_cell, inject_fault):
     controller = station_cell.controller
     controller.moves.present("dowel")
-    lost = inject_fault("can.loss=1@contact+0.2s")
+    lost = inject_fault("can.loss=1@contact+0.1s")
     with pytest.raises(FrameTimeout):
         station_cell.grasp(force_n=3.0)
     assert station_cell.clock.monotonic() - lost.began_s < 0.15
