@@ -40,6 +40,9 @@ _FRICTION_RESERVE = 1.2
 """Friction at rest over friction in motion, which a finger must overcome to move. [assumed]"""
 MOST_FRICTION = 1.6
 """Largest friction of a gearing over its model's. A larger value has another cause. [assumed]"""
+BOOST_PER_S = 2.0
+"""Growth in 1/s of the factor on the current of fingers that stand still, up to
+`Transmission.most_boost`. [tuned]"""
 
 
 def _check_count(n_servos: int, angles_rad: Sequence[float]) -> None:
@@ -209,6 +212,11 @@ class Transmission(_Path):
     def friction_n(self) -> float:
         """Half the width of the friction band without a load, as grip force in N."""
         return self.drive.breakaway_a * self.n_per_a
+
+    @cached_property
+    def most_boost(self) -> float:
+        """Largest factor on the current that moves a finger: its friction at rest may be more."""
+        return max(MOST_FRICTION, self.drive.most_breakaway_a / self.drive.breakaway_a)
 
     @cached_property
     def _passive_n(self) -> float:

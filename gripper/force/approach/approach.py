@@ -10,6 +10,7 @@ from gripper.force.estimates.grip import StiffnessEstimate
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
 from gripper.mechanics.kinematics import (
+    BOOST_PER_S,
     MOST_FRICTION,
     Linkage,
     motion_currents_a,
@@ -36,9 +37,6 @@ _LEAD_M = 0.006
 """Lead of the goal before the fingers in m: their motion if no further goal is written. [chosen]"""
 _CHANGING_S = 0.1
 """Longest time in s until the fingers reach a new speed; the goal then runs on. [chosen]"""
-_BOOST_PER_S = 2.0
-"""Growth in 1/s of the factor on the current of fingers that stand still untouched; it falls twice
-as fast. At most it is `MOST_FRICTION`. [tuned]"""
 _BRAKED_S, _DOUBT_S = 0.01, 0.05
 """Times in s for which a braked finger stops, and after which it runs on without force on its pad.
 [chosen]"""
@@ -262,15 +260,14 @@ class Approach:
         return max(_LEAD_M, self._lead_m, pressing_m)
 
     def _boost(self, moment: Moment, *, free: bool) -> None:
-        """Let the current of each finger grow while it stands untouched."""
-        step = _BOOST_PER_S * moment.dt_s
+        """Let the current of each finger grow while it stands untouched; it falls twice as fast."""
+        step = BOOST_PER_S * moment.dt_s
         for finger, servo, path in zip(
             self._fingers, moment.state.servos, self._paths, strict=True
         ):
             stands = abs(servo.velocity_rad_s) <= _STANDING_SHARE * self._nominal_rad_s
             if free and finger.braked_s is None and stands:
-                most = max(MOST_FRICTION, path.drive.most_breakaway_a / path.drive.breakaway_a)
-                finger.boost = min(most, finger.boost + step)
+                finger.boost = min(path.most_boost, finger.boost + step)
             elif path.drive.measured:
                 finger.boost = max(1.0, finger.boost - 2.0 * step)
 

@@ -12,7 +12,7 @@ from gripper.force.approach.mechanics_proof import mechanics_text
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import closing_current_max_a, closing_speed_m_s
 from gripper.mechanics.kinematics import (
-    MOST_FRICTION,
+    BOOST_PER_S,
     Linkage,
     Transmission,
     motion_currents_a,
@@ -47,8 +47,6 @@ part, and of the least current. [chosen]"""
 _RISING_S = 0.25
 """Time in s in which the current of an opening rises from that which moves the fingers: if they
 close instead, the pads show it before. [chosen]"""
-_BOOST_PER_S = 2.0
-"""Growth in 1/s of the factor on the current of fingers that stand still. [tuned]"""
 _LEAD_RAD = 0.04
 """Largest lead of a goal before its finger in rad: the least current is then at its limit.
 [resolution]"""
@@ -177,9 +175,7 @@ class MoveTo:
             if not self._opening:
                 finger.most_a = closing_current_max_a(settings, path, stood_a=inf)
             finger.least_a, finger.current_a = least_a, current_a
-            finger.most_boost = max(
-                MOST_FRICTION, path.drive.most_breakaway_a / path.drive.breakaway_a
-            )
+            finger.most_boost = path.most_boost
 
     def step(self, moment: Moment) -> Action:
         """Return the goals of one period.
@@ -208,7 +204,7 @@ class MoveTo:
                 angle_rad = max(angle_rad, servo.angle_rad)
             stands = abs(servo.velocity_rad_s) <= slow_rad_s(finger.servo.servo_model)
             if stands and not finger.there and rising == 1.0:
-                finger.boost = min(finger.boost + _BOOST_PER_S * moment.dt_s, finger.most_boost)
+                finger.boost = min(finger.boost + BOOST_PER_S * moment.dt_s, finger.most_boost)
             current_a = finger.least_a + rising * (finger.current_a - finger.least_a)
             current_a = min(finger.boost * current_a, finger.most_a)
             goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
