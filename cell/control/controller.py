@@ -153,9 +153,7 @@ class CellController:
         CellStopped
             If it was cancelled meanwhile; the fingers stand still, the message names the opening.
         """
-        self.life.check(Command.RELEASE)
-        self.life.forget_cancel()
-        self.life.obey_cancel("before the fingers moved; the grip is kept")
+        self._may_release(Command.RELEASE)
         return self._release("on request")
 
     def put_down(self) -> ReleaseReport:
@@ -187,9 +185,7 @@ class CellController:
         gripper.errors.GripperError
             If no servo answers, or no servo that answers can be moved.
         """
-        self.life.check(Command.RELEASE_HELD)
-        self.life.forget_cancel()
-        self.life.obey_cancel("before the fingers moved; the grip is kept")
+        self._may_release(Command.RELEASE_HELD)
         self.life.go(Event.RELEASE_HELD)
         self.hand.stop_sensor()
         self.journal.note("release", "on request, before the start")
@@ -361,6 +357,15 @@ class CellController:
                 f"{missing} at pose {record.step.pose}, at an opening of {1e3 * opening_m:.1f} mm; "
                 f"{why}"
             )
+
+    def _may_release(self, command: Command) -> None:
+        """Let a release begin, also after a `cancel`, but not once the program ends.
+
+        The first goal of a release lowers the grip, before a stop can end it.
+        """
+        self.life.check(command)
+        self.life.forget_cancel()
+        self.life.obey_cancel("before the fingers moved; the grip is kept")
 
     def _release(self, why: str) -> ReleaseReport:
         self.life.go(Event.RELEASE)
