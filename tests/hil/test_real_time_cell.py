@@ -133,7 +133,7 @@ def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(simulator, 
 
 def test_a_part_that_one_finger_holds_alone_is_let_go(simulator, tmp_path) -> None:
     config = ("--config", simulator.config_path)
-    simulator.ask(inject="servo1.overload@contact+0.3s")
+    simulator.ask(inject="servo1.overload@contact+0.1s")
     said = run(*teaching(simulator, tmp_path), code=1)
     assert "Hardware Error Status 0x20: overload" in said
     assert "one of them silent or without torque; a part may still be gripped" in said
