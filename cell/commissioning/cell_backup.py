@@ -17,8 +17,12 @@ from cell.config.model import CellConfig
 from cell.control.self_zero import zero_file
 from cell.data.files import DAMAGE, open_plain, write_atomically
 from cell.errors import CellError, reason_text
+from cell.learning.model import LAST_MODEL
 
-_KEPT = (STORE_NAME, RECORD_NAME, "backup-servo*.json", "*.npz", "*.photos/*.jpg", "*.photos/*.png")
+_KEPT = (
+    *(STORE_NAME, RECORD_NAME, LAST_MODEL),
+    *("backup-servo*.json", "*.npz", "*.photos/*.jpg", "*.photos/*.png"),
+)
 """Files of a cell in its folder, beside its config."""
 _MESH = "mesh:file="
 """Begin of a shape that names a file."""

@@ -60,6 +60,8 @@ def _rehearse(recognizer: Recognizer, grasp: Grasp) -> None:
                 raise ValueError("its probabilities are not finite")
 
 
+LAST_MODEL = "tactile-cell.model.txt"
+"""File beside the models of a folder: the name of the one that the last `model train` wrote."""
 MODEL_LIMIT_BYTES = 256 << 20
 """Largest unpacked size in bytes of a model file; real ones have a few MB."""
 

@@ -56,6 +56,14 @@ SeedOption = Annotated[
     typer.Option("--seed", help="Seed of poses and noise [default: seed].", min=0, max=MAX_SEED),
 ]
 ModelOption = Annotated[Path | None, typer.Option("--model", "-m", help="File of a taught model.")]
+FolderModelOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--model",
+        "-m",
+        help="File of a taught model [default: that of the last `model train` in this folder].",
+    ),
+]
 ModelOutOption = Annotated[Path, _ending(".npz", "model file")]
 DatasetOutOption = Annotated[Path, _ending(".npz", "data set")]
 RecordingOutOption = Annotated[Path | None, _ending(".mcap", "recording")]
@@ -109,13 +117,22 @@ ObjectsOption = Annotated[
 MostOption = Annotated[
     int,
     typer.Option(
-        "--most", min=3, help="Grasps of each object that are taken of an archive, at random."
+        "--most",
+        min=3,
+        hidden=True,
+        help="Grasps of each object that are taken of an archive, at random.",
     ),
 ]
 MOST_GRASPS = 400
 """Grasps of each object that are taken of an archive where nothing else is asked for."""
 JobsOption = Annotated[
-    int, typer.Option("--jobs", min=0, help="Processes that share the work, 0: one for each core.")
+    int,
+    typer.Option(
+        "--jobs",
+        min=0,
+        hidden=True,
+        help="Processes that share the work, 0: one for each core.",
+    ),
 ]
 SplitOption = Annotated[
     str, typer.Option("--split", help="chronological:FRACTION or shuffled:FRACTION to train on.")

@@ -39,6 +39,7 @@ from cell.interfaces.cli.terminal import (
     show,
     write_json,
 )
+from cell.learning.model import LAST_MODEL
 from cell.learning.progress import Progress
 from cell.runtime.goals import Goal
 from cell.runtime.plugin import TactileCellPlugin
@@ -109,6 +110,17 @@ def with_faults(
     if config.self_zero == "daily" and not simulate:
         changes["self_zero"] = "on_demand"
     return config.model_copy(update=changes)
+
+
+def model_of_folder(given: Path | None) -> Path | None:
+    """Return the given model, else that of the last `model train` in this folder, and print it."""
+    if given is not None or not (last := Path(LAST_MODEL)).is_file():
+        return given
+    model = Path(last.read_text("utf-8", "replace").strip()).name
+    if not Path(model).is_file():
+        return None
+    print_note(f"the model is {model} of the last `model train` here; --model FILE names another")
+    return Path(model)
 
 
 def pads_of(config: CellConfig) -> PadArray:

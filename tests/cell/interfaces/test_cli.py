@@ -439,6 +439,21 @@ def test_train_writes_a_model(dataset, tmp_path) -> None:
     }
 
 
+def test_commands_use_the_model_that_was_trained_last_in_the_folder(
+    dataset, config, tmp_path, monkeypatch, fail
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    call("model", "train", dataset, "-o", "m.npz")
+    shown = RUNNER.invoke(app, ["identify", str(dataset), "-c", str(config)])
+    assert "the model is m.npz of the last `model train` here" in shown.stderr
+    assert "grasp    9: " in shown.stdout
+    Path("m.npz").write_bytes(b"")
+    for command in ("identify", "sort", "serve --http 0", "model calibrate --gauge ball -o c.npz"):
+        assert "m.npz" in fail(*command.split(), "-c", config)
+    Path("m.npz").unlink()
+    assert "--model is missing" in fail("identify", "-c", config, code=2)
+
+
 @pytest.mark.slow
 def test_evaluate_prints_what_is_taken_for_which_object_and_what_is_left_out(
     taught, dataset, tmp_path, monkeypatch

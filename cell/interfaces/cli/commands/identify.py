@@ -14,15 +14,21 @@ from cell.errors import ConfigError
 from cell.interfaces.cli.options import (
     ConfigOption,
     FaultOption,
+    FolderModelOption,
     GaugeOption,
     GaugeShapeOption,
     GraspsArgument,
     JsonOption,
-    ModelOption,
     OutOption,
     SeedOption,
 )
-from cell.interfaces.cli.session import cell_config, pads_of, release_command, running_cell
+from cell.interfaces.cli.session import (
+    cell_config,
+    model_of_folder,
+    pads_of,
+    release_command,
+    running_cell,
+)
 from cell.interfaces.cli.terminal import percent, show
 from cell.learning.model import load_model
 from cell.learning.pad_knowledge import pad_knowledge
@@ -37,7 +43,7 @@ from recognition.statistics.fusion import fuse
 
 def identify(
     dataset: GraspsArgument = None,
-    model: ModelOption = None,
+    model: FolderModelOption = None,
     held: Annotated[
         str | None, typer.Option("--object", help="Object in the simulated cell.")
     ] = None,
@@ -60,7 +66,7 @@ def identify(
     json_file: JsonOption = None,
 ) -> None:
     """Identify the part in the grip, or the parts of recorded grasps; with shape and size."""
-    if model is None:
+    if (model := model_of_folder(model)) is None:
         raise ConfigError("--model is missing; `tactile-cell model train` makes one")
     checked = cell_config(config, seed=seed, faults=faults)
     if dataset is not None:

@@ -14,6 +14,7 @@ from cell.archive.selected_grasps import selected_grasps
 from cell.archive.selection import EVERYTHING, is_archive, parse_selection
 from cell.archive.spread import spread_gains, spread_values, with_spread
 from cell.data.dataset import read_grasps
+from cell.data.files import write_text
 from cell.errors import CellError, ConfigError, raised_as
 from cell.interfaces.cli.options import (
     MAX_SEED,
@@ -21,10 +22,10 @@ from cell.interfaces.cli.options import (
     CellsOption,
     ConfigOption,
     DaysOption,
+    FolderModelOption,
     GraspsArgument,
     JobsOption,
     JsonOption,
-    ModelOption,
     ModelOutOption,
     MostOption,
     ObjectsOption,
@@ -33,10 +34,16 @@ from cell.interfaces.cli.options import (
     SeedOption,
     known_recognizers,
 )
-from cell.interfaces.cli.session import RunningCell, cell_config, pads_of, running_cell
+from cell.interfaces.cli.session import (
+    RunningCell,
+    cell_config,
+    model_of_folder,
+    pads_of,
+    running_cell,
+)
 from cell.interfaces.cli.terminal import percent, print_line, print_note, progress_bar, show
 from cell.learning.labelled_grasps import duplicate_grasps
-from cell.learning.model import load_model, save_model
+from cell.learning.model import LAST_MODEL, load_model, save_model
 from cell.learning.parallel import workers
 from cell.learning.teaching_summary import summarise_teaching
 from cell.learning.training import calibrate_model, follow_shift, gaugeable, train as train_model
@@ -54,14 +61,11 @@ def train(
     ],
     model: ModelOutOption,
     recognizer: RecognizerOption = DEFAULT_TRAINER,
-    aperture: Annotated[
-        bool,
-        typer.Option("--aperture/--no-aperture", help="Also use the opening of the fingers."),
-    ] = True,
     spread: Annotated[
         bool | None,
         typer.Option(
             "--spread/--no-spread",
+            hidden=True,
             help="Learn how far days and cells lie apart, and measure what that gains on those "
             "left out in turn [default: with archives].",
         ),
@@ -80,15 +84,13 @@ def train(
         raise CellError("the data sets are of different pads; train a model for each")
     if twice := len(duplicate_grasps(grasps)):
         print_note(f"{twice} of {len(grasps)} grasps occur twice: probabilities are too high")
-    trained = train_model(grasps, recognizer, use_aperture=aperture)
+    trained = train_model(grasps, recognizer)
     prior, gains = None, []
     if any(map(is_archive, datasets)) if spread is None else spread:
         trained, prior = with_spread(trained, grasps)
     if prior is not None:
         with workers(jobs) as mapper, progress_bar() as progress:
-            gains = spread_gains(
-                grasps, recognizer, use_aperture=aperture, mapper=mapper, progress=progress
-            )
+            gains = spread_gains(grasps, recognizer, mapper=mapper, progress=progress)
     elif spread:
         print_note(
             "no spread is learnt: it takes the default recogniser, grasps without a self-zero, "
@@ -101,6 +103,8 @@ def train(
         trainer_name=recognizer,
         pads=grasps[0].pads,
     )
+    last = model.with_name(LAST_MODEL)
+    write_text(last, f"{model.name}\n", error=CellError, what="name of the last model")
     lines = [
         f"{len(labels)} objects taught with {len(grasps)} grasps"
         + ("" if recognizer == DEFAULT_TRAINER else f", recogniser {recognizer}")
@@ -143,7 +147,7 @@ def calibrate(
             "Without it, DATASET holds any grasps of a shift.",
         ),
     ] = None,
-    model: ModelOption = None,
+    model: FolderModelOption = None,
     grasps: Annotated[
         int, typer.Option("--grasps", "-n", min=1, max=100, help="Grasps of each gauge object.")
     ] = 3,
@@ -156,7 +160,7 @@ def calibrate(
 
     Uses known objects, or any grasps of a shift.
     """
-    if model is None:
+    if (model := model_of_folder(model)) is None:
         raise ConfigError("--model is missing; `tactile-cell model train` makes one")
     taken: dict[str, list[Grasp]] = {}
     cell: RunningCell | None = None
@@ -262,6 +266,7 @@ def evaluate(
         typer.Option(
             "--jobs",
             min=0,
+            hidden=True,
             help="Processes, 0: one for each core [default: 0 from 1000 grasps, else 1].",
         ),
     ] = None,

@@ -15,9 +15,9 @@ from cell.config.model import CellConfig
 from cell.config.serve import ALL_CLOSED
 from cell.errors import CellError, CellStopped, ConfigError
 from cell.installation import missing_note
-from cell.interfaces.cli.options import ConfigOption, FaultOption, ModelOption
+from cell.interfaces.cli.options import ConfigOption, FaultOption, FolderModelOption
 from cell.interfaces.cli.service_manager import ServiceManager
-from cell.interfaces.cli.session import cell_config, job_folder, with_faults
+from cell.interfaces.cli.session import cell_config, job_folder, model_of_folder, with_faults
 from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
 from cell.interfaces.cli.terminal import err, print_note, print_page, print_view
 from cell.interfaces.opening import open_interfaces, warnings
@@ -59,7 +59,7 @@ def _port(flag: str, interface: str, key: str) -> typer.models.OptionInfo:
 
 def serve(
     config: ConfigOption = None,
-    model: ModelOption = None,
+    model: FolderModelOption = None,
     training_set: TrainingSetOption = None,
     save: SaveOption = None,
     listen: Annotated[
@@ -118,6 +118,8 @@ def serve(
         raise ConfigError(ALL_CLOSED)
     folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
+    if save is None and training_set is None:
+        model = model_of_folder(model)
     untaught = config is None and model is None and training_set is None
     if untaught:
         model = cached_model(own)

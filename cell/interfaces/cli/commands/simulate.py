@@ -21,7 +21,10 @@ from simulator.realtime.hands import Hands
 
 def simulate(
     frames: Annotated[
-        Path | None, typer.Option("--frames", help="Play the grasps of this data set or recording.")
+        Path | None,
+        typer.Option(
+            "--frames", help="Play the grasps of this data set or recording.", hidden=True
+        ),
     ] = None,
     config: ConfigOption = None,
     folder: Annotated[

@@ -11,12 +11,12 @@ from cell.errors import ConfigError
 from cell.interfaces.cli.options import (
     ConfigOption,
     FaultOption,
+    FolderModelOption,
     JsonOption,
-    ModelOption,
     OutOption,
     SeedOption,
 )
-from cell.interfaces.cli.session import cell_config, pads_of, running_cell
+from cell.interfaces.cli.session import cell_config, model_of_folder, pads_of, running_cell
 from cell.interfaces.cli.terminal import plain_text, print_note, show
 from cell.learning.model import load_model
 from cell.runtime.goals import FEED_MAX, SortGoal
@@ -41,7 +41,7 @@ def sort(
             help="Without a model: grasps taught of each object of the simulated cell.",
         ),
     ] = 20,
-    model: ModelOption = None,
+    model: FolderModelOption = None,
     out_folder: OutOption = None,
     seed: SeedOption = None,
     faults: FaultOption = None,
@@ -49,7 +49,7 @@ def sort(
 ) -> None:
     """Identify parts and release each at its place."""
     checked = cell_config(config, seed=seed, faults=faults)
-    simulated = checked.brings_objects
+    simulated, model = checked.brings_objects, model_of_folder(model)
     if model is None and not simulated:
         raise ConfigError("--model is missing; `tactile-cell teach` and `model train` make one")
     objects = [entry.label for entry in checked.simulator.objects]
