@@ -253,6 +253,8 @@ class Grasp:
     cell); empty if unknown."""
     start_ms: int = 0
     """Time of the first frame in ms: sorts the grasps of a label."""
+    series: str = ""
+    """Series of the grasp: an individual of a kind, or a day. Empty: see `series_of`."""
     thickness_m: float = float("nan")
     """Thickness of the object along the closing axis in m by its drawing; NaN if unknown."""
     command: GraspCommand | None = None
@@ -335,11 +337,15 @@ def by_label(grasps: Sequence[Grasp]) -> dict[str, list[Grasp]]:
 
 
 def series_of(grasps: Sequence[Grasp]) -> list[list[Grasp]]:
-    """Return the series of grasps of one object: runs in time without a pause of an hour."""
+    """Return the series of grasps of one object, each in the order of time.
+
+    Without a name, a pause of an hour begins a new series.
+    """
     found: list[list[Grasp]] = []
-    for grasp in sorted(grasps, key=lambda g: g.start_ms):
-        if found and grasp.start_ms - found[-1][-1].start_ms <= SERIES_PAUSE_MS:
-            found[-1].append(grasp)
-        else:
-            found.append([grasp])
+    for grasp in sorted(grasps, key=lambda g: (g.series, g.start_ms)):
+        last = found[-1][-1] if found else grasp
+        paused = not grasp.series and grasp.start_ms - last.start_ms > SERIES_PAUSE_MS
+        if not found or paused or grasp.series != last.series:
+            found.append([])
+        found[-1].append(grasp)
     return found

@@ -17,6 +17,8 @@ label          str (n_grasps,)             grasped object; empty where unknown
 shape          str (n_grasps,)             class of shape; optional
 start_ms       int64 (n_grasps,)           time of the grasp's first frame
 source         str (n_grasps,)             its origin; optional
+series         str (n_grasps,)             individual or day; optional. Where it is empty, a pause
+                                           of an hour begins a new series
 thickness_mm   float32 (n_grasps,)         of the object along the closing axis by its drawing;
                                            NaN where unknown; optional
 pose           float64 (n_grasps, 5)       commanded: ``recognition.grasp.COMMAND_COLUMNS``;
@@ -75,6 +77,7 @@ _ARRAYS = {
     "force_n": ("f", "frames"),
     "shape": ("U", "grasps"),
     "source": ("U", "grasps"),
+    "series": ("U", "grasps"),
     "thickness_mm": ("f", "grasps"),
     "pose": ("f", "grasps command"),
     "self_zero": ("f", "grasps zero"),
@@ -83,7 +86,7 @@ _ARRAYS = {
 length along it."""
 _OF_FRAMES = {"t_s": ("t_s", 1.0), "aperture_mm": ("aperture_m", 1e-3), "force_n": ("force_n", 1.0)}
 """Field of a grasp, and unit, of each array of frames."""
-_TEXTS = ("label", "shape", "source")
+_TEXTS = ("label", "shape", "source", "series")
 _RECORDS: Mapping[str, tuple[str, tuple[str, ...], Any]] = {
     "pose": ("command", COMMAND_COLUMNS, GraspCommand),
     "self_zero": ("zero", ZERO_COLUMNS, SelfZero),
@@ -91,7 +94,7 @@ _RECORDS: Mapping[str, tuple[str, tuple[str, ...], Any]] = {
 """Field of a grasp, its numbers and its kind, of each array of such rows."""
 _AXES = {"xy": 2, "command": len(COMMAND_COLUMNS), "zero": len(ZERO_COLUMNS)}
 """Length of the axes that are the same in all data sets."""
-_OPTIONAL = {"force_n", "shape", "source", "thickness_mm", "pose", "self_zero"}
+_OPTIONAL = {"force_n", "shape", "source", "series", "thickness_mm", "pose", "self_zero"}
 
 
 def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) -> tuple[Grasp, ...]:

@@ -12,7 +12,7 @@ from cell.learning.model import what_differs
 from recognition.grasp import Grasp, PadArray
 
 
-def name_recorded(source: Path, label: str, dataset: Path) -> tuple[int, int]:
+def name_recorded(source: Path, label: str, dataset: Path, series: str = "") -> tuple[int, int]:
     """Add the grasps of a recording or data set that have no label to a data set, under a label.
 
     Raises CellError if a file cannot be read or written, or every grasp of the source has a label.
@@ -28,7 +28,7 @@ def name_recorded(source: Path, label: str, dataset: Path) -> tuple[int, int]:
             f"{source}: each of its grasps has a label; use it with `model train` directly"
         )
     before = dataset_to_extend(dataset, grasps[0].pads)
-    append_to_dataset(dataset, before, [replace(grasp, label=label) for grasp in grasps])
+    append_to_dataset(dataset, before, [replace(grasp, label=label) for grasp in grasps], series)
     return len(grasps), len(before)
 
 
@@ -73,13 +73,15 @@ def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
     return before
 
 
-def append_to_dataset(path: Path, before: Sequence[Grasp], new: Sequence[Grasp]) -> None:
-    """Rewrite a data set with further grasps at its end.
+def append_to_dataset(
+    path: Path, before: Sequence[Grasp], new: Sequence[Grasp], series: str = ""
+) -> None:
+    """Rewrite a data set with further grasps of one series at its end.
 
     Raises CellError if the new grasps were taken on other pads; the file does not change.
     """
     _check_pads(path, before, new[0].pads)
-    write_dataset(path, [*before, *new])
+    write_dataset(path, [*before, *(replace(grasp, series=series) for grasp in new)])
 
 
 def _check_pads(path: Path, before: Sequence[Grasp], here: PadArray) -> None:

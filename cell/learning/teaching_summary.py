@@ -35,7 +35,7 @@ class TeachingSummary:
     only_drawn: tuple[str, ...]
     """Objects that were taught only from drawings."""
     taught_again: tuple[str, ...]
-    """Objects that were taught in several series, with a pause of an hour or more between them."""
+    """Objects that were taught in several series, for example of two individuals or days."""
     longest_series_s: float
     """Duration of the longest series in s."""
     without_self_zero: int
@@ -74,7 +74,7 @@ class TeachingSummary:
         if not self.taught_again:
             return (
                 "each object was taught in one series, so with one individual: if a label is a "
-                "kind, for example of fruit, teach several individuals, an hour apart or later. On "
+                "kind, for example of fruit, teach several individuals (`teach --series NAME`). On "
                 "another day, with another placing or on another cell expect UNKNOWN and wrong "
                 "names; measure the zero (`tactile-cell hand zero`) or gauge with two objects "
                 "(`tactile-cell model calibrate --gauge LABEL --gauge OTHER`)"

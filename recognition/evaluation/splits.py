@@ -59,7 +59,7 @@ def series_parts(grasps: Sequence[Grasp]) -> list[TrainTest]:
     if not held_out:
         raise ValueError(
             f"each of the {len(series)} objects was grasped in one series, without a pause of an "
-            "hour: none can be left out; add a data set of another day"
+            "hour: none can be left out; add a data set of another day, or name the series"
         )
     return [
         (tuple(g for g in grasps if not any(g is other for other in one)), tuple(one))

@@ -69,7 +69,7 @@ def test_what_is_written_comes_back(tmp_path) -> None:
         make_grasp(0),
         make_grasp(1, 1, label="", shape="", source="", force_n=np.array([np.nan])),
         make_grasp(2, 9, aperture_m=np.full(9, np.nan), label="Müller's <b>Kugel</b>"),
-        make_grasp(3, thickness_m=4e-3),
+        make_grasp(3, thickness_m=4e-3, series="apple 2"),
         make_grasp(4, command=GraspCommand.from_values([1e-3, -2e-3, 0.5, 6.0, 4.0])),
         *(make_grasp(i, zero=ZERO) for i in (5, 6)),
     ]
@@ -84,7 +84,8 @@ def test_what_is_written_comes_back(tmp_path) -> None:
         np.testing.assert_allclose(now.t_s, was.t_s, rtol=1e-6)
         np.testing.assert_allclose(now.aperture_m, was.aperture_m, rtol=1e-6)
         np.testing.assert_allclose(now.force_n, was.force_n, rtol=1e-6)
-        assert (now.label, now.shape, now.source) == (was.label, was.shape, was.source)
+        for name in ("label", "shape", "source", "series"):
+            assert getattr(now, name) == getattr(was, name)
         assert (now.start_ms, now.command, now.zero) == (was.start_ms, was.command, was.zero)
         assert now.thickness_m == pytest.approx(was.thickness_m, rel=1e-6, nan_ok=True)
 
@@ -102,7 +103,7 @@ def test_file_is_the_documented_format_for_numpy_alone(good) -> None:
 def test_optional_arrays_are_left_out_where_nothing_is_known(tmp_path) -> None:
     blank = make_grasp(shape="", source="", force_n=np.full(4, np.nan))
     write_dataset(tmp_path / "d.npz", [blank])
-    optional = {"force_n", "shape", "source", "thickness_mm", "pose", "self_zero"}
+    optional = {"force_n", "shape", "source", "series", "thickness_mm", "pose", "self_zero"}
     assert not optional & set(arrays_of(tmp_path / "d.npz"))
     assert np.all(np.isnan(read_dataset(tmp_path / "d.npz")[0].force_n))
 

@@ -141,8 +141,9 @@ def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(taught,
     with pytest.raises(CellError, match=r"tactile-cell teach LABEL --from .*unnamed\.npz -o"):
         read_labelled_grasps(unnamed, notes.append)
     assert name_recorded(recording, "thing", named) == (n_identified, 0)
-    assert name_recorded(unnamed, "other", named) == (n_identified, n_identified)
-    assert {g.label for g in read_labelled_grasps(named, notes.append)} == {"thing", "other"}
+    assert name_recorded(unnamed, "other", named, "second") == (n_identified, n_identified)
+    both = {(g.label, g.series) for g in read_labelled_grasps(named, notes.append)}
+    assert both == {("thing", ""), ("other", "second")}
     with pytest.raises(CellError, match="each of its grasps has a label"):
         name_recorded(named, "thing", tmp_path / "again.npz")
 

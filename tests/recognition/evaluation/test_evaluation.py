@@ -25,7 +25,7 @@ from recognition.evaluation.splits import (
     series_parts,
     shuffled_split,
 )
-from recognition.grasp import by_label
+from recognition.grasp import by_label, series_of
 from recognition.recognizers import make_trainer
 from tests.cell.conftest import plain_grasp
 
@@ -74,6 +74,15 @@ def test_each_series_of_an_object_with_several_is_left_out_once(train):
         assert {g.label for g in test} == {"bar"}
         assert len(taught) + len(test) == len(grasps)
         assert not {id(g) for g in taught} & {id(g) for g in test}
+
+
+def test_named_series_count_without_a_pause_and_across_one(train):
+    bars = [g for g in train if g.label == "bar"]
+    named = [dataclasses.replace(g, series="ab"[i % 2]) for i, g in enumerate(bars)]
+    later = [a_day_later(g) for g in named if g.series == "a"]
+    found = series_of([*bars, *named, *later])
+    assert [{g.series for g in one} for one in found] == [{""}, {"a"}, {"b"}]
+    assert len(found[1]) == 2 * len(later)
 
 
 def test_without_a_second_series_there_is_nothing_to_leave_out(train):

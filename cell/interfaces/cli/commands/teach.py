@@ -8,6 +8,7 @@ import typer
 from cell.config.model import CellConfig
 from cell.config.simulator import checked_label
 from cell.data.dataset import read_dataset
+from cell.data.grasp_limits import text_refused
 from cell.errors import ConfigError, DatasetError, raised_as
 from cell.interfaces.cli.options import (
     ConfigOption,
@@ -71,6 +72,14 @@ def teach(
             help="Use the unlabelled grasps of this recording or data set instead of new ones.",
         ),
     ] = None,
+    series: Annotated[
+        str,
+        typer.Option(
+            "--series",
+            help="Name of the individual or of the day [default: a pause of an hour begins a new "
+            "series].",
+        ),
+    ] = "",
     present: Annotated[
         str | None,
         typer.Option("--object", help="Object in the simulated cell [default: that label]."),
@@ -84,18 +93,22 @@ def teach(
     """Grasp a known object, or a drawing of it, for a data set."""
     with raised_as(ConfigError, ValueError):
         checked_label(label)
+    if wrong := text_refused("series", series):
+        raise ConfigError(f"--series {wrong}")
     if recorded is not None:
-        _name_recorded(recorded, label, dataset, json_file)
+        _name_recorded(recorded, label, dataset, series, json_file)
         return
     checked = cell_config(config, seed=seed, faults=faults)
     if shape is None and mesh is None:
         if gauge is not None or gauge_shape is not None:
             raise ConfigError("a gauge is for drawings: add --shape or --mesh")
         goal = TeachGoal(label=label, grasps=grasps or _GRASPS, present=present, train=False)
-        _teach_grasps(checked, config, goal, dataset, out_folder, json_file)
+        _teach_grasps(checked, config, goal, dataset, series, out_folder, json_file)
         return
     if shape is not None and mesh is not None:
         raise ConfigError("--shape and --mesh exclude each other; use one of them")
+    if series:
+        raise ConfigError("--series is for grasps: leave it out for a drawing")
     if faults:
         raise ConfigError("--fault is for the simulated cell: leave it out for a drawing")
     _teach_drawing(
@@ -115,10 +128,10 @@ def _teach_grasps(
     config_file: Path | None,
     goal: TeachGoal,
     dataset: Path,
+    series: str,
     out_folder: Path | None,
     json_file: Path | None,
 ) -> None:
-
     before = dataset_to_extend(dataset, pads_of(config))
     goal = goal.model_copy(update={"seed": config.seed + len(before)})
     shown: dict[str, Any] = {}
@@ -130,7 +143,7 @@ def _teach_grasps(
         finally:
             if taken := cell.plugin.model.training_set:
                 try:
-                    append_to_dataset(dataset, before, taken)
+                    append_to_dataset(dataset, before, taken, series)
                 except DatasetError as error:
                     raise DatasetError(
                         f"{error}; the grasps are in {cell.plugin.recording_path}: use it with "
@@ -147,9 +160,10 @@ def _teach_grasps(
     cell.finish([f"recording: {cell.plugin.recording_path}"], values | {"dataset": dataset})
 
 
-def _name_recorded(source: Path, label: str, dataset: Path, json_file: Path | None) -> None:
-
-    added, before = name_recorded(source, label, dataset)
+def _name_recorded(
+    source: Path, label: str, dataset: Path, series: str, json_file: Path | None
+) -> None:
+    added, before = name_recorded(source, label, dataset, series)
     line = f"{added} grasps of {source} added to {dataset} as {label} ({before} were there)"
     values = {"label": label, "n_grasps": added, "dataset": dataset, "source": source}
     show([line], values, json_file)
