@@ -18,7 +18,10 @@ _DRIVES = 402
 
 
 def find_axes(bench: Bench, dialog: Dialog, notes: Notes) -> None:
-    """Find the drives and servos that move the object or the gripper, and name them."""
+    """Look for a wrist servo on a further serial port and for CiA 402 drives on the CAN buses.
+
+    A cell without axes skips this step. Nothing is written, nothing moves.
+    """
     axes: list[dict[str, Any]] = []
     tactile = bench.tactile()
     for port in bench.ports_beside(bench.gripper().port, tactile.channel, *tactile.serial_ports):
@@ -48,15 +51,7 @@ def find_axes(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     )
 
 
-AXES = Step(
-    key="axes",
-    title="Axes",
-    purpose="Looks for a wrist servo on a further serial port and for CiA 402 drives on the CAN "
-    "buses, and names them. A cell without axes skips this step. Nothing is written, nothing "
-    "moves.",
-    run=find_axes,
-    needs=("ports", "unit"),
-)
+AXES = Step(find_axes, "axes", "Axes", needs=("ports", "unit"))
 
 
 def _servo_axis(bench: Bench, dialog: Dialog, port: str, notes: Notes) -> dict[str, Any]:

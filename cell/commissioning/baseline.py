@@ -62,7 +62,10 @@ def changed_hardware(bench: Bench) -> list[Finding]:
 
 
 def keep_gauge(bench: Bench, dialog: Dialog, notes: Notes) -> None:
-    """Grasp a gauge object and save the measurement, for `tactile-cell doctor` to compare."""
+    """Grasp a stiff object that you keep for it, and store opening, forces, current and patches.
+
+    `tactile-cell doctor --gauge` later shows what has changed.
+    """
     text = (
         "Take a stiff object with parallel faces, as a block of 10 to 20 mm, and mark it as the "
         "gauge of this cell. What is its name?"
@@ -77,16 +80,7 @@ def keep_gauge(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     notes.values["gauge"] = asdict(gauge)
 
 
-BASELINE = Step(
-    key="baseline",
-    title="Gauge object",
-    purpose="Grasps a stiff object that you keep for it, and stores opening, forces, current and "
-    "patches. `tactile-cell doctor --gauge` later shows what has changed.",
-    run=keep_gauge,
-    needs=("first_force",),
-    needs_pads=True,
-    undo="nothing is written; the torque goes off at the end",
-)
+BASELINE = Step(keep_gauge, "baseline", "Gauge object", needs=("first_force",), needs_pads=True)
 
 
 def measure_gauge(bench: Bench, config: CellConfig, dialog: Dialog, gauge: str) -> Gauge:

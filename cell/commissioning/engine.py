@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NoReturn, Protocol
+from typing import NamedTuple, NoReturn, Protocol
 
 from cell.checks.findings import STORE_NAME, Notes, ProposedChange, read_commissioned
 from cell.commissioning.bench import CONFIG_NAME, Bench
@@ -33,20 +33,7 @@ class WizardAborted(CellError):
     """The person left the wizard, or refused a write; earlier findings are kept."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Choice:
-    """One of several answers."""
-
-    key: str
-    """Return value of `Dialog.ask`."""
-    text: str
-    """Text for the person."""
-    picture: str = ""
-    """Its picture in characters, or empty."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NumberRange:
+class NumberRange(NamedTuple):
     """Range of a number that a person types."""
 
     lowest: float
@@ -62,7 +49,9 @@ class Question:
     key: str
     """Name of the question, the same in every run: ``step.subject``."""
     text: str
-    choices: tuple[Choice, ...] | None = None
+    choices: Mapping[str, str] | None = None
+    """Text of each choice by the key that `Dialog.ask` returns; a picture may follow in further
+    lines."""
     number: NumberRange | None = None
     default: str | float | None = None
     """Answer on a plain confirmation, or None."""
@@ -102,9 +91,20 @@ class Dialog(Protocol):
         watch: Callable[[], str] | None = None,
     ) -> str:
         """Ask for one of some answers, texts by key; return its key."""
-        choices = tuple(Choice(key=name, text=answer) for name, answer in answers.items())
-        question = Question(key=key, text=text, choices=choices, default=default)
+        question = Question(key=key, text=text, choices=answers, default=default)
         return str(self.ask(question, watch=watch))
+
+    def number(
+        self,
+        key: str,
+        text: str,
+        number: tuple[float, float, str],
+        default: float | None = None,
+        watch: Callable[[], str] | None = None,
+    ) -> float:
+        """Ask for a number from the least to the largest value, in a unit; return it."""
+        asked = Question(key=key, text=text, number=NumberRange(*number), default=default)
+        return float(self.ask(asked, watch=watch))
 
     def confirm(
         self, key: str, text: str, done: str = "done", watch: Callable[[], str] | None = None
@@ -113,28 +113,30 @@ class Dialog(Protocol):
         self.choose(key, text, {"done": done}, "done", watch)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Step:
     """One step: measures something, and sets it if the person approves."""
 
-    key: str
-    """Name in commissioning.json and for ``--redo``."""
-    title: str
-    purpose: str
-    """Heading, and in one or two sentences what it finds, writes and moves."""
     run: Callable[[Bench, Dialog, Notes], None]
     """Runs the step from its start, also after an earlier partial run, and notes its findings.
 
     Nothing is written or moved without `Dialog.approve`. After it, also after an error, no servo
     has torque that had none before, and a held part stays held. Raises WizardAborted when the
     person leaves or refuses; only the values of the step are kept then. CellError, GripperError
-    and TactileError end the step; `carry_out` adds them to the notes."""
+    and TactileError end the step; `carry_out` adds them to the notes. Its docstring is for the
+    person: what it finds, writes and moves."""
+    key: str
+    """Name in commissioning.json and for ``--redo``."""
+    title: str
     needs: tuple[str, ...] = ()
-    """Keys of the steps whose findings it uses; redoing one of them redoes this step."""
+    """Keys of the steps before it whose findings it uses; redoing one of them redoes this step."""
     needs_pads: bool = False
     """Whether a gripper without a control unit skips it."""
-    undo: str = "nothing to undo"
-    """How a person reverts its writes."""
+
+    @property
+    def purpose(self) -> str:
+        """What the step does, for the person, as one line."""
+        return " ".join((self.run.__doc__ or "").split())
 
 
 def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Notes | None = None) -> Notes:
@@ -166,7 +168,7 @@ class _Logged:
     def __init__(self, dialog: Dialog, log: Callable[[Sequence[ProposedChange]], None]) -> None:
         self.start_step, self.found, self.say = dialog.start_step, dialog.found, dialog.say
         self.live, self.ask = dialog.live, dialog.ask
-        self.choose, self.confirm = dialog.choose, dialog.confirm
+        self.choose, self.confirm, self.number = dialog.choose, dialog.confirm, dialog.number
         self._approve, self._log = dialog.approve, log
 
     def approve(self, writes: Sequence[ProposedChange]) -> None:
@@ -178,8 +180,7 @@ class _Logged:
 class Engine:
     """Steps in their order, and their findings so far.
 
-    Raises CellError if commissioning.json cannot be read, or if a needed step does not come before
-    its user.
+    Raises CellError if commissioning.json cannot be read.
 
     Parameters
     ----------
@@ -192,15 +193,11 @@ class Engine:
     def __init__(self, steps: Sequence[Step], bench: Bench) -> None:
         self.steps = tuple(steps)
         self.bench = bench
-        known: list[str] = []
-        for step in self.steps:
-            if missing := [key for key in step.needs if key not in known]:
-                raise CellError(f"step {step.key} needs {', '.join(missing)} before it")
-            known.append(step.key)
         self.path = bench.folder / STORE_NAME
         kept = read_commissioned(self.path)
         self.approved = kept.approved
-        self.notes = {key: kept.steps[key] for key in known if key in kept.steps}
+        keys = [step.key for step in self.steps]
+        self.notes = {key: kept.steps[key] for key in keys if key in kept.steps}
         self._fill_bench()
 
     def done(self, step: Step) -> bool:

@@ -16,15 +16,7 @@ from scipy.optimize import least_squares
 
 from cell.checks.findings import Notes, ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import (
-    LIVE_CALL_S,
-    Choice,
-    Dialog,
-    NumberRange,
-    Question,
-    Step,
-    StepFailed,
-)
+from cell.commissioning.engine import LIVE_CALL_S, Dialog, Step, StepFailed
 from cell.commissioning.servos import torque_off
 from cell.config.gripper import GripperConfig, ServoConfig, gripper_settings, linkage_of
 from cell.errors import raised_as
@@ -255,7 +247,11 @@ def first_way_rad(model: ServoModel, current_a: float) -> float:
 
 
 def measure_fingers(bench: Bench, dialog: Dialog, notes: Notes) -> None:
-    """Find directions, zeros, ends and linkage by hand, then make the first motion."""
+    """Move the fingers by hand, without torque, then close them on blocks of known size.
+
+    This gives directions, zero, ends and linkage. At the end each finger opens by itself, by about
+    3 mm at the least current that moves it, and has no torque again.
+    """
     gripper = bench.gripper()
     with bench.servo_bus() as bus:
         for servo in gripper.servos:
@@ -263,16 +259,7 @@ def measure_fingers(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         _Hands(bench, dialog, bus, gripper, notes).run()
 
 
-FINGERS = Step(
-    key="fingers",
-    title="Fingers",
-    purpose="You move the fingers by hand, without torque, then close them on blocks of known "
-    "size. This gives directions, zero, ends and linkage. At the end each finger opens by itself, "
-    "by about 3 mm at the least current that moves it, and has no torque again.",
-    run=measure_fingers,
-    needs=("servos",),
-    undo="nothing is written; run `tactile-cell commission --redo fingers`",
-)
+FINGERS = Step(measure_fingers, "fingers", "Fingers", needs=("servos",))
 
 
 class _Hands:
@@ -396,13 +383,13 @@ class _Hands:
         for number, (text, least) in enumerate(_BLOCKS, start=1):
             if number > _SIMPLE_BLOCKS and _simple(fit_linkages(measured)[0]):
                 break
-            question = Question(
-                key=f"fingers.block{number}",
-                text=f"{text} How thick is it?",
-                number=NumberRange(lowest=least, highest=400.0, unit="mm"),
-                default=None if least else 0.0,
+            size_mm = self._dialog.number(
+                f"fingers.block{number}",
+                f"{text} How thick is it?",
+                (least, 400.0, "mm"),
+                None if least else 0.0,
             )
-            if (size_mm := float(self._dialog.ask(question))) <= 0.0:
+            if size_mm <= 0.0:
                 break
             measured.append(self._on_block(number, size_mm, closed, signs))
         return measured
@@ -430,22 +417,17 @@ class _Hands:
         """Return the linkage that the person confirms; the fit proposes one if it can."""
         sure = decided(fits)
         shown = fits if sure else sorted(fits, key=lambda fit: list(KINDS).index(fit.kind))
-        choices = tuple(
-            Choice(
-                key=fit.kind,
-                text=f"{KINDS[fit.kind]} ({fit.linkage}; residual {fit.residual_m * 1e3:.2f} mm)",
-                picture=SKETCHES[fit.kind].strip("\n"),
-            )
-            for fit in shown
-        )
         best = "the first one best." if sure else "more than one kind: look while you move them."
-        question = Question(
-            key="fingers.kind",
-            text=f"How do the fingers move? The measurements fit {best}",
-            choices=choices,
-            default=shown[0].kind if sure else None,
+        answer = self._dialog.choose(
+            "fingers.kind",
+            f"How do the fingers move? The measurements fit {best}",
+            {
+                fit.kind: f"{KINDS[fit.kind]} ({fit.linkage}; residual "
+                f"{fit.residual_m * 1e3:.2f} mm){SKETCHES[fit.kind]}"
+                for fit in shown
+            },
+            shown[0].kind if sure else None,
         )
-        answer = self._dialog.ask(question)
         return next(fit for fit in fits if fit.kind == answer)
 
     # The result

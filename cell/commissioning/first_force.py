@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cell.checks.findings import Notes, ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, NumberRange, Question, Step, StepFailed
+from cell.commissioning.engine import Dialog, Step, StepFailed
 from cell.commissioning.motion import WatchedMotion, look_after, watched_hand
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
@@ -66,21 +66,25 @@ def _grip_n(cycles: Sequence[Cycle]) -> NDArray[np.float64]:
 
 
 def press_first(bench: Bench, dialog: Dialog, notes: Notes) -> None:
-    """Make the first grasp: empty fingers, watchdog, 1 N, then the cap; then pad on pad."""
+    """Open the empty fingers, stop them by their bus watchdog, and press a soft part.
+
+    Opening proves direction and zero. The watchdog must stop the fingers when this program is
+    silent. Then they press the part with 1 N, with the force that you allow and, empty again, each
+    other. Measured force and set-point are compared. Keep your hands away while they move.
+    """
     proves = _proves_watchdog(bench.config)
     config = changed_config(bench.config, {"gripper.watchdog_self_test": proves})
     cap_n = config.gripper.force_max_n
     if bench.gripper_alone:
         cap_n = cap_by_current_n(config.gripper_settings, config.linkage)
     limit_n = floor(10.0 * largest_setpoint_n(cap_n)) / 10.0
-    question = Question(
-        key="first_force.most",
-        text="Choose a soft part of 10 to 20 mm, for example a piece of foam or rubber. With which "
+    most_n = dialog.number(
+        "first_force.most",
+        "Choose a soft part of 10 to 20 mm, for example a piece of foam or rubber. With which "
         f"force may it be pressed? The cap of the config allows {limit_n:g} N.",
-        number=NumberRange(lowest=FIRST_FORCE_N, highest=limit_n, unit="N"),
-        default=min(limit_n, max(config.sequence.forces_n)),
+        (FIRST_FORCE_N, limit_n, "N"),
+        min(limit_n, max(config.sequence.forces_n)),
     )
-    most_n = float(dialog.ask(question))
     dialog.approve(_motions(config, most_n, alone=bench.gripper_alone))
     dialog.confirm(
         "first_force.empty", "Take everything out of the fingers, and your hands away from them."
@@ -90,15 +94,10 @@ def press_first(bench: Bench, dialog: Dialog, notes: Notes) -> None:
 
 
 FIRST_FORCE = Step(
-    key="first_force",
-    title="First force",
-    purpose="The empty fingers open and prove direction and zero. Their bus watchdog must stop "
-    "them when this program is silent. Then they press a soft part with 1 N, and with the force "
-    "that you allow, and, empty again, each other. Measured force and set-point are compared. Keep "
-    "your hands away while they move.",
-    run=press_first,
+    press_first,
+    "first_force",
+    "First force",
     needs=("fingers", "unit", "pads_law", "link_quality"),
-    undo="nothing is written; the torque goes off at the end",
 )
 
 

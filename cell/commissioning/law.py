@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 from cell.checks.findings import Notes
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, NumberRange, Question, Step, StepFailed
+from cell.commissioning.engine import Dialog, Step, StepFailed
 from cell.commissioning.pads import sequence_forces_n
 from cell.commissioning.unit import unit_sensor
 from cell.config.tactile import LinearCalibrationConfig, TableCalibrationConfig, TactileConfig
@@ -113,7 +113,11 @@ def fit_table(
 
 
 def measure_law(bench: Bench, dialog: Dialog, notes: Notes) -> None:
-    """Ask for three loads on each inner pad, and set the law: its factor, or a table."""
+    """Load each inner pad three times with a weight or against a kitchen scale.
+
+    Type the reading in grams: the law from counts to newtons is checked, and its factor or a table
+    set. Nothing moves.
+    """
     answer = dialog.choose(
         "pads_law.with",
         "Do you have weights of up to a kilogram, or a kitchen scale? Nothing may touch the pads "
@@ -146,17 +150,7 @@ def measure_law(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     judge_law(bench.tactile(), loads, notes, adc_max)
 
 
-LAW = Step(
-    key="pads_law",
-    title="Newtons of the pads",
-    purpose="You load each inner pad three times with a weight or against a kitchen scale and type "
-    "its reading in grams: the law from counts to newtons is checked, and its factor set. Nothing "
-    "moves.",
-    run=measure_law,
-    needs=("pads_pressed",),
-    needs_pads=True,
-    undo="nothing to undo: it is a setting of the config (tactile.calibration)",
-)
+LAW = Step(measure_law, "pads_law", "Newtons of the pads", needs=("pads_pressed",), needs_pads=True)
 
 
 Load = tuple[float, ...]
@@ -181,18 +175,16 @@ def _load(
     name = sensor.layout.pads[pad].name
     most_g = 2e3 * max(targets_n) / GRAVITY_N_KG
     for number, target_n in list(enumerate(targets_n, start=1))[len(loads) :]:
-        answer = dialog.ask(
-            Question(
-                key=f"pads_law.{finger}.{number}",
-                text=f"Load {number} of {len(targets_n)} on {name}: about "
-                f"{1e3 * target_n / GRAVITY_N_KG:.0f} g. Type the reading while it lies there.",
-                number=NumberRange(lowest=1.0, highest=round(most_g), unit="g"),
-            ),
+        weight_g = dialog.number(
+            f"pads_law.{finger}.{number}",
+            f"Load {number} of {len(targets_n)} on {name}: about "
+            f"{1e3 * target_n / GRAVITY_N_KG:.0f} g. Type the reading while it lies there.",
+            (1.0, round(most_g), "g"),
             watch=lambda: (
                 f"{name} shows {_force_n(sensor, pad, _counts(sensor, pad, _WATCH_FRAMES)):.2f} N"
             ),
         )
-        true_n = 1e-3 * float(answer) * GRAVITY_N_KG
+        true_n = 1e-3 * weight_g * GRAVITY_N_KG
         counts = _counts(sensor, pad, _LOAD_FRAMES)
         parts = table_parts(counts, sensor.layout.adc_max)
         loads.append((true_n, _force_n(sensor, pad, counts), *parts))

@@ -33,7 +33,11 @@ _LIVE_S = 1.0
 def check_lines(
     bench: Bench, dialog: Dialog, notes: Notes, *, duration_s: float = DURATION_S
 ) -> None:
-    """Read servos and pads at the rate of the force loop, and judge times and losses."""
+    """Read the servos and the pads at the rate of the force loop for a minute.
+
+    Late and lost messages are counted. Move cables and plugs by hand meanwhile to find loose ones.
+    Nothing moves by itself.
+    """
     gripper, tactile, clock = bench.gripper(), bench.tactile(), bench.clock
     ids = [servo.id for servo in gripper.servos]
     period_s = 1.0 / gripper.loop_rate_hz
@@ -87,15 +91,7 @@ def check_lines(
     notes.values |= {"overruns": overruns, "periods": periods}
 
 
-LINK_QUALITY = Step(
-    key="link_quality",
-    title="Quality of the lines",
-    purpose="Reads the servos and the pads at the rate of the force loop for a minute, and counts "
-    "late and lost messages. Move cables and plugs by hand meanwhile to find loose ones. Nothing "
-    "moves by itself.",
-    run=check_lines,
-    needs=("servos", "unit"),
-)
+LINK_QUALITY = Step(check_lines, "link_quality", "Quality of the lines", needs=("servos", "unit"))
 
 
 def _judge_servos(

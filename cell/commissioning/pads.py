@@ -163,7 +163,11 @@ def judge_rest(
 
 
 def measure_rest(bench: Bench, dialog: Dialog, notes: Notes) -> None:
-    """Take zero and noise of each taxel, find broken ones, compare full scale and forces."""
+    """Read the taxels for two seconds while nothing touches the pads.
+
+    This gives zero, noise, dead and stuck taxels, and whether the forces of the config can be
+    measured. Nothing moves.
+    """
     dialog.say("Keep your hands and everything else off the pads for two seconds.")
     with unit_sensor(bench) as sensor:
         frames = np.stack([sensor.read(timeout_s=1.0).frame.counts for _ in range(_REST_FRAMES)])
@@ -203,15 +207,7 @@ def measure_rest(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     }
 
 
-PADS_AT_REST = Step(
-    key="pads_at_rest",
-    title="Pads at rest",
-    purpose="Reads the taxels for two seconds while nothing touches the pads: zero, noise, dead "
-    "and stuck taxels, and whether the forces of the config can be measured. Nothing moves.",
-    run=measure_rest,
-    needs=("unit",),
-    needs_pads=True,
-)
+PADS_AT_REST = Step(measure_rest, "pads_at_rest", "Pads at rest", needs=("unit",), needs_pads=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -321,7 +317,10 @@ def mount_lines(layout: TaxelLayout, mounts: Sequence[PadMount]) -> list[str]:
 
 
 def find_mounting(bench: Bench, dialog: Dialog, notes: Notes) -> None:
-    """Ask for a press on a corner of each pad, and set position and rotation of the pads."""
+    """Press each pad with a fingertip, one after another.
+
+    Exchanged fingers, turned and mirrored pads are found and set in the config. Nothing moves.
+    """
     dialog.say(
         "Finger 0 is the one that the first servo drives. Nothing may touch the pads at first."
     )
@@ -366,14 +365,11 @@ def find_mounting(bench: Bench, dialog: Dialog, notes: Notes) -> None:
 
 
 PADS_PRESSED = Step(
-    key="pads_pressed",
-    title="Which pad is where",
-    purpose="You press each pad with a fingertip, one after another: exchanged fingers, turned and "
-    "mirrored pads are found and set in the config. Nothing moves.",
-    run=find_mounting,
+    find_mounting,
+    "pads_pressed",
+    "Which pad is where",
     needs=("pads_at_rest",),
     needs_pads=True,
-    undo="nothing to undo: it is a setting of the config (tactile.mounting)",
 )
 
 

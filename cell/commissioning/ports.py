@@ -14,7 +14,11 @@ _LOOK_S = 0.5
 
 
 def find_port(bench: Bench, dialog: Dialog, notes: Notes) -> None:
-    """Find the servos' port: given, the only one, or the one whose plug is pulled; check it."""
+    """Find the serial port of the servos' adapter, and check it.
+
+    This user must be allowed to open it, no other program may have it, and its latency must be
+    short. Nothing is written, nothing moves.
+    """
     port = str(bench.given.get("gripper.port") or _found(bench, dialog))
     notes.values["port"] = notes.settings["gripper.port"] = port
     notes.fact(f"servo port: {port}")
@@ -25,13 +29,7 @@ def find_port(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         bench.lines.open_servos(port, 57600).close()
 
 
-PORTS = Step(
-    key="ports",
-    title="Ports",
-    purpose="Finds the serial port of the servos' adapter and checks that this user may open it, "
-    "that no other program has it, and its latency. Writes and moves nothing.",
-    run=find_port,
-)
+PORTS = Step(find_port, "ports", "Ports")
 
 
 def _found(bench: Bench, dialog: Dialog) -> str:

@@ -44,6 +44,8 @@ _BOOT_S = 1.0
 """Wait in s for new servos to boot."""
 _MOST_FINGER_SERVOS = 2
 """Most servos of the fingers."""
+_UNDO = "`tactile-cell commission --restore` writes the backups back"
+"""How a person reverts the writes."""
 _VOLTAGE_MARGIN = 1.05
 """Supply voltage that gets a warning, relative to the least of the model."""
 
@@ -93,7 +95,11 @@ def scan_servos(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = 
 
 
 def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
-    """Find, number, check and set the servos of the fingers."""
+    """Scan all baud rates, give new servos their IDs one at a time, and check each.
+
+    Model, firmware, supply and registers are compared. The control table of each servo is kept in a
+    backup before the first write; each write is shown before. Nothing moves.
+    """
     port, rate = bench.gripper().port, bench.gripper().baud_rate
     use_servo_models(SERVO_MODELS.usable())
     fingers = _numbered(bench, dialog, port, rate, notes)
@@ -138,16 +144,7 @@ def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         notes.fact(f"round trip of a ping: {1e3 * median_s:.2f} ms (median)")
 
 
-SERVOS = Step(
-    key="servos",
-    title="Servos",
-    purpose="Scans all baud rates, gives new servos their IDs one at a time, compares model, "
-    "firmware, supply and registers. Keeps each control table in a backup before it writes; shows "
-    "each write before. Nothing moves.",
-    run=find_servos,
-    needs=("ports",),
-    undo="`tactile-cell commission --restore` writes the backups back",
-)
+SERVOS = Step(find_servos, "servos", "Servos", needs=("ports",))
 
 
 # Finding and numbering
@@ -269,7 +266,7 @@ def _renumber(
             changes[SERVO_ID.name] = (old_id, new_id)
         changes[BAUD_RATE.name] = (f"{servo.baud_rate} bit/s", f"{rate} bit/s")
         where = f"servo {old_id} at {servo.baud_rate} bit/s"
-        dialog.approve(register_writes(where, changes, SERVOS.undo))
+        dialog.approve(register_writes(where, changes, _UNDO))
         keep(bench, dialog, Backup(servo_id=new_id, baud_rate=rate, found=table))
         if new_id != old_id:
             bus.write(old_id, SERVO_ID, new_id)
@@ -325,7 +322,7 @@ def _set_up(
     writes = [
         write
         for servo_id, found in changes.items()
-        for write in register_writes(f"servo {servo_id}", found, SERVOS.undo)
+        for write in register_writes(f"servo {servo_id}", found, _UNDO)
     ]
     if not writes:
         notes.fact("all registers are as the cell needs them")

@@ -110,7 +110,11 @@ def _started(bench: Bench, tactile: TactileConfig) -> Iterator[TactileSensor]:
 
 
 def find_unit(bench: Bench, dialog: Dialog, notes: Notes) -> None:
-    """Find the control unit, judge it, configure it as each start does, and start its link."""
+    """Find the CAN interface, its bit rate, the control unit, its identity and its taxels.
+
+    Other devices on the same bus may be disturbed for some seconds. Nothing moves. Settings of the
+    unit are shown before, and are lost when it is switched off.
+    """
     if not bench.tactile().sensor.canopen:
         _find_boards(bench, dialog, notes)
         return
@@ -157,16 +161,7 @@ def find_unit(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     }
 
 
-UNIT = Step(
-    key="unit",
-    title="Control unit and its CAN bus",
-    purpose="Finds the CAN interface, its bit rate, the node-ID of the control unit, its identity "
-    "and its taxels. Other devices on the same bus may be disturbed for some seconds. Nothing "
-    "moves; settings of the unit are shown before, and are lost when it is switched off.",
-    run=find_unit,
-    needs=("ports",),
-    undo="Switch the control unit off and on: nothing is stored in it.",
-)
+UNIT = Step(find_unit, "unit", "Control unit and its CAN bus", needs=("ports",))
 
 
 def _so_far(bench: Bench, notes: Notes) -> TactileConfig:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cell.commissioning.engine import Dialog, NumberRange, Question, StepFailed
+from cell.commissioning.engine import Dialog, StepFailed
 from cell.commissioning.servo_bench import fits
 from cell.commissioning.servo_bench.rig import Reading, Rig, records
 from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
@@ -174,9 +174,8 @@ def scale(rig: Rig, dialog: Dialog) -> Values:
 
 def weighed_nm(dialog: Dialog, key: str, part: str) -> float:
     """Ask for the reading of the scale in g, and return the torque at the horn in N m."""
-    grams = NumberRange(lowest=-100.0, highest=20_000.0, unit="g")
-    question = Question(key=key, text=f"{part}: reading of the scale in g?", number=grams)
-    return float(dialog.ask(question)) * _N_PER_G * ARM_M
+    weight_g = dialog.number(key, f"{part}: reading of the scale in g?", (-100.0, 20_000.0, "g"))
+    return weight_g * _N_PER_G * ARM_M
 
 
 def free(rig: Rig, _dialog: Dialog) -> Values:

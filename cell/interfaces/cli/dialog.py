@@ -55,11 +55,11 @@ class TerminalDialog(Dialog):
     def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
         """Ask until the answer is valid; raises `WizardAborted` at q and at the end of input."""
         self.say(question.text)
-        for number, choice in enumerate(question.choices or (), start=1):
-            mark = " (Enter)" if choice.key == question.default else ""
-            print_line(f"  {number}  {choice.text}{mark}")
-            if choice.picture:
-                print_line(choice.picture)
+        for number, (key, choice) in enumerate((question.choices or {}).items(), start=1):
+            text, _, picture = choice.partition("\n")
+            print_line(f"  {number}  {text}{' (Enter)' if key == question.default else ''}")
+            if picture:
+                print_line(picture)
         while True:
             answer = self._answer(question, self._line(question, watch))
             if answer is not None:
@@ -114,7 +114,7 @@ class TerminalDialog(Dialog):
         if not typed and question.default is not None:
             return question.default
         if question.choices is not None:
-            keys = [choice.key for choice in question.choices]
+            keys = list(question.choices)
             by_number = {str(number): key for number, key in enumerate(keys, start=1)}
             answer = by_number.get(typed, typed if typed in keys else None)
             if answer is None:

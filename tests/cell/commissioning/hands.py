@@ -80,7 +80,7 @@ class Script(Dialog):
         answer = question.default if answer is None else answer
         assert answer is not None, f"no reply to {question}"
         if question.choices is not None:
-            assert answer in [choice.key for choice in question.choices], question
+            assert answer in question.choices, question
         if question.number is not None:
             assert question.number.lowest <= float(answer) <= question.number.highest, question
         return answer
@@ -220,7 +220,7 @@ class Person:
         if question.number is not None and typed:
             return float(typed)
         if question.choices is not None and typed:
-            return question.choices[int(typed) - 1].key
+            return [*question.choices][int(typed) - 1]
         return typed or None
 
     def heard(self, text: str) -> None:

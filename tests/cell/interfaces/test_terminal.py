@@ -15,7 +15,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from cell.checks.findings import Notes, ProposedChange
-from cell.commissioning.engine import Choice, NumberRange, Question, WizardAborted, leave
+from cell.commissioning.engine import NumberRange, Question, WizardAborted, leave
 from cell.commissioning.ports import PORTS
 from cell.control.positioner import PatientCaller
 from cell.control.states import CellState
@@ -29,10 +29,7 @@ from tests.marks import LONG
 from tests.values import raising
 from tests.waiting import LIMIT_S
 
-CHOICES = (
-    Choice(key="a", text="the first", picture="  | |"),
-    Choice(key="b", text="the second [x]"),
-)
+CHOICES = {"a": "the first\n  | |", "b": "the second [x]"}
 WRITE = ProposedChange(where="servo 1", what="id (7)", before="1", after="2", undo="by --restore")
 
 
@@ -55,7 +52,7 @@ def test_choices_are_taken_by_number_name_or_enter(typed, lines, answer, capsys)
     assert "  1  the first (Enter)\n  | |\n  2  the second" in capsys.readouterr().out
 
 
-MILLIMETRES = {"number": NumberRange(lowest=1, highest=100, unit="mm")}
+MILLIMETRES = {"number": NumberRange(1, 100, "mm")}
 
 
 @pytest.mark.parametrize(
