@@ -9,8 +9,6 @@ from cell.config.model import CellConfig
 from cell.config.section import SIMULATED
 from pytest_tactile_cell.options import HardwareOptions
 
-ConfigSource = CellConfig | Path | str | None
-
 
 def config_under_test(path: Path | None, options: HardwareOptions) -> CellConfig:
     """Return the config of the file with the command line's values for servos and node.
@@ -35,7 +33,7 @@ def config_under_test(path: Path | None, options: HardwareOptions) -> CellConfig
 
 
 def simulated_config(
-    config: CellConfig,
+    config: CellConfig | Path | str,
     *,
     objects: Mapping[str, str] | None = None,
     seed: int | None = None,
@@ -49,7 +47,7 @@ def simulated_config(
     Parameters
     ----------
     config
-        The config, of a real cell or a simulated one.
+        The config or its file, of a real cell or a simulated one.
     objects
         Shapes by label instead of the config's objects.
     seed
@@ -64,6 +62,8 @@ def simulated_config(
     ConfigError
         If the result is not valid.
     """
+    if not isinstance(config, CellConfig):
+        config = load_config(Path(config))
     ours: dict[str, Any] = {
         "gripper.port": SIMULATED,
         "tactile.interface": SIMULATED,
@@ -80,10 +80,3 @@ def simulated_config(
         ours["seed"] = seed
     zeroed = {"self_zero": "on_demand"} if config.self_zero == "daily" else {}
     return changed_config(config, {**zeroed, **(changes or {}), **ours})
-
-
-def given_config(source: ConfigSource, default: CellConfig) -> CellConfig:
-    """Return the config that a test gives as value or file, else the default config."""
-    if source is None:
-        return default
-    return source if isinstance(source, CellConfig) else load_config(Path(source))

@@ -26,12 +26,22 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class MakeSimulatedCell:
-    """Makes simulated cells in virtual time; ``closing`` closes them."""
+class _Maker:
+    """Makes cells on simulated devices; ``closing`` closes them."""
 
     config: "CellConfig"
     faults: FaultRegistry
     closing: ExitStack
+
+    def checked(self, config: "CellConfig | Path | str | None", **changes: Any) -> "CellConfig":
+        """Return the config of a cell, by default that of the test run."""
+        from pytest_tactile_cell.configs import simulated_config
+
+        return simulated_config(self.config if config is None else config, **changes)
+
+
+class MakeSimulatedCell(_Maker):
+    """Makes simulated cells in virtual time."""
 
     def __call__(
         self,
@@ -69,15 +79,10 @@ class MakeSimulatedCell:
             If the resulting config is not valid.
         """
         from cell.build import build_cell
-        from pytest_tactile_cell.configs import given_config, simulated_config
         from pytest_tactile_cell.virtual import VirtualCell
 
-        checked = simulated_config(
-            given_config(config, self.config),
-            objects=objects,
-            seed=seed,
-            changes=changes,
-            callback=mover is not None,
+        checked = self.checked(
+            config, objects=objects, seed=seed, changes=changes, callback=mover is not None
         )
         cell = build_cell(checked, mover=mover, places=places, folder=folder)
         self.closing.callback(cell.close)
@@ -88,13 +93,8 @@ class MakeSimulatedCell:
         return made
 
 
-@dataclass(frozen=True, slots=True)
-class MakeCellRuntime:
-    """Loads the plugin of a host program on simulated devices; ``closing`` closes it."""
-
-    config: "CellConfig"
-    faults: FaultRegistry
-    closing: ExitStack
+class MakeCellRuntime(_Maker):
+    """Loads the plugin of a host program on simulated devices."""
 
     def __call__(
         self,
@@ -115,11 +115,9 @@ class MakeCellRuntime:
         cell.errors.ConfigError
             If the resulting config is not valid; else as `TactileCellPlugin`.
         """
-        from pytest_tactile_cell.configs import given_config, simulated_config
         from pytest_tactile_cell.runtime import CellRuntime
 
-        found = given_config(config, self.config)
-        checked = simulated_config(found, objects=objects, seed=seed, changes=changes)
+        checked = self.checked(config, objects=objects, seed=seed, changes=changes)
         cell = CellRuntime(checked, **options)
         self.closing.callback(cell.close)
         self.faults.add(cell)
@@ -127,12 +125,9 @@ class MakeCellRuntime:
 
 
 @dataclass(frozen=True, slots=True)
-class MakeCellProcess:
-    """Starts simulated cells in separate processes; ``closing`` ends them."""
+class MakeCellProcess(_Maker):
+    """Starts simulated cells in separate processes."""
 
-    config: "CellConfig"
-    faults: FaultRegistry
-    closing: ExitStack
     report: Callable[[str, str, str], None]
 
     def __call__(
@@ -150,11 +145,9 @@ class MakeCellProcess:
         cell.errors.CellError
             If the config is not valid, or the process does not start; its log is in the message.
         """
-        from pytest_tactile_cell.configs import given_config, simulated_config
         from pytest_tactile_cell.process import CellProcess
 
-        found = given_config(config, self.config)
-        cell = CellProcess(simulated_config(found, objects=objects, seed=seed, changes=changes))
+        cell = CellProcess(self.checked(config, objects=objects, seed=seed, changes=changes))
         self.closing.callback(cell.end)
         self.closing.callback(
             lambda: self.report("teardown", f"tactile-cell simulate {cell.pid}", cell.log)

@@ -9,8 +9,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from cell.config.file import config_text
 from cell.config.model import CellConfig
@@ -33,21 +34,34 @@ class CellProcessError(CellError):
     """The simulated cell did not start, ended, or refused a request; its log is in the message."""
 
 
-class _Asked(Protocol):
-    """A simulated cell that takes requests."""
+class AskedCell(ABC):
+    """A simulated cell that takes requests, in another process or thread."""
 
     @property
-    def running(self) -> bool: ...
+    @abstractmethod
+    def running(self) -> bool:
+        """Whether it takes requests."""
 
-    def ask(self, **request: Any) -> dict[str, Any]: ...
+    @abstractmethod
+    def ask(self, **request: Any) -> dict[str, Any]:
+        """Send a request, for example ``place="ball"`` or ``state=True``; return the reply."""
+
+    def inject(self, text: str) -> "RequestedFault":
+        """Inject a fault such as ``can.loss=0.05@2s``; raises as `ask` if it is refused."""
+        self.ask(inject=text)
+        return RequestedFault(self, text)
+
+    def grip_n(self) -> float:
+        """Return the true force in N on the pad with less force."""
+        return float(min(self.ask(state=True)["contact_force_n"]))
 
 
 class RequestedFault:
     """A fault in a cell that takes requests, in another process or thread."""
 
-    def __init__(self, cell: _Asked, text: str) -> None:
+    def __init__(self, cell: AskedCell, text: str) -> None:
         self.text = text.strip()
-        self._cell: _Asked | None = cell
+        self._cell: AskedCell | None = cell
 
     @property
     def began_s(self) -> float | None:
@@ -67,7 +81,7 @@ class RequestedFault:
             cell.ask(clear=self.text)
 
 
-class CellProcess:
+class CellProcess(AskedCell):
     """A process ``tactile-cell simulate``, which this object starts and ends.
 
     Parameters
@@ -147,15 +161,6 @@ class CellProcess:
                 return client.ask(request)
         except PositionerError as error:
             raise CellProcessError(f"{request}: {error}. {self._state()}") from error
-
-    def inject(self, text: str) -> RequestedFault:
-        """Inject a fault such as ``can.loss=0.05@2s``. Raises CellProcessError if refused."""
-        self.ask(inject=text)
-        return RequestedFault(self, text)
-
-    def grip_n(self) -> float:
-        """Return the true force in N on the pad with less force."""
-        return float(min(self.ask(state=True)["contact_force_n"]))
 
     def wait_for_grip(self, least_n: float, *, timeout_s: float = 30.0) -> float:
         """Wait until the force on both pads is ``least_n`` N, and return it.

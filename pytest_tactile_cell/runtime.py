@@ -4,10 +4,10 @@ from typing import Any
 
 from cell.errors import CellStateError
 from cell.runtime.plugin import TactileCellPlugin
-from pytest_tactile_cell.process import RequestedFault
+from pytest_tactile_cell.process import AskedCell
 
 
-class CellRuntime(TactileCellPlugin):
+class CellRuntime(TactileCellPlugin, AskedCell):
     """A `TactileCellPlugin` on simulated devices that takes the faults of a test."""
 
     @property
@@ -23,12 +23,3 @@ class CellRuntime(TactileCellPlugin):
         if self._closed:
             raise CellStateError("the cell is closed; load the plugin again")
         return self.simulate(request)
-
-    def inject(self, text: str) -> RequestedFault:
-        """Inject a fault such as ``can.loss=0.05@2s``. Raises RequestRefused if refused."""
-        self.ask(inject=text)
-        return RequestedFault(self, text)
-
-    def grip_n(self) -> float:
-        """Return the true force in N on the pad with less force."""
-        return float(min(self.ask(state=True)["contact_force_n"]))

@@ -1,7 +1,9 @@
-"""Comparison of two models on the same grasps: paired, with an interval."""
+"""Comparison of two models by the names that they give to the same grasps: paired."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from cell.errors import CellError, raised_as
 from cell.learning.blas import one_blas_thread
@@ -17,16 +19,30 @@ class Comparison:
     """Names that two models give to the same grasps."""
 
     n: int
-    """Number of grasps of objects that both were taught."""
+    """Number of grasps."""
     right: tuple[float, float]
     wrong: tuple[float, float]
     """Share that each names rightly and wrongly; the others are UNKNOWN."""
-    only_first: int
-    only_second: int
-    """Grasps that one of them alone names rightly."""
+    alone: tuple[int, int]
+    """Grasps that each of them alone names rightly."""
     difference: float
     interval: tuple[float, float]
     """How many more the second one names rightly, as a share, and its 95 % interval (paired)."""
+
+
+def compared(truth: Sequence[str], first: Sequence[str], second: Sequence[str]) -> Comparison:
+    """Return the comparison of the names by two models with the labels of the grasps."""
+    named = np.array([first, second])
+    right = named == np.array(truth)
+    difference, interval = paired_difference(*right.tolist())
+    return Comparison(
+        n=len(truth),
+        right=tuple(right.mean(axis=1).tolist()),
+        wrong=tuple((~right & (named != UNKNOWN)).mean(axis=1).tolist()),
+        alone=tuple((right & ~right[::-1]).sum(axis=1).tolist()),
+        difference=difference,
+        interval=interval,
+    )
 
 
 @one_blas_thread()
@@ -52,20 +68,4 @@ def compare(
             [posterior.name for posterior in answers(model.recognizer, asked, mapper)]
             for model in (first, second)
         ]
-    truth = [grasp.label for grasp in asked]
-    right = [[a == b for a, b in zip(named, truth, strict=True)] for named in names]
-    wrong = [
-        sum(a not in (b, UNKNOWN) for a, b in zip(named, truth, strict=True)) / len(truth)
-        for named in names
-    ]
-    difference, interval = paired_difference(*right)
-    pairs = list(zip(*right, strict=True))
-    return Comparison(
-        n=len(asked),
-        right=(sum(right[0]) / len(asked), sum(right[1]) / len(asked)),
-        wrong=(wrong[0], wrong[1]),
-        only_first=sum(a and not b for a, b in pairs),
-        only_second=sum(b and not a for a, b in pairs),
-        difference=difference,
-        interval=interval,
-    )
+    return compared([grasp.label for grasp in asked], *names)

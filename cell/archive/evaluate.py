@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
-from cell.archive.selected_grasps import GROUPS
+from cell.archive.selected_grasps import LEFT_OUT, left_out_in_turn
 from cell.errors import CellError, raised_as
 from cell.learning import training
 from cell.learning.blas import one_blas_thread
@@ -16,20 +16,10 @@ from cell.plugins import RECOGNISERS
 from recognition.drift.drift import NO_DRIFT, Drift, drift_values
 from recognition.drift.grid import DriftGrid
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
-from recognition.evaluation.splits import (
-    TrainTest,
-    a_day_later,
-    left_out_parts,
-    parse_split,
-    series_parts,
-)
+from recognition.evaluation.splits import TrainTest, a_day_later, parse_split
 from recognition.grasp import Grasp
 from recognition.recognizers import DEFAULT_TRAINER
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
-
-SERIES = "series"
-"""Split that leaves out, in turn, each series of the objects with several series."""
-
 
 _NOT_WRITTEN = ("trainer", "uses_aperture", "n", "n_untaught")
 """Figures of a recogniser that ``--json`` omits, because the split has them."""
@@ -175,10 +165,8 @@ def _parts(
         parts: list[TrainTest] = [(tuple(train), tuple(grasps))]
     else:
         with raised_as(CellError, ValueError):
-            if split == SERIES:
-                parts = series_parts(grasps)
-            elif split in GROUPS:
-                parts = left_out_parts(grasps, [GROUPS[split](grasp) for grasp in grasps])
+            if split in LEFT_OUT:
+                parts = left_out_in_turn(grasps, split)
             else:
                 parts = [parse_split(split, seed=seed)(grasps)]
     for train_part, test_part in parts:

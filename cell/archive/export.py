@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
 
@@ -47,8 +46,8 @@ def export(archive: Archive, path: Path, selection: Selection = EVERYTHING) -> i
         write_dataset(path, grasps)
         return n
     csv = path.suffix == ".csv"
-    names = LIGHT if csv else SCHEMA.names
-    rows = archive.batches(["cell", "day", *names], selection)
+    names = ["cell", "day", *(LIGHT if csv else SCHEMA.names)]
+    rows = (pa.Table.from_batches([one]) for one in archive.batches(names, selection))
 
     def write(file: Any) -> None:
         pieces = map(_flat, rows) if csv else rows
@@ -61,19 +60,13 @@ def export(archive: Archive, path: Path, selection: Selection = EVERYTHING) -> i
             )
         ) as writer:
             for piece in chain([first], pieces):
-                writer.write_batch(piece)
+                writer.write_table(piece)
 
     write_atomically(path, write, error=ArchiveError, what="export")
     return n
 
 
-def _flat(batch: pa.RecordBatch) -> pa.RecordBatch:
+def _flat(rows: pa.Table) -> pa.Table:
     """Return rows with a column for each number of a structure, without lists and maps."""
-    columns: dict[str, Any] = {}
-    for name, values in zip(batch.schema.names, batch.columns, strict=True):
-        if pa.types.is_struct(values.type):
-            fields = [one.name for one in values.type]
-            columns |= {f"{name}_{field}": pc.struct_field(values, field) for field in fields}
-        elif not pa.types.is_nested(values.type):
-            columns[name] = values
-    return pa.RecordBatch.from_pydict(columns)
+    flat = rows.flatten()
+    return flat.select([one.name for one in flat.schema if not pa.types.is_nested(one.type)])

@@ -7,13 +7,11 @@ from cell.archive.selection import Selection, cell_of, day_of, is_archive
 from cell.errors import CellError
 from cell.installation import extra
 from cell.learning.labelled_grasps import read_labelled_grasps
+from recognition.evaluation.splits import TrainTest, left_out_parts, series_parts
 from recognition.grasp import Grasp
 
-GROUPS: dict[str, Callable[[Grasp], str]] = {
-    "days": lambda grasp: day_of(grasp.start_ms),
-    "cells": cell_of,
-}
-"""What is left out in turn, and the group of a grasp."""
+LEFT_OUT = ("days", "cells", "series")
+"""What can be left out in turn."""
 
 
 def selected_grasps(
@@ -44,6 +42,14 @@ def selected_grasps(
     if not found:
         raise CellError(f"no labelled grasp of {', '.join(places)} is selected")
     return found
+
+
+def left_out_in_turn(grasps: Sequence[Grasp], what: str) -> list[TrainTest]:
+    """Return grasps to train and to test, for each of `LEFT_OUT`; ValueError with a single one."""
+    if what == "series":
+        return series_parts(grasps)
+    day = what == "days"
+    return left_out_parts(grasps, [day_of(g.start_ms) if day else cell_of(g) for g in grasps])
 
 
 def day_and_cell(grasps: Sequence[Grasp]) -> list[str]:

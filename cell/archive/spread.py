@@ -1,21 +1,20 @@
-"""Spread between days, cells and individuals: learnt for a model, and what it gains on new ones."""
+"""Spread between days, cells and series: learnt for a model, and what it gains on new ones."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
-from cell.archive.selected_grasps import GROUPS, day_and_cell
+from cell.archive.compare import Comparison, compared
+from cell.archive.selected_grasps import LEFT_OUT, day_and_cell, left_out_in_turn
 from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress
 from cell.learning.training import Trained, train
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.drift.spread import learn_spread
 from recognition.evaluation.evaluation import Mapper, one_by_one
-from recognition.evaluation.metrics import paired_difference
-from recognition.evaluation.splits import TrainTest, left_out_parts, series_parts
+from recognition.evaluation.splits import TrainTest
 from recognition.grasp import Grasp
-from recognition.recognizer import UNKNOWN
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 
 _MOST_PARTS = 12
@@ -24,21 +23,14 @@ _MOST_PARTS = 12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpreadGain:
-    """Names of grasps of new days, cells or individuals, with the learnt spread and without it."""
+    """What the learnt spread gains on new days, cells or series, which are left out in turn."""
 
     what: str
-    """``days``, ``cells`` or ``individuals``."""
+    """``days``, ``cells`` or ``series``."""
     n_parts: int
-    n: int
-    """Parts that were left out in turn, and grasps in them."""
-    right_without: float
-    right: float
-    wrong_without: float
-    wrong: float
-    """Share that is named rightly and wrongly; the others are UNKNOWN."""
-    gained: float
-    interval: tuple[float, float]
-    """How many more are named rightly, as a share of all, and its 95 % interval (paired)."""
+    """Parts that were left out."""
+    names: Comparison
+    """Names of their grasps without the spread, and with it."""
 
 
 def with_spread(trained: Trained, grasps: Sequence[Grasp]) -> tuple[Trained, DriftPrior | None]:
@@ -59,20 +51,16 @@ def spread_gains(
     grasps: Sequence[Grasp],
     name: str,
     *,
-    use_aperture: bool = True,
     mapper: Mapper = one_by_one,
     progress: Progress,
 ) -> list[SpreadGain]:
-    """Return what the learnt spread gains on days, cells and individuals that are left out."""
+    """Return what the learnt spread gains on days, cells and series that are left out."""
     found = []
-    work = partial(_answered, name, use_aperture)
-    for what in (*GROUPS, "individuals"):
+    work = partial(_answered, name)
+    for what in LEFT_OUT:
         try:
-            if what == "individuals":
-                parts = series_parts(grasps)
-            else:
-                parts = left_out_parts(grasps, [GROUPS[what](grasp) for grasp in grasps])
-        except ValueError:  # all of one day, cell or individual
+            parts = left_out_in_turn(grasps, what)
+        except ValueError:  # all of one day, cell or series
             continue
         parts = parts[:: -(-len(parts) // _MOST_PARTS)]
         rows = []
@@ -80,15 +68,16 @@ def spread_gains(
             progress(f"leave out {what}", number + 1, len(parts))
             rows += answered
         if rows:
-            found.append(_gain(what, len(parts), rows))
+            names = compared(*zip(*rows, strict=True))
+            found.append(SpreadGain(what=what, n_parts=len(parts), names=names))
     return found
 
 
 @one_blas_thread()
-def _answered(name: str, use_aperture: bool, part: TrainTest) -> list[tuple[str, str, str]]:
+def _answered(name: str, part: TrainTest) -> list[tuple[str, str, str]]:
     """Return label and both names of each tested grasp; none where the spread cannot be learnt."""
     taught, test = part
-    plain = train(taught, name, use_aperture=use_aperture)
+    plain = train(taught, name)
     spread, prior = with_spread(plain, taught)
     if prior is None:
         return []
@@ -96,25 +85,6 @@ def _answered(name: str, use_aperture: bool, part: TrainTest) -> list[tuple[str,
         (g.label, plain.recognizer.posterior(g).name, spread.recognizer.posterior(g).name)
         for g in test
     ]
-
-
-def _gain(what: str, n_parts: int, rows: Sequence[tuple[str, str, str]]) -> SpreadGain:
-    n = len(rows)
-    before = [name == label for label, name, _ in rows]
-    after = [name == label for label, _, name in rows]
-    gained, interval = paired_difference(before, after)
-    wrong = [sum(row[i] not in (row[0], UNKNOWN) for row in rows) / n for i in (1, 2)]
-    return SpreadGain(
-        what=what,
-        n_parts=n_parts,
-        n=n,
-        right_without=sum(before) / n,
-        right=sum(after) / n,
-        wrong_without=wrong[0],
-        wrong=wrong[1],
-        gained=gained,
-        interval=interval,
-    )
 
 
 def spread_values(prior: DriftPrior, gains: Sequence[SpreadGain]) -> dict[str, Any]:

@@ -88,7 +88,7 @@ class Archive:
         """
         where = _filter(selection)
         if keys is not None:
-            where &= pc.field("key").isin(sorted(keys))
+            where &= pc.field("key").isin(pa.array(sorted(keys), pa.string()))
         with _named(self.target):
             rows = ds.dataset(
                 self._root, TABLE, format="parquet", filesystem=self._fs, partitioning=PARTITION

@@ -20,7 +20,7 @@ _LOOKS = 10
 class Lease:
     """The lease of one cell; every method from any thread.
 
-    `check_expiry` detects a silent client; `watch` does so in a thread.
+    A silent client loses it at the next call; `watch` looks in a thread.
     """
 
     timeout_s: float
@@ -48,7 +48,7 @@ class Lease:
         Raises NotInCommand if another client has it.
         """
         with self.lock:
-            self.check_expiry()
+            self._check_expiry()
             if self.number:
                 if not take:
                     raise NotInCommand(
@@ -64,7 +64,7 @@ class Lease:
     def has(self, lease: int) -> bool:
         """Whether a number is that of the lease; does not renew it."""
         with self.lock:
-            self.check_expiry()
+            self._check_expiry()
             return bool(self.number) and self.number == lease
 
     def alive(self, lease: int) -> None:
@@ -100,7 +100,7 @@ class Lease:
                 self._inside -= 1
                 self._heard_s = self.clock.monotonic()
 
-    def check_expiry(self) -> None:
+    def _check_expiry(self) -> None:
         """End the lease of a client that is silent for too long."""
         with self.lock:
             silent_s = self.clock.monotonic() - self._heard_s
@@ -113,7 +113,7 @@ class Lease:
         def run() -> None:
             while not self._over.wait(self.timeout_s / _LOOKS):
                 try:
-                    self.check_expiry()
+                    self._check_expiry()
                 except Exception as error:  # the watch must survive every error
                     note(f"watch over the lease: {error_text(error)}")
 

@@ -68,7 +68,7 @@ class Served:
     def pass_lease(self) -> None:
         """Let the time of the lease pass."""
         self.clock.now_s += LEASE_S + 1.0
-        self.service.lease.check_expiry()
+        self.service.lease.has(0)
 
     def ask_pose(self, pose: Pose) -> Future[Pose | bool]:
         """Wait for the host at a pose, as the thread of a cell does; return what it answers."""

@@ -160,7 +160,7 @@ class WireDriver(Driver):
             self._held = True
             if silent:
                 self.clock.now_s += LEASE_S + 1.0
-                self._service.lease.check_expiry()
+                self._service.lease.has(0)
             else:
                 self._wire.hold()
 

@@ -3,13 +3,13 @@
 import asyncio
 import struct
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from typing import ClassVar
 
 import pytest
 from hypothesis import strategies as st
 
-from cell.interfaces.access import Listener
+from cell.config.serve import ServeConfig
 from cell.interfaces.modbus.protocol import ModbusError, ModbusServer, answer
 from tests.fuzz.harness import bad_input, damages, spoilt
 
@@ -83,10 +83,9 @@ def test_every_request_gets_an_answer_of_its_function_or_an_exception(request):
 def test_what_is_no_modbus_is_closed_at_once(header: bytes) -> None:
     async def answered() -> bytes:
         found = b""
-        with Listener("127.0.0.1", 0) as listener:
-            server = ModbusServer(listener, lambda _host: Memory(), request_timeout_s=5.0)
+        with closing(ModbusServer(ServeConfig(), 0, lambda _host: Memory())) as server:
             served = asyncio.create_task(server.serve())
-            reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+            reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
             writer.write(header + b"\3\0\0\0\1")
             with suppress(ConnectionResetError):
                 found = await asyncio.wait_for(reader.read(), 10.0)

@@ -70,9 +70,6 @@ RecordingOutOption = Annotated[Path | None, _ending(".mcap", "recording")]
 PictureOption = Annotated[
     Path, typer.Option("--output", "-o", help="Picture to write (.png or .svg).")
 ]
-TextOutOption = Annotated[
-    Path | None, typer.Option("--output", "-o", help="File to write instead of printing.")
-]
 GraspsArgument = Annotated[
     Path | None,
     typer.Argument(

@@ -21,8 +21,8 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from cell.data.files import json_bytes, write_text
-from cell.errors import CellError, ConfigError, raised_as
+from cell.data.files import json_bytes
+from cell.errors import CellError, raised_as
 
 
 class _LossyStream:
@@ -212,15 +212,6 @@ def write_json(path: Path | None, data: Any) -> None:
     with raised_as(CellError, OSError, where=f"{path}: cannot be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(json_bytes(data) + b"\n")
-
-
-def print_or_write(text: str, path: Path | None, what: str) -> None:
-    """Print a text, or write it to a file. Raises ConfigError if it cannot be written."""
-    if path is None:
-        typer.echo(text, nl=False)
-    else:
-        write_text(path, text, error=ConfigError, what=what)
-        print_line(f"wrote {path}")
 
 
 def percent(share: float, interval: tuple[float, float] | None = None) -> str:

@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Protocol
 
-from cell.interfaces.access import ACCEPTED_AT_ONCE, Listener
+from cell.config.serve import ServeConfig
+from cell.interfaces.access import ACCEPTED_AT_ONCE, Listener, may_connect
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE, DEVICE_BUSY = 1, 2, 3, 4, 6
 """Exception codes."""
@@ -139,27 +140,23 @@ def _read(registers: Registers, function: int, address: int, count: int) -> byte
 
 
 class ModbusServer:
-    """Serves registers over TCP.
+    """Serves registers over TCP to hosts that may connect. Raises OSError if it cannot listen.
 
     Parameters
     ----------
-    listener
-        Socket at which it listens.
+    config
+        Address, allow-list, and longest time for the rest of a request, and for the client to take
+        its answer.
+    port
+        TCP port; 0: any free one.
     connect
-        Returns the registers for a client at that host; None refuses it.
-    request_timeout_s
-        Longest time in s for the rest of a request, and for the client to take its answer.
+        Returns the registers for a client at that host.
     """
 
-    def __init__(
-        self,
-        listener: Listener,
-        connect: Callable[[str], Registers | None],
-        *,
-        request_timeout_s: float,
-    ) -> None:
-        self._listener, self._connect = listener, connect
-        self._request_timeout_s = request_timeout_s
+    def __init__(self, config: ServeConfig, port: int, connect: Callable[[str], Registers]) -> None:
+        self._config, self._connect = config, connect
+        self._listener = Listener(config.listen, port)
+        self.port, self.close = self._listener.port, self._listener.close
         self._over = asyncio.Event()
 
     async def serve(self) -> None:
@@ -176,10 +173,10 @@ class ModbusServer:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         peer = writer.get_extra_info("peername")
-        registers = None if peer is None else self._connect(peer[0])
-        if registers is None:
+        if peer is None or not may_connect(peer[0], self._config):
             writer.close()
             return
+        registers = self._connect(peer[0])
         try:
             # Incomplete, late or invalid bytes end the connection: the next request cannot be
             # located. So does the end of the server.
@@ -198,7 +195,7 @@ class ModbusServer:
         """Answer one request; return False if the bytes are not Modbus."""
         async with asyncio.timeout(_IDLE_S):
             first = await reader.readexactly(1)
-        async with asyncio.timeout(self._request_timeout_s):
+        async with asyncio.timeout(self._config.request_timeout_s):
             header = first + await reader.readexactly(_HEADER.size - 1)
             transaction, protocol, length, unit = _HEADER.unpack(header)
             if protocol != 0 or not 2 <= length <= _LONGEST:

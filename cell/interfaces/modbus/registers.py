@@ -17,7 +17,7 @@ from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
 from cell.errors import CellError, ConfigError, NotInCommand, RequestRefused
 from cell.fault_catalogue import Refusal, for_display
-from cell.interfaces.access import Listener, may_connect, read_secret, same_secret
+from cell.interfaces.access import read_secret, same_secret
 from cell.interfaces.modbus.protocol import (
     DEVICE_BUSY,
     ILLEGAL_ADDRESS,
@@ -252,7 +252,7 @@ def input_registers(
     return words
 
 
-class ModbusInterface:
+class ModbusInterface(ModbusServer):
     """The cell behind Modbus TCP; one connection at a time writes.
 
     Raises OSError if it cannot listen at the configured address and port, or cannot read the file
@@ -284,18 +284,7 @@ class ModbusInterface:
                 f"{config.secret_file}: a secret for Modbus has at most {2 * N_SECRET} characters, "
                 f"not {len(self._secret)}"
             )
-        listener = Listener(config.listen, config.modbus_port or 0)
-        server = ModbusServer(
-            listener,
-            lambda host: _Client(self, host) if may_connect(host, config) else None,
-            request_timeout_s=config.request_timeout_s,
-        )
-        self.port, self.serve, self.end, self.close = (
-            listener.port,
-            server.serve,
-            server.end,
-            listener.close,
-        )
+        super().__init__(config, config.modbus_port or 0, partial(_Client, self))
 
     # All of the following runs on the event loop.
 

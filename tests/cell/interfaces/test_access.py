@@ -65,7 +65,7 @@ def answered(link: socket.socket, request: bytes) -> bytes:
     return b""
 
 
-LETS_IN = {"modbus": "modbus.registers", "xmlrpc": "http_server", "http": "http_server"}
+LETS_IN = {"modbus": "modbus.protocol", "xmlrpc": "http_server", "http": "http_server"}
 """Module of each interface that asks who may connect."""
 
 

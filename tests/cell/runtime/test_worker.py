@@ -179,7 +179,7 @@ def test_a_silence_is_told_once_and_again_after_the_host_was_heard() -> None:
 
     def look(now_s: float) -> list[str]:
         clock.now_s = now_s
-        lease.check_expiry()
+        lease.has(0)
         return [re.findall(r"[0-9.]+", text)[0] for text in silences]
 
     assert look(1.0) == []

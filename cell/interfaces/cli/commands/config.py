@@ -9,8 +9,8 @@ import cell.config
 from cell.config.file import SHORT_KEYS, config_text, load_config, schema_text
 from cell.data.files import write_text
 from cell.errors import ConfigError
-from cell.interfaces.cli.options import FOLDER_CONFIG, TextOutOption
-from cell.interfaces.cli.terminal import print_line, print_note, print_or_write
+from cell.interfaces.cli.options import FOLDER_CONFIG
+from cell.interfaces.cli.terminal import print_line, print_note
 from cell.simulation import simulator_settings
 
 
@@ -71,6 +71,6 @@ def check(path: Annotated[Path, typer.Argument(help="Config file.")]) -> None:
     print_line(f"{path}: valid: {config.name}, {kind}")
 
 
-def schema(output: TextOutOption = None) -> None:
+def schema() -> None:
     """Print the JSON schema of the config file."""
-    print_or_write(schema_text(), output, "schema")
+    typer.echo(schema_text(), nl=False)

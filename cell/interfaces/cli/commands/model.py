@@ -115,13 +115,16 @@ def train(
             f"spread between days and cells: gain {100 * prior.log_gain_sd:.0f} %, opening "
             f"{prior.offset_sd_mm:.1f} mm"
         )
-    lines += [
-        f"{one.n} grasps of {one.n_parts} {one.what} left out in turn: named rightly "
-        f"{percent(one.right_without)} without it, {percent(one.right)} with it, a difference "
-        f"of {percent(one.gained, one.interval)}; wrongly {percent(one.wrong_without)} and "
-        f"{percent(one.wrong)}"
-        for one in gains
-    ]
+    for one in gains:
+        names = one.names
+        without, with_it = (
+            f"{percent(right)} rightly, {percent(wrong)} wrongly"
+            for right, wrong in zip(names.right, names.wrong, strict=True)
+        )
+        lines.append(
+            f"{names.n} grasps of {one.n_parts} {one.what} left out in turn: {without} without the "
+            f"spread; {with_it} with it, {percent(names.difference, names.interval)} more rightly"
+        )
     summary = summarise_teaching(grasps)
     values = {
         "model": str(model),
@@ -437,8 +440,7 @@ def compare(
     grasps = selected_grasps(datasets, selection, most, print_line)
     with workers(jobs) as mapper:
         found = compare_models(*models, grasps, mapper)
-    only = (found.only_first, found.only_second)
-    each = zip((first, second), found.right, found.wrong, only, strict=True)
+    each = zip((first, second), found.right, found.wrong, found.alone, strict=True)
     lines = [
         f"{path}: named rightly {percent(right)}, wrongly {percent(wrong)}; {alone} grasps "
         "that the other one does not name rightly"

@@ -156,7 +156,7 @@ def test_a_frozen_life_counter_is_silence(connect) -> None:
     served.clock.now_s += 50.0
     plc.write(LIFE, plc.life)  # written, but the same: the PLC's program stands
     served.clock.now_s += 11.0
-    served.service.lease.check_expiry()
+    served.service.lease.has(0)
     assert "was silent for 61.00 s" in served.ended().error
     assert plc.inputs()[2:4] == [DONE | HOLDING, 11]
     # It goes on, and has to adopt the number again.
