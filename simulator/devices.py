@@ -185,10 +185,11 @@ class CellDevices:
 
     def advance_to(self, now_s: float) -> None:
         """Advance axes, fingers, object and servos to ``now_s`` s."""
-        for axis in self.axes.values():
-            axis.advance(now_s)
-        if self.axes and self.stage is not None:
-            self.stage.advance()
+        if self.axes:
+            for axis in self.axes.values():
+                axis.advance(now_s)
+            if self.stage is not None:
+                self.stage.advance()
         self.world.advance_to(now_s)
         self.servo_bus.advance_to(now_s)
         for board in self.boards:

@@ -118,7 +118,7 @@ class SimulatedControlUnit(CanopenDevice):
 
     def next_event_s(self) -> float:
         """Return the time in s of the unit's next own message; infinity: never."""
-        return min(super().next_event_s(), self._force_due_s)
+        return min(self._boot_due_s, self._network.next_due_s, self._force_due_s)
 
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s: boot-up, heartbeat."""

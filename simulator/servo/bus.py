@@ -17,6 +17,7 @@ from simulator.servo.device import SimulatedServo
 from simulator.servo.faults import WireFaults
 from simulator.servo.protocol2 import (
     BROADCAST_ID,
+    HEADER,
     MAX_ID,
     STATUS,
     Instruction,
@@ -88,13 +89,15 @@ class ServoBusDevice:
         self._line_free_s = end_s
         if faults.echo:
             self._send_at(end_s, data)
-        self._answer_protocol_1(data, end_s)
+        if not data.startswith(HEADER):
+            self._answer_protocol_1(data, end_s)
         for packet in self._parser.push(faults.request(data)):
             self._dispatch(packet, end_s)
 
     def transmit(self, now_s: float) -> bytes:
         """Return the bytes that have reached the host by ``now_s``."""
-        self._hear_chatter(now_s)
+        if self.faults.chatter is not None or self._chatter_s is not None:
+            self._hear_chatter(now_s)
         queue = self._queue
         if not queue or queue[0][0] > now_s + ROUNDING_S:
             return b""
@@ -121,7 +124,7 @@ class ServoBusDevice:
     def _dispatch(self, packet: Packet, now_s: float) -> None:
         if packet.instruction == STATUS:
             return
-        hearing = [s for s in self.servos if self._hears(s, now_s)]
+        hearing = [s for s in self.servos if self._listens(s, now_s) and not s.speaks_protocol_1]
         if not packet.intact:
             self._answer_damaged(packet, hearing, now_s)
             return
@@ -140,9 +143,6 @@ class ServoBusDevice:
             body = bytes((servo.servo_id, 2, Instruction.PING))
             if data == _protocol_1(body) and self._listens(servo, now_s):
                 self._reply(servo, _protocol_1(body[:2] + b"\x00"), now_s)
-
-    def _hears(self, servo: SimulatedServo, now_s: float) -> bool:
-        return self._listens(servo, now_s) and not servo.speaks_protocol_1
 
     def _listens(self, servo: SimulatedServo, now_s: float) -> bool:
         silent = self.faults.silent

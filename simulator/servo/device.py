@@ -187,11 +187,13 @@ class SimulatedServo:
             if refused is not StatusError.NONE:
                 return refused
         goals = profile = False
+        table, at = self.core.table.data, 0
         for item, raw in values:
+            at += item.size
             if item.address == TORQUE_ENABLE.address:
                 self.core.set_torque(on=bool(raw))
                 continue
-            self.core.table.set(item.address, item.size, raw)
+            table[item.address : item.address + item.size] = data[at - item.size : at]
             if item.address in _GOALS:
                 goals = True
             elif GOAL_START <= item.address < GOAL_END:

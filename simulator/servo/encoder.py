@@ -42,8 +42,9 @@ class VelocityRegister:
         self._rad_per_pulse, self._unit_rad_s = model.rad_per_pulse, model.velocity_unit_rad_s
         self._time_s = 0.0
         self._count = count
-        # Times from which on the encoder had a count.
-        self._counts = deque([(-self._window_s, count)])
+        # Count at the begin of the window, and later changes: time and new count.
+        self._first = count
+        self._changes: deque[tuple[float, int]] = deque()
         self._step_s = self._share = 0.0
         self._velocity_rad_s = 0.0
 
@@ -56,15 +57,15 @@ class VelocityRegister:
         """Take the count of the encoder ``dt_s`` s after the count before."""
         if dt_s != self._step_s:
             self._step_s, self._share = dt_s, 1.0 - math.exp(-dt_s / self._low_pass_s)
-        counts = self._counts
+        changes = self._changes
         now_s = self._time_s = self._time_s + dt_s
         if count != self._count:
             self._count = count
-            counts.append((now_s, count))
+            changes.append((now_s, count))
         first_s = now_s - self._window_s + _ROUNDING_S
-        while len(counts) > 1 and counts[1][0] <= first_s:
-            counts.popleft()
-        mean_rad_s = (count - counts[0][1]) * self._rad_per_pulse / self._window_s
+        while changes and changes[0][0] <= first_s:
+            _, self._first = changes.popleft()
+        mean_rad_s = (count - self._first) * self._rad_per_pulse / self._window_s
         self._velocity_rad_s += (mean_rad_s - self._velocity_rad_s) * self._share
 
 

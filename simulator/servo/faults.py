@@ -86,7 +86,7 @@ class WireFaults:
 
     def request(self, data: bytes) -> bytes:
         """Return the bytes at the servos for one write of the host."""
-        return b"" if self._happens(self.lose_request) else data
+        return b"" if self.lose_request and self._happens(self.lose_request) else data
 
     def answer(self, servo_id: int, packet: bytes) -> list[Piece]:
         """Return the pieces of one answer at the host; without faults the unchanged packet."""
@@ -96,19 +96,19 @@ class WireFaults:
         if self.drop_next:
             self.drop_next -= 1
             return []
-        if self._happens(self.drop):
+        if self.drop and self._happens(self.drop):
             return []
-        if self._happens(self.wrong_id):
+        if self.wrong_id and self._happens(self.wrong_id):
             body = packet[:4] + bytes(((packet[4] + 1) % 253,)) + packet[5:-2]
             packet = body + crc16(body).to_bytes(2, "little")
-        if self._happens(self.bit_flip):
+        if self.bit_flip and self._happens(self.bit_flip):
             bit = self._random().randrange(8 * len(packet))
             flipped = bytearray(packet)
             flipped[bit // 8] ^= 1 << bit % 8
             packet = bytes(flipped)
-        if self._happens(self.truncate):
+        if self.truncate and self._happens(self.truncate):
             packet = packet[:-_TRUNCATED_BYTES]
-        if self._happens(self.garbage):
+        if self.garbage and self._happens(self.garbage):
             packet = _GARBAGE + packet
         pieces = [Piece(self.delay_s, packet)]
         if self.repeat_s > 0.0:
@@ -116,7 +116,7 @@ class WireFaults:
         return pieces
 
     def _happens(self, share: float) -> bool:
-        return share > 0.0 and self._random().random() < share
+        return self._random().random() < share
 
     def _random(self) -> random.Random:
         if self._generator is None:

@@ -78,14 +78,12 @@ _LIMITS = struct.Struct("<HH4xI")
 """Registers 36 to 47: limits of PWM, current and velocity, with the 4 bytes before the last."""
 _GAINS = struct.Struct("<HHH")
 """Registers 80 to 85: D, I and P gain of the position."""
-_VOLTAGE_LIMITS = struct.Struct("<HH")
-"""Registers 32 to 35: highest and lowest voltage in units of 0.1 V."""
 _TORQUE = TORQUE_ENABLE.address
 _MODE = OPERATING_MODE.address
 _DRIVE = DRIVE_MODE.address
 _HARDWARE_ERROR = HARDWARE_ERROR_STATUS.address
 _TEMPERATURE_LIMIT, _VOLTAGE = TEMPERATURE_LIMIT.address, MAX_VOLTAGE_LIMIT.address
-"""Addresses of items that each step of the motor reads."""
+"""Addresses of items that each step of the motor reads; the lowest voltage follows the highest."""
 
 
 class ServoPosition:
@@ -363,7 +361,8 @@ class ServoCore:
             bits |= HardwareError.OVERHEATING
         if plant.load_excess_s > OVERLOAD_BUDGET_S:
             bits |= HardwareError.OVERLOAD
-        highest_raw, lowest_raw = _VOLTAGE_LIMITS.unpack_from(data, _VOLTAGE)
+        highest_raw = data[_VOLTAGE] | data[_VOLTAGE + 1] << 8
+        lowest_raw = data[_VOLTAGE + 2] | data[_VOLTAGE + 3] << 8
         supply_raw = plant.voltage_v / plant.model.voltage_unit_v
         if not lowest_raw <= supply_raw <= highest_raw:
             bits |= HardwareError.INPUT_VOLTAGE

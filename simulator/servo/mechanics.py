@@ -189,6 +189,7 @@ class FingerMechanics:
                 f"half_opening_min_m is {half_opening_min_m}, must be from {low_m} to {high_m}"
             )
         self.motors = tuple(motors)
+        self._single = len(motors) == 1
         self._linkage = linkage
         self._axes = tuple(
             (mount.direction, mount.zero_raw * motor.model.rad_per_pulse)
@@ -205,12 +206,13 @@ class FingerMechanics:
     @property
     def finger_position_m(self) -> tuple[float, float]:
         """Half openings of finger 0 and finger 1 from the centre plane in m."""
-        half_opening_m = self._linkage.half_opening_m
-        found_m = [
-            max(self._lower_m, half_opening_m(direction * (motor.angle_rad - zero_rad)))
-            for motor, (direction, zero_rad) in zip(self.motors, self._axes, strict=True)
-        ]
-        return found_m[0], found_m[-1]
+        near_m = self._position_m(0)
+        return near_m, near_m if self._single else self._position_m(1)
+
+    def _position_m(self, axis: int) -> float:
+        direction, zero_rad = self._axes[axis]
+        found_m = self._linkage.half_opening_m(direction * (self.motors[axis].angle_rad - zero_rad))
+        return found_m if found_m > self._lower_m else self._lower_m
 
     @property
     def aperture_m(self) -> float:
@@ -314,11 +316,10 @@ class FingerMechanics:
     def _step(
         self, dt_s: float, force_n: tuple[float, float], stiffness_n_m: tuple[float, float]
     ) -> None:
-        motors = self.motors
         if self._driven:
-            for motor in motors:
+            for motor in self.motors:
                 motor.torque_nm(dt_s)
-        elif len(motors) == 1:
+        elif self._single:
             self._move(0, dt_s, force_n[0] + force_n[1], stiffness_n_m[0] + stiffness_n_m[1])
         else:
             self._move(0, dt_s, force_n[0], stiffness_n_m[0])

@@ -362,7 +362,7 @@ class ServoMotor:
         return (back_emf_v + math.copysign(math.sqrt(square), goal_a)) / (2.0 * supply_v)
 
     def _account(self, dt_s: float) -> None:
-        """Update temperature and overload budget by the current, and wear by the motion."""
+        """Update temperature and overload budget by the current and the rule, wear by the motion."""
         if self.wear_per_turn:
             self.worn += self.wear_per_turn * abs(self.velocity_rad_s) * dt_s / math.tau
         current_a = self.current_a
@@ -372,23 +372,21 @@ class ServoMotor:
         self.temperature_c += (board_c - self.temperature_c) * (dt_s / THERMAL_TIME_CONSTANT_S)
         hot_k = self.temperature_c + self.winding_rise_k - AMBIENT_C
         self._resistance_ohm = self._cold_ohm * (1.0 + _COPPER_PER_K * hot_k)
-        excess_s = self.load_excess_s + self._overload() * dt_s
-        self.load_excess_s = excess_s if excess_s > 0.0 else 0.0
-
-    def _overload(self) -> float:
-        """Return the load over its limit, by the servo's rule; below 0 the servo recovers."""
-        current_a = abs(self.current_a)
+        # Load over its limit; below 0 the servo recovers.
+        current_a = current_a if current_a > 0.0 else -current_a
         if self.overload_rule is OverloadRule.DUTY:
             supply_v = self.voltage_v if self.voltage_v > _LEAST_SUPPLY_V else _LEAST_SUPPLY_V
-            return current_a * self._resistance_ohm / supply_v - OVERLOAD_DUTY
-        if self.overload_rule is OverloadRule.CURRENT:
+            over = current_a * self._resistance_ohm / supply_v - OVERLOAD_DUTY
+        elif self.overload_rule is OverloadRule.CURRENT:
             measured_a = abs(self.duty) * current_a if self._of_supply else current_a
-            return measured_a / self._stall_a - _OVERLOAD_CURRENT
-        follows = self.command.mode in {DriveMode.POSITION, DriveMode.CURRENT_POSITION}
-        loaded = current_a > _OVERLOAD_BLOCKED * self._stall_a
-        if follows and loaded and abs(self._error) > _OVERLOAD_PULSES:
-            return OVERLOAD_BUDGET_S / _BLOCKED_S
-        return -OVERLOAD_DUTY
+            over = measured_a / self._stall_a - _OVERLOAD_CURRENT
+        else:
+            follows = self.command.mode in {DriveMode.POSITION, DriveMode.CURRENT_POSITION}
+            loaded = current_a > _OVERLOAD_BLOCKED * self._stall_a
+            blocked = follows and loaded and abs(self._error) > _OVERLOAD_PULSES
+            over = OVERLOAD_BUDGET_S / _BLOCKED_S if blocked else -OVERLOAD_DUTY
+        excess_s = self.load_excess_s + over * dt_s
+        self.load_excess_s = excess_s if excess_s > 0.0 else 0.0
 
     def _velocity_loop(self, dt_s: float) -> float:
         velocity_rad_s = self.velocity_rad_s if self.stuck_at_rad is None else 0.0

@@ -148,14 +148,14 @@ class PacketParser:
         """Take bytes from the wire and return the completed packets in order."""
         buffer = self._buffer + data
         packets: list[Packet] = []
-        start = 0
+        start, size = 0, len(buffer)
         while True:
             found = self._next_header(buffer, start)
             if found < 0:
-                start = max(start, len(buffer) - 2)
+                start = max(start, size - 2)
                 break
             start = found
-            if len(buffer) < start + _OVERHEAD:
+            if size < start + _OVERHEAD:
                 break
             _, length = _ID_AND_LENGTH.unpack_from(buffer, start + len(_START))
             if not 3 <= length <= MAX_LENGTH:
@@ -166,7 +166,7 @@ class PacketParser:
             if inner >= 0:
                 start = inner
                 continue
-            if len(buffer) < end:
+            if size < end:
                 break
             packet = self._take(buffer[start:end])
             packets.append(packet)

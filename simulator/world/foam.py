@@ -118,23 +118,27 @@ class ForceTable:
         self._lag_m = self.reach_max_m - np.sort(surface_m)[::-1]
         self._cell_area_m2 = cell_area_m2
         self._last = math.ceil(foam.thickness_m / TABLE_STEP_M) - 1
-        self._force_n: dict[int, float] = {}
+        # Force in N by the number of steps; None: not computed.
+        self._force_n: list[float | None] = [None] * (self._last + 2)
 
     def lookup(self, depth_m: float) -> tuple[float, float]:
         """Return force in N and stiffness in N/m when the highest point is ``depth_m`` m deep."""
         if depth_m <= 0.0:
             return 0.0, 0.0
-        i = min(int(depth_m / TABLE_STEP_M), self._last)
-        force_n = self._at(i)
-        stiffness_n_m = (self._at(i + 1) - force_n) / TABLE_STEP_M
+        i = int(depth_m / TABLE_STEP_M)
+        i = i if i < self._last else self._last
+        force_n, next_n = self._force_n[i], self._force_n[i + 1]
+        if force_n is None:
+            force_n = self._at(i)
+        if next_n is None:
+            next_n = self._at(i + 1)
+        stiffness_n_m = (next_n - force_n) / TABLE_STEP_M
         return force_n + stiffness_n_m * (depth_m - i * TABLE_STEP_M), stiffness_n_m
 
     def _at(self, i: int) -> float:
-        """Return the force in N at a depth of ``i`` steps."""
-        found_n = self._force_n.get(i)
-        if found_n is None:
-            depth_m = i * TABLE_STEP_M
-            pressed = np.searchsorted(self._lag_m, depth_m, side="right")
-            pressure_pa = self._foam.pressure_pa(depth_m - self._lag_m[:pressed])
-            found_n = self._force_n[i] = float(pressure_pa.sum() * self._cell_area_m2)
+        """Compute the force in N at a depth of ``i`` steps."""
+        depth_m = i * TABLE_STEP_M
+        pressed = np.searchsorted(self._lag_m, depth_m, side="right")
+        pressure_pa = self._foam.pressure_pa(depth_m - self._lag_m[:pressed])
+        found_n = self._force_n[i] = float(pressure_pa.sum() * self._cell_area_m2)
         return found_n
