@@ -362,7 +362,7 @@ class ServoMotor:
         return (back_emf_v + math.copysign(math.sqrt(square), goal_a)) / (2.0 * supply_v)
 
     def _account(self, dt_s: float) -> None:
-        """Update temperature and overload budget by the current and the rule, wear by the motion."""
+        """Update temperature, overload budget and wear."""
         if self.wear_per_turn:
             self.worn += self.wear_per_turn * abs(self.velocity_rad_s) * dt_s / math.tau
         current_a = self.current_a
