@@ -9,10 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from cell.checks.findings import Finding, Verdict, check_result
-from cell.config.model import CellConfig
-from cell.config.positioner import AxesCanConfig, ServoAxisConfig
-from cell.config.section import SIMULATED
-from cell.config.tactile import TactileConfig
 from gripper.dynamixel.serial_port import (
     latency_timer_file,
     latency_timer_ms,
@@ -24,34 +20,6 @@ _LATENCY_MS = 1
 """Latency timer in ms that the force loop of 200 Hz needs."""
 _ROOT = Path("/")
 """Folder of the system's folders dev, proc, run and sys."""
-
-
-def serial_ports(config: CellConfig) -> Iterator[tuple[str, str, str]]:
-    """Yield the role, key and name of each serial port of a cell."""
-    ports = [("servos", "gripper.port", config.gripper.port)]
-    ports += [
-        (role, f"{key}.channel", can.channel)
-        for role, key, can in can_buses(config)
-        if can.channel.startswith("/") and can.interface != SIMULATED
-    ]
-    ports += [
-        (f"sensor{number}", f"tactile.sensor.ports[{number}]", port)
-        for number, port in enumerate(config.tactile.serial_ports)
-    ]
-    ports += [
-        (axis.moves, f"port of the axis {axis.moves}", axis.port)
-        for axis in config.positioner.axes
-        if isinstance(axis, ServoAxisConfig)
-    ]
-    return ((role, key, port) for role, key, port in ports if port != SIMULATED)
-
-
-def can_buses(config: CellConfig) -> Iterator[tuple[str, str, TactileConfig | AxesCanConfig]]:
-    """Yield the role, key and settings of each CAN bus of a cell."""
-    if config.tactile.sensor.on_can:
-        yield "can", "tactile", config.tactile
-    if config.positioner.drives:
-        yield "axes", "positioner.can", config.positioner.can
 
 
 def check_port(key: str, port: str) -> Iterator[Finding]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cell.build import Cell, build_cell
 from cell.checks.changes import CommissionedValues, changed_pads, changed_servos, changed_unit
 from cell.checks.findings import Finding, Verdict, check_result
-from cell.checks.ports import check_port, serial_ports
+from cell.checks.ports import check_port
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration, pad_mounts
 from cell.control.self_zero import drive_text, kept_zeros
@@ -51,7 +51,7 @@ def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Fin
     name ``config_file``.
     """
     yield from _machine()
-    for _, key, port in serial_ports(config):
+    for _, key, port in config.serial_ports:
         yield from check_port(key, port)
     named = "" if config_file is None else f" --config {quote(str(config_file))}"
     yield _self_zero(config, named)

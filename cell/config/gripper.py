@@ -13,6 +13,7 @@ from cell.config.section import (
     Installed,
     Section,
     declared_values,
+    refuse_repeats,
     setting_of,
 )
 from cell.data.formats import SERVO_BENCH, read_json
@@ -241,9 +242,7 @@ class GripperConfig(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        ids = [servo.id for servo in self.servos]
-        if len(set(ids)) != len(ids):
-            raise ValueError(f"servo ids {ids} repeat; give each servo its own id")
+        refuse_repeats((servo.id for servo in self.servos), "the ids of the servos")
         for servo in self.servos:
             most_a = MODELS[servo.model].stall_current_a
             if self.current_max_a > most_a:

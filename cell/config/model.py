@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
-from cell.config.positioner import PositionerConfig
+from cell.config.positioner import AxesCanConfig, PositionerConfig, ServoAxisConfig
 from cell.config.section import SIMULATED, Installed, Section, setting_of
 from cell.config.sequence import SequenceConfig, ramp_from_config
 from cell.config.serve import ServeConfig
@@ -158,27 +158,27 @@ class CellConfig(Section):
             layout = layout_from_config(self.tactile)
         check_sensor(self.tactile, layout)
         self._check_full_scale(layout, most_n)
-        simulated = (self.gripper.port == SIMULATED, self.tactile.simulated)
-        if simulated[0] != simulated[1]:
+        axes = (port == SIMULATED for port in self.positioner.ports)
+        if {*axes, self.tactile.simulated} != {self.simulated}:
             raise ValueError(
-                "gripper.port and the port of the pads (tactile.interface or tactile.sensor.ports) "
-                "must both be `simulated` or both be real: one simulated object cannot be touched "
-                "by a real gripper"
+                "gripper.port, the ports of the pads (tactile.interface or tactile.sensor.ports) "
+                "and those of the axes must all be `simulated` or all be real: a real gripper "
+                "cannot touch a simulated object"
             )
-        if self.simulator.faults and not simulated[0]:
+        keys: dict[str, list[str]] = {}
+        for _, key, port in self.serial_ports:
+            keys.setdefault(port, []).append(key)
+            if len(keys[port]) > 1:
+                raise ValueError(f"{' and '.join(keys[port])} are {port}: write another port")
+        if self.simulator.faults and not self.simulated:
             raise ValueError(
                 "simulator.faults are for the simulated cell, but this cell has real ports: "
                 "remove them"
             )
-        if self.gripper.port != SIMULATED and self.gripper.port in self.tactile.serial_ports:
-            raise ValueError(
-                f"{self.gripper.port} is gripper.port and in tactile.sensor.ports: servos and "
-                "boards need separate ports"
-            )
         on_can = self.tactile.sensor.on_can
-        if not simulated[0] and on_can and self.tactile.channel == "":
+        if not self.simulated and on_can and self.tactile.channel == "":
             raise ValueError("tactile.channel is empty; name the channel of the CAN interface")
-        elsewhere = not simulated[0] and not self.positioner.socket
+        elsewhere = not self.simulated and not self.positioner.socket
         if elsewhere and self.positioner.kind == "simulated":
             raise ValueError(
                 "positioner.kind is simulated but the cell is not: choose operator or callback, "
@@ -192,7 +192,7 @@ class CellConfig(Section):
                     "calibrate --gauge`)"
                 )
             object.__setattr__(self, "self_zero", "never")
-        self._check_axes(simulated[0])
+        self._check_axes()
         self._check_motion(max(most_n, carry_n))
         return self
 
@@ -246,28 +246,17 @@ class CellConfig(Section):
             f"(60 at most), or a smaller aperture_open_mm"
         )
 
-    def _check_axes(self, simulated: bool) -> None:
-        """Refuse axes that do not fit the sequence, and a mix of simulated and real ports."""
+    def _check_axes(self) -> None:
+        """Refuse axes that do not fit the sequence or the sensor."""
         positioner, can, tactile = self.positioner, self.positioner.can, self.tactile
         positioner.check_sequence(self.sequence)
         shared = (can.interface, can.channel) == (tactile.interface, tactile.channel)
         lone = tactile.sensor.lone_on_can
-        if lone and shared and positioner.drives and not simulated:
+        if lone and shared and positioner.drives and not self.simulated:
             raise ValueError(
                 f"positioner.can is the bus of tactile: {lone}; give them a bus without "
                 "CANopen nodes"
             )
-        for port in positioner.ports:
-            if simulated != (port == SIMULATED):
-                raise ValueError(
-                    f"an axis of the positioner is on {port!r}, gripper.port is "
-                    f"{self.gripper.port!r}: both or neither must be `simulated`"
-                )
-            if port == self.gripper.port != SIMULATED:
-                raise ValueError(
-                    f"an axis of the positioner is on {port!r}, the port of the fingers: its "
-                    "servo needs a separate port"
-                )
 
     def _check_full_scale(self, layout: TaxelLayout, most_n: float) -> None:
         """Refuse a calibration if the end of the ramp saturates the taxels under a small part."""
@@ -285,6 +274,36 @@ class CellConfig(Section):
     def simulated(self) -> bool:
         """Whether this is the built-in simulated cell."""
         return self.gripper.port == SIMULATED
+
+    @property
+    def can_buses(self) -> list[tuple[str, str, TactileConfig | AxesCanConfig]]:
+        """Role, key and settings of each CAN bus."""
+        buses: list[tuple[str, str, TactileConfig | AxesCanConfig]] = []
+        if self.tactile.sensor.on_can:
+            buses.append(("can", "tactile", self.tactile))
+        if self.positioner.drives:
+            buses.append(("axes", "positioner.can", self.positioner.can))
+        return buses
+
+    @property
+    def serial_ports(self) -> list[tuple[str, str, str]]:
+        """Role, key and name of each real serial port."""
+        ports = [("servos", "gripper.port", self.gripper.port)]
+        ports += [
+            (role, f"{key}.channel", can.channel)
+            for role, key, can in self.can_buses
+            if can.channel.startswith("/") and can.interface != SIMULATED
+        ]
+        ports += [
+            (f"sensor{number}", f"tactile.sensor.ports[{number}]", port)
+            for number, port in enumerate(self.tactile.serial_ports)
+        ]
+        ports += [
+            (axis.moves, f"port of the axis {axis.moves}", axis.port)
+            for axis in self.positioner.axes
+            if isinstance(axis, ServoAxisConfig)
+        ]
+        return [one for one in ports if one[2] != SIMULATED]
 
     @property
     def decides_early(self) -> bool:

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from cell.config.section import SIMULATED, Section
+from cell.config.section import SIMULATED, Section, refuse_repeats
 from cell.config.sequence import Range, SequenceConfig
 from gripper.dynamixel.models import MODELS, XM430_W350
 
@@ -26,32 +26,43 @@ class AxesCanConfig(Section):
     stops by itself after twice this time without its host."""
 
 
-def check_axis(moves: str, increments: float, low: float, high: float) -> None:
-    """Check limits and increments of an axis. Raises ValueError."""
-    if not low < high:
-        raise ValueError(f"axis {moves} has the limits {low:g} to {high:g}; low must be below high")
-    if not 0.01 <= abs(increments) <= 1e6 or abs(increments) * max(abs(low), abs(high)) >= 2**31:
-        raise ValueError(
-            f"axis {moves} has {increments:g} increments per mm or degree; write 0.01 to 1e6, "
-            "with limits that fit into 32 bits"
-        )
+class _Axis(Section):
+    """Keys of each axis; lengths in mm, turns in degrees."""
 
-
-class DriveAxisConfig(Section):
-    """An axis with a CiA 402 drive; lengths in mm, turns in degrees."""
-
-    kind: Literal["cia402"]
+    kind: str
     """Device of the axis."""
     moves: Moves
     """Part of the pose that it moves: x, y, rotation or roll."""
-    node_id: int = Field(ge=1, le=127)
-    """CANopen node-ID of the drive, 1 to 127."""
     increments: float
-    """Increments of the drive per mm or degree; negative if it counts in the other direction."""
+    """Increments of the device per mm or degree; negative if it counts in the other direction."""
     low: float = Field(ge=-1000.0, le=1000.0)
     """Lower limit in mm or degrees; smaller targets are refused."""
     high: float = Field(ge=-1000.0, le=1000.0)
     """Upper limit in mm or degrees."""
+
+    @model_validator(mode="after")
+    def _counts(self) -> Self:
+        """Refuse limits and increments that the device cannot count."""
+        scale, low, high = abs(self.increments), self.low, self.high
+        if not low < high:
+            raise ValueError(
+                f"axis {self.moves} has the limits {low:g} to {high:g}; low must be below high"
+            )
+        if not 0.01 <= scale <= 1e6 or scale * max(abs(low), abs(high)) >= 2**31:
+            raise ValueError(
+                f"axis {self.moves} has {self.increments:g} increments per mm or degree; write "
+                "0.01 to 1e6, with limits that fit into 32 bits"
+            )
+        return self
+
+
+class DriveAxisConfig(_Axis):
+    """An axis with a CiA 402 drive; lengths in mm, turns in degrees."""
+
+    kind: Literal["cia402"]
+    """Device of the axis."""
+    node_id: int = Field(ge=1, le=127)
+    """CANopen node-ID of the drive, 1 to 127."""
     velocity: float = Field(default=20.0, gt=0.0, le=1000.0)
     """Profile velocity in mm or degrees a second."""
     acceleration: float = Field(default=100.0, gt=0.0, le=10000.0)
@@ -68,19 +79,12 @@ class DriveAxisConfig(Section):
     following_error: float = Field(default=1.0, gt=0.0, le=100.0)
     """Following error in mm or degrees at which the drive stops with a fault."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        check_axis(self.moves, self.increments, self.low, self.high)
-        return self
 
-
-class ServoAxisConfig(Section):
+class ServoAxisConfig(_Axis):
     """An axis with a Dynamixel servo on its own port, in extended position mode."""
 
     kind: Literal["dynamixel"]
     """Device of the axis."""
-    moves: Moves
-    """Part of the pose that it moves: x, y, rotation or roll."""
     port: str = Field(default=SIMULATED, min_length=1, max_length=200)
     """Serial port of this servo only, for example /dev/ttyUSB1; `simulated`: the built-in port."""
     baud_rate: Literal[57600, 115200, 1000000, 2000000, 3000000, 4000000, 4500000] = 1000000
@@ -93,10 +97,6 @@ class ServoAxisConfig(Section):
     """Pulses per degree or mm: 11.3778 without a gear; negative for the other direction."""
     zero_pulse: int = Field(default=0, ge=0, le=4095)
     """Present Position at 0 of the axis in pulses, 0 to 4095."""
-    low: float = Field(ge=-1000.0, le=1000.0)
-    """Lower limit in mm or degrees; low and high are at most one turn of the servo apart."""
-    high: float = Field(ge=-1000.0, le=1000.0)
-    """Upper limit in mm or degrees."""
     velocity: float = Field(default=90.0, gt=0.0, le=1000.0)
     """Profile velocity in mm or degrees a second."""
     acceleration: float = Field(default=360.0, gt=0.0, le=10000.0)
@@ -113,7 +113,6 @@ class ServoAxisConfig(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        check_axis(self.moves, self.increments, self.low, self.high)
         if abs(self.increments) * (self.high - self.low) > MODELS[self.model].pulses_per_turn:
             raise ValueError(
                 f"axis {self.moves} goes from {self.low:g} to {self.high:g}, more than one turn of "
@@ -142,17 +141,8 @@ class PositionerConfig(Section):
     def _consistent(self) -> Self:
         if (self.kind == "axes") != bool(self.axes):
             raise ValueError("list positioner.axes if positioner.kind is axes, and only then")
-        moved = [axis.moves for axis in self.axes]
-        if len(set(moved)) != len(moved):
-            raise ValueError(
-                f"positioner.axes move {', '.join(moved)}: list one axis for each part of a pose"
-            )
-        nodes = [axis.node_id for axis in self.drives]
-        if len(set(nodes)) != len(nodes):
-            raise ValueError(f"positioner.axes have node-IDs {nodes}: give each drive its own ID")
-        ports = [port for port in self.ports[bool(self.drives) :] if port != SIMULATED]
-        if len(set(ports)) != len(ports):
-            raise ValueError(f"positioner.axes use the ports {ports}: give each servo its own port")
+        refuse_repeats((axis.moves for axis in self.axes), "moves of positioner.axes")
+        refuse_repeats((axis.node_id for axis in self.drives), "node-IDs of positioner.axes")
         return self
 
     @property

@@ -1,6 +1,6 @@
 """The base of all sections of the config, and links to settings that are declared elsewhere."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from math import inf, isfinite
 from typing import Any, get_args
@@ -33,6 +33,13 @@ _UNITS = {
 def unit_of(key: str) -> str:
     """Return the unit of a key from the end of its name; empty if it has none."""
     return next((unit for end, unit in _UNITS.items() if key.endswith(f"_{end}")), "")
+
+
+def refuse_repeats(values: Iterable[object], what: str) -> None:
+    """Raise ValueError if a value occurs twice; ``what`` names the values."""
+    listed = list(values)
+    if repeated := [value for value in dict.fromkeys(listed) if listed.count(value) > 1]:
+        raise ValueError(f"{what} repeat {', '.join(map(str, repeated))}: write another one")
 
 
 class Section(BaseModel):

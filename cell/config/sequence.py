@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from cell.config.section import Section
 from gripper.force.ramp import ForceRamp
@@ -10,12 +10,22 @@ from gripper.force.ramp import ForceRamp
 Range = tuple[float, float]
 
 
-def _check_range(name: str, value: Range, low: float, high: float) -> None:
-    if not low <= value[0] <= value[1] <= high:
-        raise ValueError(
-            f"{name} is [{value[0]:g}, {value[1]:g}]; write [low, high] "
-            f"with {low:g} <= low <= high <= {high:g}"
-        )
+def _within(low: float, high: float) -> AfterValidator:
+    """Return the check that a range rises between two numbers."""
+
+    def checked(value: Range) -> Range:
+        if not low <= value[0] <= value[1] <= high:
+            raise ValueError(
+                f"[{value[0]:g}, {value[1]:g}] is not [low, high] with {low:g} <= low <= high <= "
+                f"{high:g}"
+            )
+        return value
+
+    return AfterValidator(checked)
+
+
+Offset = Annotated[Range, _within(-100.0, 100.0)]
+Turn = Annotated[Range, _within(-360.0, 360.0)]
 
 
 class LinearRampConfig(Section):
@@ -73,15 +83,15 @@ class SequenceConfig(Section):
 
     kind: Literal["random", "grid", "list"] = "random"
     """random: poses drawn from the ranges; grid: spread evenly over them; list: listed poses."""
-    x_mm: Range = (-2.0, 2.0)
+    x_mm: Offset = (-2.0, 2.0)
     """Range of the offset along the fingers in mm, within -100 to 100."""
-    y_mm: Range = (-2.0, 2.0)
+    y_mm: Offset = (-2.0, 2.0)
     """Range of the offset across the fingers in mm, within -100 to 100."""
-    rotation_deg: Range = (0.0, 360.0)
+    rotation_deg: Turn = (0.0, 360.0)
     """Range of the turn about the approach axis in degrees, within -360 to 360."""
-    roll_deg: Range = (0.0, 360.0)
+    roll_deg: Turn = (0.0, 360.0)
     """Range of the turn about the object's own axis in degrees, within -360 to 360."""
-    force_n: Range = (2.0, 8.0)
+    force_n: Annotated[Range, _within(0.5, 50.0)] = (2.0, 8.0)
     """Range of the force at the end of the ramp in N, within 0.5 to 50."""
     grid_points: int = Field(default=3, ge=1, le=20)
     """Values on each axis of a grid whose range is not one value, 1 to 20."""
@@ -106,11 +116,6 @@ class SequenceConfig(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        _check_range("x_mm", self.x_mm, -100.0, 100.0)
-        _check_range("y_mm", self.y_mm, -100.0, 100.0)
-        _check_range("rotation_deg", self.rotation_deg, -360.0, 360.0)
-        _check_range("roll_deg", self.roll_deg, -360.0, 360.0)
-        _check_range("force_n", self.force_n, 0.5, 50.0)
         if self.kind == "list" and not self.poses:
             raise ValueError("a sequence of kind list needs at least one entry in poses")
         return self

@@ -7,7 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from cell.config.section import Section
+from cell.config.section import Section, refuse_repeats
 from cell.config.simulator import checked_label
 
 
@@ -92,12 +92,7 @@ class ServeConfig(Section):
             )
         if bool(self.tls_certificate) != bool(self.tls_key):
             raise ValueError("set both serve.tls_certificate and serve.tls_key, or neither")
-        ports = [port for port in self.ports if port]
-        if len(set(ports)) != len(ports):
-            raise ValueError(
-                f"serve.modbus_port, xmlrpc_port and http_port are {', '.join(map(str, ports))}: "
-                "write another port for each"
-            )
-        if len(set(self.objects)) != len(self.objects):
-            raise ValueError("serve.objects has a label twice; remove one: each label has one id")
+        ports = (port for port in self.ports if port)
+        refuse_repeats(ports, "serve.modbus_port, xmlrpc_port and http_port")
+        refuse_repeats(self.objects, "labels of serve.objects")
         return self

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from cell.config.section import Section
+from cell.config.section import Section, refuse_repeats
 from recognition.recognizer import UNKNOWN
 
 LONGEST_LABEL = 200
@@ -117,7 +117,5 @@ class SimulatorConfig(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        labels = [entry.label for entry in self.objects]
-        if len(set(labels)) != len(labels):
-            raise ValueError(f"object labels {labels} repeat; give each object its own label")
+        refuse_repeats((entry.label for entry in self.objects), "labels of simulator.objects")
         return self

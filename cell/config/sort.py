@@ -4,7 +4,7 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from cell.config.section import Section
+from cell.config.section import Section, refuse_repeats
 from cell.config.simulator import checked_label
 
 
@@ -44,7 +44,5 @@ class SortConfig(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        labels = [entry.label for entry in self.places]
-        if len(set(labels)) != len(labels):
-            raise ValueError(f"labels {labels} of sort.places repeat; give each part one place")
+        refuse_repeats((entry.label for entry in self.places), "labels of sort.places")
         return self

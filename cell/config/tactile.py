@@ -244,11 +244,8 @@ class TactileConfig(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         ports = self.serial_ports
-        if len({*ports}) < len(ports) if SIMULATED not in ports else {*ports} != {SIMULATED}:
-            raise ValueError(
-                f"sensor.ports are {' and '.join(map(repr, ports))}: name different ports, or "
-                f"{SIMULATED!r} for each"
-            )
+        if SIMULATED in ports and {*ports} != {SIMULATED}:
+            raise ValueError(f"sensor.ports are {ports}: write {SIMULATED!r} for each or for none")
         least_s = 2.0 * MILLI * self.heartbeat_ms
         if self.startup_timeout_s < least_s:
             raise ValueError(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from stat import S_IROTH, S_IXOTH
 
-from cell.checks.ports import can_buses, serial_ports, udev_rule, usb_identity
+from cell.checks.ports import udev_rule, usb_identity
 from cell.config.model import CellConfig
 
 NAME = "tactile-cell"
@@ -130,7 +130,7 @@ def _rules(config: CellConfig) -> Iterator[str]:
         f'SUBSYSTEM=="usb", ENV{{BRLTTY_BRAILLE_DRIVER}}=="?*", ATTR{{idVendor}}=="{_CHIPS}", '
         'ENV{BRLTTY_BRAILLE_DRIVER}="", ENV{SYSTEMD_WANTS}=""'
     )
-    for role, key, port in serial_ports(config):
+    for role, key, port in config.serial_ports:
         identity = usb_identity(port)
         if identity is None:
             yield f"# {key}: {port} is no connected USB adapter; it gets no name."
@@ -190,7 +190,7 @@ def closed_to_others(path: Path) -> Path | None:
 
 def _can_commands(config: CellConfig) -> Iterator[list[str]]:
     """Yield the commands that bring SocketCAN interfaces up, as root; they may be up already."""
-    buses = [can for _, _, can in can_buses(config) if can.interface == "socketcan"]
+    buses = [can for _, _, can in config.can_buses if can.interface == "socketcan"]
     for channel, bitrate in {can.channel: can.bitrate for can in buses}.items():
         link = [shutil.which("ip") or "/usr/sbin/ip", "link", "set", channel]
         yield [*link, "type", "can", "bitrate", str(bitrate), "restart-ms", "100"]

@@ -203,7 +203,7 @@ def test_sections_are_there_before_the_config_is_whole(tmp_path: Path) -> None:
     bench.settings = {"gripper.port": "/dev/ttyUSB0", "gripper.slip.drop_n": 0.5}
     assert bench.gripper(baud_rate=2000000).slip.drop_n == 0.5
     assert bench.tactile(node_id=9).node_id == 9
-    with pytest.raises(ConfigError, match="must both be"):
+    with pytest.raises(ConfigError, match="must all be"):
         _ = bench.config
     with pytest.raises(ConfigError, match="baud_rate"):
         bench.gripper(baud_rate=3)

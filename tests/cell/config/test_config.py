@@ -149,8 +149,11 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
         ("gripper: {approach_speed_mm_s: 4, contact_timeout_s: 1}\n", ["4.7 s", "timeout_s 5 or"]),
         ("gripper: {baud_rate: 115200}\n", ["loop_rate_hz is 200", "115200 allows", "most 64 Hz"]),
         ("tactile: {bitrate: 250000}\n", ["up to 171%", "period_ms 43 or", "period_ms 10 or more"]),
-        ("sequence:\n  x_mm: [3, 1]\n", ["x_mm", "[3, 1]", "low"]),
-        ("gripper: {port: /dev/ttyUSB0}\n", ["both be `simulated` or both be real"]),
+        (
+            "sequence:\n  x_mm: [3, 1]\n",
+            ["sequence.x_mm: [3, 1] is not [low, high] with -100 <= low"],
+        ),
+        ("gripper: {port: /dev/ttyUSB0}\n", ["must all be `simulated` or all be real"]),
         (PORT + "tactile: {interface: socketcan}\n", ["tactile.channel is empty"]),
         (CAN, ["positioner.kind is simulated but the cell is not"]),
         (
@@ -170,7 +173,7 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
         ("name: a\nseed: \0\n", ["not YAML 1.2: unacceptable character #x0000"]),
         ("gripper: {pads_meet: yes}\n", ["gripper.pads_meet: write true or false (found: 'yes')"]),
         ("gripper: {servos: [{id: 1, model: xm430w350}]}\n", ["did you mean XM430-W350?"]),
-        ("serve: {modbus_port: 5, http_port: 5}\n", ["are 5, 5: write another port for each"]),
+        ("serve: {modbus_port: 5, http_port: 5}\n", ["http_port repeat 5: write another one"]),
         ("name: " + "[" * 600 + "]" * 600 + "\n", ["not YAML", "recursion"]),
     ],
 )
@@ -409,8 +412,8 @@ ASKED = {"sequence.kind": "list", "sequence.poses": [{"y_mm": 1.0}]}
     [
         (positioner(), ONLY),
         ({"positioner": {"kind": "operator", "axes": [X]}}, ONLY),
-        (positioner(X, X | {"node_id": 3}), "move x, x: list one axis for each part"),
-        (positioner(X, TURNED | {"node_id": 11}), r"node-IDs \[11, 11\]: give each drive its own"),
+        (positioner(X, X | {"node_id": 3}), "moves of positioner.axes repeat x"),
+        (positioner(X, TURNED | {"node_id": 11}), "node-IDs of positioner.axes repeat 11"),
         (positioner(X | {"low": 6.0}), "axis x has the limits 6 to 6; low must be below high"),
         (positioner(X | {"increments": 0.0}), "axis x has 0 increments per mm"),
         (positioner(X | {"increments": 9e8}), "limits that fit into 32 bits"),
@@ -423,14 +426,17 @@ ASKED = {"sequence.kind": "list", "sequence.poses": [{"y_mm": 1.0}]}
         (ASKED, "sequence.y_mm asks for 1 to 1; no axis moves it"),
         (
             positioner(X, TURNED, WRIST, can={"interface": "slcan"}),
-            "an axis of the positioner is on 'slcan', gripper.port is 'simulated'",
+            "must all be `simulated` or all be real",
         ),
-        (REAL, "an axis of the positioner is on 'simulated', gripper.port is '/dev/ttyUSB0'"),
+        (REAL, "must all be `simulated` or all be real"),
         (
             REAL | positioner(X, TURNED, WRIST | {"port": "/dev/ttyUSB0"}, can=ON_CAN1),
-            "'/dev/ttyUSB0', the port of the fingers",
+            "gripper.port and port of the axis roll are /dev/ttyUSB0",
         ),
-        (REAL | positioner(TURN, TURN | {"moves": "x", "high": 90.0}), "give each servo its own"),
+        (
+            REAL | positioner(TURN, TURN | {"moves": "x", "high": 90.0}),
+            "port of the axis roll and port of the axis x are /dev/ttyUSB1",
+        ),
     ],
 )
 def test_what_does_not_fit_together_is_refused(changes: dict[str, Any], complaint: str) -> None:
