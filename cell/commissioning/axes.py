@@ -7,10 +7,9 @@ from cell.checks.findings import Notes
 from cell.checks.ports import lasting_name
 from cell.commissioning.backup import read_control_table
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Step, StepFailed
-from cell.commissioning.servos import check_supply, scan_servos
+from cell.commissioning.engine import Dialog, Step
+from cell.commissioning.servos import check_supply, lone_servo
 from cell.commissioning.unit import network_interfaces
-from gripper.dynamixel.models import MODELS, model_name
 from tactile.control_unit.search import read_device, scan_nodes
 
 _DRIVES = 402
@@ -56,23 +55,12 @@ AXES = Step(find_axes, "axes", "Axes", needs=("ports", "unit"))
 
 def _servo_axis(bench: Bench, dialog: Dialog, port: str, notes: Notes) -> dict[str, Any]:
     """Scan a port; return its axis in the form of the config. Raises StepFailed without one."""
-    found = scan_servos(bench, port, dialog)
-    if found.crowded or len(found.servos) != 1:
-        several = found.crowded or found.servos
-        raise StepFailed(
-            f"{'several servos answer' if several else 'no servo answers'} on {port}, an axis has "
-            "one servo on a port of its own: check supply and wires, disconnect other servos"
-        )
-    ((rate, identity),) = found.servos
-    name = model_name(identity.model_number)
-    notes.fact(f"servo {name}, ID {identity.servo_id} at {rate} bit/s on {lasting_name(port)}")
-    if name not in MODELS:
-        raise StepFailed(f"the cell cannot drive {name}; use one of {', '.join(MODELS)}")
+    rate, servo_id, model = lone_servo(bench, dialog, port)
+    notes.fact(f"servo {model.name}, ID {servo_id} at {rate} bit/s on {lasting_name(port)}")
     with bench.servo_bus(port, rate) as bus:
-        table = read_control_table(bus, identity.servo_id)
-        check_supply(identity.servo_id, MODELS[name], table, notes)
+        check_supply(servo_id, model, read_control_table(bus, servo_id), notes)
     place = {"kind": "dynamixel", "port": lasting_name(port), "baud_rate": rate}
-    return place | {"id": identity.servo_id, "model": name}
+    return place | {"id": servo_id, "model": model.name}
 
 
 def _can_buses(bench: Bench, dialog: Dialog) -> Iterator[tuple[str, str, int]]:

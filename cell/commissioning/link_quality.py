@@ -11,6 +11,7 @@ from cell.commissioning.engine import Dialog, Step
 from cell.commissioning.unit import unit_sensor
 from gripper.dynamixel.control_table import PRESENT_BLOCK
 from gripper.dynamixel.latency import check_link
+from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusCorrupt, BusTimeout
 from tactile.source import SourceStatistics
 
@@ -26,8 +27,6 @@ _LATE_SHARE = 0.8
 """Share of the period that answers may take; also the limit of `gripper.dynamixel.latency`."""
 _GAP_PERIODS = 4.0
 """Least reported gap between two force messages, in their periods."""
-_LIVE_S = 1.0
-"""Time in s between two texts on the screen."""
 
 
 def check_lines(
@@ -42,19 +41,19 @@ def check_lines(
     ids = [servo.id for servo in gripper.servos]
     period_s = 1.0 / gripper.loop_rate_hz
     dialog.say(f"Both lines are watched for {duration_s:.0f} s. Move each cable a little.")
-    answer_s, messages_s, periods, overruns = list[float](), list[float](), 0, 0
+    answer_s, messages_s, overruns = list[float](), list[float](), 0
+    periods = round(duration_s / period_s)
     with ExitStack() as undo:
         sensor = None
         if not bench.gripper_alone:
             sensor = undo.enter_context(unit_sensor(bench, patient=False))
         bus = undo.enter_context(bench.servo_bus())
         check_link(bus, ids, period_s)
-        before = bus.statistics
         if sensor is not None:
             sensor.read(timeout_s=1.0)
             sensor.take_forces()
-        began_s = due_s = shown_s = clock.monotonic()
-        while due_s < began_s + duration_s - 0.5 * period_s:
+        due_s = clock.monotonic()
+        for number in range(periods):
             asked_s = clock.monotonic()
             with suppress(BusTimeout, BusCorrupt):
                 bus.sync_read(ids, PRESENT_BLOCK)
@@ -62,23 +61,16 @@ def check_lines(
             if sensor is not None:
                 sensor.poll()
                 messages_s += [message.t_s for message in sensor.take_forces()]
-            periods += 1
+            if number % round(gripper.loop_rate_hz) == 0:
+                dialog.live("lines", f"{number * period_s:.0f} of {duration_s:.0f} s")
             due_s += period_s
-            now_s = clock.monotonic()
-            if now_s > due_s:
-                overruns += 1
-                due_s = now_s
-            if now_s - shown_s >= _LIVE_S:
-                shown_s = now_s
-                dialog.live("lines", f"{now_s - began_s:.0f} of {duration_s:.0f} s")
-            clock.sleep(max(0.0, due_s - clock.monotonic()))
-        source = None if sensor is None else sensor.source.statistics
-        after = bus.statistics
-    again = (after.retries - before.retries, after.corrupt - before.corrupt)
-    _judge_servos(answer_s, periods - len(answer_s), again, period_s, notes)
-    if source is not None:
+            overruns += (now_s := clock.monotonic()) > due_s
+            due_s = max(due_s, now_s)
+            clock.sleep(due_s - now_s)
+    _judge_servos(answer_s, periods - len(answer_s), bus.statistics, period_s, notes)
+    if sensor is not None:
         force_period_s = 1e-3 * tactile.force_period_ms * tactile.sends_forces
-        _judge_pads(np.diff(messages_s).tolist(), source, force_period_s, notes)
+        _judge_pads(np.diff(messages_s).tolist(), sensor.source.statistics, force_period_s, notes)
     notes.fact(
         f"Loop: {overruns} of {periods} periods of {1e3 * period_s:g} ms took too long, without "
         "the real-time priority of the cell's loop."
@@ -88,26 +80,23 @@ def check_lines(
             "This machine is too busy for the force loop: end other programs, and grant the loop "
             "its real-time priority (`ulimit -r`, limits.conf: rtprio)."
         )
-    notes.values |= {"overruns": overruns, "periods": periods}
 
 
 LINK_QUALITY = Step(check_lines, "link_quality", "Quality of the lines", needs=("servos", "unit"))
 
 
 def _judge_servos(
-    answer_s: list[float], lost: int, again: tuple[int, int], period_s: float, notes: Notes
+    answer_s: list[float], lost: int, bus: BusStatistics, period_s: float, notes: Notes
 ) -> None:
     """Judge the counts of the servos' line: one question in each period."""
-    periods, (retries, damaged) = lost + len(answer_s), again
-    answer_ms = _quantiles_ms(answer_s)
-    middle_ms, high_ms, worst_ms = answer_ms
+    periods = lost + len(answer_s)
+    middle_ms, high_ms, worst_ms = notes.values["answer_ms"] = _quantiles_ms(answer_s)
     notes.fact(
         f"Servos: {periods} questions, answers after {middle_ms:.2f} ms (median), "
-        f"{high_ms:.2f} ms (99 %), {worst_ms:.2f} ms at most; {lost} without an answer, {retries} "
-        f"asked twice, {damaged} damaged."
+        f"{high_ms:.2f} ms (99 %), {worst_ms:.2f} ms at most; {lost} without an answer, "
+        f"{bus.retries} asked twice, {bus.corrupt} damaged."
     )
-    notes.values |= {"answer_ms": answer_ms, "lost_answers": lost, "retries": retries}
-    if lost + retries + damaged > _LOSS_SHARE * periods:
+    if lost + bus.retries + bus.corrupt > _LOSS_SHARE * periods:
         notes.warn(
             "The servos' line loses answers: check its plugs, the ground between adapter and "
             "servos, and keep its cable away from the motors' supply."
@@ -125,19 +114,12 @@ def _judge_pads(
     """Judge the counts of the CAN bus."""
     frames, forces = source.frames, source.forces
     lost = frames.lost + frames.torn + frames.corrupt
-    _, high_ms, worst_ms = gap_ms = _quantiles_ms(gap_s)
+    _, high_ms, worst_ms = notes.values["force_gap_ms"] = _quantiles_ms(gap_s)
     notes.fact(
         f"Pads: {frames.complete} frames, {lost} lost or damaged; {forces.received} force "
         f"messages, {forces.lost} lost, {high_ms:.1f} ms between two (99 %), {worst_ms:.1f} ms at "
         f"most; {source.malformed} damaged messages, {source.error_frames} error frames."
     )
-    notes.values |= {
-        "force_gap_ms": gap_ms[1:],
-        "frames": frames.complete,
-        "lost_frames": lost,
-        "forces": forces.received,
-        "lost_forces": forces.lost,
-    }
     n_messages = max(1, frames.complete + forces.received)
     if lost + forces.lost + source.malformed > _LOSS_SHARE * n_messages:
         notes.warn(

@@ -1,7 +1,8 @@
 """Record of a commissioning: a text with every step, finding, value and write, to sign and file."""
 
+import json
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -9,8 +10,8 @@ from cell.checks.findings import Notes, ProposedChange
 
 RECORD_NAME = "commissioning.md"
 """File in the cell's folder."""
-_LONGEST_LIST = 8
-"""Longest list of the record; longer ones are in commissioning.json only."""
+_LONGEST = 100
+"""Characters of a value above which it is in commissioning.json only."""
 
 
 def record_text(
@@ -43,8 +44,9 @@ def record_text(
         if one := notes.get(key):
             lines.append(f"{one.status}, {one.began} to {one.ended}\n")
             lines += [f"- {line}" for line in one.lines]
-            lines += [f"- `{name}`: {_text(value)}" for name, value in one.settings.items()]
-            lines += [f"- {name}: {value}" for name, value in _flat(one.values)]
+            lines += [f"- `{name}`: {_json(value)}" for name, value in one.settings.items()]
+            texts = {name: _json(value) for name, value in one.values.items()}
+            lines += [f"- {name}: {text}" for name, text in texts.items() if len(text) < _LONGEST]
         else:
             lines.append("not done\n")
         for write in (write for write in approved if write.step == key):
@@ -53,19 +55,5 @@ def record_text(
     return "\n".join([*lines, "\nDate, name, signature:\n"])
 
 
-def _flat(values: Mapping[str, Any], way: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the name and text of each value, those of nested mappings by a dotted name."""
-    for name, value in values.items():
-        place = f"{way}{name}"
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{place}.")
-        elif isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
-            yield from _flat({str(i): one for i, one in enumerate(value)}, f"{place}.")
-        elif not (isinstance(value, list | tuple) and len(value) > _LONGEST_LIST):
-            yield place, _text(value)
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    return f"[{', '.join(map(_text, value))}]" if isinstance(value, list | tuple) else str(value)
+def _json(value: Any) -> str:
+    return json.dumps(value, default=list)

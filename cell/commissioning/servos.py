@@ -94,6 +94,21 @@ def scan_servos(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = 
     return Scan(servos=tuple(servos), shared=tuple(shared), damaged=tuple(damaged))
 
 
+def lone_servo(bench: Bench, dialog: Dialog, port: str) -> tuple[int, int, ServoModel]:
+    """Return baud rate, ID and model of the one servo on a line, found at any baud rate.
+
+    Raises StepFailed unless one servo of a known model answers.
+    """
+    scan = scan_servos(bench, port, dialog)
+    if scan.crowded or len(scan.servos) != 1:
+        answer = "several servos answer" if scan.crowded or scan.servos else "no servo answers"
+        raise StepFailed(f"{answer} on {port}: check supply and wires, connect one servo alone")
+    ((rate, identity),) = scan.servos
+    if (name := model_name(identity.model_number)) not in MODELS:
+        raise StepFailed(f"this is a {name}; use one of {', '.join(MODELS)}")
+    return rate, identity.servo_id, MODELS[name]
+
+
 def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     """Scan all baud rates, give new servos their IDs one at a time, and check each.
 

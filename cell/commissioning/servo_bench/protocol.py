@@ -49,14 +49,22 @@ Values = dict[str, Any]
 class BenchStep(NamedTuple):
     """One step of the protocol."""
 
-    key: str
+    run: Callable[[Rig, Dialog], Values]
+    """Measures; returns values by name, None for what its readings do not show. Its docstring tells
+    the person the set-up by hand and the motion that follows."""
     title: str
     minutes: int
-    """Name in the log, heading and usual time."""
-    prepare: str
-    """Set-up by hand before it, and the motion that follows."""
-    run: Callable[[Rig, Dialog], Values]
-    """Measures; returns values by name, None for what its readings do not show."""
+    """Heading and usual time."""
+
+    @property
+    def key(self) -> str:
+        """Name in the log."""
+        return self.run.__name__
+
+    @property
+    def text(self) -> str:
+        """What the step measures, and its set-up, for the person."""
+        return " ".join((self.run.__doc__ or "").split())
 
 
 def winding_a(rig: Rig, current_a: float, pwm_share: float) -> float:
@@ -70,7 +78,10 @@ def winding_a(rig: Rig, current_a: float, pwm_share: float) -> float:
 
 
 def registers(rig: Rig, _dialog: Dialog) -> Values:
-    """Read the gains that the firmware sets in both modes."""
+    """Read the gains that the firmware sets in both modes.
+
+    A cold servo. It changes between modes 3 and 5 without torque.
+    """
     values: Values = {
         "firmware": rig.read("firmware_version"),
         "shutdown_raw": rig.read("shutdown"),
@@ -83,7 +94,10 @@ def registers(rig: Rig, _dialog: Dialog) -> Values:
 
 
 def velocity(rig: Rig, _dialog: Dialog) -> Values:
-    """Measure the delay of Present Velocity and the gain of the position loop in free motion."""
+    """Measure the delay of Present Velocity and the gain of the position loop in free motion.
+
+    Take the arm off: the horn turns freely. It turns by 18 degrees.
+    """
     rig.start(OperatingMode.POSITION, position_d_gain=0)
     centre, first = rig.sample().position_pulses, len(rig.log)
     # Away from the ends of the turn, beyond which mode 3 takes no goal.
@@ -106,7 +120,10 @@ def velocity(rig: Rig, _dialog: Dialog) -> Values:
 
 
 def locked(rig: Rig, _dialog: Dialog) -> Values:
-    """Measure the gain of the position loop in mode 5, with the arm locked."""
+    """Measure the gain of the position loop in mode 5, with the arm locked.
+
+    Screw the arm on and lock it in a vice. The servo pushes against it.
+    """
     values: Values = {}
     for p_gain in _P_GAINS:
         rig.start(OperatingMode.CURRENT_BASED_POSITION, position_p_gain=p_gain)
@@ -136,7 +153,10 @@ class _Load(NamedTuple):
 
 
 def scale(rig: Rig, dialog: Dialog) -> Values:
-    """Measure the torque of rising and falling currents with weights."""
+    """Measure the torque of rising and falling currents with weights.
+
+    Screw the arm on, its screw on the scale, and set the scale to zero. The servo presses on it.
+    """
     rig.start(OperatingMode.CURRENT)
     shares = _SUPPLY_SHARES if rig.model.supply_current else _LOAD_SHARES
     amps = [share * rig.model.stall_current_a for share in shares]
@@ -179,7 +199,10 @@ def weighed_nm(dialog: Dialog, key: str, part: str) -> float:
 
 
 def free(rig: Rig, _dialog: Dialog) -> Values:
-    """Measure friction, breakaway, back-EMF and the noise of the current in free motion."""
+    """Measure friction, breakaway, back-EMF and the noise of the current in free motion.
+
+    Take the arm off: the horn turns freely. It turns both ways.
+    """
     rig.start(OperatingMode.VELOCITY)
     points, noise_a = [], {}
     for speed_rad_s in (sign * speed for speed in _SPEEDS_RAD_S for sign in (1, -1)):
@@ -254,7 +277,10 @@ def _press(rig: Rig, current_a: float) -> None:
 
 
 def heat(rig: Rig, dialog: Dialog) -> Values:
-    """Hold currents on the scale until the servo trips, or for a minute each."""
+    """Hold currents on the scale until the servo trips, or for a minute each.
+
+    Screw the arm on, its screw on the scale. The servo presses on it, gets hot and may trip.
+    """
     found: dict[str, dict[str, float | None]] = {}
     half = 0.5 if rig.model.supply_current else 1.0
     for current_a in (half * share * rig.model.stall_current_a for share in _HOT_SHARES):
@@ -281,7 +307,10 @@ def heat(rig: Rig, dialog: Dialog) -> Values:
 
 
 def watchdog(rig: Rig, dialog: Dialog) -> Values:
-    """Stop talking to a servo that presses on the scale, and see what it does."""
+    """Send nothing to a servo that presses on the scale, and see what it does.
+
+    Screw the arm on, its screw on the scale, and set the scale to zero. The servo presses on it.
+    """
     _press(rig, (0.07 if rig.model.supply_current else 0.1) * rig.model.stall_current_a)
     rig.watch("before the silence", 1.0)
     before_nm = weighed_nm(dialog, "watchdog.before", "before the silence")
@@ -296,7 +325,10 @@ def watchdog(rig: Rig, dialog: Dialog) -> Values:
 
 
 def swing(rig: Rig, dialog: Dialog) -> Values:
-    """Nudge the free arm in mode 5 with the gains of the driver, and see whether it swings."""
+    """Nudge the free arm in mode 5 with the gains of the driver, and see whether it swings.
+
+    Turn the arm away from the scale: it swings freely by a few degrees.
+    """
     d_gain, _, p_gain = rig.model.position_gains
     rig.start(OperatingMode.CURRENT_BASED_POSITION, position_p_gain=p_gain, position_d_gain=d_gain)
     rig.current(0.3 * rig.most_a)
@@ -306,21 +338,14 @@ def swing(rig: Rig, dialog: Dialog) -> Values:
     return {"swing_pulses": float(np.ptp(rows.position_pulses))}
 
 
-_FREE = "Take the arm off: the horn turns freely."
-_ON_SCALE = (
-    "Screw the arm on, its screw on the scale, and set the scale to zero. The servo presses on it."
-)
-_COLD = "A cold servo. It changes between modes 3 and 5 without torque."
-_LOCKED = "Screw the arm on and lock it in a vice. The servo pushes against it."
-_ASIDE = "Turn the arm away from the scale: it swings freely by a few degrees."
 STEPS = (
-    BenchStep("registers", "Registers", 1, _COLD, registers),
-    BenchStep("velocity", "Velocity register", 3, f"{_FREE} It turns by 18 degrees.", velocity),
-    BenchStep("locked", "Position loop in mode 5", 3, _LOCKED, locked),
-    BenchStep("scale", "Torque", 12, _ON_SCALE, scale),
-    BenchStep("free", "Friction and back-EMF", 8, f"{_FREE} It turns both ways.", free),
-    BenchStep("heat", "Overload and heat", 14, f"{_ON_SCALE} It gets hot and may trip.", heat),
-    BenchStep("watchdog", "Silence", 2, _ON_SCALE, watchdog),
-    BenchStep("swing", "Swing", 2, _ASIDE, swing),
+    BenchStep(registers, "Registers", 1),
+    BenchStep(velocity, "Velocity register", 3),
+    BenchStep(locked, "Position loop in mode 5", 3),
+    BenchStep(scale, "Torque", 12),
+    BenchStep(free, "Friction and back-EMF", 8),
+    BenchStep(heat, "Overload and heat", 14),
+    BenchStep(watchdog, "Silence", 2),
+    BenchStep(swing, "Swing", 2),
 )
 """The steps in their order: a cold servo first."""

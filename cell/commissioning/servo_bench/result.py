@@ -78,7 +78,7 @@ def run_bench(rig: Rig, dialog: Dialog, folder: Path) -> tuple[Path, ...]:
         for number, step in enumerate(STEPS, start=1):
             answer = dialog.choose(
                 f"{step.key}.begin",
-                f"{number}/{len(STEPS)} {step.title} (about {step.minutes} min)\n{step.prepare}",
+                f"{number}/{len(STEPS)} {step.title} (about {step.minutes} min)\n{step.text}",
                 {"run": "ready: run the step", "leave": "leave the step out"},
                 "run",
             )

@@ -8,11 +8,11 @@ import numpy as np
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, StepFailed
-from cell.commissioning.servos import scan_servos
+from cell.commissioning.servos import lone_servo
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK, REGISTERS, TICK_MODULO
-from gripper.dynamixel.models import MODELS, OperatingMode, ServoModel, model_name
+from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.errors import GripperError
 
 _PERIOD_S = 0.005
@@ -196,16 +196,9 @@ def open_rig(bench: Bench, port: str, dialog: Dialog) -> Iterator[Rig]:
 
     Raises StepFailed unless one servo of a known model answers, without torque.
     """
-    found = scan_servos(bench, port, dialog)
-    if found.crowded or len(found.servos) != 1:
-        answers = len(found.servos) + len(found.shared)
-        raise StepFailed(f"{answers} servos answer on {port}: connect the one to be measured alone")
-    rate, identity = found.servos[0]
-    name = model_name(identity.model_number)
-    if name not in MODELS:
-        raise StepFailed(f"this is a {name}, the bench measures {', '.join(MODELS)}")
+    rate, servo_id, model = lone_servo(bench, dialog, port)
     with bench.servo_bus(port, rate) as bus:
-        rig = Rig(bus, identity.servo_id, MODELS[name], bench.clock)
+        rig = Rig(bus, servo_id, model, bench.clock)
         if rig.read("torque_enable"):
             raise StepFailed("the servo has torque, it may hold something: switch its supply off")
         answer = dialog.choose(

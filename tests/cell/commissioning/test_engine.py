@@ -230,7 +230,7 @@ def test_the_record_has_steps_values_writes_and_a_place_to_sign(tmp_path: Path) 
     # Approved twice: the step was left after the first time.
     assert page.count("servo 1: ID (7): 1 -> 2; undo: write the old one back") == 2
     assert "## Errors found and corrected\n\n- servos was wrong" in page
-    assert "- servos.1.firmware: 52" in page
-    assert "- `gripper.port`: /dev/ttyUSB0" in page
+    assert '- servos: [{"model": "XM430-W350", "firmware": 52}, {' in page
+    assert '- `gripper.port`: "/dev/ttyUSB0"' in page
     assert "zeros" not in page
     assert page.endswith("signature:\n")

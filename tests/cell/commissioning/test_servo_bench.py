@@ -232,7 +232,7 @@ class OneLine(LineOpener):
 
 @pytest.mark.parametrize(
     ("n_servos", "torque", "refused"),
-    [(1, 0, None), (2, 0, "2 servos answer"), (1, 1, "has torque")],
+    [(1, 0, None), (2, 0, "several servos answer"), (1, 1, "has torque")],
 )
 def test_one_servo_alone_and_without_torque(
     tmp_path: Path, n_servos: int, torque: int, refused: str | None
