@@ -8,7 +8,7 @@ from typing import Any
 from cell.build import Cell
 from cell.config.model import CellConfig
 from gripper.dynamixel.drive import DriveCharacteristic
-from gripper.force.timing import LATE_SHARE
+from gripper.force.timing import LATE_SHARE, LoopStatistics
 from recognition.drift.grid import DriftGrid
 
 
@@ -22,12 +22,7 @@ def health_values(config: CellConfig, cell: Cell, drift: DriftGrid | None) -> di
     return {
         "servos": _servos(config, cell),
         "can": _can(config, cell),
-        "loop": _loop(statistics.loop.lateness.p99_s, controller.hand.period_s)
-        | {
-            "periods": statistics.loop.cycles,
-            "late": statistics.loop.late,
-            "p99_ms": 1e3 * statistics.loop.lateness.p99_s,
-        },
+        "loop": _loop(statistics.loop, controller.hand.period_s),
         "drift": _drift(drift),
         "zero": _level(watch=bool(controller.zeroing.note), bad=False)
         | {"text": controller.zeroing.note},
@@ -74,9 +69,11 @@ def _can(config: CellConfig, cell: Cell) -> dict[str, Any]:
     }
 
 
-def _loop(p99_s: float, period_s: float) -> dict[str, Any]:
+def _loop(loop: LoopStatistics, period_s: float) -> dict[str, Any]:
     """Lateness of the latest 1 % of the periods: above the limit for late, or a whole period."""
-    return _level(watch=p99_s > LATE_SHARE * period_s, bad=p99_s > period_s)
+    p99_s = loop.lateness.p99_s
+    level = _level(watch=p99_s > LATE_SHARE * period_s, bad=p99_s > period_s)
+    return level | {"periods": loop.cycles, "late": loop.late, "p99_ms": 1e3 * p99_s}
 
 
 def _drift(grid: DriftGrid | None) -> dict[str, Any] | None:

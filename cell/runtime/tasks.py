@@ -178,25 +178,11 @@ class Tasks:
         ModelError, DatasetError
             If the model cannot be written; it is in use.
         """
-        each: deque[dict[str, Any]] = deque(maxlen=_SHOWN_GRASPS)
-
-        def progress(now: Collection) -> None:
-            if goal.train and len(now.records) > shown["grasps"]:
-                each.append(_grasp_values(now.records[-1], self.model))
-            shown.update(grasps=len(now.records), missed=now.n_missed, short=now.short)
-            shown["each"] = list(each)
-            report(dict(shown))
-
-        shown: dict[str, Any] = {"task": "teach", "label": goal.label, "grasps": 0, "missed": 0}
-        shown |= {"of": goal.grasps, "each": []}
-        collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
-        report(dict(shown))
         self.file.due |= goal.train
         self.model.check_extendable()
+        collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
         try:
-            collection.fill(
-                self.controller, self.model.config.sequence, seed=goal.seed, on_grasp=progress
-            )
+            shown = self._fill(collection, goal, report)
         finally:
             self.model.add(collection.grasps)
         if not goal.train:
@@ -221,17 +207,9 @@ class Tasks:
         Raises as `Collection.fill`; nothing changes then. Raises CellError if the grasps show no
         drift, or if the model cannot be written; it is then in use.
         """
-        shown: dict[str, Any] = {"task": "gauge", "label": goal.label, "grasps": 0, "missed": 0}
-
-        def progress(now: Collection) -> None:
-            shown.update(grasps=len(now.records), missed=now.n_missed)
-            report(dict(shown))
-
-        shown["of"] = goal.grasps
-        collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
         self.model.check_gauge(goal.label)
-        sequence = self.model.config.sequence
-        collection.fill(self.controller, sequence, seed=goal.seed, on_grasp=progress)
+        collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
+        shown = self._fill(collection, goal, report)
         found = self.model.gauge(goal.label, collection.grasps)
         drifts = {
             when: {"gain": drift.gain, "opening_mm": 1e3 * drift.aperture_offset_m}
@@ -241,6 +219,26 @@ class Tasks:
         self.file.due = True
         self.file.write()
         return found[1]
+
+    def _fill(
+        self, collection: Collection, goal: TeachGoal | GaugeGoal, report: Report
+    ) -> dict[str, Any]:
+        """Grasp a known object, report each grasp, and return the last report."""
+        shown: dict[str, Any] = {"task": goal.task, "label": goal.label, "of": goal.grasps}
+        shown |= {"grasps": 0, "missed": 0, "each": []}
+        each: deque[dict[str, Any]] = deque(maxlen=_SHOWN_GRASPS)
+
+        def progress(now: Collection) -> None:
+            if getattr(goal, "train", False) and len(now.records) > shown["grasps"]:
+                each.append(_grasp_values(now.records[-1], self.model))
+            shown.update(grasps=len(now.records), missed=now.n_missed, short=now.short)
+            shown["each"] = list(each)
+            report(dict(shown))
+
+        report(dict(shown))
+        sequence = self.model.config.sequence
+        collection.fill(self.controller, sequence, seed=goal.seed, on_grasp=progress)
+        return shown
 
     def zero(self, _goal: ZeroGoal, report: Report) -> SelfZero:
         """Close the empty fingers on each other and return the self-zero.

@@ -32,7 +32,7 @@ def _or_of_folder(path: Path | None) -> Path | None:
     return FOLDER_CONFIG if path is None and there else path
 
 
-ConfigOption = Annotated[
+Config = Annotated[
     Path | None,
     typer.Option(
         "--config",
@@ -42,21 +42,21 @@ ConfigOption = Annotated[
         callback=_or_of_folder,
     ),
 ]
-JsonOption = Annotated[
+Json = Annotated[
     Path | None, typer.Option("--json", help="Also write what is printed to this file, as JSON.")
 ]
-OutOption = Annotated[
+Out = Annotated[
     Path | None,
     typer.Option("--out", help="Folder for recordings and reports [default: recording.directory]."),
 ]
 MAX_SEED = 2**32 - 1
 """Largest seed, as in the config."""
-SeedOption = Annotated[
+Seed = Annotated[
     int | None,
     typer.Option("--seed", help="Seed of poses and noise [default: seed].", min=0, max=MAX_SEED),
 ]
-ModelOption = Annotated[Path | None, typer.Option("--model", "-m", help="File of a taught model.")]
-FolderModelOption = Annotated[
+Model = Annotated[Path | None, typer.Option("--model", "-m", help="File of a taught model.")]
+FolderModel = Annotated[
     Path | None,
     typer.Option(
         "--model",
@@ -64,19 +64,17 @@ FolderModelOption = Annotated[
         help="File of a taught model [default: that of the last `model train` in this folder].",
     ),
 ]
-ModelOutOption = Annotated[Path, _ending(".npz", "model file")]
-DatasetOutOption = Annotated[Path, _ending(".npz", "data set")]
-RecordingOutOption = Annotated[Path | None, _ending(".mcap", "recording")]
-PictureOption = Annotated[
-    Path, typer.Option("--output", "-o", help="Picture to write (.png or .svg).")
-]
-GraspsArgument = Annotated[
+ModelOut = Annotated[Path, _ending(".npz", "model file")]
+DatasetOut = Annotated[Path, _ending(".npz", "data set")]
+RecordingOut = Annotated[Path | None, _ending(".mcap", "recording")]
+Picture = Annotated[Path, typer.Option("--output", "-o", help="Picture to write (.png or .svg).")]
+Grasps = Annotated[
     Path | None,
     typer.Argument(
         help="Recorded grasps, a data set or a recording; without them, the cell grasps."
     ),
 ]
-FaultOption = Annotated[
+Faults = Annotated[
     list[str] | None,
     typer.Option(
         "--fault",
@@ -85,33 +83,33 @@ FaultOption = Annotated[
         "(simulate --list-faults).",
     ),
 ]
-CaptureOption = Annotated[
+Capture = Annotated[
     Path | None,
     typer.Option("--capture", help="Write the CAN traffic to this pcap file.", hidden=True),
 ]
-GaugeOption = Annotated[
+Gauge = Annotated[
     Path | None,
     typer.Option(
         "--gauge",
         help="Grasps of one known object, a data set or a recording: calibrates the foam.",
     ),
 ]
-GaugeShapeOption = Annotated[
+GaugeShape = Annotated[
     str | None,
     typer.Option("--gauge-shape", help="Shape of the gauge [default: the object of its label]."),
 ]
-CellsOption = Annotated[
+Cells = Annotated[
     list[str] | None, typer.Option("--cell", help="Only grasps of this cell; repeat for several.")
 ]
-DaysOption = Annotated[
+Days = Annotated[
     str | None,
     typer.Option("--days", help="Only grasps of a day or of FIRST..LAST, as 2027-01-15 (UTC)."),
 ]
-ObjectsOption = Annotated[
+Objects = Annotated[
     list[str] | None,
     typer.Option("--object", help="Only grasps of this object; repeat for several."),
 ]
-MostOption = Annotated[
+Most = Annotated[
     int,
     typer.Option(
         "--most",
@@ -122,7 +120,7 @@ MostOption = Annotated[
 ]
 MOST_GRASPS = 400
 """Grasps of each object that are taken of an archive where nothing else is asked for."""
-JobsOption = Annotated[
+Jobs = Annotated[
     int,
     typer.Option(
         "--jobs",
@@ -131,7 +129,7 @@ JobsOption = Annotated[
         help="Processes that share the work, 0: one for each core.",
     ),
 ]
-SplitOption = Annotated[
+Split = Annotated[
     str, typer.Option("--split", help="chronological:FRACTION or shuffled:FRACTION to train on.")
 ]
 
@@ -149,7 +147,7 @@ def _known_recognizer(name: str) -> str:
     return name
 
 
-RecognizerOption = Annotated[
+Recognizer = Annotated[
     str,
     typer.Option(
         "--recognizer",

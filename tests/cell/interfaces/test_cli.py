@@ -479,17 +479,6 @@ def test_evaluate_prints_what_is_taken_for_which_object_and_what_is_left_out(
     assert "force_ramp confuses, one grasp each: 1 x box as ball" in said
 
 
-@pytest.mark.slow
-def test_replay_sends_and_compares(config, dataset, tmp_path) -> None:
-    text = call(
-        *("recording", "replay", dataset, "-c", config, "--limit", 1, "--json", tmp_path / "r.json")
-    )
-    data = read_json(tmp_path / "r.json")
-    assert (data["n_grasps"], data["frames_equal"]) == (1, True)
-    assert data["frames_sent"] == data["frames_received"] > 0
-    assert "bit for bit the same" in text
-
-
 def test_a_replay_that_differs_fails(dataset, monkeypatch, fail) -> None:
     from cell.runtime import replay as replaying
 

@@ -271,24 +271,24 @@ def test_the_robot_program_of_the_example_sorts_parts(robot, kind, cell, n_parts
     assert served.service.snapshot().commander == ""
 
 
-@pytest.mark.parametrize(("label", "place"), [(3, 0), (-513, 0), (2, 2)])
-def test_the_robot_program_of_the_example_has_a_place_for_every_label(robot, label, place) -> None:
+@pytest.mark.parametrize(
+    ("answer", "expected", "released"),
+    [
+        ({"label_id": 3}, [0], 1),  # a label without a place
+        ({"label_id": -513}, [0], 1),
+        ({"label_id": 2}, [2], 1),
+        ({"same": 0}, [1, 0], 1),  # another part is let go at no place
+        ({"same": -514}, [1], 0),  # what no call can tell stays held
+    ],
+    ids=str,
+)
+def test_the_robot_program_of_the_example_lets_each_part_go_at_its_place_alone(
+    robot, answer, expected, released
+) -> None:
     served, ur = robot()
-    ur.answers["label_id"] = label
-    assert ur.sort_parts(1) == 1
-    assert (places(ur), served.grip_n) == ([place], 0.0)
-
-
-def test_the_robot_program_of_the_example_lets_no_other_part_go_at_a_place(robot) -> None:
-    served, ur = robot()
-    ur.answers["same"] = 0
-    assert ur.sort_parts(1) == 1
-    assert (places(ur), served.grip_n) == ([1, 0], 0.0)
-    # What no call can tell stays held.
-    served, ur = robot()
-    ur.answers["same"] = -514
-    assert ur.sort_parts(1) == 0
-    assert (places(ur), served.grip_n > 1.0) == ([1], True)
+    ur.answers |= answer
+    assert ur.sort_parts(1) == released
+    assert (places(ur), served.grip_n == 0.0) == (expected, bool(released))
 
 
 def test_the_robot_program_of_the_example_keeps_a_part_that_slips(robot) -> None:

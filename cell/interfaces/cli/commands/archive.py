@@ -8,14 +8,7 @@ import typer
 from cell.archive.selection import parse_selection
 from cell.errors import CellError
 from cell.installation import extra
-from cell.interfaces.cli.options import (
-    CellsOption,
-    DaysOption,
-    JobsOption,
-    JsonOption,
-    ObjectsOption,
-    PictureOption,
-)
+from cell.interfaces.cli import options
 from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, show
 from cell.learning.parallel import workers
 from cell.report.figures import confusion_figure, write_picture
@@ -30,8 +23,8 @@ def add(
     ],
     target: Annotated[str, typer.Option("--to", help="Folder or URL (fsspec) of the archive.")],
     cell: Annotated[str, typer.Option("--cell", help="Cell of the grasps that name none.")] = "",
-    jobs: JobsOption = 1,
-    json_file: JsonOption = None,
+    jobs: options.Jobs = 1,
+    json_file: options.Json = None,
 ) -> None:
     """Add recordings and data sets to an archive; what is in it already is not added again.
 
@@ -58,9 +51,9 @@ def export(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="File to write (.csv, .parquet or .npz).")
     ],
-    cells: CellsOption = None,
-    days: DaysOption = None,
-    objects: ObjectsOption = None,
+    cells: options.Cells = None,
+    days: options.Days = None,
+    objects: options.Objects = None,
 ) -> None:
     """Write grasps of an archive to one file: CSV, Parquet or a data set."""
     with extra("archive", needed_by="the archive"):
@@ -76,10 +69,10 @@ def report(
     output: Annotated[Path, typer.Option("--output", "-o", help="Page to write.")] = Path(
         "archive.html"
     ),
-    cells: CellsOption = None,
-    days: DaysOption = None,
-    objects: ObjectsOption = None,
-    json_file: JsonOption = None,
+    cells: options.Cells = None,
+    days: options.Days = None,
+    objects: options.Objects = None,
+    json_file: options.Json = None,
 ) -> None:
     """Answer what is confused, drifts, ages or needs grasps: a page with plots, and JSON.
 
@@ -97,10 +90,10 @@ def report(
 
 def confusion(
     archive: Annotated[str, typer.Argument(help="Folder or URL of the archive.")],
-    output: PictureOption,
-    cells: CellsOption = None,
-    days: DaysOption = None,
-    objects: ObjectsOption = None,
+    output: options.Picture,
+    cells: options.Cells = None,
+    days: options.Days = None,
+    objects: options.Objects = None,
 ) -> None:
     """Draw what was held against what was named, of all identifications of named parts.
 

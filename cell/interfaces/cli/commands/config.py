@@ -9,7 +9,7 @@ import cell.config
 from cell.config.file import SHORT_KEYS, config_text, load_config, schema_text
 from cell.data.files import write_text
 from cell.errors import ConfigError
-from cell.interfaces.cli.options import FOLDER_CONFIG
+from cell.interfaces.cli import options
 from cell.interfaces.cli.terminal import print_line, print_note
 from cell.simulation import simulator_settings
 
@@ -33,7 +33,7 @@ def _begun(incomplete: str) -> list[str]:
 
 
 def init(
-    path: Annotated[Path, typer.Argument(help="File to write.")] = FOLDER_CONFIG,
+    path: Annotated[Path, typer.Argument(help="File to write.")] = options.FOLDER_CONFIG,
     example: Annotated[
         str | None,
         typer.Option(

@@ -11,16 +11,16 @@ from cell.commissioning.baseline import gauge_again
 from cell.commissioning.bench import Bench
 from cell.commissioning.doctor import examine
 from cell.errors import CellError
+from cell.interfaces.cli import options
 from cell.interfaces.cli.dialog import TerminalDialog
-from cell.interfaces.cli.options import ConfigOption, JsonOption
 from cell.interfaces.cli.session import cell_config
 from cell.interfaces.cli.terminal import out, print_line, show, write_json
 from cell.plugins import GROUPS
 
 
 def doctor(
-    config: ConfigOption = None,
-    json_file: JsonOption = None,
+    config: options.Config = None,
+    json_file: options.Json = None,
     gauge: Annotated[
         bool,
         typer.Option(

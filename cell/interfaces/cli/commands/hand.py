@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from cell.errors import CellError, ConfigError
-from cell.interfaces.cli.options import FOLDER_CONFIG, ConfigOption, JsonOption, OutOption
+from cell.interfaces.cli import options
 from cell.interfaces.cli.session import (
     cell_config,
     cell_of_earlier_run,
@@ -26,7 +26,7 @@ NamedConfigOption = Annotated[
 
 
 def zero(
-    config: ConfigOption = None, out_folder: OutOption = None, json_file: JsonOption = None
+    config: options.Config = None, out_folder: options.Out = None, json_file: options.Json = None
 ) -> None:
     """Close the empty fingers on each other: zero of the opening, gains of the pads, foam.
 
@@ -60,7 +60,7 @@ def release(
     folder has one: so the part falls in the intended cell.
     """
     if config is None:
-        example = FOLDER_CONFIG if FOLDER_CONFIG.exists() else Path("FILE")
+        example = options.FOLDER_CONFIG if options.FOLDER_CONFIG.exists() else Path("FILE")
         raise ConfigError(
             "the config file of the cell is missing; nothing was moved. The whole command: "
             f"`{release_command(example)}`"

@@ -11,17 +11,7 @@ from cell.config.model import CellConfig
 from cell.control.identification import Identification, ReadShape
 from cell.data.dataset import read_grasps
 from cell.errors import ConfigError
-from cell.interfaces.cli.options import (
-    ConfigOption,
-    FaultOption,
-    FolderModelOption,
-    GaugeOption,
-    GaugeShapeOption,
-    GraspsArgument,
-    JsonOption,
-    OutOption,
-    SeedOption,
-)
+from cell.interfaces.cli import options
 from cell.interfaces.cli.session import (
     cell_config,
     model_of_folder,
@@ -42,8 +32,8 @@ from recognition.statistics.fusion import fuse
 
 
 def identify(
-    dataset: GraspsArgument = None,
-    model: FolderModelOption = None,
+    dataset: options.Grasps = None,
+    model: options.FolderModel = None,
     held: Annotated[
         str | None, typer.Option("--object", help="Object in the simulated cell.")
     ] = None,
@@ -57,13 +47,13 @@ def identify(
         Literal["never", "when-named", "always"],
         typer.Option("--keep", help="When to keep the part in the grip after the answer."),
     ] = "never",
-    gauge: GaugeOption = None,
-    gauge_shape: GaugeShapeOption = None,
-    config: ConfigOption = None,
-    out_folder: OutOption = None,
-    seed: SeedOption = None,
-    faults: FaultOption = None,
-    json_file: JsonOption = None,
+    gauge: options.Gauge = None,
+    gauge_shape: options.GaugeShape = None,
+    config: options.Config = None,
+    out_folder: options.Out = None,
+    seed: options.Seed = None,
+    faults: options.Faults = None,
+    json_file: options.Json = None,
 ) -> None:
     """Identify the part in the grip, or the parts of recorded grasps; with shape and size."""
     if (model := model_of_folder(model)) is None:

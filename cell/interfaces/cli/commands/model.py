@@ -16,24 +16,7 @@ from cell.archive.spread import spread_gains, spread_values, with_spread
 from cell.data.dataset import read_grasps
 from cell.data.files import write_text
 from cell.errors import CellError, ConfigError, raised_as
-from cell.interfaces.cli.options import (
-    MAX_SEED,
-    MOST_GRASPS,
-    CellsOption,
-    ConfigOption,
-    DaysOption,
-    FolderModelOption,
-    GraspsArgument,
-    JobsOption,
-    JsonOption,
-    ModelOutOption,
-    MostOption,
-    ObjectsOption,
-    OutOption,
-    RecognizerOption,
-    SeedOption,
-    known_recognizers,
-)
+from cell.interfaces.cli import options
 from cell.interfaces.cli.session import (
     RunningCell,
     cell_config,
@@ -59,8 +42,8 @@ def train(
     datasets: Annotated[
         list[str], typer.Argument(help="Archives, data sets or recordings of labelled grasps.")
     ],
-    model: ModelOutOption,
-    recognizer: RecognizerOption = DEFAULT_TRAINER,
+    model: options.ModelOut,
+    recognizer: options.Recognizer = DEFAULT_TRAINER,
     spread: Annotated[
         bool | None,
         typer.Option(
@@ -70,12 +53,12 @@ def train(
             "left out in turn [default: with archives].",
         ),
     ] = None,
-    cells: CellsOption = None,
-    days: DaysOption = None,
-    objects: ObjectsOption = None,
-    most: MostOption = MOST_GRASPS,
-    jobs: JobsOption = 1,
-    json_file: JsonOption = None,
+    cells: options.Cells = None,
+    days: options.Days = None,
+    objects: options.Objects = None,
+    most: options.Most = options.MOST_GRASPS,
+    jobs: options.Jobs = 1,
+    json_file: options.Json = None,
 ) -> None:
     """Train a recogniser on data sets and write a model file."""
     selection = parse_selection(cells, days, objects)
@@ -140,8 +123,8 @@ def train(
 
 
 def calibrate(
-    output: ModelOutOption,
-    dataset: GraspsArgument = None,
+    output: options.ModelOut,
+    dataset: options.Grasps = None,
     gauge: Annotated[
         list[str] | None,
         typer.Option(
@@ -150,14 +133,14 @@ def calibrate(
             "Without it, DATASET holds any grasps of a shift.",
         ),
     ] = None,
-    model: FolderModelOption = None,
+    model: options.FolderModel = None,
     grasps: Annotated[
         int, typer.Option("--grasps", "-n", min=1, max=100, help="Grasps of each gauge object.")
     ] = 3,
-    config: ConfigOption = None,
-    out_folder: OutOption = None,
-    seed: SeedOption = None,
-    json_file: JsonOption = None,
+    config: options.Config = None,
+    out_folder: options.Out = None,
+    seed: options.Seed = None,
+    json_file: options.Json = None,
 ) -> None:
     """Correct a model for the drift of the sensors since teaching.
 
@@ -250,7 +233,7 @@ def evaluate(
             "--recognizer",
             help="Repeat for several kinds, as doctor lists them with --plugins "
             f"[default: {', '.join(trainer_names())}].",
-            callback=known_recognizers,
+            callback=options.known_recognizers,
         ),
     ] = None,
     drift: Annotated[
@@ -263,7 +246,7 @@ def evaluate(
         str | None,
         typer.Option("--gauge", help="Find the drift from the first 3 tested grasps of LABEL."),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, max=MAX_SEED)] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, max=options.MAX_SEED)] = 0,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -273,11 +256,11 @@ def evaluate(
             help="Processes, 0: one for each core [default: 0 from 1000 grasps, else 1].",
         ),
     ] = None,
-    cells: CellsOption = None,
-    days: DaysOption = None,
-    objects: ObjectsOption = None,
-    most: MostOption = MOST_GRASPS,
-    json_file: JsonOption = None,
+    cells: options.Cells = None,
+    days: options.Days = None,
+    objects: options.Objects = None,
+    most: options.Most = options.MOST_GRASPS,
+    json_file: options.Json = None,
 ) -> None:
     """Measure recognisers on recorded grasps: accuracy, fusion, unknown objects.
 
@@ -351,43 +334,30 @@ def _lines(result: EvaluationResult) -> Iterator[str | Table]:
         found = drift_text(result.gauged.drift)
         yield f"gauged with {result.n_gauged} grasps of {result.gauge}: {found}"
     fused = sorted({k for f in result.recognizers.values() for k in f.full.fused_accuracy} - {1})
-    right, named = Table(header_style="bold"), Table(header_style="bold")
-    for table, columns in (
-        (
-            right,
-            ("likeliest right, %", "one grasp", "95 % interval", *(f"{k} fused" for k in fused)),
-        ),
-        (named, ("one grasp, %", "named right", "named wrong", UNKNOWN, "AUROC")),
+    table = Table(header_style="bold")
+    for column in (
+        *("%", "likeliest right", *(f"{k} fused" for k in fused)),
+        *("named right", "named wrong", UNKNOWN, "AUROC"),
     ):
-        for column in columns:
-            table.add_column(column, justify="left" if column is columns[0] else "right")
+        table.add_column(column, justify="right" if table.columns else "left")
     for name, figures in result.recognizers.items():
         rows = [(name, figures.full)]
         if figures.without_aperture not in (None, figures.full):
             rows.append(("  tactile only", figures.without_aperture))
-        for shown, evaluation in rows:
-            low, high = evaluation.interval
-            right.add_row(
+        for shown, one in rows:
+            named = (one.named_right, one.named_wrong, 1.0 - one.named_right - one.named_wrong)
+            table.add_row(
                 shown,
-                f"{100 * evaluation.single_accuracy:.1f}",
-                f"{100 * low:.1f} to {100 * high:.1f}",
-                *(
-                    _with_interval(evaluation.fused_accuracy[k], evaluation.fused_interval[k])
-                    for k in fused
-                ),
+                _with_interval(one.single_accuracy, one.interval),
+                *(_with_interval(one.fused_accuracy[k], one.fused_interval[k]) for k in fused),
+                *(f"{100 * share:.1f}" for share in named),
+                _with_interval(one.unknown_auroc, one.auroc_interval, 1.0, 3),
             )
-            named.add_row(
-                shown,
-                f"{100 * evaluation.named_right:.1f}",
-                f"{100 * evaluation.named_wrong:.1f}",
-                f"{100 * (1.0 - evaluation.named_right - evaluation.named_wrong):.1f}",
-                _with_interval(evaluation.unknown_auroc, evaluation.auroc_interval, 1.0, 3),
-            )
-    yield right
-    yield named
+    yield table
     yield (
         "AUROC: separation of taught objects from objects left out of teaching; 1 is perfect, 0.5 "
-        "is chance. Intervals at 95 % draw objects, not grasps, and no fused grasp counts twice"
+        "is chance. Names and AUROC are of one grasp. Intervals at 95 % draw objects, not grasps, "
+        "and no fused grasp counts twice"
     )
     if any(math.isnan(f.full.unknown_auroc) for f in result.recognizers.values()):
         yield (
@@ -399,18 +369,12 @@ def _lines(result: EvaluationResult) -> Iterator[str | Table]:
     yield f"took {result.seconds:.1f} s"
 
 
-def _details(name: str, evaluation: Evaluation) -> Iterator[str | Table]:
-    """Yield the confusions of a recogniser, its `unknown` and its figures with drift correction."""
+def _details(name: str, evaluation: Evaluation) -> Iterator[str]:
+    """Yield the confusions of a recogniser, and its figures with drift correction."""
     if pairs := evaluation.confused:
         shown_pairs = [f"{n} x {truth} as {answer}" for truth, answer, n in pairs[:_PAIRS]]
         rest = f", and {len(pairs) - _PAIRS} more pairs" if len(pairs) > _PAIRS else ""
         yield f"{name} confuses, one grasp each: {', '.join(shown_pairs)}{rest}"
-    rows = [row for row in evaluation.unknown_reliability if row[2]]
-    if rows:
-        shares = (
-            f"{low:g} to {high:g}: {100 * new / n:.0f} % of {n}" for low, high, n, new in rows
-        )
-        yield f"{name}, unknown and share of left-out objects there: {', '.join(shares)}"
     shift = evaluation.shift
     if shift is not None:
         yield (
@@ -427,12 +391,12 @@ def compare(
     datasets: Annotated[
         list[str], typer.Argument(help="Archives, data sets or recordings that taught neither.")
     ],
-    cells: CellsOption = None,
-    days: DaysOption = None,
-    objects: ObjectsOption = None,
-    most: MostOption = MOST_GRASPS,
-    jobs: JobsOption = 1,
-    json_file: JsonOption = None,
+    cells: options.Cells = None,
+    days: options.Days = None,
+    objects: options.Objects = None,
+    most: options.Most = options.MOST_GRASPS,
+    jobs: options.Jobs = 1,
+    json_file: options.Json = None,
 ) -> None:
     """Compare two models on the same grasps: paired, with an interval of 95 %."""
     models = load_model(first), load_model(second)

@@ -15,17 +15,7 @@ from cell.data.recording_reader import read_recording, recover_recording
 from cell.data.retention import mark as mark_one, recordings, unmark as unmark_one
 from cell.errors import CellError
 from cell.installation import extra
-from cell.interfaces.cli.options import (
-    CaptureOption,
-    CellsOption,
-    DaysOption,
-    JsonOption,
-    ObjectsOption,
-    PictureOption,
-    RecognizerOption,
-    RecordingOutOption,
-    SplitOption,
-)
+from cell.interfaces.cli import options
 from cell.interfaces.cli.terminal import (
     percent,
     plain_text,
@@ -95,10 +85,10 @@ def report(
 def plot(
     number: Annotated[int, typer.Argument(min=0, help="Number of the grasp, from 0.")],
     source: Annotated[str, typer.Argument(help="Archive, data set or recording.")],
-    output: PictureOption,
-    cells: CellsOption = None,
-    days: DaysOption = None,
-    objects: ObjectsOption = None,
+    output: options.Picture,
+    cells: options.Cells = None,
+    days: options.Days = None,
+    objects: options.Objects = None,
 ) -> None:
     """Draw a grasp: load, opening and force over time, and both pads.
 
@@ -121,8 +111,8 @@ def plot(
 
 def recover(
     recording: Annotated[Path, typer.Argument(help="Truncated or damaged recording.")],
-    output: RecordingOutOption = None,
-    json_file: JsonOption = None,
+    output: options.RecordingOut = None,
+    json_file: options.Json = None,
 ) -> None:
     """Save the undamaged data of a damaged recording to a new file."""
     target = output or recording.with_name(f"{recording.stem}-recovered.mcap")
@@ -145,14 +135,14 @@ ReplayConfigOption = Annotated[
 
 def replay(
     source: Annotated[Path, typer.Argument(help="Data set or recording.")],
-    split: SplitOption = "chronological:0.6",
+    split: options.Split = "chronological:0.6",
     limit: Annotated[
         int | None, typer.Option("--limit", min=1, help="Replay at most so many [default: all].")
     ] = None,
-    recognizer: RecognizerOption = DEFAULT_TRAINER,
+    recognizer: options.Recognizer = DEFAULT_TRAINER,
     config: ReplayConfigOption = None,
-    capture: CaptureOption = None,
-    json_file: JsonOption = None,
+    capture: options.Capture = None,
+    json_file: options.Json = None,
 ) -> None:
     """Send recorded grasps through the real protocols, compare, and identify them."""
     with progress_bar() as progress:

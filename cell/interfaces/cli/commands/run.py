@@ -12,15 +12,7 @@ from cell.config.model import CellConfig
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, ConfigError, MissingExtraError, RecordingError, ReportError
 from cell.installation import missing_note
-from cell.interfaces.cli.options import (
-    CaptureOption,
-    ConfigOption,
-    FaultOption,
-    JsonOption,
-    ModelOption,
-    OutOption,
-    SeedOption,
-)
+from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config, pads_of, running_cell
 from cell.interfaces.cli.terminal import percent, plain_text, print_note
 from cell.learning.model import load_model
@@ -40,7 +32,7 @@ ObjectsOption = Annotated[
 
 
 def run(
-    config: ConfigOption = None,
+    config: options.Config = None,
     objects: ObjectsOption = None,
     teach_grasps: Annotated[
         int, typer.Option("--teach", min=3, max=1000, help="Grasps taught of each object.")
@@ -48,12 +40,12 @@ def run(
     trials: Annotated[
         int, typer.Option("--trials", min=1, max=1000, help="Identifications of each object.")
     ] = 10,
-    model: ModelOption = None,
-    out_folder: OutOption = None,
-    seed: SeedOption = None,
-    capture: CaptureOption = None,
-    faults: FaultOption = None,
-    json_file: JsonOption = None,
+    model: options.Model = None,
+    out_folder: options.Out = None,
+    seed: options.Seed = None,
+    capture: options.Capture = None,
+    faults: options.Faults = None,
+    json_file: options.Json = None,
 ) -> None:
     """Teach objects and identify each of them: the main job."""
     checked = cell_config(config, seed=seed, faults=faults)

@@ -15,7 +15,7 @@ from cell.config.model import CellConfig
 from cell.config.serve import ALL_CLOSED
 from cell.errors import CellError, CellStopped, ConfigError
 from cell.installation import missing_note
-from cell.interfaces.cli.options import ConfigOption, FaultOption, FolderModelOption
+from cell.interfaces.cli import options
 from cell.interfaces.cli.service_manager import ServiceManager
 from cell.interfaces.cli.session import cell_config, job_folder, model_of_folder, with_faults
 from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
@@ -58,8 +58,8 @@ def _port(flag: str, interface: str, key: str) -> typer.models.OptionInfo:
 
 
 def serve(
-    config: ConfigOption = None,
-    model: FolderModelOption = None,
+    config: options.Config = None,
+    model: options.FolderModel = None,
     training_set: TrainingSetOption = None,
     save: SaveOption = None,
     listen: Annotated[
@@ -91,7 +91,7 @@ def serve(
             "between two jobs.",
         ),
     ] = 1.0,
-    faults: FaultOption = None,
+    faults: options.Faults = None,
 ) -> None:
     """Run the cell for people, PLCs, robot programs and other hosts, until SIGTERM.
 

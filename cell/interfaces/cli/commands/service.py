@@ -9,16 +9,15 @@ from cell.commissioning.cell_backup import back_up, restore as unpack
 from cell.config.serve import ALL_CLOSED
 from cell.data.files import write_text
 from cell.errors import CellError
-from cell.interfaces.cli import system_files as system
-from cell.interfaces.cli.options import FOLDER_CONFIG, ConfigOption, ModelOption
+from cell.interfaces.cli import options, system_files as system
 from cell.interfaces.cli.session import cell_config
 from cell.interfaces.cli.support_bundle import write_bundle
 from cell.interfaces.cli.terminal import ask, print_line, print_note
 
 
 def install(
-    config: ConfigOption = None,
-    model: ModelOption = None,
+    config: options.Config = None,
+    model: options.Model = None,
     apply: Annotated[
         bool, typer.Option("--apply", help="Write the files; asks before each file.")
     ] = False,
@@ -36,9 +35,9 @@ def install(
     """
     if apply and remove:
         raise typer.BadParameter("--apply and --remove exclude each other")
-    options = () if model is None else ("--model", str(model.resolve()))
+    served_with = () if model is None else ("--model", str(model.resolve()))
     checked = cell_config(config)
-    files = system.system_files(checked, config, options)
+    files = system.system_files(checked, config, served_with)
     changed = False
     if not remove and config is not None and not checked.serve.ports:
         print_note(ALL_CLOSED)
@@ -107,7 +106,7 @@ def _print_commands(when: str, commands: tuple[str, ...]) -> None:
 
 def backup(
     file: Annotated[Path, typer.Argument(help="Backup to write (.tar).")],
-    config: ConfigOption = None,
+    config: options.Config = None,
     model: Annotated[
         list[Path] | None,
         typer.Option("--model", "-m", help="Model in another folder; repeat for several."),
@@ -118,7 +117,7 @@ def backup(
     It takes the files in the folder of the config, and those that the config names. Recordings,
     history, tokens, secrets and certificates are left out.
     """
-    n_files = back_up(file, config or FOLDER_CONFIG, model or ())
+    n_files = back_up(file, config or options.FOLDER_CONFIG, model or ())
     print_line(f"{file}: {n_files} files, {file.stat().st_size / 1e6:.1f} MB")
 
 
@@ -136,7 +135,7 @@ _MB = 1_000_000
 
 def support(
     file: Annotated[Path, typer.Argument(help="Bundle to write (.zip).")],
-    config: ConfigOption = None,
+    config: options.Config = None,
     recordings: Annotated[
         Path | None,
         typer.Option("--recordings", help="Folder of recordings [default: recording.directory]."),

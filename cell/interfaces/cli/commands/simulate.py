@@ -10,7 +10,7 @@ import typer
 
 from cell.control.positioner import SocketPlacer
 from cell.errors import CellError, ConfigError, raised_as
-from cell.interfaces.cli.options import ConfigOption, FaultOption, SeedOption
+from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config
 from cell.interfaces.cli.terminal import ask, print_error, print_line
 from cell.runtime.simulate import serve_simulated_cell
@@ -26,12 +26,12 @@ def simulate(
             "--frames", help="Play the grasps of this data set or recording.", hidden=True
         ),
     ] = None,
-    config: ConfigOption = None,
+    config: options.Config = None,
     folder: Annotated[
         Path | None, typer.Option("--out", help="Folder for device links and a matching config.")
     ] = None,
-    seed: SeedOption = None,
-    faults: FaultOption = None,
+    seed: options.Seed = None,
+    faults: options.Faults = None,
     list_faults: Annotated[
         bool, typer.Option("--list-faults", help="Print all faults, and end.")
     ] = False,

@@ -8,14 +8,7 @@ from rich.table import Table
 
 from cell.control.part import Part
 from cell.errors import ConfigError
-from cell.interfaces.cli.options import (
-    ConfigOption,
-    FaultOption,
-    FolderModelOption,
-    JsonOption,
-    OutOption,
-    SeedOption,
-)
+from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config, model_of_folder, pads_of, running_cell
 from cell.interfaces.cli.terminal import plain_text, print_note, show
 from cell.learning.model import load_model
@@ -30,7 +23,7 @@ TALLY_KEYS = (
 
 
 def sort(
-    config: ConfigOption = None,
+    config: options.Config = None,
     parts: Annotated[int, typer.Option("--parts", min=1, max=1_000_000, help="Parts.")] = 20,
     teach_grasps: Annotated[
         int,
@@ -41,11 +34,11 @@ def sort(
             help="Without a model: grasps taught of each object of the simulated cell.",
         ),
     ] = 20,
-    model: FolderModelOption = None,
-    out_folder: OutOption = None,
-    seed: SeedOption = None,
-    faults: FaultOption = None,
-    json_file: JsonOption = None,
+    model: options.FolderModel = None,
+    out_folder: options.Out = None,
+    seed: options.Seed = None,
+    faults: options.Faults = None,
+    json_file: options.Json = None,
 ) -> None:
     """Identify parts and release each at its place."""
     checked = cell_config(config, seed=seed, faults=faults)

@@ -10,16 +10,7 @@ from cell.config.simulator import checked_label
 from cell.data.dataset import read_dataset
 from cell.data.grasp_limits import text_refused
 from cell.errors import ConfigError, DatasetError, raised_as
-from cell.interfaces.cli.options import (
-    ConfigOption,
-    DatasetOutOption,
-    FaultOption,
-    GaugeOption,
-    GaugeShapeOption,
-    JsonOption,
-    OutOption,
-    SeedOption,
-)
+from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config, pads_of, running_cell
 from cell.interfaces.cli.terminal import print_line, progress_bar, show
 from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend, name_recorded
@@ -40,7 +31,7 @@ _SEED_OF_DRAWINGS = 1_000_003
 
 def teach(
     label: Annotated[str, typer.Argument(help="Name of the object.")],
-    dataset: DatasetOutOption,
+    dataset: options.DatasetOut,
     grasps: Annotated[
         int | None,
         typer.Option(
@@ -63,8 +54,8 @@ def teach(
         Path | None,
         typer.Option("--mesh", help="Teach from an STL file in mm, without grasping."),
     ] = None,
-    gauge: GaugeOption = None,
-    gauge_shape: GaugeShapeOption = None,
+    gauge: options.Gauge = None,
+    gauge_shape: options.GaugeShape = None,
     recorded: Annotated[
         Path | None,
         typer.Option(
@@ -84,11 +75,11 @@ def teach(
         str | None,
         typer.Option("--object", help="Object in the simulated cell [default: that label]."),
     ] = None,
-    config: ConfigOption = None,
-    out_folder: OutOption = None,
-    seed: SeedOption = None,
-    faults: FaultOption = None,
-    json_file: JsonOption = None,
+    config: options.Config = None,
+    out_folder: options.Out = None,
+    seed: options.Seed = None,
+    faults: options.Faults = None,
+    json_file: options.Json = None,
 ) -> None:
     """Grasp a known object, or a drawing of it, for a data set."""
     with raised_as(ConfigError, ValueError):
