@@ -220,7 +220,7 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
     goal = GaugeGoal(label="ball", grasps=len(balls))
 
     def gauge(drift: Drift) -> Drift:
-        outcome = SimpleNamespace(result=GraspResult.FORCE_REACHED)
+        outcome = SimpleNamespace(result=GraspResult.FORCE_REACHED, short="")
         records = iter([SimpleNamespace(grasp=drift.apply(g), outcome=outcome) for g in balls])
         controller: Any = SimpleNamespace(
             check_plan=lambda *_: None,
