@@ -3,13 +3,12 @@
 from simulator.can.drive import SimulatedDrive
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.entry import (
-    Effect,
     FaultEntry,
     FaultKind,
     Number,
     Target,
+    Undo,
     knob_fault,
-    moment_fault,
     turned,
 )
 from simulator.servo.wrist import SimulatedWrist
@@ -26,17 +25,17 @@ def _drive(target: Target) -> SimulatedDrive:
     raise SimulatorSettingsError("this fault is for drives, but the axis is a servo")
 
 
-def _blocked(target: Target) -> Effect:
+def _blocked(target: Target) -> Undo:
     axis = _axis(target)
     owner = axis.motion if isinstance(axis, SimulatedDrive) else axis
-    return Effect(undo=turned(owner, "blocked", True))
+    return turned(owner, "blocked", True)
 
 
-def _silence(target: Target) -> Effect:
+def _silence(target: Target) -> Undo:
     axis = _axis(target)
     if isinstance(axis, SimulatedDrive):
-        return Effect(undo=turned(axis, "dead", True))
-    return Effect(undo=turned(axis.bus.faults, "silent", {axis.mount.servo_id}))
+        return turned(axis, "dead", True)
+    return turned(axis.bus.faults, "silent", {axis.mount.servo_id})
 
 
 def _fault(target: Target) -> None:
@@ -55,10 +54,10 @@ def _reboot(target: Target) -> None:
         axis.servo.core.boot(target.now_s)
 
 
-def _second_node(target: Target) -> Effect:
+def _second_node(target: Target) -> Undo:
     bus = target.devices.axes_can_devices
     assert bus is not None, "a drive is on a bus"
-    return Effect(undo=bus.add(SimulatedDrive(_drive(target).mount, start_s=target.now_s)))
+    return bus.add(SimulatedDrive(_drive(target).mount, start_s=target.now_s))
 
 
 # fmt: off
@@ -73,18 +72,19 @@ AXIS = (
                "the negative (-1) or positive (1) limit switch of its drive is active",
                "forced_switch", Number("end", -1, 1, default=1, whole=True), owner=_drive,
                check=_drive),
-    moment_fault("axisN.fault", FaultKind.WRONG,
-                 "its drive goes to fault with this error code (603Fh); a servo is overloaded",
-                 _fault, Number("code", 1, 0xFFFF, default=0x2310, whole=True)),
-    moment_fault("axisN.reboot", FaultKind.REBOOT,
-                 "its drive or servo restarts: torque off, set-up and position lost", _reboot),
+    FaultEntry("axisN.fault", FaultKind.WRONG,
+               "its drive goes to fault with this error code (603Fh); a servo is overloaded",
+               _fault, value=Number("code", 1, 0xFFFF, default=0x2310, whole=True), moment=True),
+    FaultEntry("axisN.reboot", FaultKind.REBOOT,
+               "its drive or servo restarts: torque off, set-up and position lost", _reboot,
+               moment=True),
     knob_fault("axisN.misread", FaultKind.WRONG,
                "the reading of its drive's encoder suddenly grows by this value", "misread",
                Number("m or rad", -100.0, 100.0, default=5.0), owner=_drive, check=_drive),
-    moment_fault("axisN.nmt", FaultKind.OFF,
-                 "another CANopen master commands its drive: 2 stop, 128 pre-operational",
-                 lambda target: _drive(target).command(int(target.number)),
-                 Number("command", 1, 130, default=2, whole=True), check=_drive),
+    FaultEntry("axisN.nmt", FaultKind.OFF,
+               "another CANopen master commands its drive: 2 stop, 128 pre-operational",
+               lambda target: _drive(target).command(int(target.number)),
+               value=Number("command", 1, 130, default=2, whole=True), check=_drive, moment=True),
     FaultEntry("axisN.second_node", FaultKind.WRONG,
                "another drive with the same node-ID joins the bus", _second_node, "axis_second",
                check=_drive),

@@ -6,11 +6,11 @@ from simulator.boards.uskin import UskinSettings
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.entry import (
     SHARE,
-    Effect,
     FaultEntry,
     FaultKind,
     Number,
     Target,
+    Undo,
     knob_fault,
 )
 
@@ -28,11 +28,11 @@ def _check_uskin(target: Target) -> None:
         raise SimulatorSettingsError("this cell has no sensor boards on CAN")
 
 
-def _unplugged(target: Target) -> Effect:
-    return Effect(undo=target.plugs[f"board{int(target.number)}"]())
+def _unplugged(target: Target) -> Undo:
+    return target.plugs[f"board{int(target.number)}"]()
 
 
-def _swapped(target: Target) -> Effect:
+def _swapped(target: Target) -> Undo:
     """Exchange two neighbouring rows of a pad, as by a wrongly soldered connector."""
     layout, finger = target.devices.settings.layout, int(target.number)
     order = np.arange(layout.n_taxels)
@@ -42,7 +42,7 @@ def _swapped(target: Target) -> Effect:
     rows[[middle, middle + 1]] = rows[[middle + 1, middle]]
     mounted = target.devices.faults.unit.mounted
     mounted[f"swapped {finger}"] = order
-    return Effect(undo=lambda: mounted.pop(f"swapped {finger}", None))
+    return lambda: mounted.pop(f"swapped {finger}", None)
 
 
 def _of_finger(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:

@@ -8,14 +8,13 @@ import numpy as np
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.entry import (
     SHARE,
-    Effect,
     FaultEntry,
     FaultKind,
     Number,
     Setting,
     Target,
+    Undo,
     knob_fault,
-    moment_fault,
     turned,
     unplugging,
 )
@@ -27,15 +26,15 @@ _SHORT_EMERGENCY = b"\x10\x81\x01"
 """The first three of the eight bytes of an EMCY: code 0x8110 (CAN overrun), error register."""
 
 
-def _bursts(target: Target) -> Effect:
+def _bursts(target: Target) -> Undo:
     faults, began_s, share = target.devices.faults.can, target.now_s, target.number
 
     def act(now_s: float) -> None:
         in_burst = (now_s - began_s) % _BURST_PERIOD_S < share * _BURST_PERIOD_S
         faults.drop_rate = 1.0 if in_burst else 0.0
 
-    undo = turned(faults, "drop_rate", 1.0 if share else 0.0)
-    return Effect(undo=undo, act=act)
+    target.act = act
+    return turned(faults, "drop_rate", 1.0 if share else 0.0)
 
 
 def _short_emergency(target: Target) -> None:
@@ -59,9 +58,9 @@ CAN = (
     FaultEntry("can.intermittent", FaultKind.INTERMITTENT,
                "all messages to the host are lost in this share of each half second", _bursts,
                "drop_rate", Number("share", 0.0, 1.0, default=0.2)),
-    moment_fault("can.lose_next", FaultKind.INTERMITTENT,
-                 "this number of messages to the host is lost", _lose_next,
-                 Number("messages", 1, 100_000, default=1, whole=True)),
+    FaultEntry("can.lose_next", FaultKind.INTERMITTENT,
+               "this number of messages to the host is lost", _lose_next,
+               value=Number("messages", 1, 100_000, default=1, whole=True), moment=True),
     knob_fault("can.duplicate", FaultKind.WRONG, "messages come twice", "duplicate_rate", SHARE),
     knob_fault("can.swapped", FaultKind.WRONG, "messages come after their successor", "swap_rate",
                SHARE),
@@ -78,8 +77,9 @@ CAN = (
                _hertz(8000.0)),
     knob_fault("can.unknown_id", FaultKind.WRONG, "messages of an unknown identifier at this rate",
                "flood_hz", _hertz(20.0)),
-    moment_fault("can.short_emergency", FaultKind.WRONG,
-                 "an emergency message of three bytes instead of eight", _short_emergency),
+    FaultEntry("can.short_emergency", FaultKind.WRONG,
+               "an emergency message of three bytes instead of eight", _short_emergency,
+               moment=True),
     knob_fault("can.passive", FaultKind.SLOW, "the host's controller is error-passive",
                "error_passive"),
     knob_fault("can.off", FaultKind.OFF, "the host's controller is bus-off: nothing passes",
@@ -115,11 +115,11 @@ def _check_identity(target: Target) -> None:
         raise SimulatorSettingsError(f"unit.wrong: {number} does not fit into 32 bits")
 
 
-def _pretending(target: Target, place: tuple[int, int], value: int) -> Effect:
+def _pretending(target: Target, place: tuple[int, int], value: int) -> Undo:
     """Replace the value of an object of the unit's dictionary."""
     dictionary = target.devices.unit.dictionary
     before = dictionary.pretend(*place, value)
-    return Effect(undo=lambda: dictionary.pretend(*place, before))
+    return lambda: dictionary.pretend(*place, before)
 
 
 def _some_taxels(target: Target) -> list[int]:
@@ -128,11 +128,10 @@ def _some_taxels(target: Target) -> list[int]:
     return [int(taxel) for taxel in order[: round(target.number * n_taxels)]]
 
 
-def _stuck(target: Target, taxels: Iterable[int], counts: int) -> Effect:
+def _stuck(target: Target, taxels: Iterable[int], counts: int) -> Undo:
     """Set taxels to constant counts; taxels that are already stuck stay so."""
     faults = target.devices.faults.unit
-    stuck = faults.stuck_counts | dict.fromkeys(taxels, counts)
-    return Effect(undo=turned(faults, "stuck_counts", stuck))
+    return turned(faults, "stuck_counts", faults.stuck_counts | dict.fromkeys(taxels, counts))
 
 
 def _chosen_taxels(target: Target) -> tuple[range, int]:
@@ -168,22 +167,23 @@ UNIT = (
                "heartbeat_off"),
     knob_fault("unit.stuck", FaultKind.STUCK,
                "valid frames, always with the counts of the last scan", "frozen"),
-    moment_fault("unit.reboot", FaultKind.REBOOT, "the unit loses its supply and reboots",
-                 lambda target: target.devices.unit.power_cycle()),
-    moment_fault("unit.emergency", FaultKind.WRONG, "the unit reports an error (EMCY)",
-                 lambda target: target.devices.unit.emergency(int(target.number)),
-                 Number("code", 0, 0xFFFF, default=0x5000, whole=True)),
-    moment_fault("unit.pre_operational", FaultKind.OFF,
-                 "the unit changes to pre-operational, as by a command of another master",
-                 lambda target: target.devices.unit.command("PRE-OPERATIONAL", target.now_s)),
+    FaultEntry("unit.reboot", FaultKind.REBOOT, "the unit loses its supply and reboots",
+               lambda target: target.devices.unit.power_cycle(), moment=True),
+    FaultEntry("unit.emergency", FaultKind.WRONG, "the unit reports an error (EMCY)",
+               lambda target: target.devices.unit.emergency(int(target.number)),
+               value=Number("code", 0, 0xFFFF, default=0x5000, whole=True), moment=True),
+    FaultEntry("unit.pre_operational", FaultKind.OFF,
+               "the unit changes to pre-operational, as by a command of another master",
+               lambda target: target.devices.unit.command("PRE-OPERATIONAL", target.now_s),
+               moment=True),
     FaultEntry("unit.wrong", FaultKind.WRONG,
                "the unit differs (vendor, product, revision, serial, taxels, pads)",
                lambda target: _pretending(target, _IDENTITY[target.setting[0]], target.setting[1]),
                "identity", Setting(unit="name:number", default="serial:99"), check=_check_identity),
     FaultEntry("unit.second_node", FaultKind.WRONG,
                "another unit with the same node id joins the bus",
-               lambda target: Effect(
-                   undo=target.devices.can_devices.add(target.devices.second_unit(target.now_s))),
+               lambda target: target.devices.can_devices.add(
+                   target.devices.second_unit(target.now_s)),
                "second_node"),
     knob_fault("unit.pads_swapped", FaultKind.WRONG,
                "the pads of the two fingers are exchanged at the unit", "pads_swapped"),

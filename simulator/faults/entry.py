@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 from simulator.devices import CellDevices
 from simulator.errors import SimulatorSettingsError
@@ -87,28 +88,13 @@ class Setting:
             ) from None
 
 
-FaultValue = float | tuple[str, int] | None
-"""Number, name and number, or None, by the entry of the fault."""
-
 Undo = Callable[[], object]
 """Undoes a fault."""
-
-
 Plug = Callable[[], Undo]
 """Unplugs a cable and returns the function that plugs it in again."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Effect:
-    """Effect of an active fault."""
-
-    undo: Undo
-    """Undoes the fault."""
-    act: Callable[[float], None] | None = None
-    """Called with the time in s at each step of the world, for faults that change over time."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class Target:
     """Cell, servo and value of a fault."""
 
@@ -118,28 +104,18 @@ class Target:
     """Its cables by name: ``can`` and ``servos``."""
     servo: int
     """Position of the servo or axis in the settings, for its faults."""
-    value: FaultValue
-    """The checked value."""
+    number: float
+    """The checked value of a fault whose value is a number."""
+    setting: tuple[str, int]
+    """The checked value of a fault whose value is a setting."""
     now_s: float
+    act: Callable[[float], None] = field(default=lambda _now_s: None, init=False)
+    """Called with the time in s at each step of the world; faults that change over time set it."""
 
     @property
     def adc_max(self) -> int:
         """Full scale of the taxels in counts."""
         return self.devices.settings.layout.adc_max
-
-    @property
-    def number(self) -> float:
-        """The value of a fault whose value is a number."""
-        if not isinstance(self.value, float):
-            raise SimulatorSettingsError(f"the value {self.value!r} is not a number")
-        return self.value
-
-    @property
-    def setting(self) -> tuple[str, int]:
-        """The value of a fault whose value is a setting."""
-        if not isinstance(self.value, tuple):
-            raise SimulatorSettingsError(f"the value {self.value!r} is not a name and a number")
-        return self.value
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,19 +129,17 @@ class FaultEntry:
     """Effect on the component."""
     meaning: str
     """Description, one line."""
-    apply: Callable[[Target], Effect]
-    """Begins the fault on a target."""
+    apply: Callable[[Target], Any]
+    """Begins the fault on a target, and returns its `Undo`; that of a moment is not used."""
     knob: str = ""
     """Only one fault of a knob of a device can be injected at a time; empty: any number."""
     value: Number | Setting | None = None
     """Value after ``=``; None: no value."""
-    moment: bool = False
+    moment: bool = field(default=False, kw_only=True)
     """Whether the fault is momentary, without an end."""
-    check: Callable[[Target], object] | None = None
+    check: Callable[[Target], object] = field(default=lambda _target: None, kw_only=True)
     """Refuses values that do not fit the cell, with SimulatorSettingsError, before any change."""
 
-
-Apply = Callable[[Target], Effect]
 
 SHARE = Number("share", 0.0, 1.0, default=0.05)
 """Share of the traffic, or of the taxels, with the fault."""
@@ -181,41 +155,9 @@ def turned(owner: object, name: str, value: object) -> Undo:
     return lambda: setattr(owner, name, before)
 
 
-def nothing() -> None:
-    """Do nothing: the undo of a momentary fault."""
-
-
-def lasting(begin: Callable[[Target], object], end: Callable[[Target], object]) -> Apply:
-    """Return an effect with a function for its begin and one for its end."""
-
-    def apply(target: Target) -> Effect:
-        begin(target)
-        return Effect(undo=lambda: end(target))
-
-    return apply
-
-
-def unplugging(plug: str) -> Apply:
-    """Return an effect that unplugs a cable: ``can`` or ``servos``."""
-    return lambda target: Effect(undo=target.plugs[plug]())
-
-
-def moment_fault(
-    name: str,
-    kind: FaultKind,
-    meaning: str,
-    act: Callable[[Target], object],
-    value: Number | None = None,
-    *,
-    check: Callable[[Target], object] | None = None,
-) -> FaultEntry:
-    """Return a momentary fault."""
-
-    def apply(target: Target) -> Effect:
-        act(target)
-        return Effect(undo=nothing)
-
-    return FaultEntry(name, kind, meaning, apply, value=value, moment=True, check=check)
+def unplugging(plug: str) -> Callable[[Target], Undo]:
+    """Return a fault that unplugs a cable: ``can`` or ``servos``."""
+    return lambda target: target.plugs[plug]()
 
 
 def knob_fault(
@@ -227,7 +169,7 @@ def knob_fault(
     *,
     owner: Callable[[Target], object] | None = None,
     position: Callable[[Target], object] | None = None,
-    check: Callable[[Target], object] | None = None,
+    check: Callable[[Target], object] = lambda _target: None,
 ) -> FaultEntry:
     """Return a fault that sets one knob: to a position, to its number, else to on.
 
@@ -240,13 +182,13 @@ def knob_fault(
     """
     part = _PARTS.get(name.partition(".")[0], "")
 
-    def apply(target: Target) -> Effect:
+    def apply(target: Target) -> Undo:
         on: object = True
         if position is not None:
             on = position(target)
         elif value is not None:
             on = int(target.number) if value.whole else target.number
         of = getattr(target.devices.faults, part) if owner is None else owner(target)
-        return Effect(undo=turned(of, knob, on))
+        return turned(of, knob, on)
 
     return FaultEntry(name, kind, meaning, apply, knob, value, check=check)

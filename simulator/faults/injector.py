@@ -1,13 +1,14 @@
 """The vocabulary of faults, and the injector that begins and ends them on a simulated cell.
 
 A text such as ``can.loss=0.05@2s`` or ``servo1.reboot@contact+0.5s`` has the fault, its value and
-its start; `simulator.faults.text` has the form. Faults never reach real hardware.
+its start: ``COMPONENT.FAULT[=VALUE][@START[..END]]``. Faults never reach real hardware.
 """
 
 import math
 import re
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
 
@@ -17,10 +18,9 @@ from simulator.errors import SimulatorError, SimulatorSettingsError, SimulatorSt
 from simulator.faults.axes import AXIS
 from simulator.faults.boards import BOARD
 from simulator.faults.can import CAN, TAXELS, UNIT
-from simulator.faults.entry import Effect, FaultEntry, FaultValue, Plug, Target, turned
+from simulator.faults.entry import FaultEntry, Plug, Target, Undo, turned
 from simulator.faults.object import OBJECT
 from simulator.faults.servos import SERVO, SERVOS
-from simulator.faults.text import FaultText, parse_fault
 
 VOCABULARY: dict[str, FaultEntry] = {
     entry.name: entry for entry in (*CAN, *UNIT, *TAXELS, *BOARD, *SERVOS, *SERVO, *AXIS, *OBJECT)
@@ -32,70 +32,121 @@ CONTACT_N = 0.5
 because the first touch may be much earlier."""
 MOVING_RAD_S = 0.02
 """Speed of a servo in rad/s at the event ``moving``: about 1 mm/s at the pads."""
+FORM = "COMPONENT.FAULT[=VALUE][@START[..END]]"
+LONGEST_TEXT = 200
+"""Most characters of a fault."""
+_TIME = re.compile(r"(?:(contact|moving)\+)?(\d{1,7}(?:\.\d{1,9})?)(ms|s)|(contact|moving)")
+_NAME = re.compile(r"[a-z]+[0-9]*\.[a-z_]+")
 _NUMBERED = re.compile(r"(servo|axis)([1-9][0-9]?)\.(.+)")
 _EACH = ("servoN", "axisN")
 """First parts of names that stand for each servo, and for each axis, of the config."""
 
 
-def check_fault(
-    text: str, n_servos: int = 2, n_axes: int = 0
-) -> tuple[FaultText, FaultEntry, int, FaultValue]:
-    """Return the parts of a text, its entry, the position of its device, and its value.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fault:
+    """A fault as it was written, with its checked value."""
+
+    text: str
+    """The whole text."""
+    entry: FaultEntry
+    """Entry of the vocabulary."""
+    servo: int
+    """Position of the servo or axis in the settings."""
+    value: float | tuple[str, int] | None
+    """Number, name and number, or None, by the entry."""
+    event: str
+    """``contact`` or ``moving``; empty: the injection."""
+    start_s: float
+    end_s: float
+    """Start and end in s after the first such event since the injection; end infinity: never."""
+
+
+def check_fault(text: str, n_servos: int = 2, n_axes: int = 0) -> Fault:
+    """Return the fault of a text.
 
     Raises SimulatorSettingsError if the form of the text, its name, value or moment is wrong.
     """
-    parsed = parse_fault(text)
-    name, servo = parsed.name, 0
-    match = _NUMBERED.fullmatch(name)
+    if not isinstance(text, str) or len(text) > LONGEST_TEXT:
+        raise SimulatorSettingsError(f"a fault is a text {FORM} of at most {LONGEST_TEXT} letters")
+    what, at, window = text.strip().partition("@")
+    name, equals, written = what.partition("=")
+    if not _NAME.fullmatch(name):
+        raise SimulatorSettingsError(f"fault {text!r} is not of the form {FORM}")
+    if equals and not written:
+        raise SimulatorSettingsError(f"fault {text!r} has no value after its '='")
+    start, dots, end = window.partition("..")
+    event, start_s = _when(text, start) if at else ("", 0.0)
+    end_event, end_s = _when(text, end) if dots else (event, math.inf)
+    if event != end_event or end_s <= start_s:
+        raise SimulatorSettingsError(
+            f"fault {text!r} ends before it begins, or counts both from different events"
+        )
+    entry, servo = _entry(name, n_servos, n_axes)
+    if entry.moment and end_s < math.inf:
+        raise SimulatorSettingsError(f"fault {name} is momentary: leave out its end")
+    value: float | tuple[str, int] | None = None
+    if entry.value is not None:
+        value = entry.value.read(name, written or str(entry.value.default))
+    elif equals:
+        raise SimulatorSettingsError(f"fault {name} takes no value: leave it out")
+    return Fault(
+        text=text.strip(),
+        entry=entry,
+        servo=servo,
+        value=value,
+        event=event,
+        start_s=start_s,
+        end_s=end_s,
+    )
+
+
+def _entry(name: str, n_servos: int, n_axes: int) -> tuple[FaultEntry, int]:
+    """Return the entry of a name, and the position of its servo or axis."""
+    match, general, servo = _NUMBERED.fullmatch(name), name, 0
     if match:
-        servo = int(match[2]) - 1
-        name = f"{match[1]}N.{match[3]}"
-    entry = VOCABULARY.get(name)
+        general, servo = f"{match[1]}N.{match[3]}", int(match[2]) - 1
+    entry = VOCABULARY.get(general)
     if entry is None:
-        near = get_close_matches(name, VOCABULARY, n=1)
+        near = get_close_matches(general, VOCABULARY, n=1)
         meant = f"did you mean {near[0].replace('N.', f'{servo + 1}.')}? " if near else ""
         raise SimulatorSettingsError(
-            f"there is no fault {parsed.name!r}; {meant}`tactile-cell simulate --list-faults` "
-            "lists all"
+            f"there is no fault {name!r}; {meant}`tactile-cell simulate --list-faults` lists all"
         )
-    if name.startswith("axisN") and servo >= n_axes:
-        raise SimulatorSettingsError(f"fault {parsed.name}: this cell has {n_axes} axes")
-    if name.startswith("servoN") and servo >= n_servos:
-        raise SimulatorSettingsError(f"fault {parsed.name}: this cell has {n_servos} servos")
-    if entry.moment and parsed.end_s < math.inf:
-        raise SimulatorSettingsError(f"fault {parsed.name} is momentary: leave out its end")
-    if entry.value is None:
-        if parsed.value is not None:
-            raise SimulatorSettingsError(f"fault {parsed.name} takes no value: leave it out")
-        return parsed, entry, servo, None
-    written = str(entry.value.default) if parsed.value is None else parsed.value
-    return parsed, entry, servo, entry.value.read(parsed.name, written)
+    if general.startswith("axisN") and servo >= n_axes:
+        raise SimulatorSettingsError(f"fault {name}: this cell has {n_axes} axes")
+    if general.startswith("servoN") and servo >= n_servos:
+        raise SimulatorSettingsError(f"fault {name}: this cell has {n_servos} servos")
+    return entry, servo
+
+
+def _when(text: str, when: str) -> tuple[str, float]:
+    match = _TIME.fullmatch(when)
+    if match is None:
+        raise SimulatorSettingsError(
+            f"fault {text!r}: {when!r} is not a time; write 2s, 250ms, contact, contact+0.5s, "
+            "moving or moving+20ms"
+        )
+    event, number, unit, alone = match.groups()
+    return event or alone or "", float(number or 0.0) * (1e-3 if unit == "ms" else 1.0)
 
 
 class InjectedFault:
     """An injected fault: waiting, active, or over."""
 
-    def __init__(self, injector: "FaultInjector", text: str, injected_s: float) -> None:
+    def __init__(self, injector: "FaultInjector", fault: Fault, injected_s: float) -> None:
         self._injector = injector
-        devices = injector.devices
-        parsed, self.entry, self.servo, self._value = check_fault(
-            text, len(devices.settings.servos), len(devices.axes)
-        )
-        """Entry of the vocabulary, and position of the servo or axis."""
-        self.text = parsed.text
-        """Text of the injection."""
+        self.fault, self.text, self.entry = fault, fault.text, fault.entry
+        """The fault, its text, and its entry of the vocabulary."""
         self.began_s: float | None = None
         self.ended_s: float | None = None
         """Time of the cell in s at which it began and ended; None before."""
-        self.event, self.start_s, self.end_s = parsed.event, parsed.start_s, parsed.end_s
-        """Start and end in s after an event; see `simulator.faults.text.FaultText`."""
-        self.event_s = math.inf if parsed.event else injected_s
+        self.event_s = math.inf if fault.event else injected_s
         """Time of the event in s; infinity before."""
 
     @property
     def value(self) -> float:
         """Its value if that is a number, else NaN."""
-        return self._value if isinstance(self._value, float) else math.nan
+        return self.fault.value if isinstance(self.fault.value, float) else math.nan
 
     @property
     def over(self) -> bool:
@@ -106,17 +157,12 @@ class InjectedFault:
         """End the fault, or cancel it before its start; a second call has no effect."""
         self._injector.end(self)
 
-    def target(self, devices: CellDevices, plugs: Mapping[str, Plug], now_s: float) -> Target:
-        """Return cell, device and value for the fault."""
-        return Target(
-            devices=devices, plugs=plugs, servo=self.servo, value=self._value, now_s=now_s
-        )
-
     def meets(self, other: "InjectedFault") -> bool:
         """Return whether both use one knob of one device; ``servos`` are each ``servoN``."""
         names = [fault.entry.name for fault in (self, other)]
         one, two = (name.partition(".")[0].rstrip("sN") for name in names)
-        apart = self.servo != other.servo and all(name.startswith(_EACH) for name in names)
+        apart = self.fault.servo != other.fault.servo
+        apart = apart and all(name.startswith(_EACH) for name in names)
         knob = self.entry.knob
         return bool(knob) and (one, knob) == (two, other.entry.knob) and not apart
 
@@ -142,13 +188,13 @@ class FaultInjector:
             "board1": partial(turned, devices.faults.boards, "unplugged", {1}),
         }
         self._pending: list[InjectedFault] = []
-        self._effects: dict[InjectedFault, Effect] = {}
+        self._active: dict[InjectedFault, tuple[Undo, Target]] = {}
         self.now_s = start_s
 
     @property
     def faults(self) -> tuple[InjectedFault, ...]:
         """Active and waiting faults."""
-        return (*self._effects, *self._pending)
+        return (*self._active, *self._pending)
 
     def inject(self, text: str) -> InjectedFault:
         """Inject a fault; without a start it begins at once.
@@ -163,7 +209,7 @@ class FaultInjector:
                     f"{other.text} is injected and uses the same knob as {fault.text}: "
                     "clear it first"
                 )
-        if not fault.event and fault.start_s == 0.0:
+        if not fault.fault.event and fault.fault.start_s == 0.0:
             self._begin(fault, self.now_s)
         else:
             self._pending.append(fault)
@@ -181,12 +227,23 @@ class FaultInjector:
         return found
 
     def _checked(self, text: str) -> InjectedFault:
-        fault = InjectedFault(self, text, self.now_s)
+        devices = self.devices
+        fault = check_fault(text, len(devices.settings.servos), len(devices.axes))
         if fault.entry.name.startswith("object."):
-            _ = self.devices.physical
-        if fault.entry.check is not None:
-            fault.entry.check(fault.target(self.devices, self._plugs, self.now_s))
-        return fault
+            _ = devices.physical
+        fault.entry.check(self._target(fault, self.now_s))
+        return InjectedFault(self, fault, self.now_s)
+
+    def _target(self, fault: Fault, now_s: float) -> Target:
+        value = fault.value
+        return Target(
+            devices=self.devices,
+            plugs=self._plugs,
+            servo=fault.servo,
+            number=value if isinstance(value, float) else math.nan,
+            setting=value if isinstance(value, tuple) else ("", 0),
+            now_s=now_s,
+        )
 
     def clear(self, text: str) -> int:
         """End the faults with this text or name; returns their number.
@@ -215,9 +272,9 @@ class FaultInjector:
         """End a fault, or cancel it before its start; no effect if it is over."""
         if fault.over:
             return
-        effect = self._effects.pop(fault, None)
-        if effect is not None:
-            effect.undo()
+        if fault in self._active:
+            undo, _ = self._active.pop(fault)
+            undo()
         else:
             self._pending.remove(fault)
         fault.ended_s = self.now_s
@@ -225,30 +282,31 @@ class FaultInjector:
     def advance(self, now_s: float) -> None:
         """Begin, continue and end the due faults at ``now_s`` s."""
         self.now_s = now_s
-        if not self._pending and not self._effects:
+        if not self._pending and not self._active:
             return
-        for fault in self.faults:
-            if math.isinf(fault.event_s) and self._happens(fault.event):
-                fault.event_s = now_s
-            since_s = now_s - fault.event_s + ROUNDING_S
-            if fault in self._effects:
-                act = self._effects[fault].act
-                if act is not None:
-                    act(now_s)
+        for injected in self.faults:
+            fault = injected.fault
+            if math.isinf(injected.event_s) and self._happens(fault.event):
+                injected.event_s = now_s
+            since_s = now_s - injected.event_s + ROUNDING_S
+            if injected in self._active:
+                _, target = self._active[injected]
+                target.act(now_s)
             elif fault.start_s <= since_s:
-                self._begin(fault, now_s)
-            if fault in self._effects and fault.end_s <= since_s:
-                self.end(fault)
+                self._begin(injected, now_s)
+            if injected in self._active and fault.end_s <= since_s:
+                self.end(injected)
 
-    def _begin(self, fault: InjectedFault, now_s: float) -> None:
-        effect = fault.entry.apply(fault.target(self.devices, self._plugs, now_s))
-        fault.began_s = now_s
-        if fault in self._pending:
-            self._pending.remove(fault)
-        if fault.entry.moment:
-            fault.ended_s = now_s
+    def _begin(self, injected: InjectedFault, now_s: float) -> None:
+        target = self._target(injected.fault, now_s)
+        undo = injected.entry.apply(target)
+        injected.began_s = now_s
+        if injected in self._pending:
+            self._pending.remove(injected)
+        if injected.entry.moment:
+            injected.ended_s = now_s
         else:
-            self._effects[fault] = effect
+            self._active[injected] = undo, target
 
     def _happens(self, event: str) -> bool:
         devices = self.devices

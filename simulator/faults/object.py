@@ -1,13 +1,11 @@
 """Named faults of the object between the fingers."""
 
 from simulator.faults.entry import (
-    Effect,
     FaultEntry,
     FaultKind,
     Number,
     Target,
-    moment_fault,
-    nothing,
+    Undo,
 )
 
 _SLIDE_M = 1e-4
@@ -16,7 +14,7 @@ _SWELLING_M_S = 0.02
 """Growth of a trapped object in m/s: slower than the approach of the fingers."""
 
 
-def _slips(target: Target) -> Effect:
+def _slips(target: Target) -> Undo:
     world, speed_m_s, last_s = target.devices.physical, 1e-3 * target.number, target.now_s
 
     def act(now_s: float) -> None:
@@ -26,23 +24,25 @@ def _slips(target: Target) -> Effect:
             world.slide(way_m)
             last_s = now_s
 
-    return Effect(undo=nothing, act=act)
+    target.act = act
+    return lambda: None
 
 
-def _trapped(target: Target) -> Effect:
+def _trapped(target: Target) -> Undo:
     world, began_s = target.devices.physical, target.now_s
 
     def act(now_s: float) -> None:
         grown_m = (now_s - began_s) * _SWELLING_M_S
         world.swell(min(grown_m, 1e-3 * target.number))
 
-    return Effect(undo=lambda: world.swell(0.0), act=act)
+    target.act = act
+    return lambda: world.swell(0.0)
 
 
 # fmt: off
 OBJECT = (
-    moment_fault("object.gone", FaultKind.OFF, "the part is removed from the fingers",
-                 lambda target: target.devices.physical.remove()),
+    FaultEntry("object.gone", FaultKind.OFF, "the part is removed from the fingers",
+               lambda target: target.devices.physical.remove(), moment=True),
     FaultEntry("object.slips", FaultKind.WRONG,
                "the part slides along the pads until it has left them", _slips, "slips",
                Number("mm/s", 0.1, 1000.0, default=20.0)),

@@ -4,15 +4,13 @@ from gripper.dynamixel.control_table import REGISTERS
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.entry import (
     SHARE,
-    Effect,
     FaultEntry,
     FaultKind,
     Number,
     Setting,
     Target,
+    Undo,
     knob_fault,
-    lasting,
-    moment_fault,
     turned,
     unplugging,
 )
@@ -39,14 +37,14 @@ def _chatter(name: str, meaning: str, data: bytes, every_s: float) -> FaultEntry
     return knob_fault(name, FaultKind.GARBAGE, meaning, "chatter", value, position=chatter)
 
 
-def _silence(target: Target, servo_ids: list[int]) -> Effect:
+def _silence(target: Target, servo_ids: list[int]) -> Undo:
     silent = target.devices.faults.servo_wire.silent
     added = [servo_id for servo_id in servo_ids if servo_id not in silent]
     silent.update(added)
-    return Effect(undo=lambda: silent.difference_update(added))
+    return lambda: silent.difference_update(added)
 
 
-def _all_silent(target: Target) -> Effect:
+def _all_silent(target: Target) -> Undo:
     return _silence(target, [servo.servo_id for servo in target.devices.settings.servos])
 
 
@@ -62,28 +60,30 @@ def _motor(target: Target) -> ServoMotor:
     return target.devices.mechanics.motors[target.servo]
 
 
-def _stuck(target: Target) -> Effect:
+def _stuck(target: Target) -> Undo:
     motor = _motor(target)
-    return Effect(undo=turned(motor, "stuck_at_rad", motor.angle_rad))
+    return turned(motor, "stuck_at_rad", motor.angle_rad)
 
 
 def _jump(target: Target) -> None:
     _motor(target).encoder_offset_rad += target.number
 
 
-def _turns(target: Target) -> Effect:
+def _turns(target: Target) -> Undo:
     report_raw = int(target.number) * _motor(target).model.pulses_per_turn
-    return Effect(undo=turned(_core(target).position, _REPORT, report_raw))
+    return turned(_core(target).position, _REPORT, report_raw)
 
 
-def _remount(target: Target, sign: int) -> None:
-    """Mount the horn of a servo farther open by the value in pulses, or undo it."""
-    off_rad = sign * target.number * _motor(target).model.rad_per_pulse
+def _remount(target: Target) -> Undo:
+    """Mount the horn of a servo farther open by the value in pulses."""
+    off_rad = target.number * _motor(target).model.rad_per_pulse
     target.devices.mechanics.remount(target.servo, off_rad=off_rad)
+    return lambda: target.devices.mechanics.remount(target.servo, off_rad=-off_rad)
 
 
-def _turn_round(target: Target) -> None:
+def _turn_round(target: Target) -> Undo:
     target.devices.mechanics.remount(target.servo, turned=True)
+    return lambda: target.devices.mechanics.remount(target.servo, turned=True)
 
 
 def _factory(target: Target) -> None:
@@ -92,14 +92,15 @@ def _factory(target: Target) -> None:
     core.boot(target.now_s + _BOOT_APART_S * target.servo)
 
 
-def _drift(target: Target) -> Effect:
+def _drift(target: Target) -> Undo:
     position, pulse_rad = _core(target).position, _motor(target).model.rad_per_pulse
 
     def act(now_s: float) -> None:
         drifted_rad = target.number * (now_s - target.now_s)
         position.reported_offset_raw = round(drifted_rad / pulse_rad)
 
-    return Effect(undo=turned(position, _REPORT, 0), act=act)
+    target.act = act
+    return turned(position, _REPORT, 0)
 
 
 def _check_register(target: Target) -> None:
@@ -116,12 +117,12 @@ def _check_register(target: Target) -> None:
         raise SimulatorSettingsError(f"{name} = {number} does not fit into {register.size} bytes")
 
 
-def _wrong(target: Target) -> Effect:
+def _wrong(target: Target) -> Undo:
     name, number = target.setting
     registers = _core(target).registers
     before = registers.get(name)
     registers.put(name, number)
-    return Effect(undo=lambda: registers.put(name, before))
+    return lambda: registers.put(name, before)
 
 
 def _lose_next(target: Target) -> None:
@@ -131,8 +132,8 @@ def _lose_next(target: Target) -> None:
 # fmt: off
 SERVOS = (
     knob_fault("servos.loss", FaultKind.INTERMITTENT, "answers are lost", "drop", SHARE),
-    moment_fault("servos.lose_next", FaultKind.INTERMITTENT, "this number of answers is lost",
-                 _lose_next, Number("answers", 1, 100_000, default=1, whole=True)),
+    FaultEntry("servos.lose_next", FaultKind.INTERMITTENT, "this number of answers is lost",
+               _lose_next, value=Number("answers", 1, 100_000, default=1, whole=True), moment=True),
     knob_fault("servos.lost_requests", FaultKind.INTERMITTENT, "requests are lost", "lose_request",
                SHARE),
     knob_fault("servos.corrupt", FaultKind.GARBAGE, "one bit of an answer flips", "bit_flip",
@@ -163,15 +164,15 @@ SERVO = (
     FaultEntry("servoN.off", FaultKind.OFF,
                "the servo receives and answers nothing; its torque stays",
                lambda target: _silence(target, [_id(target)]), "silent"),
-    moment_fault("servoN.reboot", FaultKind.REBOOT,
-                 "it reboots by itself: torque off, RAM at its defaults",
-                 lambda target: _core(target).boot(target.now_s)),
-    moment_fault("servoN.factory", FaultKind.WRONG,
-                 "it has its factory settings: ID 1, 57600 bit/s, position mode, return delay of "
-                 "500 us; two of these servos answer at the same time", _factory),
-    moment_fault("servoN.overload", FaultKind.OFF,
-                 "its overload protection latches and switches the torque off",
-                 lambda target: _motor(target).overload()),
+    FaultEntry("servoN.reboot", FaultKind.REBOOT,
+               "it reboots by itself: torque off, RAM at its defaults",
+               lambda target: _core(target).boot(target.now_s), moment=True),
+    FaultEntry("servoN.factory", FaultKind.WRONG,
+               "it has its factory settings: ID 1, 57600 bit/s, position mode, return delay of "
+               "500 us; two of these servos answer at the same time", _factory, moment=True),
+    FaultEntry("servoN.overload", FaultKind.OFF,
+               "its overload protection latches and switches the torque off",
+               lambda target: _motor(target).overload(), moment=True),
     knob_fault("servoN.overheat", FaultKind.WRONG,
                "its internal temperature has this value, and falls slowly", "temperature_c",
                Number("degC", -20.0, 150.0, default=90.0), owner=_motor),
@@ -182,9 +183,9 @@ SERVO = (
                Number("bits", 1, 63, default=16, whole=True), owner=_core),
     FaultEntry("servoN.stuck", FaultKind.STUCK, "its encoder always reports the same angle",
                _stuck, "stuck"),
-    moment_fault("servoN.jump", FaultKind.WRONG,
-                 "the angle of its encoder suddenly grows by this value",
-                 _jump, Number("rad", -6.3, 6.3, default=0.5)),
+    FaultEntry("servoN.jump", FaultKind.WRONG,
+               "the angle of its encoder suddenly grows by this value",
+               _jump, value=Number("rad", -6.3, 6.3, default=0.5), moment=True),
     FaultEntry("servoN.turn", FaultKind.WRONG,
                "its reported position is off by this number of turns; it still follows its goals",
                _turns, "report", Number("turns", -10, 10, default=1, whole=True)),
@@ -193,11 +194,10 @@ SERVO = (
                _drift, "report", Number("rad/s", -6.3, 6.3, default=0.1)),
     FaultEntry("servoN.turned", FaultKind.WRONG,
                "it is mounted in the opposite direction of gripper.servos[].direction",
-               lasting(_turn_round, _turn_round), "turned"),
+               _turn_round, "turned"),
     FaultEntry("servoN.horn", FaultKind.WRONG,
                "its horn is this number of pulses farther open than gripper.servos[].zero_pulse",
-               lasting(lambda target: _remount(target, 1), lambda target: _remount(target, -1)),
-               "horn", Number("pulses", -1000, 1000, default=100, whole=True)),
+               _remount, "horn", Number("pulses", -1000, 1000, default=100, whole=True)),
     knob_fault("servoN.watchdog_off", FaultKind.WRONG,
                "its bus watchdog trips, but the motor goes on (330 size)", "watchdog_stop",
                owner=_core, position=lambda _: WatchdogStop.KEEPS_TURNING),
