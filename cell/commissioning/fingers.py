@@ -4,21 +4,21 @@ A person moves the fingers without torque while the screen shows the angles; kno
 the pads convert angles to lengths. Then a motor moves, at the least current that moves it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import degrees
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from cell.checks.findings import Notes, ProposedChange
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import LIVE_CALL_S, Dialog, Step, StepFailed
 from cell.commissioning.servos import torque_off
-from cell.config.gripper import GripperConfig, ServoConfig, gripper_settings, linkage_of
+from cell.config.gripper import ServoConfig, gripper_settings, linkage_of
 from cell.errors import raised_as
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK, TORQUE_ENABLE
@@ -55,10 +55,8 @@ SKETCHES: dict[Kind, str] = {
 }
 """Picture of each kind: closed on the left, open on the right."""
 
-Pulses = tuple[int, ...]
+Pulses = NDArray[np.int_]
 """Present Position of each servo in pulses, in the order of the fingers."""
-Signs = tuple[Literal[1, -1], ...]
-"""Direction of each servo."""
 
 _MOVED_PULSES = 60
 """Travel of a servo, 5 degrees, above which a finger was moved."""
@@ -123,24 +121,23 @@ class LinkageFit:
     """Largest difference between fitted and measured opening in m."""
 
 
-def directions(closed: Sequence[int], opened: Sequence[int]) -> Signs:
+def directions(closed: ArrayLike, opened: ArrayLike) -> Pulses:
     """Return the direction of each servo: 1 where its position grows while its finger opens.
 
     Raises ValueError if a servo was moved by less than 5 degrees.
     """
-    for before, after in zip(closed, opened, strict=True):
-        if abs(after - before) < _MOVED_PULSES:
-            raise ValueError(f"a servo was moved by {abs(after - before)} pulses only")
-    return tuple(1 if after > before else -1 for before, after in zip(closed, opened, strict=True))
+    ways = np.subtract(opened, closed)
+    if (least := np.abs(ways).min()) < _MOVED_PULSES:
+        raise ValueError(f"a servo was moved by {least} pulses only")
+    return np.asarray(np.sign(ways))
 
 
-def moved_alone(before: Sequence[int], after: Sequence[int]) -> int | None:
+def moved_alone(before: ArrayLike, after: ArrayLike) -> int | None:
     """Return the index of the only servo that was moved; None if no servo or several were moved."""
-    ways = [abs(b - a) for a, b in zip(before, after, strict=True)]
-    index = int(np.argmax(ways))
-    others = [way for i, way in enumerate(ways) if i != index]
-    alone = ways[index] >= _MOVED_PULSES and all(w <= _STILL_SHARE * ways[index] for w in others)
-    return index if alone else None
+    ways = np.abs(np.subtract(after, before))
+    index = int(ways.argmax())
+    still = np.delete(ways, index) <= _STILL_SHARE * ways[index]
+    return index if ways[index] >= _MOVED_PULSES and still.all() else None
 
 
 def fit_linkages(measured: Sequence[BlockMeasurement]) -> tuple[LinkageFit, ...]:
@@ -232,18 +229,7 @@ def _fit(
 
 def zero_pulse(model: ServoModel, closed_raw: int, direction: int, closed_rad: float) -> int:
     """Return Present Position at angle 0 of the linkage, from that of the closed fingers."""
-    return closed_raw - direction * round(closed_rad / model.rad_per_pulse)
-
-
-def first_current_max_a(settings: GripperSettings) -> float:
-    """Return the largest current of the first motion in A: the largest plausible friction."""
-    drives = (settings.drives.of(servo.servo_id, servo.drive) for servo in settings.servos)
-    return min(settings.current_max_a, max(drive.most_breakaway_a for drive in drives))
-
-
-def first_way_rad(model: ServoModel, current_a: float) -> float:
-    """Return the distance in rad of the goal of the first motion, so that it gets a current."""
-    return max(_FIRST_WAY_RAD, closing_margin_rad(model, current_a))
+    return int(closed_raw - direction * round(closed_rad / model.rad_per_pulse))
 
 
 def measure_fingers(bench: Bench, dialog: Dialog, notes: Notes) -> None:
@@ -256,7 +242,7 @@ def measure_fingers(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     with bench.servo_bus() as bus:
         for servo in gripper.servos:
             torque_off(bus, dialog, servo.id, bus.read(servo.id, TORQUE_ENABLE))
-        _Hands(bench, dialog, bus, gripper, notes).run()
+        _Hands(bench, dialog, bus, notes).run()
 
 
 FINGERS = Step(measure_fingers, "fingers", "Fingers", needs=("servos",))
@@ -265,17 +251,28 @@ FINGERS = Step(measure_fingers, "fingers", "Fingers", needs=("servos",))
 class _Hands:
     """One run of the step."""
 
-    def __init__(
-        self, bench: Bench, dialog: Dialog, bus: ServoBus, gripper: GripperConfig, notes: Notes
-    ) -> None:
-        self._bench, self._dialog, self._bus = bench, dialog, bus
-        self._gripper, self._notes = gripper, notes
-        self._servos = list(gripper.servos)
-        self._models = [MODELS[servo.model] for servo in gripper.servos]
+    def __init__(self, bench: Bench, dialog: Dialog, bus: ServoBus, notes: Notes) -> None:
+        self._bench, self._dialog, self._bus, self._notes = bench, dialog, bus, notes
+        self._gripper = bench.gripper()
+        self._servos = list(self._gripper.servos)
         self._shown: Callable[[], str] = self._pulses
 
+    @property
+    def _models(self) -> list[ServoModel]:
+        return [MODELS[servo.model] for servo in self._servos]
+
     def run(self) -> None:
-        closed, opened, signs, measured = self._measured()
+        closed, opened = self._ends()
+        turn = min(model.pulses_per_turn for model in self._models)
+        for servo, *ends in zip(self._servos, closed, opened, strict=True):
+            if not 0 <= min(ends) <= max(ends) < turn:
+                raise StepFailed(
+                    f"servo {servo.id} crosses the end of its encoder's turn ({ends[0]} to "
+                    f"{ends[1]} pulses): mount its horn half a turn further"
+                )
+        with raised_as(StepFailed, ValueError):
+            signs = directions(closed, opened)
+        measured = self._blocks(closed, signs)
         fits = fit_linkages(measured)
         fit = self._chosen(fits)
         if fit.residual_m > _UNUSABLE_FIT_M:
@@ -288,22 +285,19 @@ class _Hands:
             zero_pulse(model, raw, sign, fit.closed_rad)
             for model, raw, sign in zip(self._models, closed, signs, strict=True)
         ]
-        turn = min(model.pulses_per_turn for model in self._models)
-        if any(not 0 <= zero < turn for zero in zeros):
+        if not 0 <= min(zeros) <= max(zeros) < turn:
             raise StepFailed(
                 f"the zero of the linkage is at {zeros} pulses, outside of the encoder's turn "
                 f"(0 to {turn - 1}): turn the horn so that the closed finger is near {turn // 2}"
             )
         self._servos = [
-            servo.model_copy(update={"direction": sign, "zero_pulse": zero})
+            servo.model_copy(update={"direction": int(sign), "zero_pulse": zero})
             for servo, sign, zero in zip(self._servos, signs, zeros, strict=True)
         ]
-        widest_m = fit.linkage.aperture_m(
-            [fit.closed_rad + way for way in self._turned(opened, closed, signs)]
-        )
+        angles_rad = fit.closed_rad + self._turned(opened, closed, signs)
+        widest_m = fit.linkage.aperture_m(angles_rad.tolist())
         self._judge(fit, widest_m, measured)
         self._notes.values |= {
-            "widest_mm": round(widest_m * 1e3, 2),
             "residual_mm": round(fit.residual_m * 1e3, 3),
             "fits": {one.kind: round(one.residual_m * 1e3, 3) for one in fits},
         }
@@ -311,36 +305,21 @@ class _Hands:
 
     # By hand
 
-    def _measured(self) -> tuple[Pulses, Pulses, Signs, list[BlockMeasurement]]:
-        """Return the positions closed and wide open, the directions, and the fingers on blocks."""
-        closed, opened = self._ends()
-        for servo, model, *ends in zip(self._servos, self._models, closed, opened, strict=True):
-            if not 0 <= min(ends) <= max(ends) < model.pulses_per_turn:
-                raise StepFailed(
-                    f"servo {servo.id} crosses the end of its encoder's turn ({ends[0]} to "
-                    f"{ends[1]} pulses): mount its horn half a turn further"
-                )
-        with raised_as(StepFailed, ValueError):
-            signs = directions(closed, opened)
-        return closed, opened, signs, self._blocks(closed, signs)
-
     def _read(self) -> Pulses:
         """Return Present Position of each servo in pulses, in the order of the fingers."""
         found = self._bus.sync_read([servo.id for servo in self._servos], PRESENT_BLOCK)
-        return tuple(found[servo.id]["present_position"] for servo in self._servos)
+        return np.array([found[servo.id]["present_position"] for servo in self._servos])
 
     def _turned(
-        self, raws: Sequence[int], closed: Sequence[int], signs: Sequence[int]
-    ) -> tuple[float, ...]:
+        self, raws: Pulses, closed: ArrayLike = 0, signs: ArrayLike = 1
+    ) -> NDArray[np.float64]:
         """Return the angles in rad from the closed fingers, growing while they open."""
-        return tuple(
-            sign * (raw - zero) * model.rad_per_pulse
-            for model, raw, zero, sign in zip(self._models, raws, closed, signs, strict=True)
-        )
+        units_rad = [model.rad_per_pulse for model in self._models]
+        return np.asarray((raws - np.asarray(closed)) * np.asarray(signs) * units_rad)
 
     def _pulses(self) -> str:
-        turned = self._turned(self._read(), [0] * len(self._servos), [1] * len(self._servos))
-        return _degrees_text([f"servo {servo.id}:" for servo in self._servos], turned)
+        names = [f"servo {servo.id}:" for servo in self._servos]
+        return _degrees_text(names, self._turned(self._read()))
 
     def _by_hand(self, key: str, text: str) -> Pulses:
         """Ask for a position by hand and return it in pulses."""
@@ -363,19 +342,18 @@ class _Hands:
         opened = self._by_hand("open_first", text)
         if (index := moved_alone(closed, opened)) is None:
             names = [f"servo {servo.id} by" for servo in self._servos]
-            ways = [abs(way) for way in self._turned(opened, closed, [1] * len(closed))]
             raise StepFailed(
                 "one finger should have moved by 5 degrees or more, and no other. From closed: "
-                f"{_degrees_text(names, ways)}"
+                f"{_degrees_text(names, np.abs(self._turned(opened, closed)))}"
             )
         if len(self._servos) == 1:
             return closed, opened
         order = [index, 1 - index]
         self._servos = [self._servos[i] for i in order]
         last = self._by_hand("open_second", "Now open the other one as far as it goes.")[1]
-        return tuple(closed[i] for i in order), (opened[index], last)
+        return closed[order], np.array([opened[index], last])
 
-    def _blocks(self, closed: Pulses, signs: Signs) -> list[BlockMeasurement]:
+    def _blocks(self, closed: Pulses, signs: Pulses) -> list[BlockMeasurement]:
         """Return the fingers on blocks of known size: two, and a third if no simple law fits."""
         fingers = [f"finger {number} open by" for number in range(len(signs))]
         self._shown = lambda: _degrees_text(fingers, self._turned(self._read(), closed, signs))
@@ -391,27 +369,22 @@ class _Hands:
             )
             if size_mm <= 0.0:
                 break
-            measured.append(self._on_block(number, size_mm, closed, signs))
-        return measured
-
-    def _on_block(
-        self, number: int, size_mm: float, closed: Pulses, signs: Signs
-    ) -> BlockMeasurement:
-        """Return the fingers on a block, each farther open than when closed."""
-        raws = self._by_hand(
-            f"on_block{number}",
-            f"Hold the block of {size_mm:g} mm between the pads and close both fingers by hand "
-            "until they just touch it, flat.",
-        )
-        angles_rad = self._turned(raws, closed, signs)
-        closer = {f"finger {i} by": -a for i, a in enumerate(angles_rad) if a <= 0.0}
-        if closer:
-            raise StepFailed(
-                "on the block fingers are closer than in the closed position: "
-                f"{_degrees_text(list(closer), list(closer.values()))}. Was something between the "
-                "pads there, or a finger pushed past the other one?"
+            raws = self._by_hand(
+                f"on_block{number}",
+                f"Hold the block of {size_mm:g} mm between the pads and close both fingers by hand "
+                "until they just touch it, flat.",
             )
-        return BlockMeasurement(angles_rad=angles_rad, aperture_m=size_mm * 1e-3)
+            angles_rad = self._turned(raws, closed, signs)
+            if closer := {f"finger {i} by": -a for i, a in enumerate(angles_rad) if a <= 0.0}:
+                raise StepFailed(
+                    "on the block fingers are closer than in the closed position: "
+                    f"{_degrees_text(closer, closer.values())}. Was something between the pads "
+                    "there, or a finger pushed past the other one?"
+                )
+            measured.append(
+                BlockMeasurement(angles_rad=tuple(angles_rad), aperture_m=size_mm * 1e-3)
+            )
+        return measured
 
     def _chosen(self, fits: Sequence[LinkageFit]) -> LinkageFit:
         """Return the linkage that the person confirms; the fit proposes one if it can."""
@@ -447,37 +420,36 @@ class _Hands:
             "gripper.servos": [servo.model_dump(mode="json") for servo in self._servos],
             "gripper.linkage": linkage,
         }
+        corrected = list[str]()
         was_by_id = {servo.id: servo for servo in self._bench.base.gripper.servos}
-        for number, (servo, model) in enumerate(zip(self._servos, self._models, strict=True)):
+        for number, servo in enumerate(self._servos):
             notes.fact(
                 f"finger {number}: servo {servo.id}, direction {servo.direction:+d}, zero at "
                 f"{servo.zero_pulse} pulses"
             )
             was = was_by_id.get(servo.id, ServoConfig(id=servo.id))
             if servo.direction != was.direction:
-                notes.fact(
+                corrected.append(
                     f"servo {servo.id} turns the other way: its direction was {was.direction:+d}, "
-                    f"is now {servo.direction:+d}",
-                    corrected=True,
+                    f"is now {servo.direction:+d}"
                 )
             if abs(off := servo.zero_pulse - was.zero_pulse) > _OFF_PULSES:
-                notes.fact(
-                    f"servo {servo.id}: its horn sits {degrees(off * model.rad_per_pulse):+.1f} deg"
-                    f" off: its zero was {was.zero_pulse} pulses, is now {servo.zero_pulse}",
-                    corrected=True,
+                off_deg = degrees(off * MODELS[servo.model].rad_per_pulse)
+                corrected.append(
+                    f"servo {servo.id}: its horn sits {off_deg:+.1f} deg off: its zero was "
+                    f"{was.zero_pulse} pulses, is now {servo.zero_pulse}"
                 )
         before = linkage_of(self._gripper)
         if type(before) is not type(drive) or _missed_m(before, measured) > _BAD_FIT_M:
-            notes.fact(
-                f"the linkage was {_linkage_text(before)}; it is now {_linkage_text(drive)}",
-                corrected=True,
+            corrected.append(
+                f"the linkage was {_linkage_text(before)}; it is now {_linkage_text(drive)}"
             )
         reach_mm, wanted_mm = (widest_m - _END_MARGIN_M) * 1e3, self._gripper.aperture_open_mm
         if reach_mm < wanted_mm:
             notes.settings["gripper.aperture_open_mm"] = round(reach_mm, 2)
-            notes.fact(
-                f"gripper.aperture_open_mm was {wanted_mm:g}, is now {reach_mm:.2f}", corrected=True
-            )
+            corrected.append(f"gripper.aperture_open_mm was {wanted_mm:g}, is now {reach_mm:.2f}")
+        for line in corrected:
+            notes.fact(line, corrected=True)
         found = f"linkage: {_linkage_text(drive)}; residual {fit.residual_m * 1e3:.2f} mm"
         if len(measured) > (2 if fit.kind == "swinging" else 1):
             notes.fact(found)
@@ -491,12 +463,14 @@ class _Hands:
             )
 
     def _first_motion(self, widest_m: float) -> None:
-        """Open each finger by a little, at the least current."""
+        """Open each finger by a little, at the least current, then ask whether it did."""
         found = {key.removeprefix("gripper."): v for key, v in self._notes.settings.items()}
         config = self._bench.gripper(**found)
         linkage = linkage_of(config)
         settings = gripper_settings(config, overruns_max=1)
-        cap_a = first_current_max_a(settings)
+        # The largest plausible friction.
+        drives = [settings.drives.of(one.servo_id, one.drive) for one in settings.servos]
+        cap_a = min(settings.current_max_a, *(drive.most_breakaway_a for drive in drives))
         settings = replace(
             settings,
             current_max_a=cap_a,
@@ -521,18 +495,22 @@ class _Hands:
                 f"{most_m * 1e3:.1f} mm: {half}"
             )
         names = [f"finger {number} (servo {s.id})" for number, s in enumerate(self._servos)]
-        ways_rad = [first_way_rad(model, cap_a) for model in self._models]
+        # So far ahead that the goal gets this current.
+        ways_rad = [max(_FIRST_WAY_RAD, closing_margin_rad(one, cap_a)) for one in self._models]
         most = f"at most, with {cap_a:.2f} A at most, then no torque"
-        bounds = [f"opens by {degrees(way_rad):.1f} deg {most}" for way_rad in ways_rad]
-        motions = zip(names, bounds, strict=True)
-        rest = "at rest, no torque"
         self._dialog.approve(
-            [ProposedChange(one, "first motion", rest, after, "by hand") for one, after in motions]
+            [
+                ProposedChange(
+                    *(name, "first motion", "at rest, no torque"),
+                    *(f"opens by {degrees(way_rad):.1f} deg {most}", "by hand"),
+                )
+                for name, way_rad in zip(names, ways_rad, strict=True)
+            ]
         )
         try:
             group.make_ready(part_possible=False, releasing=False)
-            for number, name in enumerate(names):
-                current_a, way_rad = self._open_a_little(group, settings, number, ways_rad[number])
+            for number, (name, goal_rad) in enumerate(zip(names, ways_rad, strict=True)):
+                current_a, way_rad = self._open_a_little(group, settings, number, goal_rad)
                 if way_rad <= -_WRONG_WAY_RAD:
                     raise StepFailed(
                         f"{name}: closed instead of opening, and was switched off: its direction "
@@ -595,7 +573,7 @@ class _Hands:
         return current_a, way_rad
 
 
-def _degrees_text(names: Sequence[str], angles_rad: Sequence[float]) -> str:
+def _degrees_text(names: Iterable[str], angles_rad: Iterable[float]) -> str:
     """Return angles with their names as text."""
     pairs = zip(names, angles_rad, strict=True)
     return ", ".join(f"{name} {degrees(angle):.1f} deg" for name, angle in pairs)
