@@ -2,8 +2,9 @@
 
 import importlib.metadata
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from shlex import quote
 
@@ -11,9 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.build import Cell, build_cell
-from cell.checks.changes import CommissionedValues, changed_pads, changed_servos, changed_unit
-from cell.checks.findings import Finding, Verdict, check_result
+from cell.checks.findings import Finding, Verdict, check_result, kept_values
 from cell.checks.ports import check_port
+from cell.commissioning.baseline import (
+    Found,
+    changed_pads,
+    changed_servos,
+    changed_unit,
+    since_commissioning,
+)
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration, pad_mounts
 from cell.control.self_zero import drive_text, kept_zeros
@@ -36,6 +43,8 @@ from gripper.values.servo_checks import VerificationRow, overload_text
 from motion.errors import AxisMissing, AxisSilent, MotionError
 from tactile.errors import IdentityMismatch, TactileError
 
+Changed = Callable[[str, Sequence[Finding]], list[Finding]]
+"""Changes of a device since the commissioning, with advice, by its name."""
 _AT_START = "the cell sets it at its start"
 """Advice for a register that a start corrects."""
 _TORQUE = "servo torque"
@@ -56,7 +65,8 @@ def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Fin
     named = "" if config_file is None else f" --config {quote(str(config_file))}"
     yield _self_zero(config, named)
     yield _drives(config, named)
-    yield from _devices(config, named, CommissionedValues.beside(config_file))
+    folder = None if config_file is None else config_file.parent
+    yield from _devices(config, named, folder)
 
 
 def _machine() -> Iterator[Finding]:
@@ -119,8 +129,13 @@ def _drives(config: CellConfig, named: str) -> Finding:
     return check_result("servo drives", "; ".join(texts), advice, ok=not advice)
 
 
-def _devices(config: CellConfig, named: str, kept: CommissionedValues) -> Iterator[Finding]:
-    """Check the devices; ``named`` is the option that names the cell in advised commands."""
+def _devices(config: CellConfig, named: str, folder: Path | None) -> Iterator[Finding]:
+    """Check the devices; ``named`` is the option that names the cell in advised commands.
+
+    They are compared with the commissioning in ``folder``.
+    """
+    kept: Found = {} if folder is None else kept_values(folder)
+    changed = partial(since_commissioning, folder or Path(), kept)
     try:
         cell = build_cell(config, mover=lambda _pose: False, ask=str, partial=True)
     except (CellError, GripperError, TactileError) as error:
@@ -130,8 +145,10 @@ def _devices(config: CellConfig, named: str, kept: CommissionedValues) -> Iterat
     yield from _loop(cell)
     try:
         yield from _guarded(_TORQUE, lambda: _torque(cell, named))
-        yield from _guarded("servos", lambda: _servos(cell, named, kept))
-        yield from _guarded("control unit", lambda: _control_unit(cell, config, named, kept))
+        yield from _guarded("servos", lambda: _servos(cell, named, kept, changed))
+        yield from _guarded(
+            "control unit", lambda: _control_unit(cell, config, named, kept, changed)
+        )
         yield from _axes(cell)
     finally:
         cell.close()
@@ -182,7 +199,7 @@ def _torque(cell: Cell, named: str) -> list[Finding]:
     return [check_result(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
 
 
-def _servos(cell: Cell, named: str, kept: CommissionedValues) -> list[Finding]:
+def _servos(cell: Cell, named: str, kept: Found, changed: Changed) -> list[Finding]:
     rows = cell.controller.hand.inspect().rows
     read = {(row.servo_id, row.item): row.found for row in rows}
     servos = {
@@ -192,7 +209,7 @@ def _servos(cell: Cell, named: str, kept: CommissionedValues) -> list[Finding]:
         )
         for row in rows
     }
-    findings = kept.findings("servos", changed_servos(kept.found, servos))
+    findings = changed("servos", changed_servos(kept, servos))
     for row in rows:
         found = f"{row.found} (expected {row.expected})"
         if row.item == SHUTDOWN.name:
@@ -217,7 +234,7 @@ def _advice(row: VerificationRow, named: str) -> str:
 
 
 def _control_unit(
-    cell: Cell, config: CellConfig, named: str, kept: CommissionedValues
+    cell: Cell, config: CellConfig, named: str, kept: Found, changed: Changed
 ) -> list[Finding]:
     hand = cell.controller.hand
     is_unit = config.tactile.sensor.canopen
@@ -225,7 +242,7 @@ def _control_unit(
         identity = hand.start_sensor()
     except IdentityMismatch as error:
         advice = "check which unit and pads are plugged in"
-        if kept.found:
+        if kept:
             advice += (
                 "; new pads: `tactile-cell commission --redo pads_at_rest`, new unit: `--redo "
             )
@@ -238,12 +255,12 @@ def _control_unit(
     source = hand.statistics.source
     forces, statistics = source.forces, source.frames
     lost = statistics.lost + statistics.torn + statistics.corrupt
-    changes = changed_unit(kept.found, identity)
-    changes += changed_pads(kept.found, hand.layout, frames, pad_mounts(config.tactile))
+    changes = changed_unit(kept, identity)
+    changes += changed_pads(kept, hand.layout, frames, pad_mounts(config.tactile))
     number = f", serial {identity.serial}, revision {identity.revision:#x}" if is_unit else ""
     from_frames = f"{identity.name} sends frames alone; the force comes from them"
     return [
-        *kept.findings("control unit and pads", changes),
+        *changed("control unit and pads", changes),
         check_result("control unit" if is_unit else "sensor", f"{identity.name}{number}", ok=True),
         check_result(
             "tactile frames",

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.checks.changes import taxel_names
 from cell.checks.findings import Notes
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step
@@ -47,6 +46,9 @@ _OFF_MIDDLE = 0.15
 """Least distance from the pad's middle, in half extents, of a patch on one side."""
 _LOOK_FRAMES = 5
 """Frames between two texts on the screen: ten a second."""
+
+_TAXELS_NAMED = 6
+"""Most taxels that are named individually; further taxels are counted."""
 
 Counts = NDArray[np.uint16]
 
@@ -90,6 +92,18 @@ def rest_of(layout: TaxelLayout, calibration: Calibration, frames: Counts) -> Pa
         noise_n=tuple(float(force_n[:, one].sum(axis=1).std(ddof=1)) for one in slices),
         full_n=tuple(float(np.median(full_n[one])) for one in slices),
     )
+
+
+def taxel_names(layout: TaxelLayout, taxels: Sequence[int]) -> str:
+    """Return the names of taxels by pad, row and column; of many taxels only the first."""
+    named = []
+    for taxel in taxels[:_TAXELS_NAMED]:
+        pad = int(layout.taxel_pad[taxel])
+        row, column = divmod(taxel - layout.taxels_of(pad).start, layout.pads[pad].columns)
+        named.append(f"{layout.pads[pad].name} row {row} column {column}")
+    if (more := len(taxels) - len(named)) > 0:
+        named.append(f"and {more} more")
+    return ", ".join(named)
 
 
 def _by_pad(layout: TaxelLayout, values: NDArray[np.float64]) -> list[float]:

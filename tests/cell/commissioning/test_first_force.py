@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.checks.changes import (
-    CommissionedValues,
+from cell.checks.findings import STORE_NAME, Finding, Notes, Verdict
+from cell.commissioning.baseline import (
+    BASELINE,
     Gauge,
     changed_gauge,
+    changed_hardware,
     changed_pads,
     changed_servos,
     changed_unit,
-    gauge_of,
+    gauge_again,
+    since_commissioning,
 )
-from cell.checks.findings import STORE_NAME, Finding, Notes, Verdict
-from cell.commissioning.baseline import BASELINE, changed_hardware, gauge_again
 from cell.commissioning.engine import WizardAborted
 from cell.commissioning.first_force import FIRST_FORCE
 from cell.control.self_zero import kept_zeros
@@ -225,8 +226,9 @@ def gauge(**change: Any) -> list[Finding]:
     ],
 )
 def test_what_has_changed_names_the_step_to_repeat(changes, what, step) -> None:
-    (found,) = CommissionedValues(folder=Path("box"), found=FOUND).findings("all", changes)
-    assert (found.what, found.step) == (what, step)
+    (found,) = since_commissioning(Path("box"), FOUND, "all", changes)
+    assert found.what.startswith(what)
+    assert found.step == step
     assert ", at commissioning " in found.found
     assert f"commission box --redo {step}`" in found.advice
 
@@ -275,7 +277,7 @@ def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(one) -> None:
 def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(stand, tmp_path) -> None:
     one = stand(noise=NoiseModel(level=0.3))
     finding = one.passes(BASELINE)
-    was = gauge_of({"baseline": finding.values})
+    was = Gauge(**finding.values["gauge"])
     assert was.held_n == pytest.approx((was.force_n, was.force_n), rel=0.1)
     assert was.held_mm < was.contact_mm < 11.0
     assert min(was.patch_taxels) > 5
