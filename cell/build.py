@@ -28,14 +28,14 @@ from cell.control.positioner import (
 )
 from cell.control.records import pad_array
 from cell.control.self_zero import kept_zeros
-from cell.data.recorder import Recorder
-from cell.data.retention import Retention
 from cell.errors import CellStateError, ConfigError, RecordingError
 from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
 from cell.hand.client import HandProcess
 from cell.hand.connections import MISSING, HandConnections
 from cell.hand.interface import Hand
 from cell.hand.local import LocalHand
+from cell.recording.recorder import Recorder
+from cell.recording.retention import Retention
 from cell.simulation import (
     InProcessPlacer,
     capture_traffic,

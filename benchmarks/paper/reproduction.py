@@ -32,8 +32,8 @@ from benchmarks.paper.grasps import (
     random_grasp,
     record,
 )
-from cell.data.files import write_text
 from cell.errors import ReportError
+from cell.files import write_text
 from cell.report.confusion import TABLE_1, TABLE_1_LABELS as LABELS
 from cell.report.figures import INK, MUTED, colour, drawing, new_figure, picture
 from cell.report.page import page_template

@@ -21,10 +21,10 @@ from benchmarks.recognition._grasps import grasps_at_hand
 from cell.archive.ingest import ingest
 from cell.archive.questions import ask
 from cell.archive.table import grasp_key
-from cell.data.dataset import read_dataset, write_dataset
-from cell.data.files import json_bytes
+from cell.files import json_bytes
 from cell.learning.parallel import workers
 from cell.learning.progress import silent
+from cell.recording.dataset import read_dataset, write_dataset
 from recognition.features.groups import features_of
 from recognition.grasp import Grasp
 from recognition.ramp.levels import load_levels

@@ -15,7 +15,7 @@ from benchmarks.paper.grasps import PAPER_NOISE, random_grasp
 from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.data.dataset import read_dataset
+from cell.recording.dataset import read_dataset
 from cell.runtime.tasks import Collection
 from cell.simulation import simulator_settings
 from recognition.grasp import Grasp

@@ -24,7 +24,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
 
 from benchmarks._measure import line, repeats, share
-from cell.data.dataset import read_dataset
+from cell.recording.dataset import read_dataset
 from recognition.evaluation.splits import parse_split
 from recognition.features.footprint import PadGrid, pad_grid, pressed
 from recognition.features.groups import features_of

@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 from cell.archive.selection import EVERYTHING, Selection
 from cell.archive.store import Archive, nothing_selected
 from cell.archive.table import LIGHT, SCHEMA
-from cell.data.dataset import write_dataset
-from cell.data.files import write_atomically
 from cell.errors import ArchiveError
+from cell.files import write_atomically
+from cell.recording.dataset import write_dataset
 
 KINDS = (".csv", ".parquet", ".npz")
 """File endings of exports."""

@@ -11,11 +11,11 @@ from zipfile import BadZipFile, ZipFile
 
 from cell.archive.store import Archive
 from cell.archive.table import Row, batches, dataset_rows, recording_rows
-from cell.data.dataset import read_dataset
-from cell.data.recorder_sink import in_use
-from cell.data.recording_reader import read_recording
 from cell.errors import ArchiveError, CellError, reason_text
 from cell.learning.blas import one_blas_thread
+from cell.recording.dataset import read_dataset
+from cell.recording.reader import read_recording
+from cell.recording.sink import in_use
 from recognition.evaluation.evaluation import Mapper, one_by_one
 
 _KINDS = (".mcap", ".npz")

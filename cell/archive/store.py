@@ -21,8 +21,8 @@ import pyarrow.parquet as pq
 
 from cell.archive.selection import EVERYTHING, HEAD, Selection
 from cell.archive.table import GROUP, PARTITION, SCHEMA, TABLE, grasps_of
-from cell.data.formats import ARCHIVE
 from cell.errors import ArchiveError
+from cell.formats import ARCHIVE
 from recognition.grasp import Grasp
 
 SOURCES, STAGED = "_sources", "_staged"

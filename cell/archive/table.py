@@ -13,9 +13,9 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 
 from cell.archive.selection import cell_of, day_of, of_cell
-from cell.data.formats import ARCHIVE
-from cell.data.recording_reader import Recording
 from cell.errors import CellError
+from cell.formats import ARCHIVE
+from cell.recording.reader import Recording
 from gripper.values.state import GripperPhase
 from recognition.features.aperture import sizes_mm
 from recognition.features.groups import FEATURE_VERSION, features_of

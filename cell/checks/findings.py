@@ -9,8 +9,8 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from cell.config.file import problem_text
-from cell.data.formats import COMMISSIONING, read_json
 from cell.errors import CellError
+from cell.formats import COMMISSIONING, read_json
 
 STORE_NAME = "commissioning.json"
 """File in the cell's folder with the entries of the steps."""

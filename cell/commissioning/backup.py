@@ -15,9 +15,9 @@ from cell.checks.findings import ProposedChange
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog
 from cell.config.file import problem_text
-from cell.data.files import free_name
-from cell.data.formats import SERVO_BACKUP, read_json, write_json
 from cell.errors import CellError
+from cell.files import free_name
+from cell.formats import SERVO_BACKUP, read_json, write_json
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
     BAUD_CODES,

@@ -15,8 +15,8 @@ from cell.commissioning.record import RECORD_NAME
 from cell.config.file import config_file_text, load_config
 from cell.config.model import CellConfig
 from cell.control.self_zero import zero_file
-from cell.data.files import DAMAGE, open_plain, write_atomically
 from cell.errors import CellError, reason_text
+from cell.files import DAMAGE, open_plain, write_atomically
 from cell.learning.model import LAST_MODEL
 
 _KEPT = (

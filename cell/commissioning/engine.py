@@ -14,10 +14,10 @@ from cell.checks.findings import STORE_NAME, Notes, ProposedChange, read_commiss
 from cell.commissioning.bench import CONFIG_NAME, Bench
 from cell.commissioning.record import RECORD_NAME, record_text
 from cell.config.file import config_text, schema_text
-from cell.data.files import write_text
-from cell.data.formats import COMMISSIONING, write_json
 from cell.errors import CellError
 from cell.fault_catalogue import error_text
+from cell.files import write_text
+from cell.formats import COMMISSIONING, write_json
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 

@@ -20,9 +20,9 @@ from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
 from cell.config.model import CellConfig
 from cell.config.section import Installed, Section, sections_in, unit_of
-from cell.data.files import read_plain
-from cell.data.formats import CONFIG
 from cell.errors import ConfigError
+from cell.files import read_plain
+from cell.formats import CONFIG
 
 _Section = TypeVar("_Section", bound=BaseModel)
 

@@ -16,8 +16,8 @@ from cell.config.section import (
     refuse_repeats,
     setting_of,
 )
-from cell.data.formats import SERVO_BENCH, read_json
 from cell.errors import ConfigError, raised_as
+from cell.formats import SERVO_BENCH, read_json
 from cell.plugins import SERVO_MODELS
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import (

@@ -25,9 +25,9 @@ from cell.control.self_zero import SelfZeros, homing_offsets
 from cell.control.states import CellState, Command, Event
 from cell.control.watch import MotionWatch
 from cell.control.zeroing import Zeroing
-from cell.data.recorder import Recorder
 from cell.errors import NoPartFound, PartInGrip, PlanRefused
 from cell.hand.interface import FORCE_FROM_FRAMES, Hand, LatestValues
+from cell.recording.recorder import Recorder
 from gripper.clock import Clock
 from gripper.values.outcome import GraspResult, ReleaseReport
 from gripper.values.state import GripperPhase

@@ -16,9 +16,9 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.records import GraspRecord
 from cell.control.watch import MotionWatch
 from cell.control.zeroing import BORNE_SHARE, Zeroing
-from cell.data.grasp_limits import text_refused
 from cell.errors import NoPartFound, PlanRefused
 from cell.hand.interface import Hand
+from cell.recording.grasp_limits import text_refused
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle

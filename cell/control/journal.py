@@ -7,10 +7,10 @@ from typing import Any
 from cell.control.identification import Identification
 from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
-from cell.data import recording_schema as schema
-from cell.data.recorder import Recorder
-from cell.data.recording_schema import estimate_values, shape_values
 from cell.hand.interface import HandStatistics
+from cell.recording import schema
+from cell.recording.recorder import Recorder
+from cell.recording.schema import estimate_values, shape_values
 from gripper.force.timing import Distribution, LoopStatistics
 from gripper.values.state import Cycle
 from recognition.grasp import Grasp
@@ -35,7 +35,7 @@ def loop_values(statistics: LoopStatistics, *, undelivered: int = 0) -> dict[str
 
 
 def link_values(statistics: HandStatistics) -> dict[str, dict[str, int]]:
-    """Return the counts of the frame source and the servo bus, as `recording_schema` has them."""
+    """Return the counts of the frame source and the servo bus, as a recording has them."""
     source = statistics.source
     counts = ("requests", "late_requests", "foreign", "malformed", "error_frames")
     return {

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cell.config.model import CellConfig
-from cell.data.files import name_in_file
-from cell.data.formats import SELF_ZERO, read_json, write_json
 from cell.errors import CellError, PlanRefused
+from cell.files import name_in_file
+from cell.formats import SELF_ZERO, read_json, write_json
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.settings import ServoSettings
 from gripper.values.outcome import GraspOutcome, GraspResult

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from cell.config.serve import ServeConfig
-from cell.data.files import read_plain
 from cell.errors import ConfigError
+from cell.files import read_plain
 
 BUSY_MAX = 64
 """Most connections at once on one interface; a further connection replaces another one."""

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.data.dataset import read_dataset, read_grasps, write_dataset
 from cell.errors import CellError
 from cell.learning.model import what_differs
+from cell.recording.dataset import read_dataset, read_grasps, write_dataset
 from recognition.grasp import Grasp, PadArray
 
 

@@ -17,11 +17,11 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.data.files import DAMAGE, read_npz, savez, write_atomically
-from cell.data.formats import MODEL, PROGRAM
-from cell.data.grasp_limits import text_refused
 from cell.errors import ConfigError, ModelError, reason_text
+from cell.files import DAMAGE, read_npz, savez, write_atomically
+from cell.formats import MODEL, PROGRAM
 from cell.plugins import RECOGNISERS
+from cell.recording.grasp_limits import text_refused
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Recognizer

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from cell.config.model import CellConfig
 from cell.config.tactile import PaperCalibrationConfig, layout_from_config, make_calibration
 from cell.control.records import pad_array
-from cell.data.dataset import read_grasps
 from cell.errors import CellError, ConfigError, raised_as
 from cell.learning.blas import one_blas_thread
+from cell.recording.dataset import read_grasps
 from cell.simulation import drawn_shape
 from recognition.drift.self_zero import common_zero, drawn_zero
 from recognition.errors import ContactError

@@ -9,7 +9,6 @@ from typing import Self
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.records import GraspRecord, pad_array
-from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, CellStateError, RequestRefused, TrainingSetMissing
 from cell.learning.model import LoadedModel, check_pads, load_model, save_model
 from cell.learning.pad_knowledge import PadKnowledge
@@ -23,6 +22,7 @@ from cell.learning.training_set import (
     training_section,
 )
 from cell.plugins import RECOGNISERS
+from cell.recording.dataset import read_dataset, write_dataset
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, drift_text
 from recognition.drift.grid import DriftFollowing, DriftGrid

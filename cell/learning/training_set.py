@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.data.dataset import read_dataset
 from cell.errors import ModelError
 from cell.learning.model import Arrays, LoadedModel
+from cell.recording.dataset import read_dataset
 from recognition.grasp import Grasp
 
 TRAINING_SECTION = "training_set"

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.data.files import write_atomically
-from cell.data.recording_reader import RecordedCycles
 from cell.errors import ReportError
+from cell.files import write_atomically
 from cell.installation import extra
+from cell.recording.reader import RecordedCycles
 from cell.report.confusion import ConfusionTable
 from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cell.data.files import write_atomically
 from cell.errors import ReportError
+from cell.files import write_atomically
 from cell.installation import extra
 from cell.report.figures import COLOURS, N_SHADES
 from recognition.evaluation.metrics import wilson_interval

@@ -19,11 +19,11 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, layout_from_pads
 from cell.control.plan import Pose
 from cell.control.records import pad_array
-from cell.data.recording_reader import Recording
 from cell.errors import CellError, RecordingError, reason_text
 from cell.learning.blas import one_blas_thread
 from cell.learning.shape_reading import in_words
 from cell.learning.training import train
+from cell.recording.reader import Recording
 from cell.report.confusion import BASELINE, ConfusionTable, paper_table, score_tables
 from cell.report.figures import pad_svg, picture, timeline_figure
 from cell.report.health import health

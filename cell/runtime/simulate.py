@@ -12,11 +12,11 @@ from cell.config.file import SCHEMA_LINE, changed_config, config_text
 from cell.config.model import CellConfig
 from cell.config.positioner import PositionerConfig
 from cell.config.tactile import layout_from_pads
-from cell.data.dataset import read_grasps
-from cell.data.files import write_text
 from cell.errors import CellError, ConfigError
+from cell.files import write_text
 from cell.hand.real_time import raised_priority
 from cell.learning.blas import one_blas_thread
+from cell.recording.dataset import read_grasps
 from cell.simulation import largest_aperture_m, simulator_settings
 from recognition.grasp import Grasp
 from simulator.errors import SimulatorError, SimulatorSettingsError

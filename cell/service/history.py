@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from cell.control.part import Part
-from cell.data.files import free_name, name_in_file
-from cell.data.formats import PROGRAM
 from cell.errors import CellError
+from cell.files import free_name, name_in_file
+from cell.formats import PROGRAM
 from cell.runtime.plugin import HostStatus
 from cell.service.shift import Shift
 from recognition.recognizer import UNKNOWN

@@ -6,8 +6,8 @@ from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 
-from cell.data.files import read_plain
 from cell.errors import RequestRefused
+from cell.files import read_plain
 
 LONGEST_PHOTO = 512 * 1024
 """Largest photo in bytes."""

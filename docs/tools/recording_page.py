@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from cell.data.recording_schema import MODELS, json_schema
+from cell.recording.schema import MODELS, json_schema
 
 
 def recording_page() -> str:

@@ -5,7 +5,7 @@ import pytest
 from sklearn.base import clone
 
 from benchmarks.recognition import comparators
-from cell.data.dataset import write_dataset
+from cell.recording.dataset import write_dataset
 from recognition.features.footprint import PadGrid
 from tests.recognition.conftest import make_grasps, make_pads
 

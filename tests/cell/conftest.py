@@ -16,8 +16,8 @@ from cell.config.model import CellConfig
 from cell.control.lifecycle import CellLifecycle
 from cell.control.self_zero import zero_text
 from cell.control.zeroing import Zeroing
-from cell.data.dataset import read_dataset
 from cell.interfaces.cli.app import app
+from cell.recording.dataset import read_dataset
 from cell.runtime.main_job import MainResult, teach_and_identify
 from cell.runtime.plugin import TactileCellPlugin
 from gripper.values.state import GripperPhase

@@ -13,8 +13,8 @@ from cell.build import Cell
 from cell.config.gripper import GripperConfig
 from cell.control.controller import CellController
 from cell.control.states import CellState
-from cell.data.recording_reader import read_recording
 from cell.errors import CellError
+from cell.recording.reader import read_recording
 from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior

@@ -17,10 +17,10 @@ import pytest
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import DatasetError, ModelError
 from cell.learning.model import _digest, load_model, save_model
 from cell.learning.training import train
+from cell.recording.dataset import read_dataset, write_dataset
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
 from tests.fuzz.harness import (

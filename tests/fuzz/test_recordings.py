@@ -16,9 +16,9 @@ import zstandard
 from hypothesis import strategies as st
 
 from cell.control.journal import Journal
-from cell.data.recorder import Recorder
-from cell.data.recording_reader import Recording, read_recording, recover_recording
 from cell.errors import RecordingError
+from cell.recording.reader import Recording, read_recording, recover_recording
+from cell.recording.recorder import Recorder
 from tactile.source import TactileFrame
 from tests.fuzz.harness import (
     Clock,

@@ -15,9 +15,9 @@ from cell.build import Cell, build_cell
 from cell.config.file import load_config, parse_config
 from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
-from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, CellStopped, HandLost
 from cell.hand.client import HandProcess
+from cell.recording.reader import read_recording
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from cell.config.file import changed_config, load_config, parse_config
-from cell.data.recording_reader import read_recording
+from cell.recording.reader import read_recording
 from cell.runtime.goals import IdentifyGoal, TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from gripper.errors import ServoFault

@@ -7,8 +7,8 @@ import pytest
 
 from cell.control.plan import Pose
 from cell.control.states import CellState
-from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, ConfigError, PositionerError
+from cell.recording.reader import read_recording
 from gripper.errors import BusTimeout
 from simulator.errors import SimulatorSettingsError
 from tactile.errors import FrameTimeout

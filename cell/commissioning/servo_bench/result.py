@@ -9,9 +9,9 @@ from pathlib import Path
 from cell.commissioning.engine import Dialog, StepFailed
 from cell.commissioning.servo_bench.protocol import STEPS, Values
 from cell.commissioning.servo_bench.rig import Reading, Rig
-from cell.data.files import free_name, write_text
-from cell.data.formats import SERVO_BENCH, write_json
 from cell.errors import CellError
+from cell.files import free_name, write_text
+from cell.formats import SERVO_BENCH, write_json
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import GripperError

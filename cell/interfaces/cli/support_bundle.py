@@ -20,12 +20,12 @@ from pydantic import BaseModel
 from cell.config.file import config_text
 from cell.config.model import CellConfig
 from cell.config.serve import ServeConfig
-from cell.data import recording_schema as schema
-from cell.data.files import json_bytes, write_atomically
-from cell.data.recording_reader import RecordedMessages
 from cell.errors import CellError, ConfigError
+from cell.files import json_bytes, write_atomically
 from cell.interfaces.access import read_secret, view_token
 from cell.interfaces.cli.system_files import NAME
+from cell.recording import schema
+from cell.recording.reader import RecordedMessages
 
 REMOVED = "removed"
 """Text that replaces a secret."""

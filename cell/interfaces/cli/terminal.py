@@ -21,8 +21,8 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from cell.data.files import json_bytes
 from cell.errors import CellError, raised_as
+from cell.files import json_bytes
 
 
 class _LossyStream:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.data.recorder import Recorder
-from cell.data.recording_schema import RESULT
+from cell.recording.recorder import Recorder
+from cell.recording.schema import RESULT
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp, PadArray

@@ -27,12 +27,12 @@ from cell.archive.questions import ask
 from cell.archive.selection import Selection, parse_selection
 from cell.archive.store import Archive
 from cell.archive.table import COLUMNS, TABLE, grasp_key
-from cell.data.dataset import read_dataset, write_dataset
-from cell.data.recorder import Recorder
-from cell.data.recording_reader import recording_grasps
 from cell.errors import ArchiveError, CellError, ConfigError, ReportError
 from cell.learning.model import load_model
 from cell.learning.progress import silent
+from cell.recording.dataset import read_dataset, write_dataset
+from cell.recording.reader import recording_grasps
+from cell.recording.recorder import Recorder
 from cell.report.figures import confusion_figure, grasp_figure, write_picture
 from cell.report.page import render_report
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero

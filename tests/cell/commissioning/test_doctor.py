@@ -17,8 +17,8 @@ from cell.commissioning.doctor import _boards, examine
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
-from cell.data.formats import COMMISSIONING, write_json
 from cell.errors import CellError
+from cell.formats import COMMISSIONING, write_json
 from cell.simulation import simulation_of
 from tests.cell.conftest import once, small_config
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS

@@ -15,8 +15,8 @@ from cell.commissioning.engine import CONFIG_NAME, Dialog, Engine, Question, Ste
 from cell.commissioning.record import RECORD_NAME
 from cell.commissioning.walk import all_steps
 from cell.config.file import changed_config, config_text, load_config
-from cell.data.formats import COMMISSIONING, write_json
 from cell.errors import CellError, ConfigError
+from cell.formats import COMMISSIONING, write_json
 from cell.interfaces.cli.app import app
 from gripper.errors import PortLost
 from tests.cell.commissioning.hands import Script

@@ -24,8 +24,8 @@ from cell.commissioning.baseline import (
 from cell.commissioning.engine import WizardAborted
 from cell.commissioning.first_force import FIRST_FORCE
 from cell.control.self_zero import kept_zeros
-from cell.data.formats import COMMISSIONING, write_json
 from cell.errors import CellError
+from cell.formats import COMMISSIONING, write_json
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.settings import largest_setpoint_n
 from simulator.cell import SimulatedCell

@@ -11,8 +11,8 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Engine, WizardAborted
 from cell.commissioning.ports import PORTS
 from cell.commissioning.servos import SERVOS
-from cell.data.formats import SERVO_BACKUP, write_json
 from cell.errors import CellError, ConfigError
+from cell.formats import SERVO_BACKUP, write_json
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import Register
 from tests.cell.commissioning.conftest import MakeStand, Stand

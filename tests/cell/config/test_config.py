@@ -35,8 +35,8 @@ from cell.config.tactile import (
     layout_from_pads,
 )
 from cell.control.records import pad_array
-from cell.data.formats import CONFIG
 from cell.errors import ConfigError
+from cell.formats import CONFIG
 from cell.sensors.flexitac import FlexiTacConfig
 from gripper.dynamixel.models import MODELS
 from gripper.settings import GripperSettings, OverForce

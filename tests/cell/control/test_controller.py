@@ -13,9 +13,9 @@ import pytest
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
-from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, CellStopped, NoPartFound, PlanRefused, PositionerError
 from cell.learning.shape_reading import shape_reader
+from cell.recording.reader import read_recording
 from gripper.errors import GripContradicted, GripperError, LimitExceeded
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase

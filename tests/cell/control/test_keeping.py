@@ -15,10 +15,10 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination, HostPlaces, OperatorPositioner
 from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
-from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, ConfigError, PositionerError, RecordingError
 from cell.hand.local import LocalHand
 from cell.learning.model import load_model
+from cell.recording.reader import read_recording
 from gripper.errors import PartLost, PartSlipped
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior

@@ -18,10 +18,10 @@ from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.control.self_zero import SelfZeros, kept_zeros, zero_file
 from cell.control.states import CellState
-from cell.data.dataset import read_grasps
-from cell.data.formats import SELF_ZERO, write_json
 from cell.errors import CellError, PartInGrip, PlanRefused, ZeroRefused
+from cell.formats import SELF_ZERO, write_json
 from cell.interfaces.cli.session import cell_config
+from cell.recording.dataset import read_grasps
 from cell.runtime import tasks
 from cell.runtime.goals import ZeroGoal, checked_goal
 from cell.runtime.health import health_values

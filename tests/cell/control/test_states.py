@@ -24,8 +24,8 @@ from cell.control.states import (
     grasp_state,
     next_state,
 )
-from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, CellStopped, PositionerError
+from cell.recording.reader import read_recording
 from docs.tools.states_page import DOES, GRASP_DOES, states_page
 from gripper.errors import BusTimeout, ServoFault
 from gripper.values.outcome import GraspResult

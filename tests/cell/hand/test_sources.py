@@ -12,10 +12,10 @@ from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig
 from cell.control.plan import Pose
-from cell.data.dataset import read_grasps
 from cell.errors import ConfigError
 from cell.hand.build import sensor_settings
 from cell.hand.connections import MISSING, HandConnections
+from cell.recording.dataset import read_grasps
 from cell.simulation import simulation_of
 from gripper.errors import PortLost
 from gripper.values.state import GripperPhase

@@ -25,10 +25,6 @@ from cell.checks.findings import Finding, Verdict
 from cell.config.file import changed_config, config_text, load_config
 from cell.config.model import CellConfig
 from cell.control.records import GraspRecord
-from cell.data.dataset import read_dataset, write_dataset
-from cell.data.recorder import Recorder
-from cell.data.recorder_sink import DirectFile
-from cell.data.recording_reader import read_recording
 from cell.errors import ConfigError, RecordingError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.app import app
@@ -45,6 +41,10 @@ from cell.interfaces.cli.terminal import (
     show,
 )
 from cell.learning.model import load_model
+from cell.recording.dataset import read_dataset, write_dataset
+from cell.recording.reader import read_recording
+from cell.recording.recorder import Recorder
+from cell.recording.sink import DirectFile
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckTrainer
 from simulator.faults.injector import VOCABULARY

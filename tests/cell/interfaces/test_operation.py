@@ -24,12 +24,12 @@ from cell.config.file import changed_config, config_text, load_config, parse_con
 from cell.config.model import CellConfig
 from cell.control.part import Part
 from cell.control.zeroing import Zeroing
-from cell.data.recording_reader import RecordedMessages
 from cell.interfaces.access import view_token
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.service_manager import ServiceManager
 from cell.interfaces.cli.support_bundle import REMOVED
 from cell.interfaces.cli.system_files import UNIT_FILE, closed_to_others, system_files
+from cell.recording.reader import RecordedMessages
 from cell.service.shift import Totals
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import GripperError

@@ -10,12 +10,12 @@ import pytest
 from rich.console import Console
 
 from cell.config.model import CellConfig
-from cell.data import recorder
-from cell.data.recorder_sink import DirectFile
 from cell.errors import CellError, CellStopped, ModelError, RecordingError
 from cell.interfaces.cli import session, terminal
 from cell.interfaces.cli.session import doing, running_cell
 from cell.interfaces.cli.terminal import progress_bar
+from cell.recording import recorder
+from cell.recording.sink import DirectFile
 from cell.runtime.goals import TeachGoal
 from cell.runtime.worker import Job
 from simulator.clock import VirtualClock

@@ -11,13 +11,13 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration
 from cell.control.plan import Pose
 from cell.control.records import pad_array
-from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.app import app
 from cell.learning.pad_knowledge import PadKnowledge, calibrate_on_gauge, gauge_shape, usual_foam
 from cell.learning.shape_reading import reader_under
 from cell.learning.teach_from_drawing import course_of, teach_drawing
 from cell.learning.virtual_grasps import reaches_m
+from cell.recording.dataset import read_dataset, write_dataset
 from cell.runtime.goals import checked_goal
 from cell.simulation import drawn_shape, simulator_settings
 from recognition.ramp.ramp import find_ramp, learn_rest

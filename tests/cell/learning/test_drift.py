@@ -15,12 +15,12 @@ from cell.control.identification import Identification
 from cell.control.keeping import Keep
 from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
-from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStopped, ConfigError, ModelError
 from cell.interfaces.cli.app import app
 from cell.learning.model import load_model, save_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import Trained, calibrate_model, identify_recorded, train
+from cell.recording.reader import read_recording
 from cell.runtime import tasks
 from cell.runtime.goals import IdentifyGoal, TeachGoal
 from cell.runtime.plugin import TactileCellPlugin

@@ -21,7 +21,7 @@ from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray
 from recognition.recognizer import Posterior
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
 from tests.cell.conftest import plain_grasp, plain_pads
-from tests.cell.data.test_dataset import Bomb
+from tests.cell.recording.test_dataset import Bomb
 
 PADS = plain_pads((8, 5), (8, 5), adc_max=255)
 

@@ -16,9 +16,9 @@ import pytest
 
 from cell.config.file import recorded_config
 from cell.control.journal import loop_values
-from cell.data.recorder import Recorder
-from cell.data.recording_reader import Recording, read_recording
 from cell.errors import MissingExtraError, RecordingError, ReportError
+from cell.recording.reader import Recording, read_recording
+from cell.recording.recorder import Recorder
 from cell.report import recorded
 from cell.report.confusion import ConfusionTable, paper_table
 from cell.report.figures import colour, drawing, new_figure, pad_svg, picture

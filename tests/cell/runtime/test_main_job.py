@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.data.dataset import read_grasps, write_dataset
-from cell.data.files import json_bytes
-from cell.data.recording_reader import read_recording
 from cell.errors import CellError, NoPartFound
+from cell.files import json_bytes
 from cell.interfaces.cli.session import job_folder
 from cell.learning.labelled_grasps import name_recorded, read_labelled_grasps
 from cell.learning.model import load_model
 from cell.learning.training import train
+from cell.recording.dataset import read_grasps, write_dataset
+from cell.recording.reader import read_recording
 from cell.report.confusion import BASELINE, score, score_tables
 from cell.runtime.main_job import baseline
 from cell.runtime.tasks import Collection

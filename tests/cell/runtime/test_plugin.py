@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from cell.control.plan import Pose
-from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import (
     CellError,
     CellStateError,
@@ -23,6 +22,7 @@ from cell.errors import (
     NoPartFound,
 )
 from cell.learning.taught_model import TaughtModel
+from cell.recording.dataset import read_dataset, write_dataset
 from cell.runtime.goals import GripGoal, IdentifyGoal, TeachGoal, VerifyGoal, checked_goal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import Job, JobFailed, JobOutcome

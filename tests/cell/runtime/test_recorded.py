@@ -11,13 +11,13 @@ import pytest
 
 from cell.archive.evaluate import evaluate_recognizers
 from cell.config.file import changed_config, config_text
-from cell.data.dataset import read_dataset, write_dataset
-from cell.data.files import json_bytes
 from cell.errors import CellError, ConfigError, ModelError, PositionerError, RequestRefused
+from cell.files import json_bytes
 from cell.learning.model import load_model
 from cell.learning.progress import silent
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import calibrate_model, identify_recorded
+from cell.recording.dataset import read_dataset, write_dataset
 from cell.runtime import tasks
 from cell.runtime.goals import GaugeGoal, IdentifyGoal
 from cell.runtime.plugin import TactileCellPlugin

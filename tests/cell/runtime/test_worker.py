@@ -14,16 +14,16 @@ import pytest
 
 from cell.control.lifecycle import CellLifecycle
 from cell.control.states import CellState
-from cell.data import retention
-from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, RecordingError
+from cell.recording import retention
+from cell.recording.reader import read_recording
 from cell.runtime.goals import GripGoal, TeachGoal
 from cell.runtime.health import health_values
 from cell.runtime.lease import Lease
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import JOB_SILENT_S, CellWorker, Job, JobFailed, JobOutcome, Report
 from tests.cell.conftest import quick_config, small_config
-from tests.cell.data.test_recording import fill_disk_after
+from tests.cell.recording.test_recording import fill_disk_after
 from tests.cell.served import LIMIT_S, until
 from tests.fuzz.harness import Clock
 

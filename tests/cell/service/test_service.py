@@ -18,7 +18,6 @@ import pytest
 from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.data.recording_reader import read_recording
 from cell.errors import (
     CellError,
     CellStateError,
@@ -27,6 +26,7 @@ from cell.errors import (
     NoPartFound,
     RequestRefused,
 )
+from cell.recording.reader import read_recording
 from cell.runtime import tasks, worker
 from cell.runtime.goals import IdentifyGoal
 from cell.service import history

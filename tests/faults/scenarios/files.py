@@ -17,11 +17,11 @@ from unittest import mock
 
 from cell.build import build_cell
 from cell.control.records import pad_array
-from cell.data.recorder import Recorder
-from cell.data.recorder_sink import BackgroundFile, DirectFile
-from cell.data.recording_reader import read_recording, recording_grasps, recover_recording
 from cell.errors import CellError, ConfigError, ModelError, RecordingError
 from cell.learning.model import save_model
+from cell.recording.reader import read_recording, recording_grasps, recover_recording
+from cell.recording.recorder import Recorder
+from cell.recording.sink import BackgroundFile, DirectFile
 from cell.runtime.plugin import TactileCellPlugin
 from gripper.dynamixel.serial_port import SerialStream
 from gripper.errors import PortLost

@@ -23,10 +23,10 @@ from cell.build import build_cell
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
-from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStateError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.session import running_cell
+from cell.recording.reader import read_recording
 from cell.runtime.goals import TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from gripper.dynamixel.bus import ServoBus

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.data.dataset import read_dataset
+from cell.recording.dataset import read_dataset
 from recognition.evaluation.evaluation import evaluate
 from recognition.evaluation.metrics import (
     auroc,

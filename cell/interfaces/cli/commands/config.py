@@ -7,8 +7,8 @@ import typer
 
 import cell.config
 from cell.config.file import SHORT_KEYS, config_text, load_config, schema_text
-from cell.data.files import write_text
 from cell.errors import ConfigError
+from cell.files import write_text
 from cell.interfaces.cli import options
 from cell.interfaces.cli.terminal import print_line, print_note
 from cell.simulation import simulator_settings

@@ -9,7 +9,6 @@ import typer
 
 from cell.config.model import CellConfig
 from cell.control.identification import Identification, ReadShape
-from cell.data.dataset import read_grasps
 from cell.errors import ConfigError
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import (
@@ -24,6 +23,7 @@ from cell.learning.model import load_model
 from cell.learning.pad_knowledge import pad_knowledge
 from cell.learning.shape_reading import NO_SHAPE, beside, shape_reader
 from cell.learning.training import identify_recorded, loaded
+from cell.recording.dataset import read_grasps
 from cell.runtime.goals import IdentifyGoal
 from cell.runtime.sort import drawn_object
 from recognition.drift.drift import drift_text

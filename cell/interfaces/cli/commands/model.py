@@ -13,9 +13,8 @@ from cell.archive.evaluate import EvaluationResult, evaluate_recognizers
 from cell.archive.selected_grasps import selected_grasps
 from cell.archive.selection import EVERYTHING, is_archive, parse_selection
 from cell.archive.spread import spread_gains, spread_values, with_spread
-from cell.data.dataset import read_grasps
-from cell.data.files import write_text
 from cell.errors import CellError, ConfigError, raised_as
+from cell.files import write_text
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import (
     RunningCell,
@@ -30,6 +29,7 @@ from cell.learning.model import LAST_MODEL, load_model, save_model
 from cell.learning.parallel import workers
 from cell.learning.teaching_summary import summarise_teaching
 from cell.learning.training import calibrate_model, follow_shift, gaugeable, train as train_model
+from cell.recording.dataset import read_grasps
 from cell.runtime.goals import TeachGoal
 from recognition.drift.drift import NO_DRIFT, Drift, drift_text, parse_drift
 from recognition.evaluation.evaluation import Evaluation

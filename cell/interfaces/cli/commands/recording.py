@@ -10,9 +10,6 @@ from rich.table import Table
 
 from cell.archive.selection import cell_of, day_of, is_archive, parse_selection
 from cell.config.file import load_config
-from cell.data.dataset import read_grasps
-from cell.data.recording_reader import read_recording, recover_recording
-from cell.data.retention import mark as mark_one, recordings, unmark as unmark_one
 from cell.errors import CellError
 from cell.installation import extra
 from cell.interfaces.cli import options
@@ -25,6 +22,9 @@ from cell.interfaces.cli.terminal import (
     progress_bar,
     show,
 )
+from cell.recording.dataset import read_grasps
+from cell.recording.reader import read_recording, recover_recording
+from cell.recording.retention import mark as mark_one, recordings, unmark as unmark_one
 from cell.report.figures import grasp_figure, write_picture
 from cell.report.page import write_report
 from cell.report.recorded import recorded_report

@@ -9,7 +9,6 @@ import typer
 from rich.table import Table
 
 from cell.config.model import CellConfig
-from cell.data.recording_reader import read_recording
 from cell.errors import CellError, ConfigError, MissingExtraError, RecordingError, ReportError
 from cell.installation import missing_note
 from cell.interfaces.cli import options
@@ -17,6 +16,7 @@ from cell.interfaces.cli.session import cell_config, pads_of, running_cell
 from cell.interfaces.cli.terminal import percent, plain_text, print_note
 from cell.learning.model import load_model
 from cell.learning.taught_cache import MODEL_FILE, keep_model
+from cell.recording.reader import read_recording
 from cell.report.confusion import TABLE_1, TABLE_1_LABELS, ConfusionTable, paper_table
 from cell.report.page import write_report
 from cell.report.recorded import recorded_report

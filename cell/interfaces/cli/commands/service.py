@@ -7,8 +7,8 @@ import typer
 
 from cell.commissioning.cell_backup import back_up, restore as unpack
 from cell.config.serve import ALL_CLOSED
-from cell.data.files import write_text
 from cell.errors import CellError
+from cell.files import write_text
 from cell.interfaces.cli import options, system_files as system
 from cell.interfaces.cli.session import cell_config
 from cell.interfaces.cli.support_bundle import write_bundle

@@ -7,8 +7,6 @@ import typer
 
 from cell.config.model import CellConfig
 from cell.config.simulator import checked_label
-from cell.data.dataset import read_dataset
-from cell.data.grasp_limits import text_refused
 from cell.errors import ConfigError, DatasetError, raised_as
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config, pads_of, running_cell
@@ -16,6 +14,8 @@ from cell.interfaces.cli.terminal import print_line, progress_bar, show
 from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend, name_recorded
 from cell.learning.pad_knowledge import pad_knowledge
 from cell.learning.teach_from_drawing import teach_drawing
+from cell.recording.dataset import read_dataset
+from cell.recording.grasp_limits import text_refused
 from cell.runtime.goals import TeachGoal
 from cell.simulation import drawn_shape
 

@@ -13,18 +13,18 @@ from typing import Any
 
 import pytest
 
-from cell.data import recorder_sink, retention
-from cell.data.recorder import Recorder
-from cell.data.recorder_sink import LEFT_BYTES, DirectFile, free_bytes
-from cell.data.recording_reader import Recording, read_recording
-from cell.data.retention import LEAST_FREE_BYTES, Retention, mark, recordings, unmark
 from cell.errors import RecordingError
+from cell.recording import retention, sink as recorder_sink
+from cell.recording.reader import Recording, read_recording
+from cell.recording.recorder import Recorder
+from cell.recording.retention import LEAST_FREE_BYTES, Retention, mark, recordings, unmark
+from cell.recording.sink import LEFT_BYTES, DirectFile, free_bytes
 from cell.runtime.goals import GripGoal, IdentifyGoal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.service.history import History
 from recognition.recognizer import UNKNOWN
 from tests.cell.conftest import Taught, call
-from tests.cell.data.test_recording import PADS
+from tests.cell.recording.test_recording import PADS
 from tests.fuzz.harness import Clock
 from tests.values import raising
 

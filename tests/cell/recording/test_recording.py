@@ -23,25 +23,25 @@ from typer.testing import CliRunner
 from cell.control.journal import Journal
 from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
-from cell.data import (
+from cell.errors import RecordingError
+from cell.formats import RECORDING
+from cell.hand.interface import HandStatistics
+from cell.interfaces.cli.app import app
+from cell.recording import (
+    reader as recording_reader,
     recorder as recorder_module,
-    recorder_sink,
-    recording_reader,
-    recording_schema,
+    schema as recording_schema,
+    sink as recorder_sink,
 )
-from cell.data.formats import RECORDING
-from cell.data.recorder import ROOM_BYTES, Recorder
-from cell.data.recorder_sink import LEFT_BYTES, BackgroundFile, DirectFile
-from cell.data.recording_reader import (
+from cell.recording.reader import (
     RecordedMessages,
     read_recording,
     recording_grasps,
     recover_recording,
 )
-from cell.data.recording_schema import RECOVERED
-from cell.errors import RecordingError
-from cell.hand.interface import HandStatistics
-from cell.interfaces.cli.app import app
+from cell.recording.recorder import ROOM_BYTES, Recorder
+from cell.recording.schema import RECOVERED
+from cell.recording.sink import LEFT_BYTES, BackgroundFile, DirectFile
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.timing import LoopStatistics
 from gripper.values.force_sensor import ForceSample

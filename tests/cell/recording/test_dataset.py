@@ -14,22 +14,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cell import formats
 from cell.archive.store import Archive
 from cell.checks.findings import read_commissioned
 from cell.commissioning.backup import since_backup
 from cell.config.file import load_config
 from cell.config.gripper import measured_drive
 from cell.control.self_zero import SelfZeros
-from cell.data import formats
-from cell.data.dataset import read_dataset, write_dataset
-from cell.data.formats import Format
-from cell.data.recording_reader import read_recording
 from cell.errors import CellError, DatasetError
+from cell.formats import Format
 from cell.learning.model import load_model
+from cell.recording.dataset import read_dataset, write_dataset
+from cell.recording.reader import read_recording
 from gripper.dynamixel.models import XM430_W350
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from tests.cell.conftest import plain_pads
-from tests.cell.data.test_recording import GOOD, foreign
+from tests.cell.recording.test_recording import GOOD, foreign
 from tests.values import raising
 
 PADS = plain_pads((3, 2), (2, 2), pitch_m=6.5e-3, adc_max=255)

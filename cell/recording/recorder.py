@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
-from cell.data import recording_schema as schema
-from cell.data.formats import RECORDING
-from cell.data.recorder_sink import LEFT_BYTES, BackgroundFile, DirectFile, free_bytes
 from cell.errors import RecordingError
+from cell.formats import RECORDING
+from cell.recording import schema
+from cell.recording.sink import LEFT_BYTES, BackgroundFile, DirectFile, free_bytes
 from gripper.clock import Clock
 from recognition.grasp import Grasp, PadArray
 
@@ -274,7 +274,7 @@ class Recorder:
         self._put(schema.CYCLE, cycle.t_s, values)
 
     def now(self, topic: str, values: Mapping[str, Any]) -> None:
-        """Record a message of the present time; see `recording_schema` for its fields."""
+        """Record a message of the present time; see `schema` for its fields."""
         self._put(topic, self._clock.monotonic(), values)
 
     def grasp(self, grasp: Grasp) -> None:

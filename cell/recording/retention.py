@@ -8,10 +8,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from cell.data.files import write_text
-from cell.data.recorder import Recorder
-from cell.data.recorder_sink import free_bytes, in_use
 from cell.errors import RecordingError
+from cell.files import write_text
+from cell.recording.recorder import Recorder
+from cell.recording.sink import free_bytes, in_use
 
 MARK = ".keep"
 """Suffix of the file beside a recording that marks it."""

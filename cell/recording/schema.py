@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, with_config
 from typing_extensions import TypedDict
 
-from cell.data.grasp_limits import RANGES, text_refused
+from cell.recording.grasp_limits import RANGES, text_refused
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS
 
 if TYPE_CHECKING:

@@ -39,9 +39,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.data.files import read_npz, savez, write_atomically
-from cell.data.formats import DATASET
-from cell.data.grasp_limits import (
+from cell.errors import DatasetError, raised_as
+from cell.files import read_npz, savez, write_atomically
+from cell.formats import DATASET
+from cell.recording.grasp_limits import (
     RANGES,
     beyond_range,
     openings_too_small,
@@ -49,7 +50,6 @@ from cell.data.grasp_limits import (
     text_refused,
     times_refused,
 )
-from cell.errors import DatasetError, raised_as
 from recognition.grasp import (
     COMMAND_COLUMNS,
     ZERO_COLUMNS,
@@ -133,7 +133,7 @@ def read_grasps(path: Path | str) -> tuple[Grasp, ...]:
     path = Path(path)
     if path.suffix != ".mcap":
         return read_dataset(path)
-    from cell.data.recording_reader import recording_grasps  # noqa: PLC0415  slow to load
+    from cell.recording.reader import recording_grasps  # noqa: PLC0415  slow to load
 
     return recording_grasps(path)
 

@@ -7,8 +7,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cell.data.files import json_bytes, read_plain, write_text
 from cell.errors import CellError
+from cell.files import json_bytes, read_plain, write_text
 
 PROGRAM = f"tactile-cell {version('tactile-cell')}"
 """Name and version of this program."""

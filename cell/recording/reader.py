@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-from cell.data import recording_schema as schema
-from cell.data.files import DAMAGE, open_plain, write_atomically
-from cell.data.formats import RECORDING
-from cell.data.grasp_limits import times_refused
-from cell.data.recorder import MessageWriter
 from cell.errors import RecordingError, reason_text
+from cell.files import DAMAGE, open_plain, write_atomically
+from cell.formats import RECORDING
+from cell.recording import schema
+from cell.recording.grasp_limits import times_refused
+from cell.recording.recorder import MessageWriter
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 
 MAX_FILE_BYTES = 1 << 30
@@ -48,7 +48,7 @@ class RecordedMessage(NamedTuple):
 
     topic: str
     content: dict[str, Any]
-    """Its fields in `recording_schema`."""
+    """Its fields in `schema`."""
     data: bytes
     """Its JSON."""
 
@@ -290,7 +290,7 @@ class Recording:
     results: tuple[dict[str, Any], ...] = ()
     states: tuple[dict[str, Any], ...] = ()
     statistics: tuple[dict[str, Any], ...] = ()
-    """Messages as plain objects, fields as in `recording_schema`."""
+    """Messages as plain objects, fields as in `schema`."""
     grasps: tuple[Grasp, ...] = ()
     """The grasps with all their frames."""
     grasp_numbers: tuple[int, ...] = ()
