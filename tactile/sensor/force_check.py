@@ -36,10 +36,6 @@ mean of 25 frames differed by up to 0.13 N at 6 N and 0.26 N at 14 N."""
 _BELOW_SIGMAS = 13.0
 """Further allowed deficit of the frames in standard deviations of one taxel, because they leave out
 taxels below a threshold. At 0.045 N of noise six frames had a deficit of 0.65 N."""
-_UNSEEN_N, _UNSEEN_SIGMAS = 1.4, 30.0
-"""Largest force in N of which a frame may show nothing, or in standard deviations of one taxel if
-that is more: then all taxels are below the threshold. Six frames in a row showed nothing at 0.8 N,
-with 0.1 N of noise at 1.2 N."""
 _CENTRE_TAXELS = 0.3
 """Distance of the centres in pitches that is allowed without noise."""
 _CENTRE_N_TAXELS = 1.0
@@ -113,7 +109,7 @@ class FrameForces:
     scanned_s: float
     """Monotonic time of its scan in s."""
     force_n: tuple[float, float]
-    """Force on finger 0 and finger 1 in N."""
+    """Force on finger 0 and finger 1 in N, on taxels that the messages include, too."""
     centre_taxels: tuple[float, float] | None
     """Centre of both pads along and across the fingers in pitches; None without a touch."""
     noise_n: float
@@ -121,8 +117,8 @@ class FrameForces:
     centre_noise_taxels: tuple[float, float] = (0.0, 0.0)
     """Standard deviation of the centre by the noise of the taxels, in pitches."""
     whole_n: tuple[float, float] = (0.0, 0.0)
-    """Force on all taxels of finger 0 and finger 1 in N. With a load spread over a pad each taxel
-    may be below the threshold."""
+    """Force on all taxels of finger 0 and finger 1 in N: the messages may show any force between
+    both. With a load spread over a pad each taxel may be below the threshold."""
 
 
 class ForceCheck:
@@ -232,7 +228,6 @@ class _Pair:
         second_n = _mean(message.force_n[1] for message in messages)
         grip_n = 0.5 * (first_n + second_n)
         most_n = _OUTLIER_SIGMAS * frame.noise_n
-        unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
         least_n = max(_CENTRE_LEAST_N, _CENTRE_LEAST_SIGMAS * taxel_noise_n)
         apart_n, above_n, below_n = [], [], []
         for active_n, whole_n, message_n in zip(
@@ -241,8 +236,6 @@ class _Pair:
             frame_n = max(active_n, min(whole_n, message_n))
             above = _LEAST_N + _LEAST_SHARE * max(frame_n, message_n)
             below = above + _BELOW_SIGMAS * taxel_noise_n
-            if frame_n == 0.0:
-                below = max(below, unseen_n)
             apart_n.append(min(max(frame_n - message_n, -below - most_n), above + most_n))
             above_n.append(above)
             below_n.append(below)
