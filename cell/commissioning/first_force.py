@@ -147,16 +147,13 @@ class _Trial:
         if not alone:
             self.hand.start_sensor()
         self._open()
+        self.notes.fact("The empty fingers opened as direction, zero and linkage predict.")
         if _proves_watchdog(self.config):
-            self.notes.fact(
-                "The empty fingers opened as direction, zero and linkage predict, and the bus "
-                "watchdog stopped them when this program was silent."
-            )
+            self.notes.fact("The bus watchdog stopped them when this program was silent.")
         else:
             self.notes.warn(
-                "The empty fingers opened as direction, zero and linkage predict. Their bus "
-                "watchdog is not proven, and some servos of the 330 size ignore it: stay at the "
-                "cell while it works."
+                "Their bus watchdog is not proven, and some servos of the 330 size ignore it: stay "
+                "at the cell while it works."
             )
         if not alone:
             self._check_empty()
@@ -187,7 +184,6 @@ class _Trial:
         self.hand.tare(self.config.tactile.tare_frames)
         first_n, second_n = self.hand.read_sensor(timeout_s=1.0).finger_force_n
         limit_n = _EMPTY_SHARE * self.config.gripper.contact_force_n
-        self.notes.values["empty_n"] = [round(first_n, 4), round(second_n, 4)]
         self.notes.fact(
             f"Empty fingers: the pads show {first_n:.2f} and {second_n:.2f} N after a new zero."
         )
@@ -210,12 +206,12 @@ class _Trial:
             raise StepFailed(f"{between}. It is held: take hold of it, then `--redo first_force`.")
         last_n = _forces_n(self.motion.cycles[begun:])[-_LAST_PERIODS:]
         self.hand.measure_load(self.motion)
-        first_n, second_n = (round(float(n), 3) for n in np.nanmean(last_n, axis=0))
+        first_n, second_n = np.nanmean(last_n, axis=0)
         self.hand.release(self.motion)
         self.hand.measure_friction(self.motion)
         self._keep_drives()
         opening_mm = 1e3 * outcome.final_aperture_m
-        self.notes.values |= {"meet_mm": round(opening_mm, 3), "meet_n": [first_n, second_n]}
+        self.notes.values["meet_mm"] = round(opening_mm, 3)
         self.notes.fact(
             f"The empty fingers met at an opening of {opening_mm:+.2f} mm, with {first_n:.2f} and "
             f"{second_n:.2f} N."
@@ -263,7 +259,7 @@ class _Trial:
             self._judge(force_n, float(held_n.mean()), outcome)
         self.hand.hold_at(first_n, 0.0, motion)
         peak_n = float(_grip_n(motion.cycles).max())
-        self.notes.values |= {"asked_held_peak_n": measured, "peak_n": round(peak_n, 3)}
+        self.notes.values["asked_held_peak_n"] = measured
         if peak_n > cap_n + _WRONG_N:
             self.notes.fail(
                 f"The force reached {peak_n:.2f} N, above the cap of {cap_n:g} N: lower "

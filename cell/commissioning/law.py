@@ -229,12 +229,7 @@ def judge_law(
     except ValueError as error:
         text = f"No law can be found: {error}. Press on the middle of each pad."
         raise StepFailed(text) from error
-    notes.values |= {
-        "loads_n": [list(map(list, of_finger)) for of_finger in loads],
-        "factor": fit.factor,
-        "factors": [one.factor for one in fits],
-        "residual_n": fit.residual_n,
-    }
+    notes.values |= {"loads_n": [[*map(list, one)] for one in loads], "factor": fit.factor}
     notes.fact(
         f"{len(both)} loads up to {max(both)[0]:.1f} N: the pads show "
         f"{(1.0 / fit.factor - 1.0):+.0%} of the scale's force, residual {fit.residual_n:.2f} N."

@@ -215,8 +215,6 @@ def measure_rest(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         "board_serial_numbers": list(boards),
         "zero_counts": zero,
         "noise_counts": noise,
-        "noise_n": list(rest.noise_n),
-        "full_n": list(rest.full_n),
         "bad_taxels": np.flatnonzero(rest.health.bad).tolist(),
     }
 
@@ -307,26 +305,22 @@ def mounts_of(layout: TaxelLayout, patches: Mapping[int, Patch]) -> tuple[PadMou
 def mount_lines(layout: TaxelLayout, mounts: Sequence[PadMount]) -> list[str]:
     """Return differences of the mounting from the layout as text."""
     lines = []
-    by_pad = {mount.pad: mount.sent_as for mount in mounts}
-    exchanged = {
-        pad
-        for pad, other in by_pad.items()
-        if by_pad.get(other) == pad != other and layout.pads[pad].face == layout.pads[other].face
-    }
-    if exchanged.issuperset(layout.gripping_pads):
-        lines.append(
-            "The pads of the two fingers are exchanged: set in tactile.mounting. Or exchange their "
-            "cables at the control unit and run this step again."
-        )
     for mount in mounts:
         name, sent = layout.pads[mount.pad].name, layout.pads[mount.sent_as].name
-        if sent != name and not (lines and mount.pad in exchanged):
-            lines.append(f"{name} is plugged in the place of {sent}: set in tactile.mounting.")
-        if mount.rows_mirrored and mount.columns_mirrored:
-            lines.append(f"{name} is turned by 180 degrees: set in tactile.mounting.")
-        elif mount.rows_mirrored or mount.columns_mirrored:
+        if sent != name:
+            lines.append(
+                f"{name} is plugged in the place of {sent}: set in tactile.mounting. Or exchange "
+                "their cables and run this step again."
+            )
+        if mount.rows_mirrored or mount.columns_mirrored:
             what = "rows" if mount.rows_mirrored else "columns"
-            lines.append(f"The {what} of {name} run the other way: set in tactile.mounting.")
+            turned = mount.rows_mirrored and mount.columns_mirrored
+            how = (
+                f"{name} is turned by 180 degrees"
+                if turned
+                else f"The {what} of {name} run the other way"
+            )
+            lines.append(f"{how}: set in tactile.mounting.")
     return lines
 
 
@@ -371,10 +365,7 @@ def find_mounting(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             f"{names[pad]} was not found: no other pad of its size showed a patch. Check its plug "
             "and cable."
         )
-    notes.values |= {
-        "crosstalk": {names[pad]: shares for pad, shares in crosstalk.items()},
-        "patches": {names[pad]: asdict(patch) for pad, patch in patches.items()},
-    }
+    notes.values["patches"] = {names[pad]: asdict(patch) for pad, patch in patches.items()}
     notes.settings["tactile.mounting"] = [asdict(mount) for mount in mounts]
 
 

@@ -18,12 +18,12 @@ from cell.config.file import changed_config
 from cell.config.section import SIMULATED
 from cell.config.sensor import SensorLines
 from cell.config.tactile import (
+    LONGEST_SYNC_MS,
     TactileConfig,
     layout_from_config,
     link_settings,
     make_calibration,
 )
-from cell.errors import ConfigError
 from cell.hand.build import frame_source, sensor_settings
 from tactile.can.bus import CanBus, MissingBus
 from tactile.control_unit.search import (
@@ -34,15 +34,9 @@ from tactile.control_unit.search import (
     read_vendor,
     scan_nodes,
 )
-from tactile.control_unit.settings import (
-    ExpectedIdentity,
-    LinkSettings,
-    least_sync_period_s,
-    message_bits,
-)
-from tactile.control_unit.setup import identity_checks
+from tactile.control_unit.settings import ExpectedIdentity, LinkSettings, least_sync_period_s
+from tactile.control_unit.setup import identity_checks, refuse_mismatch
 from tactile.errors import BusNotOpened, TactileError
-from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
 from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.sensor.opening import open_sensor
 from tactile.sensor.sensor import TactileSensor
@@ -342,16 +336,11 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Notes) -> TaxelLayout:
         f"{identity.revision >> 16}.{identity.revision & 0xFFFF}; boards of the pads "
         f"{identity.boards[0]} and {identity.boards[1]}."
     )
-    wrong = "; ".join(
-        f"{check.what}: expected {check.expected}, found {check.found}"
-        for check in identity_checks(identity, ExpectedIdentity())
-        if not check.ok
+    refuse_mismatch(
+        identity_checks(identity, ExpectedIdentity()),
+        "Its EDS is not that of this software",
+        "Update the unit's firmware, or this software.",
     )
-    if wrong:
-        raise StepFailed(
-            f"Its EDS is not that of this software: {wrong}. Update the unit's firmware, or this "
-            "software."
-        )
     layout, written = _layout(unit, bench)
     notes.fact(f"Layout {layout.name}: {layout.n_taxels} taxels on {layout.n_pads} pads.")
     notes.settings |= {
@@ -385,21 +374,16 @@ def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
 
 def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Notes) -> None:
     """Set a period of SYNC that fits a frame, if that of the config is too short."""
-    tactile, messages = bench.tactile(), FrameFormat.of(layout).n_messages
-    burst_ms = 1e3 * messages * message_bits(MESSAGE_BYTES) / bitrate
-    needed_ms = 1e3 * least_sync_period_s(layout, link_settings(tactile), bitrate)
-    if needed_ms <= tactile.sync_period_ms:
+    tactile = bench.tactile()
+    least_s = least_sync_period_s(layout, link_settings(tactile), bitrate)
+    least_ms = float(np.ceil(1e3 * least_s))
+    if least_ms <= tactile.sync_period_ms:
         return
-    least_ms = float(np.ceil(needed_ms))
-    taken = f"At {bitrate:,} bit/s a frame of {messages} messages takes {burst_ms:.0f} ms"
-    try:
-        bench.tactile(sync_period_ms=least_ms)
-    except ConfigError as error:
-        raise StepFailed(
-            f"{taken}, too long for a grip: set the unit to 1,000,000 bit/s."
-        ) from error
+    needed = f"At {bitrate:,} bit/s the frames need a period of SYNC of {least_ms:g} ms"
+    if least_ms > LONGEST_SYNC_MS:
+        raise StepFailed(f"{needed}, too long for a grip: set the unit to 1,000,000 bit/s.")
     notes.settings["tactile.sync_period_ms"] = least_ms
-    notes.fact(f"{taken}: the period of SYNC is {least_ms:g} ms now. A faster rate grips softer.")
+    notes.fact(f"{needed}, which is set now. A faster rate grips softer.")
 
 
 def _writes(unit: FoundUnit, link: LinkSettings) -> list[ProposedChange]:

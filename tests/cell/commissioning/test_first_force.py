@@ -65,7 +65,7 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> N
     (first, last) = finding.values["asked_held_peak_n"]
     assert first[:2] == pytest.approx([1.0, 1.0], abs=0.1)
     assert last == pytest.approx(3 * [most.default], rel=0.1)
-    assert finding.values["empty_n"] == [0.0, 0.0]
+    assert any("the pads show 0.00 and 0.00 N after a new zero" in line for line in finding.lines)
     assert one.torques == [0, 0]
     assert len(one.person.script.writes) == 4
     assert abs(finding.values["meet_mm"]) < 1.0

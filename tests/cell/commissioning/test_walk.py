@@ -41,7 +41,6 @@ def brought_up(
     *faults: str,
     leave_at: tuple[str, ...] = (),
     boards: tuple[int, int] = (1, 2),
-    alone: bool = False,
     bitrate: int = 1_000_000,
 ) -> Person:
     """Run the wizard until it is finished, as the command does; returns who did it."""
@@ -57,9 +56,6 @@ def brought_up(
         person = Person(cell)
         person.script.leave_at = list(leave_at)
         given = {"tactile.interface": "socketcan", "tactile.channel": "can0"}
-        if alone:
-            given = {}
-            person.script.replies = dict(person.script.replies) | {"unit.none": "alone"}
         for _ in range(len(leave_at) + 1):
             bench = Bench(folder, SimulatedLines(cell), given=given)
             engine = Engine(brisk_steps(), bench)
@@ -93,7 +89,7 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_pat
     for named in (
         "Bit rate 500,000 bit/s",
         "1 taxel is dead",
-        "The pads of the two fingers are exchanged",
+        "finger0.inner is plugged in the place of finger1.inner",
         "tactile.calibration.gain was 1, is now 1.2",
         "its horn sits +14",
     ):
@@ -106,15 +102,6 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_pat
     assert one[1] == pytest.approx(1.0, abs=0.2)
     assert four[1] == pytest.approx(4.0, abs=0.3)
     assert person.pressed_n == pytest.approx(4.2, abs=0.4)
-
-
-def test_a_gripper_without_pads_is_brought_up_by_current(tmp_path) -> None:
-    person = brought_up(tmp_path, *SERVOS, "unit.off", alone=True)
-    found = person.script.findings
-    assert all(one.status is not Verdict.FAIL for one in found.values())
-    assert person.pressed_n == pytest.approx(4.0, abs=1.2)
-    assert "a cell needs the control unit" in "\n".join(found["unit"].lines)
-    assert load_config(tmp_path / CONFIG_NAME).tactile.channel == "none"
 
 
 CONFIGS = Path(__file__).parents[3] / "config"
