@@ -8,13 +8,12 @@ and the synchronous window.
 
 import math
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from canopen.nmt import NMT_COMMANDS
 
 from simulator.can.faults import ControlUnitFaults
-from simulator.can.node import RESETS, CanopenDevice
+from simulator.can.node import BOOT_S, RESETS, CanopenDevice
 from simulator.can.object_dictionary import UnitDictionary
 from simulator.can.scanner import ScannedWorld, Scanner
 from simulator.can.wire import mean_bits
@@ -62,12 +61,8 @@ class ControlUnitSettings:
     """Bit rate of its CAN controller in bit/s."""
     serial_number: int = 1
     """Object 0x1018:04."""
-    identity: Mapping[int, int] = field(default_factory=dict)
-    """Sub-indices of 0x1018 that differ from the EDS, to simulate a wrong device."""
     boards: tuple[int, int] = (1, 2)
     """Object 0x2103: serial numbers of the pads' boards on finger 0 and finger 1."""
-    boot_s: float = 0.02
-    """Time in s from power-on or reset to the boot-up message."""
     force_messages: bool = True
     """False: an older unit of minor revision 0, without force messages."""
 
@@ -76,8 +71,6 @@ class ControlUnitSettings:
             raise SimulatorSettingsError(f"node_id is {self.node_id}, must be 1 to 127")
         if self.bitrate <= 0:
             raise SimulatorSettingsError(f"bitrate is {self.bitrate}, must be positive")
-        if not (math.isfinite(self.boot_s) and self.boot_s >= 0.0):
-            raise SimulatorSettingsError(f"boot_s is {self.boot_s}, must be at least 0")
 
 
 class SimulatedControlUnit(CanopenDevice):
@@ -105,7 +98,6 @@ class SimulatedControlUnit(CanopenDevice):
             layout,
             self.scanner,
             serial_number=self.settings.serial_number,
-            identity=self.settings.identity,
             boards=self._boards,
             missing=frozenset() if self.settings.force_messages else _FORCE_OBJECTS,
         )
@@ -191,7 +183,7 @@ class SimulatedControlUnit(CanopenDevice):
         self._force_hits = [0.0, 0.0, 0.0]
         self._held_force: bytes | None = None
         self._forces_later: deque[tuple[float, bytes]] = deque()
-        self._boot_due_s = self._network.now_s + self.settings.boot_s
+        self._boot_due_s = self._network.now_s + BOOT_S
 
     def _nmt(self, data: bytes) -> None:
         if len(data) != 2 or data[1] not in {0, self.settings.node_id}:

@@ -14,14 +14,12 @@ from canopen.objectdictionary import ODVariable
 
 from motion import object_dictionary as od
 from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, State, Status
-from simulator.can.node import RESETS, CanopenDevice
+from simulator.can.node import BOOT_S, RESETS, CanopenDevice
 from simulator.can.object_dictionary import NO_SUBINDEX, VALUE_RANGE, WRONG_STATE
 from simulator.can.profile_motion import ProfileMotion
 
 STEP_S = 1e-3
 """Period in s of the drive's position loop."""
-BOOT_S = 0.02
-"""Time in s from power-on to the boot-up message."""
 _REGISTER_GENERIC, _REGISTER_COMMUNICATION = 0x01, 0x11
 """Bits of the error register 1001h (CiA 301, 7.5.2.2)."""
 _SWITCHED_ON_BIT, _VOLTAGE_BIT, _NO_QUICK_STOP_BIT, _ENABLE_BIT = 0x1, 0x2, 0x4, 0x8

@@ -16,6 +16,8 @@ from simulator.errors import SimulatorStateError
 RESETS = (NMT_COMMANDS["RESET"], NMT_COMMANDS["RESET COMMUNICATION"])
 """NMT commands that the node of canopen does not carry out."""
 
+BOOT_S = 0.02
+"""Time in s from power-on or reset to the boot-up message."""
 UNKNOWN_COMMAND = 0x0504_0001
 """SDO abort code (CiA 301, 7.2.4.3.17): command specifier that is unknown, or out of its turn."""
 _ABORTED = 0x80

@@ -5,7 +5,7 @@ parts of the unit, limits from the EDS, sub-indices of plain variables, and the 
 writes.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import canopen
@@ -67,8 +67,6 @@ class UnitDictionary:
         The canopen LocalNode, made from the unit's EDS; this class adds its callbacks to it.
     serial_number
         Object 0x1018:04.
-    identity
-        Other sub-indices of 0x1018 that differ from the EDS.
     boards
         Returns object 0x2103: the serial numbers of the pads' present boards.
     missing
@@ -82,7 +80,6 @@ class UnitDictionary:
         scanner: Scanner,
         *,
         serial_number: int,
-        identity: Mapping[int, int] | None = None,
         boards: Callable[[], tuple[int, int]] = lambda: (0, 0),
         missing: frozenset[int] = frozenset(),
     ) -> None:
@@ -108,8 +105,6 @@ class UnitDictionary:
             (unit_od.PAD_SHAPES, 0): shapes,
             (unit_od.IDENTITY, unit_od.IDENTITY_SERIAL): serial_number,
         }
-        for subindex, value in (identity or {}).items():
-            self._constants[(unit_od.IDENTITY, subindex)] = value
         self._live: dict[int, Callable[[int], int | bytes | None]] = {
             unit_od.ERROR_REGISTER: lambda _subindex: self.error_register,
             unit_od.ERROR_HISTORY: self._read_history,

@@ -43,6 +43,8 @@ class SlcanAdapter:
     """
 
     def __init__(self, link: CanLink, *, bitrate: int) -> None:
+        self.baudrate = 0
+        """Line rate set by the client; a USB device ignores it."""
         self._link = link
         self._bitrate = bitrate
         self._chosen = bitrate
@@ -95,15 +97,16 @@ class SlcanAdapter:
         self._output.clear()
         return output
 
-    def put_back(self, data: bytes) -> None:
-        """Take back bytes that could not be written; the next call sends them first."""
-        self._output[0:0] = data
+    @property
+    def unplugged(self) -> bool:
+        """Whether the adapter is gone."""
+        return self._link.faults.unplugged
 
     def next_event_s(self) -> float:
         """Return the earliest time of the next bytes for the client; infinity: never."""
         return self._link.next_event_s()
 
-    def reset(self) -> None:
+    def drop_pending(self) -> None:
         """Lose power: channel closed, nothing waits."""
         self._input.clear()
         self._output.clear()

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 from simulator.can.link import CanLink
 from simulator.can.slcan import SlcanAdapter
@@ -18,7 +18,7 @@ from simulator.errors import EndpointError
 from simulator.faults.injector import FaultInjector
 from simulator.realtime.requests import CellRequests
 from simulator.realtime.socket_server import PositionerServer
-from simulator.realtime.terminals import BoardPty, ServoPty, SlcanPty
+from simulator.realtime.terminals import BoardPty, SerialPty
 from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
 from simulator.world.world import STEP_S
@@ -30,7 +30,6 @@ FORGIVEN_S = 0.25
 POWERED_BEFORE_S = 0.1
 """Power-on time in s before clients can connect: the devices have booted by then."""
 
-_Pty = TypeVar("_Pty", ServoPty, SlcanPty, BoardPty)
 Announce = Callable[[dict[str, Any]], None]
 
 
@@ -53,25 +52,25 @@ class RealTimeCell:
             faults=self.devices.faults.can,
             seed=settings.seed,
         )
-        self._ptys: list[ServoPty | SlcanPty] = []
+        self._ptys: list[SerialPty] = []
         with ExitStack() as opened:
 
-            def keep(pty: _Pty) -> _Pty:
+            def keep(pty: SerialPty) -> SerialPty:
                 opened.callback(pty.close)
                 self._ptys.append(pty)
                 return pty
 
-            self._servo_pty = keep(ServoPty(self.devices.servo_bus, folder / "servos"))
+            self._servo_pty = keep(SerialPty(self.devices.servo_bus, folder / "servos"))
             adapter = SlcanAdapter(link, bitrate=settings.can_bitrate)
-            self._can_pty = keep(SlcanPty(adapter, folder / "can"))
-            self._axes_can_pty: SlcanPty | None = None
+            self._can_pty = keep(SerialPty(adapter, folder / "can"))
+            self._axes_can_pty: SerialPty | None = None
             if self.devices.axes_can_devices is not None:
                 bitrate = settings.axes_can_bitrate
                 axes_link = CanLink(self.devices.axes_can_devices, bitrate=bitrate)
                 adapter = SlcanAdapter(axes_link, bitrate=bitrate)
-                self._axes_can_pty = keep(SlcanPty(adapter, folder / "axes-can"))
+                self._axes_can_pty = keep(SerialPty(adapter, folder / "axes-can"))
             self._axes_ptys = {
-                moves: keep(ServoPty(axis.bus, folder / f"axis-{moves}"))
+                moves: keep(SerialPty(axis.bus, folder / f"axis-{moves}"))
                 for moves, axis in self.devices.axes.items()
                 if isinstance(axis, SimulatedWrist)
             }

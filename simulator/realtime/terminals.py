@@ -1,4 +1,4 @@
-"""Pseudo-terminals of simulated adapters: the servo bus and the serial CAN adapter.
+"""Pseudo-terminals of simulated lines: servo bus, serial CAN adapter, sensor boards.
 
 They have no loop: the owner waits until the descriptor is readable or the next event is due, and
 calls ``poll``.
@@ -12,7 +12,6 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
-from simulator.can.slcan import SlcanAdapter
 from simulator.errors import EndpointError, SimulatorStateError
 from simulator.servo.bus import SerialDevice
 
@@ -39,22 +38,21 @@ class Terminal:
 
     Parameters
     ----------
-    link_path
-        Symbolic link to the current terminal; None: no link. An existing symbolic link is replaced;
-        any other existing file is an EndpointError.
+    link
+        Symbolic link to the current terminal. An existing symbolic link is replaced; any other
+        existing file is an EndpointError.
     """
 
-    def __init__(self, what: str, link_path: Path | None) -> None:
-        self._what = what
-        self._link = link_path
+    def __init__(self, link: Path) -> None:
+        self._link = link
         self._name = ""
         self.master_fd = -1
         self.slave_fd = -1
 
     @property
     def path(self) -> str:
-        """Path for clients: the link, or the terminal itself without a link."""
-        return self._name if self._link is None else str(self._link)
+        """Path for clients: the link."""
+        return str(self._link)
 
     @property
     def plugged_in(self) -> bool:
@@ -64,7 +62,7 @@ class Terminal:
     def fileno(self) -> int:
         """Return the descriptor to wait on; SimulatorStateError while unplugged."""
         if not self.plugged_in:
-            raise SimulatorStateError(f"{self._what} is unplugged and has no descriptor")
+            raise SimulatorStateError(f"{self._link} is unplugged and has no descriptor")
         return self.master_fd
 
     def plug_in(self) -> None:
@@ -83,7 +81,7 @@ class Terminal:
             self._make_link()
         except OSError as error:
             self.close()
-            raise EndpointError(f"no terminal for {self._what}: {error}") from error
+            raise EndpointError(f"no terminal at {self._link}: {error}") from error
 
     def unplug(self) -> Callable[[], None]:
         """Remove the terminal; a client with an open terminal gets input/output errors.
@@ -103,9 +101,8 @@ class Terminal:
             if descriptor >= 0:
                 os.close(descriptor)
         self.master_fd = self.slave_fd = -1
-        link = self._link
-        if link is not None and link.is_symlink() and os.readlink(link) == self._name:
-            link.unlink()
+        if self._link.is_symlink() and os.readlink(self._link) == self._name:
+            self._link.unlink()
 
     def read(self, size: int) -> bytes:
         """Return up to ``size`` bytes of the client; empty without input."""
@@ -122,8 +119,6 @@ class Terminal:
             return 0
 
     def _make_link(self) -> None:
-        if self._link is None:
-            return
         if self._link.exists() and not self._link.is_symlink():
             raise FileExistsError(f"{self._link} exists and is not a symbolic link")
         fresh = self._link.with_name(f".{self._link.name}.{os.getpid()}")
@@ -132,13 +127,14 @@ class Terminal:
         fresh.replace(self._link)
 
 
-class ServoPty(Terminal):
-    """The host's end of a serial line as a pseudo-terminal, for clients in other processes."""
+class SerialPty(Terminal):
+    """The host's end of a serial line as a pseudo-terminal, for clients in other processes.
 
-    what = "the servos"
+    While the client does not read, the device keeps its bytes.
+    """
 
-    def __init__(self, device: SerialDevice, link_path: str | Path | None = None) -> None:
-        super().__init__(self.what, None if link_path is None else Path(link_path))
+    def __init__(self, device: SerialDevice, link: Path) -> None:
+        super().__init__(link)
         self._device = device
         self._unsent = b""
         self._polled_s: float | None = None
@@ -160,7 +156,9 @@ class ServoPty(Terminal):
         the servos, so that no watchdog trips although a packet came in time.
         """
         if not self.plugged_in:
-            return None
+            self._device.transmit(now_s)
+            self._device.drop_pending()
+            return self._device.next_event_s()
         data = self.read(_READ_SIZE)
         if data:
             baudrate = self.client_baudrate
@@ -168,7 +166,8 @@ class ServoPty(Terminal):
                 self._device.baudrate = baudrate
                 self._device.receive(data, now_s, sent_after_s=self._polled_s)
         self._polled_s = now_s
-        self._unsent += self._device.transmit(now_s)
+        if not self._unsent:
+            self._unsent = self._device.transmit(now_s)
         if self._unsent:
             self._unsent = self._unsent[self.write(self._unsent) :]
         return now_s if self._unsent else self._device.next_event_s()
@@ -178,46 +177,11 @@ class ServoPty(Terminal):
         self._unsent = b""
 
 
-class BoardPty(ServoPty):
+class BoardPty(SerialPty):
     """The host's end of a sensor board, which also sends without a reader."""
 
-    what = "the sensor board"
-
     def poll(self, now_s: float) -> float | None:
-        """Transfer bytes as `ServoPty`; bytes that do not fit into the terminal are lost."""
+        """Transfer bytes as `SerialPty`; bytes that do not fit into the terminal are lost."""
         super().poll(now_s)
         self._unsent = b""
         return self._device.next_event_s() if self.plugged_in else None
-
-
-class SlcanPty(Terminal):
-    """The serial CAN adapter as a pseudo-terminal, for clients in other processes."""
-
-    def __init__(self, adapter: SlcanAdapter, link_path: Path | None = None) -> None:
-        super().__init__("the CAN adapter", link_path)
-        self._adapter = adapter
-        self._polled_s: float | None = None
-        self.plug_in()
-
-    def poll(self, now_s: float) -> float:
-        """Transfer bytes both ways without waiting; return the time of the next bytes in s."""
-        if self.plugged_in:
-            self._move(now_s)
-        else:
-            self._adapter.transmit(now_s)
-            self._adapter.reset()
-        return self._adapter.next_event_s()
-
-    def _forget(self) -> None:
-        self._adapter.reset()
-
-    def _move(self, now_s: float) -> None:
-        data = self.read(_READ_SIZE)
-        if data:
-            self._adapter.receive(data, now_s, sent_after_s=self._polled_s)
-        self._polled_s = now_s
-        output = self._adapter.transmit(now_s)
-        if output:
-            sent = self.write(output)
-            if sent < len(output):
-                self._adapter.put_back(output[sent:])

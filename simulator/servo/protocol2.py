@@ -89,17 +89,13 @@ def crc16(data: bytes | bytearray) -> int:
     return crc
 
 
-def stuff(body: bytes) -> bytes:
-    """Insert an FD after every ``FF FF FD`` of ``body`` (INST to last parameter)."""
-    return body.replace(HEADER, _STUFFED)
-
-
 def unstuff(body: bytes) -> bytes:
-    """Remove the FD after every ``FF FF FD`` of ``body``; the inverse of `stuff`."""
+    """Remove the FD after every ``FF FF FD`` of ``body``; as the encoders insert it."""
     return body.replace(_STUFFED, HEADER)
 
 
 def _packet(packet_id: int, body: bytes) -> bytes:
+    body = body.replace(HEADER, _STUFFED)
     length = len(body) + _CRC_SIZE
     head = _START + _ID_AND_LENGTH.pack(packet_id, length) + body
     return head + crc16(head).to_bytes(_CRC_SIZE, "little")
@@ -107,12 +103,12 @@ def _packet(packet_id: int, body: bytes) -> bytes:
 
 def encode_instruction(packet_id: int, instruction: int, parameters: bytes = b"") -> bytes:
     """Return the stuffed instruction packet for a servo, or for all with `BROADCAST_ID`."""
-    return _packet(packet_id, stuff(bytes((instruction,)) + parameters))
+    return _packet(packet_id, bytes((instruction,)) + parameters)
 
 
 def encode_status(packet_id: int, error: int, parameters: bytes = b"") -> bytes:
     """Return the stuffed status packet of a servo; ``error`` is the whole error byte."""
-    return _packet(packet_id, stuff(bytes((STATUS, error)) + parameters))
+    return _packet(packet_id, bytes((STATUS, error)) + parameters)
 
 
 class Packet(NamedTuple):

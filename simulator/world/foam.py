@@ -16,6 +16,8 @@ from simulator.errors import SimulatorSettingsError, require_positive
 TABLE_STEP_M = 10e-6
 """Spacing in m of the depths in a force table: 1/300 of the foam."""
 
+_LIMIT_STRAIN = 0.9
+"""Strain above which the law follows its tangent."""
 _SERIES_POINTS = 601
 """Points of the law of two sheets in series: 5 µm of a sheet of 3 mm."""
 
@@ -32,8 +34,6 @@ class Foam:
     densification: float = 0.5
     """Stiffening: at a strain of one half the secant modulus is ``1 + densification`` times the
     modulus."""
-    limit_strain: float = 0.9
-    """Strain above which the law follows its tangent."""
     spread_m: float = 1.5e-3
     """Standard deviation in m of the spreading of a pressure on its way through the sheet: about
     half the thickness."""
@@ -46,10 +46,6 @@ class Foam:
             raise SimulatorSettingsError(
                 f"foam: densification is {self.densification}, must be at least 0"
             )
-        if not 0.0 < self.limit_strain < 1.0:
-            raise SimulatorSettingsError(
-                f"foam: limit_strain is {self.limit_strain}, must be within (0, 1)"
-            )
 
     def pressure_pa(self, indentation_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the pressure in Pa of columns with an indentation in m.
@@ -58,16 +54,14 @@ class Foam:
         """
         strain = np.maximum(indentation_m, 0.0)
         strain /= self.thickness_m
-        bent = np.minimum(strain, self.limit_strain)
+        bent = np.minimum(strain, _LIMIT_STRAIN)
         closing = bent / (1.0 - bent)
         stress = bent * (1.0 + self.densification * closing**2)
-        if strain.max(initial=0.0) <= self.limit_strain:
+        if strain.max(initial=0.0) <= _LIMIT_STRAIN:
             stress *= self.modulus_pa
             return stress
-        limit_closing = self.limit_strain / (1.0 - self.limit_strain)
-        tangent = 1.0 + self.densification * limit_closing**2 * (
-            1.0 + 2.0 / (1.0 - self.limit_strain)
-        )
+        limit_closing = _LIMIT_STRAIN / (1.0 - _LIMIT_STRAIN)
+        tangent = 1.0 + self.densification * limit_closing**2 * (1.0 + 2.0 / (1.0 - _LIMIT_STRAIN))
         return self.modulus_pa * (stress + tangent * (strain - bent))
 
 

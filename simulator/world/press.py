@@ -11,6 +11,8 @@ from simulator.world.foam import Foam, FoamPair, ForceTable
 from simulator.world.shapes import ObjectPose, Shape, posed_heights
 from simulator.world.taxels import PressureGrid
 
+NEST_FRICTION_N = 0.05
+"""Force in N that moves the object along the closing axis, against the friction of its nest."""
 _SETTLED_N = 1e-6
 """Difference of the pads' forces in N below which the object counts as settled."""
 _SETTLE_STEPS = 60
@@ -97,7 +99,7 @@ class PadsMeet:
         return np.where(met, math.tan(tilt_x) * at_x_m + math.tan(tilt_y) * at_y_m, -np.inf)
 
     def settle(
-        self, position_m: tuple[float, float], friction_n: float
+        self, position_m: tuple[float, float]
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return force in N and stiffness in N/m on each pad at half openings in m."""
         opening_m = position_m[0] + position_m[1]
@@ -119,7 +121,7 @@ class PadsMeet:
 
     def taxel_force_n(self, side: int, position_m: tuple[float, float]) -> NDArray[np.float64]:
         """Return the force in N on each taxel of one pad, shape (rows * columns,), row-major."""
-        (total_n, _), _ = self.settle(position_m, 0.0)
+        (total_n, _), _ = self.settle(position_m)
         depth_m = self._reach_m[side] - position_m[0] - position_m[1]
         grid = self._grids[side]
         whole = (slice(None), slice(None))
@@ -192,7 +194,7 @@ class Press:
         )
 
     def settle(
-        self, position_m: tuple[float, float], friction_n: float
+        self, position_m: tuple[float, float]
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Move the object to its equilibrium between the pads and its nest.
 
@@ -202,8 +204,6 @@ class Press:
         ----------
         position_m
             Half openings of finger 0 and finger 1 in m.
-        friction_n
-            Friction of the nest in N.
 
         Returns
         -------
@@ -217,8 +217,8 @@ class Press:
         force_0, slope_0 = near.lookup(depth_0)
         force_1, slope_1 = far.lookup(depth_1)
         net_n = force_0 - force_1
-        if abs(net_n) > friction_n:
-            goal_n = math.copysign(friction_n, net_n)
+        if abs(net_n) > NEST_FRICTION_N:
+            goal_n = math.copysign(NEST_FRICTION_N, net_n)
             # Sought: the shift at which net force = goal. The stronger side's depth bounds it.
             low_m, high_m = (0.0, depth_0) if net_n > 0.0 else (-depth_1, 0.0)
             shift_m = 0.0

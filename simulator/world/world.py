@@ -57,8 +57,6 @@ class WorldSettings:
     """Noise of the converter."""
     seed: int = 0
     """Seed of all noise."""
-    nest_friction_n: float = 0.05
-    """Force in N that moves the object along the closing axis, against the friction of its nest."""
     objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)
     """Objects by name."""
 
@@ -245,13 +243,11 @@ class PhysicalWorld:
 
     def advance_to(self, now_s: float) -> None:
         """Step the fingers and the object until ``now_s`` s; a rest below a step waits."""
-        fingers, contact, friction_n = self._fingers, self._contact, self._settings.nest_friction_n
+        fingers, contact = self._fingers, self._contact
         while self._time_s + STEP_S <= now_s + ROUNDING_S:
             self._time_s += STEP_S
             fingers.step(STEP_S, self._force_n, self._stiffness_n_m)
-            self._force_n, self._stiffness_n_m = contact.settle(
-                fingers.finger_position_m, friction_n
-            )
+            self._force_n, self._stiffness_n_m = contact.settle(fingers.finger_position_m)
 
     def skip_to(self, now_s: float) -> None:
         """Leave out the time until ``now_s`` s: nothing has happened meanwhile."""

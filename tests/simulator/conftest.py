@@ -10,7 +10,7 @@ import pytest
 
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.clock import VirtualClock
-from simulator.realtime.terminals import ServoPty
+from simulator.realtime.terminals import SerialPty
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
@@ -98,7 +98,7 @@ class Driver:
 
     def __init__(self, bench: ServoBench, link_path: Path) -> None:
         self.bench = bench
-        self.endpoint = ServoPty(bench.device, link_path)
+        self.endpoint = SerialPty(bench.device, link_path)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()

@@ -141,7 +141,6 @@ def fingers(motors: int = 2, **options: float) -> FingerMechanics:
         (lambda: ControlUnitSettings(node_id=0), "node_id"),
         (lambda: ControlUnitSettings(node_id=128), "node_id"),
         (lambda: ControlUnitSettings(bitrate=0), "bitrate"),
-        (lambda: ControlUnitSettings(boot_s=-1.0), "boot_s"),
         (lambda: CanWire(0), "bit rate"),
         (lambda: SimulatorSettings(aperture_m=0.5), "aperture_m"),
         (lambda: SimulatedCell(SimulatorSettings(servo_baud_rate=12345)), "servo_baud_rate"),

@@ -32,7 +32,7 @@ from simulator.realtime.hands import HELP, Hands
 from simulator.realtime.process import FORGIVEN_S, PIECE_S, RealTimeCell, serve
 from simulator.realtime.requests import CellRequests
 from simulator.realtime.socket_server import CLIENT_LIMIT, LINE_LIMIT, PositionerServer
-from simulator.realtime.terminals import ServoPty
+from simulator.realtime.terminals import SerialPty
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.protocol2 import Instruction, encode_instruction
 from simulator.servo.wrist import WristMount
@@ -237,8 +237,8 @@ def device() -> ServoBusDevice:
 
 
 @pytest.fixture
-def endpoint(device, tmp_path: Path) -> Iterator[ServoPty]:
-    pty = ServoPty(device, tmp_path / "servos")
+def endpoint(device, tmp_path: Path) -> Iterator[SerialPty]:
+    pty = SerialPty(device, tmp_path / "servos")
     yield pty
     pty.close()
 
@@ -250,7 +250,7 @@ def client(endpoint) -> Iterator[int]:
     os.close(descriptor)
 
 
-def open_client(endpoint: ServoPty, speed: int = termios.B1000000) -> int:
+def open_client(endpoint: SerialPty, speed: int = termios.B1000000) -> int:
     descriptor = os.open(endpoint.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     tty.setraw(descriptor)
     settings = termios.tcgetattr(descriptor)
@@ -303,7 +303,7 @@ def test_a_client_that_never_reads_does_not_block(endpoint, client):
 
 
 def test_closing_gives_everything_back(device, tmp_path):
-    endpoint = ServoPty(device, tmp_path / "servos")
+    endpoint = SerialPty(device, tmp_path / "servos")
     descriptor = endpoint.fileno()
     endpoint.close()
     endpoint.close()
@@ -312,16 +312,10 @@ def test_closing_gives_everything_back(device, tmp_path):
         os.fstat(descriptor)
 
 
-def test_without_a_link_the_port_is_the_terminal(device):
-    endpoint = ServoPty(device)
-    assert endpoint.path.startswith("/dev/")
-    endpoint.close()
-
-
 def test_an_old_link_is_replaced_and_a_foreign_one_left(device, tmp_path):
     path = tmp_path / "servos"
     path.symlink_to("/nowhere")
-    endpoint = ServoPty(device, path)
+    endpoint = SerialPty(device, path)
     assert os.readlink(path) != "/nowhere"
     path.unlink()
     path.symlink_to("/elsewhere")

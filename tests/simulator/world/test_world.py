@@ -9,7 +9,7 @@ import pytest
 
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.world.foam import Foam, ForceTable
-from simulator.world.press import PadPair
+from simulator.world.press import NEST_FRICTION_N, PadPair
 from simulator.world.recorded import RecordedWorld
 from simulator.world.shapes import PAPER_OBJECTS, ObjectPose
 from simulator.world.taxels import (
@@ -173,7 +173,7 @@ def test_an_offset_moves_the_footprint(bench) -> None:
 
 
 def test_the_object_floats_until_both_pads_push_equally(bench) -> None:
-    friction_n = QUIET.nest_friction_n
+    friction_n = NEST_FRICTION_N
     bench.world.place("box", ObjectPose(z_m=1e-3))
     assert bench.go(6.5e-3, 6.5e-3) == (0.0, 0.0)
     assert bench.world._press.z_m == 1e-3
@@ -436,7 +436,6 @@ def test_noise_scales_with_level_and_full_scale() -> None:
         (lambda: Foam(modulus_pa=math.nan), "modulus_pa"),
         (lambda: Foam(spread_m=-1.0), "spread_m"),
         (lambda: Foam(densification=-0.1), "densification"),
-        (lambda: Foam(limit_strain=1.0), "limit_strain"),
         (lambda: NoiseModel(kind="pink"), "kind"),  # type: ignore[arg-type]
         *((partial(NoiseModel, level=level), "level") for level in (-0.1, 4.1, math.nan)),
     ],
