@@ -94,5 +94,5 @@ def test_the_command_compares_all_methods_on_a_file(tmp_path, capsys):
     comparators.main(0.01, str(tmp_path / "x.npz"))
     first, *rows = capsys.readouterr().out.splitlines()
     assert "5 objects, 15 grasps teach, 10 test, chronological:0.6" in first
-    assert len(rows) == 11
+    assert len(rows) == 15  # the last four are drifts, alone and followed
     assert all(" of 10" in row for row in rows)
