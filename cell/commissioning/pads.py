@@ -304,23 +304,21 @@ def mounts_of(layout: TaxelLayout, patches: Mapping[int, Patch]) -> tuple[PadMou
 
 def mount_lines(layout: TaxelLayout, mounts: Sequence[PadMount]) -> list[str]:
     """Return differences of the mounting from the layout as text."""
-    lines = []
+    lines, moved = [], []
     for mount in mounts:
-        name, sent = layout.pads[mount.pad].name, layout.pads[mount.sent_as].name
-        if sent != name:
-            lines.append(
-                f"{name} is plugged in the place of {sent}: set in tactile.mounting. Or exchange "
-                "their cables and run this step again."
-            )
-        if mount.rows_mirrored or mount.columns_mirrored:
+        name = layout.pads[mount.pad].name
+        if mount.sent_as != mount.pad:
+            moved.append(f"{name} in that of {layout.pads[mount.sent_as].name}")
+        if mount.rows_mirrored and mount.columns_mirrored:
+            lines.append(f"{name} is turned by 180 degrees: set in tactile.mounting.")
+        elif mount.rows_mirrored or mount.columns_mirrored:
             what = "rows" if mount.rows_mirrored else "columns"
-            turned = mount.rows_mirrored and mount.columns_mirrored
-            how = (
-                f"{name} is turned by 180 degrees"
-                if turned
-                else f"The {what} of {name} run the other way"
-            )
-            lines.append(f"{how}: set in tactile.mounting.")
+            lines.append(f"The {what} of {name} run the other way: set in tactile.mounting.")
+    if moved:
+        lines.append(
+            f"Pads are plugged in the places of others, {', '.join(moved)}: set in "
+            "tactile.mounting. Or exchange their cables at the unit and run this step again."
+        )
     return lines
 
 

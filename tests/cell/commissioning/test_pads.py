@@ -56,8 +56,8 @@ COLUMNS = [PadMount(pad=0, sent_as=0, columns_mirrored=True)]
 @pytest.mark.parametrize(
     ("mounts", "named"),
     [
-        (EXCHANGED, "finger0.inner is plugged in the place of finger1.inner"),
-        (BOTH, "finger0.inner is plugged in the place of finger1.inner"),
+        (EXCHANGED, "finger0.inner in that of finger1.inner, finger1.inner in"),
+        (BOTH, "finger0.inner in that of finger1.inner, finger1.inner in"),
         (TURNED[:1], "finger0.inner is turned by 180 degrees"),
         (ROWS, "The rows of finger1.inner run the other way"),
         (COLUMNS, "The columns of finger0.inner run the other way"),

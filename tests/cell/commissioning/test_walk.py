@@ -89,7 +89,7 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_pat
     for named in (
         "Bit rate 500,000 bit/s",
         "1 taxel is dead",
-        "finger0.inner is plugged in the place of finger1.inner",
+        "finger0.inner in that of finger1.inner, finger1.inner in",
         "tactile.calibration.gain was 1, is now 1.2",
         "its horn sits +14",
     ):
