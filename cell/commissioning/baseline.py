@@ -24,27 +24,24 @@ from cell.checks.findings import (
 )
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Question, Step, StepFailed
-from cell.commissioning.motion import look_after, watched_hand
+from cell.commissioning.motion import WatchedHand, watched_hand
 from cell.commissioning.pads import taxel_names
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
 from cell.config.tactile import layout_from_config, make_calibration
 from cell.control.records import GraspCollector, pad_array
 from cell.errors import CellError
-from cell.hand.interface import Hand
 from cell.learning.shape_reading import in_words, shape_reader
-from gripper.clock import Clock
 from gripper.dynamixel.models import model_name
 from gripper.errors import GripperError
 from gripper.values.outcome import GraspResult
-from gripper.values.state import Cycle
 from recognition.shape.answer import UNCLEAR
 from tactile.control_unit.search import read_unit
 from tactile.errors import TactileError
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.sensor.tare import assess_health
 from tactile.sensor.taxel_forces import TaxelForces
-from tactile.source import SourceIdentity, TactileFrame
+from tactile.source import SourceIdentity
 
 _HOLD_S = 0.5
 """Time in s for which the gauge object is held and measured."""
@@ -259,33 +256,29 @@ def measure_gauge(bench: Bench, config: CellConfig, dialog: Dialog, gauge: str) 
     what, undo = f"open, then grasp {gauge}", "they open when you confirm it, then have no torque"
     dialog.approve([ProposedChange("both fingers", what, "where they stand", after, undo)])
     dialog.confirm("baseline.empty", "Take everything out of the fingers, and your hands away.")
-    with watched_hand(bench, config, dialog) as (hand, motion):
+    with watched_hand(bench, config, dialog) as motion:
+        hand = motion.hand
         hand.start_sensor()
         hand.open(motion)
         zero = hand.tare(config.tactile.tare_frames)
-        dialog.confirm(
+        motion.ask(
             "baseline.place",
             f"Hold {gauge} in the middle between the pads, until the fingers hold it.",
-            watch=lambda: look_after(hand, bench.clock),
         )
+        motion.periods.clear()
+        outcome = hand.grasp(ramp_from_config(config.sequence.ramp, force_n), motion)
         collected = GraspCollector(pad_array(layout), source=gauge, start_ms=0)
-
-        def watch(cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
-            motion(cycle, frames)
+        for cycle, frames in motion.periods:
             collected.add(cycle, frames)
-
-        outcome = hand.grasp(ramp_from_config(config.sequence.ramp, force_n), watch)
         if outcome.result is not GraspResult.FORCE_REACHED:
             if outcome.result is GraspResult.FORCE_NOT_REACHED:
-                _let_go(hand, bench.clock, dialog)
+                _let_go(motion)
             raise StepFailed(
                 f"{gauge} was not gripped ({outcome.result.value}): hold it in the middle between "
                 "the pads, and run the step again"
             )
-        since = len(motion.cycles), len(motion.frames)
-        hand.hold_at(force_n, _HOLD_S, motion)
-        held, frames = motion.cycles[since[0] :], motion.frames[since[1] :]
-        _let_go(hand, bench.clock, dialog)
+        held = motion.hold(force_n, _HOLD_S)
+        _let_go(motion)
     read_shape = shape_reader(config)
     shape = read_shape(collected.grasp()) if read_shape else None
     if shape is not None and shape.kind not in ("flat", UNCLEAR):
@@ -294,19 +287,21 @@ def measure_gauge(bench: Bench, config: CellConfig, dialog: Dialog, gauge: str) 
             "hold it with two of its faces on the pads, and run the step again"
         )
     forces = TaxelForces(layout, make_calibration(config.tactile, layout), zero)
-    taxel_force_n = np.mean([forces.of(frame.counts) for frame in frames], axis=0)
+    shown_n = [forces.of(frame.counts) for _, frames in held for frame in frames]
+    taxel_force_n = np.mean(shown_n, axis=0)
     first, second = (
         int(np.count_nonzero(taxel_force_n[layout.taxels_of(pad)] > 0.0))
         for pad in layout.gripping_pads
     )
-    samples = [one.force.force_n for one in held if one.force is not None and one.force.valid]
+    cycles = [cycle for cycle, _ in held]
+    samples = [one.force.force_n for one in cycles if one.force is not None and one.force.valid]
     return Gauge(
         gauge=gauge,
         force_n=force_n,
         held_n=(_mean(n for n, _ in samples), _mean(n for _, n in samples)),
         contact_mm=round(1e3 * (outcome.contact_aperture_m or 0.0), 3),
-        held_mm=_mean(1e3 * one.state.aperture_m for one in held),
-        current_ma=_mean(1e3 * one.goal_current_a for one in held),
+        held_mm=_mean(1e3 * one.state.aperture_m for one in cycles),
+        current_ma=_mean(1e3 * one.goal_current_a for one in cycles),
         patch_taxels=(first, second),
     )
 
@@ -334,13 +329,9 @@ def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[Findin
     return since_commissioning(bench.folder, found, f"gauge object {was.gauge}", changes)
 
 
-def _let_go(hand: Hand, clock: Clock, dialog: Dialog) -> None:
-    dialog.confirm(
-        "baseline.release",
-        "Take hold of the object; the fingers open then.",
-        watch=lambda: look_after(hand, clock),
-    )
-    hand.release()
+def _let_go(motion: WatchedHand) -> None:
+    motion.ask("baseline.release", "Take hold of the object; the fingers open then.")
+    motion.hand.release()
 
 
 def _mean(values: Iterable[float]) -> float:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from functools import partial
 from math import floor
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from cell.checks.findings import Notes, ProposedChange
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
-from cell.commissioning.motion import WatchedMotion, look_after, watched_hand
+from cell.commissioning.motion import Period, WatchedHand, watched_hand
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
@@ -25,7 +24,6 @@ from gripper.mechanics.identification import weighed
 from gripper.servos.watchdog_proof import proof_travel_m
 from gripper.settings import largest_setpoint_n
 from gripper.values.outcome import GraspOutcome, GraspResult
-from gripper.values.state import Cycle
 
 FIRST_FORCE_N = 1.0
 """Force in N of the first ramp, small enough for every part."""
@@ -48,19 +46,20 @@ _LAST_PERIODS = 20
 """Periods of the loop, 0.1 s, whose mean is the force at the end of a motion."""
 
 
-def _forces_n(cycles: Sequence[Cycle]) -> NDArray[np.float64]:
+def _forces_n(periods: Sequence[Period]) -> NDArray[np.float64]:
     """Return the measured force of finger 0 and 1 in N of each period with a set-point.
 
     (n, 2) float64, NaN without a sample.
     """
     none = (np.nan, np.nan)
-    rows = [none if c.force is None else c.force.force_n for c in cycles if c.setpoint_n > 0.0]
+    pressed = [cycle for cycle, _ in periods if cycle.setpoint_n > 0.0]
+    rows = [none if cycle.force is None else cycle.force.force_n for cycle in pressed]
     return np.array(rows, dtype=np.float64).reshape(-1, 2)
 
 
-def _grip_n(cycles: Sequence[Cycle]) -> NDArray[np.float64]:
+def _grip_n(periods: Sequence[Period]) -> NDArray[np.float64]:
     """Return the mean measured force of both fingers in N; 0 without samples."""
-    grip_n = _forces_n(cycles).mean(axis=1)
+    grip_n = _forces_n(periods).mean(axis=1)
     known = grip_n[np.isfinite(grip_n)]
     return known if known.size else np.zeros(1)
 
@@ -89,8 +88,8 @@ def press_first(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     dialog.confirm(
         "first_force.empty", "Take everything out of the fingers, and your hands away from them."
     )
-    with watched_hand(bench, config, dialog) as (hand, motion):
-        _Trial(bench, config, dialog, notes, hand, motion).run(most_n, cap_n)
+    with watched_hand(bench, config, dialog) as motion:
+        _Trial(bench, config, notes, motion).run(most_n, cap_n)
 
 
 FIRST_FORCE = Step(
@@ -137,10 +136,12 @@ class _Trial:
 
     bench: Bench
     config: CellConfig
-    dialog: Dialog
     notes: Notes
-    hand: Hand
-    motion: WatchedMotion
+    motion: WatchedHand
+
+    @property
+    def hand(self) -> Hand:
+        return self.motion.hand
 
     def run(self, most_n: float, cap_n: float) -> None:
         alone = self.bench.gripper_alone
@@ -157,18 +158,13 @@ class _Trial:
             )
         if not alone:
             self._check_empty()
-        self._ask(
-            "part",
+        self.motion.ask(
+            "first_force.part",
             "Hold the soft part between the pads, and keep it there until the fingers hold it.",
         )
         self._grasp(most_n, cap_n)
         if not alone and meets(self.config):
             self._meet()
-
-    def _ask(self, key: str, text: str) -> None:
-        """Ask for an action by hand, and supervise the grip meanwhile."""
-        watch = partial(look_after, self.hand, self.bench.clock)
-        self.dialog.confirm(f"first_force.{key}", text, watch=watch)
 
     def _open(self) -> None:
         """Open the empty fingers; after a failure their torque may go off at the end."""
@@ -195,16 +191,16 @@ class _Trial:
 
     def _meet(self) -> None:
         """Close the empty fingers onto each other: check the zero of the opening and both pads."""
-        self._ask(
-            "empty_again",
+        self.motion.ask(
+            "first_force.empty_again",
             "Take the part and your hands away: next the empty fingers press on each other.",
         )
-        begun = len(self.motion.cycles)
+        self.motion.periods.clear()
         ramp = ForceRamp.linear(MEET_FORCE_N, _MEET_N_S, hold_s=_HOLD_S)
         outcome = self.hand.press_pads_together(ramp, self.motion)
         if between := part_between(outcome):
             raise StepFailed(f"{between}. It is held: take hold of it, then `--redo first_force`.")
-        last_n = _forces_n(self.motion.cycles[begun:])[-_LAST_PERIODS:]
+        last_n = _forces_n(self.motion.periods)[-_LAST_PERIODS:]
         self.hand.measure_load(self.motion)
         first_n, second_n = np.nanmean(last_n, axis=0)
         self.hand.release(self.motion)
@@ -252,13 +248,11 @@ class _Trial:
                     f"The fingers hold nothing ({outcome.result.value}): hold the part in the "
                     "middle between the pads, and run the step again."
                 )
-            since = len(motion.cycles)
-            self.hand.hold_at(force_n, _HOLD_S, motion)
-            held_n = _grip_n(motion.cycles[since:])
+            held_n = _grip_n(motion.hold(force_n, _HOLD_S))
             measured.append([force_n, *(round(float(n), 3) for n in (held_n.mean(), held_n.max()))])
             self._judge(force_n, float(held_n.mean()), outcome)
-        self.hand.hold_at(first_n, 0.0, motion)
-        peak_n = float(_grip_n(motion.cycles).max())
+        motion.hold(first_n, 0.0)
+        peak_n = float(_grip_n(motion.periods).max())
         self.notes.values["asked_held_peak_n"] = measured
         if peak_n > cap_n + _WRONG_N:
             self.notes.fail(
@@ -266,7 +260,8 @@ class _Trial:
                 "gripper.contact.approach_force_n, or gripper.approach_speed_mm_s, and run the "
                 "step again."
             )
-        self._ask("release", "Take hold of the part; the fingers open when you confirm.")
+        text = "Take hold of the part; the fingers open when you confirm."
+        motion.ask("first_force.release", text)
         self.hand.release()
 
     def _judge(self, asked_n: float, held_n: float, outcome: GraspOutcome) -> None:

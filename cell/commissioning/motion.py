@@ -1,7 +1,7 @@
 """Motions with a person: shown while they run, and stopped when the person leaves."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -24,26 +24,28 @@ _TICK_S = 0.08
 """Time in s of grip control between two checks of the person's answer."""
 
 
-@dataclass(slots=True)
-class WatchedMotion:
-    """Watch of the commands: shows opening and force while fingers move, and requests a stop."""
+Period = tuple[Cycle, Sequence[TactileFrame]]
+"""One period of the force loop and the tactile frames that came in it."""
 
+
+@dataclass(slots=True)
+class WatchedHand:
+    """A started hand, and the watch of its commands: a person sees each motion and may stop it."""
+
+    hand: Hand
     dialog: Dialog
-    request_stop: Callable[[], None]
-    """Ends the running command with GraspStopped, when the person leaves."""
+    clock: Clock
     left: WizardAborted | None = field(default=None, init=False)
     """The error of the person who left, or None."""
-    cycles: list[Cycle] = field(default_factory=list, init=False)
-    frames: list[TactileFrame] = field(default_factory=list, init=False)
-    """Periods of the loop and tactile frames of all motions so far."""
+    periods: list[Period] = field(default_factory=list, init=False)
+    """Periods of all motions so far."""
     homing: dict[int, int] = field(default_factory=dict, init=False)
     """Homing offset of each servo, by its ID."""
     _due_s: float = field(default=0.0, init=False)
 
     def __call__(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
         """Keep one period of the loop, and show it if the last shown one is old enough."""
-        self.cycles.append(cycle)
-        self.frames += frames
+        self.periods.append((cycle, frames))
         if self.left is not None or cycle.t_s < self._due_s:
             return
         self._due_s = cycle.t_s + LIVE_CALL_S
@@ -52,13 +54,29 @@ class WatchedMotion:
             self.dialog.live("grip", f"{force}opening {1e3 * cycle.state.aperture_m:.1f} mm")
         except WizardAborted as left:
             self.left = left
-            self.request_stop()
+            self.hand.request_stop()
+
+    def hold(self, force_n: float, duration_s: float) -> list[Period]:
+        """Hold the part with a force in N for a time in s, and return the periods of it."""
+        begun = len(self.periods)
+        self.hand.hold_at(force_n, duration_s, self)
+        return self.periods[begun:]
+
+    def ask(self, key: str, text: str) -> None:
+        """Ask for an action by hand; watchdog and held part are looked after meanwhile."""
+        self.dialog.confirm(key, text, watch=self._look_after)
+
+    def _look_after(self) -> str:
+        """Feed the watchdog, and control a held part, for a while; return the phase as text."""
+        end_s = self.clock.monotonic() + _TICK_S
+        while self.clock.monotonic() < end_s:
+            self.hand.tick()
+            self.clock.sleep(self.hand.period_s)
+        return f"fingers: {self.hand.phase.value.replace('_', ' ')}"
 
 
 @contextmanager
-def watched_hand(
-    bench: Bench, config: CellConfig, dialog: Dialog
-) -> Iterator[tuple[Hand, WatchedMotion]]:
+def watched_hand(bench: Bench, config: CellConfig, dialog: Dialog) -> Iterator[WatchedHand]:
     """Open and start the hand of a config on the bench's lines, for a gripper alone without pads.
 
     A person who leaves stops the fingers. At the end the torque goes off if nothing is held; a held
@@ -66,10 +84,10 @@ def watched_hand(
     if a line cannot be opened.
     """
     hand = _opened(bench, config)
-    motion = WatchedMotion(dialog, hand.request_stop)
+    motion = WatchedHand(hand, dialog, bench.clock)
     try:
         motion.homing = homing_offsets(_start_free(hand, dialog))
-        yield hand, motion
+        yield motion
         if motion.left is not None:
             raise motion.left
     except (WizardAborted, GraspStopped, StepFailed) as error:
@@ -120,12 +138,3 @@ def _start_free(hand: Hand, dialog: Dialog) -> VerificationReport:
         hand.release()
         report = hand.start()
     return report
-
-
-def look_after(hand: Hand, clock: Clock) -> str:
-    """Feed the watchdog, and control a held part, for a while; return the phase as text."""
-    end_s = clock.monotonic() + _TICK_S
-    while clock.monotonic() < end_s:
-        hand.tick()
-        clock.sleep(hand.period_s)
-    return f"fingers: {hand.phase.value.replace('_', ' ')}"
