@@ -213,7 +213,7 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
     if interface != SIMULATED and channel != _NO_CHANNEL:
         return interface, channel
     servos = str(bench.given.get("gripper.port", bench.gripper().port))
-    places = [("socketcan", name) for name in network_interfaces()]
+    places = [("socketcan", name) for name in _network_interfaces()]
     places += [("slcan", lasting_name(port)) for port in bench.ports_beside(servos)]
     if not places:
         answer = dialog.choose(
@@ -241,7 +241,7 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
     return by_key[answer]
 
 
-def network_interfaces() -> list[str]:
+def _network_interfaces() -> list[str]:
     """Return the names of the system's CAN interfaces."""
     found = []
     for path in sorted(Path("/sys/class/net").glob("*/type")):

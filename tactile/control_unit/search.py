@@ -18,7 +18,7 @@ from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings, NodeIdentity
 from tactile.control_unit.setup import read_identity
-from tactile.errors import BusOff, NodeMissing, TactileError
+from tactile.errors import BusOff, NodeMissing
 from tactile.layout import TaxelLayout, paper_layout
 
 _NODES = range(1, 128)
@@ -184,20 +184,6 @@ def read_vendor(bus: can.BusABC, node_id: int) -> tuple[int, int]:
             objects.read_unsigned(od.IDENTITY, od.IDENTITY_VENDOR),
             objects.read_unsigned(od.IDENTITY, od.IDENTITY_PRODUCT),
         )
-
-
-def read_device(bus: can.BusABC, node_id: int) -> tuple[int, str]:
-    """Return device profile (object 1000h, lower 16 bits) and name (1008h) of a CANopen node.
-
-    The name is empty where the node has none; it is an optional object. Raises NodeMissing if the
-    node does not answer.
-    """
-    with _objects_of(bus, node_id) as objects:
-        profile = objects.read_unsigned(od.DEVICE_TYPE) & 0xFFFF
-        try:
-            return profile, objects.read_text(od.DEVICE_NAME)
-        except TactileError:
-            return profile, ""
 
 
 def _objects_of(bus: can.BusABC, node_id: int) -> AbstractContextManager[ObjectAccess]:
