@@ -123,7 +123,7 @@ def _with(changes: Mapping[str, Any], rows: Iterable[FaultRow]) -> tuple[FaultRo
 
 
 # fmt: off
-CAN_BUS = _with(PAPER_PADS, (
+CAN_BUS = (
     FaultRow(1, "", "one tactile frame lost (one message of it)",
              "can.lose_next=1, with a SYNC", "NOTE", BURST_S + SYNC_S + LOOP_S,
              partial(can.sets_lost, lost=lambda number: number == 0, crossing=1)),
@@ -159,11 +159,11 @@ CAN_BUS = _with(PAPER_PADS, (
     FaultRow(5, "corrupt payload", "one bit turned in each message for one period",
              "can.garbage=1@contact+0.14s..contact+0.16s", "NOTE", SYNC_S + BURST_S + LOOP_S),
     FaultRow(5, "corrupt payload often", "a bit in 1 % of messages",
-             "can.garbage=0.01@contact+0.1s", "HOLD", 0.3, number=401),
+             "can.garbage=0.01@contact+0.1s", "HOLD", 0.3, changes=PAPER_PADS, number=401),
     FaultRow(5, "wrong length", "some of them",
              "can.wrong_dlc=0.05@contact+0.1s..contact+0.12s", "NOTE", None),
     FaultRow(5, "wrong length often", "every second of them",
-             "can.wrong_dlc=0.5@contact+0.1s", "HOLD", SETS_S,
+             "can.wrong_dlc=0.5@contact+0.1s", "HOLD", SETS_S, changes=PAPER_PADS,
              number=(307, 308)),  # a heartbeat that is cut to no byte is a boot-up
     FaultRow(5, "short payload", "fewer bytes than the length says",
              "can.short=0.5@contact+0.1s", "HOLD", SETS_S, number=307),
@@ -187,9 +187,9 @@ CAN_BUS = _with(PAPER_PADS, (
              "the CAN adapter is out for 50 ms; no silent reconnect, but by clear and reset",
              "can.unplugged@contact+0.1s..contact+0.15s", "HOLD", 0.1, can.adapter_comes_back,
              number=311),
-))
+)
 
-CONTROL_UNIT = _with(PAPER_PADS, (
+CONTROL_UNIT = (
     FaultRow(9, "", "the unit reboots in the ramp; the limit counts its boot of 20 ms",
              "unit.reboot@contact+0.1s", "HOLD", BOOT_S + LOOP_S, can.unit_reboots, WIDE,
              number=308),
@@ -219,9 +219,9 @@ CONTROL_UNIT = _with(PAPER_PADS, (
     FaultRow(12, "pads swapped", "the pads of both fingers exchanged at the unit",
              "unit.pads_swapped", "REJECT", START_S,
              changes={"tactile.board_serial_numbers": [11, 12]}, number=304),
-))
+)
 
-FORCES = _with(PAPER_PADS, (
+FORCES = (
     FaultRow(44, "silence", "no force message from one moment on, while frames come",
              "unit.forces_off@contact+0.1s", "HOLD", FORCES_S, number=401),
     FaultRow(44, "one in a hundred lost", "1 % of the force messages lost, evenly",
@@ -276,7 +276,7 @@ FORCES = _with(PAPER_PADS, (
     FaultRow(44, "late", "force messages come 20 ms late",
              "unit.forces_late=0.02@contact+0.3s", "HOLD", 0.2, changes=LONG_HOLD, number=401),
     FaultRow(44, "late at the start", "the same from the start on",
-             "unit.forces_late=0.02", "REJECT", START_S, number=401),
+             "unit.forces_late=0.02", "REJECT", START_S, changes=PAPER_PADS, number=401),
     FaultRow(44, "centre elsewhere", "the centre in the messages is shifted by a pitch, at 6 N",
              "unit.centre_shift=1@contact+1.5s", "HOLD", 0.3,
              at_six_newtons, LONG_HOLD),
@@ -296,7 +296,7 @@ FORCES = _with(PAPER_PADS, (
           ("in the hold", "at 6 N", 1.5, {}),
           ("frames alone", "in the ramp of a cell without force messages", 0.35,
            {"tactile.force_period_ms": 0}))),
-))
+)
 
 TAXELS = _with(PAPER_PADS, (
     FaultRow(13, "", "frozen frames: valid, new counter, same samples",
