@@ -2,12 +2,14 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, field, fields, replace
-from typing import Any, Self
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from recognition.records import ArrayRecord, Numbers
 
 CELL_SOURCE = "cell "
 """Start of the source of a grasp by a cell; the name of the cell follows."""
@@ -21,22 +23,6 @@ _FARTHEST_ZERO_M = 0.05
 """Largest zero of an opening in m: far beyond that of any hand."""
 _SAME_PLACE_M = 1e-6
 """Largest difference in m between positions of the same taxel: files round positions."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Numbers:
-    """Base of records of numbers, which files keep as rows."""
-
-    @property
-    def values(self) -> tuple[float, ...]:
-        """The numbers in the order of the fields."""
-        return astuple(self)
-
-    @classmethod
-    def from_values(cls, values: Sequence[float]) -> Self:
-        """Rebuild from `values`. Raises ValueError if they do not fit."""
-        names = (one.name for one in fields(cls))
-        return cls(**dict(zip(names, map(float, values), strict=True)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +117,7 @@ def _keep(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PadArray:
+class PadArray(ArrayRecord):
     """Positions of the taxels on their pads, and the full scale of their counts."""
 
     pad_shape: NDArray[np.int64]
@@ -190,16 +176,6 @@ class PadArray:
             taxel_xy_m=np.tile(xy_m, (n_pads, 1)),
             adc_max=adc_max,
         )
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return everything as plain arrays."""
-        return {one.name: np.asarray(getattr(self, one.name)) for one in fields(self)}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError if an array is missing, ValueError out of range."""
-        found: dict[str, Any] = {one.name: arrays[one.name] for one in fields(cls)}
-        return cls(**found | {"adc_max": int(found["adc_max"])})
 
     @property
     def n_pads(self) -> int:

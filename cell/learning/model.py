@@ -142,10 +142,7 @@ def save_model(
         raise ModelError(f"cannot write model {path}: {kind.__name__} is not of {trainer_name!r}")
     learnt = recognizer.to_arrays()
     arrays: dict[str, NDArray[Any]] = {
-        f"{_PADS}shape": pads.pad_shape,
-        f"{_PADS}taxel_pad": pads.taxel_pad,
-        f"{_PADS}taxel_xy_m": pads.taxel_xy_m,
-        f"{_PADS}adc_max": np.array(pads.adc_max, dtype=np.int64),
+        **pads.to_arrays(_PADS),
         **{_PREFIX + name: np.asarray(array) for name, array in learnt.items()},
     }
     for section, content in (sections or {}).items():
@@ -295,12 +292,7 @@ def _pads(path: Path, arrays: Mapping[str, NDArray[Any]]) -> PadArray:
         if places_m.dtype.kind != "f" or not np.all(np.abs(places_m) <= _FARTHEST_M):
             raise ValueError(f"a coordinate is beyond the limit {_FARTHEST_M:g} m")
         with np.errstate(invalid="raise"):
-            return PadArray(
-                pad_shape=arrays[f"{_PADS}shape"],
-                taxel_pad=arrays[f"{_PADS}taxel_pad"],
-                taxel_xy_m=places_m,
-                adc_max=int(arrays[f"{_PADS}adc_max"]),
-            )
+            return PadArray.from_arrays(arrays, _PADS)
     except (KeyError, ValueError, TypeError, IndexError, ArithmeticError, MemoryError) as cause:
         raise ModelError(
             f"{path}: its pads cannot be read ({reason_text(cause)}); {MODEL.remedy}"

@@ -6,7 +6,6 @@ under any taught object or a new one, to a power, because grasps share errors. A
 over the grid.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, Self, runtime_checkable
@@ -16,8 +15,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from recognition.drift.drift import Drift, drift_values
-from recognition.grasp import Grasp, Numbers, SelfZero
+from recognition.grasp import Grasp, SelfZero
 from recognition.recognizer import Recognizer
+from recognition.records import ArrayRecord, Numbers
 
 _LOG_GAIN_STEP = 1 / 6
 """Largest step between two hypotheses of the logarithm of the gain."""
@@ -68,7 +68,7 @@ class DriftPrior(Numbers):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class DriftGrid:
+class DriftGrid(ArrayRecord):
     """Weighted hypotheses of the drift since teaching: G gains, O offsets of the opening."""
 
     prior: DriftPrior = field(default_factory=DriftPrior)
@@ -82,6 +82,10 @@ class DriftGrid:
     n_gauged: int = 0
     n_followed: int = 0
     """Number of gauges and of unnamed grasps."""
+
+    def __post_init__(self) -> None:
+        shape = len(self.log_gains), len(self.offsets_mm)
+        np.broadcast_shapes(shape, self.gauged.shape, self.followed.shape)
 
     @cached_property
     def log_gains(self) -> NDArray[np.float64]:
@@ -198,26 +202,9 @@ class DriftGrid:
         """Index of no drift."""
         return int(np.argmin(np.abs(self.log_gains))), int(np.argmin(np.abs(self.offsets_mm)))
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
+    def to_arrays(self, prefix: str = "") -> dict[str, NDArray[Any]]:
         """Return the grid without the unnamed grasps as plain arrays."""
-        return {
-            "drift_prior": np.array(self.prior.values),
-            "drift_zero": np.array([] if self.zero is None else self.zero.values),
-            "drift_gauged": self.gauged,
-            "drift_gauges": np.array(self.n_gauged),
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError or ValueError where an array does not fit."""
-        found = cls(
-            prior=DriftPrior.from_values(arrays["drift_prior"].tolist()),
-            zero=SelfZero.from_values(zero) if (zero := arrays["drift_zero"].tolist()) else None,
-            gauged=arrays["drift_gauged"],
-            n_gauged=int(arrays["drift_gauges"]),
-        )
-        found.log_weight()  # shapes that do not fit fail here
-        return found
+        return ArrayRecord.to_arrays(self.without_unnamed(), prefix)
 
 
 def _axis(mean: float, reach: float, step: float) -> NDArray[np.float64]:

@@ -3,9 +3,8 @@
 A new group is one function and one entry in `FEATURE_GROUPS`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,15 +61,6 @@ FEATURE_GROUPS: tuple[FeatureGroup, ...] = (
     ),
 )
 """All features by touch, in their order in a vector."""
-
-
-def check_version(arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Raise ValueError for a model with features of another version; KeyError without a version."""
-    version = int(arrays["feature_version"])
-    if version != FEATURE_VERSION:
-        raise ValueError(
-            f"the model has features of version {version}, not {FEATURE_VERSION}: train again"
-        )
 
 
 def touch_features(

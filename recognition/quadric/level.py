@@ -5,9 +5,8 @@ levels are comparable only at equal force. This is near the end of the ramp, at 
 its steps.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Self
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,10 +17,11 @@ from recognition.quadric.contact import estimate_baseline, main_patch, noise_thr
 from recognition.quadric.eigen import Reading, smallest_eigenvalue
 from recognition.quadric.quadric import fit_height_field
 from recognition.quadric.thresholds import LevelBands
+from recognition.records import ArrayRecord
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LevelSettings:
+class LevelSettings(ArrayRecord):
     """Settings of a level."""
 
     force_n: float | None = None
@@ -38,21 +38,6 @@ class LevelSettings:
     rim: int = 1
     """Rings of unloaded taxels that the fit includes."""
     reading: Reading = Reading.SMALLEST_MAGNITUDE
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return everything as plain arrays."""
-        values = {one.name: getattr(self, one.name) for one in fields(self)}
-        values |= {"force_n": np.nan if self.force_n is None else self.force_n}
-        return {name: np.array(value) for name, value in values.items()} | {
-            "reading": np.array(str(self.reading))
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError if an array is missing."""
-        values = {one.name: arrays[one.name].item() for one in fields(cls)}
-        force_n = None if np.isnan(values["force_n"]) else values["force_n"]
-        return cls(**values | {"force_n": force_n, "reading": Reading(values["reading"])})
 
 
 DEFAULT_LEVEL = LevelSettings()

@@ -1,14 +1,14 @@
 """Ramp of a grasp: load above rest on the gripping pads, the first touch, and the release."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from recognition.grasp import Grasp, PadArray
+from recognition.records import ArrayRecord
 
 QUIET_FRAMES = 3
 """Frames at the start of a grasp in which the pads count as untouched, if their load is small."""
@@ -48,7 +48,7 @@ _LEAST_FRAMES = 2 * QUIET_FRAMES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rest:
+class Rest(ArrayRecord):
     """Readings of the untouched pads and their noise, from the first frames of taught grasps."""
 
     pads: PadArray
@@ -61,6 +61,13 @@ class Rest:
     noise_counts: NDArray[np.float64]
     """(n_gripping,) float64: standard deviation of one sample of an untouched taxel in counts."""
 
+    def __post_init__(self) -> None:
+        if not self.gripping or not set(self.gripping) <= set(range(self.pads.n_pads)):
+            raise ValueError(f"pads {self.gripping} grip, there are 0 to {self.pads.n_pads - 1}")
+        largest = float(np.abs(np.concatenate([self.counts, self.noise_counts])).max())
+        if not largest <= self.pads.adc_max:
+            raise ValueError(f"untouched pads read {largest:g}, above {self.pads.adc_max}")
+
     def check(self, pads: PadArray) -> None:
         """Raise ValueError for pads other than the taught ones."""
         if pads is not self.pads and not self.pads.same_as(pads):
@@ -69,31 +76,6 @@ class Rest:
                 f"{pads.adc_max}, taught were {self.pads.pad_shape.tolist()} with "
                 f"{self.pads.adc_max}: teach on these pads"
             )
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return everything as plain arrays."""
-        return {
-            **self.pads.to_arrays(),
-            "gripping": np.array(self.gripping, dtype=np.int64),
-            "rest_counts": self.counts,
-            "noise_counts": self.noise_counts,
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing, ValueError out of range."""
-        rest = cls(
-            pads=PadArray.from_arrays(arrays),
-            gripping=tuple(int(p) for p in arrays["gripping"]),
-            counts=np.asarray(arrays["rest_counts"], dtype=np.float64),
-            noise_counts=np.asarray(arrays["noise_counts"], dtype=np.float64),
-        )
-        if not rest.gripping or not set(rest.gripping) <= set(range(rest.pads.n_pads)):
-            raise ValueError(f"pads {rest.gripping} grip, there are 0 to {rest.pads.n_pads - 1}")
-        largest = float(np.abs(np.concatenate([rest.counts, rest.noise_counts])).max())
-        if not largest <= rest.pads.adc_max:
-            raise ValueError(f"untouched pads read {largest:g}, above {rest.pads.adc_max}")
-        return rest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -4,9 +4,9 @@ It is the paper's reference, not the best of the cell. The scalar is close to th
 fitted peak height, so objects of any shape with similar pressure are confused.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +25,9 @@ from recognition.quadric.level import (
 )
 from recognition.quadric.thresholds import LevelBands, check_level, find_thresholds, with_noise
 from recognition.recognizer import UNKNOWN, Posterior
+from recognition.records import TaughtRecord
 
 NAME = "level_check"
-_VERSION = 2
-"""Of the arrays of a model; others are refused."""
-_OF_LABELS = ("mean", "spread", "low", "high")
-_NUMBERS = ("margin", "noise_counts", "noise_per_count")
-"""Fields of the recogniser: an array with a value for each label, and single numbers."""
 _BAND_SIGMAS = 2.0
 """Bands are widened by this number of standard deviations of the noise beyond the taught one."""
 _FLATTEN = 0.01
@@ -39,9 +35,10 @@ _FLATTEN = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LevelCheckRecognizer:
+class LevelCheckRecognizer(TaughtRecord):
     """Taught levels."""
 
+    version: ClassVar[int] = 2
     labels: tuple[str, ...]
     """The taught objects, sorted."""
     pads: PadArray
@@ -63,10 +60,23 @@ class LevelCheckRecognizer:
     """Relative change of a level by noise, for each count."""
 
     def __post_init__(self) -> None:
-        for name in _OF_LABELS:
+        for name in ("mean", "spread", "low", "high"):
             array = keep_array(self, name, getattr(self, name), np.float64)
             if array.shape != (len(self.labels),):
                 raise ValueError(f"{name} has shape {array.shape}, labels are {len(self.labels)}")
+        usable = np.isfinite(self.low)
+        numbers = np.stack([self.mean, self.spread, self.high])[:, usable]
+        sound = (
+            usable.any()
+            and np.isfinite(numbers).all()
+            and (numbers[1] > 0).all()
+            and (self.low[usable] <= self.high[usable]).all()
+            and 0.0 < self.margin < 1.0
+            and 0.0 <= self.noise_counts < np.inf
+            and 0.0 <= self.noise_per_count < np.inf
+        )
+        if not sound:
+            raise ValueError(f"{NAME}: mean, spread, low, high, margin and noise make no levels")
 
     @property
     def levels(self) -> LevelBands:
@@ -134,48 +144,6 @@ class LevelCheckRecognizer:
         """Return the bands for a grasp; None if they would cover everything."""
         share = _BAND_SIGMAS * more_noise
         return with_noise(self.levels, share) if share < 1.0 else None
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the taught levels as plain arrays."""
-        return {
-            "level_check_version": np.array(_VERSION),
-            "labels": np.array(self.labels, dtype=np.str_),
-            **self.pads.to_arrays(),
-            **self.settings.to_arrays(),
-            **{name: np.asarray(getattr(self, name)) for name in (*_OF_LABELS, *_NUMBERS)},
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`. Raises ValueError that names a missing or wrong array."""
-        try:
-            version = int(arrays["level_check_version"])
-            if version != _VERSION:
-                raise ValueError(f"{NAME}: version {version}, this program reads {_VERSION}")
-            values: dict[str, Any] = {name: arrays[name] for name in _OF_LABELS}
-            values |= {name: float(arrays[name]) for name in _NUMBERS}
-            learnt = cls(
-                labels=tuple(str(label) for label in arrays["labels"]),
-                pads=PadArray.from_arrays(arrays),
-                settings=LevelSettings.from_arrays(arrays),
-                **values,
-            )
-        except KeyError as missing:
-            raise ValueError(f"{NAME}: array {missing} is missing") from missing
-        usable = np.isfinite(learnt.low)
-        numbers = np.stack([learnt.mean, learnt.spread, learnt.high])[:, usable]
-        sound = (
-            usable.any()
-            and np.isfinite(numbers).all()
-            and (numbers[1] > 0).all()
-            and (learnt.low[usable] <= learnt.high[usable]).all()
-            and 0.0 < learnt.margin < 1.0
-            and 0.0 <= learnt.noise_counts < np.inf
-            and 0.0 <= learnt.noise_per_count < np.inf
-        )
-        if not sound:
-            raise ValueError(f"{NAME}: mean, spread, low, high, margin and noise make no levels")
-        return learnt
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

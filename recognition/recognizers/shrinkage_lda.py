@@ -4,24 +4,25 @@ It has one temperature, and one limit of the distance to the nearest object beyo
 more likely of a new one. Both are fitted on grasps that are held out in blocks of time.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from recognition.features.groups import FEATURE_VERSION, check_version, features_of
+from recognition.features.groups import FEATURE_VERSION, features_of
 from recognition.grasp import Grasp, by_label
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import Rest, learn_rest
 from recognition.recognizer import Posterior
+from recognition.records import TaughtRecord
 from recognition.statistics.calibration import (
     KNOWN_KEPT,
     blocked_folds,
+    check_temperature,
     fit_temperature,
-    kept_temperature,
     to_probability,
 )
 from recognition.statistics.lda import LinearDiscriminant, fit_lda
@@ -33,9 +34,10 @@ _SHARPNESS = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ShrinkageLda:
+class ShrinkageLda(TaughtRecord):
     """A taught discriminant."""
 
+    version: ClassVar[int] = FEATURE_VERSION
     labels: tuple[str, ...]
     """The taught objects, sorted."""
     uses_aperture: bool
@@ -50,6 +52,12 @@ class ShrinkageLda:
     """Log likelihoods are divided by it."""
     limit: float
     """Squared distance to the nearest object above which a grasp is more likely of a new one."""
+
+    def __post_init__(self) -> None:
+        check_temperature(self.temperature)
+        squared = self.discriminant.distances(self.fill[None])
+        if squared.shape != (1, len(self.labels)) or not np.all(np.isfinite(squared)):
+            raise ValueError(f"the arrays of the model do not fit its {len(self.labels)} labels")
 
     def posterior(self, grasp: Grasp) -> Posterior:
         """Return the posterior of a grasp. Raises ValueError for pads other than the taught ones.
@@ -66,40 +74,6 @@ class ShrinkageLda:
             probability=to_probability(-0.5 * squared, self.temperature)[0],
             unknown=float(expit(_SHARPNESS * np.log(max(squared.min(), 1e-12) / self.limit))),
         )
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the taught recogniser as plain arrays."""
-        return {
-            "feature_version": np.array(FEATURE_VERSION),
-            "labels": np.array(self.labels),
-            "uses_aperture": np.array(self.uses_aperture),
-            "fill": self.fill,
-            "temperature": np.array(self.temperature),
-            "limit": np.array(self.limit),
-            **self.rest.to_arrays(),
-            **self.discriminant.to_arrays("lda_"),
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`. Raises ValueError that names a missing or wrong array."""
-        try:
-            check_version(arrays)
-            taught = cls(
-                labels=tuple(str(label) for label in arrays["labels"]),
-                uses_aperture=bool(arrays["uses_aperture"]),
-                rest=Rest.from_arrays(arrays),
-                fill=arrays["fill"],
-                discriminant=LinearDiscriminant.from_arrays(arrays, "lda_"),
-                temperature=kept_temperature(arrays["temperature"]),
-                limit=float(arrays["limit"]),
-            )
-        except KeyError as missing:
-            raise ValueError(f"the model lacks the array {missing}") from missing
-        squared = taught.discriminant.distances(taught.fill[None])
-        if squared.shape != (1, len(taught.labels)) or not np.all(np.isfinite(squared)):
-            raise ValueError(f"the arrays of the model do not fit its {len(taught.labels)} labels")
-        return taught
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -58,12 +58,11 @@ def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.int64]) -> 
     return float(np.exp(found.x))
 
 
-def kept_temperature(array: NDArray[np.float64]) -> float:
-    """Return the temperature of a model file. Raises ValueError if it is out of range."""
-    temperature, largest = float(array), np.exp(2.0 * _LOG_TEMPERATURES[1])
+def check_temperature(temperature: float) -> None:
+    """Raise ValueError for a temperature that no teaching gives."""
+    largest = np.exp(2.0 * _LOG_TEMPERATURES[1])
     if not 1.0 / largest < temperature < largest:
         raise ValueError(f"temperature is {temperature:g}, beyond 1/{largest:.0f} to {largest:.0f}")
-    return temperature
 
 
 def to_probability(scores: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:

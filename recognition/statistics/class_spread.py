@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.statistics.array_record import ArrayRecord
+from recognition.records import ArrayRecord
 
 _PRIOR_GRASPS = 15.0
 """Weight of the shared covariance in that of a class, in grasps."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, solve_triangular
 from scipy.sparse import csr_array
 
-from recognition.statistics.array_record import ArrayRecord
+from recognition.records import ArrayRecord
 
 _RANK_TOLERANCE = 1e-9
 """Singular values of the means below this share of the largest one are 0."""

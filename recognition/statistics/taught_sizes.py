@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.statistics.array_record import ArrayRecord
+from recognition.records import ArrayRecord
 from recognition.statistics.lda import squared_distances
 
 _PRIOR_MM = (0.5, 0.2)

@@ -252,10 +252,10 @@ def test_a_model_of_other_arrays_is_refused_or_answers(tmp_path, kind, changes, 
         (["force_ramp"], "learnt.touch_temperature", np.array(-1.0)),
         (["force_ramp"], "learnt.touch_limit", np.zeros(0)),
         (["force_ramp"], "learnt.touch_limit", np.array([0.0, np.nan])),
-        (["force_ramp"], "learnt.both_sizes_unit_mm", np.zeros(2)),
+        (["force_ramp"], "learnt.both_model_sizes_unit_mm", np.zeros(2)),
         (["force_ramp"], "learnt.drawn_m", np.array(["x", "y"])),
-        (["force_ramp"], "learnt.gripping", np.zeros(0, dtype=np.int64)),
-        (["force_ramp"], "learnt.gripping", np.array([0, 7])),
+        (["force_ramp"], "learnt.rest_gripping", np.zeros(0, dtype=np.int64)),
+        (["force_ramp"], "learnt.rest_gripping", np.array([0, 7])),
     ],
 )
 def test_a_model_that_could_not_answer_is_refused_when_it_is_loaded(tmp_path, kinds, array, value):

@@ -3,7 +3,7 @@
 It answers under each hypothesis of a grid of drifts, and sums over them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
@@ -15,13 +15,14 @@ from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.drift.self_zero import at_zero, common_zero, foam_odds, prior_since
 from recognition.features.aperture import sizes_mm
 from recognition.features.footprint import PadGrid, pad_grid
-from recognition.features.groups import FEATURE_VERSION, check_version
+from recognition.features.groups import FEATURE_VERSION
 from recognition.grasp import CELL_SOURCE, Grasp, SelfZero, by_label
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import Rest, learn_rest
 from recognition.recognizer import Posterior
 from recognition.recognizers.force_ramp.view import View, describe
 from recognition.recognizers.force_ramp.view_training import fit_view
+from recognition.records import TaughtRecord
 from recognition.statistics.calibration import UNIFORM_SHARE
 
 MIN_GRASPS = 3
@@ -66,9 +67,10 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ForceRampRecognizer:
+class ForceRampRecognizer(TaughtRecord):
     """A taught recogniser with two views: touch and opening, and touch alone."""
 
+    version: ClassVar[int] = FEATURE_VERSION
     labels: tuple[str, ...]
     """The taught objects, sorted."""
     rest: Rest
@@ -90,6 +92,10 @@ class ForceRampRecognizer:
     """The drift since teaching, or since the self-zeros of both days were compared."""
     caution: float = 1.0
     """The odds of a new object are multiplied by it."""
+
+    def __post_init__(self) -> None:
+        if not len(self.labels) == len(self.drawn_m) == len(self.taught_ms):
+            raise ValueError(f"the arrays of the model do not fit its {len(self.labels)} labels")
 
     def posterior(self, grasp: Grasp) -> Posterior:
         """Return the posterior of a grasp. Raises ValueError for pads other than the taught ones.
@@ -235,44 +241,9 @@ class ForceRampRecognizer:
 
     # Files
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the taught recogniser as plain arrays, without the unnamed grasps."""
-        arrays = {
-            "feature_version": np.array(FEATURE_VERSION),
-            "labels": np.array(self.labels),
-            "has_both": np.array(self.both is not None),
-            "taught_ms": self.taught_ms,
-            "drawn_m": self.drawn_m,
-            "taught_on": np.array(self.taught_on, dtype=np.str_),
-            "taught_zero": np.array([] if self.zero is None else self.zero.values),
-            **self.grid.to_arrays(),
-            **self.rest.to_arrays(),
-            **self.touch.to_arrays("touch_"),
-        }
-        if self.both is not None:
-            arrays |= self.both.to_arrays("both_")
-        return arrays
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`. Raises ValueError that names a missing or wrong array."""
-        try:
-            check_version(arrays)
-            return cls(
-                labels=tuple(str(label) for label in arrays["labels"]),
-                rest=Rest.from_arrays(arrays),
-                touch=View.from_arrays(arrays, "touch_"),
-                both=View.from_arrays(arrays, "both_") if bool(arrays["has_both"]) else None,
-                taught_ms=arrays["taught_ms"],
-                taught_on=tuple(str(source) for source in arrays["taught_on"]),
-                drawn_m=arrays["drawn_m"].reshape(len(arrays["labels"]), -1),
-                zero=SelfZero.from_values(zero)
-                if (zero := arrays["taught_zero"].tolist())
-                else None,
-                grid=DriftGrid.from_arrays(arrays),
-            )
-        except KeyError as missing:
-            raise ValueError(f"the model lacks the array {missing}") from missing
+    def to_arrays(self, prefix: str = "") -> dict[str, NDArray[Any]]:
+        """Return everything that was taught as plain arrays, without the unnamed grasps."""
+        return TaughtRecord.to_arrays(replace(self, caution=1.0), prefix)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,9 +5,9 @@ in the directions in which objects do not differ. On another day grasps deviate 
 new object mostly in those that separate objects.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ from recognition.features.footprint import PadGrid
 from recognition.features.groups import touch_features
 from recognition.ramp.levels import Levels, stack_levels
 from recognition.recognizers.force_ramp.view_settings import SETTINGS
-from recognition.statistics.calibration import kept_temperature
+from recognition.records import ArrayRecord
+from recognition.statistics.calibration import check_temperature
 from recognition.statistics.class_spread import ClassSpread
 from recognition.statistics.lda import LinearDiscriminant
 from recognition.statistics.taught_sizes import TaughtSizes
@@ -93,7 +94,7 @@ class Scores(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ClassModel:
+class ClassModel(ArrayRecord):
     """The classes in the space that separates them."""
 
     discriminant: LinearDiscriminant
@@ -174,7 +175,7 @@ def _squared_distances(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class View:
+class View(ArrayRecord):
     """One taught view: for grasps with the opening, or by touch alone."""
 
     model: ClassModel
@@ -191,6 +192,9 @@ class View:
     """Share of even probabilities in an answer if the opening's zero is unknown. It limits the
     wrong names under simulated drifts of other days."""
 
+    def __post_init__(self) -> None:
+        check_temperature(self.temperature)
+
     def likelihood(
         self, features: Features, *, also: int = 0
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
@@ -202,38 +206,3 @@ class View:
         used = 1 + bool(features.sizes_mm.size)
         odds = SETTINGS.novelty_slope * (found.novelty - self.limit)[..., :used].max(axis=-1)
         return found.classes, found.scores / self.temperature, expit(odds)
-
-    def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
-        """Return everything as plain arrays under names that begin with the prefix."""
-        spread = self.model.spread
-        return {
-            **self.model.discriminant.to_arrays(f"{prefix}discriminant_"),
-            **({} if spread is None else spread.to_arrays(f"{prefix}spread_")),
-            **self.model.sizes.to_arrays(f"{prefix}sizes_"),
-            f"{prefix}taught": self.model.taught,
-            f"{prefix}taught_classes": self.model.taught_classes,
-            f"{prefix}limit": self.limit,
-            f"{prefix}temperature": np.array(self.temperature),
-            **{f"{prefix}{name}": np.array(getattr(self, name)) for name in _NUMBERS},
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
-        """Rebuild from `to_arrays`; KeyError if an array is missing."""
-        spread, has_spread = f"{prefix}spread_", f"{prefix}spread_centres" in arrays
-        return cls(
-            model=ClassModel(
-                discriminant=LinearDiscriminant.from_arrays(arrays, f"{prefix}discriminant_"),
-                taught=arrays[f"{prefix}taught"],
-                taught_classes=arrays[f"{prefix}taught_classes"],
-                sizes=TaughtSizes.from_arrays(arrays, f"{prefix}sizes_"),
-                spread=ClassSpread.from_arrays(arrays, spread) if has_spread else None,
-            ),
-            limit=arrays[f"{prefix}limit"],
-            temperature=kept_temperature(arrays[f"{prefix}temperature"]),
-            **{name: float(arrays[f"{prefix}{name}"]) for name in _NUMBERS},
-        )
-
-
-_NUMBERS = ("log_new", "placing_mm", "doubt")
-"""Further attributes of a `View` that are single numbers."""

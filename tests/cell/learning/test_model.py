@@ -143,7 +143,7 @@ def test_changed_model_is_refused(change, says, good, tmp_path) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"level_check_version": np.array(99)},
+        {"version": np.array(99)},
         {"mean": None},
         {"mean": np.array("x")},
         {"labels": np.array(["ball", "UNKNOWN"])},

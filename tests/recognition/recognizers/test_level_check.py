@@ -119,10 +119,10 @@ def test_arrays_hold_all_that_was_learnt(rng):
     first, second = taught.posterior(grasp), again.posterior(grasp)
     assert np.array_equal(first.probability, second.probability)
     assert first.unknown == second.unknown
-    with pytest.raises(ValueError, match="'mean' is missing"):
+    with pytest.raises(ValueError, match="lacks the array 'mean'"):
         LevelCheckRecognizer.from_arrays({k: v for k, v in arrays.items() if k != "mean"})
     with pytest.raises(ValueError, match="version 99"):
-        LevelCheckRecognizer.from_arrays({**arrays, "level_check_version": np.array(99)})
+        LevelCheckRecognizer.from_arrays({**arrays, "version": np.array(99)})
     for name, bad in (
         *(("spread", -arrays["spread"]), ("low", arrays["high"] + 1), ("mean", [1.0])),
         ("noise_counts", np.nan),

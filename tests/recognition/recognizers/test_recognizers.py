@@ -227,13 +227,13 @@ def test_recogniser_comes_back_from_its_arrays(name, teach, fresh, use_aperture)
         assert np.array_equal(a.probability, b.probability)
         assert a.unknown == b.unknown
     # `force_ramp` has arrays that a model may lack.
-    for missing in ("gripping",) if name == "force_ramp" else arrays:
+    for missing in ("rest_gripping",) if name == "force_ramp" else arrays:
         with pytest.raises(ValueError, match=missing):
             type(taught).from_arrays({k: a for k, a in arrays.items() if k != missing})
     with pytest.raises(ValueError, match=r"labels|cannot reshape"):
         type(taught).from_arrays(arrays | {"labels": arrays["labels"][:-1]})
     with pytest.raises(ValueError, match=r"version 0.*train again"):
-        type(taught).from_arrays(arrays | {"feature_version": np.array(0)})
+        type(taught).from_arrays(arrays | {"version": np.array(0)})
 
 
 @pytest.mark.slow
