@@ -1,7 +1,7 @@
 """The page on the real interface: on a stub of the cell, and once on the simulated cell."""
 
-import asyncio
 import re
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
@@ -22,85 +22,65 @@ class Line:
     """Passes bytes on to a port of this machine, from a port of its own."""
 
     def __init__(self, to: int) -> None:
-        self.delay_s = 0.0
-        """Wait in s before each piece of an answer."""
+        self.late = threading.Event()
+        """Clear: each piece of an answer waits for `LATE_S`."""
+        self.late.set()
         self.mute = False
         """Whether answers are lost on the way."""
-        self._to = to
-        self._is_cut = False
-        self._writers: set[asyncio.StreamWriter] = set()
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._opened = threading.Event()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), daemon=True)
+        self._to, self._is_cut, self._links = to, False, set[socket.socket]()
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
-        assert self._opened.wait(10)
-
-    async def _run(self) -> None:
-        self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
-        server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
-        self.port: int = server.sockets[0].getsockname()[1]
-        self._opened.set()
-        await self._over.wait()
-        server.close()
-        while self._tasks:  # their connections are cut
-            await asyncio.wait(self._tasks)
 
     def cut(self) -> None:
         """End all connections, and take none until `mend`."""
         self._is_cut = True
-        done = threading.Event()
-
-        def end() -> None:
-            for writer in tuple(self._writers):
-                writer.transport.abort()
-            done.set()
-
-        self._loop.call_soon_threadsafe(end)
-        assert done.wait(10)
+        for link in tuple(self._links):
+            with suppress(OSError):
+                link.shutdown(socket.SHUT_RDWR)
 
     def mend(self) -> None:
         self._is_cut = False
 
     def close(self) -> None:
         self.cut()
-        self._loop.call_soon_threadsafe(self._over.set)
+        self._listener.shutdown(socket.SHUT_RDWR)
         self._thread.join()
+        self._listener.close()
+        until(lambda: not self._links)
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._tasks.add(task := asyncio.current_task())  # type: ignore[arg-type]
-        task.add_done_callback(self._tasks.discard)  # type: ignore[union-attr]
-        self._writers.add(writer)
+    def _serve(self) -> None:
         with suppress(OSError):
-            if not self._is_cut:
-                far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self._to)
-                self._writers.add(far_writer)
+            while True:
+                near, _ = self._listener.accept()
                 if self._is_cut:
-                    far_writer.transport.abort()
-                await asyncio.gather(
-                    self._pass(reader, far_writer, answers=False),
-                    self._pass(far_reader, writer, answers=True),
-                )
-                self._writers.discard(far_writer)
-        writer.transport.abort()
-        self._writers.discard(writer)
-
-    async def _pass(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, answers: bool
-    ) -> None:
-        with suppress(OSError):
-            while data := await reader.read(65536):
-                if answers and self.mute:
+                    near.close()
                     continue
-                if answers and self.delay_s:
-                    await asyncio.sleep(self.delay_s)
-                writer.write(data)
-                await writer.drain()
-        writer.transport.abort()
+                far = socket.create_connection(("127.0.0.1", self._to))
+                self._links |= {near, far}
+                for ends in ((near, far), (far, near)):
+                    threading.Thread(target=self._pass, args=(*ends, near), daemon=True).start()
+
+    def _pass(self, source: socket.socket, sink: socket.socket, near: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(65536):
+                if sink is near and self.mute:
+                    continue
+                if sink is near:
+                    self.late.wait(LATE_S)
+                sink.sendall(data)
+        with suppress(OSError):
+            sink.shutdown(socket.SHUT_RDWR)
+        source.close()
+        self._links.discard(source)
 
 
 pytestmark = pytest.mark.long
 
 SHORT_LEASE_S = 2.0
+LATE_S = 1.5
+"""Delay in s of a slow line."""
 
 
 @pytest.fixture
@@ -232,14 +212,14 @@ def test_a_command_whose_answer_is_lost_is_done_once(served, wire, open_page) ->
 def test_a_slow_line_is_not_shown_as_live(served, wire, open_page) -> None:
     page = open_page(address(served, wire.port))
     becomes(page, "#state", "Ready")
-    wire.delay_s = 1.5
+    wire.late.clear()
     becomes(page, "#state", "Not connected")
     page.evaluate("window.came = 0")
     # It stays so while messages come, each too late.
     for _ in range(20):
         page.wait_for_timeout(100)
         assert page.text_content("#state") == "Not connected"
-    wire.delay_s = 0.0
+    wire.late.set()
     becomes(page, "#state", "Ready")
 
 
