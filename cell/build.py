@@ -38,7 +38,6 @@ from cell.recording.recorder import Recorder
 from cell.recording.retention import Retention
 from cell.simulation import (
     InProcessPlacer,
-    capture_traffic,
     open_can_bus,
     open_servo_port,
     simulation_of,
@@ -176,7 +175,6 @@ def build_cell(
     mover: Mover | None = None,
     places: CarryCallback | None = None,
     ask: Callable[[str], str] | None = None,
-    capture: Path | None = None,
     simulated: SimulatedCell | None = None,
     partial: bool = False,
     source: FrameSource | None = None,
@@ -197,8 +195,6 @@ def build_cell(
         Brings kept parts to their places, instead of the positioner.
     ask
         Asks the operator for a positioner of kind ``operator``.
-    capture
-        pcap file for the CAN traffic of a simulated cell.
     simulated
         An existing simulated cell that outlives this one; by default a new one.
     partial
@@ -213,7 +209,7 @@ def build_cell(
     Raises
     ------
     ConfigError
-        If an argument for the positioner's kind is missing, or for ``capture`` of a real bus.
+        If an argument for the positioner's kind is missing.
     gripper.errors.PortLost, tactile.errors.LinkFault, cell.errors.PositionerError
         If a port, bus or socket cannot be opened.
     """
@@ -226,8 +222,6 @@ def build_cell(
             if not config.simulated:
                 raise ConfigError(f"{config.name} has real ports and cannot use a simulated cell")
             clock = simulated.clock
-        if capture is not None:
-            capture_traffic(simulated, capture, undo)
         positioner = _positioner(config, simulated, mover, ask, undo, phase=lambda: hand.phase)
         axes = positioner.axes if isinstance(positioner, AxesPositioner) else None
         if places is not None:

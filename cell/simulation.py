@@ -3,9 +3,8 @@
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import asdict
-from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
@@ -30,7 +29,6 @@ from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from recognition.grasp import Grasp
-from simulator.can.capture import PcapWriter
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.errors import PartGripped, SimulatorError
@@ -449,22 +447,6 @@ class InProcessPlacer:
         with raised_as(PositionerError, SimulatorError, where=where):
             reached = self._cell.place(label, ObjectPose(**asdict(pose)))
         return Pose(**{name: getattr(reached, name) for name in asdict(pose)})
-
-
-def capture_traffic(cell: SimulatedCell | None, path: Path, undo: ExitStack) -> None:
-    """Write all messages of a simulated CAN bus to a pcap file until ``undo`` is closed.
-
-    Raises ConfigError if there is no simulated bus, or the file cannot be written.
-    """
-    if cell is None:
-        raise ConfigError(
-            "only a simulated bus is captured; on a real one use candump or the adapter's tools"
-        )
-    with raised_as(ConfigError, OSError, where=f"{path}: cannot be written"):
-        pcap = PcapWriter(path)
-    undo.callback(pcap.close)
-    undo.callback(cell.can_bus.flush)
-    cell.can_bus.capture.append(pcap)
 
 
 def largest_aperture_m(grasps: Sequence[Grasp]) -> float:

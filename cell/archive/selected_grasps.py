@@ -10,31 +10,26 @@ from cell.learning.labelled_grasps import read_labelled_grasps
 from recognition.evaluation.splits import TrainTest, left_out_parts, series_parts
 from recognition.grasp import Grasp
 
+_MOST = 400
+"""Grasps of each object that are taken of an archive at most, at random."""
 LEFT_OUT = ("days", "cells", "series")
 """What can be left out in turn."""
 
 
 def selected_grasps(
-    places: Sequence[str], selection: Selection, most: int, note: Callable[[str], None]
+    places: Sequence[str], selection: Selection, note: Callable[[str], None]
 ) -> list[Grasp]:
     """Return the selected labelled grasps of archives, data sets and recordings.
 
-    Raises CellError where one cannot be read, or none is selected.
-
-    Parameters
-    ----------
-    most
-        Grasps of each object that are taken of an archive at most.
-    note
-        Gets what is left out.
+    ``note`` gets what is left out. Raises CellError where one cannot be read, or none is selected.
     """
     found: list[Grasp] = []
     for place in places:
         if is_archive(place):
             with extra("archive", needed_by="an archive"):
                 from cell.archive.store import Archive  # noqa: PLC0415  slow to load
-            here = list(Archive(place).grasps(selection, most=most))
-            note(f"{place}: {len(here)} grasps, of each object {most} at most (--most)")
+            here = list(Archive(place).grasps(selection, most=_MOST))
+            note(f"{place}: {len(here)} grasps, of each object {_MOST} at most")
         else:
             every = read_labelled_grasps(Path(place), note)
             here = [grasp for grasp in every if selection.fits(grasp)]

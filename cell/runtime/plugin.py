@@ -115,7 +115,6 @@ class TactileCellPlugin:
         gauge_shape: str | None = None,
         folder: Path | None = None,
         save: Path | str | None = None,
-        capture: Path | None = None,
         ask: Callable[[str], str] | None = None,
         start: bool = True,
         note: Callable[[str], None] = lambda _text: None,
@@ -152,7 +151,7 @@ class TactileCellPlugin:
             error aborts the job, but the taught model is in use. The write is repeated after each
             job that leaves the grip empty, and by `close`. None: no file. An existing file must be
             that of ``model``.
-        capture, ask
+        ask
             As `cell.build.build_cell`.
         start
             False: `connect` or `reset` verifies the devices.
@@ -206,7 +205,6 @@ class TactileCellPlugin:
             folder=folder,
             mover=mover,
             places=places,
-            capture=capture,
             ask=ask,
             note=note,
             wall_s=wall_s,

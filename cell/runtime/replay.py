@@ -4,7 +4,6 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -16,7 +15,7 @@ from cell.errors import CellError, raised_as
 from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress
 from cell.learning.training import train
-from cell.simulation import capture_traffic, largest_aperture_m, simulator_settings
+from cell.simulation import largest_aperture_m, simulator_settings
 from gripper.gripper import open_gripper
 from gripper.settings import HARD_FORCE_CAP_N
 from gripper.values.force_sensor import ForceSample
@@ -70,7 +69,6 @@ def replay_grasps(
     split: str,
     limit: int | None,
     recognizer: str,
-    capture: Path | None = None,
     progress: Progress,
 ) -> ReplayResult:
     """Train on one part of recorded grasps, send the other part through the links, identify it.
@@ -88,8 +86,6 @@ def replay_grasps(
         Part for the training, e.g. ``chronological:0.6``.
     limit
         Most grasps to replay, spread evenly over the rest.
-    capture
-        pcap file for the CAN traffic.
     """
     started_s = time.monotonic()
     progress("train", 0, 1)
@@ -108,7 +104,7 @@ def replay_grasps(
         chosen = np.linspace(0, len(test_part) - 1, limit).round().astype(int)
         test_part = tuple(test_part[i] for i in chosen)
     received = []
-    with _Rig(config or _wide_config(grasps), test_part, capture) as rig:
+    with _Rig(config or _wide_config(grasps), test_part) as rig:
         for number, grasp in enumerate(test_part):
             received.append(rig.play(number, grasp))
             progress("replay", number + 1, len(test_part))
@@ -147,13 +143,11 @@ class _NoForce:
 class _Rig:
     """Simulated control unit and servos that play grasps, and the drivers that receive them."""
 
-    def __init__(self, config: CellConfig, grasps: Sequence[Grasp], capture: Path | None) -> None:
+    def __init__(self, config: CellConfig, grasps: Sequence[Grasp]) -> None:
         layout = layout_from_pads(grasps[0].pads)
         with ExitStack() as undo:
             self._cell = SimulatedCell(simulator_settings(config, layout=layout, grasps=grasps))
             undo.callback(self._cell.close)
-            if capture is not None:
-                capture_traffic(self._cell, capture, undo)
             self._period_s = max(_frame_period_s(grasps), _SHORTEST_PERIOD_S)
             self._source = open_sensor(
                 self._cell.can_bus,

@@ -83,10 +83,6 @@ Faults = Annotated[
         "(simulate --list-faults).",
     ),
 ]
-Capture = Annotated[
-    Path | None,
-    typer.Option("--capture", help="Write the CAN traffic to this pcap file.", hidden=True),
-]
 Gauge = Annotated[
     Path | None,
     typer.Option(
@@ -108,26 +104,6 @@ Days = Annotated[
 Objects = Annotated[
     list[str] | None,
     typer.Option("--object", help="Only grasps of this object; repeat for several."),
-]
-Most = Annotated[
-    int,
-    typer.Option(
-        "--most",
-        min=3,
-        hidden=True,
-        help="Grasps of each object that are taken of an archive, at random.",
-    ),
-]
-MOST_GRASPS = 400
-"""Grasps of each object that are taken of an archive where nothing else is asked for."""
-Jobs = Annotated[
-    int,
-    typer.Option(
-        "--jobs",
-        min=0,
-        hidden=True,
-        help="Processes that share the work, 0: one for each core.",
-    ),
 ]
 Split = Annotated[
     str, typer.Option("--split", help="chronological:FRACTION or shuffled:FRACTION to train on.")

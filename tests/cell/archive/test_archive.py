@@ -515,7 +515,8 @@ def test_commands_work_on_a_selection(aged: str, tmp_path: Path) -> None:
 def test_training_learns_the_spread_and_shows_what_it_gains(aged: str, tmp_path: Path) -> None:
     first, second = tmp_path / "first.npz", tmp_path / "second.npz"
     days = ["--days", "2027-01-04..2027-01-05"]
-    call("model", "train", aged, "-o", first, "--no-spread", *days)
+    call("archive", "export", aged, "-o", tmp_path / "taught.npz", *days)
+    call("model", "train", tmp_path / "taught.npz", "-o", first)  # learns no spread
     out = call("model", "train", aged, "-o", second, "--json", tmp_path / "a.json", *days)
     for what in ("2 days", "2 cells"):
         assert re.search(rf"grasps of {what} left out in turn: .* rightly, .* wrongly without", out)

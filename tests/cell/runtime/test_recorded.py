@@ -79,18 +79,15 @@ def test_what_cannot_be_evaluated_says_why(taught: Any) -> None:
 
 
 @pytest.mark.slow
-def test_replayed_grasps_come_back_bit_for_bit_and_are_named(taught: Any, tmp_path: Path) -> None:
+def test_replayed_grasps_come_back_bit_for_bit_and_are_named(taught: Any) -> None:
     told: list[tuple[str, int, int]] = []
-    result = play(
-        taught.grasps, capture=tmp_path / "bus.pcap", progress=lambda *step: told.append(step)
-    )
+    result = play(taught.grasps, progress=lambda *step: told.append(step))
     assert result.frames_equal
     assert (result.difference, result.n_grasps, result.n_train) == (None, 4, 6)
     assert result.frames_received == result.frames_sent > 4 * 20
     assert result.aperture_error_mm < 0.3
     assert result.accuracy == 1.0
     assert told[-1] == ("replay", 4, 4)
-    assert (tmp_path / "bus.pcap").stat().st_size > 59 * 16 * result.frames_sent
     assert json.loads(json_bytes(result))["frames_equal"] is True
 
 
@@ -115,13 +112,11 @@ def test_other_pads_wide_openings_and_unknown_ones_are_replayed() -> None:
     assert result.aperture_error_mm < 1.0
 
 
-def test_what_cannot_be_replayed_says_why(taught: Any, tmp_path: Path) -> None:
+def test_what_cannot_be_replayed_says_why(taught: Any) -> None:
     with pytest.raises(ConfigError, match="have 3 pads"):
         play([plain_grasp("", ((2, 2),) * 3)])
     with pytest.raises(CellError, match="not understood"):
         play(taught.grasps, split="?")
-    with pytest.raises(CellError, match=r"bus\.pcap"):
-        play([plain_grasp("")], capture=tmp_path / "none" / "bus.pcap")
 
 
 # -- identify -------------------------------------------------------------------------------------

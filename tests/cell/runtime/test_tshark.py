@@ -38,17 +38,22 @@ def decode(capture: Path, *arguments: str) -> list[str]:
 def test_a_captured_sequence_is_canopen_to_tshark(tmp_path: Path) -> None:
     capture = tmp_path / "sequence.pcap"
     config = small_config()
-    with TactileCellPlugin(config, capture=capture) as plugin:
-        result = teach_and_identify(
-            plugin,
-            config,
-            labels=["ball", "box"],
-            n_teach=3,
-            n_trials=1,
-            folder=tmp_path,
-            progress=silent,
-        )
-        statistics = plugin.cell.controller.hand.statistics.source
+    with PcapWriter(capture) as pcap:
+        with TactileCellPlugin(config, start=False) as plugin:
+            bus = plugin.cell.simulated.can_bus
+            bus.capture.append(pcap)
+            plugin.connect()
+            result = teach_and_identify(
+                plugin,
+                config,
+                labels=["ball", "box"],
+                n_teach=3,
+                n_trials=1,
+                folder=tmp_path,
+                progress=silent,
+            )
+            statistics = plugin.cell.controller.hand.statistics.source
+        bus.flush()
     assert (result.n_taught, len(result.trials)) == (6, 2)
     assert statistics.frames.lost == statistics.frames.torn == statistics.error_frames == 0
 

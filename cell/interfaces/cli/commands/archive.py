@@ -23,7 +23,9 @@ def add(
     ],
     target: Annotated[str, typer.Option("--to", help="Folder or URL (fsspec) of the archive.")],
     cell: Annotated[str, typer.Option("--cell", help="Cell of the grasps that name none.")] = "",
-    jobs: options.Jobs = 1,
+    jobs: Annotated[
+        int, typer.Option("--jobs", min=0, help="Processes that share the work, 0: one per core.")
+    ] = 1,
     json_file: options.Json = None,
 ) -> None:
     """Add recordings and data sets to an archive; what is in it already is not added again.

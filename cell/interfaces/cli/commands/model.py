@@ -1,7 +1,8 @@
 """`model`: trains, calibrates, evaluates and compares recognisers."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
 
@@ -32,7 +33,7 @@ from cell.learning.training import calibrate_model, follow_shift, gaugeable, tra
 from cell.recording.dataset import read_grasps
 from cell.runtime.goals import TeachGoal
 from recognition.drift.drift import NO_DRIFT, Drift, drift_text, parse_drift
-from recognition.evaluation.evaluation import Evaluation
+from recognition.evaluation.evaluation import Evaluation, Mapper
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import DEFAULT_TRAINER, trainer_names
@@ -44,41 +45,25 @@ def train(
     ],
     model: options.ModelOut,
     recognizer: options.Recognizer = DEFAULT_TRAINER,
-    spread: Annotated[
-        bool | None,
-        typer.Option(
-            "--spread/--no-spread",
-            hidden=True,
-            help="Learn how far days and cells lie apart, and measure what that gains on those "
-            "left out in turn [default: with archives].",
-        ),
-    ] = None,
     cells: options.Cells = None,
     days: options.Days = None,
     objects: options.Objects = None,
-    most: options.Most = options.MOST_GRASPS,
-    jobs: options.Jobs = 1,
     json_file: options.Json = None,
 ) -> None:
     """Train a recogniser on data sets and write a model file."""
     selection = parse_selection(cells, days, objects)
-    grasps = selected_grasps(datasets, selection, most, print_line)
+    grasps = selected_grasps(datasets, selection, print_line)
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
         raise CellError("the data sets are of different pads; train a model for each")
     if twice := len(duplicate_grasps(grasps)):
         print_note(f"{twice} of {len(grasps)} grasps occur twice: probabilities are too high")
     trained = train_model(grasps, recognizer)
     prior, gains = None, []
-    if any(map(is_archive, datasets)) if spread is None else spread:
+    if any(map(is_archive, datasets)):
         trained, prior = with_spread(trained, grasps)
     if prior is not None:
-        with workers(jobs) as mapper, progress_bar() as progress:
+        with _workers(grasps) as mapper, progress_bar() as progress:
             gains = spread_gains(grasps, recognizer, mapper=mapper, progress=progress)
-    elif spread:
-        print_note(
-            "no spread is learnt: it takes the default recogniser, grasps without a self-zero, "
-            "and objects of several days or cells"
-        )
     labels = trained.recognizer.labels
     save_model(
         model,
@@ -247,19 +232,9 @@ def evaluate(
         typer.Option("--gauge", help="Find the drift from the first 3 tested grasps of LABEL."),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, max=options.MAX_SEED)] = 0,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            "--jobs",
-            min=0,
-            hidden=True,
-            help="Processes, 0: one for each core [default: 0 from 1000 grasps, else 1].",
-        ),
-    ] = None,
     cells: options.Cells = None,
     days: options.Days = None,
     objects: options.Objects = None,
-    most: options.Most = options.MOST_GRASPS,
     json_file: options.Json = None,
 ) -> None:
     """Measure recognisers on recorded grasps: accuracy, fusion, unknown objects.
@@ -268,15 +243,13 @@ def evaluate(
     """
     names = recognizers or trainer_names()
     selection = parse_selection(cells, days, objects)
-    grasps = selected_grasps(datasets, selection, most, print_line)
+    grasps = selected_grasps(datasets, selection, print_line)
     taught = None
     if train_on is not None:
-        taught = selected_grasps([train_on], EVERYTHING, most, print_line)
+        taught = selected_grasps([train_on], EVERYTHING, print_line)
     if twice := len(duplicate_grasps([*(taught or ()), *grasps])):
         print_note(f"{twice} tested grasps were taught or occur twice: the accuracy is too high")
-    if jobs is None:
-        jobs = 0 if len(grasps) >= _MANY_GRASPS else 1
-    with workers(jobs) as mapper, progress_bar() as progress:
+    with _workers(grasps) as mapper, progress_bar() as progress:
         result = evaluate_recognizers(
             grasps,
             split=split,
@@ -292,6 +265,11 @@ def evaluate(
     for name, reason in result.left_out.items():
         print_note(f"{name} is left out: {reason}")
     show(_lines(result), result.as_json(), json_file)
+
+
+def _workers(grasps: Sequence[Grasp]) -> AbstractContextManager[Mapper]:
+    """Return what does the work: a process for each core where that saves time."""
+    return workers(0 if len(grasps) >= _MANY_GRASPS else 1)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -394,15 +372,13 @@ def compare(
     cells: options.Cells = None,
     days: options.Days = None,
     objects: options.Objects = None,
-    most: options.Most = options.MOST_GRASPS,
-    jobs: options.Jobs = 1,
     json_file: options.Json = None,
 ) -> None:
     """Compare two models on the same grasps: paired, with an interval of 95 %."""
     models = load_model(first), load_model(second)
     selection = parse_selection(cells, days, objects)
-    grasps = selected_grasps(datasets, selection, most, print_line)
-    with workers(jobs) as mapper:
+    grasps = selected_grasps(datasets, selection, print_line)
+    with _workers(grasps) as mapper:
         found = compare_models(*models, grasps, mapper)
     each = zip((first, second), found.right, found.wrong, found.alone, strict=True)
     lines = [

@@ -141,7 +141,6 @@ def replay(
     ] = None,
     recognizer: options.Recognizer = DEFAULT_TRAINER,
     config: ReplayConfigOption = None,
-    capture: options.Capture = None,
     json_file: options.Json = None,
 ) -> None:
     """Send recorded grasps through the real protocols, compare, and identify them."""
@@ -152,7 +151,6 @@ def replay(
             split=split,
             limit=limit,
             recognizer=recognizer,
-            capture=capture,
             progress=progress,
         )
     same = "bit for bit the same" if result.frames_equal else "NOT the same"

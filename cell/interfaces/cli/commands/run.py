@@ -43,7 +43,6 @@ def run(
     model: options.Model = None,
     out_folder: options.Out = None,
     seed: options.Seed = None,
-    capture: options.Capture = None,
     faults: options.Faults = None,
     json_file: options.Json = None,
 ) -> None:
@@ -59,7 +58,6 @@ def run(
         *(checked, "run", out_folder),
         config_file=config,
         json_file=json_file,
-        capture=capture,
         model=model,
     ) as cell:
         folder = cell.folder
