@@ -5,7 +5,6 @@ show this: the smallest eigenvalue is of the order of 1e-3, the largest of 1e2.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,9 +55,8 @@ def robust_noise(values: ArrayLike) -> float:
     return max(_MAD_TO_SD * spread, _QUANTISATION_COUNTS)
 
 
-@lru_cache(maxsize=1)
 def estimate_baseline(grasp: Grasp) -> Baseline:
-    """Return baseline and noise of each pad from the frames of one grasp; the last is kept.
+    """Return baseline and noise of each pad from the frames of one grasp.
 
     Frames before contact are the first ones, while a pad's total stays within the noise of its
     least value among them. A known commanded force ends them before it rises above 0, because the

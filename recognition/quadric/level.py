@@ -85,8 +85,8 @@ def gripping_pads(load: ArrayLike, pads: PadArray) -> tuple[int, ...]:
     return (first, second) if load[second] > _LEAST_SHARE * load[first] else (first,)
 
 
-def frames_near(grasp: Grasp, share: float, tolerance: float) -> NDArray[np.int64]:
-    """Return the frames of a ramp near a share, from 0 to 1, of its full force.
+def frames_near_full(grasp: Grasp, tolerance: float) -> NDArray[np.int64]:
+    """Return the frames of a ramp near its full force.
 
     It uses the commanded force if known. Else it uses the total load between its least and its
     largest value, smoothed over three frames. The nearest frame is always included.
@@ -103,56 +103,78 @@ def frames_near(grasp: Grasp, share: float, tolerance: float) -> NDArray[np.int6
         total = np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
         least = float(total.min())
         reached = (total - least) / max(float(total.max()) - least, 1e-9)
-    distance = np.abs(reached - share)
+    distance = np.abs(reached - 1.0)
     return np.flatnonzero(distance <= max(tolerance, float(distance.min())))
 
 
-def _surfaces_at(
-    grasp: Grasp,
-    frames: NDArray[np.int64],
-    settings: LevelSettings,
-    disturbance: ArrayLike = 0.0,
-) -> list[NDArray[np.float64]]:
-    pads, baseline = grasp.pads, estimate_baseline(grasp)
-    height = grasp.counts[frames].mean(axis=0) - baseline.counts + np.asarray(disturbance)
-    threshold = [
-        noise_threshold(float(noise), len(frames), pads.adc_max, settings.sigmas)
-        for noise in baseline.noise_counts
-    ]
-    over = np.where(height > np.take(threshold, pads.taxel_pad), height, 0.0)
-    load = np.bincount(pads.taxel_pad, weights=over, minlength=pads.n_pads)
-    to_8_bit = FULL_SCALE_COUNTS / pads.adc_max
-    found, refused = [], []
-    for pad in gripping_pads(load, pads):
-        least = settings.peak_share * float(height[pads.taxels_of(pad)].max())
-        patch = main_patch(height, pads, pad, max(threshold[pad], least), rim=settings.rim)
-        try:
-            surface = fit_height_field(pads.taxel_xy_m[patch], to_8_bit * height[patch])
-        except QuadricError as error:
-            refused.append(f"pad {pad}: {error}")
-            continue
-        if smallest_eigenvalue(surface, settings.reading).degenerate:
-            refused.append(f"pad {pad}: the matrix is singular to rounding")
-        else:
-            found.append(surface)
-    if not found:
-        raise QuadricError("no pad carries a surface: " + "; ".join(refused))
-    return found
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeanFrames:
+    """The mean of a grasp's frames near the force of its level."""
 
+    pads: PadArray
+    height: NDArray[np.float64]
+    """(n_taxels,) float64: counts above the baseline."""
+    threshold: NDArray[np.float64]
+    """(n_pads,) float64: height in counts above which a taxel is loaded."""
+    noise: float
+    """Standard deviation of a height in counts of 255: the median over the pads."""
 
-def _level_at(
-    grasp: Grasp,
-    frames: NDArray[np.int64],
-    settings: LevelSettings,
-    disturbance: ArrayLike = 0.0,
-) -> float:
-    smallest = [
-        float(smallest_eigenvalue(surface, settings.reading).value)
-        for surface in _surfaces_at(grasp, frames, settings, disturbance)
-    ]
-    if settings.reading is Reading.ALGEBRAIC_MINIMUM:
-        return float(np.mean(smallest))
-    return float(np.exp(np.mean(np.log(smallest))))
+    @classmethod
+    def of(cls, grasp: Grasp, settings: LevelSettings) -> "MeanFrames":
+        """Return that mean. Raises ContactError if the ramp never came near the force."""
+        frames = frames_at(grasp, settings.force_n, settings)
+        baseline, pads = estimate_baseline(grasp), grasp.pads
+        share = np.sqrt(1.0 / len(frames) + 1.0 / np.maximum(baseline.quiet_frames, 1))
+        noise = float(np.median(baseline.noise_counts * share))
+        threshold = [
+            noise_threshold(float(one), len(frames), pads.adc_max, settings.sigmas)
+            for one in baseline.noise_counts
+        ]
+        return cls(
+            pads=pads,
+            height=grasp.counts[frames].mean(axis=0) - baseline.counts,
+            threshold=np.array(threshold),
+            noise=noise * FULL_SCALE_COUNTS / pads.adc_max,
+        )
+
+    def surfaces(
+        self, settings: LevelSettings, disturbance: ArrayLike = 0.0
+    ) -> list[NDArray[np.float64]]:
+        """Return the surface of each gripping pad that has one, with disturbed heights.
+
+        Raises ContactError or QuadricError as `grip_level`.
+        """
+        pads, height = self.pads, self.height + np.asarray(disturbance)
+        over = np.where(height > self.threshold[pads.taxel_pad], height, 0.0)
+        load = np.bincount(pads.taxel_pad, weights=over, minlength=pads.n_pads)
+        to_8_bit = FULL_SCALE_COUNTS / pads.adc_max
+        found, refused = [], []
+        for pad in gripping_pads(load, pads):
+            least = settings.peak_share * float(height[pads.taxels_of(pad)].max())
+            threshold = max(float(self.threshold[pad]), least)
+            patch = main_patch(height, pads, pad, threshold, rim=settings.rim)
+            try:
+                surface = fit_height_field(pads.taxel_xy_m[patch], to_8_bit * height[patch])
+            except QuadricError as error:
+                refused.append(f"pad {pad}: {error}")
+                continue
+            if smallest_eigenvalue(surface, settings.reading).degenerate:
+                refused.append(f"pad {pad}: the matrix is singular to rounding")
+            else:
+                found.append(surface)
+        if not found:
+            raise QuadricError("no pad carries a surface: " + "; ".join(refused))
+        return found
+
+    def level(self, settings: LevelSettings, disturbance: ArrayLike = 0.0) -> float:
+        """Return the smallest eigenvalue, the mean of the pads; raises as `surfaces`."""
+        smallest = [
+            float(smallest_eigenvalue(surface, settings.reading).value)
+            for surface in self.surfaces(settings, disturbance)
+        ]
+        if settings.reading is Reading.ALGEBRAIC_MINIMUM:
+            return float(np.mean(smallest))
+        return float(np.exp(np.mean(np.log(smallest))))
 
 
 def grip_surfaces(
@@ -163,8 +185,7 @@ def grip_surfaces(
     Surfaces are property matrices (4, 4), see `recognition.quadric.quadric`. Raises ContactError or
     QuadricError as `grip_level`.
     """
-    frames = frames_at(grasp, settings.force_n, settings)
-    return tuple(_surfaces_at(grasp, frames, settings))
+    return tuple(MeanFrames.of(grasp, settings).surfaces(settings))
 
 
 def grip_level(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> float:
@@ -175,8 +196,7 @@ def grip_level(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> float:
     magnitudes geometrically. Raises ContactError if no pad is touched, or the ramp never came near
     ``settings.force_n``. Raises QuadricError if no gripping pad has a surface.
     """
-    frames = frames_at(grasp, settings.force_n, settings)
-    return _level_at(grasp, frames, settings)
+    return MeanFrames.of(grasp, settings).level(settings)
 
 
 def frames_at(grasp: Grasp, force_n: float | None, settings: LevelSettings) -> NDArray[np.int64]:
@@ -186,7 +206,7 @@ def frames_at(grasp: Grasp, force_n: float | None, settings: LevelSettings) -> N
     """
     known = np.isfinite(grasp.force_n)
     if force_n is None or not known.any():
-        return frames_near(grasp, 1.0, settings.tolerance)
+        return frames_near_full(grasp, settings.tolerance)
     largest = float(np.max(grasp.force_n[known]))
     distance = np.where(known, np.abs(grasp.force_n - force_n), np.inf)
     frames = np.flatnonzero(distance <= settings.tolerance * force_n)
@@ -198,35 +218,6 @@ def frames_at(grasp: Grasp, force_n: float | None, settings: LevelSettings) -> N
     return frames
 
 
-def ramp_levels(
-    grasp: Grasp, shares: Sequence[float], settings: LevelSettings = DEFAULT_LEVEL
-) -> NDArray[np.float64]:
-    """Return lambda(F): the smallest eigenvalue at each share of the full force.
-
-    Parameters
-    ----------
-    shares
-        Parts of the full force, each above 0 and up to 1.
-    settings
-        Settings of each value; ``force_n`` has no effect.
-
-    Returns
-    -------
-    (n_shares,) float64
-        NaN without a contact, or without a surface.
-    """
-    if not all(0.0 < share <= 1.0 for share in shares):
-        raise ContactError(f"shares of the force are {list(shares)}, each must be above 0, up to 1")
-    values = np.full(len(shares), np.nan)
-    for index, share in enumerate(shares):
-        frames = frames_near(grasp, share, settings.tolerance)
-        try:
-            values[index] = _level_at(grasp, frames, settings)
-        except (ContactError, QuadricError):
-            values[index] = np.nan  # this step of the ramp has no level
-    return values
-
-
 def common_force_n(grasps: Sequence[Grasp]) -> float | None:
     """Return the largest force in N that every grasp reached, None if one is not recorded."""
     reached = [
@@ -236,35 +227,22 @@ def common_force_n(grasps: Sequence[Grasp]) -> float | None:
     return least if np.isfinite(least) and least > 0.0 else None
 
 
-def averaged_noise(grasp: Grasp, settings: LevelSettings) -> float:
-    """Return the noise of a taxel's mean height in the frames of the level.
+def level_noise_per_count(
+    mean: MeanFrames, settings: LevelSettings, rng: np.random.Generator
+) -> float:
+    """Return the relative change of the level by noise, for each count of `MeanFrames.noise`.
 
-    The baseline is subtracted. The noise is a standard deviation in counts of 255, the median over
-    the pads. Raises ContactError if the ramp never came near the force of the settings.
+    The mean is disturbed a dozen times by its own amount of noise. Patch and surface are then
+    computed again. Raises ContactError or QuadricError without a surface.
     """
-    n_frames = len(frames_at(grasp, settings.force_n, settings))
-    baseline = estimate_baseline(grasp)
-    share = np.sqrt(1.0 / n_frames + 1.0 / np.maximum(baseline.quiet_frames, 1))
-    noise = float(np.median(baseline.noise_counts * share))
-    return noise * FULL_SCALE_COUNTS / grasp.pads.adc_max
-
-
-def level_noise_per_count(grasp: Grasp, settings: LevelSettings, rng: np.random.Generator) -> float:
-    """Return the relative change of the level by noise, for each count of `averaged_noise`.
-
-    The averaged frames are disturbed a dozen times by their own amount of noise. Patch and surface
-    are then computed again. Raises ContactError or QuadricError without a surface.
-    """
-    noise = averaged_noise(grasp, settings)
-    counts = noise * grasp.pads.adc_max / FULL_SCALE_COUNTS
-    draws = rng.normal(0.0, counts, (_DRAWS, grasp.pads.n_taxels))
-    frames = frames_at(grasp, settings.force_n, settings)
-    levels = [_level_at(grasp, frames, settings, draw) for draw in draws]
-    return float(np.std(levels) / abs(np.mean(levels))) / noise
+    counts = mean.noise * mean.pads.adc_max / FULL_SCALE_COUNTS
+    draws = rng.normal(0.0, counts, (_DRAWS, mean.pads.n_taxels))
+    levels = [mean.level(settings, draw) for draw in draws]
+    return float(np.std(levels) / abs(np.mean(levels))) / mean.noise
 
 
 def usual_noise(grasps: Sequence[Grasp], settings: LevelSettings) -> tuple[float, float]:
-    """Return median `averaged_noise` and the root mean square of `level_noise_per_count`.
+    """Return the median of `MeanFrames.noise` and the root mean square of `level_noise_per_count`.
 
     About `_NOISE_GRASPS` of the grasps, evenly selected, are used. Those without a surface are left
     out; both values are 0 if no grasp has one.
@@ -272,8 +250,8 @@ def usual_noise(grasps: Sequence[Grasp], settings: LevelSettings) -> tuple[float
     found, rng = [], np.random.default_rng(0)
     for grasp in grasps[:: -(-len(grasps) // _NOISE_GRASPS)]:
         try:
-            per_count = level_noise_per_count(grasp, settings, rng)
-            found.append((averaged_noise(grasp, settings), per_count))
+            mean = MeanFrames.of(grasp, settings)
+            found.append((mean.noise, level_noise_per_count(mean, settings, rng)))
         except (ContactError, QuadricError):
             continue  # without a surface there is no level
     if not found:

@@ -16,7 +16,7 @@ from recognition.grasp import Grasp, PadArray, keep_array
 from recognition.quadric.level import (
     DEFAULT_LEVEL,
     LevelSettings,
-    averaged_noise,
+    MeanFrames,
     common_force_n,
     level_novelty,
     level_or_none,
@@ -55,7 +55,7 @@ class LevelCheckRecognizer(TaughtRecord):
     margin: float
     """Share of its edge by which a level's band is extended into open space."""
     noise_counts: float
-    """Noise of the taught grasps, see `recognition.quadric.level.averaged_noise`."""
+    """Noise of the taught grasps, see `recognition.quadric.level.MeanFrames`."""
     noise_per_count: float
     """Relative change of a level by noise, for each count."""
 
@@ -103,7 +103,7 @@ class LevelCheckRecognizer(TaughtRecord):
         It is a standard deviation, 0 without additional noise. Raises ContactError if the ramp
         never came near the force of the levels.
         """
-        counts = averaged_noise(grasp, self.settings)
+        counts = MeanFrames.of(grasp, self.settings).noise
         return self.noise_per_count * float(np.sqrt(max(counts**2 - self.noise_counts**2, 0.0)))
 
     def check(self, grasp: Grasp) -> str:

@@ -7,13 +7,11 @@ from recognition.errors import ContactError, QuadricError, RecognitionError
 from recognition.quadric.eigen import Reading
 from recognition.quadric.level import (
     LevelSettings,
-    frames_near,
+    frames_near_full,
     grip_level,
     gripping_pads,
-    ramp_levels,
     usual_noise,
 )
-from recognition.quadric.thresholds import check_level, find_thresholds
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
 from tests.recognition.conftest import grasp_of, make_pads, part
@@ -187,14 +185,12 @@ def test_gripping_pads_are_the_most_loaded_and_its_counterpart():
         gripping_pads(np.zeros(10), PAPER)
 
 
-def test_frames_near_a_share_of_the_force_or_of_the_load(rng):
+def test_frames_near_the_full_force_or_load(rng):
     grasp = _grasp(PINCH, 0.5, rng)
-    assert frames_near(grasp, 1.0, 0.01).tolist() == list(range(27, 38))
-    half = frames_near(grasp, 0.5, 0.03)
-    assert grasp.force_n[half] == pytest.approx(np.full(len(half), 4.0), abs=0.3)
+    assert frames_near_full(grasp, 0.01).tolist() == list(range(27, 38))
+    assert len(frames_near_full(grasp, 0.0)) >= 1
     without = _grasp(PINCH, 0.5, rng, force=False)
-    assert set(frames_near(without, 1.0, 0.05)) >= set(range(28, 37))
-    assert len(frames_near(grasp, 0.513, 0.0)) == 1
+    assert set(frames_near_full(without, 0.05)) >= set(range(28, 37))
 
 
 def test_a_fixed_force_that_was_not_reached_is_refused():
@@ -209,26 +205,6 @@ def test_a_fixed_force_that_was_not_reached_is_refused():
     assert (
         taught.posterior(_grasp(PINCH, 0.8, np.random.default_rng(23), force=False)).best == "high"
     )
-
-
-def test_lambda_of_force_falls_along_the_ramp_and_gives_thresholds_at_its_end(rng):
-    shares = (0.01, 0.25, 0.5, 1.0)
-    settings = LevelSettings(tolerance=0.02)
-    values = ramp_levels(_grasp(PAPER, 0.6, rng), shares, settings)
-    assert np.all(np.diff(values[1:]) < 0)
-    taught = [
-        [ramp_levels(_grasp(PAPER, peak, rng), shares, settings) for _ in range(3)]
-        for peak in (0.3, 0.8)
-    ]
-    last = find_thresholds([np.array(values)[:, -1] for values in taught])
-    assert check_level(last, ramp_levels(_grasp(PAPER, 0.8, rng), shares, settings)[-1]) == 1
-    with pytest.raises(ContactError, match="above 0, up to 1"):
-        ramp_levels(_grasp(PAPER, 0.5, rng), [0.0])
-
-
-def test_steps_of_the_ramp_without_contact_are_nan():
-    grasp = _grasp(PAPER, 0.5, np.random.default_rng(25), touched=(4,))
-    assert np.isnan(ramp_levels(grasp, (0.5, 1.0))).all()
 
 
 def test_levels_are_taken_at_the_force_that_every_taught_grasp_reached(rng):
