@@ -11,14 +11,14 @@ from simulator.world.world import NOTHING, PhysicalWorld
 FIELDS = {"x": "x_m", "y": "y_m", "rotation": "rotation_rad", "roll": "roll_rad"}
 """Parts of a pose that an axis can move, and their fields."""
 _MOVING_STEP = 2e-3
-"""Step of a moving object between open fingers in m, or in rad divided by `_RAD_PER_M`. Each step
+"""Step of a moving object between open fingers in m, or in rad divided by 50. Each step
 computes its height maps again, in about 1 ms."""
 _GRIPPED_N = 0.05
 """Smallest force in N on both pads that holds the object: the friction of its nest."""
 _RESTING_STEP = 2e-5
 """Step while the axes stand still: 0.02 mm or 0.06 degrees."""
-_RAD_PER_M = 50.0
-"""Angle in rad that counts as 1 m: 0.01 rad as 0.2 mm, for an edge 20 mm from the centre."""
+_PER_M = {"x": 1.0, "y": 1.0, "rotation": 50.0, "roll": 50.0}
+"""Way of an axis that counts as 1 m: 0.01 rad as 0.2 mm, for an edge 20 mm from the centre."""
 
 
 class MovedAxis(Protocol):
@@ -48,7 +48,8 @@ class Stage:
         self._world = world
         self._axes = dict(axes)
         self._carried: tuple[str, ObjectPose] | None = None
-        self._shown: ObjectPose | None = None
+        # Positions of the axes at the present pose of the object.
+        self._shown: dict[str, float] = {}
         self._beside = False
 
     @property
@@ -74,35 +75,33 @@ class Stage:
         except SimulatorSettingsError:
             self._world.remove()
             rested, self._beside = wanted, True
-        self._carried, self._shown = (label, pose), wanted
+        self._carried = (label, pose)
         return rested
 
     def advance(self) -> None:
         """Move the object to the positions of the axes."""
-        if self._carried is None or self._shown is None:
+        if self._carried is None:
             return
         label, pose = self._carried
         if self._world.placed is None and not self._beside:
             # The object was removed.
             self._carried = None
             return
-        moving = any(axis.moving for axis in self._axes.values())
-        wanted = self._at(pose)
-        if _way(self._shown, wanted) <= (_MOVING_STEP if moving else _RESTING_STEP):
+        step = _RESTING_STEP
+        if any(axis.moving for axis in self._axes.values()):
+            step = _MOVING_STEP
+        if all(
+            abs(axis.position - self._shown[name]) <= step * _PER_M[name]
+            for name, axis in self._axes.items()
+        ):
             return
         if min(self._world.contact_force_n()) > _GRIPPED_N:
             # It goes with the fingers that hold it, and stays where they let go.
             self._carried = None
         else:
-            self._beside = not self._world.carry(label, wanted)
-            self._shown = wanted
+            self._beside = not self._world.carry(label, self._at(pose))
 
     def _at(self, pose: ObjectPose) -> ObjectPose:
-        found = {FIELDS[name]: axis.position for name, axis in self._axes.items()}
-        return replace(pose, **found)
-
-
-def _way(one: ObjectPose, other: ObjectPose) -> float:
-    """Return the distance of two poses in m; `_RAD_PER_M` converts angles."""
-    turned = max(abs(one.rotation_rad - other.rotation_rad), abs(one.roll_rad - other.roll_rad))
-    return max(abs(one.x_m - other.x_m), abs(one.y_m - other.y_m), turned / _RAD_PER_M)
+        """Return a pose at the present positions of the axes, and remember these."""
+        self._shown = {name: axis.position for name, axis in self._axes.items()}
+        return replace(pose, **{FIELDS[name]: place for name, place in self._shown.items()})

@@ -345,8 +345,9 @@ class InvariantMonitor:
 
 def link_counters(cell: Cell) -> list[tuple[int, ...]]:
     """Return the counters of both links; `Cell.health` gives the same, too slowly for each step."""
-    link, sensor = (cell.controller.hand.statistics.source, cell.local_hand.sensor.statistics)
-    owners = (link.frames, link, link.forces, sensor, cell.local_hand.bus.statistics)
+    hand = cell.local_hand
+    link = hand.sensor.source.statistics
+    owners = (link.frames, link, link.forces, hand.sensor.statistics, hand.bus.statistics)
     return [read(owner) for read, owner in zip(_COUNTERS, owners, strict=True)]
 
 
