@@ -239,7 +239,8 @@ class Engine:
                 dialog.start_step(step, number, len(self.steps))
                 self._run(step, dialog)
                 if not self.done(step):
-                    self._again(step, dialog)
+                    text = f"{step.title} failed. Correct the cause, then run the step again."
+                    dialog.confirm(f"{step.key}.again", text, "run the step again")
         texts = {
             CONFIG_NAME: config_text(self.bench.config),
             "tactile-cell.schema.json": schema_text(),
@@ -276,16 +277,6 @@ class Engine:
         notes.ended = _now()
         self.notes[step.key] = notes
         self._store()
-
-    def _again(self, step: Step, dialog: Dialog) -> None:
-        answer = dialog.choose(
-            f"{step.key}.again",
-            f"{step.title} failed. Correct the cause, then run the step again.",
-            {"again": "run the step again", "leave": "leave; the findings are kept"},
-            "again",
-        )
-        if answer == "leave":
-            leave(f"{step.title} failed")
 
     def _store(self) -> None:
         content = {"steps": self.notes, "approved": self.approved}

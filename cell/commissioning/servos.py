@@ -14,7 +14,7 @@ from cell.commissioning.backup import (
     since_backup,
 )
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Step, StepFailed, leave
+from cell.commissioning.engine import Dialog, Step, StepFailed
 from cell.config.gripper import use_servo_models
 from cell.plugins import SERVO_MODELS
 from gripper.dynamixel.bus import ANSWERS_ALL, ServoBus, ServoIdentity
@@ -293,18 +293,13 @@ def _renumber(
 
 
 def torque_off(bus: ServoBus, dialog: Dialog, servo_id: int, torque: int) -> None:
-    """Switch the torque of a servo off, after the person confirms that nothing is held."""
+    """Switch the torque of a servo off after an approval: a held part falls."""
     if not torque:
         return
-    answer = dialog.choose(
-        "servos.torque",
+    dialog.say(
         f"Servo {servo_id} has its torque on: it may hold a part. Its registers can be written "
-        "without torque only. Take the part out, or hold it: otherwise it falls.",
-        {"off": "nothing is held; switch the torque off", "leave": "leave it as it is"},
-        "leave",
+        "without torque only. Take the part out, or hold it: otherwise it falls."
     )
-    if answer != "off":
-        leave(f"servo {servo_id} has its torque on")
     change = {TORQUE_ENABLE.name: ("on", "off")}
     dialog.approve(register_writes(f"servo {servo_id}", change, "release or start the cell"))
     bus.write(servo_id, TORQUE_ENABLE, 0)

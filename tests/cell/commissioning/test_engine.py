@@ -123,12 +123,14 @@ def test_redo_forgets_a_step_and_all_that_need_it(tmp_path: Path) -> None:
 
 def test_a_failed_step_runs_again_or_is_left(tmp_path: Path) -> None:
     ports = step("ports", settings=REAL, verdicts=[Verdict.FAIL, Verdict.FAIL, Verdict.WARN])
-    with pytest.raises(WizardAborted, match="tactile-cell commission"):
-        Engine([ports], Bench(tmp_path)).run(Script({"ports.again": ["again", "leave"]}))
+    failed = Script(leave_at=["ports.again"])
+    with pytest.raises(WizardAborted):
+        Engine([ports], Bench(tmp_path)).run(failed)
+    assert failed.asked == ["ports.q", "ports.again"]
     engine = Engine([ports], Bench(tmp_path))
     assert engine.notes["ports"].status is Verdict.FAIL
     engine.run(script := Script())
-    assert script.asked == ["ports.q"]
+    assert script.asked == ["ports.q", "ports.again", "ports.q"]
     assert engine.notes["ports"].status is Verdict.WARN
 
 
@@ -141,7 +143,7 @@ def test_a_line_that_is_lost_fails_the_step_which_keeps_what_it_has_found(tmp_pa
 
     with pytest.raises(WizardAborted):
         Engine([step("ports", lost)], Bench(tmp_path)).run(
-            script := Script({"ports.again": "leave"})
+            script := Script(leave_at=["ports.again"])
         )
     finding = script.findings["ports"]
     assert finding.lines == ["the port opens", "the cable is out"]
