@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from os.path import realpath
 from pathlib import Path
@@ -135,28 +135,21 @@ class Bench:
         rate = tactile.sensor.baud_rate
         return [partial(self.lines.open_board, port, rate) for port in tactile.serial_ports]
 
-    @contextmanager
-    def servo_bus(
-        self, port: str | None = None, baud_rate: int | None = None
-    ) -> Iterator[ServoBus]:
-        """Open the line of the servos, and close it at the end; goals and torque stay.
+    def servo_bus(self, port: str | None = None, baud_rate: int | None = None) -> closing[ServoBus]:
+        """Open the line of the servos, and close it at the end of the block; goals and torque stay.
 
         Port and baud rate are by default those of the config so far.
         """
         gripper = self.gripper()
         rate = baud_rate or gripper.baud_rate
-        stream = self.lines.open_servos(port or gripper.port, rate)
         bus = ServoBus(
-            stream,
+            self.lines.open_servos(port or gripper.port, rate),
             baudrate=rate,
             clock=self.clock,
             allowance_s=_PATIENCE_S,
             ram_shifts={one.id: MODELS[one.model].ram_shift for one in gripper.servos},
         )
-        try:
-            yield bus
-        finally:
-            bus.close()
+        return closing(bus)
 
     @contextmanager
     def can_bus(

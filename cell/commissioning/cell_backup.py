@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 from cell.checks.findings import STORE_NAME
 from cell.commissioning.bench import CONFIG_NAME
-from cell.commissioning.record import RECORD_NAME
+from cell.commissioning.engine import RECORD_NAME
 from cell.config.file import config_file_text, load_config
 from cell.config.model import CellConfig
 from cell.control.self_zero import zero_file

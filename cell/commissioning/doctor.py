@@ -1,7 +1,7 @@
 """The system check: each finding passes, warns or fails, with a remedy."""
 
 import importlib.metadata
-import sys
+import platform
 from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
 from functools import partial
@@ -70,11 +70,10 @@ def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Fin
 
 
 def _machine() -> Iterator[Finding]:
-    version = ".".join(map(str, sys.version_info[:3]))
-    yield check_result("Python", version, ok=True)
-    for package in ("dynamixel-sdk", "canopen", "python-can", "numpy", "scipy"):
-        yield check_result(package, importlib.metadata.version(package), ok=True)
-    for extra, package in ((e, package) for e in ("report", "mesh") for package in EXTRAS[e]):
+    yield check_result("Python", platform.python_version(), ok=True)
+    needed = [("", one) for one in ("dynamixel-sdk", "canopen", "python-can", "numpy", "scipy")]
+    needed += [(extra, one) for extra in ("report", "mesh") for one in EXTRAS[extra]]
+    for extra, package in needed:
         try:
             yield check_result(package, importlib.metadata.version(package), ok=True)
         except importlib.metadata.PackageNotFoundError:
@@ -160,9 +159,7 @@ def _loop(cell: Cell) -> Iterator[Finding]:
     notes = [note for note in cell.notes if not note.startswith(MISSING)]
     if cell.realtime and not notes:
         yield check_result("force loop", "real time as configured", ok=True)
-    for note in notes:
-        found, _, advice = note.partition(": ")
-        yield check_result("force loop", found, advice)
+    yield from (check_result("force loop", *note.split(": ", 1)) for note in notes)
 
 
 def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]:
@@ -241,12 +238,10 @@ def _control_unit(
     try:
         identity = hand.start_sensor()
     except IdentityMismatch as error:
-        advice = "check which unit and pads are plugged in"
-        if kept:
-            advice += (
-                "; new pads: `tactile-cell commission --redo pads_at_rest`, new unit: `--redo "
-            )
-            advice += "unit`, in the folder of the commissioning"
+        advice = (
+            "check which unit and pads are plugged in; for new ones `tactile-cell commission "
+            "--redo unit` in the folder of the commissioning"
+        )
         return [check_result("control unit", str(error), advice, bad=Verdict.FAIL)]
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
     frames = np.stack([reading.frame.counts for reading in readings])

@@ -4,15 +4,17 @@ A person may leave at any moment. The findings are in commissioning.json of the 
 the next run begins with the first step that is not done.
 """
 
+import json
+import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple, NoReturn, Protocol
 
 from cell.checks.findings import STORE_NAME, Notes, ProposedChange, read_commissioned
 from cell.commissioning.bench import CONFIG_NAME, Bench
-from cell.commissioning.record import RECORD_NAME, record_text
 from cell.config.file import config_text, schema_text
 from cell.errors import CellError
 from cell.fault_catalogue import error_text
@@ -21,6 +23,10 @@ from cell.formats import COMMISSIONING, write_json
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 
+RECORD_NAME = "commissioning.md"
+"""File in the cell's folder: each step, finding, value and write, to sign and file."""
+_LONGEST = 100
+"""Characters of a value above which it is in commissioning.json only."""
 LIVE_CALL_S = 0.05
 """Time in s between two calls of `Dialog.live` while motors move: a person may stop them there."""
 
@@ -251,9 +257,29 @@ class Engine:
         return tuple(self.bench.folder / name for name in texts)
 
     def record(self) -> str:
-        """Return the record: each step with its findings, values and writes, to sign and file."""
-        titles = {step.key: step.title for step in self.steps}
-        return record_text(self.bench.config.name, titles, self.notes, self.approved)
+        """Return the record as Markdown: each step with its findings, values and writes."""
+        system = f"{platform.system()} {platform.release()}, Python {platform.python_version()}"
+        lines = [
+            f"# Commissioning of {self.bench.config.name}\n",
+            f"tactile-cell {version('tactile-cell')} on {platform.node()}, {system}\n",
+            "## Errors found and corrected\n",
+            *(f"- {line}" for line in self.corrected or ["none"]),
+        ]
+        for step in self.steps:
+            lines.append(f"\n## {step.title}\n")
+            if notes := self.notes.get(step.key):
+                lines.append(f"{notes.status}, {notes.began} to {notes.ended}\n")
+                lines += [f"- {line}" for line in notes.lines]
+                for name, value in (notes.settings | notes.values).items():
+                    text = json.dumps(value, default=list)
+                    if name in notes.settings or len(text) < _LONGEST:
+                        lines.append(f"- {name}: {text}")
+            else:
+                lines.append("not done\n")
+            for write in (write for write in self.approved if write.step == step.key):
+                change = f"{write.where}: {write.what}: {write.before} -> {write.after}"
+                lines.append(f"- approved {write.at}: {change}; undo: {write.undo}")
+        return "\n".join([*lines, "\nDate, name, signature:\n"])
 
     def _run(self, step: Step, dialog: Dialog) -> None:
         def log(writes: Sequence[ProposedChange]) -> None:

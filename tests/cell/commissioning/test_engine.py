@@ -11,8 +11,15 @@ from typer.testing import CliRunner
 
 from cell.checks.findings import STORE_NAME, Finding, Notes, ProposedChange, Verdict
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import CONFIG_NAME, Dialog, Engine, Question, Step, WizardAborted
-from cell.commissioning.record import RECORD_NAME
+from cell.commissioning.engine import (
+    CONFIG_NAME,
+    RECORD_NAME,
+    Dialog,
+    Engine,
+    Question,
+    Step,
+    WizardAborted,
+)
 from cell.commissioning.walk import all_steps
 from cell.config.file import changed_config, config_text, load_config
 from cell.errors import CellError, ConfigError
@@ -233,6 +240,6 @@ def test_the_record_has_steps_values_writes_and_a_place_to_sign(tmp_path: Path) 
     assert page.count("servo 1: ID (7): 1 -> 2; undo: write the old one back") == 2
     assert "## Errors found and corrected\n\n- servos was wrong" in page
     assert '- servos: [{"model": "XM430-W350", "firmware": 52}, {' in page
-    assert '- `gripper.port`: "/dev/ttyUSB0"' in page
+    assert '- gripper.port: "/dev/ttyUSB0"' in page
     assert "zeros" not in page
     assert page.endswith("signature:\n")
