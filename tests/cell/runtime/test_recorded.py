@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.archive.evaluate import evaluate_recognizers
 from cell.config.file import changed_config, config_text
 from cell.errors import CellError, ConfigError, ModelError, PositionerError, RequestRefused
+from cell.evaluation.evaluate import evaluate_recognizers
 from cell.files import json_bytes
 from cell.learning.model import load_model
 from cell.learning.progress import silent

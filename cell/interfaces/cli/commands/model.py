@@ -9,12 +9,12 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from cell.archive.compare import compare as compare_models
-from cell.archive.evaluate import EvaluationResult, evaluate_recognizers
-from cell.archive.selected_grasps import selected_grasps
 from cell.archive.selection import EVERYTHING, is_archive, parse_selection
-from cell.archive.spread import spread_gains, spread_values, with_spread
 from cell.errors import CellError, ConfigError, raised_as
+from cell.evaluation.compare import compare as compare_models
+from cell.evaluation.evaluate import EvaluationResult, evaluate_recognizers
+from cell.evaluation.selected_grasps import selected_grasps
+from cell.evaluation.spread import spread_gains, spread_values, with_spread
 from cell.files import write_text
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import (

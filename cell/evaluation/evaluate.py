@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
-from cell.archive.selected_grasps import LEFT_OUT, left_out_in_turn
 from cell.errors import CellError, raised_as
+from cell.evaluation.selected_grasps import LEFT_OUT, left_out_in_turn
 from cell.learning import training
 from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress

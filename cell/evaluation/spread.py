@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
-from cell.archive.compare import Comparison, compared
-from cell.archive.selected_grasps import LEFT_OUT, day_and_cell, left_out_in_turn
+from cell.evaluation.compare import Comparison, compared
+from cell.evaluation.selected_grasps import LEFT_OUT, day_and_cell, left_out_in_turn
 from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress
 from cell.learning.training import Trained, train
