@@ -13,7 +13,6 @@ from cell.config.section import (
     Installed,
     Section,
     declared_values,
-    refuse_repeats,
     setting_of,
 )
 from cell.errors import ConfigError, raised_as
@@ -242,14 +241,7 @@ class GripperConfig(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        refuse_repeats((servo.id for servo in self.servos), "the ids of the servos")
         for servo in self.servos:
-            most_a = MODELS[servo.model].stall_current_a
-            if self.current_max_a > most_a:
-                raise ValueError(
-                    f"current_max_a {self.current_max_a:g} is above the stall current of servo "
-                    f"{servo.id} ({servo.model}), {most_a:g} A; lower it"
-                )
             if self.watchdog_self_test and not MODELS[servo.model].profile_in_current_mode:
                 raise ValueError(
                     f"watchdog_self_test needs a slow motion, which servo {servo.id} "
@@ -266,6 +258,8 @@ class GripperConfig(Section):
                 f"{self.ramp_force_max_n:.2f}, the largest force of a ramp with "
                 f"force_max_n {self.force_max_n:g}"
             )
+        with raised_as(ValueError, LimitExceeded):
+            gripper_settings(self, overruns_max=1)
         return self
 
 

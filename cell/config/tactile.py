@@ -1,5 +1,6 @@
 """Config of the tactile sensor: pads, calibration, control unit or boards, and their lines."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
@@ -280,25 +281,23 @@ def layout_from_config(config: TactileConfig) -> TaxelLayout:
     """
     if isinstance(config.layout, str):
         return LAYOUTS[config.layout]()
-    spelled = config.layout
-    with raised_as(ConfigError, LayoutError, where="tactile.layout"):
-        return TaxelLayout(
-            name=spelled.name,
-            pads=tuple(
-                Pad(
-                    name=f"finger{pad.finger}.{pad.face}.{number}",
-                    finger=pad.finger,
-                    face=pad.face,
-                    rows=pad.rows,
-                    columns=pad.columns,
-                    pitch_x_m=pad.pitch_x_mm * 1e-3,
-                    pitch_y_m=pad.pitch_y_mm * 1e-3,
-                )
-                for number, pad in enumerate(spelled.pads)
-            ),
-            sample_bits=8 if spelled.adc_max <= 255 else 16,
-            adc_max=spelled.adc_max,
+    own, shape = config.layout, {"finger", "face", "rows", "columns"}
+    pads = [
+        Pad(
+            name=f"finger{pad.finger}.{pad.face}.{number}",
+            pitch_x_m=pad.pitch_x_mm * 1e-3,
+            pitch_y_m=pad.pitch_y_mm * 1e-3,
+            **pad.model_dump(include=shape),
         )
+        for number, pad in enumerate(own.pads)
+    ]
+    with raised_as(ConfigError, LayoutError, where="tactile.layout"):
+        return _layout(own.name, pads, own.adc_max)
+
+
+def _layout(name: str, pads: Sequence[Pad], adc_max: int) -> TaxelLayout:
+    sample_bits = 8 if adc_max <= 255 else 16
+    return TaxelLayout(name=name, pads=tuple(pads), sample_bits=sample_bits, adc_max=adc_max)
 
 
 def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
@@ -347,12 +346,7 @@ def layout_from_pads(pads: PadArray) -> TaxelLayout:
                 pitch_y_m=_pitch_m(xy_m[:columns, 1]),
             )
         )
-    return TaxelLayout(
-        name="recorded",
-        pads=tuple(made),
-        sample_bits=8 if pads.adc_max <= 255 else 16,
-        adc_max=pads.adc_max,
-    )
+    return _layout("recorded", made, pads.adc_max)
 
 
 def _pitch_m(coordinates_m: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:

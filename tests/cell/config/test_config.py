@@ -139,7 +139,10 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
         ),
         ("tactile: {layout: papr}\n", ["tactile.layout: ", "'papr'", "'paper', 'pinch'"]),
         ("gripper: {servos: [{id: 1, model: XL430-W250}]}\n", ["no Goal Current", "XM430-W350"]),
-        ("gripper: {current_max_a: 2.4}\n", ["current_max_a 2.4", "servo 1 (XM430-W350)", "2.3 A"]),
+        (
+            "gripper: {current_max_a: 2.4}\n",
+            ["max_a is 2.4 A, servo 1 (XM430-W350) makes at most 2.3 A"],
+        ),
         (
             "tactile: {calibration: {kind: linear, force_per_count_n: 0.001}}\n",
             ["asks for 8 N", "taxel saturates at 0.255 N", "up to 2.04 N"],
