@@ -10,12 +10,11 @@ from cell.evaluation.selected_grasps import LEFT_OUT, day_and_cell, left_out_in_
 from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress
 from cell.learning.training import Trained, train
-from recognition.drift.grid import DriftGrid, DriftPrior
+from recognition.drift.grid import DriftFollowing, DriftGrid, DriftPrior
 from recognition.drift.spread import learn_spread
 from recognition.evaluation.evaluation import Mapper, one_by_one
 from recognition.evaluation.splits import TrainTest
 from recognition.grasp import Grasp
-from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 
 _MOST_PARTS = 12
 """Parts that are left out in turn at most: each costs a training."""
@@ -39,9 +38,9 @@ def with_spread(trained: Trained, grasps: Sequence[Grasp]) -> tuple[Trained, Dri
     It takes a default recogniser without a self-zero, and several days or cells of one object.
     """
     recognizer = trained.recognizer
-    if not isinstance(recognizer, ForceRampRecognizer) or recognizer.zero is not None:
+    if not isinstance(recognizer, DriftFollowing) or recognizer.zero is not None:
         return trained, None
-    prior = learn_spread(grasps, day_and_cell(grasps), recognizer.rest)
+    prior = learn_spread(grasps, day_and_cell(grasps))
     if prior is None:
         return trained, None
     return replace(trained, recognizer=recognizer.with_grid(DriftGrid(prior=prior))), prior

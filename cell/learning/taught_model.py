@@ -14,7 +14,7 @@ from cell.learning.model import LoadedModel, check_pads, load_model, save_model
 from cell.learning.pad_knowledge import PadKnowledge
 from cell.learning.shape_reading import TaughtShapes
 from cell.learning.teaching_summary import ToldApart, told_apart
-from cell.learning.training import Trained, gaugeable, gauged, loaded, may_end_early, train
+from cell.learning.training import Trained, gaugeable, gauged, loaded, train
 from cell.learning.training_set import (
     TRAINING_SECTION,
     check_training_set,
@@ -29,7 +29,6 @@ from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.drift.self_zero import foam_change
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
-from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.shape.answer import ShapeAnswer
 
 
@@ -107,7 +106,9 @@ class TaughtModel:
     @property
     def ends_early(self) -> bool:
         """Whether ramps end early. Raises RequestRefused before teaching."""
-        return self.config.decides_early and may_end_early(self.recognizer)
+        recognizer = self.recognizer
+        may = isinstance(recognizer, DriftFollowing) and recognizer.ends_early
+        return self.config.decides_early and may
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -230,7 +231,7 @@ class TaughtModel:
 
     # -- drift ---------------------------------------------------------------------------------
 
-    def check_gauge(self, label: str) -> ForceRampRecognizer:
+    def check_gauge(self, label: str) -> DriftFollowing:
         """Return the recogniser if it can be gauged with an object; see `gaugeable`."""
         return gaugeable(self.check_taught(), label)
 
@@ -293,7 +294,7 @@ class TaughtModel:
     def _lacks(self, records: Sequence[GraspRecord]) -> Iterator[str]:
         """Yield remarks about missing parts of the model, and about a changed foam."""
         recognizer = self.recognizer
-        if not isinstance(recognizer, ForceRampRecognizer):
+        if not isinstance(recognizer, DriftFollowing):
             return
         today = records[-1].grasp.zero if records else None
         if recognizer.zero and today and (times := foam_change(recognizer.zero, today)):

@@ -13,7 +13,6 @@ from cell.plugins import RECOGNISERS
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior, Recognizer
-from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.shape.answer import ShapeAnswer
 
 
@@ -30,26 +29,18 @@ class Trained:
 
     def with_caution(self, caution: float) -> Self:
         """Return it with a caution, if its kind of recogniser has one."""
-        if not isinstance(self.recognizer, ForceRampRecognizer):
+        if not isinstance(self.recognizer, DriftFollowing):
             return self
-        return replace(self, recognizer=replace(self.recognizer, caution=caution))
+        return replace(self, recognizer=self.recognizer.with_caution(caution))
 
 
-def may_end_early(recognizer: Recognizer) -> bool:
-    """Return whether a recogniser may end ramps early: the default kind, with the opening.
-
-    By touch alone this is not shown, and little is gained (docs/explanations/sequences.md).
-    """
-    return isinstance(recognizer, ForceRampRecognizer) and recognizer.both is not None
-
-
-def gaugeable(model: Trained | LoadedModel, *labels: str) -> ForceRampRecognizer:
+def gaugeable(model: Trained | LoadedModel, *labels: str) -> DriftFollowing:
     """Return the recogniser of a model if it can be gauged with these objects.
 
     Raises ModelError if it is of another kind, and RequestRefused if an object was not taught.
     """
     recognizer = model.recognizer
-    if not isinstance(recognizer, ForceRampRecognizer):
+    if not isinstance(recognizer, DriftFollowing):
         raise ModelError(
             f"a model of {model.trainer_name} cannot be gauged; train a force_ramp model"
         )
@@ -61,9 +52,7 @@ def gaugeable(model: Trained | LoadedModel, *labels: str) -> ForceRampRecognizer
     return recognizer
 
 
-def gauged(
-    recognizer: ForceRampRecognizer, label: str, grasps: Sequence[Grasp]
-) -> ForceRampRecognizer:
+def gauged(recognizer: DriftFollowing, label: str, grasps: Sequence[Grasp]) -> DriftFollowing:
     """Return a recogniser gauged with new grasps of a taught object.
 
     Raises CellError if the object was not taught, or no grasp touched both pads.
@@ -122,9 +111,7 @@ drift are not requested, or the pads do not show the shape."""
 
 
 @one_blas_thread()
-def calibrate_model(
-    model: LoadedModel, grasps: Mapping[str, Sequence[Grasp]]
-) -> ForceRampRecognizer:
+def calibrate_model(model: LoadedModel, grasps: Mapping[str, Sequence[Grasp]]) -> DriftFollowing:
     """Return a copy of the taught recogniser after gauges.
 
     The model was taught before the drift; results of earlier gauges are dropped. Each gauge object
@@ -141,7 +128,7 @@ def calibrate_model(
 
 
 @one_blas_thread()
-def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRampRecognizer:
+def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> DriftFollowing:
     """Return a copy with the drift that the unnamed grasps of a shift show.
 
     Raises ModelError if the model is of a kind that cannot be gauged, or was taught on other pads,

@@ -6,6 +6,7 @@ under any taught object or a new one, to a power, because grasps share errors. A
 over the grid.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, Self, runtime_checkable
@@ -216,14 +217,31 @@ def _axis(mean: float, reach: float, step: float) -> NDArray[np.float64]:
 
 @runtime_checkable
 class DriftFollowing(Recognizer, Protocol):
-    """A recogniser that follows the drift by unnamed grasps."""
+    """A recogniser that follows the drift by unnamed grasps, and by gauges."""
 
     @property
     def grid(self) -> DriftGrid:
         """The drift since teaching by the grasps so far."""
 
+    @property
+    def zero(self) -> SelfZero | None:
+        """Self-zero of the teaching; None without one."""
+
+    @property
+    def ends_early(self) -> bool:
+        """Whether its answers to the first part of a ramp may end it."""
+
     def with_grid(self, grid: DriftGrid, /) -> Self:
         """Return a copy with another estimate of the drift."""
 
+    def with_caution(self, caution: float, /) -> Self:
+        """Return a copy that multiplies the odds of a new object by the caution."""
+
     def follow(self, grasp: Grasp, /) -> Self:
         """Return a copy after one more grasp of any object."""
+
+    def gauge(self, label: str, grasps: Sequence[Grasp], /) -> Self:
+        """Return a copy after a few grasps of a taught object; ValueError if they show nothing."""
+
+    def without_gauges(self) -> Self:
+        """Return a copy with the prior of the drift alone."""

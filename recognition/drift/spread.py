@@ -8,7 +8,7 @@ from recognition.drift.grid import DriftPrior
 from recognition.features.aperture import sizes_mm
 from recognition.grasp import Grasp
 from recognition.ramp.levels import load_levels
-from recognition.ramp.ramp import Rest
+from recognition.ramp.ramp import learn_rest
 from recognition.statistics.day_effects import day_effects
 
 _PRIOR_GROUPS = 3.0
@@ -17,7 +17,7 @@ _LEAST_LOG_GAIN_SD, _LEAST_OFFSET_SD_MM = 0.03, 0.3
 """Least deviations of gain (log) and opening: a step of the grid, and how objects are placed."""
 
 
-def learn_spread(grasps: Sequence[Grasp], groups: Sequence[str], rest: Rest) -> DriftPrior | None:
+def learn_spread(grasps: Sequence[Grasp], groups: Sequence[str]) -> DriftPrior | None:
     """Return the prior of the drift on a new day or cell; None where the grasps show none.
 
     Parameters
@@ -26,10 +26,8 @@ def learn_spread(grasps: Sequence[Grasp], groups: Sequence[str], rest: Rest) -> 
         Labelled grasps of n_groups days or cells.
     groups
         Day and cell of each of them.
-    rest
-        The untouched pads.
     """
-    levels = load_levels(grasps, rest)
+    levels = load_levels(grasps, learn_rest(grasps))
     loads = np.stack([maps[:, -1].sum(axis=1) for maps in levels.maps], axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         values = np.stack([np.log(loads).mean(axis=1), sizes_mm(levels)[:, 1]], axis=1)

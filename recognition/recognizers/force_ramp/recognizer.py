@@ -216,6 +216,18 @@ class ForceRampRecognizer(TaughtRecord):
         """Return a copy with another estimate of the drift."""
         return replace(self, grid=grid)
 
+    def with_caution(self, caution: float) -> Self:
+        """Return a copy that multiplies the odds of a new object by the caution."""
+        return replace(self, caution=caution)
+
+    @property
+    def ends_early(self) -> bool:
+        """Whether its answers to the first part of a ramp may end it: with the opening alone.
+
+        By touch alone this is not shown, and little is gained (docs/explanations/sequences.md).
+        """
+        return self.both is not None
+
     def _unchanged(self, grasp: Grasp) -> float | None:
         """Return the prior probability of no drift; None for that of the grid."""
         grid = self.grid_at(grasp)
@@ -243,7 +255,7 @@ class ForceRampRecognizer(TaughtRecord):
 
     def to_arrays(self, prefix: str = "") -> dict[str, NDArray[Any]]:
         """Return everything that was taught as plain arrays, without the unnamed grasps."""
-        return TaughtRecord.to_arrays(replace(self, caution=1.0), prefix)
+        return TaughtRecord.to_arrays(self.with_caution(1.0), prefix)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

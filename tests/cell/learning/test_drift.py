@@ -46,6 +46,7 @@ class Follower:
     """Finds a drift likely from the second grasp on, and no more from the fourth."""
 
     labels: tuple[str, ...] = ("ball", "box")
+    zero, ends_early = None, False
     grid: DriftGrid = field(default_factory=DriftGrid)
 
     def posterior(self, grasp: Grasp) -> Posterior:
@@ -61,6 +62,14 @@ class Follower:
 
     def with_grid(self, grid: DriftGrid) -> "Follower":
         return replace(self, grid=grid)
+
+    def with_caution(self, _caution: float) -> "Follower":
+        return self
+
+    def gauge(self, _label: str, _grasps: object) -> "Follower":
+        raise NotImplementedError
+
+    without_gauges = with_caution
 
     def follow(self, grasp: Grasp) -> "Follower":
         n = self.grid.n_followed + 1

@@ -126,20 +126,19 @@ def days(log_gain_sd: float, offset_sd_mm: float, n_days: int) -> tuple[list[Gra
 
 def test_the_spread_that_was_made_is_found() -> None:
     grasps, groups = days(0.15, 1.5, 30)
-    prior = learn_spread(grasps, groups, learn_rest(grasps))
+    prior = learn_spread(grasps, groups)
     assert prior.log_gain_sd == pytest.approx(0.15, rel=0.35)
     assert (prior.offset_sd_mm, prior.unchanged) == (pytest.approx(1.5, rel=0.35), 0.0)
 
 
 def test_few_days_leave_most_to_the_usual_spread_and_one_day_shows_none() -> None:
     grasps, groups = days(0.0, 0.0, 2)
-    rest = learn_rest(grasps)
-    prior = learn_spread(grasps, groups, rest)
+    prior = learn_spread(grasps, groups)
     assert 1.0 < prior.offset_sd_mm < DriftPrior().offset_sd_mm
-    assert learn_spread(grasps, ["0"] * len(grasps), rest) is None
+    assert learn_spread(grasps, ["0"] * len(grasps)) is None
     others = [f"{group} {grasp.label}" for group, grasp in zip(groups, grasps, strict=True)]
     apart = [g if g.endswith("ball") else "0" for g in others]
-    assert learn_spread(grasps[:12], apart[:12], rest) is None  # no object on two days
+    assert learn_spread(grasps[:12], apart[:12]) is None  # no object on two days
 
 
 # -- Drift of gain and opening: read, applied, undone, and found by a gauge object -----------------
