@@ -9,6 +9,7 @@ on the servo. Indirect addresses are left out: no program here uses them.
 import struct
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cache
 from typing import NamedTuple
 
 from gripper.dynamixel.control_table import REGISTERS, TORQUE_ENABLE, Register
@@ -99,7 +100,8 @@ def is_x330(model: ServoModel) -> bool:
     return model.number in _X330_MODELS
 
 
-def _items(model: ServoModel) -> dict[int, Item]:
+@cache
+def _items(model: ServoModel) -> Mapping[int, Item]:
     ranges = dict(_RANGES)
     ranges["current_limit"] = (0, model.current_limit_raw)
     ranges["velocity_limit"] = (0, 2047 if is_x330(model) else 1023)
@@ -122,7 +124,8 @@ def _items(model: ServoModel) -> dict[int, Item]:
     return items
 
 
-def _rh_p12_items() -> dict[int, Item]:
+@cache
+def _rh_p12_items() -> Mapping[int, Item]:
     items = {}
     for row in rh_p12.ROWS:
         alike = REGISTERS.get(row.name)

@@ -10,6 +10,8 @@ import itertools
 import math
 import random
 from collections import deque
+from functools import lru_cache
+from typing import Any
 
 from gripper.dynamixel.models import ServoModel
 from simulator.servo.control_table import is_x330
@@ -69,6 +71,13 @@ class VelocityRegister:
         self._velocity_rad_s += (mean_rad_s - self._velocity_rad_s) * self._share
 
 
+@lru_cache(maxsize=16)
+def _dithers(seed: str) -> tuple[list[float], tuple[Any, ...]]:
+    """Return deviations of the encoder in counts, and the state of the generator after them."""
+    generator = random.Random(seed)
+    return [generator.gauss(0.0, _DITHER_SD) for _ in range(_N_DITHERS)], generator.getstate()
+
+
 class ServoNoise:
     """Noise of one servo's measurements, the same for the same seed and order of reads.
 
@@ -77,8 +86,9 @@ class ServoNoise:
     """
 
     def __init__(self, seed: str) -> None:
-        self._random = random.Random(seed)
-        dithers = [self._random.gauss(0.0, _DITHER_SD) for _ in range(_N_DITHERS)]
+        dithers, state = _dithers(seed)
+        self._random = random.Random()
+        self._random.setstate(state)
         self.dither = itertools.cycle(dithers).__next__
         """Returns the next deviation of the encoder in counts."""
 

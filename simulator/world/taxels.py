@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -167,6 +168,7 @@ class PressureGrid:
         return force_n.ravel()
 
 
+@cache
 def _share_of_taxels(
     n_taxels: int, pitch_m: float, spread_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
