@@ -1,31 +1,26 @@
 """Serial ports of a cell: obstacles to their use, and their lasting names."""
 
-import grp
 import os
-import pwd
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from cell.checks.findings import Finding, Verdict, check_result
-from gripper.dynamixel.serial_port import (
-    latency_timer_file,
-    latency_timer_ms,
-    lock_device,
-    serial_candidates,
-)
+from gripper.dynamixel.serial_port import SerialStream, latency_timer_file, latency_timer_ms
+from gripper.errors import PortLost
 
 _LATENCY_MS = 1
 """Latency timer in ms that the force loop of 200 Hz needs."""
+_BAUD_RATE = 57600
+"""Baud rate in bit/s with which a port is opened for its check; any is good."""
 _ROOT = Path("/")
 """Folder of the system's folders dev, proc, run and sys."""
 
 
 def check_port(key: str, port: str) -> Iterator[Finding]:
-    """Check that this program can use a port, and that nothing delays or disturbs its bytes.
+    """Check that this program can open a port, and that nothing delays or disturbs its bytes.
 
-    Neither opens the port nor sends anything.
+    Nothing is sent.
 
     Parameters
     ----------
@@ -33,16 +28,14 @@ def check_port(key: str, port: str) -> Iterator[Finding]:
         Key of the port in the config, which names the check.
     """
     found, advice = port, ""
-    if command := _rights_command(port):
-        found = f"this user has no right to open {port}"
-        advice = f"{command}, then log out and in"
-    elif not Path(port).exists():
-        candidates = ", ".join(serial_candidates()) or "none"
-        found = f"{port} does not exist; serial ports here: {candidates}"
-        advice = f"plug in the adapter or correct {key}"
-    elif users := users_of(port):
+    if users := users_of(port):
         found = f"{port} is in use by {', '.join(users)}"
         advice = "end it (brltty takes such adapters: sudo apt remove brltty)"
+    else:
+        try:
+            SerialStream(port, _BAUD_RATE).close()
+        except PortLost as error:
+            found, advice = str(error), f"if {key} names another port, correct it"
     yield check_result(key, found, advice, ok=not advice, bad=Verdict.FAIL)
     timer_ms = latency_timer_ms(port)
     if timer_ms is not None:
@@ -65,8 +58,8 @@ def check_port(key: str, port: str) -> Iterator[Finding]:
 def users_of(port: str) -> tuple[str, ...]:
     """Return the programs that have a port open, e.g. ``name (process 12)``, without this one.
 
-    Only an administrator sees the names of other users' programs. The lock file shows a program of
-    this kind of each user. The maker of a pseudo-terminal is no user of it.
+    Only an administrator sees the programs of other users. The maker of a pseudo-terminal is no
+    user of it.
     """
     device = os.path.realpath(port)
     found = []
@@ -75,13 +68,6 @@ def users_of(port: str) -> tuple[str, ...]:
         with suppress(OSError):
             if device in [os.readlink(handle) for handle in (process / "fd").iterdir()]:
                 found.append(f"{name} (process {process.name})")
-    try:
-        os.close(lock_device(device))
-    except BlockingIOError:
-        found = found or ["another program of this kind"]
-    except OSError:
-        # The opening of the port reports it.
-        pass
     return tuple(found)
 
 
@@ -110,23 +96,6 @@ def udev_rule() -> str:
         'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", '
         f'ATTR{{latency_timer}}="{_LATENCY_MS}" in /etc/udev/rules.d/99-tactile-cell.rules'
     )
-
-
-def _rights_command(port: str) -> str:
-    """Return the command that permits this user to open a port; empty if not needed."""
-    device = Path(port)
-    if not device.exists() or os.access(device, os.R_OK | os.W_OK):
-        return ""
-    group = _name(grp.getgrgid, device.stat().st_gid)
-    return f"sudo usermod -a -G {group} {_name(pwd.getpwuid, os.getuid())}"
-
-
-def _name(find: Callable[[int], Any], number: int) -> str:
-    """Return the name of a group or user; its number where it has none, as in a container."""
-    try:
-        return str(find(number)[0])
-    except KeyError:
-        return str(number)
 
 
 def lasting_name(port: str) -> str:

@@ -25,7 +25,7 @@ def find_port(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     if Path(port).exists():
         checks = check_port("gripper.port", port)
         notes.findings += [one for one in checks if one.verdict is not Verdict.PASS]
-    if not notes.failed:
+    else:
         bench.lines.open_servos(port, 57600).close()
 
 

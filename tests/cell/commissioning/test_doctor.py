@@ -253,7 +253,7 @@ def test_each_wrong_port_is_named_with_what_to_do(monkeypatch, changes, keys) ->
     findings = examine(changed_config(small_config(**REAL), changes))
     missing = [finding for finding in findings if finding.verdict is Verdict.FAIL]
     assert [finding.what for finding in missing] == ["gripper.port", *keys]
-    assert all("does not exist" in one.found and one.what in one.advice for one in missing)
+    assert all("No such file" in one.found and one.what in one.advice for one in missing)
 
 
 def test_a_missing_extra_is_a_warning(monkeypatch) -> None:

@@ -1,12 +1,10 @@
 """Ports of the servos: found by their plugs, named by their adapters, and their obstacles."""
 
-import grp
 import os
-import pwd
 import subprocess
 import sys
-from contextlib import ExitStack
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -16,7 +14,6 @@ from cell.checks.ports import check_port, lasting_name, usb_identity, users_of
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import carry_out
 from cell.commissioning.ports import PORTS
-from gripper.dynamixel.serial_port import lock_device
 from gripper.errors import PortLost
 from simulator.cell import SimulatedCell
 from tests.cell.commissioning.hands import Script, SimulatedLines
@@ -59,22 +56,6 @@ def test_a_cell_without_any_port_asks_for_the_plug(tmp_path, lines) -> None:
     script = Script({"ports.plug_in": [lambda: None, plug_in]})
     assert carry_out(PORTS, Bench(tmp_path, lines), script).status is Verdict.PASS
     assert script.asked == ["ports.plug_in"] * 2
-
-
-@pytest.mark.parametrize("named", [True, False])
-def test_a_port_of_another_group_is_named_with_the_command(tmp_path, monkeypatch, named) -> None:
-    device = tmp_path / "tty"
-    device.touch(mode=0o600)
-    monkeypatch.setattr(ports.os, "access", lambda *_: False)
-    # A container may have no list of users.
-    entries = {grp: "staff", pwd: "robot"} if named else {}
-    monkeypatch.setattr(grp, "getgrgid", lambda _number: (entries[grp],))
-    monkeypatch.setattr(pwd, "getpwuid", lambda _number: (entries[pwd],))
-    bench = Bench(tmp_path, given={"gripper.port": str(device)})
-    found = carry_out(PORTS, bench, Script())
-    assert found.status is Verdict.FAIL
-    group, user = ("staff", "robot") if named else (str(device.stat().st_gid), str(os.getuid()))
-    assert f"sudo usermod -a -G {group} {user}, " in found.lines[-1]
 
 
 def test_a_port_that_is_taken_or_gone_is_named(tmp_path, lines) -> None:
@@ -159,8 +140,7 @@ def test_an_adapter_is_named_by_its_own_serial_number_or_else_by_its_socket(
     ("obstacle", "what", "verdict", "text"),
     [
         ("", "key", Verdict.PASS, ""),
-        ("missing", "key", Verdict.FAIL, "does not exist"),
-        ("locked", "key", Verdict.FAIL, "in use by another program of this kind"),
+        ("missing", "key", Verdict.FAIL, "cannot open serial port"),
         ("slow", "USB latency timer of key", Verdict.WARN, "waits up to 16 ms"),
         ("modems", "ModemManager at key", Verdict.WARN, "send commands"),
         ("modems in a container", "ModemManager at key", Verdict.WARN, "send commands"),
@@ -172,21 +152,16 @@ def test_each_obstacle_at_a_port_is_named(
 ) -> None:
     port = machine / "dev/ttyUSB0"
     if obstacle != "missing":
-        port.touch()
-    with ExitStack() as held:
-        if obstacle == "locked":
-            held.callback(os.close, lock_device(str(port)))
-        monkeypatch.setattr(
-            ports, "latency_timer_ms", lambda _port: 16 if obstacle == "slow" else 1
-        )
-        if "modems" in obstacle:
-            (process := machine / "proc/12").mkdir(parents=True)
-            (process / "comm").write_text("ModemManager\n")
-            if "container" not in obstacle:
-                (udev := machine / "run/udev/data").mkdir(parents=True)
-                kept = "E:ID_MM_DEVICE_IGNORE=1" if "kept" in obstacle else ""
-                (udev / "c189:1-1").write_text(f"E:ID_BUS=usb\n{kept}\n")
-        findings = [*check_port("key", str(port))]
+        monkeypatch.setattr(ports, "SerialStream", Mock())
+    monkeypatch.setattr(ports, "latency_timer_ms", lambda _port: 16 if obstacle == "slow" else 1)
+    if "modems" in obstacle:
+        (process := machine / "proc/12").mkdir(parents=True)
+        (process / "comm").write_text("ModemManager\n")
+        if "container" not in obstacle:
+            (udev := machine / "run/udev/data").mkdir(parents=True)
+            kept = "E:ID_MM_DEVICE_IGNORE=1" if "kept" in obstacle else ""
+            (udev / "c189:1-1").write_text(f"E:ID_BUS=usb\n{kept}\n")
+    findings = [*check_port("key", str(port))]
     bad = [one for one in findings if one.verdict is not Verdict.PASS]
     assert [(one.what, one.verdict) for one in bad] == [(what, verdict)] * bool(text)
     assert all(text in one.found and one.advice for one in bad)

@@ -1,6 +1,5 @@
 """The whole wizard on simulated cells in virtual time: from the box to the baseline."""
 
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +9,7 @@ import pytest
 from cell.checks.findings import Verdict
 from cell.commissioning.baseline import changed_hardware
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import CONFIG_NAME, Engine, Step, WizardAborted
+from cell.commissioning.engine import CONFIG_NAME, Engine, Step
 from cell.commissioning.link_quality import LINK_QUALITY, check_lines
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
@@ -21,13 +20,11 @@ from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
 from tactile.layout import PadMount, pinch_layout
-from tests.cell.commissioning.hands import Person, SimulatedLines
+from tests.cell.commissioning.hands import Person, Script, SimulatedLines
 
 pytestmark = pytest.mark.long
 
 EXCHANGED = (PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0))
-PADS = ("taxels.force_gain=0.8", "unit.pads_swapped", "taxels.stuck_at=3:0")
-SERVOS = ("servo1.factory", "servo2.factory", "servo2.turned", "servo1.horn=164")
 
 
 def brisk_steps() -> list[Step]:
@@ -36,72 +33,36 @@ def brisk_steps() -> list[Step]:
     return [short if step.key == short.key else step for step in all_steps()]
 
 
-def brought_up(
-    folder: Path,
-    *faults: str,
-    leave_at: tuple[str, ...] = (),
-    boards: tuple[int, int] = (1, 2),
-    bitrate: int = 1_000_000,
-) -> Person:
-    """Run the wizard until it is finished, as the command does; returns who did it."""
+def brought_up(folder: Path, boards: tuple[int, int] = (1, 2)) -> Script:
+    """Run the wizard until it is finished, as the command does; returns what was said and found."""
     settings = SimulatorSettings(
         layout=pinch_layout(),
         noise=NoiseModel(level=0.4),
-        faults=faults,
-        can_bitrate=bitrate,
         aperture_m=0.03,
         board_serial_numbers=boards,
     )
     with SimulatedCell(settings) as cell:
         person = Person(cell)
-        person.script.leave_at = list(leave_at)
         given = {"tactile.interface": "socketcan", "tactile.channel": "can0"}
-        for _ in range(len(leave_at) + 1):
-            bench = Bench(folder, SimulatedLines(cell), given=given)
-            engine = Engine(brisk_steps(), bench)
-            for change in changed_hardware(bench):
-                engine.redo(change.step)
-            with suppress(WizardAborted):
-                engine.run(person.script)
+        engine = Engine(brisk_steps(), Bench(folder, SimulatedLines(cell), given=given))
+        for change in changed_hardware(engine.bench):
+            engine.redo(change.step)
+        engine.run(person.script)
         torque = [s.core.registers.get("torque_enable") for s in cell.devices.servo_bus.servos]
         assert torque == [0, 0]
-    assert not person.script.leave_at
-    return person
+    return person.script
 
 
 def test_a_sound_cell_is_brought_up_without_a_warning(tmp_path) -> None:
-    found = brought_up(tmp_path).script.findings
+    found = brought_up(tmp_path).findings
     assert {key: one.lines for key, one in found.items() if one.status is not Verdict.PASS} == {}
     config = load_config(tmp_path / CONFIG_NAME)
     assert config.tactile.mounting == ()
     assert config.tactile.board_serial_numbers == (1, 2)
     # The same cell with another pad on finger 1.
-    again = brought_up(tmp_path, boards=(1, 9)).script
+    again = brought_up(tmp_path, boards=(1, 9))
     assert again.began == ["pads_at_rest", "pads_pressed", "pads_law", "first_force", "baseline"]
     assert load_config(tmp_path / CONFIG_NAME).tactile.board_serial_numbers == (1, 9)
-
-
-def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_path) -> None:
-    leave_at = ("fingers.kind", "pads_law.1.2", "first_force.part")
-    person = brought_up(tmp_path, *PADS, *SERVOS, leave_at=leave_at, bitrate=500_000)
-    found = person.script.findings
-    said = "\n".join(line for one in found.values() for line in one.lines)
-    for named in (
-        "Bit rate 500,000 bit/s",
-        "1 taxel is dead",
-        "finger0.inner in that of finger1.inner, finger1.inner in",
-        "tactile.calibration.gain was 1, is now 1.2",
-        "its horn sits +14",
-    ):
-        assert named in said
-    assert all(one.status is not Verdict.FAIL for one in found.values())
-    config = load_config(tmp_path / CONFIG_NAME)
-    mounts = [PadMount(**mount.model_dump()) for mount in config.tactile.mounting]
-    assert mounts == [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
-    one, four = found["first_force"].values["asked_held_peak_n"]
-    assert one[1] == pytest.approx(1.0, abs=0.2)
-    assert four[1] == pytest.approx(4.0, abs=0.3)
-    assert person.pressed_n == pytest.approx(4.2, abs=0.4)
 
 
 CONFIGS = Path(__file__).parents[3] / "config"
@@ -159,5 +120,6 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, m
 
 
 def test_the_tutorial_shows_what_is_printed() -> None:
+    """A cell of wrong hardware, from the box to the gauge object."""
     _, shown = TRANSCRIPT.read_text("utf-8").split("\n", 1)
     assert transcript().split() == shown.split()
