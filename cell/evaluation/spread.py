@@ -8,8 +8,9 @@ from typing import Any
 from cell.evaluation.compare import Comparison, compared
 from cell.evaluation.selected_grasps import LEFT_OUT, day_and_cell, left_out_in_turn
 from cell.learning.blas import one_blas_thread
+from cell.learning.model import Trained
 from cell.learning.progress import Progress
-from cell.learning.training import Trained, train
+from cell.learning.training import train
 from recognition.drift.grid import DriftFollowing, DriftGrid, DriftPrior
 from recognition.drift.spread import learn_spread
 from recognition.evaluation.evaluation import Mapper, one_by_one

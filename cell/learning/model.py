@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Self, TypeVar, cast
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
@@ -22,6 +22,7 @@ from cell.files import DAMAGE, read_npz, savez, write_atomically
 from cell.formats import MODEL, PROGRAM
 from cell.plugins import RECOGNISERS
 from cell.recording.grasp_limits import text_refused
+from recognition.drift.grid import DriftFollowing
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Recognizer
@@ -86,21 +87,36 @@ _OWN_SECTIONS = ("model", "learnt", "pads")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LoadedModel:
-    """Content of a model file that fits this program."""
+class Trained:
+    """Result of a training: the content of a model file."""
 
     recognizer: Recognizer
     """The recogniser, ready to answer."""
     trainer_name: str
-    """Name of its kind, one of `cell.plugins.RECOGNISERS`."""
-    labels: tuple[str, ...]
-    """The taught objects."""
+    """Its kind, one of `cell.plugins.RECOGNISERS`."""
+    sections: Mapping[str, Arrays] = field(default_factory=dict)
+    """Further arrays of the model file by section."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The taught objects."""
+        return self.recognizer.labels
+
+    def with_caution(self, caution: float) -> Self:
+        """Return it with a caution, if its kind of recogniser has one."""
+        if not isinstance(self.recognizer, DriftFollowing):
+            return self
+        return replace(self, recognizer=self.recognizer.with_caution(caution))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadedModel(Trained):
+    """Content of a model file that fits this program."""
+
     pads: PadArray
     """The pads that it was taught on."""
-    path: Path = Path()
+    path: Path
     """The file."""
-    sections: Mapping[str, Arrays] = field(default_factory=dict)
-    """Further arrays of the file by section."""
 
 
 def layout_hash(pads: PadArray) -> str:
@@ -183,16 +199,16 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
     kind = _class_of(path, trainer_name, str(header.get("class")))
     learnt = _section(arrays, _PREFIX)
 
-    def rehearsed() -> tuple[Recognizer, tuple[str, ...]]:
+    def rehearsed() -> Recognizer:
         recognizer = kind.from_arrays(learnt)
         for label in recognizer.labels:
             if wrong := text_refused("label", label):
                 raise ValueError(f"a label {wrong}")
         _rehearse(recognizer, _made_up_grasp(pads))
-        return recognizer, tuple(recognizer.labels)
+        return recognizer
 
-    recognizer, labels = _built(path, rehearsed)
-    if list(labels) != header.get("labels"):
+    recognizer = _built(path, rehearsed)
+    if list(recognizer.labels) != header.get("labels"):
         raise ModelError(
             f"{path} names other labels in its header than in its arrays; train it again"
         )
@@ -200,7 +216,6 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
     return LoadedModel(
         recognizer=recognizer,
         trainer_name=trainer_name,
-        labels=labels,
         pads=pads,
         path=path,
         sections={n: _section(arrays, f"{n}.") for n in sorted(names.difference(_OWN_SECTIONS))},

@@ -10,11 +10,11 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.records import GraspRecord, pad_array
 from cell.errors import CellError, CellStateError, RequestRefused, TrainingSetMissing
-from cell.learning.model import LoadedModel, check_pads, load_model, save_model
+from cell.learning.model import LoadedModel, Trained, check_pads, load_model, save_model
 from cell.learning.pad_knowledge import PadKnowledge
 from cell.learning.shape_reading import TaughtShapes
 from cell.learning.teaching_summary import ToldApart, told_apart
-from cell.learning.training import Trained, gaugeable, gauged, loaded, train
+from cell.learning.training import gaugeable, gauged, train
 from cell.learning.training_set import (
     TRAINING_SECTION,
     check_training_set,
@@ -71,7 +71,7 @@ class TaughtModel:
         if model is not None:
             check_pads(model, self._pads)
             check_training_set(model, self.training_set)
-            self._trained = loaded(model, config)
+            self._trained = model.with_caution(config.recognition.caution)
 
     @classmethod
     def load(
@@ -113,7 +113,7 @@ class TaughtModel:
     @property
     def labels(self) -> tuple[str, ...]:
         """The taught objects."""
-        return () if self._trained is None else self._trained.recognizer.labels
+        return () if self._trained is None else self._trained.labels
 
     @property
     def drift(self) -> DriftGrid | None:

@@ -1,40 +1,19 @@
 """Training: from labelled grasps to a model and back; what recorded grasps show with a model."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Self
 
-from cell.config.model import CellConfig
 from cell.control.identification import ReadShape
 from cell.errors import CellError, ModelError, RequestRefused, TooFewGrasps, raised_as
 from cell.learning.blas import one_blas_thread
-from cell.learning.model import Arrays, LoadedModel, check_pads
+from cell.learning.model import LoadedModel, Trained, check_pads
 from cell.plugins import RECOGNISERS
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
-from recognition.recognizer import Posterior, Recognizer
+from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trained:
-    """Result of a training: the content of a model file."""
-
-    recognizer: Recognizer
-    """The recogniser."""
-    trainer_name: str
-    """Its kind, one of `cell.plugins.RECOGNISERS`."""
-    sections: Mapping[str, Arrays] = field(default_factory=dict)
-    """Further sections of the model file."""
-
-    def with_caution(self, caution: float) -> Self:
-        """Return it with a caution, if its kind of recogniser has one."""
-        if not isinstance(self.recognizer, DriftFollowing):
-            return self
-        return replace(self, recognizer=self.recognizer.with_caution(caution))
-
-
-def gaugeable(model: Trained | LoadedModel, *labels: str) -> DriftFollowing:
+def gaugeable(model: Trained, *labels: str) -> DriftFollowing:
     """Return the recogniser of a model if it can be gauged with these objects.
 
     Raises ModelError if it is of another kind, and RequestRefused if an object was not taught.
@@ -87,16 +66,6 @@ def train(
             f"{name} cannot be trained on these {len(grasps)} grasps: {error}"
         ) from error
     return Trained(recognizer=recognizer, trainer_name=name)
-
-
-def loaded(model: LoadedModel, config: CellConfig) -> Trained:
-    """Return a model file as trained, with the caution of the config."""
-    trained = Trained(
-        recognizer=model.recognizer,
-        trainer_name=model.trainer_name,
-        sections=model.sections,
-    )
-    return trained.with_caution(config.recognition.caution)
 
 
 GAUGE_GRASPS = 3

@@ -17,9 +17,9 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
 from cell.errors import CellError, CellStopped, ConfigError, ModelError
 from cell.interfaces.cli.app import app
-from cell.learning.model import load_model, save_model
+from cell.learning.model import Trained, load_model, save_model
 from cell.learning.taught_model import TaughtModel
-from cell.learning.training import Trained, calibrate_model, identify_recorded, train
+from cell.learning.training import calibrate_model, identify_recorded, train
 from cell.recording.reader import read_recording
 from cell.runtime import tasks
 from cell.runtime.goals import IdentifyGoal, TeachGoal

@@ -1,6 +1,5 @@
 """`identify`: names the object in the grip, or the objects of recorded grasps."""
 
-from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated, Literal
@@ -22,7 +21,7 @@ from cell.interfaces.cli.terminal import percent, show
 from cell.learning.model import load_model
 from cell.learning.pad_knowledge import pad_knowledge
 from cell.learning.shape_reading import NO_SHAPE, beside, shape_reader
-from cell.learning.training import identify_recorded, loaded
+from cell.learning.training import identify_recorded
 from cell.recording.dataset import read_grasps
 from cell.runtime.goals import IdentifyGoal
 from cell.runtime.sort import drawn_object
@@ -126,8 +125,8 @@ def _identify_recorded(
     json_file: Path | None,
 ) -> None:
 
-    found, recorded = load_model(model), read_grasps(dataset)
-    found = replace(found, recognizer=loaded(found, config).recognizer)
+    found = load_model(model).with_caution(config.recognition.caution)
+    recorded = read_grasps(dataset)
     answers = identify_recorded(found, recorded, follow=follow, read_shape=read_shape)
     lines, shown = list[str](), []
     for number, (grasp, answer) in enumerate(zip(recorded, answers, strict=True)):
