@@ -76,7 +76,6 @@ class UskinConfig(SensorConfig):
             self._ids(),
             clock=lines.clock,
             falling=self.falling,
-            threaded=lines.real_time,
             reopen=lines.reopen_can,
             **tactile.source_options,
         )

@@ -4,6 +4,7 @@ Some adapters also return the messages that the host sent; the sources drop them
 """
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -182,6 +183,9 @@ MessageSource = PolledSource | ThreadedReceiver
 """Source of received messages in their order, each with its monotonic time."""
 
 
-def message_source(bus: can.BusABC, clock: Clock, *, threaded: bool) -> MessageSource:
-    """Return what receives the messages of a bus: a thread, or the caller who polls."""
-    return (ThreadedReceiver if threaded else PolledSource)(bus, clock)
+def message_source(bus: can.BusABC, clock: Clock) -> MessageSource:
+    """Return what receives the messages of a bus.
+
+    It is a thread in real time, and the caller who polls under the clock of a simulated bus.
+    """
+    return (ThreadedReceiver if clock is time else PolledSource)(bus, clock)

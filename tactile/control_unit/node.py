@@ -120,7 +120,7 @@ class TactileLink:
     node_id
         CANopen node-ID of the unit, 1 to 127.
     clock
-        Monotonic time; real time if ``settings.threaded``.
+        Monotonic time: the module ``time``, or that of a simulated bus.
     force_table
         Object 0x2141, the table for the unit's sum of the force; None: no force messages.
     reopen
@@ -151,7 +151,7 @@ class TactileLink:
         # The unit's sums are valid only for the gripping pads in their mounting.
         sums = self.settings.force_period_s and self._mounting.unit_can_sum
         self._force_table = force_table if sums else None
-        self._source = message_source(self._bus, self._clock, threaded=self.settings.threaded)
+        self._source = message_source(self._bus, self._clock)
         self._running = False
         self.fault: LinkFault | None = None
         """The latched fault, None without one."""
@@ -225,7 +225,7 @@ class TactileLink:
         lost = isinstance(self.fault, BusOff | ReceiveLoopDead)
         if self._reopen is not None and (lost or isinstance(self._bus, MissingBus)):
             self._bus = self._reopen()
-            self._source = message_source(self._bus, self._clock, threaded=self.settings.threaded)
+            self._source = message_source(self._bus, self._clock)
         self._running = True
         self.fault = None
         self._reset()

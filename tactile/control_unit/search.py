@@ -16,7 +16,7 @@ from tactile.can.sdo_client import ObjectAccess
 from tactile.clock import Clock
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import TactileLink
-from tactile.control_unit.settings import LinkSettings, NodeIdentity
+from tactile.control_unit.settings import NodeIdentity
 from tactile.control_unit.setup import read_identity
 from tactile.errors import BusOff, NodeMissing
 from tactile.layout import TaxelLayout, paper_layout
@@ -49,7 +49,7 @@ class _Listener:
 
     def __init__(self, bus: can.BusABC) -> None:
         self.clock: Clock = getattr(bus, "clock", time)
-        self._source = message_source(bus, self.clock, threaded=self.clock is time)
+        self._source = message_source(bus, self.clock)
         self._messages = self._errors = 0
         self._scanner = NodeScanner()
 
@@ -189,8 +189,4 @@ def read_vendor(bus: can.BusABC, node_id: int) -> tuple[int, int]:
 def _objects_of(bus: can.BusABC, node_id: int) -> AbstractContextManager[ObjectAccess]:
     """Return access to the objects of a node, whatever it is; its frames are not looked at."""
     clock: Clock = getattr(bus, "clock", time)
-    settings = LinkSettings(threaded=clock is time)
-    layout = paper_layout()
-    return TactileLink(
-        bus, node_id=node_id, layout=layout, clock=clock, settings=settings
-    ).reading()
+    return TactileLink(bus, node_id=node_id, layout=paper_layout(), clock=clock).reading()

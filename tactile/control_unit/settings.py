@@ -91,8 +91,6 @@ class LinkSettings:
     is for a simulated unit that shares the processors of the host."""
     mounts: tuple[PadMount, ...] = ()
     """Pads with another mounting than in the layout."""
-    threaded: bool = True
-    """True: a thread receives (real buses). False: `poll` reads the bus (buses in memory)."""
 
     @property
     def force_timeout_s(self) -> float:

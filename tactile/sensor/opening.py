@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -89,13 +88,12 @@ def open_link(
     reopen: Callable[[], CanBus] | None = None,
 ) -> TactileLink:
     """Return the link to the control unit on an open bus; arguments as `open_sensor`."""
-    clock: Clock = getattr(bus, "clock", time)
     return TactileLink(
         bus,
         node_id=node_id,
         layout=layout,
-        clock=clock,
-        settings=replace(link or LinkSettings(), threaded=clock is time),
+        clock=getattr(bus, "clock", time),
+        settings=link,
         force_table=force_table(layout, calibration),
         reopen=reopen,
     )

@@ -110,8 +110,6 @@ class UskinSource(PolledBoards[_Board]):
         Identifiers of the board on finger 0 and on finger 1.
     falling
         Whether z falls under a force; counts rise in both cases.
-    threaded
-        True: a thread receives (real buses). False: `poll` reads the bus (buses in memory).
     reopen
         Opens the bus again after its loss.
     options
@@ -130,17 +128,16 @@ class UskinSource(PolledBoards[_Board]):
         layout: TaxelLayout,
         clock: Clock,
         falling: bool = False,
-        threaded: bool = True,
         reopen: Callable[[], can.BusABC] | None = None,
         **options: Any,
     ) -> None:
         check_layout(layout, boards)
         parts = [_Board(finger, ids) for finger, ids in enumerate(boards)]
         super().__init__("uSkin", parts, layout=layout, clock=clock, period_s=PERIOD_S, **options)
-        self._bus, self._reopen, self._threaded = bus, reopen, threaded
+        self._bus, self._reopen = bus, reopen
         self._owner = {i: board for board in self._boards for i in board.ids.taxels}
         self._falling = falling
-        self._source = message_source(self._bus, self.clock, threaded=self._threaded)
+        self._source = message_source(self._bus, self.clock)
 
     def _absent(self, board: _Board) -> str:
         n_taxels = len(board.ids.taxels)
@@ -155,7 +152,7 @@ class UskinSource(PolledBoards[_Board]):
         lost = isinstance(self._fault, BusOff | ReceiveLoopDead)
         if self._reopen is not None and (lost or isinstance(self._bus, MissingBus)):
             self._bus = self._reopen()
-            self._source = message_source(self._bus, self.clock, threaded=self._threaded)
+            self._source = message_source(self._bus, self.clock)
         self._source.start()
         for board in self._boards:
             try:

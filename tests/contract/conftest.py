@@ -224,7 +224,6 @@ def unit(
             settings=LinkSettings(
                 sync_period_s=wanted.sync_period_ms * 1e-3,
                 heartbeat_s=wanted.heartbeat_ms * 1e-3,
-                threaded=request.param == "hardware",
             ),
         )
         found = Unit(bus=bus, clock=clock, node_id=wanted.node_id, link=link)

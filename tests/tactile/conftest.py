@@ -62,7 +62,7 @@ class Bench:
             node_id=NODE,
             layout=layout,
             clock=self.clock,
-            settings=LinkSettings(**({"threaded": False} | settings)),  # type: ignore[arg-type]
+            settings=LinkSettings(**settings),  # type: ignore[arg-type]
             force_table=table,
         )
         self.clock.sleep(BOOT_S)

@@ -52,7 +52,6 @@ def make_source(cell: SimulatedCell, ids: list[BoardIds], **changes: object) -> 
         ids,
         layout=LAYOUT,
         clock=cell.clock,
-        threaded=False,
         reopen=cell.open_can_bus,
         **changes,  # type: ignore[arg-type]
     )
