@@ -61,6 +61,7 @@ class Script(Dialog):
 
     def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
         self.asked.append(question.key)
+        assert self.asked.count(question.key) < 50, f"asked again and again: {question}"
         self.questions.append(question)
         self.said.append(question.text)
         if question.key in self.leave_at:
