@@ -88,7 +88,8 @@ class Bench:
         self.lines = lines or LineOpener()
         self.given: Mapping[str, Any] = given or {}
         self.settings: Mapping[str, Any] = {}
-        """Values of the config by dotted key that the steps have found so far."""
+        """Values of the config by dotted key that the steps have found so far, also the running
+        one."""
         self.found: Mapping[str, Mapping[str, Any]] = {}
         """Values of the findings so far, by the key of the step."""
 

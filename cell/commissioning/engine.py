@@ -6,6 +6,7 @@ the next run begins with the first step that is not done.
 
 import json
 import platform
+from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -154,6 +155,8 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Notes | None = No
     if step.needs_pads and bench.gripper_alone:
         notes.warn("This gripper has no pads: connect its control unit, then `--redo unit`.")
         return notes
+    earlier = bench.settings
+    bench.settings = ChainMap(notes.settings, dict(earlier))
     try:
         step.run(bench, dialog, notes)
     except WizardAborted:
@@ -163,6 +166,8 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Notes | None = No
     except (CellError, GripperError, TactileError) as error:
         # A pulled cable, a full disk: after the repair the step runs again.
         notes.fail(error_text(error))
+    finally:
+        bench.settings = earlier
     if notes.failed:
         notes.settings.clear()
     return notes

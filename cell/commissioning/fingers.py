@@ -464,8 +464,7 @@ class _Hands:
 
     def _first_motion(self, widest_m: float) -> None:
         """Open each finger by a little, at the least current, then ask whether it did."""
-        found = {key.removeprefix("gripper."): v for key, v in self._notes.settings.items()}
-        config = self._bench.gripper(**found)
+        config = self._bench.gripper()
         linkage = linkage_of(config)
         settings = gripper_settings(config, overruns_max=1)
         # The largest plausible friction.

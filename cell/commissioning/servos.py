@@ -123,13 +123,9 @@ def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             f"{len(fingers)} servos answer on {port}, a gripper has one or two: give each servo of "
             "an axis a port of its own"
         )
-    notes.settings["gripper.baud_rate"] = rate
-    notes.settings["gripper.servos"] = [
-        {"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers
-    ]
+    found = [{"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers]
     notes.values["servos"] = [
-        {"id": one.servo_id, "model": model_name(one.model_number), "firmware": one.firmware}
-        for one in fingers
+        servo | {"firmware": one.firmware} for servo, one in zip(found, fingers, strict=True)
     ]
     volts = set()
     for one in fingers:
@@ -149,6 +145,7 @@ def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         )
     if notes.failed:
         return
+    notes.settings |= {"gripper.baud_rate": rate, "gripper.servos": found}
     with bench.servo_bus(port, rate) as bus:
         _set_up(bench, bus, dialog, fingers, notes)
         for one in fingers:

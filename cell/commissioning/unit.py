@@ -136,7 +136,7 @@ def find_unit(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         unit = read_unit(bus, _node(bus, heard, dialog, notes))
         layout = _judge(unit, bench, notes)
         _fit_period(layout, bitrate, bench, notes)
-        tactile = _so_far(bench, notes)
+        tactile = bench.tactile()
         link = link_settings(tactile)
         dialog.approve(_writes(unit, link))
         with open_sensor(bus, layout, node_id=tactile.node_id, link=link) as sensor:
@@ -156,12 +156,6 @@ def find_unit(bench: Bench, dialog: Dialog, notes: Notes) -> None:
 
 
 UNIT = Step(find_unit, "unit", "Control unit and its CAN bus", needs=("ports",))
-
-
-def _so_far(bench: Bench, notes: Notes) -> TactileConfig:
-    """Return the section of the config with what this step has found."""
-    found = {key.removeprefix("tactile."): value for key, value in notes.settings.items()}
-    return bench.tactile(**found)
 
 
 def _find_boards(bench: Bench, dialog: Dialog, notes: Notes) -> None:
@@ -185,7 +179,7 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         notes.settings["tactile.sensor"] = tactile.sensor.model_dump() | {"ports": names}
         if any("/by-path/" in name for name in names):
             notes.fact("Boards without serial numbers are named by their USB sockets: leave them.")
-    tactile = _so_far(bench, notes)
+    tactile = bench.tactile()
     with _started(bench, tactile) as boards:
         began_s = boards.read().t_s
         for _ in range(_RATE_FRAMES):
