@@ -119,15 +119,6 @@ class LoadedModel(Trained):
     """The file."""
 
 
-def layout_hash(pads: PadArray) -> str:
-    """Return a hash of the pads, 16 hex digits: shapes, places to 1 um, full scale."""
-    digest = hashlib.sha256()
-    for array in (pads.pad_shape, pads.taxel_pad, np.rint(pads.taxel_xy_m * 1e6)):
-        digest.update(np.asarray(array, dtype="<i8").tobytes() + b"|")
-    digest.update(str(pads.adc_max).encode())
-    return digest.hexdigest()[:16]
-
-
 def save_model(
     path: Path | str,
     recognizer: Recognizer,
@@ -170,7 +161,6 @@ def save_model(
         "trainer": trainer_name,
         "class": kind.__name__,
         "labels": list(recognizer.labels),
-        "layout_hash": layout_hash(pads),
         "sha256": _digest(arrays),
     }
     arrays = {_HEADER: np.array(json.dumps(header)), **arrays}
@@ -188,13 +178,8 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
     header = _header(path, arrays)
     _check_numbers(path, arrays)
     pads = _pads(path, arrays)
-    if header.get("layout_hash") != layout_hash(pads):
-        raise ModelError(f"{path}: its pads do not have its layout hash; take another copy of it")
-    if expected_pads is not None and not pads.same_as(expected_pads):
-        raise ModelError(
-            f"{path} was taught on {_describe(pads)}, the cell has {_describe(expected_pads)}; "
-            "teach again on these pads, or name the right layout in the config"
-        )
+    if expected_pads is not None:
+        _check_same(path, pads, expected_pads)
     trainer_name = str(header.get("trainer"))
     kind = _class_of(path, trainer_name, str(header.get("class")))
     learnt = _section(arrays, _PREFIX)
@@ -224,11 +209,15 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
 
 def check_pads(model: LoadedModel, pads: PadArray) -> None:
     """Raise ModelError for a model that was trained on other pads."""
-    if not model.pads.same_as(pads):
+    _check_same(model.path, model.pads, pads)
+
+
+def _check_same(path: Path, taught: PadArray, pads: PadArray) -> None:
+    if not taught.same_as(pads):
         raise ModelError(
-            f"the model was taught on {model.pads.n_taxels} taxels in {model.pads.n_pads} pads, "
-            f"these grasps have {pads.n_taxels} in {pads.n_pads}{what_differs(model.pads, pads)}; "
-            "teach on these pads"
+            f"{path} was taught on {taught.n_taxels} taxels in {taught.n_pads} pads, these are "
+            f"{pads.n_taxels} in {pads.n_pads}{what_differs(taught, pads)}; teach again on these "
+            "pads, or name the right layout in the config"
         )
 
 
@@ -324,8 +313,3 @@ def _class_of(path: Path, trainer_name: str, class_name: str) -> type[Recognizer
     if not isinstance(found, type) or not hasattr(found, "from_arrays"):
         raise ModelError(f"{path}: {trainer_name} has no recogniser named {class_name!r}")
     return cast("type[Recognizer]", found)
-
-
-def _describe(pads: PadArray) -> str:
-    shapes = " + ".join(f"{rows}x{columns}" for rows, columns in pads.pad_shape.tolist())
-    return f"{shapes} taxels up to {pads.adc_max} (layout {layout_hash(pads)})"
