@@ -333,6 +333,5 @@ def _boards(boards: tuple[int, int], config: CellConfig) -> Finding:
     found += "; tactile.board_serial_numbers is empty: exchanged pads are not detected"
     advice = "these boards look the same: press each pad after every work on the cables"
     if boards[0] != boards[1]:
-        numbers = f"[{boards[0]}, {boards[1]}]"
-        advice = f"press each pad to check its finger, then write {numbers} into the config"
+        advice = f"press each pad to check its finger, then write {[*boards]} into the config"
     return check_result("pads' boards", found, advice)

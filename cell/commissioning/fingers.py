@@ -31,29 +31,23 @@ from gripper.settings import GripperSettings
 
 Kind = Literal["parallel", "pinion", "swinging"]
 KINDS: dict[Kind, str] = {
-    "parallel": "the pads stay parallel, on links that point straight ahead when closed",
-    "pinion": "the fingers slide straight, on racks with a pinion",
-    "swinging": "the fingers swing, or their links stand askew when closed",
-}
-"""Kinds of linkage that are fitted, with their descriptions."""
-SKETCHES: dict[Kind, str] = {
-    "parallel": r"""
+    "parallel": r"""the pads stay parallel, on links that point straight ahead when closed
          ## ##          ##      ##
          ## ##          ##      ##
         | | | |        / /      \ \
         o o o o       o o        o o""",
-    "pinion": r"""
+    "pinion": r"""the fingers slide straight, on racks with a pinion
          ## ##          ##      ##
          ## ##          ##      ##
         =======       =====    =====
           (O)              (O)""",
-    "swinging": r"""
+    "swinging": r"""the fingers swing, or their links stand askew when closed
          ## ##         ##        ##
          ## ##          ##      ##
           | |             \    /
           o o              o  o""",
 }
-"""Picture of each kind: closed on the left, open on the right."""
+"""Kinds of linkage that are fitted; closed on the left, open on the right."""
 
 Pulses = NDArray[np.int_]
 """Present Position of each servo in pulses, in the order of the fingers."""
@@ -395,8 +389,9 @@ class _Hands:
             "fingers.kind",
             f"How do the fingers move? The measurements fit {best}",
             {
-                fit.kind: f"{KINDS[fit.kind]} ({fit.linkage}; residual "
-                f"{fit.residual_m * 1e3:.2f} mm){SKETCHES[fit.kind]}"
+                fit.kind: KINDS[fit.kind].replace(
+                    "\n", f" ({fit.linkage}; residual {fit.residual_m * 1e3:.2f} mm)\n", 1
+                )
                 for fit in shown
             },
             shown[0].kind if sure else None,
