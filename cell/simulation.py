@@ -29,6 +29,7 @@ from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from recognition.grasp import Grasp
+from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.errors import PartGripped, SimulatorError
@@ -112,12 +113,14 @@ def simulator_settings(
             ),
             linkage=linkage,
             servo_baud_rate=config.gripper.baud_rate,
-            node_id=config.tactile.node_id,
-            can_bitrate=config.tactile.bitrate,
-            serial_number=1
-            if config.tactile.serial_number is None
-            else config.tactile.serial_number,
-            board_serial_numbers=config.tactile.board_serial_numbers or (1, 2),
+            unit=ControlUnitSettings(
+                node_id=config.tactile.node_id,
+                bitrate=config.tactile.bitrate,
+                serial_number=1
+                if config.tactile.serial_number is None
+                else config.tactile.serial_number,
+                boards=config.tactile.board_serial_numbers or (1, 2),
+            ),
             mounts=() if grasps else pad_mounts(config.tactile),
             boards=None if grasps else config.tactile.sensor.simulated(),
             pads=PadPair(

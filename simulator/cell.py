@@ -136,7 +136,7 @@ class SimulatedCell:
         return InMemoryCanBus(
             self.devices.can_devices,
             self.clock,
-            bitrate=self.settings.can_bitrate,
+            bitrate=self.settings.unit.bitrate,
             host_bitrate=host_bitrate,
             faults=self.devices.faults.can,
             seed=self.settings.seed,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from simulator.boards.site import BoardFaults, BoardSite, SerialBoard, UskinFaults
-from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
+from simulator.can.control_unit import SimulatedControlUnit
 from simulator.can.drive import DriveMount, SimulatedDrive
 from simulator.can.faults import CanLinkFaults, ControlUnitFaults
 from simulator.can.link import CanDevice, CanDevices
@@ -79,12 +79,7 @@ class CellDevices:
         self.unit = SimulatedControlUnit(
             self.world,
             settings.layout,
-            ControlUnitSettings(
-                node_id=settings.node_id,
-                bitrate=settings.can_bitrate,
-                serial_number=settings.serial_number,
-                boards=settings.board_serial_numbers,
-            ),
+            settings.unit,
             faults=unit_faults,
             start_s=start_s,
         )

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.boards.site import SimulatedBoards
+from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
 from simulator.errors import SimulatorSettingsError, require_positive
 from simulator.servo.drawn import drawn_gearing
@@ -89,12 +90,8 @@ class SimulatorSettings(WorldSettings):
     """Geometry from servo angle to half opening."""
     servo_baud_rate: int = 1_000_000
     """Baud rate of the servos."""
-    node_id: int = 5
-    can_bitrate: int = 1_000_000
-    serial_number: int = 1
-    """Node id, bit rate in bit/s and serial number of the control unit."""
-    board_serial_numbers: tuple[int, int] = (1, 2)
-    """Serial numbers of the pads' boards on finger 0 and finger 1."""
+    unit: ControlUnitSettings = field(default_factory=ControlUnitSettings)
+    """The control unit; its bit rate is that of the CAN bus, with other sensor boards too."""
     mounts: tuple[PadMount, ...] = ()
     """Pads that are mounted differently from the layout."""
     boards: SimulatedBoards | None = None

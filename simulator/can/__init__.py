@@ -2,6 +2,5 @@
 
 `control_unit` is the CANopen device (with `object_dictionary`, `scanner` and the bytes of its
 `messages`). `link` and `wire` lead to the host's adapter: python-can's interface in virtual time
-(`memory_bus`) or a serial adapter (`slcan`). `faults` are the knobs of device and link. `capture`
-writes pcap files.
+(`memory_bus`) or a serial adapter (`slcan`). `faults` are the knobs of device and link.
 """

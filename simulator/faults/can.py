@@ -39,7 +39,7 @@ def _bursts(target: Target) -> Undo:
 
 def _short_emergency(target: Target) -> None:
     devices = target.devices
-    identifier = object_dictionary.COB_EMCY + devices.settings.node_id
+    identifier = object_dictionary.COB_EMCY + devices.settings.unit.node_id
     devices.can_devices.send(target.now_s, identifier, [_SHORT_EMERGENCY])
 
 

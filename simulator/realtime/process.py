@@ -48,7 +48,7 @@ class RealTimeCell:
         self._world_s = now_s
         link = CanLink(
             self.devices.can_devices,
-            bitrate=settings.can_bitrate,
+            bitrate=settings.unit.bitrate,
             faults=self.devices.faults.can,
             seed=settings.seed,
         )
@@ -61,7 +61,7 @@ class RealTimeCell:
                 return pty
 
             self._servo_pty = keep(SerialPty(self.devices.servo_bus, folder / "servos"))
-            adapter = SlcanAdapter(link, bitrate=settings.can_bitrate)
+            adapter = SlcanAdapter(link, bitrate=settings.unit.bitrate)
             self._can_pty = keep(SerialPty(adapter, folder / "can"))
             self._axes_can_pty: SerialPty | None = None
             if self.devices.axes_can_devices is not None:
@@ -101,8 +101,8 @@ class RealTimeCell:
             "servo_ids": [servo.servo_id for servo in settings.servos],
             "can_interface": "slcan",
             "can_channel": self._can_pty.path,
-            "can_bitrate": settings.can_bitrate,
-            "node_id": settings.node_id,
+            "can_bitrate": settings.unit.bitrate,
+            "node_id": settings.unit.node_id,
             "axes_can_channel": None if self._axes_can_pty is None else self._axes_can_pty.path,
             "axes_ports": {moves: pty.path for moves, pty in self._axes_ptys.items()},
             "board_ports": [pty.path for pty in self._board_ptys],

@@ -38,8 +38,8 @@ def test_settings_follow_the_config() -> None:
     (servo,) = settings.servos
     assert (servo.servo_id, servo.model.name, servo.mount.direction) == (4, "XL330-M288", -1)
     assert isinstance(settings.linkage, RackLinkage)
-    assert (settings.node_id, settings.serial_number) == (9, 77)
-    assert settings.can_bitrate == 500_000
+    unit = settings.unit
+    assert (unit.node_id, unit.serial_number, unit.bitrate) == (9, 77, 500_000)
     assert settings.layout.n_taxels == 156
     assert (settings.noise.kind, settings.noise.level, settings.seed) == ("uniform", 0.5, 5)
     assert set(settings.objects) == {"ball", "box"}

@@ -20,6 +20,7 @@ from cell.commissioning.pads import (
     rest_of,
 )
 from cell.config.tactile import TactileConfig
+from simulator.can.control_unit import ControlUnitSettings
 from simulator.world.taxels import SensorLaw
 from tactile.layout import PadMount, inner_pads, paper_layout, pinch_layout
 from tactile.sensor.calibration import LinearCalibration, TableCalibration
@@ -40,7 +41,7 @@ def test_sound_pads_at_rest_pass_without_a_word(stand, layout) -> None:
 
 
 def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(stand) -> None:
-    finding = stand(board_serial_numbers=(0, 0)).run(REST)
+    finding = stand(unit=ControlUnitSettings(boards=(0, 0))).run(REST)
     assert finding.status is Verdict.WARN
     assert "press each pad after every work" in "\n".join(finding.lines)
     assert finding.settings == {"tactile.board_serial_numbers": None}

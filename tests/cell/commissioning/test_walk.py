@@ -16,6 +16,7 @@ from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.simulation import simulator_settings
 from docs.tools.transcript import TRANSCRIPT, transcript
+from simulator.can.control_unit import ControlUnitSettings
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
@@ -38,8 +39,8 @@ def brought_up(folder: Path, boards: tuple[int, int] = (1, 2)) -> Script:
     settings = SimulatorSettings(
         layout=pinch_layout(),
         noise=NoiseModel(level=0.4),
+        unit=ControlUnitSettings(boards=boards),
         aperture_m=0.03,
-        board_serial_numbers=boards,
     )
     with SimulatedCell(settings) as cell:
         person = Person(cell)

@@ -14,6 +14,7 @@ from cell.commissioning.pads import PADS_AT_REST
 from cell.commissioning.servos import SERVOS
 from cell.commissioning.unit import UNIT
 from cell.commissioning.walk import all_steps
+from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
 from simulator.devices import SimulatedDrive
 from simulator.world.taxels import NoiseModel
@@ -72,7 +73,7 @@ def test_what_is_wrong_is_named(stand, step, fault, status, named) -> None:
     ("step", "hardware", "status", "named"),
     [
         (UNIT, {"layout": inner_pads("odd", 5, 4, 3e-3)}, FAIL, "layout is unknown (hash "),
-        (UNIT, {"can_bitrate": 125_000}, FAIL, "too long for a grip"),
+        (UNIT, {"unit": ControlUnitSettings(bitrate=125_000)}, FAIL, "too long for a grip"),
     ],
 )
 def test_hardware_that_does_not_do_is_named(stand, step, hardware, status, named) -> None:
@@ -118,7 +119,7 @@ def test_a_gripper_without_pads_has_one_line(stand: MakeStand) -> None:
 
 
 def test_a_unit_is_found_and_set_up_and_named(stand: MakeStand) -> None:
-    one = stand(node_id=17, serial_number=4711)
+    one = stand(unit=ControlUnitSettings(node_id=17, serial_number=4711))
     finding, script = one.passes(UNIT), one.person.script
     assert finding.settings == {
         "tactile.interface": "socketcan",
@@ -151,7 +152,7 @@ def test_nothing_is_written_that_is_refused(one) -> None:
 
 @pytest.mark.parametrize("bitrate", [500_000, 250_000])
 def test_another_bit_rate_is_found_and_the_period_fits_it(stand: MakeStand, bitrate: int) -> None:
-    finding = stand(can_bitrate=bitrate).passes(UNIT)
+    finding = stand(unit=ControlUnitSettings(bitrate=bitrate)).passes(UNIT)
     assert finding.settings["tactile.bitrate"] == bitrate
     assert f"{bitrate:,} bit/s" in finding.lines[0]
     assert ("tactile.sync_period_ms" in finding.settings) == (bitrate == 250_000)
@@ -166,7 +167,7 @@ def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(stand: MakeSta
                 raise BusNotOpened(f"invalid bit rate {bitrate}")
             return super().open_can(interface, channel, bitrate)
 
-    one = stand(can_bitrate=500_000)
+    one = stand(unit=ControlUnitSettings(bitrate=500_000))
     one.bench.lines = lines = Adapter(one.cell)
     assert one.run(UNIT).settings["tactile.bitrate"] == 500_000
     lines.rates = ()

@@ -10,7 +10,6 @@ import pytest
 from cell.learning.progress import silent
 from cell.runtime.main_job import teach_and_identify
 from cell.runtime.plugin import TactileCellPlugin
-from simulator.can.capture import PcapWriter
 from tests.cell.conftest import small_config
 
 TSHARK = shutil.which("tshark")
@@ -34,14 +33,19 @@ def decode(capture: Path, *arguments: str) -> list[str]:
     return done.stdout.splitlines()
 
 
+def logged(t_s: float, can_id: int, data: bytes) -> str:
+    """Return a message as a line of `candump -L`."""
+    return f"({t_s:.6f}) can0 {can_id:03X}#{data.hex().upper()}\n"
+
+
 @pytest.mark.long
 def test_a_captured_sequence_is_canopen_to_tshark(tmp_path: Path) -> None:
-    capture = tmp_path / "sequence.pcap"
+    capture = tmp_path / "sequence.log"
     config = small_config()
-    with PcapWriter(capture) as pcap:
+    with capture.open("w") as log:
         with TactileCellPlugin(config, start=False) as plugin:
             bus = plugin.cell.simulated.can_bus
-            bus.capture.append(pcap)
+            bus.capture.append(lambda *message: log.write(logged(*message)))
             plugin.connect()
             result = teach_and_identify(
                 plugin,
@@ -77,9 +81,8 @@ def test_a_captured_sequence_is_canopen_to_tshark(tmp_path: Path) -> None:
 
 
 def test_tshark_would_notice_a_message_that_is_cut_short(tmp_path: Path) -> None:
-    capture = tmp_path / "short.pcap"
-    with PcapWriter(capture) as pcap:
-        pcap(0.0, 0x605, bytes.fromhex("4018100100000000"))
-        pcap(0.001, 0x585, bytes.fromhex("431810"))
+    capture = tmp_path / "short.log"
+    asked = logged(0.0, 0x605, bytes.fromhex("4018100100000000"))
+    capture.write_text(asked + logged(0.001, 0x585, bytes.fromhex("431810")))
     assert len(decode(capture, "-Y", "_ws.malformed")) == 1
     assert len(decode(capture, "-Y", "_ws.expert.severity >= 6291456")) == 1

@@ -334,11 +334,11 @@ def test_a_simulator_that_stalls_takes_no_sync_for_one_within_a_burst() -> None:
     devices = CellDevices(SimulatorSettings())
     link = CanLink(devices.can_devices, bitrate=1_000_000)
     adapter = SlcanAdapter(link, bitrate=1_000_000)
-    random, emergency = Random(7), f"t{0x80 + devices.settings.node_id:03X}".encode()
+    random, emergency = Random(7), f"t{0x80 + devices.settings.unit.node_id:03X}".encode()
     adapter.receive(b"O\r", 0.0)
     polled_s = 1.0
     adapter.transmit(polled_s)
-    waiting = [(polled_s + 0.001, b"t0002%02X%02X\r" % (1, devices.settings.node_id))]
+    waiting = [(polled_s + 0.001, b"t0002%02X%02X\r" % (1, devices.settings.unit.node_id))]
     sync_s, told = polled_s + 0.02, b""
     for _ in range(3000):
         # Mostly it comes in time, sometimes it stalls for up to 30 ms.
@@ -352,5 +352,5 @@ def test_a_simulator_that_stalls_takes_no_sync_for_one_within_a_burst() -> None:
             adapter.receive(lines, now_s, sent_after_s=polled_s)
         told += adapter.transmit(now_s)
         polled_s = now_s
-    assert told.count(b"t%03X" % (0x180 + devices.settings.node_id)) > 10_000
+    assert told.count(b"t%03X" % (0x180 + devices.settings.unit.node_id)) > 10_000
     assert emergency not in told
