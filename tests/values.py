@@ -18,6 +18,7 @@ from tactile.source import FrameStatistics, SourceStatistics
 _SERVO = ServoState(
     servo_id=1,
     angle_rad=0.123456789,
+    next_rad_s=0.0,
     velocity_rad_s=-0.02,
     current_a=0.4,
     motor_a=0.4,

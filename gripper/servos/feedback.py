@@ -138,7 +138,8 @@ class Feedback:
         turns = self._turns.setdefault(servo.servo_id, servo.turns(position_raw))
         angle_rad = servo.angle_rad(position_raw, turns)
         tick_ms = raw[REALTIME_TICK.name]
-        speed_rad_s = self._motions[servo.servo_id].speed_rad_s(tick_ms, angle_rad)
+        motion = self._motions[servo.servo_id]
+        speed_rad_s = motion.speed_rad_s(tick_ms, angle_rad)
         present_a = raw[PRESENT_CURRENT.name] * model.current_unit_a * servo.direction
         voltage_v = supply_v = raw[PRESENT_INPUT_VOLTAGE.name] * model.voltage_unit_v
         if model.supply_current:
@@ -152,6 +153,7 @@ class Feedback:
             servo_id=servo.servo_id,
             angle_rad=angle_rad,
             velocity_rad_s=speed_rad_s,
+            next_rad_s=motion.next_rad_s,
             current_a=current_a,
             motor_a=motor_a,
             pwm_share=pwm_share,

@@ -185,7 +185,7 @@ class GoalGuard:
                 fastest_m_s, pressing_speed_m_s(self._settings, impact, goal.setpoint_n)
             )
         fastest_rad_s = fastest_m_s / reach_m
-        over_rad_s = -min(state.velocity_rad_s, state.motor_rad_s) - fastest_rad_s
+        over_rad_s = -min(state.next_rad_s, state.motor_rad_s) - fastest_rad_s
         if over_rad_s > slow_rad_s(model):
             if final:
                 return replace(goal, angle_rad=state.angle_rad, current_a=most_a)

@@ -67,6 +67,29 @@ def test_a_large_change_shows_early(before_rad_s, after_rad_s, periods) -> None:
     assert sum(late) >= 2
 
 
+def test_the_speed_of_the_next_reading_follows_an_acceleration_at_once() -> None:
+    motion, period_s, faster_rad_s2 = ServoMotion(XM430_W350), 1e-2, 25.0
+    found: list[tuple[float, float, float]] = []
+    for index in range(-20, 5):
+        run_s = max(0.0, index * period_s)
+        rad = round(0.5 * faster_rad_s2 * run_s**2 / COUNT_RAD) * COUNT_RAD
+        speed_rad_s = motion.speed_rad_s(1000 + 10 * index, rad)
+        found.append((faster_rad_s2 * (run_s + period_s), motion.next_rad_s, speed_rad_s))
+    assert all(following == speed == 0.0 for _, following, speed in found[:21])
+    for true, following, speed in found[22:]:
+        assert following == pytest.approx(true, rel=0.45)
+        assert speed < 0.6 * following
+
+
+@pytest.mark.parametrize("rate_rad_s", [0.0, 0.3, -1.0])
+def test_at_a_steady_speed_the_next_reading_has_the_same(rate_rad_s) -> None:
+    motion, rng = ServoMotion(XM430_W350), random.Random(2)
+    for index, rad in enumerate(ramp(rate_rad_s)):
+        count = round(rad / COUNT_RAD + rng.gauss(0.0, 0.3))
+        speed_rad_s = motion.speed_rad_s(index * PERIOD_MS, count * COUNT_RAD)
+    assert motion.next_rad_s == speed_rad_s
+
+
 def test_lost_answers_leave_a_speed_and_a_pause_does_not() -> None:
     ways = ramp(0.4)
     lost = [None if 20 <= index < 23 else rad for index, rad in enumerate(ways)]
