@@ -255,10 +255,6 @@ class ForceLaw:
         self._jumped_s: float | None = None
         self._contradicted_s = 0.0
 
-    def resume(self) -> None:
-        """Begin again after a pause."""
-        self.observer.resume()
-
     def step(self, period: Period) -> float:
         """Return the driving force in N of one period.
 
@@ -421,8 +417,8 @@ class ForceLaw:
         """
         observer, setpoint_n = self.observer, period.setpoint_n
         jump_n = observer.unexplained_n(sample)
-        moved_n = abs(observer.force_n - observer.force_at_n(sample.measured_s - LOOK_BACK_S))
-        least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n) + observer.stiffness_sd * moved_n
+        least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n)
+        least_n += observer.stiffness_sd * observer.moved_n(sample.measured_s - LOOK_BACK_S)
         least_n += _JUMP_SDS * hypot(sample.noise_n, observer.doubt_n)
         if jump_n <= least_n:
             self._jumped_s = None

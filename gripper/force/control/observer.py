@@ -61,6 +61,7 @@ class GripObserver:
         self._breaks = False
         self.missing_n = 0.0
         """Missing force of the drive in N."""
+        self._apertures = grip.apertures
         self._way_m, self._start_m = 0.0, grip.apertures.newest
         self._way_m2 = _way_sd_m(grip) ** 2
         variances = (_START_SD_N**2, 0.0, _MISSING_SD_N**2, self._way_m2)
@@ -139,9 +140,10 @@ class GripObserver:
             self._correct(0, self.unexplained_n(sample), sample.noise_n**2)
             self._forces.shift(self.force_n - before_n)
 
-    def force_at_n(self, t_s: float) -> float:
-        """Return the force in N at a time in s of the last half second."""
-        return self._forces.at(t_s)
+    def moved_n(self, since_s: float) -> float:
+        """Return the force in N that the way of the fingers since a time in s makes at most."""
+        way_m = 0.5 * abs(self._apertures.newest - self._apertures.at(since_s))
+        return self.stiffness_n_m * max(0.0, way_m - _MOVED_SDS * sqrt(self._way_m2))
 
     def unexplained_n(self, sample: ForceSample) -> float:
         """Return the excess in N of a sample over the force at the time of its measurement."""

@@ -128,7 +128,8 @@ FRICTION_N, ONE_N_A = 1.5, 0.06 / 1.80
 
 
 def standing(velocity_rad_s: float) -> ServoFeedback:
-    servos = (make_servo(angle_rad=0.1, velocity_rad_s=velocity_rad_s),) * 2
+    servo = make_servo(angle_rad=0.1, velocity_rad_s=velocity_rad_s, next_rad_s=velocity_rad_s)
+    servos = (servo,) * 2
     return make_state(servos=tuple(replace(s, servo_id=i) for i, s in enumerate(servos, 1)))
 
 
