@@ -185,7 +185,9 @@ class GoalGuard:
                 fastest_m_s, pressing_speed_m_s(self._settings, impact, goal.setpoint_n)
             )
         fastest_rad_s = fastest_m_s / reach_m
-        over_rad_s = -min(state.next_rad_s, state.motor_rad_s) - fastest_rad_s
+        # The speed of the next reading has noise: on a part it would disturb the force.
+        speed_rad_s = state.next_rad_s if empty else state.velocity_rad_s
+        over_rad_s = -min(speed_rad_s, state.motor_rad_s) - fastest_rad_s
         if over_rad_s > slow_rad_s(model):
             if final:
                 return replace(goal, angle_rad=state.angle_rad, current_a=most_a)
