@@ -120,6 +120,14 @@ def test_what_was_measured_is_a_prior_that_new_motions_refine() -> None:
     assert fit_friction([], kept) is kept
 
 
+def test_currents_that_fall_with_the_speed_show_no_friction_that_drives() -> None:
+    currents_a = zip(SPEEDS_RAD_S, (0.17, 0.15, 0.12, 0.09), strict=True)
+    points = [FreePoint(speed, current_a, 0.005) for speed, current_a in currents_a]
+    drive = fit_friction(points, CATALOGUE)
+    assert all(drive.friction_a(speed_rad_s) > 0.0 for speed_rad_s in (0.0, 0.65, 4.0, 20.0))
+    assert change(FreePoint(4.0, 0.04, 0.06), replace(drive, measured_s=0.0)) > 0.0
+
+
 def test_only_a_measured_friction_is_contradicted() -> None:
     point = FreePoint(-0.3, -0.25, 0.002)
     assert change(point, CATALOGUE) == 1.0
