@@ -159,9 +159,14 @@ class DriveCharacteristic:
         return max(exp(SIGMAS * self.load_sd) / self.rising_a_nm, self.kt_nm_a)
 
     def friction_a(self, speed_rad_s: float) -> float:
-        """Return the friction current in A of free motion at a speed in rad/s."""
+        """Return the friction current in A of free motion at a speed in rad/s.
+
+        A term that falls with the speed ends at a tenth of the friction at rest: friction never
+        drives.
+        """
         slow = exp(-((abs(speed_rad_s) / self.stribeck_rad_s) ** self.stribeck_exponent))
-        return self.coulomb_a + slow * self.stribeck_a + self.viscous_a_s * abs(speed_rad_s)
+        moving_a = self.coulomb_a + slow * self.stribeck_a + self.viscous_a_s * abs(speed_rad_s)
+        return max(0.1 * (self.coulomb_a + self.stribeck_a), moving_a)
 
     def inertia_a_s2(self, model: ServoModel) -> float:
         """Return the current in A that accelerates a servo of a model by 1 rad/s²."""

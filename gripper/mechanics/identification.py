@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, lsq_linear
+from scipy.optimize import least_squares
 
 from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
@@ -65,8 +65,6 @@ _LEAST_SPAN = 1.5
 """Least ratio of speeds that separates resistance and back-EMF."""
 _OUTLIER_SIGMAS = 2.5
 """Points farther from a line, in standard deviations, are left out once."""
-_LEAST_TERMS = np.array((0.0, 0.0, 0.0, -np.inf))
-"""Least Coulomb, Stribeck and viscous friction, and least offset, in A and A s/rad."""
 
 
 class FreePoint(NamedTuple):
@@ -142,9 +140,8 @@ def fit_friction(points: Sequence[FreePoint], before: DriveCharacteristic) -> Dr
         rows = np.column_stack([sign, sign * slow, sign * speed, np.ones(len(points))])
         whole = np.vstack([rows / sd[:, None], np.diag(1.0 / np.array(sds))])
         wanted = np.concatenate([current / sd, np.array(prior) / np.array(sds)])
-        # No term of a friction drives, also beyond the speeds of the points.
-        fitted = lsq_linear(whole, wanted, (_LEAST_TERMS, np.inf), method="bvls")
-        found, misfit = fitted.x, 2.0 * float(fitted.cost)
+        found = np.linalg.lstsq(whole, wanted, rcond=None)[0]
+        misfit = float(((whole @ found - wanted) ** 2).sum())
         if best is None or misfit < best[0] - 1e-9:
             best = misfit, shape, found, np.linalg.inv(whole.T @ whole)
     assert best is not None

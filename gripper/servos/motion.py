@@ -43,9 +43,9 @@ class ServoMotion:
 
     A speed is that of 40 ms ago, the middle of the longest line, with a noise of 0.006 rad/s. A
     change by ``dv`` rad/s shortens the line once it has moved the servo by 1.5 counts from where
-    the earlier positions lead: after 2.3e-3 / ``dv`` s. The shortest line is 10 ms late. While the
-    longest line does not hold, a parabola shows the speed at the next reading, with a noise of 0.13
-    rad/s.
+    the earlier positions lead: after 2.3e-3 / ``dv`` s. The shortest line is 10 ms late. Below 200
+    Hz it has too few positions. There a parabola shows the speed at the next reading while the
+    longest line does not hold, with a noise of 0.13 rad/s.
     """
 
     def __init__(self, model: ServoModel) -> None:
@@ -53,7 +53,7 @@ class ServoMotion:
         self._tick_ms = 0
         self._positions: deque[tuple[int, float]] = deque()
         self.next_rad_s = 0.0
-        """Speed in rad/s at the next reading if the acceleration lasts."""
+        """Speed in rad/s, below 200 Hz at the next reading if the acceleration lasts."""
 
     def forget(self) -> None:
         """Compare the next position with no earlier one."""
@@ -84,14 +84,15 @@ class ServoMotion:
             if len(line) < _FEWEST or self._foretold(line):
                 break
         rate = 1e3 * _fit(line)[2]
-        steady = now_ms - line[0][0] > _WINDOWS_MS[1] or len(positions) < _FEWEST
+        # The shortest line is prompt enough where it has its positions.
+        prompt = len(positions) < _FEWEST or now_ms - positions[-_FEWEST][0] <= _WINDOWS_MS[-1]
+        steady = prompt or now_ms - line[0][0] > _WINDOWS_MS[1]
         self.next_rad_s = rate if steady else 1e3 * self._next_rate(now_ms + passed_ms)
         return rate
 
     def _next_rate(self, next_ms: int) -> float:
         """Return the slope in rad/ms at a later time of a parabola through the newest positions."""
-        first_ms = min(self._positions[-1][0] - _WINDOWS_MS[1], self._positions[-_FEWEST][0])
-        line = [one for one in self._positions if one[0] >= first_ms]
+        line = list(self._positions)[-_FEWEST:]
         middle_ms, _, rate = _fit(line)
         offs_ms = [t_ms - middle_ms for t_ms, _ in line]
         square_ms2 = sum(off_ms**2 for off_ms in offs_ms)

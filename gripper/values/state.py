@@ -54,7 +54,7 @@ class ServoState:
     velocity_rad_s: float
     """Velocity in the same direction, by the positions: see `gripper.servos.motion`."""
     next_rad_s: float
-    """The same at the next reading if the acceleration lasts: prompt, with more noise."""
+    """The same, in a loop below 200 Hz that at the next reading: prompt, with more noise."""
     current_a: float
     """Current of the winding; positive drives the gripper open. Present Current, or by Present PWM
     where that register has the current of the supply."""

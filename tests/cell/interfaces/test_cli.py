@@ -438,6 +438,7 @@ def test_train_writes_a_model(dataset, tmp_path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_commands_use_the_model_that_was_trained_last_in_the_folder(
     dataset, config, tmp_path, monkeypatch, fail
 ) -> None:

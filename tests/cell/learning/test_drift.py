@@ -149,7 +149,10 @@ def test_recorded_grasps_are_followed_in_the_order_of_time() -> None:
     times = {"b": 30, "c": 40, "a": 20, "d": 10}
     grasps = [replace(plain_grasp("ball"), source=k, start_ms=t) for k, t in times.items()]
     model: Any = SimpleNamespace(
-        recognizer=Follower(), trainer_name="force_ramp", pads=grasps[0].pads
+        recognizer=Follower(),
+        trainer_name="force_ramp",
+        pads=grasps[0].pads,
+        path="parts.model.npz",
     )
     answers = identify_recorded(model, grasps, follow=True)
     drifts = [drift for *_, drift in answers if drift]

@@ -334,7 +334,7 @@ def test_the_end_of_the_service_keeps_the_part_and_ends_all_threads(serve: Any) 
         ({"serve__listen": "localhost"}, "does not appear to be"),
         ({"serve__allow": ["everyone"]}, "does not appear to be"),
         ({"serve__tls_key": "key.pem"}, "set both"),
-        ({"serve__objects": ["ball", "ball"]}, "twice"),
+        ({"serve__objects": ["ball", "ball"]}, "repeat ball"),
         ({"serve__modbus_port": 65536}, "65535"),
     ],
 )
