@@ -6,7 +6,6 @@ The CANopen control unit (`tactile.control_unit`) is one source. Higher layers w
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntFlag
-from math import sqrt
 from typing import Protocol
 
 import numpy as np
@@ -16,12 +15,6 @@ from tactile.layout import TaxelLayout
 
 COUNTER_MASK = 0xFFFF
 """The counter of a frame has 16 bits."""
-_TOUCH_SIGMAS = 5.0
-"""Threshold of touched taxels of a source that sums forces, in standard deviations of its mean."""
-_MEAN_GAIN = 6.0 / 16.0 * sqrt(1.0 / 7.0)
-"""Factor of that mean on independent noise: binomial over 3 x 3 taxels, running over 4 scans."""
-_TOUCH_SHARE = 0.012
-"""Least threshold as a share of the full scale: above the allowed drift of a zero."""
 
 
 class FrameStatus(IntFlag):
@@ -130,14 +123,6 @@ class PadZero:
     """(n,) float64: standard deviation of one sample of each taxel."""
     bad: NDArray[np.bool_]
     """(n,) bool: taxels that do not measure."""
-
-    def touch_counts(self, adc_max: int) -> float:
-        """Return the threshold of touched taxels in counts, for the source's mean of 3 x 3 taxels.
-
-        ``adc_max`` is the full scale.
-        """
-        noise_counts = float(np.median(self.noise_counts))
-        return max(_TOUCH_SIGMAS * noise_counts * _MEAN_GAIN, _TOUCH_SHARE * adc_max)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,8 +16,6 @@ from tactile.layout import TaxelLayout
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 """One value for each taxel, (n_taxels,)."""
-WEIGHTS_SUM = 16.0
-"""Sum of the weights of `Neighbourhood.weighted` inside of a pad."""
 _ALL = np.ones((3, 3), dtype=np.bool_)
 _BESIDE = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.bool_)
 """The 3 x 3 neighbours with the taxel itself, and without it."""

@@ -7,9 +7,9 @@ scan, so a changing force causes no difference. The mean of more frames shows sm
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from math import inf, isinf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from tactile.errors import ForceContradicted
 from tactile.layout import TaxelLayout
 from tactile.source import ForceMessage, mean_centre_taxels
 
-Array = NDArray[np.float64]
 _BEFORE_S, _AFTER_S = 0.0065, 0.0055
 """Times in s before and after the first message of a frame's burst: messages received between them
 are compared with the frame. The force of a message is 1.5 ms old."""
@@ -37,6 +36,10 @@ mean of 25 frames differed by up to 0.13 N at 6 N and 0.26 N at 14 N."""
 _BELOW_SIGMAS = 13.0
 """Further allowed deficit of the frames in standard deviations of one taxel, because they leave out
 taxels below a threshold. At 0.045 N of noise six frames had a deficit of 0.65 N."""
+_UNSEEN_N, _UNSEEN_SIGMAS = 1.4, 30.0
+"""Largest force in N of which a frame may show nothing, or in standard deviations of one taxel if
+that is more: then all taxels are below the threshold. Six frames in a row showed nothing at 0.8 N,
+with 0.1 N of noise at 1.2 N."""
 _CENTRE_TAXELS = 0.3
 """Distance of the centres in pitches that is allowed without noise."""
 _CENTRE_N_TAXELS = 1.0
@@ -110,7 +113,7 @@ class FrameForces:
     scanned_s: float
     """Monotonic time of its scan in s."""
     force_n: tuple[float, float]
-    """Force on finger 0 and finger 1 in N, on taxels that the messages include, too."""
+    """Force on finger 0 and finger 1 in N."""
     centre_taxels: tuple[float, float] | None
     """Centre of both pads along and across the fingers in pitches; None without a touch."""
     noise_n: float
@@ -118,8 +121,8 @@ class FrameForces:
     centre_noise_taxels: tuple[float, float] = (0.0, 0.0)
     """Standard deviation of the centre by the noise of the taxels, in pitches."""
     whole_n: tuple[float, float] = (0.0, 0.0)
-    """Force on all taxels of finger 0 and finger 1 in N: the messages may show any force between
-    both. With a load spread over a pad each taxel may be below the threshold."""
+    """Force on all taxels of finger 0 and finger 1 in N. With a load spread over a pad each taxel
+    may be below the threshold."""
 
 
 class ForceCheck:
@@ -153,104 +156,124 @@ class ForceCheck:
         if not within:
             return
         self._pairs.appendleft(_Pair.of(within, frame, self._taxel_noise_n))
-        self._check_forces()
+        for finger in (0, 1):
+            self._check_force(finger)
         self._check_centre()
 
-    def _totals(self, name: str, n_pairs: int | None = None) -> Array:
-        """Return the sums of a value over the last 1, 2, ... pairs, (n_pairs, ...)."""
-        values = [getattr(pair, name) for pair in islice(self._pairs, n_pairs)]
-        return np.cumsum(values, axis=0)
-
-    def _check_forces(self) -> None:
+    def _check_force(self, finger: int) -> None:
         """Raise ForceContradicted if the mean of the last frames differs from the messages'."""
-        apart_n, noise_n = self._totals("apart_n"), self._totals("noise_n")
-        n = np.arange(1.0, len(apart_n) + 1.0)[:, None]
-        least_n = np.where(apart_n > 0.0, self._totals("above_n"), self._totals("below_n"))
-        allowed_n = (least_n + _SIGMAS * noise_n / np.sqrt(n)) / n
-        if found := _first_beyond(np.abs(apart_n) / n, allowed_n):
-            row, finger = found
-            shown_n, frame_n = (self._totals(name) / n for name in ("message_n", "frame_n"))
-            raise ForceContradicted(
-                f"the force messages show {shown_n[found]:.2f} N on finger {finger}, {row + 1} "
-                f"frames of the same time {frame_n[found]:.2f} N; a difference of "
-                f"{allowed_n[found]:.2f} N is allowed: {_ADVICE}"
-            )
+        apart_n = above_n = below_n = noise_n = 0.0
+        for n, pair in enumerate(self._pairs, 1):
+            apart_n += pair.apart_n[finger]
+            above_n += pair.above_n[finger]
+            below_n += pair.below_n[finger]
+            noise_n += pair.noise_n
+            least_n = above_n if apart_n > 0.0 else below_n
+            allowed_n = (least_n + _SIGMAS * noise_n / sqrt(n)) / n
+            if n in _WINDOWS and abs(apart_n) / n > allowed_n:
+                last = list(self._pairs)[:n]
+                raise ForceContradicted(
+                    f"the force messages show {_mean(p.message_n[finger] for p in last):.2f} N on "
+                    f"finger {finger}, {n} frames of the same time "
+                    f"{_mean(p.frame_n[finger] for p in last):.2f} N; a difference of "
+                    f"{allowed_n:.2f} N is allowed: {_ADVICE}"
+                )
 
     def _check_centre(self) -> None:
         """Raise ForceContradicted if the last frames have another centre than the messages."""
-        light = (n for n, pair in enumerate(self._pairs) if np.isnan(pair.apart_taxels[0]))
-        if not (n_pairs := next(light, len(self._pairs))):
-            return
-        n = np.arange(1.0, n_pairs + 1.0)[:, None]
-        force_n = np.minimum.accumulate([p.frame_n.mean() for p in islice(self._pairs, n_pairs)])
-        both = _CENTRE_BOTH * np.sqrt(self._totals("centre_variance", n_pairs) / n)
-        noise = np.maximum(_CENTRE_N_TAXELS / force_n[:, None], both)
-        below = np.maximum(self._totals("below_share", n_pairs), 0.0)
-        allowed = _CENTRE_TAXELS + _SIGMAS * noise / np.sqrt(n) + _SPREAD_TAXELS * below / n
-        apart = np.abs(self._totals("apart_taxels", n_pairs)) / n
-        if found := _first_beyond(apart, allowed):
-            where = f"is {apart[found]:.2f} pitches of the taxels away from that in"
-            if np.isinf(apart[found]):
-                where = "is missing, though there is one in"
-            raise ForceContradicted(
-                f"the centre of the force in the messages {where} {found[0] + 1} frames of the "
-                f"same time, {allowed[found]:.2f} pitches are allowed: {_ADVICE}"
-            )
+        apart = noise2 = np.zeros(2)
+        below, force_n = 0.0, inf
+        for n, pair in enumerate(self._pairs, 1):
+            if pair.apart_taxels is None:
+                return
+            apart = apart + pair.apart_taxels
+            noise2 = noise2 + np.square(pair.centre_noise_taxels)
+            below += pair.below_share
+            force_n = min(force_n, sum(pair.frame_n) / 2.0)
+            noise = np.maximum(_CENTRE_N_TAXELS / force_n, _CENTRE_BOTH * np.sqrt(noise2 / n))
+            allowed = _CENTRE_TAXELS + _SIGMAS * noise / sqrt(n)
+            allowed += _SPREAD_TAXELS * max(below, 0.0) / n
+            worst = int(np.argmax(np.abs(apart) / n - allowed))
+            if n in _WINDOWS and abs(apart[worst]) / n > allowed[worst]:
+                where = f"is {abs(apart[worst]) / n:.2f} pitches of the taxels away from that in"
+                if isinf(apart[worst]):
+                    where = "is missing, though there is one in"
+                raise ForceContradicted(
+                    f"the centre of the force in the messages {where} {n} frames of the same time, "
+                    f"{allowed[worst]:.2f} pitches are allowed: {_ADVICE}"
+                )
 
 
-def _first_beyond(apart: Array, allowed: Array) -> tuple[int, int] | None:
-    """Return the first place (n_frames, 2) of a difference that is not allowed in its window."""
-    for row, column in np.argwhere(apart > allowed).tolist():
-        if row + 1 in _WINDOWS:
-            return row, column
-    return None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Pair:
-    """Frame and messages of one scan, and their difference: (2,) of the fingers or (1,) of both."""
+    """Frame and messages of one scan, and their difference.
 
-    frame_n: Array
-    message_n: Array
-    apart_n: Array
-    """Force in the frame less that in the messages."""
-    above_n: Array
-    below_n: Array
-    """Limits of ``apart_n`` without noise."""
-    noise_n: Array
-    apart_taxels: Array
-    """(2,): distance of the centres; NaN if the force is too small, infinite if the messages have
-    no centre."""
-    centre_variance: Array
-    """(2,): variance of the frame's centre in square pitches."""
-    below_share: Array
-    """Share of the force on taxels of the frame that are below their threshold, with its noise."""
+    ``apart_n`` is the force in the frame less that in the messages; ``above_n`` and ``below_n`` are
+    its limits without noise. ``below_share`` is the share of the force on taxels of the frame that
+    are below their threshold, with its noise.
+    """
+
+    frame_n: tuple[float, float]
+    message_n: tuple[float, float]
+    apart_n: tuple[float, float]
+    above_n: tuple[float, float]
+    below_n: tuple[float, float]
+    noise_n: float
+    apart_taxels: tuple[float, float] | None
+    centre_noise_taxels: tuple[float, float]
+    below_share: float
 
     @classmethod
     def of(
         cls, messages: Sequence[ForceMessage], frame: FrameForces, taxel_noise_n: float
     ) -> "_Pair":
         """Return the pair of a frame and the messages around its scan."""
-        active_n, whole_n = np.array(frame.force_n), np.array(frame.whole_n)
-        message_n = np.mean([message.force_n for message in messages], axis=0)
-        frame_n = np.maximum(active_n, np.minimum(whole_n, message_n))
-        above_n = _LEAST_N + _LEAST_SHARE * np.maximum(frame_n, message_n)
-        below_n = above_n + _BELOW_SIGMAS * taxel_noise_n
-        most_n, grip_n = _OUTLIER_SIGMAS * frame.noise_n, message_n.mean()
+        first_n = _mean(message.force_n[0] for message in messages)
+        second_n = _mean(message.force_n[1] for message in messages)
+        grip_n = 0.5 * (first_n + second_n)
+        most_n = _OUTLIER_SIGMAS * frame.noise_n
+        unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
         least_n = max(_CENTRE_LEAST_N, _CENTRE_LEAST_SIGMAS * taxel_noise_n)
-        apart_taxels = np.full(2, np.nan)
-        if frame.centre_taxels is not None and min(active_n.mean(), grip_n) >= least_n:
-            centre = mean_centre_taxels(messages)
-            apart_taxels = np.subtract(centre or (np.inf, np.inf), frame.centre_taxels)
-        below_share = (whole_n - active_n).mean() / max(grip_n, _CENTRE_LEAST_N)
+        apart_n, above_n, below_n = [], [], []
+        for active_n, whole_n, message_n in zip(
+            frame.force_n, frame.whole_n, (first_n, second_n), strict=True
+        ):
+            frame_n = max(active_n, min(whole_n, message_n))
+            above = _LEAST_N + _LEAST_SHARE * max(frame_n, message_n)
+            below = above + _BELOW_SIGMAS * taxel_noise_n
+            if frame_n == 0.0:
+                below = max(below, unseen_n)
+            apart_n.append(min(max(frame_n - message_n, -below - most_n), above + most_n))
+            above_n.append(above)
+            below_n.append(below)
         return cls(
-            frame_n=active_n,
-            message_n=message_n,
-            apart_n=np.clip(frame_n - message_n, -below_n - most_n, above_n + most_n),
-            above_n=above_n,
-            below_n=below_n,
-            noise_n=np.array([frame.noise_n]),
-            apart_taxels=apart_taxels,
-            centre_variance=np.square(frame.centre_noise_taxels),
-            below_share=np.array([below_share]),
+            frame_n=frame.force_n,
+            message_n=(first_n, second_n),
+            apart_n=(apart_n[0], apart_n[1]),
+            above_n=(above_n[0], above_n[1]),
+            below_n=(below_n[0], below_n[1]),
+            noise_n=frame.noise_n,
+            apart_taxels=_centres_apart(messages, frame, grip_n, least_n),
+            centre_noise_taxels=frame.centre_noise_taxels,
+            below_share=(0.5 * (sum(frame.whole_n) - sum(frame.force_n)))
+            / max(grip_n, _CENTRE_LEAST_N),
         )
+
+
+def _centres_apart(
+    messages: Sequence[ForceMessage], frame: FrameForces, message_n: float, least_n: float
+) -> tuple[float, float] | None:
+    """Return the distance of the centres in pitches; None if the force is too small."""
+    light = min(sum(frame.force_n) / 2.0, message_n) < least_n
+    if light or frame.centre_taxels is None:
+        return None
+    centre = mean_centre_taxels(messages)
+    if centre is None:
+        # Messages without a centre, and a frame with one: the largest possible error.
+        return inf, inf
+    return centre[0] - frame.centre_taxels[0], centre[1] - frame.centre_taxels[1]
+
+
+def _mean(values: Iterable[float]) -> float:
+    found = tuple(values)
+    return sum(found) / len(found)

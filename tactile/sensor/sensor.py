@@ -19,7 +19,6 @@ from tactile.errors import (
 )
 from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import (
-    WEIGHTS_SUM,
     ActiveTaxels,
     MovingMean,
     Neighbourhood,
@@ -192,7 +191,6 @@ class TactileSensor:
         self._new_forces: deque[ForceMessage] = deque(maxlen=_KEPT_FORCES)
         self._force_bad: NDArray[np.bool_] | None = None
         self._taxel_noise_n = (inf, inf)
-        self._least_counts = inf
         self._saturated_frames = self._void_frames = 0
         self._quality.restart(None)
 
@@ -335,13 +333,13 @@ class TactileSensor:
             return
         grip = np.concatenate([np.arange(one.start, one.stop) for one in self._grips])
         bad = self._quality.bad
-        zero = PadZero(
-            offset_counts=tare.offset_counts[grip],
-            noise_counts=tare.noise_counts[grip],
-            bad=bad[grip],
+        self.source.set_zero(
+            PadZero(
+                offset_counts=tare.offset_counts[grip],
+                noise_counts=tare.noise_counts[grip],
+                bad=bad[grip],
+            )
         )
-        self.source.set_zero(zero)
-        self._least_counts = zero.touch_counts(self.layout.adc_max)
         self._new_forces.clear()
         self._force_check.reset(max(self._taxel_noise_n))
         self._force_bad = bad
@@ -406,7 +404,7 @@ class TactileSensor:
         first_n, second_n = (float(scan_n[taxels].sum()) for taxels in self._grips)
         reason = self._objection(frame, saturated & ~bad, bad, tared)
         if not reason and self.has_forces:
-            self._compare(frame, counts, active, all_n)
+            self._compare(frame, counts, active, scan_n, all_n)
         for array in (tared, active, force_n, pad_force_n, saturated, bad):
             array.setflags(write=False)
         self._saturated_frames += bool((saturated & ~bad).any())
@@ -432,11 +430,9 @@ class TactileSensor:
         frame: TactileFrame,
         counts: Values,
         active: NDArray[np.bool_],
+        scan_n: Values,
         all_n: Values,
     ) -> None:
-        # The source leaves out the force of other taxels, even without any noise.
-        active = active & (self._hood.weighted(counts) > WEIGHTS_SUM * self._least_counts)
-        scan_n = np.where(active, all_n, 0.0)
         pad = self.layout.pads[self.layout.gripping_pads[0]]
         centre_m = self._centres.of(scan_n)
         centre, centre_noise = None, (0.0, 0.0)

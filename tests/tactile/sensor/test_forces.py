@@ -37,7 +37,6 @@ class Forces(Frames):
         self.force_n = (0.0, 0.0)
         self.zeros: list[PadZero] = []
         self.due_s = 0.0
-        self.shown: np.ndarray | None = None
         self.status = ForceStatus.ZEROED
 
     def set_zero(self, zero: PadZero) -> None:
@@ -45,8 +44,7 @@ class Forces(Frames):
 
     def centre_taxels(self) -> tuple[float, float] | None:
         pad = LAYOUT.pads[LAYOUT.gripping_pads[0]]
-        shown = self.base if self.shown is None else self.shown
-        centre_m = ForceCentres(LAYOUT).of(CALIBRATION.force_n(shown))
+        centre_m = ForceCentres(LAYOUT).of(CALIBRATION.force_n(self.base))
         if centre_m is None:
             return None
         return centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m
@@ -185,26 +183,6 @@ def test_messages_that_differ_from_the_frames_are_a_fault_with_both_numbers() ->
         sensor.poll()
 
 
-def test_a_light_load_on_all_taxels_that_the_messages_leave_out_is_no_difference() -> None:
-    """Below the threshold of the unit, but far above that of a sensor without noise."""
-    link = Forces()
-    link.noise = False
-    sensor = TactileSensor(link, CALIBRATION, clock=link)
-    sensor.start()
-    sensor.tare()
-    for pad in LAYOUT.gripping_pads:
-        link.base[LAYOUT.taxels_of(pad)] = 2.0
-    readings(sensor, link, 40)
-    # A part at one end of the pads, on the light load: only its centre is in the messages.
-    first, second = (LAYOUT.taxels_of(pad).start for pad in LAYOUT.gripping_pads)
-    for taxel in (0, 1, 4, 5):
-        link.base[[first + taxel, second + taxel]] = 120.0
-    part = np.where(link.base > 2.0, link.base, 0.0)
-    link.shown, force_n = part, CALIBRATION.force_n(part)
-    link.force_n = (float(force_n[:second].sum()), float(force_n[second:].sum()))
-    readings(sensor, link, 40)
-
-
 def test_the_centre_is_the_mean_place_weighted_by_force() -> None:
     force_n = np.zeros(LAYOUT.n_taxels)
     assert ForceCentres(LAYOUT).of(force_n) is None
@@ -230,19 +208,12 @@ def compared(
     *,
     noise_n: float = 0.2,
     centre: tuple[float, float] | None = (0.0, 0.0),
-    whole_n: float = 0.0,
 ) -> None:
     """Give the check the messages from around a scan, and the frame."""
     for one in messages:
         check.add(one)
     check.compare(
-        FrameForces(
-            scanned_s=at_s,
-            force_n=frame_n,
-            centre_taxels=centre,
-            noise_n=noise_n,
-            whole_n=(whole_n, whole_n),
-        )
+        FrameForces(scanned_s=at_s, force_n=frame_n, centre_taxels=centre, noise_n=noise_n)
     )
 
 
@@ -303,8 +274,7 @@ def test_a_difference_is_found_the_sooner_the_larger_it_is(
 ) -> None:
     check = ForceCheck()
     check.reset(taxel_noise_n=taxel_n)
-    whole_n = shown_n if most == 100 else 0.0
-    found = frames_until_found(check, shown_n, frame_n, noise_n=noise_n, whole_n=whole_n)
+    found = frames_until_found(check, shown_n, frame_n, noise_n=noise_n)
     assert found == 100 if most == 100 else found <= most
 
 
