@@ -31,6 +31,9 @@ _INERTIA_SD = 0.5
 
 _MEASURED_FRICTION_SD, _MEASURED_LOAD_SD = 0.1, 0.02
 """The same within a day, once both were measured. [assumed]"""
+_LEAST_MOVING_SHARE = 0.1
+"""Least friction in fast motion over that at rest: a fit of slow motions may fall below 0 A there.
+[chosen]"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,12 +164,11 @@ class DriveCharacteristic:
     def friction_a(self, speed_rad_s: float) -> float:
         """Return the friction current in A of free motion at a speed in rad/s.
 
-        A term that falls with the speed ends at a tenth of the friction at rest: friction never
-        drives.
+        Friction never drives: terms that fall with the speed leave a share of that at rest.
         """
         slow = exp(-((abs(speed_rad_s) / self.stribeck_rad_s) ** self.stribeck_exponent))
         moving_a = self.coulomb_a + slow * self.stribeck_a + self.viscous_a_s * abs(speed_rad_s)
-        return max(0.1 * (self.coulomb_a + self.stribeck_a), moving_a)
+        return max(_LEAST_MOVING_SHARE * (self.coulomb_a + self.stribeck_a), moving_a)
 
     def inertia_a_s2(self, model: ServoModel) -> float:
         """Return the current in A that accelerates a servo of a model by 1 rad/s²."""

@@ -9,6 +9,8 @@ less noise, shorter ones less delay (Janabi-Sharifi, Hayward and Chen 2000, adap
 from collections import deque
 from math import sqrt
 
+import numpy as np
+
 from gripper.dynamixel.control_table import TICK_MODULO
 from gripper.dynamixel.models import ServoModel
 
@@ -92,16 +94,8 @@ class ServoMotion:
 
     def _next_rate(self, next_ms: int) -> float:
         """Return the slope in rad/ms at a later time of a parabola through the newest positions."""
-        line = list(self._positions)[-_FEWEST:]
-        middle_ms, _, rate = _fit(line)
-        offs_ms = [t_ms - middle_ms for t_ms, _ in line]
-        square_ms2 = sum(off_ms**2 for off_ms in offs_ms)
-        skew_ms = sum(off_ms**3 for off_ms in offs_ms) / square_ms2
-        # What a line leaves: powers of the time that are orthogonal to the lower ones.
-        bent = [(off_ms - skew_ms) * off_ms - square_ms2 / len(line) for off_ms in offs_ms]
-        above = sum(b * rad for b, (_, rad) in zip(bent, line, strict=True))
-        bend = above / sum(b * b for b in bent)
-        return rate + bend * (2.0 * (next_ms - middle_ms) - skew_ms)
+        t_ms, rad = zip(*list(self._positions)[-_FEWEST:], strict=True)
+        return float(np.polyfit(np.subtract(t_ms, next_ms), rad, 2)[1])
 
     def _foretold(self, line: list[tuple[int, float]]) -> bool:
         """Return whether a line through all but the newest positions leads to these."""
