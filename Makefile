@@ -84,7 +84,7 @@ vcan: $(DEV)  ## the CAN link on a real SocketCAN interface, in a virtual machin
 clients: $(DEV)  ## independent clients in JavaScript and C command the cell through each interface; installs them with npm
 	.ci/clients
 
-paper: $(DEV)  ## the paper's figures and Table 1 beside ours: out/paper/paper.html
+paper: $(DEV)  ## the paper's claims about grasps, with our figures and a verdict
 	$(BIN)/python -m benchmarks reproduction
 
 $(RUN): pyproject.toml constraints.txt
