@@ -38,7 +38,9 @@ _NAME_BYTES = 255
 """Longest name of a folder in bytes (NAME_MAX of Linux)."""
 
 _NUMBER, _TEXT = pa.float64(), pa.string()
-_SERIES = ("t_s", "aperture_m", "force_n")
+_PLAIN = ("label", "shape", "source", "series", "start_ms")
+"""Columns with a text or a number of the grasp."""
+_OF_FRAMES = ("t_s", "aperture_m", "force_n")
 """Columns with a number for each frame."""
 _COLUMNS: tuple[tuple[str, Any, str], ...] = (
     ("key", _TEXT, "SHA-256 of start and counts, 32 digits; one grasp has one key in all files"),
@@ -57,6 +59,7 @@ _COLUMNS: tuple[tuple[str, Any, str], ...] = (
     ("answer_unknown", _NUMBER, "probability that the part was never taught"),
     ("probabilities", pa.map_(_TEXT, _NUMBER), "of each label by this grasp by itself"),
     ("unknown", _NUMBER, "probability by this grasp that the object was never taught"),
+    ("series", _TEXT, "individual or day; empty where it was not named"),
     ("shape", _TEXT, "class of shape that was asked for"),
     ("felt_kind", _TEXT, "kind of shape by this grasp"),
     ("size_m", _NUMBER, "thickness along the closing axis by this grasp, m"),
@@ -92,8 +95,6 @@ PARTITION = ds.partitioning(_BY, flavor="hive")
 """Folders of the Parquet files, such as ``cell=press/day=2027-01-04``."""
 TABLE = pa.schema([*SCHEMA, *_BY])
 """Columns of the files and of their folders."""
-LIGHT = tuple(one for one in COLUMNS if one not in ("pads", "features", "counts", *_SERIES))
-"""Columns that are small: all but those of frames, features and pads."""
 
 
 def grasp_key(grasp: Grasp) -> str:
@@ -217,14 +218,10 @@ def _plain(grasp: Grasp) -> dict[str, Any]:
         "day": day_of(grasp.start_ms),
         "pads": _pads_text(grasp.pads),
         "key": grasp_key(grasp),
-        "start_ms": grasp.start_ms,
-        "source": grasp.source,
-        "label": grasp.label,
         "taught": bool(grasp.label),
-        "shape": grasp.shape,
         "thickness_m": grasp.thickness_m,
         "counts": list(grasp.counts),
-        **{name: getattr(grasp, name) for name in _SERIES},
+        **{name: getattr(grasp, name) for name in (*_PLAIN, *_OF_FRAMES)},
         "asked": grasp.command and asdict(grasp.command),
         "zero": grasp.zero and asdict(grasp.zero),
     }
@@ -269,15 +266,15 @@ def _pads(text: str) -> PadArray:
 
 def grasps_of(batch: pa.RecordBatch) -> Iterator[Grasp]:
     """Yield the grasps of rows, as they were archived."""
-    plain = ["label", "shape", "source", "start_ms", "thickness_m", "asked", "zero", "pads"]
-    for i, row in enumerate(batch.select(plain).to_pylist()):
+    single = [*_PLAIN, "thickness_m", "asked", "zero", "pads"]
+    for i, row in enumerate(batch.select(single).to_pylist()):
         pads = _pads(row["pads"])
-        lists = {name: batch[name].slice(i, 1).flatten() for name in (*_SERIES, "counts")}
+        lists = {name: batch[name].slice(i, 1).flatten() for name in (*_OF_FRAMES, "counts")}
         yield Grasp(
             pads=pads,
             counts=lists.pop("counts").flatten().to_numpy().reshape(-1, pads.n_taxels),
             **{name: values.to_numpy() for name, values in lists.items()},
-            **{name: row[name] for name in ("label", "shape", "source", "start_ms")},
+            **{name: row[name] for name in _PLAIN},
             thickness_m=np.nan if row["thickness_m"] is None else row["thickness_m"],
             command=row["asked"] and GraspCommand(**row["asked"]),
             zero=row["zero"] and SelfZero(**row["zero"]),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cell.build import Cell, build_cell
 from cell.checks.findings import Finding, Verdict, check_result, kept_values
 from cell.checks.ports import check_port
-from cell.commissioning.baseline import (
+from cell.commissioning.changes import (
     Found,
     changed_pads,
     changed_servos,

@@ -1,6 +1,5 @@
 """Walk through a commissioning: its steps in their order."""
 
-from cell.commissioning.baseline import BASELINE
 from cell.commissioning.engine import Step
 from cell.commissioning.fingers import FINGERS
 from cell.commissioning.first_force import FIRST_FORCE
@@ -15,4 +14,4 @@ from cell.commissioning.unit import UNIT
 def all_steps() -> tuple[Step, ...]:
     """Return the steps from the box to the first grasp; each comes after the steps it needs."""
     pads = (PADS_AT_REST, PADS_PRESSED, LAW)
-    return (PORTS, SERVOS, FINGERS, UNIT, *pads, LINK_QUALITY, FIRST_FORCE, BASELINE)
+    return (PORTS, SERVOS, FINGERS, UNIT, *pads, LINK_QUALITY, FIRST_FORCE)

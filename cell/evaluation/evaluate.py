@@ -8,18 +8,13 @@ from typing import Any
 
 from cell.errors import CellError, raised_as
 from cell.evaluation.selected_grasps import LEFT_OUT, left_out_in_turn
-from cell.learning import training
 from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress
-from cell.learning.training import GAUGE_GRASPS
 from cell.plugins import RECOGNISERS
-from recognition.drift.drift import NO_DRIFT, Drift, drift_values
-from recognition.drift.grid import DriftGrid
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
-from recognition.evaluation.splits import TrainTest, a_day_later, parse_split
+from recognition.evaluation.splits import TrainTest, parse_split
 from recognition.grasp import Grasp
 from recognition.recognizers import DEFAULT_TRAINER
-from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 
 _NOT_WRITTEN = ("trainer", "uses_aperture", "n", "n_untaught")
 """Figures of a recogniser that ``--json`` omits, because the split has them."""
@@ -46,18 +41,11 @@ class EvaluationResult:
     recognizers: Mapping[str, RecognizerFigures]
     left_out: Mapping[str, str]
     """Recognisers that cannot be trained with these grasps, each with the reason."""
-    drift: Drift = NO_DRIFT
-    gauge: str | None = None
-    gauged: DriftGrid | None = None
-    n_gauged: int = 0
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
         names = ("split", "n_train", "n_test", "labels", "seconds", "default", "left_out")
-        gauged = {"label": self.gauge, "n_grasps": self.n_gauged}
         return {name: getattr(self, name) for name in names} | {
-            "drift": drift_values(self.drift),
-            "gauge": self.gauged and gauged | drift_values(self.gauged.drift),
             "recognizers": {
                 name: _figures(one.full)
                 | {"without_aperture": one.without_aperture and _figures(one.without_aperture)}
@@ -76,8 +64,6 @@ def evaluate_recognizers(
     fuse: Sequence[int] = (1,),
     seed: int = 0,
     mapper: Mapper = one_by_one,
-    drift: Drift = NO_DRIFT,
-    gauge: str | None = None,
     progress: Progress,
 ) -> EvaluationResult:
     """Train and test each named recogniser.
@@ -98,27 +84,11 @@ def evaluate_recognizers(
         Numbers of grasps to fuse.
     mapper
         Map function for the work, from `cell.learning.parallel.workers`.
-    drift
-        Applied to the tested grasps, which then count as grasps of another day.
-    gauge
-        An object whose first tested grasps measure the drift instead of being tested. The drift is
-        then corrected in all other grasps, for every recogniser.
     """
     started_s = time.monotonic()
     if train is not None:
         split = "separate files"
     parts = _parts(grasps, split, train, seed)
-    if drift != NO_DRIFT:
-        parts = [
-            (taught, tuple(a_day_later(drift.apply(grasp)) for grasp in test))
-            for taught, test in parts
-        ]
-    gauged, n_gauged = None, 0
-    if gauge is not None:
-        if len(parts) > 1:
-            raise CellError("--gauge needs one training part: omit it, or choose another --split")
-        gauged, n_gauged, test_part = _gauge(*parts[0], gauge)
-        parts = [(parts[0][0], test_part)]
     measure = partial(evaluate, parts, fuse=fuse, seed=seed, mapper=mapper)
     if len(parts) > 1:
         # A part tests a single object: the others would have to be left out again for each.
@@ -150,10 +120,6 @@ def evaluate_recognizers(
         default=DEFAULT_TRAINER,
         recognizers=figures,
         left_out=left_out,
-        drift=drift,
-        gauge=gauge,
-        gauged=gauged,
-        n_gauged=n_gauged,
     )
 
 
@@ -180,22 +146,6 @@ def _parts(
                 "training and test grasps are from different pads: use data sets of the same pads"
             )
     return parts
-
-
-def _gauge(
-    train: Sequence[Grasp], test: Sequence[Grasp], label: str
-) -> tuple[DriftGrid, int, tuple[Grasp, ...]]:
-    """Return the drift of the object's first tested grasps, their number, the others corrected."""
-    of_label = sorted((grasp for grasp in test if grasp.label == label), key=lambda g: g.start_ms)
-    taken = of_label[:GAUGE_GRASPS]
-    others = [grasp for grasp in test if not any(grasp is one for one in taken)]
-    if not others:
-        raise CellError(
-            f"all {len(taken)} grasps to test are used for the gauge with {label!r}: add grasps"
-        )
-    taught = training.gaugeable(training.train(train, ForceRampTrainer.name), label)
-    found = training.gauged(taught, label, taken).grid
-    return found, len(taken), tuple(found.drift.undo(grasp) for grasp in others)
 
 
 def _figures(evaluation: Evaluation) -> dict[str, Any]:

@@ -45,8 +45,3 @@ def left_out_in_turn(grasps: Sequence[Grasp], what: str) -> list[TrainTest]:
         return series_parts(grasps)
     day = what == "days"
     return left_out_parts(grasps, [day_of(g.start_ms) if day else cell_of(g) for g in grasps])
-
-
-def day_and_cell(grasps: Sequence[Grasp]) -> list[str]:
-    """Return day and cell of each grasp as one text."""
-    return [f"{day_of(grasp.start_ms)} {cell_of(grasp)}" for grasp in grasps]

@@ -17,7 +17,6 @@ from cell.errors import ReportError
 from cell.files import write_atomically
 from cell.installation import extra
 from cell.recording.reader import RecordedCycles
-from cell.report.confusion import ConfusionTable
 from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp
 
@@ -62,8 +61,6 @@ _STYLE: Any = {
 }
 _MAX_PERIODS = 1500
 """Most periods of a grasp in a figure; more are thinned out."""
-_SIDE_IN, _LEAST_IN = 0.35, 4.0
-"""Size of a cell of a table, and of the smallest picture, in inches."""
 _FILL = 0.92
 """Side of a drawn taxel as a share of the pitch: a thin gap separates the taxels."""
 
@@ -156,7 +153,7 @@ def grasp_figure(grasp: Grasp, title: str) -> "Figure":
     largest = grasp.counts[int(loads[gripping].sum(axis=0).argmax())]
     with drawing():
         figure = new_figure(8.0, 5.0)
-        figure.suptitle(_plain(title))
+        figure.suptitle(title.replace("$", r"\$"))
         (load, opening), maps = figure.subplots(2, 2)
         for axes in maps:
             axes.set_axis_off()
@@ -178,31 +175,6 @@ def grasp_figure(grasp: Grasp, title: str) -> "Figure":
             force.plot(grasp.t_s, grasp.force_n, color=colour(5))
             force.set_ylabel("commanded force / N")
     return figure
-
-
-def confusion_figure(table: ConfusionTable) -> "Figure":
-    """Draw a table of what was held (rows) against what was named, in per cent of the row."""
-    rows, columns = len(table.labels), len(table.columns)
-    share = 100.0 * table.counts / np.maximum(table.counts.sum(axis=1, keepdims=True), 1)
-    with drawing():
-        figure = new_figure(
-            max(_LEAST_IN, 2.0 + _SIDE_IN * columns), max(_LEAST_IN, 1.5 + _SIDE_IN * rows)
-        )
-        axes = figure.subplots()
-        axes.grid(visible=False)
-        axes.imshow(share, cmap="Blues", vmin=0, vmax=100)
-        for row, column in zip(*np.nonzero(table.counts), strict=True):
-            ink = "white" if share[row, column] > 50 else INK
-            count = str(table.counts[row, column])
-            axes.text(column, row, count, ha="center", va="center", color=ink)
-        axes.set_xticks(range(columns), map(_plain, table.columns), rotation=60, ha="right")
-        axes.set_yticks(range(rows), map(_plain, table.labels))
-        axes.set(xlabel="named", ylabel="held", title=table.text)
-    return figure
-
-
-def _plain(text: str) -> str:
-    return text.replace("$", r"\$")
 
 
 def pad_svg(

@@ -78,7 +78,7 @@ def practice_commands() -> list[list[str]]:
 
 
 def transcript() -> str:
-    """Return the terminal's text from the first step to the gauge object."""
+    """Return the terminal's text from the first step to the first force."""
     simulate, *_ = practice_commands()
     faults = [simulate[at + 1] for at, word in enumerate(simulate) if word == "--fault"]
     config = changed_config(CellConfig(), {"simulator.faults": faults})

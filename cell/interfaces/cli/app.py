@@ -26,7 +26,6 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "train": ("model:train", "Train a recogniser on data sets and write a model file."),
         "calibrate": ("model:calibrate", "Correct a model for the drift since teaching."),
         "evaluate": ("model:evaluate", "Measure recognisers on recorded grasps."),
-        "compare": ("model:compare", "Compare two models on the same grasps."),
     },
     "config": {
         "init": ("config:init", "Write a config file with explained keys, and its schema."),
@@ -41,8 +40,6 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "service": {
         "install": ("service:install", "Print udev rules, user and systemd unit of the service."),
-        "backup": ("service:backup", "Write all files of a cell to one file."),
-        "restore": ("service:restore", "Unpack a backup into a new folder."),
         "support": ("service:support", "Pack files for remote support."),
     },
     "recording": {
@@ -56,9 +53,7 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "archive": {
         "add": ("archive:add", "Add recordings and data sets; the name `add` may be left out."),
-        "export": ("archive:export", "Write grasps of an archive to one file."),
         "report": ("archive:report", "Write the page of an archive: confusions, drift, ageing."),
-        "confusion": ("archive:confusion", "Draw what was held against what was named."),
     },
 }
 """Commands of each group: module and function below `cell.interfaces.cli.commands`, and help."""
@@ -66,7 +61,7 @@ _PANELS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Work": {
         "run": ("run:run", "Teach objects and identify each of them: the main job."),
         "teach": ("teach:teach", "Grasp a known object, or a drawing of it, for a data set."),
-        "model": ("", "Models of taught objects: train, calibrate, evaluate, compare."),
+        "model": ("", "Models of taught objects: train, calibrate, evaluate."),
         "identify": ("identify:identify", "Identify the part in the grip, or recorded parts."),
         "sort": ("sort:sort", "Identify parts and release each at its place."),
     },
@@ -79,11 +74,11 @@ _PANELS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Operate": {
         "serve": ("serve:serve", "Run the cell for people, PLCs, robots and other hosts."),
         "hand": ("", "Gripper and sensor: zero, release, clear, bench."),
-        "service": ("", "The installed cell: install, backup, restore, support."),
+        "service": ("", "The installed cell: install, support."),
     },
     "Look back": {
         "recording": ("", "Recordings: report, plot, list, mark, replay, recover."),
-        "archive": ("", "Grasps of many cells and days: add, export, report, confusion."),
+        "archive": ("", "Grasps of many cells and days: add, report."),
     },
 }
 """The commands by their purpose; a name without a place is one of `_GROUPS`."""

@@ -153,7 +153,6 @@ PRACTICE: Practice = {
     r"Take hold of": ("", ""),
     r"Take everything out|Take the part and your hands away": ("empty", ""),
     r"Hold .*between the pads, and keep": ("part", ""),
-    r"Hold .*between the pads, until": ("part box", ""),
 }
 """The practice with two servos on parallel links."""
 _PLACES = {"the tip and": "tip", "left": "left", "right": "right", "the other finger": "inside"}

@@ -9,23 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.checks.findings import STORE_NAME, Finding, Notes, Verdict
-from cell.commissioning.baseline import (
-    BASELINE,
-    Gauge,
-    changed_gauge,
+from cell.checks.findings import Notes, Verdict
+from cell.commissioning.changes import (
     changed_hardware,
     changed_pads,
     changed_servos,
     changed_unit,
-    gauge_again,
     since_commissioning,
 )
 from cell.commissioning.engine import WizardAborted
 from cell.commissioning.first_force import FIRST_FORCE
 from cell.control.self_zero import kept_zeros
-from cell.errors import CellError
-from cell.formats import COMMISSIONING, write_json
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.settings import largest_setpoint_n
 from simulator.cell import SimulatedCell
@@ -163,7 +157,7 @@ def test_a_gripper_without_pads_presses_by_current(one) -> None:
     assert one.torques == [0, 0]
 
 
-# -- Baseline: a gauge object, and what has changed since, with the step it affects ----------------
+# -- What has changed since the commissioning, with the step it affects ----------------------------
 
 
 FOUND: dict[str, Any] = {
@@ -182,21 +176,11 @@ FOUND: dict[str, Any] = {
     },
 }
 SOUND = SourceIdentity(name="unit", serial=7, revision=0x10001, boards=(1, 2))
-GAUGE = Gauge(
-    gauge="block",
-    force_n=4.0,
-    held_n=(4.0, 4.0),
-    contact_mm=10.2,
-    held_mm=9.6,
-    current_ma=400.0,
-    patch_taxels=(12, 12),
-)
 
 
 def test_the_same_hardware_has_not_changed() -> None:
     assert changed_unit(FOUND, SOUND) == []
     assert changed_servos(FOUND, {1: ("XM430-W350", 46), 2: ("XM430-W350", 46)}) == []
-    assert changed_gauge(GAUGE, replace(GAUGE, contact_mm=10.3, current_ma=430.0)) == []
     rng = np.random.default_rng(0)
     frames = np.clip(rng.normal(100.0, 80.0, (10, 156)), 1, None).astype(np.uint16)
     frames[:, 3] = 0
@@ -208,10 +192,6 @@ def test_the_same_hardware_has_not_changed() -> None:
 SERVOS = {1: ("XM430-W210", 46), 2: ("XM430-W350", 46)}
 
 
-def gauge(**change: Any) -> list[Finding]:
-    return changed_gauge(GAUGE, replace(GAUGE, **change))
-
-
 @pytest.mark.parametrize(
     ("changes", "what", "step"),
     [
@@ -220,9 +200,6 @@ def gauge(**change: Any) -> list[Finding]:
         (changed_unit(FOUND, replace(SOUND, boards=(1, 9))), "pads of finger 1", "pads_at_rest"),
         (changed_unit(FOUND, replace(SOUND, boards=(2, 1))), "pads", "pads_at_rest"),
         (changed_servos(FOUND, SERVOS), "servo 1", "servos"),
-        (gauge(held_mm=9.2), "opening on the gauge object", "fingers"),
-        (gauge(held_n=(4.5, 3.5)), "forces of both fingers", "pads_law"),
-        (gauge(current_ma=600.0), "current of the motors at the same force", "pads_law"),
     ],
 )
 def test_what_has_changed_names_the_step_to_repeat(changes, what, step) -> None:
@@ -271,31 +248,3 @@ def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(one) -> None:
     assert changed_hardware(one.bench) == []
     one.bench.found = {}
     assert changed_hardware(one.bench) == []
-
-
-@pytest.mark.slow
-def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(stand, tmp_path) -> None:
-    one = stand(noise=NoiseModel(level=0.3))
-    finding = one.passes(BASELINE)
-    was = Gauge(**finding.values["gauge"])
-    assert was.held_n == pytest.approx((was.force_n, was.force_n), rel=0.1)
-    assert was.held_mm < was.contact_mm < 11.0
-    assert min(was.patch_taxels) > 5
-    bench, script = one.bench, one.person.script
-    with pytest.raises(CellError, match="no gauge object was kept"):
-        gauge_again(bench, bench.config, script)
-    store = {"steps": {"baseline": {"values": finding.values}}, "approved": []}
-    write_json(tmp_path / STORE_NAME, COMMISSIONING, store, error=CellError)
-    (same,) = gauge_again(bench, bench.config, script)
-    assert (same.verdict, same.found) == (Verdict.PASS, "as at commissioning")
-    one.cell.inject("servo1.horn=10")
-    changed = gauge_again(bench, bench.config, script)
-    assert any("--redo fingers" in one.advice for one in changed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("part", ["ball", "cylinder"])
-def test_a_gauge_without_parallel_faces_is_refused(one, part) -> None:
-    finding = one.run(BASELINE, baseline__place=one.does(f"part {part}"))
-    assert finding.status is Verdict.FAIL
-    assert "but the gauge needs parallel faces: take a block" in finding.lines[-1]

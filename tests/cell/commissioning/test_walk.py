@@ -1,4 +1,4 @@
-"""The whole wizard on simulated cells in virtual time: from the box to the baseline."""
+"""The whole wizard on simulated cells in virtual time: from the box to the first force."""
 
 from dataclasses import replace
 from functools import partial
@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from cell.checks.findings import Verdict
-from cell.commissioning.baseline import changed_hardware
 from cell.commissioning.bench import Bench
+from cell.commissioning.changes import changed_hardware
 from cell.commissioning.engine import CONFIG_NAME, Engine, Step
 from cell.commissioning.link_quality import LINK_QUALITY, check_lines
 from cell.commissioning.walk import all_steps
@@ -62,7 +62,7 @@ def test_a_sound_cell_is_brought_up_without_a_warning(tmp_path) -> None:
     assert config.tactile.board_serial_numbers == (1, 2)
     # The same cell with another pad on finger 1.
     again = brought_up(tmp_path, boards=(1, 9))
-    assert again.began == ["pads_at_rest", "pads_pressed", "pads_law", "first_force", "baseline"]
+    assert again.began == ["pads_at_rest", "pads_pressed", "pads_law", "first_force"]
     assert load_config(tmp_path / CONFIG_NAME).tactile.board_serial_numbers == (1, 9)
 
 
@@ -121,6 +121,6 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, m
 
 
 def test_the_tutorial_shows_what_is_printed() -> None:
-    """A cell of wrong hardware, from the box to the gauge object."""
+    """A cell of wrong hardware, from the box to the first force."""
     _, shown = TRANSCRIPT.read_text("utf-8").split("\n", 1)
     assert transcript().split() == shown.split()

@@ -26,7 +26,6 @@ from cell.runtime.sort import drawn_object
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import NO_DRIFT, Drift
 from recognition.recognizers import make_trainer
-from tests.cell.archive.fleet import SIZES_MM, ramp
 from tests.cell.conftest import call, plain_grasp, small_config
 
 SPLIT = "chronological:0.6"
@@ -165,7 +164,7 @@ def test_grasps_on_other_pads_are_refused(taught: Any) -> None:
             identify_recorded(load_model(taught.result.model), [other])
 
 
-# -- Drift in evaluation, and taking it off: evaluate --drift --gauge, calibrate -------------------
+# -- Taking a drift off: calibrate -----------------------------------------------------------------
 
 
 DRIFT = Drift(gains=(0.8,), aperture_offset_m=-1e-3)
@@ -176,35 +175,6 @@ def drifted(taught: Any, tmp_path: Path) -> Path:
     path = tmp_path / "drifted.npz"
     write_dataset(path, [DRIFT.apply(grasp) for grasp in taught.grasps])
     return path
-
-
-@pytest.mark.slow
-def test_evaluate_drifts_and_gauges(tmp_path) -> None:
-    rng = np.random.default_rng(5)
-    grasps = [ramp(label, rng, start_ms=20_000 * n) for n in range(20) for label in SIZES_MM]
-    write_dataset(tmp_path / "grasps.npz", grasps)
-    text = call(
-        *(
-            "model",
-            "evaluate",
-            tmp_path / "grasps.npz",
-            "--recognizer",
-            "force_ramp",
-            "--fuse",
-            "1",
-        ),
-        *("--drift", "gain=0.8,aperture_mm=-3", "--gauge", "ball", "--json", tmp_path / "e.json"),
-    )
-    data = json.loads((tmp_path / "e.json").read_text(encoding="utf-8"))
-    assert "gain 0.80, opening -3.0 mm" in text
-    assert "gauged with 3 grasps of ball" in text
-    wanted = {"gain": pytest.approx(0.8), "gains": [0.8], "aperture_mm": pytest.approx(-3.0)}
-    assert (data["drift"], data["gauge"]["label"]) == (wanted, "ball")
-    assert data["gauge"]["gain"] == pytest.approx(0.8, abs=0.05)
-    assert data["gauge"]["aperture_mm"] == pytest.approx(-3.0, abs=0.2)
-    figures = data["recognizers"]["force_ramp"]
-    assert np.sum(figures["confusion"]) == 21
-    assert figures["single_accuracy"] == 1.0
 
 
 @pytest.mark.slow
@@ -253,14 +223,6 @@ def test_what_cannot_be_gauged_or_followed_says_why(taught, drifted, tmp_path) -
     ):
         with pytest.raises(error, match=complaint):
             call(*command, *arguments, *into)
-    options = {"split": "chronological:0.6", "names": ["force_ramp"], "progress": silent}
-    with pytest.raises(CellError, match="was not taught"):
-        evaluate_recognizers(taught.grasps, gauge="ghost", **options)
-    of_ball = [grasp for grasp in taught.grasps if grasp.label == "ball"]
-    with pytest.raises(CellError, match="are used for the gauge"):
-        evaluate_recognizers(of_ball, gauge="ball", **options)
-    with pytest.raises(ConfigError, match="--drift"):
-        call("model", "evaluate", taught.result.dataset, "--drift", "speed=3")
     with pytest.raises(ConfigError, match="--model"):
         call("model", "calibrate", "--gauge", "ball", "-o", tmp_path / "m.npz")
     model = load_model(taught.result.model)

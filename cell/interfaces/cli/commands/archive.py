@@ -1,4 +1,4 @@
-"""`archive`: grasps of many cells and days as one table: add, export, report, confusion."""
+"""`archive`: grasps of many cells and days as one table: add, report."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,12 +6,10 @@ from typing import Annotated
 import typer
 
 from cell.archive.selection import parse_selection
-from cell.errors import CellError
 from cell.installation import extra
 from cell.interfaces.cli import options
-from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, show
+from cell.interfaces.cli.terminal import print_note, progress_bar, show
 from cell.learning.parallel import workers
-from cell.report.figures import confusion_figure, write_picture
 from cell.report.page import write_report
 
 ArchiveArgument = Annotated[str, typer.Argument(help="Folder or URL of the archive.")]
@@ -48,24 +46,6 @@ def add(
     show([line], done, json_file)
 
 
-def export(
-    archive: ArchiveArgument,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="File to write (.csv, .parquet or .npz).")
-    ],
-    cells: options.Cells = None,
-    days: options.Days = None,
-    objects: options.Objects = None,
-) -> None:
-    """Write grasps of an archive to one file: CSV, Parquet or a data set."""
-    with extra("archive", needed_by="the archive"):
-        from cell.archive.export import export as write
-        from cell.archive.store import Archive
-
-    n = write(Archive(archive), output, parse_selection(cells, days, objects))
-    print_line(f"{n} grasps: {output}")
-
-
 def report(
     archive: ArchiveArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="Page to write.")] = Path(
@@ -88,28 +68,3 @@ def report(
     answers = ask(archive, selection)
     write_report(output, archive_report(answers, archive))
     show([*lines(answers), f"report: {output}"], answers.as_json(), json_file)
-
-
-def confusion(
-    archive: Annotated[str, typer.Argument(help="Folder or URL of the archive.")],
-    output: options.Picture,
-    cells: options.Cells = None,
-    days: options.Days = None,
-    objects: options.Objects = None,
-) -> None:
-    """Draw what was held against what was named, of all identifications of named parts.
-
-    Needs the extras `archive` and `report`.
-    """
-    with extra("archive", needed_by="an archive"):
-        from cell.archive.page import confusion_table
-        from cell.archive.questions import ask
-
-    table = confusion_table(ask(archive, parse_selection(cells, days, objects)))
-    if table is None:
-        raise CellError(
-            f"{archive} has no selected identification of a part that was named; "
-            f"`tactile-cell model evaluate {archive}` measures confusions on taught grasps"
-        )
-    write_picture(output, confusion_figure(table))
-    print_line(f"{table.text}: {output}")

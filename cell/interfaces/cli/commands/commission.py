@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from cell.commissioning.backup import restore as restore_servos
-from cell.commissioning.baseline import changed_hardware
 from cell.commissioning.bench import Bench
+from cell.commissioning.changes import changed_hardware
 from cell.commissioning.engine import Engine, WizardAborted
 from cell.commissioning.servo_bench.result import run_bench
 from cell.commissioning.servo_bench.rig import open_rig

@@ -1,18 +1,14 @@
 """`doctor`: checks machine, ports, servos and control unit."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.checks.findings import Finding, Verdict
-from cell.commissioning.baseline import gauge_again
-from cell.commissioning.bench import Bench
+from cell.checks.findings import Verdict
 from cell.commissioning.doctor import examine
 from cell.errors import CellError
 from cell.interfaces.cli import options
-from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.session import cell_config
 from cell.interfaces.cli.terminal import out, print_line, show, write_json
 from cell.plugins import GROUPS
@@ -21,19 +17,12 @@ from cell.plugins import GROUPS
 def doctor(
     config: options.Config = None,
     json_file: options.Json = None,
-    gauge: Annotated[
-        bool,
-        typer.Option(
-            "--gauge",
-            help="Also grasp the gauge object of the commissioning and compare: the fingers move.",
-        ),
-    ] = False,
     plugins: Annotated[
         bool,
         typer.Option("--plugins", help="Only list the installed plugins, and load each."),
     ] = False,
 ) -> None:
-    """Check machine, ports, servos and control unit; nothing moves without --gauge.
+    """Check machine, ports, servos and control unit; nothing moves.
 
     A commissioned cell is compared with the record of its commissioning.
 
@@ -44,16 +33,7 @@ def doctor(
         return
     colours = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
     findings = []
-    cell = cell_config(config)
-
-    def checks() -> Iterator[Finding]:
-        yield from examine(cell, config)
-        if gauge:
-            if config is None or cell.simulated:
-                raise CellError("--gauge is for a commissioned cell with real ports: name --config")
-            yield from gauge_again(Bench(config.parent), cell, TerminalDialog())
-
-    for finding in checks():
+    for finding in examine(cell_config(config), config):
         findings.append(finding)
         advice = f"  -> {finding.advice}" if finding.advice else ""
         out.print(f"[{colours[finding.verdict]}]{finding.verdict.value:<5}[/]", end="")

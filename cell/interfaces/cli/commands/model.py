@@ -1,4 +1,4 @@
-"""`model`: trains, calibrates, evaluates and compares recognisers."""
+"""`model`: trains, calibrates and evaluates recognisers."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -10,11 +10,10 @@ import typer
 from rich.table import Table
 
 from cell.archive.selection import EVERYTHING, is_archive, parse_selection
-from cell.errors import CellError, ConfigError, raised_as
-from cell.evaluation.compare import compare as compare_models
+from cell.errors import CellError, ConfigError
 from cell.evaluation.evaluate import EvaluationResult, evaluate_recognizers
 from cell.evaluation.selected_grasps import selected_grasps
-from cell.evaluation.spread import spread_gains, spread_values, with_spread
+from cell.evaluation.spread import with_spread
 from cell.files import write_text
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import (
@@ -32,7 +31,7 @@ from cell.learning.teaching_summary import summarise_teaching
 from cell.learning.training import calibrate_model, follow_shift, gaugeable, train as train_model
 from cell.recording.dataset import read_grasps
 from cell.runtime.goals import TeachGoal
-from recognition.drift.drift import NO_DRIFT, Drift, drift_text, parse_drift
+from recognition.drift.drift import drift_text
 from recognition.evaluation.evaluation import Evaluation, Mapper
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN
@@ -58,12 +57,9 @@ def train(
     if twice := len(duplicate_grasps(grasps)):
         print_note(f"{twice} of {len(grasps)} grasps occur twice: probabilities are too high")
     trained = train_model(grasps, recognizer)
-    prior, gains = None, []
+    prior = None
     if any(map(is_archive, datasets)):
         trained, prior = with_spread(trained, grasps)
-    if prior is not None:
-        with _workers(grasps) as mapper, progress_bar() as progress:
-            gains = spread_gains(grasps, recognizer, mapper=mapper, progress=progress)
     labels = trained.recognizer.labels
     save_model(
         model,
@@ -83,16 +79,6 @@ def train(
             f"spread between days and cells: gain {100 * prior.log_gain_sd:.0f} %, opening "
             f"{prior.offset_sd_mm:.1f} mm"
         )
-    for one in gains:
-        names = one.names
-        without, with_it = (
-            f"{percent(right)} rightly, {percent(wrong)} wrongly"
-            for right, wrong in zip(names.right, names.wrong, strict=True)
-        )
-        lines.append(
-            f"{names.n} grasps of {one.n_parts} {one.what} left out in turn: {without} without the "
-            f"spread; {with_it} with it, {percent(names.difference, names.interval)} more rightly"
-        )
     summary = summarise_teaching(grasps)
     values = {
         "model": str(model),
@@ -101,8 +87,10 @@ def train(
         "labels": list(labels),
         "teaching": summary,
     }
-    spread_found = {} if prior is None else {"spread": spread_values(prior, gains)}
-    show(lines, values | spread_found, json_file)
+    if prior is not None:
+        spread = {"log_gain_sd": prior.log_gain_sd, "offset_sd_mm": prior.offset_sd_mm}
+        values["spread"] = spread
+    show(lines, values, json_file)
     for note in summary.notes:
         print_note(note)
 
@@ -221,16 +209,6 @@ def evaluate(
             callback=options.known_recognizers,
         ),
     ] = None,
-    drift: Annotated[
-        str | None,
-        typer.Option(
-            "--drift", help="Add a drift to the tested grasps, for example gain=0.7,aperture_mm=-4."
-        ),
-    ] = None,
-    gauge: Annotated[
-        str | None,
-        typer.Option("--gauge", help="Find the drift from the first 3 tested grasps of LABEL."),
-    ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, max=options.MAX_SEED)] = 0,
     cells: options.Cells = None,
     days: options.Days = None,
@@ -258,8 +236,6 @@ def evaluate(
             fuse=_numbers(fuse),
             seed=seed,
             mapper=mapper,
-            drift=_drift(drift),
-            gauge=gauge,
             progress=progress,
         )
     for name, reason in result.left_out.items():
@@ -292,25 +268,12 @@ def _with_interval(
     return f"{unit * value:.{digits}f} ({low} to {high})"
 
 
-def _drift(text: str | None) -> Drift:
-
-    if text is None:
-        return NO_DRIFT
-    with raised_as(ConfigError, ValueError, where="--drift"):
-        return parse_drift(text)
-
-
 def _lines(result: EvaluationResult) -> Iterator[str | Table]:
 
     yield (
         f"{result.split}: {result.n_train} grasps to train, {result.n_test} to test, "
         f"{len(result.labels)} objects"
     )
-    if result.drift != NO_DRIFT:
-        yield f"drift of the tested grasps: {drift_text(result.drift)}"
-    if result.gauged is not None:
-        found = drift_text(result.gauged.drift)
-        yield f"gauged with {result.n_gauged} grasps of {result.gauge}: {found}"
     fused = sorted({k for f in result.recognizers.values() for k in f.full.fused_accuracy} - {1})
     table = Table(header_style="bold")
     for column in (
@@ -361,30 +324,3 @@ def _details(name: str, evaluation: Evaluation) -> Iterator[str]:
             f"named rightly {100 * shift.named_right:.1f} %, wrongly "
             f"{100 * shift.named_wrong:.1f} %"
         )
-
-
-def compare(
-    first: Annotated[Path, typer.Argument(help="File of a taught model.")],
-    second: Annotated[Path, typer.Argument(help="File of another one.")],
-    datasets: Annotated[
-        list[str], typer.Argument(help="Archives, data sets or recordings that taught neither.")
-    ],
-    cells: options.Cells = None,
-    days: options.Days = None,
-    objects: options.Objects = None,
-    json_file: options.Json = None,
-) -> None:
-    """Compare two models on the same grasps: paired, with an interval of 95 %."""
-    models = load_model(first), load_model(second)
-    selection = parse_selection(cells, days, objects)
-    grasps = selected_grasps(datasets, selection, print_line)
-    with _workers(grasps) as mapper:
-        found = compare_models(*models, grasps, mapper)
-    each = zip((first, second), found.right, found.wrong, found.alone, strict=True)
-    lines = [
-        f"{path}: named rightly {percent(right)}, wrongly {percent(wrong)}; {alone} grasps "
-        "that the other one does not name rightly"
-        for path, right, wrong, alone in each
-    ]
-    gained = percent(found.difference, found.interval)
-    show([*lines, f"{second} names {gained} more of {found.n} grasps rightly"], found, json_file)

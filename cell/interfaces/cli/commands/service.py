@@ -1,11 +1,10 @@
-"""`service`: files of an installed cell: system files, backups, a bundle for support."""
+"""`service`: files of an installed cell: system files, a bundle for support."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.commissioning.cell_backup import back_up, restore as unpack
 from cell.config.serve import ALL_CLOSED
 from cell.errors import CellError
 from cell.files import write_text
@@ -102,31 +101,6 @@ def _print_commands(when: str, commands: tuple[str, ...]) -> None:
     print_line(f"{when}, as root:")
     for command in commands:
         print_line(f"  {command}")
-
-
-def backup(
-    file: Annotated[Path, typer.Argument(help="Backup to write (.tar).")],
-    config: options.Config = None,
-    model: Annotated[
-        list[Path] | None,
-        typer.Option("--model", "-m", help="Model in another folder; repeat for several."),
-    ] = None,
-) -> None:
-    """Write config, self-zero, models, data sets, photos, findings and record to one file.
-
-    It takes the files in the folder of the config, and those that the config names. Recordings,
-    history, tokens, secrets and certificates are left out.
-    """
-    n_files = back_up(file, config or options.FOLDER_CONFIG, model or ())
-    print_line(f"{file}: {n_files} files, {file.stat().st_size / 1e6:.1f} MB")
-
-
-def restore(
-    file: Annotated[Path, typer.Argument(help="Backup to restore.")],
-    folder: Annotated[Path, typer.Argument(help="New folder for the cell.")],
-) -> None:
-    """Unpack a backup into a new folder; nothing is written to a device."""
-    print_line(f"{folder}: {unpack(file, folder)} files of {file}")
 
 
 _MB = 1_000_000
