@@ -102,7 +102,7 @@ def drawn_gearing(model: ServoModel, seed: str | None) -> Gearing:
     drive = spread.typical
     if seed is not None:
         drive = _drawn(spread, random.Random(seed))
-    return Gearing(identified=drive, identified_on=model.name)
+    return Gearing(drive=drive)
 
 
 def _drawn(spread: Spread, rng: random.Random) -> Drive:

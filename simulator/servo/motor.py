@@ -10,8 +10,7 @@ modes its output is the PWM, so the back-EMF damps. In current-based position mo
 current within Goal Current, so only the D gain damps. An X430 regulates the current of the winding.
 The 330 size regulates and reports the current of the supply, which is duty times the current of the
 winding, and limits the change of its voltage (PWM Slope). See Rhoban/bam, pull request 14. A
-`simulator.servo.gearing.Gearing` has friction, backlash and ripple of the torque; the default is
-ideal.
+`simulator.servo.gearing.Gearing` has friction and backlash; the default is ideal.
 """
 
 import math
@@ -312,12 +311,7 @@ class ServoMotor:
             duty = (self.current_a * self._resistance_ohm + back_emf_v) / supply_v
             self.duty = 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty
         self._account(dt_s)
-        torque_nm = self._kt_nm_a * self.kt_factor * self.current_a
-        gearing = self.gearing
-        if gearing.ripple:
-            turned_rad = self.angle_rad + self.lead_rad
-            torque_nm *= 1.0 + gearing.ripple * math.sin(gearing.ripple_per_turn * turned_rad)
-        return torque_nm
+        return self._kt_nm_a * self.kt_factor * self.current_a
 
     def _demand(self, count: int, dt_s: float) -> tuple[float | None, float]:
         """Return the current in A that the mode asks for, or None and the duty."""

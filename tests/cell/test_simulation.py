@@ -46,13 +46,13 @@ def test_settings_follow_the_config() -> None:
 
 
 def test_the_servos_differ_as_the_config_says() -> None:
-    keys = {"gearing": "mx64", "friction": [1.5, 1.0], "kt": [0.8, 1.1], "start_c": 15.0}
+    keys = {"gearing": "ideal", "friction": [1.5, 1.0], "kt": [0.8, 1.1], "start_c": 15.0}
     config = changed_config(
         CellConfig(), {f"simulator.servos.{key}": value for key, value in keys.items()}
     )
     with SimulatedCell(simulator_settings(config)) as cell:
         first, second = cell.devices.mechanics.motors
-    assert first.gearing is GEARINGS["mx64"]
+    assert first.gearing is GEARINGS["ideal"]
     assert (first.friction_factor, second.friction_factor) == (1.5, 1.0)
     assert (first.kt_factor, second.kt_factor) == (0.8, 1.1)
     assert first.temperature_c == second.temperature_c == 15.0

@@ -12,7 +12,7 @@ from gripper.errors import ServoFault
 from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.outcome import GraspResult
-from simulator.servo.gearing import MX_64_GEARING
+from tests.gripper.conftest import STICKING
 from tests.marks import LONG
 
 NEVER = (0.7, 0.15)
@@ -206,9 +206,9 @@ def test_the_load_of_a_gearing_that_sticks_is_measured_with_its_losses(factors) 
     part = PARTS["steel ball, 200 N/mm"]
     # Without a load up to four times the current of the catalogue is plausible.
     factors = (_CATALOGUE * factors[0], factors[1])
-    settings = {"gearing": MX_64_GEARING, "factors": factors, "current_max_a": 1.6}
+    settings = {"gearing": STICKING, "factors": factors, "current_max_a": 1.6}
     found = Rig(part, 0.2, servos=None, seed=11, rate_hz=200.0, **settings).measure_servos()
-    true_drive = MX_64_GEARING.drive_of(XM430_W350)
+    true_drive = STICKING.drive_of(XM430_W350)
     law = true_drive.friction
     true_a_nm = (1.0 + sum(law.load)) / (1.0 - sum(law.drive)) / true_drive.kt_nm_a / factors[1]
     for drive in found.values():

@@ -160,7 +160,6 @@ def fingers(motors: int = 2, **options: float) -> FingerMechanics:
         (lambda: ParallelogramLinkage().angle_rad(0.07), "out of reach"),
         (lambda: RackLinkage().angle_rad(0.06), "beyond"),
         (lambda: Gearing(load_friction=1.0), "load_friction"),
-        (lambda: Gearing(ripple=-0.1), "ripple"),
         (lambda: Gearing(backlash_rad=math.nan), "backlash_rad"),
         (lambda: ServoMotor(angle_rad=math.nan), "finite"),
     ],

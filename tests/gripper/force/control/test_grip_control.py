@@ -14,7 +14,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import GripperPhase
-from simulator.servo.gearing import MX_64_GEARING
+from tests.gripper.conftest import STICKING
 from tests.gripper.force.pads import WrongPads
 from tests.marks import LONG
 
@@ -147,7 +147,7 @@ def test_a_force_on_foam_that_creeps_stays_within_its_aim_for_a_long_hold() -> N
 
 def sticking(part: str, seed: int, rate_hz: float | None = None) -> Rig:
     """Return a rig whose gearing sticks."""
-    return Rig(PARTS[part], 0.2, servos=None, seed=seed, rate_hz=rate_hz, gearing=MX_64_GEARING)
+    return Rig(PARTS[part], 0.2, servos=None, seed=seed, rate_hz=rate_hz, gearing=STICKING)
 
 
 @pytest.fixture(scope="module")
