@@ -48,7 +48,7 @@ NOISE_SHARES = (0.0, PAPER_NOISE, 0.20)
 VIEWS = ("common, one frame", "common", "own")
 """Ways to take a level: at a common force or at the grasp's full force, and whether the frames near
 it are averaged before the surface is fitted."""
-RECOGNIZERS = ("force_ramp", "shrinkage_lda", "level_check")
+RECOGNIZERS = ("force_ramp", "level_check")
 """Recognisers of the product, by touch alone."""
 
 

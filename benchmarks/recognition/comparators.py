@@ -1,9 +1,9 @@
 """Methods that the paper names, and plain ones, against the recognisers of the product.
 
 ``python -m benchmarks comparators FILE`` names the last 40 per cent in time of each object's grasps
-in a data set, as ``tactile-cell model evaluate`` does. Trees get all features of the default
-recogniser; the others have their own, from the patch of each pad under full load. A small grid is
-searched with blocks in time of the grasps that teach.
+in a data set, as ``tactile-cell model evaluate`` does. Discriminant and trees get all features of
+the default recogniser; the others have their own, from the patch of each pad under full load. A
+small grid is searched with blocks in time of the grasps that teach.
 
 The default recogniser also names the tested grasps under simulated drifts.
 """
@@ -222,7 +222,9 @@ class Comparator(ClassifierMixin, BaseEstimator):
 
 _NETWORK = MLPClassifier((32,), solver="lbfgs", random_state=0)
 _PENALTIES, _OUTLINES = {"alpha": (0.1, 0.01, 1.0, 10.0)}, (0.3, 0.2, 0.5)
+_DISCRIMINANT = LinearDiscriminantAnalysis(solver="lsqr"), {"shrinkage": ("auto", 0.03, 0.3)}
 METHODS = {
+    "discriminant": Comparator(None, *_DISCRIMINANT),
     "extra_trees": Comparator(
         None,
         ExtraTreesClassifier(300, random_state=0),
@@ -231,17 +233,13 @@ METHODS = {
     "raw_neighbours": Comparator(
         centred, KNeighborsClassifier(), {"n_neighbors": (1, 3, 5)}, scaled=False
     ),
-    "contact_invariants": Comparator(
-        sections,
-        LinearDiscriminantAnalysis(solver="lsqr"),
-        {"shrinkage": ("auto", 0.03, 0.3)},
-    ),
+    "contact_invariants": Comparator(sections, *_DISCRIMINANT),
     "radius_vector": Comparator(radius_vector, _NETWORK, _PENALTIES, outlines=_OUTLINES),
     "contour_network": Comparator(contour, _NETWORK, _PENALTIES, outlines=_OUTLINES),
 }
 DRIFTS = ("gain=0.7,aperture_mm=-4", "gain=0.7/0.9")
 """Drifts: one that the recogniser assumes, and unequal gains of the fingers, which it does not."""
-WITH_OPENING = ("force_ramp", "shrinkage_lda", "extra_trees")
+WITH_OPENING = ("force_ramp", "discriminant", "extra_trees")
 
 
 def named(

@@ -15,7 +15,7 @@ from cell.evaluation.evaluate import evaluate_recognizers
 from cell.learning.model import save_model
 from cell.learning.training import train
 
-NAMES = ("shrinkage_lda", "force_ramp")
+NAMES = ("level_check", "force_ramp")
 
 
 def trained(archive, name):  # on a worker, which reads the archive itself

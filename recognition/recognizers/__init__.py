@@ -1,7 +1,4 @@
-"""Recognisers by name: `force_ramp` is the default, `shrinkage_lda` a plain reference.
-
-`level_check` is the paper's method.
-"""
+"""Recognisers by name: `force_ramp` is the default, `level_check` the paper's method."""
 
 from collections.abc import Mapping
 from pkgutil import resolve_name
@@ -18,7 +15,6 @@ RECOGNIZERS: Mapping[str, str] = MappingProxyType(
     {
         "force_ramp": "recognition.recognizers.force_ramp.recognizer:ForceRampTrainer",
         "level_check": "recognition.recognizers.level_check:LevelCheckTrainer",
-        "shrinkage_lda": "recognition.recognizers.shrinkage_lda:ShrinkageLdaTrainer",
     }
 )
 """All kinds of recogniser by name, in the order of tables. The value is the module of trainer and

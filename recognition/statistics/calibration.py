@@ -5,9 +5,6 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 
-KNOWN_KEPT = 0.97
-"""Share of held-out grasps of taught objects below the limit of novelty."""
-
 UNIFORM_SHARE = 0.002
 """Share of the uniform distribution in each posterior, so that no taught object is impossible."""
 

@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from typing import Final
 
-from recognition.statistics.calibration import KNOWN_KEPT
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewSettings:
@@ -61,7 +59,7 @@ class ViewSettings:
     # Novelty
     novelty_slope: float = 2.0
     """Log odds of a new object for each unit of the novelty [taught part]."""
-    kept: float = KNOWN_KEPT
+    kept: float = 0.97
     """Share of held-out grasps below the limit of novelty [6]."""
     usual_novelty: float = 3.0
     """Expected mean novelty of held-out grasps, without the size [6]."""

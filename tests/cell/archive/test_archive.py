@@ -481,7 +481,7 @@ def test_training_learns_the_spread(aged: str, tmp_path: Path) -> None:
 @pytest.mark.long
 @pytest.mark.timeout(300)
 def test_evaluation_leaves_days_and_cells_out(aged: str) -> None:
-    few = ["--recognizer", "shrinkage_lda", "--fuse", "1"]
+    few = ["--recognizer", "level_check", "--fuse", "1"]
     out = call("model", "evaluate", aged, "--split", "cells", *few)
     assert "cells: 60 grasps to train, 120 to test, 3 objects" in out
     with pytest.raises(CellError, match="none can be left out"):

@@ -197,7 +197,7 @@ def test_recogniser_of_unknown_kind_is_not_written(learnt, tmp_path) -> None:
 
     for recognizer, name, says in (
         (learnt, "magic", "installed are .*force_ramp"),
-        (learnt, "shrinkage_lda", "has no recogniser named"),
+        (learnt, "force_ramp", "has no recogniser named"),
         (Guess(), "level_check", "has no recogniser named 'Guess'"),
     ):
         with pytest.raises(ModelError, match=says):

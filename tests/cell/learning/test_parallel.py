@@ -28,7 +28,7 @@ def parts() -> tuple[list[Grasp], list[Grasp]]:
 
 @pytest.fixture(scope="module")
 def alone(parts: tuple[list[Grasp], list[Grasp]]) -> Evaluation:
-    return evaluate([parts], make_trainer("shrinkage_lda"))
+    return evaluate([parts], make_trainer("level_check"))
 
 
 def assert_same(a: Evaluation, b: Evaluation) -> None:
@@ -61,7 +61,7 @@ def test_a_number_of_processes_below_none_is_refused() -> None:
 @pytest.mark.timeout(60)
 def test_two_workers_give_the_same_figures(parts, alone) -> None:
     with workers(2) as mapper:
-        assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
+        assert_same(evaluate([parts], make_trainer("level_check"), mapper=mapper), alone)
 
 
 @pytest.mark.slow

@@ -228,10 +228,10 @@ def test_what_cannot_be_gauged_or_followed_says_why(taught, drifted, tmp_path) -
     model = load_model(taught.result.model)
     with pytest.raises(CellError, match="no gauge grasp touched both pads"):
         calibrate_model(model, {"ball": []})
-    plain = make_trainer("shrinkage_lda").fit(taught.grasps)
+    plain = make_trainer("level_check").fit(taught.grasps)
     with pytest.raises(ModelError, match="cannot be gauged"):
         calibrate_model(
-            replace(model, recognizer=plain, trainer_name="shrinkage_lda"), {"ball": taught.grasps}
+            replace(model, recognizer=plain, trainer_name="level_check"), {"ball": taught.grasps}
         )
 
 

@@ -220,8 +220,8 @@ def model_file() -> bytes:
     grasps = make_grasps(4, seed=1, pads=pads, gripping=paper_layout().gripping_pads)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "m.npz"
-        model = make_trainer("shrinkage_lda").fit(grasps)
-        save_model(path, model, trainer_name="shrinkage_lda", pads=pads)
+        model = make_trainer("level_check").fit(grasps)
+        save_model(path, model, trainer_name="level_check", pads=pads)
         return path.read_bytes()
 
 

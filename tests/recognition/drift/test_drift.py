@@ -205,11 +205,10 @@ def test_levels_with_a_drift_undone_are_those_of_the_taught_sensor(train, fresh)
 
 
 @pytest.mark.slow
-def test_a_drift_that_was_not_gauged_costs_little(taught, teach, fresh):
+def test_a_drift_that_was_not_gauged_costs_little(taught, fresh):
     drifted = [Drift(gains=(0.7,), aperture_offset_m=-1.5e-3).apply(g) for g in fresh]
     assert accuracy(taught, fresh) >= 0.96
-    plain = accuracy(teach("shrinkage_lda"), drifted)
-    assert accuracy(taught, drifted) >= max(0.84, plain)
+    assert accuracy(taught, drifted) >= 0.84
 
 
 @pytest.mark.slow

@@ -171,7 +171,7 @@ def test_each_group_is_left_out_in_turn_without_what_nothing_else_teaches():
 
 @pytest.fixture(scope="module")
 def found(train, fresh):
-    return evaluate([(train, fresh)], make_trainer("shrinkage_lda"), unknown_groups=5)
+    return evaluate([(train, fresh)], make_trainer("force_ramp"), unknown_groups=5)
 
 
 @pytest.mark.slow
@@ -188,11 +188,11 @@ def test_figures_fit_each_other(found, fresh):
     assert sum(n for _, _, n, _ in found.unknown_reliability) == 5 * found.n
     assert sum(new for *_, new in found.unknown_reliability) == found.n
     assert 0.0 <= found.known_rejected <= 0.5
-    assert found.trainer == "shrinkage_lda"
+    assert found.trainer == "force_ramp"
 
 
 def test_more_grasps_than_there_are_give_no_figure(train, fresh):
-    short = evaluate([(train, fresh)], make_trainer("shrinkage_lda"), fuse=(50,), unknown_groups=0)
+    short = evaluate([(train, fresh)], make_trainer("level_check"), fuse=(50,), unknown_groups=0)
     assert np.isnan(short.fused_accuracy[50])
     assert np.isnan(short.fused_interval[50][0])
     assert np.isnan(short.unknown_auroc)
@@ -200,7 +200,7 @@ def test_more_grasps_than_there_are_give_no_figure(train, fresh):
 
 def test_untaught_objects_count_in_no_accuracy(train, fresh):
     some = [g for g in train if g.label != "egg"]
-    found = evaluate([(some, fresh)], make_trainer("shrinkage_lda"), unknown_groups=0)
+    found = evaluate([(some, fresh)], make_trainer("force_ramp"), unknown_groups=0)
     assert found.n_untaught == 5
     assert found.n == len(fresh) - 5
     assert found.unknown_auroc > 0.9
@@ -210,13 +210,13 @@ def test_few_labels_are_not_left_out(train, fresh):
     def pair(grasps):
         return [g for g in grasps if g.label in ("bar", "egg")]
 
-    found = evaluate([(pair(train), pair(fresh))], make_trainer("shrinkage_lda"))
+    found = evaluate([(pair(train), pair(fresh))], make_trainer("level_check"))
     assert np.isnan(found.unknown_auroc)
 
 
 @pytest.mark.slow
 def test_the_answers_of_all_parts_count_together(train, fresh):
-    trainer = make_trainer("shrinkage_lda")
+    trainer = make_trainer("level_check")
     half = len(fresh) // 2
     both = evaluate([(train, fresh[:half]), (train, fresh[half:])], trainer, unknown_groups=0)
     whole = evaluate([(train, fresh)], trainer, unknown_groups=0)
@@ -228,7 +228,7 @@ def test_the_answers_of_all_parts_count_together(train, fresh):
 def test_nothing_to_test_is_refused(train, fresh):
     renamed = [dataclasses.replace(g, label="other") for g in fresh]
     with pytest.raises(ValueError, match="taught object"):
-        evaluate([(train, renamed)], make_trainer("shrinkage_lda"))
+        evaluate([(train, renamed)], make_trainer("level_check"))
 
 
 @pytest.mark.shared_data
