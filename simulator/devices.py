@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from simulator.boards.site import BoardFaults, BoardSite, SerialBoard, UskinFaults
+from simulator.boards.site import BoardFaults, BoardSite, SerialBoard
 from simulator.can.control_unit import SimulatedControlUnit
 from simulator.can.drive import DriveMount, SimulatedDrive
 from simulator.can.faults import CanLinkFaults, ControlUnitFaults
@@ -37,9 +37,7 @@ class CellFaults:
     unit: ControlUnitFaults
     """The control unit."""
     boards: BoardFaults
-    """Sensor boards on serial lines."""
-    uskin: UskinFaults
-    """Sensor boards on CAN."""
+    """Sensor boards."""
 
 
 class CellDevices:
@@ -88,7 +86,6 @@ class CellDevices:
             can=CanLinkFaults(),
             unit=unit_faults,
             boards=BoardFaults(),
-            uskin=UskinFaults(),
         )
         self.boards: tuple[SerialBoard, ...] = ()
         """The sensor boards on their serial lines; none by default."""
@@ -99,7 +96,6 @@ class CellDevices:
                 layout=settings.layout,
                 taxel_faults=unit_faults,
                 faults=self.faults.boards,
-                uskin=self.faults.uskin,
                 seed=settings.seed,
                 start_s=start_s,
             )

@@ -20,7 +20,7 @@ class BoardFaults:
     unplugged: set[int] = field(default_factory=set)
     """Boards whose cable is unplugged."""
     silent: set[int] = field(default_factory=set)
-    """Boards that send nothing."""
+    """Boards that send nothing, on CAN unplugged ones."""
     frozen: set[int] = field(default_factory=set)
     """Boards that repeat their last frame."""
     repeated: float = 0.0
@@ -33,20 +33,12 @@ class BoardFaults:
     """Number of rows in a frame of another profile; 0: the correct number."""
     marked: set[int] = field(default_factory=set)
     """Boards whose samples always contain AA 55 at one place, as by a static load."""
-
-
-@dataclass(slots=True, kw_only=True)
-class UskinFaults:
-    """Fault knobs of the boards, by finger where they meet one board."""
-
-    silent: set[int] = field(default_factory=set)
-    """Unplugged boards."""
     low_supply: set[int] = field(default_factory=set)
-    """Boards that restart repeatedly and wait for their start."""
+    """Boards on CAN that restart repeatedly and wait for their start."""
     doubled: set[int] = field(default_factory=set)
-    """Boards with the same address as another board."""
+    """Boards on CAN with the same address as another board."""
     drift_counts_s: float = 0.0
-    """Further drift of all taxels."""
+    """Further drift of all taxels of boards on CAN."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,9 +52,7 @@ class BoardSite:
     taxel_faults: ControlUnitFaults
     """Faults of taxels and converters: `ControlUnitFaults.apply`."""
     faults: BoardFaults
-    """Fault knobs of boards on serial lines."""
-    uskin: UskinFaults
-    """Fault knobs of boards on CAN."""
+    """Fault knobs of the boards."""
     seed: int
     """Seed of all random values."""
     start_s: float

@@ -64,7 +64,7 @@ class SimulatedUskin:
 
     def __init__(self, settings: UskinSettings, site: BoardSite) -> None:
         self._world, self._layout, self._settings = site.world, site.layout, settings
-        self._faults, self._taxel_faults = site.uskin, site.taxel_faults
+        self._faults, self._taxel_faults = site.faults, site.taxel_faults
         self._rng = np.random.default_rng([site.seed, 5])
         self._send: SendBurst | None = None
         self._due_s = [inf, inf]

@@ -180,8 +180,7 @@ class SimulatedControlUnit(CanopenDevice):
         self._take_settings()
         self._burst_end_s = self._force_end_s = -math.inf
         self._force_due_s, self._force_period_s = math.inf, 0.0
-        self._force_hits = [0.0, 0.0, 0.0]
-        self._held_force: bytes | None = None
+        self._forces_lost = 0.0
         self._forces_later: deque[tuple[float, bytes]] = deque()
         self._boot_due_s = self._network.now_s + BOOT_S
 
@@ -220,32 +219,18 @@ class SimulatedControlUnit(CanopenDevice):
         if due_s < self._force_end_s - ROUNDING_S:
             self.scanner.force_overrun = True
             return
-        messages = self._disturbed(self.scanner.force_message())
-        faults = self.faults
-        if later_s := faults.forces_again_s or faults.forces_late_s:
-            self._forces_later.extend((due_s + later_s, one) for one in messages)
-        if faults.forces_late_s:
-            messages = []
+        messages = [self.scanner.force_message()]
+        self._forces_lost += self.faults.forces_lost
+        if self._forces_lost >= 1.0:
+            self._forces_lost -= 1.0
+            messages.clear()
+        if later_s := self.faults.forces_late_s:
+            self._forces_later.extend((due_s + later_s, message) for message in messages)
+            messages.clear()
         while self._forces_later and self._forces_later[0][0] <= due_s + ROUNDING_S:
             messages.append(self._forces_later.popleft()[1])
         if messages:
             self._force_end_s = self.send(due_s, can_id, messages)
-
-    def _disturbed(self, message: bytes) -> list[bytes]:
-        """Return a force message with its faults, and a message that they delayed."""
-        faults = self.faults
-        shares = (faults.forces_lost, faults.forces_twice, faults.forces_swapped)
-        if not any(shares) and self._held_force is None:
-            return [message]
-        hits = []
-        for place, share in enumerate(shares):
-            self._force_hits[place] += share
-            hits.append(self._force_hits[place] >= 1.0)
-            self._force_hits[place] %= 1.0
-        lost, twice, swapped = hits
-        held, self._held_force = self._held_force, message if swapped else None
-        here = [] if lost or swapped else [message, message] if twice else [message]
-        return here if held is None else [*here, held]
 
     def _sync(self) -> None:
         if self.state != _OPERATIONAL:

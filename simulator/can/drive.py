@@ -25,9 +25,6 @@ _REGISTER_GENERIC, _REGISTER_COMMUNICATION = 0x01, 0x11
 _SWITCHED_ON_BIT, _VOLTAGE_BIT, _NO_QUICK_STOP_BIT, _ENABLE_BIT = 0x1, 0x2, 0x4, 0x8
 _START_BIT, _HALT_BIT, _RESET_BIT = 0x10, 0x100, 0x80
 """Bits of the controlword (CiA 402-2)."""
-_SPECIFIER, _UPLOADED, _EXPEDITED = 0xE0, 0x40, 0x03
-"""First byte of an SDO answer: bits of the specifier, upload, expedited with size (CiA 301,
-7.2.4.3.6)."""
 _STANDING = 100.0
 """Largest speed in increments/s of a mechanism that counts as standing."""
 _POWERED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
@@ -67,8 +64,6 @@ class SimulatedDrive(CanopenDevice):
         """Fault knob: offset of the axis from the encoder's position in m or rad."""
         self.misread = 0.0
         """Fault knob: offset of the encoder's reading in m or rad."""
-        self.answer_bytes: int | None = None
-        """Fault knob: number of bytes in the answer to each read; None: the correct number."""
         super().__init__(mount.node_id, od.of_node(mount.node_id), start_s)
         self._node.add_read_callback(self._read)
         self._node.add_write_callback(self._write)
@@ -355,9 +350,3 @@ class SimulatedDrive(CanopenDevice):
 
     def _silenced(self) -> bool:
         return self.dead
-
-    def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
-        upload = can_id == self._node.sdo.tx_cobid and data[0] & _SPECIFIER == _UPLOADED
-        if upload and self.answer_bytes is not None:
-            data = bytes((_UPLOADED | (4 - self.answer_bytes) << 2 | _EXPEDITED, *data[1:]))
-        super()._emit(t_s, can_id, data)

@@ -80,12 +80,7 @@ class ControlUnitFaults:
     forces_off: bool = False
     """No force messages any more; frames go on."""
     forces_lost: float = 0.0
-    forces_twice: float = 0.0
-    forces_swapped: float = 0.0
-    """Share from 0 to 1 of the force messages, evenly spaced, that are lost, come twice, or come
-    after the next message."""
-    forces_again_s: float = 0.0
-    """Time in s after which each force message is repeated; 0: not repeated."""
+    """Share from 0 to 1 of the force messages, evenly spaced, that are lost."""
     forces_late_s: float = 0.0
     """Delay in s of force messages after their scan."""
     forces_each: float = 1.0
@@ -93,8 +88,6 @@ class ControlUnitFaults:
     force_gain: float = 1.0
     force_offset_n: float = 0.0
     """Factor on the forces in the messages, as by a table of other pads; offset in N."""
-    spoiled_each: float = 1.0
-    """Factor and offset change only each n-th force message."""
     pads_empty: bool = False
     """The force messages are those of the empty pads, with new counters."""
     centres_stuck: bool = False
@@ -102,7 +95,6 @@ class ControlUnitFaults:
     """The centre in the messages does not move; messages have no centre."""
     centre_shift_taxels: float = 0.0
     """Shift of the centre in the messages along the fingers in taxel pitches."""
-    _n_spoiled: int = 0
     _empty_pads: deque[ForceMessage] = field(default_factory=lambda: deque(maxlen=_EMPTY_MESSAGES))
     _centre_taxels: tuple[float, float] | None = None
 
@@ -129,12 +121,8 @@ class ControlUnitFaults:
             self._empty_pads.rotate(-1)
             shown = self._empty_pads[0]
             return replace(message, force_n=shown.force_n, centre_taxels=shown.centre_taxels)
-        force_n, centre = message.force_n, message.centre_taxels
-        self._n_spoiled += 1
-        if self._n_spoiled >= self.spoiled_each:
-            self._n_spoiled = 0
-            first_n, second_n = (self.force_gain * n + self.force_offset_n for n in force_n)
-            force_n = first_n, second_n
+        first_n, second_n = (self.force_gain * n + self.force_offset_n for n in message.force_n)
+        force_n, centre = (first_n, second_n), message.centre_taxels
         if self.centres_stuck:
             centre = self._centre_taxels
         self._centre_taxels = centre

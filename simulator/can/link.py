@@ -19,7 +19,6 @@ import numpy as np
 from simulator.can.faults import CanLinkFaults, Disturber
 from simulator.can.node import SendBurst
 from simulator.can.wire import Burst, CanWire
-from simulator.errors import SimulatorStateError
 
 Capture = Callable[[float, int, bytes], None]
 """Takes time in s, identifier and data of each message on the wire."""
@@ -224,15 +223,6 @@ class CanDevices:
             device.connect(self._send)
         self._devices.append(device)
         return lambda: self._devices.remove(device)
-
-    def send(self, ready_s: float, can_id: int, burst: list[bytes]) -> float:
-        """Send messages without a device; returns the end time of the last one in s.
-
-        Raises SimulatorStateError if no bus is connected.
-        """
-        if self._send is None:
-            raise SimulatorStateError("the devices are not connected to a bus: connect() first")
-        return self._send(ready_s, can_id, burst)
 
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
         """Pass one message on to every device."""

@@ -70,8 +70,7 @@ AXIS = (
                "axis_silent"),
     knob_fault("axisN.limit_switch", FaultKind.STUCK,
                "the negative (-1) or positive (1) limit switch of its drive is active",
-               "forced_switch", Number("end", -1, 1, default=1, whole=True), owner=_drive,
-               check=_drive),
+               "forced_switch", Number("end", -1, 1, default=1, whole=True), owner=_drive),
     FaultEntry("axisN.fault", FaultKind.WRONG,
                "its drive goes to fault with this error code (603Fh); a servo is overloaded",
                _fault, value=Number("code", 1, 0xFFFF, default=0x2310, whole=True), moment=True),
@@ -80,7 +79,7 @@ AXIS = (
                moment=True),
     knob_fault("axisN.misread", FaultKind.WRONG,
                "the reading of its drive's encoder suddenly grows by this value", "misread",
-               Number("m or rad", -100.0, 100.0, default=5.0), owner=_drive, check=_drive),
+               Number("m or rad", -100.0, 100.0, default=5.0), owner=_drive),
     FaultEntry("axisN.nmt", FaultKind.OFF,
                "another CANopen master commands its drive: 2 stop, 128 pre-operational",
                lambda target: _drive(target).command(int(target.number)),
@@ -88,8 +87,5 @@ AXIS = (
     FaultEntry("axisN.second_node", FaultKind.WRONG,
                "another drive with the same node-ID joins the bus", _second_node, "axis_second",
                check=_drive),
-    knob_fault("axisN.wrong_length", FaultKind.WRONG,
-               "its drive answers each read with this number of bytes", "answer_bytes",
-               Number("bytes", 1, 4, default=1, whole=True), owner=_drive, check=_drive),
 )
 # fmt: on

@@ -46,13 +46,10 @@ def _swapped(target: Target) -> Undo:
 
 
 def _of_finger(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
-    on_can = name.startswith("uskin.")
-
     def fingers(target: Target) -> object:
-        faults = target.devices.faults.uskin if on_can else target.devices.faults.boards
-        return getattr(faults, knob) | {int(target.number)}
+        return getattr(target.devices.faults.boards, knob) | {int(target.number)}
 
-    check = _check_uskin if on_can else _check
+    check = _check_uskin if name.startswith("uskin.") else _check
     return knob_fault(name, kind, meaning, knob, _FINGER, position=fingers, check=check)
 
 

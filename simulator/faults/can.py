@@ -20,44 +20,15 @@ from simulator.faults.entry import (
 )
 from tactile.control_unit import object_dictionary
 
-_BURST_PERIOD_S = 0.5
-"""Period in s of the bursts of ``can.intermittent``: a loose contact."""
-_SHORT_EMERGENCY = b"\x10\x81\x01"
-"""The first three of the eight bytes of an EMCY: code 0x8110 (CAN overrun), error register."""
-
-
-def _bursts(target: Target) -> Undo:
-    faults, began_s, share = target.devices.faults.can, target.now_s, target.number
-
-    def act(now_s: float) -> None:
-        in_burst = (now_s - began_s) % _BURST_PERIOD_S < share * _BURST_PERIOD_S
-        faults.drop_rate = 1.0 if in_burst else 0.0
-
-    target.act = act
-    return turned(faults, "drop_rate", 1.0 if share else 0.0)
-
-
-def _short_emergency(target: Target) -> None:
-    devices = target.devices
-    identifier = object_dictionary.COB_EMCY + devices.settings.unit.node_id
-    devices.can_devices.send(target.now_s, identifier, [_SHORT_EMERGENCY])
-
 
 def _lose_next(target: Target) -> None:
     target.devices.faults.can.drop_next += int(target.number)
-
-
-def _hertz(default: float) -> Number:
-    return Number("Hz", 0.1, 20_000.0, default=default)
 
 
 # fmt: off
 CAN = (
     knob_fault("can.loss", FaultKind.INTERMITTENT, "messages to the host are lost", "drop_rate",
                SHARE),
-    FaultEntry("can.intermittent", FaultKind.INTERMITTENT,
-               "all messages to the host are lost in this share of each half second", _bursts,
-               "drop_rate", Number("share", 0.0, 1.0, default=0.2)),
     FaultEntry("can.lose_next", FaultKind.INTERMITTENT,
                "this number of messages to the host is lost", _lose_next,
                value=Number("messages", 1, 100_000, default=1, whole=True), moment=True),
@@ -73,13 +44,8 @@ CAN = (
     knob_fault("can.delayed", FaultKind.DELAYED, "messages to the host come late", "delay_s",
                Number("s", 0.0, 60.0, default=0.1)),
     knob_fault("can.flood", FaultKind.GARBAGE,
-               "messages of an unknown identifier with random content fill the bus", "flood_hz",
-               _hertz(8000.0)),
-    knob_fault("can.unknown_id", FaultKind.WRONG, "messages of an unknown identifier at this rate",
-               "flood_hz", _hertz(20.0)),
-    FaultEntry("can.short_emergency", FaultKind.WRONG,
-               "an emergency message of three bytes instead of eight", _short_emergency,
-               moment=True),
+               "messages of an unknown identifier with random content come at this rate",
+               "flood_hz", Number("Hz", 0.1, 20_000.0, default=8000.0)),
     knob_fault("can.passive", FaultKind.SLOW, "the host's controller is error-passive",
                "error_passive"),
     knob_fault("can.off", FaultKind.OFF, "the host's controller is bus-off: nothing passes",
@@ -191,13 +157,6 @@ UNIT = (
                "forces_off"),
     knob_fault("unit.forces_lost", FaultKind.INTERMITTENT, "force messages are lost, evenly",
                "forces_lost", SHARE),
-    knob_fault("unit.forces_twice", FaultKind.WRONG, "force messages come twice", "forces_twice",
-               SHARE),
-    knob_fault("unit.forces_swapped", FaultKind.WRONG, "force messages come after the next one",
-               "forces_swapped", SHARE),
-    knob_fault("unit.forces_again", FaultKind.WRONG,
-               "each force message comes again after this time", "forces_again_s",
-               Number("s", 0.0, 1.0, default=0.03)),
     knob_fault("unit.forces_late", FaultKind.DELAYED, "force messages come late", "forces_late_s",
                Number("s", 0.0, 1.0, default=0.02)),
     knob_fault("unit.forces_each", FaultKind.SLOW,
@@ -208,9 +167,6 @@ UNIT = (
                Number("factor", -100.0, 100.0, default=1.6)),
     knob_fault("unit.force_offset", FaultKind.WRONG, "offset of the force messages",
                "force_offset_n", Number("N", -60.0, 60.0, default=-2.0)),
-    knob_fault("unit.spoiled_each", FaultKind.INTERMITTENT,
-               "unit.force_gain and unit.force_offset change only each n-th force message",
-               "spoiled_each", Number("messages", 1, 100, default=3, whole=True)),
     knob_fault("unit.pads_empty", FaultKind.STUCK, "force messages repeat those of empty pads",
                "pads_empty"),
     knob_fault("unit.centres_stuck", FaultKind.STUCK,

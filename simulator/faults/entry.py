@@ -144,7 +144,7 @@ class FaultEntry:
 SHARE = Number("share", 0.0, 1.0, default=0.05)
 """Share of the traffic, or of the taxels, with the fault."""
 _PARTS = {"can": "can", "unit": "unit", "taxels": "unit", "servos": "servo_wire"}
-_PARTS |= {"board": "boards", "uskin": "uskin"}
+_PARTS |= {"board": "boards", "uskin": "boards"}
 """Field of `simulator.devices.CellFaults` that has the knobs of each component."""
 
 
@@ -169,14 +169,15 @@ def knob_fault(
     *,
     owner: Callable[[Target], object] | None = None,
     position: Callable[[Target], object] | None = None,
-    check: Callable[[Target], object] = lambda _target: None,
+    check: Callable[[Target], object] | None = None,
 ) -> FaultEntry:
     """Return a fault that sets one knob: to a position, to its number, else to on.
 
     Parameters
     ----------
     owner
-        Returns the object with the knob; None for the `CellFaults` of the fault's component.
+        Returns the object with the knob, or refuses the cell; None for the `CellFaults` of the
+        fault's component.
     position
         Returns the position of the knob where it is not the number.
     """
@@ -191,4 +192,5 @@ def knob_fault(
         of = getattr(target.devices.faults, part) if owner is None else owner(target)
         return turned(of, knob, on)
 
-    return FaultEntry(name, kind, meaning, apply, knob, value, check=check)
+    fits = check or owner or (lambda _target: None)
+    return FaultEntry(name, kind, meaning, apply, knob, value, check=fits)

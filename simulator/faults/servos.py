@@ -19,22 +19,10 @@ from simulator.servo.faults import Chatter
 from simulator.servo.firmware import ServoCore, WatchdogStop
 from simulator.servo.motor import ServoMotor
 
-_SENTENCE = b"$GPGGA,092751.000,5321.6802,N,00630.3371,W,1,8,1.03,61.7,M,55.3,M,,*75\r\n"
-"""Periodic message of a GPS receiver (NMEA 0183)."""
 _REPORT = "reported_offset_raw"
 """Knob of a servo: counts added to the reported position, but not to that of its control loop."""
 _BOOT_APART_S = 0.003
 """Time in s between the boots of servos on one supply; an assumption."""
-_BURST_BYTES = 40
-"""Bytes of a burst of noise: 0.4 ms at 1 Mbit/s."""
-
-
-def _chatter(name: str, meaning: str, data: bytes, every_s: float) -> FaultEntry:
-    def chatter(target: Target) -> Chatter:
-        return Chatter(data=data, every_s=target.number)
-
-    value = Number("s", 1e-4, 10.0, default=every_s)
-    return knob_fault(name, FaultKind.GARBAGE, meaning, "chatter", value, position=chatter)
 
 
 def _silence(target: Target, servo_ids: list[int]) -> Undo:
@@ -148,12 +136,10 @@ SERVOS = (
                "repeat_s", Number("s", 1e-4, 1.0, default=0.0095)),
     knob_fault("servos.lagging", FaultKind.WRONG,
                "each answer belongs to the previous request of its kind", "lag"),
-    _chatter("servos.chatter", "another device sends a byte with this period, also into answers",
-             b"\xa5", 0.001),
-    _chatter("servos.bursts", "another device sends 40 bytes with this period",
-             bytes(range(0xA5, 0xA5 + _BURST_BYTES)), 0.01),
-    _chatter("servos.sentences", "another device sends NMEA 0183 sentences with this period",
-             _SENTENCE, 0.03),
+    knob_fault("servos.chatter", FaultKind.GARBAGE,
+               "another device sends a byte with this period, also into answers", "chatter",
+               Number("s", 1e-4, 10.0, default=0.001),
+               position=lambda target: Chatter(data=b"\xa5", every_s=target.number)),
     FaultEntry("servos.off", FaultKind.OFF, "all servos are silent", _all_silent, "silent"),
     knob_fault("servos.echo", FaultKind.WRONG, "the host receives its own bytes", "echo"),
     FaultEntry("servos.unplugged", FaultKind.UNPLUGGED, "the adapter of the servo bus is gone",

@@ -29,7 +29,6 @@ _GENTLE = {
     "servos.lose_next": (1, 2),
     "unit.forces_late": (0.002, 0.1),
     "unit.forces_each": (1, 30),
-    "unit.spoiled_each": (1, 5),
     "unit.force_gain": (-1.5, 3.0),
     "unit.force_offset": (-6.0, 6.0),
     "unit.centre_shift": (-3.0, 3.0),

@@ -114,7 +114,7 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
         "stopped": lambda: simulated.command(2),
         "pre-operational": lambda: simulated.command(128),
         "twice": lambda: undo.append(bench.second_drive()),
-        "short": lambda: setattr(simulated, "answer_bytes", 1),
+        "short": lambda: simulated._live.update({od.STATUSWORD: lambda: b"\x27"}),  # type: ignore[dict-item,return-value]
         "no state": lambda: simulated._live.update({od.STATUSWORD: lambda: 1}),
         "jump": lambda: setattr(simulated, "misread", 5.0),
     }
@@ -134,7 +134,7 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
         take_off()
     simulated.motion.blocked = simulated.dead = False
     simulated._live[od.STATUSWORD] = lambda: simulated.statusword
-    simulated.forced_switch, simulated.answer_bytes, simulated.misread = 0, None, 0.0
+    simulated.forced_switch, simulated.misread = 0, 0.0
     assert bench.move(0.005) == pytest.approx(0.005, abs=NEAR_M)
     assert simulated.position == pytest.approx(0.005, abs=NEAR_M)
 
