@@ -76,7 +76,7 @@ def _turn_round(target: Target) -> Undo:
 
 def _factory(target: Target) -> None:
     core = _core(target)
-    core.registers.load_factory(keep=())
+    core.registers.load_factory()
     core.boot(target.now_s + _BOOT_APART_S * target.servo)
 
 

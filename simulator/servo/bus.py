@@ -30,11 +30,6 @@ from simulator.servo.protocol2 import (
 
 BITS_PER_BYTE = 10
 """Bits on the line for one byte: start bit, 8 data bits, stop bit."""
-_RESET_ALL = b"\xff"
-"""Parameter of a Factory Reset of all values, the ID included, which no servo with firmware 42 or
-later carries out on a broadcast (e-Manual, Factory Reset)."""
-_READ_REQUEST_BYTES = 5
-"""Bytes of one servo in a Bulk Read: ID, address, size."""
 
 
 class ServoBusDevice:
@@ -164,11 +159,11 @@ class ServoBusDevice:
         speakers: list[tuple[SimulatedServo, bytes, float]] = []
         for servo in hearing:
             own_id = servo.servo_id
-            if packet.packet_id not in {own_id, servo.secondary_id}:
+            if packet.packet_id != own_id:
                 continue
             delay_s, speaks = servo.return_delay_s, servo.answers(packet.instruction)
             error, data = servo.execute(packet.instruction, packet.parameters, now_s)
-            if packet.packet_id == own_id and speaks:
+            if speaks:
                 speakers.append((servo, encode_status(own_id, error, data), delay_s))
         if speakers:
             servo, _, delay_s = speakers[0]
@@ -184,32 +179,27 @@ class ServoBusDevice:
                 packets = [encode_status(same_id[0].servo_id, *answer) for answer in answers]
                 self._reply(same_id[0], _at_once(packets), now_s)
         elif instruction == Instruction.SYNC_READ:
-            self._chain(instruction, _sync_requests(parameters), hearing, now_s)
-        elif instruction == Instruction.BULK_READ:
-            self._chain(instruction, _bulk_requests(parameters), hearing, now_s)
-        elif instruction in {Instruction.SYNC_WRITE, Instruction.BULK_WRITE}:
-            sync = instruction == Instruction.SYNC_WRITE
-            writes = _sync_writes(parameters) if sync else _bulk_writes(parameters)
-            for servo_id, address, data in writes:
+            self._sync_read(parameters, hearing, now_s)
+        elif instruction == Instruction.SYNC_WRITE:
+            for servo_id, address, data in _sync_writes(parameters):
                 for servo in hearing:
-                    if servo_id in {servo.servo_id, servo.secondary_id}:
+                    if servo_id == servo.servo_id:
                         servo.write(address, data, now_s)
-        elif (instruction, parameters) != (Instruction.FACTORY_RESET, _RESET_ALL):
+        else:
             for servo in hearing:
                 servo.execute(instruction, parameters, now_s)
 
-    def _chain(
-        self,
-        instruction: int,
-        requests: Sequence[tuple[int, int, int]],
-        hearing: Iterable[SimulatedServo],
-        now_s: float,
+    def _sync_read(
+        self, parameters: bytes, hearing: Iterable[SimulatedServo], now_s: float
     ) -> None:
         """Let servos answer in sequence; the first silent servo ends the chain."""
+        if len(parameters) < 5:
+            return
+        address, size = words(parameters[:4])
         by_id = {servo.servo_id: servo for servo in hearing}
-        for servo_id, address, size in requests:
+        for servo_id in parameters[4:]:
             servo = by_id.get(servo_id)
-            if servo is None or not servo.answers(instruction):
+            if servo is None or not servo.answers(Instruction.SYNC_READ):
                 break
             error, data = servo.read(address, size, now_s)
             self._reply(servo, encode_status(servo_id, error, data), now_s)
@@ -273,25 +263,6 @@ def _protocol_1(body: bytes) -> bytes:
     return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
-def _sync_requests(parameters: bytes) -> list[tuple[int, int, int]]:
-    """Return (ID, address, size) of each servo in a sync read; none when it is cut off."""
-    if len(parameters) < 5:
-        return []
-    address, size = words(parameters[:4])
-    return [(servo_id, address, size) for servo_id in parameters[4:]]
-
-
-def _bulk_requests(parameters: bytes) -> list[tuple[int, int, int]]:
-    """Return (ID, address, size) of each servo in a bulk read; none when it is cut off."""
-    if len(parameters) % _READ_REQUEST_BYTES:
-        return []
-    requests = []
-    for start in range(0, len(parameters), _READ_REQUEST_BYTES):
-        address, size = words(parameters[start + 1 : start + _READ_REQUEST_BYTES])
-        requests.append((parameters[start], address, size))
-    return requests
-
-
 def _sync_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
     """Return (ID, address, data) of each servo in a sync write; none when it is cut off."""
     if len(parameters) < 6:
@@ -301,22 +272,6 @@ def _sync_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
     if size == 0 or len(rest) % (size + 1):
         return []
     return [(rest[i], address, rest[i + 1 : i + 1 + size]) for i in range(0, len(rest), size + 1)]
-
-
-def _bulk_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
-    """Return (ID, address, data) of each servo in a bulk write; none when it is cut off."""
-    writes = []
-    at = 0
-    while at < len(parameters):
-        if len(parameters) < at + 5:
-            return []
-        address, size = words(parameters[at + 1 : at + 5])
-        data = parameters[at + 5 : at + 5 + size]
-        if size == 0 or len(data) != size:
-            return []
-        writes.append((parameters[at], address, data))
-        at += 5 + size
-    return writes
 
 
 class SerialDevice(Protocol):

@@ -279,14 +279,12 @@ class ServoRegisters:
         register = REGISTERS[name]
         self.table.set(register.address, register.size, value)
 
-    def load_factory(self, *, keep: tuple[str, ...] = ()) -> None:
-        """Set the EEPROM to the factory's values, except the items named in ``keep``."""
-        kept = {name: self.get(name) for name in keep}
+    def load_factory(self) -> None:
+        """Set the EEPROM to the factory's values."""
         self.table.data[0:EEPROM_END] = bytes(EEPROM_END)
         for item in self.table.items:
             if item.address < EEPROM_END:
-                value = kept.get(item.name, self._factory.get(item.name, 0))
-                self.table.set(item.address, item.size, value)
+                self.table.set(item.address, item.size, self._factory.get(item.name, 0))
 
     def load_gains(self) -> None:
         """Set the gains to the defaults of the model and the mode."""

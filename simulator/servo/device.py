@@ -1,9 +1,9 @@
 """A DYNAMIXEL X servo as a Protocol 2.0 device: its answer to each instruction.
 
 Written from the ROBOTIS e-Manual ("Protocol 2.0", control tables of the X series). It carries out
-ping, read, write, group reads and writes, reboot and factory reset. Other instructions (registered
-writes, fast reads, clear, backup) are refused, as by a firmware without them. One object is one
-servo; `simulator.servo.bus` finds the packets and orders the answers.
+ping, read, write, sync read and sync write, reboot. Other instructions (bulk and registered writes,
+fast reads, factory reset, clear, backup) are refused, as by a firmware without them. One object is
+one servo; `simulator.servo.bus` finds the packets and orders the answers.
 """
 
 from collections.abc import Mapping
@@ -25,7 +25,6 @@ from gripper.dynamixel.control_table import (
     PROTOCOL_TYPE,
     RETURN_DELAY_TIME,
     RETURN_DELAY_UNIT_S,
-    SECONDARY_ID,
     SERVO_ID,
     STATUS_RETURN_LEVEL,
     TORQUE_ENABLE,
@@ -40,21 +39,13 @@ from simulator.servo.firmware import (
     ServoCore,
 )
 from simulator.servo.motor import ServoMotor
-from simulator.servo.protocol2 import ALERT, MAX_ID, Instruction, StatusError, words
+from simulator.servo.protocol2 import ALERT, Instruction, StatusError, words
 
-RESET_ALL, RESET_ALL_BUT_ID, RESET_ALL_BUT_ID_BAUD = 0xFF, 0x01, 0x02
-"""Parameter of Factory Reset."""
 BAUD_RATES = (
     *(9600, 57600, 115200, 1_000_000, 2_000_000),
     *(3_000_000, 4_000_000, 4_500_000, 6_000_000, 10_500_000),
 )
 """Baud rate by the content of Baud Rate (8); the last two on the RH-P12-RN(A) only."""
-_KEPT = {
-    RESET_ALL: (),
-    RESET_ALL_BUT_ID: ("id",),
-    RESET_ALL_BUT_ID_BAUD: ("id", "baud_rate"),
-}
-"""Items that a Factory Reset does not change."""
 _EXTENDED_LIMIT = 1_048_575
 """Largest magnitude of Goal Position in the modes without position limits: 256 turns."""
 _LIMITED_BY = {
@@ -71,7 +62,7 @@ _ANSWERS_READS, _ANSWERS_ALL = 1, 2
 """Contents of Status Return Level (68)."""
 _PROTOCOL_1 = 1
 """Content of Protocol Type (13)."""
-_READS = frozenset({Instruction.READ, Instruction.SYNC_READ, Instruction.BULK_READ})
+_READS = frozenset({Instruction.READ, Instruction.SYNC_READ})
 
 
 class StatusBody(NamedTuple):
@@ -112,12 +103,6 @@ class SimulatedServo:
         return self.core.table.data[SERVO_ID.address]
 
     @property
-    def secondary_id(self) -> int | None:
-        """Second ID to which the servo listens without answering; None when off."""
-        value = self.core.table.data[SECONDARY_ID.address]
-        return value if value <= MAX_ID else None
-
-    @property
     def baudrate(self) -> int:
         """Line rate in baud after Baud Rate (8)."""
         return BAUD_RATES[self.core.table.data[BAUD_RATE.address]]
@@ -146,24 +131,23 @@ class SimulatedServo:
 
     def execute(self, instruction: int, parameters: bytes, now_s: float) -> StatusBody:
         """Carry out an instruction that was sent to this servo or to all of them."""
-        if instruction == Instruction.READ:
-            if len(parameters) != 4:
-                return self.status(StatusError.DATA_LENGTH)
+        if instruction == Instruction.READ and len(parameters) == 4:
             address, size = words(parameters)
             return self.read(address, size, now_s)
-        if instruction == Instruction.WRITE:
-            if len(parameters) < 3:
-                return self.status(StatusError.DATA_LENGTH)
+        if instruction == Instruction.WRITE and len(parameters) >= 3:
             (address,) = words(parameters[:2])
             return self.status(self.write(address, parameters[2:], now_s))
         if instruction == Instruction.PING:
             version = self.core.table.data[FIRMWARE_VERSION.address]
             number = self.core.registers.get("model_number").to_bytes(2, "little")
             return self.status(StatusError.NONE, number + bytes((version,)))
-        before = self.status(StatusError.NONE)
-        error = self._restart(instruction, parameters, now_s)
-        # A servo answers before it reboots, with the Alert bit that the reboot clears.
-        return self.status(error) if error else before
+        if instruction == Instruction.REBOOT:
+            # A servo answers before it reboots, with the Alert bit that the reboot clears.
+            before = self.status(StatusError.NONE)
+            self.core.boot(now_s)
+            return before
+        cut_off = instruction in (Instruction.READ, Instruction.WRITE)
+        return self.status(StatusError.DATA_LENGTH if cut_off else StatusError.INSTRUCTION)
 
     def read(self, address: int, size: int, now_s: float) -> StatusBody:
         """Return ``size`` bytes from ``address``, present values brought up to date."""
@@ -239,18 +223,3 @@ class SimulatedServo:
             core.set_watchdog(raw, now_s)
         elif address in _GAINS_IN_USE:
             core.apply_goals()
-
-    def _restart(self, instruction: int, parameters: bytes, now_s: float) -> StatusError:
-        """Carry out a reboot or a factory reset; other instructions are refused."""
-        core = self.core
-        if instruction == Instruction.FACTORY_RESET:
-            if len(parameters) != 1:
-                return StatusError.DATA_LENGTH
-            kept = _KEPT.get(parameters[0])
-            if kept is None:
-                return StatusError.DATA_RANGE
-            core.registers.load_factory(keep=kept)
-        elif instruction != Instruction.REBOOT:
-            return StatusError.INSTRUCTION
-        core.boot(now_s)
-        return StatusError.NONE

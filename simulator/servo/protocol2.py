@@ -42,12 +42,9 @@ class Instruction(IntEnum):
     PING = 0x01
     READ = 0x02
     WRITE = 0x03
-    FACTORY_RESET = 0x06
     REBOOT = 0x08
     SYNC_READ = 0x82
     SYNC_WRITE = 0x83
-    BULK_READ = 0x92
-    BULK_WRITE = 0x93
 
 
 class StatusError(IntEnum):

@@ -62,8 +62,7 @@ def test_what_a_write_is_answered(bench, address: int, size: int, value: int, er
         (Instruction.WRITE, "7400", LENGTH),
         (Instruction.READ, "B902 0A00", ACCESS),
         (Instruction.READ, "8400 0000", ACCESS),
-        (Instruction.FACTORY_RESET, "", LENGTH),
-        (Instruction.FACTORY_RESET, "05", RANGE),
+        (0x06, "01", 2),  # factory reset
     ],
 )
 def test_instructions_that_are_refused(bench, instruction: int, parameters: str, error: int):
@@ -189,21 +188,6 @@ def test_startup_configuration_switches_the_torque_on():
     assert bench.read(1, 64, 1) == 1
 
 
-def test_factory_reset_keeps_what_it_is_told_to(bench):
-    bench.write(1, 31, 1, 60)
-    assert bench.ask(1, Instruction.FACTORY_RESET, b"\x02") == (0, b"")
-    bench.clock.sleep(0.5)
-    assert bench.read(1, 31, 1) == 80
-    assert bench.read(1, 9, 1) == 250
-    bench.ask(2, Instruction.FACTORY_RESET, b"\x01")
-    bench.clock.sleep(0.5)
-    bench.device.baudrate = 57600
-    assert bench.read(2, 8, 1) == 1
-    servo = bench.servos[1]
-    servo.execute(Instruction.FACTORY_RESET, b"\xff", bench.clock.monotonic())
-    assert servo.servo_id == 1
-
-
 def ids(answer: bytes) -> list[int]:
     return [p.packet_id for p in PacketParser().push(answer) if p.intact]
 
@@ -223,10 +207,7 @@ def test_broadcasts_reach_all_and_are_not_acknowledged(bench, instruction, param
         (Instruction.SYNC_WRITE, "4100 0100 01 01 02"),
         (Instruction.SYNC_WRITE, "4100"),
         (Instruction.SYNC_WRITE, "4100 0000 01"),
-        (Instruction.BULK_WRITE, "01 4100 0200 01"),
-        (Instruction.BULK_WRITE, "01 4100"),
         (Instruction.SYNC_READ, "8400 0400"),
-        (Instruction.BULK_READ, "01 9000 02"),
     ],
 )
 def test_group_instructions_cut_off_are_passed_over(bench, instruction: int, parameters: str):
