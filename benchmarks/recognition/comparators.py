@@ -28,8 +28,8 @@ from sklearn.preprocessing import StandardScaler
 from benchmarks._measure import line, repeats, share
 from benchmarks.recognition._grasps import asked, figures
 from cell.recording.dataset import read_dataset
-from recognition.drift.drift import drift_text, parse_drift
-from recognition.evaluation.splits import a_day_later, parse_split
+from recognition.drift.drift import Drift, drift_text
+from recognition.evaluation.splits import a_day_later, chronological_split
 from recognition.features.footprint import PadGrid, pad_grid, pressed
 from recognition.features.groups import features_of
 from recognition.grasp import Grasp
@@ -38,7 +38,8 @@ from recognition.ramp.ramp import learn_rest
 from recognition.recognizers import make_trainer, trainer_names
 from recognition.statistics.calibration import blocked_folds
 
-SPLIT = "chronological:0.6"
+TAUGHT_SHARE = 0.6
+"""First part in time of each object's grasps, which teaches."""
 _FOLDS = 3
 """Blocks in time of the grasps that teach; each is held out in turn."""
 _ANGLES, _VERTICES, _STEP_MM = 32, 8, 0.25
@@ -237,7 +238,7 @@ METHODS = {
     "radius_vector": Comparator(radius_vector, _NETWORK, _PENALTIES, outlines=_OUTLINES),
     "contour_network": Comparator(contour, _NETWORK, _PENALTIES, outlines=_OUTLINES),
 }
-DRIFTS = ("gain=0.7,aperture_mm=-4", "gain=0.7/0.9")
+DRIFTS = (Drift(gains=(0.7,), aperture_offset_m=-4e-3), Drift(gains=(0.7, 0.9)))
 """Drifts: one that the recogniser assumes, and unequal gains of the fingers, which it does not."""
 WITH_OPENING = ("force_ramp", "discriminant", "extra_trees")
 
@@ -267,15 +268,15 @@ def main(effort: float = 1.0, file: str | None = None) -> None:
     if file is None:
         line("compared", "nothing: name a data set of labelled grasps after `comparators`")
         return
-    train, test = parse_split(SPLIT)(read_dataset(file))
+    train, test = chronological_split(read_dataset(file), TAUGHT_SHARE)
     n_objects = len({grasp.label for grasp in train})
-    line("compared", f"{n_objects} objects, {len(train)} grasps teach, {len(test)} test, {SPLIT}")
+    line("compared", f"{n_objects} objects, {len(train)} grasps teach, {len(test)} test")
     cases = [(name, False) for name in (*trainer_names(), *METHODS)]
     for name, opening in [*cases, *((name, True) for name in WITH_OPENING)]:
         what = "with opening" if opening else "touch alone"
         line(f"  {name}, {what}", named(name, opening, train, test, effort))
     taught = make_trainer().fit(train)
-    for drift in map(parse_drift, DRIFTS):
+    for drift in DRIFTS:
         moved = [a_day_later(drift.apply(grasp)) for grasp in test]
         answers, day = [], taught
         for i in np.random.default_rng(0).permutation(len(moved)).tolist():

@@ -12,7 +12,7 @@ from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress
 from cell.plugins import RECOGNISERS
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
-from recognition.evaluation.splits import TrainTest, parse_split
+from recognition.evaluation.splits import TrainTest, chronological_split, parse_split
 from recognition.grasp import Grasp
 from recognition.recognizers import DEFAULT_TRAINER
 
@@ -76,8 +76,8 @@ def evaluate_recognizers(
     grasps
         Labelled grasps to split; with ``train``, all of them are tested.
     split
-        E.g. ``chronological:0.6`` or ``shuffled:0.8``; ``series`` leaves out, in turn, each series
-        of the objects with several series, ``days`` and ``cells`` each of them.
+        E.g. ``chronological:0.6``; ``series``, ``days`` and ``cells`` leave out each of them in
+        turn.
     train
         Grasps to train on instead of splitting.
     fuse
@@ -88,7 +88,7 @@ def evaluate_recognizers(
     started_s = time.monotonic()
     if train is not None:
         split = "separate files"
-    parts = _parts(grasps, split, train, seed)
+    parts = _parts(grasps, split, train)
     measure = partial(evaluate, parts, fuse=fuse, seed=seed, mapper=mapper)
     if len(parts) > 1:
         # A part tests a single object: the others would have to be left out again for each.
@@ -123,9 +123,7 @@ def evaluate_recognizers(
     )
 
 
-def _parts(
-    grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None, seed: int
-) -> list[TrainTest]:
+def _parts(grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None) -> list[TrainTest]:
     """Return pairs of grasps to train and to test. Raises CellError if a pair cannot be used."""
     if train is not None:
         parts: list[TrainTest] = [(tuple(train), tuple(grasps))]
@@ -134,7 +132,7 @@ def _parts(
             if split in LEFT_OUT:
                 parts = left_out_in_turn(grasps, split)
             else:
-                parts = [parse_split(split, seed=seed)(grasps)]
+                parts = [chronological_split(grasps, parse_split(split))]
     for train_part, test_part in parts:
         if not train_part or not test_part:
             raise CellError(

@@ -7,7 +7,7 @@ from cell.archive.selection import Selection, cell_of, day_of, is_archive
 from cell.errors import CellError
 from cell.installation import extra
 from cell.learning.labelled_grasps import read_labelled_grasps
-from recognition.evaluation.splits import TrainTest, left_out_parts, series_parts
+from recognition.evaluation.splits import TrainTest, left_out_parts, series_names
 from recognition.grasp import Grasp
 
 _MOST = 400
@@ -42,6 +42,6 @@ def selected_grasps(
 def left_out_in_turn(grasps: Sequence[Grasp], what: str) -> list[TrainTest]:
     """Return grasps to train and to test, for each of `LEFT_OUT`; ValueError with a single one."""
     if what == "series":
-        return series_parts(grasps)
+        return left_out_parts(grasps, series_names(grasps))
     day = what == "days"
     return left_out_parts(grasps, [day_of(g.start_ms) if day else cell_of(g) for g in grasps])

@@ -20,7 +20,7 @@ from gripper.gripper import open_gripper
 from gripper.settings import HARD_FORCE_CAP_N
 from gripper.values.force_sensor import ForceSample
 from recognition.evaluation.metrics import wilson_interval
-from recognition.evaluation.splits import parse_split
+from recognition.evaluation.splits import chronological_split, parse_split
 from recognition.grasp import Grasp
 from simulator.cell import SimulatedCell
 from tactile.sensor.opening import open_sensor
@@ -93,9 +93,9 @@ def replay_grasps(
     taught, test_part, unnamed = None, tuple(grasps), "a grasp has no label"
     if all(grasp.label for grasp in grasps):
         with raised_as(CellError, ValueError):
-            divide = parse_split(split)
+            fraction = parse_split(split)
         try:
-            train_part, test_part = divide(grasps)
+            train_part, test_part = chronological_split(grasps, fraction)
             taught, unnamed = train(train_part, recognizer).recognizer, ""
         except (CellError, ValueError) as error:
             train_part, test_part, unnamed = (), tuple(grasps), str(error)

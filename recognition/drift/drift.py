@@ -79,41 +79,6 @@ class Drift:
         )
 
 
-NO_DRIFT = Drift()
-"""The sensors as they were taught."""
-
-
-def parse_drift(text: str) -> Drift:
-    """Return the drift of a text, for example ``gain=0.7,aperture_mm=-4``; both are optional.
-
-    Slashes separate the gains of single pads: ``gain=0.7/0.9``. Raises ValueError with the accepted
-    form for any other text, and for values out of range.
-    """
-    values: dict[str, tuple[float, ...]] = {}
-    for part in text.split(","):
-        name, _, numbers = (piece.strip() for piece in part.partition("="))
-        try:
-            given = tuple(float(number) for number in numbers.split("/"))
-        except ValueError:
-            given = (float("nan"),)
-        several = len(given) > 1 and name != "gain"
-        if (
-            name not in ("gain", "aperture_mm")
-            or name in values
-            or several
-            or not np.all(np.isfinite(given))
-        ):
-            raise ValueError(
-                f"drift {text!r} is not understood: give gain=NUMBER and aperture_mm=NUMBER, "
-                "for example gain=0.7,aperture_mm=-4, or a gain for each pad: gain=0.7/0.9"
-            )
-        values[name] = given
-    return Drift(
-        gains=values.get("gain", (1.0,)),
-        aperture_offset_m=values.get("aperture_mm", (0.0,))[0] * 1e-3,
-    )
-
-
 def drift_text(drift: Drift) -> str:
     """Return a drift as text for people: ``gain 0.70, opening -4.0 mm``.
 
@@ -122,12 +87,3 @@ def drift_text(drift: Drift) -> str:
     low, high = (f"{gain:.2f}" for gain in (min(drift.gains), max(drift.gains)))
     gain = low if low == high else f"{low} to {high}"
     return f"gain {gain}, opening {drift.aperture_offset_m * 1e3:+.1f} mm"
-
-
-def drift_values(drift: Drift) -> dict[str, object]:
-    """Return a drift as plain data: mean gain, gain of each pad, offset of the opening in mm."""
-    return {
-        "gain": drift.gain,
-        "gains": list(drift.gains),
-        "aperture_mm": drift.aperture_offset_m * 1e3,
-    }

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from recognition.drift.drift import Drift, drift_values
+from recognition.drift.drift import Drift
 from recognition.grasp import Grasp, SelfZero
 from recognition.recognizer import Recognizer
 from recognition.records import ArrayRecord, Numbers
@@ -185,8 +185,11 @@ class DriftGrid(ArrayRecord):
     @property
     def values(self) -> dict[str, object]:
         """The drift, its uncertainty and the number of its grasps, as plain data."""
+        drift = self.drift
         return {
-            **drift_values(self.drift),
+            "gain": drift.gain,
+            "gains": list(drift.gains),
+            "aperture_mm": drift.aperture_offset_m * 1e3,
             "aperture_sd_mm": 1e3 * self.offset_sd_m,
             "unchanged": self.unchanged,
             "n_gauges": self.n_gauged,

@@ -1,4 +1,4 @@
-"""Evaluation of a recogniser: accuracy, fusion, calibration, untaught objects, drift tracking."""
+"""Evaluation of a recogniser: accuracy, fusion, untaught objects, drift tracking."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,6 @@ from recognition.drift.grid import DriftFollowing
 from recognition.evaluation.metrics import (
     auroc,
     confusion_matrix,
-    expected_calibration_error,
     interval_by_object,
     object_weights,
     percentile_interval,
@@ -87,14 +86,10 @@ class Evaluation:
     fused_accuracy: Mapping[int, float]
     fused_interval: Mapping[int, tuple[float, float]]
     """The same for k consecutive grasps of one label in time, by k; no grasp counts twice."""
-    calibration_error: float
-    """Expected calibration error of the probability of the likeliest label, ten bins."""
     named_right: float
     named_wrong: float
     """Share of tested grasps of taught objects that one grasp names rightly and wrongly; the others
     are called UNKNOWN."""
-    known_rejected: float
-    """Share of tested grasps of taught objects with ``unknown`` above 0.5."""
     unknown_auroc: float
     """Area under the curve of ``unknown`` for objects that were left out of teaching against the
     others; NaN where it was not measured."""
@@ -103,8 +98,6 @@ class Evaluation:
     unknown_reliability: tuple[tuple[float, float, int, int], ...]
     """Rows of ``unknown`` in that test: lower and upper edge, grasps, and those of left-out
     objects. Objects are left out one group at a time; their share is the prior of the test."""
-    unknown_rejected: float
-    """Share of grasps of left-out objects with ``unknown`` above 0.5; NaN where not measured."""
     confusion: NDArray[np.int64]
     """(C, C) int64: row = true label, column = likeliest label."""
     shift: ShiftFigures | None = None
@@ -193,7 +186,6 @@ def evaluate(
     names = [p.name for p in posteriors]
     fused = {k: _consecutive(runs, k) for k in fuse}
     area, auroc_interval = _separation(scored)
-    new_scores = [score for _, new in scored for score, _ in new]
     return Evaluation(
         trainer=trainer.name,
         uses_aperture=trainer.uses_aperture,
@@ -204,18 +196,13 @@ def evaluate(
         interval=interval_by_object(right.tolist(), truth),
         fused_accuracy=MappingProxyType({k: share for k, (share, _) in fused.items()}),
         fused_interval=MappingProxyType({k: interval for k, (_, interval) in fused.items()}),
-        calibration_error=expected_calibration_error(
-            [float(p.probability.max()) for p in posteriors], right
-        ),
         named_right=float(np.mean([name == t for name, t in zip(names, truth, strict=True)])),
         named_wrong=float(
             np.mean([name not in (t, UNKNOWN) for name, t in zip(names, truth, strict=True)])
         ),
-        known_rejected=float(np.mean([p.unknown > 0.5 for p in posteriors])),
         unknown_auroc=area,
         auroc_interval=auroc_interval,
         unknown_reliability=_reliability(scored),
-        unknown_rejected=float(np.mean(np.array(new_scores) > 0.5)) if new_scores else float("nan"),
         confusion=confusion_matrix(truth, [p.best for p in posteriors], tuple(sorted(labels))),
         shift=shift,
     )

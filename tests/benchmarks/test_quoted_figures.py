@@ -1,6 +1,5 @@
 """Figures that README and docs quote, and transcripts of the tutorial, are those of today's run."""
 
-import json
 import os
 import re
 import subprocess
@@ -103,14 +102,10 @@ def test_the_run_of_today_prints_what_is_quoted(page, command, options, n_cells,
     "TACTILE_CELL_DATA" not in os.environ,
     reason="TACTILE_CELL_DATA does not name the folder of recorded grasps",
 )
-def test_the_evaluation_of_today_prints_what_is_quoted(tmp_path) -> None:
+def test_the_evaluation_of_today_prints_what_is_quoted() -> None:
     data = Path(os.environ["TACTILE_CELL_DATA"])
-    first, later, report = data / "pinch36.npz", data / "pinch_november.npz", tmp_path / "e.json"
-    text = printed("model", "evaluate", first, "--json", report)
-    for full in json.loads(report.read_text(encoding="utf-8"))["recognizers"].values():
-        for of in (full, full["without_aperture"]):
-            for name in ("unknown_rejected", "known_rejected", "calibration_error"):
-                text += f"{100 * of[name]:.0f} {100 * of[name]:.1f} {of[name]:.3f}\n"
+    first, later = data / "pinch36.npz", data / "pinch_november.npz"
+    text = printed("model", "evaluate", first)
     text_later = printed("model", "evaluate", later, "--train", first, "--recognizer", "force_ramp")
     for name in PAGES:
         page = (ROOT / name).read_text(encoding="utf-8")

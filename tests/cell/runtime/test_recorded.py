@@ -24,7 +24,7 @@ from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.replay import replay_grasps
 from cell.runtime.sort import drawn_object
 from gripper.values.outcome import GraspResult
-from recognition.drift.drift import NO_DRIFT, Drift
+from recognition.drift.drift import Drift
 from recognition.recognizers import make_trainer
 from tests.cell.conftest import call, plain_grasp, small_config
 
@@ -203,7 +203,7 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
     assert told[-1]["gauged"] == {"label": "ball", "before": before, "after": shown}
     assert model.drift.drift == found
     assert load_model(path).recognizer.grid.drift == found  # type: ignore[attr-defined]
-    again = gauge(NO_DRIFT)
+    again = gauge(Drift())
     assert told[-1]["gauged"]["before"] == shown
     assert again.gain == pytest.approx(1.0, rel=0.1)
     assert again.aperture_offset_m > found.aperture_offset_m

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recognition.drift.drift import Drift, drift_text, drift_values, parse_drift
+from recognition.drift.drift import Drift, drift_text
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.drift.self_zero import (
     ZeroMeasurement,
@@ -152,20 +152,6 @@ def taught(teach):
     return teach("force_ramp")
 
 
-def test_a_drift_is_read_from_its_text():
-    assert parse_drift("gain=0.7, aperture_mm=-4") == DRIFT
-    assert parse_drift("aperture_mm=2") == Drift(aperture_offset_m=2e-3)
-    assert parse_drift("gain=0.7/0.9") == Drift(gains=(0.7, 0.9))
-
-
-@pytest.mark.parametrize(
-    "text", ["", "gain", "gain=x", "gain=1,gain=2", "speed=3", "gain=nan", "aperture_mm=1/2"]
-)
-def test_other_texts_are_refused(text):
-    with pytest.raises(ValueError, match=r"gain=0\.7,aperture_mm=-4"):
-        parse_drift(text)
-
-
 def test_applied_it_scales_clips_and_moves_and_undone_it_is_gone(fresh):
     grasp = dataclasses.replace(fresh[0], zero=drawn_zero())
     drifted = DRIFT.apply(grasp)
@@ -188,7 +174,6 @@ def test_each_pad_has_a_gain_of_its_own(fresh):
         assert np.array_equal(drifted.counts[:, mine], wanted)
     assert drift.gain == pytest.approx(np.sqrt(0.75))
     assert drift_text(drift) == "gain 0.50 to 1.50, opening +0.0 mm"
-    assert drift_values(DRIFT) == {"gain": pytest.approx(0.7), "gains": [0.7], "aperture_mm": -4.0}
     with pytest.raises(ValueError, match="3 gains do not fit the 2 pads"):
         Drift(gains=(1.0, 1.0, 1.0)).apply(grasp)
 

@@ -195,8 +195,8 @@ def evaluate(
         str,
         typer.Option(
             "--split",
-            help="chronological:FRACTION or shuffled:FRACTION to train on. Or leave out in turn "
-            "series: each one of an object that has several; days, cells: each of them.",
+            help="chronological:FRACTION to train on; or series, days, cells: each of them is left "
+            "out in turn.",
         ),
     ] = "chronological:0.6",
     fuse: Annotated[str, typer.Option("--fuse", help="Numbers of grasps to fuse.")] = "1,2,3,5",
