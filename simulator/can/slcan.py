@@ -1,6 +1,7 @@
 """A serial CAN adapter: the LAWICEL (slcan) ASCII protocol for the simulated bus.
 
-Written from the manual of the LAWICEL CANUSB. Commands end with CR; CR acknowledges, BEL refuses.
+Written from the manual of the LAWICEL CANUSB: open, close, bit rate, messages, version, flags.
+Commands end with CR; CR acknowledges, BEL refuses.
 The adapter has no loop and no port: bytes in, bytes out, time as an argument.
 """
 
@@ -20,12 +21,8 @@ _LINE_LIMIT = 32
 """Longest command in characters: T, 8 of the identifier, 1 of the length, 16 of data, reserve."""
 _VERSION = b"V1013\r"
 """Answer to V: hardware version 1.0, software version 1.3."""
-_SERIAL = b"NSIM1\r"
-"""Answer to N: serial number."""
 _FLAG_QUEUE_FULL, _FLAG_PASSIVE, _FLAG_BUS_ERROR = 0x01, 0x20, 0x80
 """Bits of the answer to F."""
-_TIME_WRAP_MS = 60_000
-"""Time stamps wrap around after this time in ms."""
 _HEX_DIGITS = frozenset(string.hexdigits)
 _STANDARD_ID_MAX, _EXTENDED_ID_MAX = 0x7FF, 0x1FFF_FFFF
 """Largest identifiers of 11 and of 29 bits."""
@@ -53,8 +50,6 @@ class SlcanAdapter:
         self._overflow = False
         self._passing_over = False
         self._open = False
-        self._listen_only = False
-        self._stamps = False
 
     def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
         """Take bytes of the client and carry out the commands that are complete.
@@ -92,7 +87,7 @@ class SlcanAdapter:
         deaf = not self._open or self._link.deaf(self._chosen)
         while (message := self._link.take(now_s)) is not None:
             if not (deaf or message.is_error_frame):
-                self._put(_text(message, stamped=self._stamps))
+                self._put(_text(message))
         output = bytes(self._output)
         self._output.clear()
         return output
@@ -111,8 +106,7 @@ class SlcanAdapter:
         self._input.clear()
         self._output.clear()
         self._link.clear()
-        self._open = self._listen_only = self._stamps = self._overflow = False
-        self._passing_over = False
+        self._open = self._overflow = self._passing_over = False
         self._chosen = self._bitrate
 
     def _put(self, data: bytes) -> None:
@@ -129,44 +123,21 @@ class SlcanAdapter:
         name, rest = text[0], text[1:]
         if name in "tTrR":
             return self._send(name, rest, now_s)
-        if name in "OLC" and not rest:
-            return self._channel(name, now_s)
-        if name in "SsZmMWX":
-            return self._set_up(name, rest)
-        if rest:
-            return _REFUSED
-        answers = {"V": _VERSION, "v": _VERSION, "N": _SERIAL}
-        return self._flags() if name == "F" else answers.get(name, _REFUSED)
-
-    def _channel(self, name: str, now_s: float) -> bytes:
-        if self._open == (name != "C"):
-            return _REFUSED
-        self._open = name != "C"
-        self._listen_only = name == "L"
-        self._link.clear(now_s)
-        return _OK
-
-    def _set_up(self, name: str, rest: str) -> bytes:
-        """Carry out a setting; all of them are refused while the channel is open."""
-        if self._open:
-            return _REFUSED
-        if name == "S":
-            if len(rest) != 1 or not "0" <= rest <= "8":
-                return _REFUSED
+        if name == "S" and len(rest) == 1 and "0" <= rest <= "8" and not self._open:
             self._chosen = BIT_RATES[int(rest)]
-        elif name == "Z":
-            if rest not in {"0", "1"}:
-                return _REFUSED
-            self._stamps = rest == "1"
-        elif name == "s":
-            # Bit timing registers: their rate depends on the clock of the controller.
-            self._chosen = self._bitrate
-        return _OK
+            return _OK
+        if name in "OC" and not rest and self._open == (name == "C"):
+            self._open = not self._open
+            self._link.clear(now_s)
+            return _OK
+        if name == "F" and not rest and self._open:
+            return self._flags()
+        return _VERSION if text == "V" else _REFUSED
 
     def _send(self, name: str, rest: str, now_s: float) -> bytes:
         extended = name in "TR"
         digits = 8 if extended else 3
-        if not self._open or self._listen_only or not set(rest) <= _HEX_DIGITS:
+        if not self._open or not set(rest) <= _HEX_DIGITS:
             return _REFUSED
         try:
             can_id = int(rest[:digits], 16)
@@ -185,8 +156,6 @@ class SlcanAdapter:
         return b"Z\r" if extended else b"z\r"
 
     def _flags(self) -> bytes:
-        if not self._open:
-            return _REFUSED
         flags = _FLAG_QUEUE_FULL if self._overflow else 0
         flags |= _FLAG_PASSIVE if self._link.faults.error_passive else 0
         flags |= _FLAG_BUS_ERROR if self._link.faults.bus_off else 0
@@ -194,11 +163,10 @@ class SlcanAdapter:
         return b"F%02X\r" % flags
 
 
-def _text(message: can.Message, *, stamped: bool) -> bytes:
+def _text(message: can.Message) -> bytes:
     head = (
         b"T%08X%d" % (message.arbitration_id, message.dlc)
         if message.is_extended_id
         else b"t%03X%d" % (message.arbitration_id, message.dlc)
     )
-    stamp = b"%04X" % (int(1e3 * message.timestamp) % _TIME_WRAP_MS) if stamped else b""
-    return head + message.data.hex().upper().encode("ascii") + stamp + b"\r"
+    return head + message.data.hex().upper().encode("ascii") + b"\r"

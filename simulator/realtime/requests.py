@@ -1,4 +1,4 @@
-"""Requests of other processes to a simulated cell: objects, recorded grasps, state, faults."""
+"""Requests of other processes to a simulated cell: objects, state, faults."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -38,12 +38,11 @@ class CellRequests:
     - ``{"press": "finger0.inner", "at": ["tip", "left"], "force_n": 2.0}``: ``{"pressed": pad}``, a
       person's fingertip on a pad, in its middle or at some of tip, base, left, right, inside,
       outside as `simulator.realtime.hands` has them; ``{"lift": true}``: ``{"lifted": true}``
-    - ``{"play": index}``: ``{"frames": n}`` of that recorded grasp
     - ``{"hand": {"1": 0.02, "2": 0}}``: a person moves the fingers of these servos, without torque,
       to half openings in m: ``{"moving": true}``; "state" shows the end of the motion
     - ``{"state": true}``: placed object, pressed pad, the names of objects, the offset of their
       poses, forces, opening, half openings, number of servos, kind of the linkage, names of the
-      pads, frames left, axes, faults
+      pads, axes, faults
     - ``{"kinds": true}``: ``{"kinds": [..]}``, the faults that fit the cell: name, kind, meaning,
       value (null for none), and whether it is a moment, without an end
     - ``{"inject": "can.loss=0.05@2s"}``: the same object; see `simulator.faults.injector`
@@ -61,7 +60,6 @@ class CellRequests:
             "remove": self._remove,
             "press": self._press,
             "lift": self._lift,
-            "play": self._play,
             "hand": self._hand,
             "state": self._state,
             "kinds": self._kinds,
@@ -145,12 +143,6 @@ class CellRequests:
         self._pressed = None
         return {"lifted": True}
 
-    def _play(self, request: dict[str, Any]) -> dict[str, Any]:
-        index = request["play"]
-        if type(index) is not int:
-            raise SimulatorSettingsError(f"play takes the number of a grasp, got {index!r}")
-        return {"frames": self._devices.play(index)}
-
     def _hand(self, request: dict[str, Any]) -> dict[str, Any]:
         wanted = request["hand"]
         if not isinstance(wanted, dict) or not wanted:
@@ -170,11 +162,10 @@ class CellRequests:
     def _state(self, request: dict[str, Any]) -> dict[str, Any]:
         _is_true(request, "state")
         devices = self._devices
-        plays = bool(devices.settings.grasps)
-        placed = None if plays else devices.physical.placed
+        placed = devices.physical.placed
         return {
             "placed": None if placed is None else placed[0],
-            "objects": [] if plays else list(devices.physical.objects),
+            "objects": list(devices.physical.objects),
             "offset": asdict(devices.offset),
             "pressed": self._pressed,
             "pads": [pad.name for pad in self._pads],
@@ -184,7 +175,6 @@ class CellRequests:
             "aperture_m": devices.mechanics.aperture_m,
             "fingers_m": list(devices.mechanics.finger_position_m),
             "moved_by_hand": devices.mechanics.moved_by_hand,
-            "frames_left": devices.recorded.remaining if plays else 0,
             "control_unit": devices.unit.state,
             "axes": {
                 moves: {"position": axis.position, "moving": axis.moving}

@@ -36,8 +36,7 @@ from simulator.realtime.terminals import SerialPty
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.protocol2 import Instruction, encode_instruction
 from simulator.servo.wrist import WristMount
-from simulator.settings import RecordedGrasp, SimulatorSettings
-from tactile.layout import pinch_layout
+from simulator.settings import SimulatorSettings
 from tests.simulator.conftest import ServoBench
 
 SCRIPT = """
@@ -380,17 +379,6 @@ def test_objects_get_names_and_lie_beside_their_pose(requests, devices) -> None:
     assert requests({"state": True})["placed"] is None
 
 
-def test_recorded_grasps_are_played_by_number() -> None:
-    grasp = RecordedGrasp(counts=np.zeros((4, 156), np.uint16), aperture_m=np.full(4, 0.02))
-    devices = CellDevices(SimulatorSettings(layout=pinch_layout(), grasps=(grasp,)))
-    requests = CellRequests(devices, FaultInjector(devices, 0.0))
-    assert requests({"play": 0}) == {"frames": 4}
-    assert requests({"state": True})["frames_left"] == 4
-    for request in ({"play": 1}, {"play": "0"}, {"place": "ball"}):
-        with pytest.raises(SimulatorError):
-            requests(request)
-
-
 @pytest.mark.parametrize(
     ("request_", "says"),
     [
@@ -421,7 +409,6 @@ def test_recorded_grasps_are_played_by_number() -> None:
         ({"remove": False}, "remove takes true, got False"),
         ({"state": 1}, "state takes true, got 1"),
         ({"kinds": 1}, "kinds takes true, got 1"),
-        ({"play": 0}, "it has no recorded grasps"),
         ({"inject": 5}, "inject takes the text of a fault"),
         ({"inject": "can.lost"}, "did you mean can.loss"),
         ({"inject": "servos.delayed=" + "9" * 400}, "at most 200 letters"),

@@ -45,7 +45,7 @@ def simulate(
             "Examples: 'open finger 0', 'block 10', 'press finger0.inner tip left'; 'help' "
             "explains them. '-' asks for them line by line. Programs send JSON, for example "
             """'{"state": true}': check, place, define, remove, """
-            "press, lift, play, hand, state, kinds, inject, clear.",
+            "press, lift, hand, state, kinds, inject, clear.",
         ),
     ] = None,
     with_parent: Annotated[
