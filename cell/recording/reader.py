@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, NamedTuple, Self
 import numpy as np
 import zstandard
 from mcap.exceptions import McapError
-from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Statistics
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 from numpy.typing import NDArray
 from pydantic import ValidationError
@@ -37,7 +37,6 @@ MAX_CHUNK_BYTES = 32 << 20
 the tools of MCAP those of 8 MiB."""
 MAX_EXTRA = 8
 """Most further samples of a taxel in a frame."""
-_PACKINGS = ("", "zstd", "lz4")
 _DAMAGE = (*DAMAGE, McapError, zstandard.ZstdError, struct.error)
 _TIME_TOLERANCE_S = 1e-5
 """Difference in s between the times of a grasp and those of its frames: rounding only."""
@@ -70,7 +69,6 @@ class RecordedMessages:
         self._topics: dict[int, str] = {}
         self.n_of = Counter[str]()
         """Messages of each topic so far, also those that are left out."""
-        self._chunks: set[tuple[int, int, int]] = set()
         self._n_extra: int | None = None
 
     @property
@@ -126,24 +124,14 @@ class RecordedMessages:
             ) from cause
 
     def _messages(self, file: BinaryIO) -> Iterator[RecordedMessage]:
-        n_read, ended = 0, False
         try:
             for record in _records(file, validate_crcs=True):
                 if isinstance(record, DataEnd):
-                    ended = True
-                elif isinstance(record, Statistics):
-                    if n_read < record.message_count and not self._n_lost:
-                        self.lose(f"{n_read} of its {record.message_count} messages are there")
-                elif ended and isinstance(record, Chunk | Message):
-                    # The checksum of the data does not include this part.
-                    self.lose("data follow its end")
-                elif not ended:
-                    for part in self._parts(record):
-                        n_read += isinstance(part, Message)
-                        if (message := self._message(part)) is not None:
-                            yield message
-            if not ended:
-                self.lose("its end is missing")
+                    return
+                for part in self._parts(record):
+                    if (message := self._message(part)) is not None:
+                        yield message
+            self.lose("its end is missing")
         except _DAMAGE as cause:
             self.lose(f"the file is cut off or damaged ({reason_text(cause)})")
 
@@ -151,21 +139,13 @@ class RecordedMessages:
         """Return the records of a chunk, or the record itself."""
         if not isinstance(record, Chunk):
             return [record]
-        identity = (record.message_start_time, record.uncompressed_size, record.uncompressed_crc)
         try:
-            if identity in self._chunks:
-                # Its frames and grasps would count twice.
-                raise ValueError("it repeats an earlier chunk")
-            if record.compression not in _PACKINGS:
-                raise ValueError(f"its compression {record.compression!r} is not read")
             if record.uncompressed_size > MAX_CHUNK_BYTES:
                 raise ValueError(f"it unpacks to more than {MAX_CHUNK_BYTES} bytes")
-            parts = breakup_chunk(record, validate_crc=True)
+            return breakup_chunk(record, validate_crc=True)
         except _DAMAGE as cause:
             self.lose(f"a chunk is left out: {reason_text(cause)}")
             return []
-        self._chunks.add(identity)
-        return parts
 
     def _message(self, record: McapRecord) -> RecordedMessage | None:
         """Return a message of a known topic that fits its model; another one is reported."""

@@ -198,22 +198,3 @@ def test_a_recording_of_other_messages_is_read_and_recovered(tmp_path, changes):
     assert whole.complete
     assert same_grasps(whole.grasps, found.grasps)
     return "read as whole" if found.complete else "read as damaged"
-
-
-def test_a_chunk_that_stands_twice_is_read_and_recovered_once(tmp_path: Path) -> None:
-    data = file_of([record for record in good().records for _ in range(1 + (record[0] == CHUNK))])
-    assert "it repeats an earlier chunk" in read(tmp_path, data).lost_reason
-    assert check(tmp_path, data) == "salvaged"
-    assert len(read_recording(tmp_path / "recovered.mcap").grasps) == 2
-
-
-def test_a_recording_with_content_behind_its_end_is_not_complete(tmp_path: Path) -> None:
-    records = good().records
-    chunk = next(record for record in records if record[0] == CHUNK)
-    end = [code for code, _ in records].index(DATA_END)
-    doubled = read(tmp_path, file_of([*records[: end + 3], chunk, *records[end + 3 :]]))
-    assert "data follow its end" in doubled.lost_reason
-    assert len(doubled.grasps) == 2
-    assert len(doubled.frames) == len(good().recording.frames)
-    renamed = [(0xF0 if code == DATA_END else code, content) for code, content in records]
-    assert not read(tmp_path, file_of(renamed)).complete
