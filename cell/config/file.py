@@ -19,7 +19,7 @@ from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
 from cell.config.model import CellConfig
-from cell.config.section import Installed, Section, sections_in, unit_of
+from cell.config.section import Installed, Section, sections_in
 from cell.errors import ConfigError
 from cell.files import read_plain
 from cell.formats import CONFIG
@@ -171,29 +171,6 @@ def _scalar(value: Any) -> str:
     return out.getvalue().removesuffix("...\n").rstrip("\n")
 
 
-_REMEDIES = (
-    (r"duplicate key (.*?) with", r"the key \1 is written twice; remove one of the two"),
-    (r"end of stream", "the closing quote is missing"),
-    (r"single document", "a config is one document; remove the line with ---"),
-    (r"escape", "a backslash between double quotes; use single quotes"),
-    (r"'\\t'", "a tab; use spaces"),
-    (r"character (.*) that cannot", r"a value cannot begin with \1; put the value in quotes"),
-    (r"flow", "this bracket is not closed, or a comma or a colon is missing in it"),
-    (r"simple key", "a colon and a space are missing after the key; write `key: value`"),
-    (
-        r"mapping values",
-        "a colon within a value, which needs quotes; or the line above lacks a space after its "
-        "colon; or this indent fits no line above",
-    ),
-    (r"found '<scalar>'", "text after the end of the value; put the whole value in quotes"),
-    (
-        r"found '<block|found '-'|document start",
-        "the indent fits no line above; keys of one section have the same indent",
-    ),
-)
-"""Texts of the YAML reader by pattern, the first that matches, and what the operator reads."""
-
-
 class _Constructor(SafeConstructor):
     """Values of a config: a date is a text."""
 
@@ -209,20 +186,14 @@ def _read_yaml(text: str, source: str) -> tuple[Node | None, Any]:
     reader = YAML(typ="safe", pure=True)
     reader.Constructor = _Constructor
     try:
-        if text.startswith("%"):
-            raise ValueError("remove the line that begins with %")
         return reader.compose(text), reader.load(text)
     except MarkedYAMLError as error:
-        said = f"{error.context}: {error.problem}"
-        inside = re.search("quoted.*end of|flow|simple key", said)
-        mark = (error.context_mark if inside else None) or error.problem_mark
+        mark = error.problem_mark or error.context_mark
         place = f"{source}:{_place(mark)}" if mark else source
-        matches = ((re.search(pattern, said), remedy) for pattern, remedy in _REMEDIES)
-        remedy = next((found.expand(remedy) for found, remedy in matches if found), said)
-        raise ConfigError(f"{place}: not YAML 1.2: {remedy}") from error
+        raise ConfigError(f"{place}: not YAML 1.2: {error.problem or error.context}") from error
     except (YAMLError, ValueError, RecursionError) as error:
-        said = " ".join(str(error).split())
-        raise ConfigError(f"{source}: not YAML 1.2: {said}") from error
+        text = " ".join(str(error).split())
+        raise ConfigError(f"{source}: not YAML 1.2: {text}") from error
 
 
 def _place(mark: StreamMark) -> str:
@@ -245,14 +216,11 @@ def load_config(path: Path | None) -> CellConfig:
         If the file cannot be read, is not YAML 1.2, has unknown or repeated keys, or values out of
         range. One message lists all errors.
     """
-    return CellConfig() if path is None else parse_config(config_file_text(path), source=str(path))
-
-
-def config_file_text(path: Path) -> str:
-    """Return the unchecked text of a config file. Raises ConfigError as `load_config`."""
+    if path is None:
+        return CellConfig()
     data = read_plain(path, error=ConfigError, what="config", limit_bytes=MAX_BYTES)
     try:
-        return data.decode("utf-8")
+        return parse_config(data.decode("utf-8"), source=str(path))
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise ConfigError(f"{path}:{line}: not UTF-8 text; save the file as UTF-8") from error
@@ -293,34 +261,20 @@ def schema_text() -> str:
 
 
 def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
-    found = error.errors(include_url=False)
-    broken = {item["loc"] for item in found}
-    # A list with refused entries counts as empty: the errors of its entries are enough.
-    found = [
-        item
-        for item in found
-        if item["type"] != "too_short"
-        or not any(loc[: len(item["loc"])] == item["loc"] for loc in broken - {item["loc"]})
-    ]
+    items = error.errors(include_url=False)
+    inside = {item["loc"][:n] for item in items for n in range(len(item["loc"]))}
     lines = []
-    for item in found[:_MAX_COMPLAINTS]:
+    for item in items:
+        if item["loc"] in inside:  # a list whose entries are refused counts as empty, too
+            continue
         place, key = _locate(root, item["loc"])
-        given = item.get("input")
-        shown = "" if isinstance(given, dict | list) else f" (found: {given!r:.200})"
-        message = item["msg"].removeprefix("Value error, ")
+        value, message = item["input"], item["msg"].removeprefix("Value error, ")
+        given = "" if isinstance(value, dict | list) else f" (found: {value!r:.200})"
         if item["type"] == "extra_forbidden":
             message = f"unknown key; {_meant(item['loc'])}`tactile-cell config schema` lists all"
-        elif item["type"] == "missing":
-            shown = ""
-        elif item["type"] == "bool_type":
-            message = "write true or false"
-        elif "_than" in item["type"]:
-            named = [step for step in item["loc"] if isinstance(step, str)]
-            message = f"{message} {unit_of(named[-1])}".rstrip()
-        lines.append(f"{source}:{place}: {key or 'config'}: {message}{shown}")
-    if len(found) > len(lines):
-        lines.append(f"{source}: {len(found) - len(lines)} more errors")
-    return "\n".join(lines)
+        lines.append(f"{source}:{place}: {key or 'config'}: {message}{given}")
+    more = [f"{source}: {len(lines) - _MAX_COMPLAINTS} more errors"]
+    return "\n".join(lines[:_MAX_COMPLAINTS] + more * (len(lines) > _MAX_COMPLAINTS))
 
 
 def _meant(loc: tuple[int | str, ...]) -> str:

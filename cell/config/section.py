@@ -23,16 +23,6 @@ SIMULATED = "simulated"
 """Port or interface name of the simulated cell; no other value selects it."""
 MILLI = 1e-3
 """SI units in one unit of the config, for mm, mm/s and ms."""
-_UNITS = {
-    "mm_s": "mm/s", "n_s": "N/s", "n_mm": "N/mm", "nm_a": "Nm/A", "mm": "mm", "ms": "ms",
-    "deg": "degrees", "hz": "Hz", "n": "N", "s": "s", "a": "A", "c": "°C", "share": "share",
-}  # fmt: skip
-"""Unit by the end of a key, the longest first."""
-
-
-def unit_of(key: str) -> str:
-    """Return the unit of a key from the end of its name; empty if it has none."""
-    return next((unit for end, unit in _UNITS.items() if key.endswith(f"_{end}")), "")
 
 
 def refuse_repeats(values: Iterable[object], what: str) -> None:
