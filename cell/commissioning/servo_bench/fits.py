@@ -18,8 +18,6 @@ _LOW_PASSES_S = tuple(1e-3 * ms for ms in (0, 2, 4, 8, 12, 16, 24, 32))
 """Mean and low-pass of Present Velocity that are compared, in s."""
 _FEWEST = 3
 """Points of a line and of a check of it."""
-COPPER_PER_K = 0.0039
-"""Growth of the resistance of copper for each K, as a share."""
 
 
 def late_velocity(position_rad: Floats, window_s: float, low_pass_s: float) -> Floats:

@@ -1,4 +1,4 @@
-"""The protocol of the bench: eight steps of a few minutes, each of which can be left out."""
+"""The protocol of the bench: six steps of a few minutes, each of which can be left out."""
 
 from collections.abc import Callable
 from functools import partial
@@ -18,9 +18,6 @@ _N_PER_G = 9.80665e-3
 """Weight in N of one gram."""
 _STEPS, _STEP_PULSES = 10, 200
 """Steps of the goal in free motion, and their size in pulses."""
-_BEYOND_PULSES = (5, 10, 20, 40, 80)
-_P_GAINS = (400, 800)
-"""Goals beyond a locked arm in pulses, and P gains with them."""
 _OUT_OF_REACH_PULSES = 1000
 """Distance in pulses of a goal that the arm on the scale does not reach."""
 _LOAD_SHARES = (0.03, 0.06, 0.12, 0.2, 0.28, 0.36)
@@ -119,29 +116,6 @@ def velocity(rig: Rig, _dialog: Dialog) -> Values:
     }
 
 
-def locked(rig: Rig, _dialog: Dialog) -> Values:
-    """Measure the gain of the position loop in mode 5, with the arm locked.
-
-    Screw the arm on and lock it in a vice. The servo pushes against it.
-    """
-    values: Values = {}
-    for p_gain in _P_GAINS:
-        rig.start(OperatingMode.CURRENT_BASED_POSITION, position_p_gain=p_gain)
-        rig.current(rig.most_a)
-        start = rig.sample().position_pulses
-        points = []
-        for beyond in _BEYOND_PULSES:
-            rig.position(start + beyond)
-            rows = rig.watch(f"P {p_gain}, {beyond} pulses", 1.0)[-50:]
-            if abs(rows.current_a.mean()) < 0.9 * rig.most_a:  # not at its limit
-                error = rows.goal_pulses - rows.position_pulses
-                points.append((error.mean(), rows.current_a.mean() / rig.model.current_unit_a))
-        rig.position(start)
-        errors, currents = np.array(points).reshape(-1, 2).T
-        values[f"error_per_current_p{p_gain}"] = fits.error_gain(errors, currents, p_gain)
-    return values
-
-
 class _Load(NamedTuple):
     """One weighing: currents in A, torque in N m, PWM as a share, voltage of the winding in V."""
 
@@ -199,12 +173,12 @@ def weighed_nm(dialog: Dialog, key: str, part: str) -> float:
 
 
 def free(rig: Rig, _dialog: Dialog) -> Values:
-    """Measure friction, breakaway, back-EMF and the noise of the current in free motion.
+    """Measure friction, breakaway and back-EMF in free motion.
 
     Take the arm off: the horn turns freely. It turns both ways.
     """
     rig.start(OperatingMode.VELOCITY)
-    points, noise_a = [], {}
+    points = []
     for speed_rad_s in (sign * speed for speed in _SPEEDS_RAD_S for sign in (1, -1)):
         rig.velocity(speed_rad_s)
         rows = rig.watch(f"{speed_rad_s} rad/s", 1.5)[-150:]
@@ -212,7 +186,6 @@ def free(rig: Rig, _dialog: Dialog) -> Values:
         share = rows.pwm_share.mean()
         motor_a = winding_a(rig, rows.current_a.mean(), share)
         points.append((fits.line(rows.t_s, turned_rad)[0], motor_a, share * rows.voltage_v.mean()))
-        noise_a[str(speed_rad_s)] = float(rows.current_a.std())
     speeds, currents, volts = np.array(points).T
     coulomb_a, viscous_a_s, offset_a = fits.friction(speeds, currents)
     motor_v = volts - rig.model.winding_ohm * currents
@@ -228,21 +201,8 @@ def free(rig: Rig, _dialog: Dialog) -> Values:
         "viscous_a_s": viscous_a_s,
         "offset_a": offset_a,
         "back_emf_v_s": back_emf_v_s,
-        "current_noise_a": noise_a,
-        "profile_in_current_mode": _keeps_profile(rig),
         "breakaway_a": _breakaway_a(rig),
     }
-
-
-def _keeps_profile(rig: Rig) -> bool:
-    """Return whether Profile Velocity limits the speed in mode 5."""
-    profile_raw = 10
-    rig.start(OperatingMode.CURRENT_BASED_POSITION)
-    rig.current(0.5 * rig.most_a)
-    rig.position(rig.sample().position_pulses + _STEP_PULSES, profile_raw=profile_raw)
-    rows = rig.watch("profile", 0.5)[-60:]
-    speed_rad_s = fits.line(rows.t_s, rows.position_pulses * rig.model.rad_per_pulse)[0]
-    return bool(0.0 < speed_rad_s < 2.0 * profile_raw * rig.model.velocity_unit_rad_s)
 
 
 def _breakaway_a(rig: Rig) -> float | None:
@@ -288,16 +248,8 @@ def heat(rig: Rig, dialog: Dialog) -> Values:
         rows = rig.watch(f"hold {current_a:.2f} A", _HOLD_S, lambda row: not row.pwm_share)
         tripped = bool(rig.read("hardware_error_status")) or not rig.read("torque_enable")
         rig.write(torque_enable=0)
-        ohms = [
-            (abs(part.pwm_share) * part.voltage_v).mean()
-            / (winding_a(rig, abs(part.current_a).mean(), part.pwm_share.mean()) or np.nan)
-            for part in (rows[20:60], rows[-60:-20])
-        ]
-        found[f"{current_a:.2f}"] = {
-            "trip_s": float(rows.t_s[-1] - rows.t_s[0]) if tripped else None,
-            "register_rise_k": float(rows.temperature_c[-1] - rows.temperature_c[0]),
-            "winding_rise_k": float((ohms[1] / ohms[0] - 1.0) / fits.COPPER_PER_K),
-        }
+        held_s = float(rows.t_s[-1] - rows.t_s[0])
+        found[f"{current_a:.2f}"] = {"trip_s": held_s if tripped else None}
         if tripped:
             rig.bus.reboot(rig.servo_id)
         for left_s in np.arange(_COOL_S, 0.0, -1.0):
@@ -324,28 +276,12 @@ def watchdog(rig: Rig, dialog: Dialog) -> Values:
     return values | {"held_share": after_nm / before_nm if before_nm > 0.0 else None}
 
 
-def swing(rig: Rig, dialog: Dialog) -> Values:
-    """Nudge the free arm in mode 5 with the gains of the driver, and see whether it swings.
-
-    Turn the arm away from the scale: it swings freely by a few degrees.
-    """
-    d_gain, _, p_gain = rig.model.position_gains
-    rig.start(OperatingMode.CURRENT_BASED_POSITION, position_p_gain=p_gain, position_d_gain=d_gain)
-    rig.current(0.3 * rig.most_a)
-    rig.position(rig.sample().position_pulses + _BEYOND_PULSES[0])
-    dialog.confirm("swing.nudge", "Nudge the arm, and let it go.")
-    rows = rig.watch("after the nudge", 2.0)[-200:]
-    return {"swing_pulses": float(np.ptp(rows.position_pulses))}
-
-
 STEPS = (
     BenchStep(registers, "Registers", 1),
     BenchStep(velocity, "Velocity register", 3),
-    BenchStep(locked, "Position loop in mode 5", 3),
     BenchStep(scale, "Torque", 12),
     BenchStep(free, "Friction and back-EMF", 8),
     BenchStep(heat, "Overload and heat", 14),
     BenchStep(watchdog, "Silence", 2),
-    BenchStep(swing, "Swing", 2),
 )
 """The steps in their order: a cold servo first."""

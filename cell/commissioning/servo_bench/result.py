@@ -60,9 +60,6 @@ def findings(model: ServoModel, values: Values) -> list[str]:
             f"after the watchdog tripped it holds {100.0 * share:.0f} % of the force"
             + ("" if share > 0.5 else ": a part drops when the host dies")
         )
-    if (pulses := values.get("swing_pulses")) is not None:
-        quiet = pulses <= 2.0
-        lines.append(f"after a nudge it {'rests' if quiet else f'swings by {pulses:.0f} pulses'}")
     return lines
 
 

@@ -29,11 +29,11 @@ from tests.cell.commissioning.hands import Script
 
 ARM_M = 0.1
 G_PER_N = 1e3 / 9.80665
-SCALE_N_M, VICE_N_M = 2e4, 1e6
+SCALE_N_M = 2e4
 
 
 class SimulatedBench:
-    """A servo with an arm over a scale, in a vice, or free; and a person who sets it up."""
+    """A servo with an arm over a scale or free; and a person who sets it up."""
 
     def __init__(self, model: str = "XM430-W350", n_servos: int = 1, seed: str = "7") -> None:
         self.clock = VirtualClock()
@@ -66,13 +66,11 @@ class SimulatedBench:
 
     def _force_n(self) -> float:
         way_m = self.rest_m - self.mechanics.finger_position_m[0]
-        if self.place == "vice":
-            return VICE_N_M * way_m
         return max(0.0, SCALE_N_M * way_m) if self.place == "scale" else 0.0
 
     def _advance(self, now_s: float) -> None:
         n = max(1, round((now_s - self._last_s) / 1e-3))
-        stiffness = {"vice": VICE_N_M, "scale": SCALE_N_M, "free": 0.0}[self.place]
+        stiffness = SCALE_N_M if self.place == "scale" else 0.0
         for _ in range(n):
             force = self._force_n()
             slope = stiffness if force != 0.0 else 0.0
@@ -92,7 +90,7 @@ class SimulatedBench:
 
 def person(bench: SimulatedBench, *steps: str) -> Script:
     """Return a person who runs some steps and leaves the others out."""
-    places = {"locked": "vice", "scale": "scale", "heat": "scale", "watchdog": "scale"}
+    places = {"scale": "scale", "heat": "scale", "watchdog": "scale"}
 
     def answer(question: Question) -> str | float | None:
         step, _, what = question.key.partition(".")
@@ -118,15 +116,14 @@ MODEL_NAMES = ("XM430-W350", "XL330-M288")
     ("model", "mean_s", "low_pass_s", "k"),
     [("XM430-W350", 0.064, 0.016, 128), ("XL330-M288", 0.032, 0.004, 256)],
 )
-def test_registers_velocity_and_position_loop(
+def test_registers_and_velocity(
     tmp_path: Path, model: str, mean_s: float, low_pass_s: float, k: int
 ) -> None:
     bench = SimulatedBench(model)
-    values = measured(bench, tmp_path, "registers", "velocity", "locked")
+    values = measured(bench, tmp_path, "registers", "velocity")
     assert values["shutdown_raw"] == MODELS[model].shutdown_raw
     assert (values["velocity_mean_s"], values["velocity_low_pass_s"]) == (mean_s, low_pass_s)
     assert values["error_per_pwm"] == pytest.approx(k, rel=0.03)
-    assert values["error_per_current_p400"] == pytest.approx(k, rel=0.03)
     assert values["gains_mode_3"][:2] == [0, 0]
     assert values["gains_mode_5"][2] > 0
     assert bench.servo.core.registers.get("operating_mode") == 3, "the mode is that of before"
@@ -155,13 +152,12 @@ def test_friction_and_back_emf_in_free_motion(tmp_path: Path, model: str) -> Non
     assert values["back_emf_v_s"] == pytest.approx(drive.back_emf_v_s, rel=0.05)
 
 
-def test_silence_and_swing(tmp_path: Path) -> None:
+def test_silence(tmp_path: Path) -> None:
     bench = SimulatedBench()
-    values = measured(bench, tmp_path, "watchdog", "swing")
+    values = measured(bench, tmp_path, "watchdog")
     assert values["bus_watchdog_after_silence"] == -1
     assert values["torque_enable_after_silence"] == 1
     assert 0.0 < values["held_share"] <= 1.2
-    assert values["swing_pulses"] <= 2.0
 
 
 @pytest.mark.long
@@ -173,14 +169,14 @@ def test_a_servo_that_trips_is_found(tmp_path: Path) -> None:
 
 def test_each_step_can_be_left_out_and_each_reading_is_in_the_log(tmp_path: Path) -> None:
     bench = SimulatedBench()
-    script = person(bench, "swing")
+    script = person(bench, "velocity")
     log, _ = run_bench(bench.rig, script, tmp_path)
     assert [key.partition(".")[0] for key in script.asked if key.endswith("begin")] == [
         step.key for step in STEPS
     ]
     rows = list(csv.DictReader(log.read_text().splitlines()))
     assert len(rows) == len(bench.rig.log) > 300
-    assert {row["step"] for row in rows} == {"swing"}
+    assert {row["step"] for row in rows} == {"velocity"}
     again, _ = run_bench(bench.rig, person(bench), tmp_path)
     assert again != log, "no earlier log is overwritten"
 
