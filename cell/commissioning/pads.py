@@ -34,10 +34,6 @@ a third in the simulated cell."""
 _NOISE_PER_CONTACT = 1.5
 """Largest noise of a pad's force over the contact force: above it no contact can be detected; the
 same limit as for simulated noise."""
-_FINGERTIP_M = 0.008
-"""Distance in m from the middle of a fingertip at which it does not press a taxel."""
-_LEAST_CROSSTALK = 0.01
-"""Crosstalk that is reported, as a share of the most loaded taxel."""
 _PRESS_N = 0.5
 """Force in N on a pad that counts as pressed by a fingertip, by any law."""
 _PRESS_FRAMES = 10
@@ -250,27 +246,6 @@ def pressed_at(layout: TaxelLayout, force_n: NDArray[np.float64]) -> Patch | Non
     return Patch(pad=number, along=along, across=across, force_n=sums[number])
 
 
-def crosstalk_of(
-    layout: TaxelLayout, pad: int, force_n: NDArray[np.float64]
-) -> tuple[float, float]:
-    """Return what a press shows in the rest of its row and of its column, as shares of its peak.
-
-    The rest is farther than a fingertip from the most loaded taxel, less what the other far taxels
-    show. 0 for a pad that has no such taxels.
-    """
-    one, xy_m = force_n[layout.taxels_of(pad)], layout.pads[pad].taxel_xy_m()
-    peak = int(np.argmax(one))
-    away_m = np.abs(xy_m - xy_m[peak])
-    same, far = away_m < 1e-6, away_m > _FINGERTIP_M
-    others = one[far.all(axis=1)]
-    shares = []
-    for at in (0, 1):
-        rest = one[same[:, at] & far[:, 1 - at]]
-        shown_n = rest.mean() - others.mean() if rest.size and others.size else 0.0
-        shares.append(max(0.0, float(shown_n / one[peak])))
-    return shares[0], shares[1]
-
-
 def corner_text(layout: TaxelLayout, pad: int) -> str:
     """Return the corner of the last row and column of a pad as text, for a person facing it."""
     one = layout.pads[pad]
@@ -335,12 +310,10 @@ def find_mounting(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         sensor.tare(bench.tactile().tare_frames)
         grip = layout.gripping_pads
         patches: dict[int, Patch] = {}
-        crosstalk: dict[int, tuple[float, float]] = {}
         for pad in sorted(range(layout.n_pads), key=lambda pad: pad not in grip):
             force_n = _pressed(sensor, dialog, pad, patches)
             if force_n is not None and (patch := pressed_at(layout, force_n)):
                 patches[pad] = patch
-                crosstalk[pad] = crosstalk_of(layout, patch.pad, force_n)
         dialog.say("Lift the fingertip.")
     names = [pad.name for pad in layout.pads]
     mounts = mounts_of(layout, patches)
@@ -352,12 +325,6 @@ def find_mounting(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             "The inner pads have different mountings, so the force comes from whole frames, which "
             "is slower: turn one pad, or set gripper.approach_speed_mm_s to 12."
         )
-    for pad, (row, column) in crosstalk.items():
-        if max(row, column) >= _LEAST_CROSSTALK:
-            notes.fact(
-                f"Crosstalk of {names[pad]}: the rest of the row shows {row:.0%} of the pressed "
-                f"taxel, the rest of the column {column:.0%}."
-            )
     for pad in (one for one in range(layout.n_pads) if one not in patches):
         (notes.fail if pad in grip else notes.warn)(
             f"{names[pad]} was not found: no other pad of its size showed a patch. Check its plug "

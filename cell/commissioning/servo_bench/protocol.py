@@ -211,6 +211,7 @@ def _breakaway_a(rig: Rig) -> float | None:
     for place in range(_PLACES):
         for sign in (1, -1):
             rig.start(OperatingMode.PWM)
+            rig.watch("at rest", 0.5)
             moved = partial(_moved, rig.sample().position_pulses)
             for raw in range(rig.most_pwm_raw):
                 rig.pwm(sign * raw)

@@ -13,7 +13,6 @@ from cell.commissioning.pads import (
     PADS_PRESSED,
     Patch,
     corner_text,
-    crosstalk_of,
     judge_rest,
     mounts_of,
     pressed_at,
@@ -22,7 +21,7 @@ from cell.commissioning.pads import (
 from cell.config.tactile import TactileConfig
 from simulator.can.control_unit import ControlUnitSettings
 from simulator.world.taxels import SensorLaw
-from tactile.layout import PadMount, inner_pads, paper_layout, pinch_layout
+from tactile.layout import PadMount, paper_layout, pinch_layout
 from tactile.sensor.calibration import LinearCalibration, TableCalibration
 from tactile.sensor.tare import TareLimits
 from tests.cell.commissioning.conftest import MakeStand, Stand
@@ -128,18 +127,6 @@ def test_pads_of_much_noise_or_a_small_full_scale_are_named(
     )  # fmt: skip
     assert notes.status is status, notes.lines
     assert named in "\n".join(notes.lines)
-
-
-def test_crosstalk_is_what_rows_and_columns_show_beyond_the_fingertip() -> None:
-    layout = inner_pads("matrix", 12, 32, 2e-3, adc_max=255)
-    force_n = np.zeros((2, 12, 32))
-    force_n[1] += 0.01  # drift of the whole pad
-    force_n[1, 3, :] += 0.06
-    force_n[1, :, 8] += 0.03
-    force_n[1, 3, 8] = 1.0
-    assert crosstalk_of(layout, 1, force_n.ravel()) == pytest.approx((0.06, 0.03))
-    small = inner_pads("small", 4, 4, 2e-3, adc_max=255)
-    assert crosstalk_of(small, 0, np.ones(32)) == (0.0, 0.0)
 
 
 def test_places_and_mounts_of_patches() -> None:
