@@ -4,10 +4,9 @@ The cell's folder has a file for each servo: backup-servo1.json is of the servo 
 The first backup stays: it has the original state of the servo.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Self
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
@@ -28,62 +27,33 @@ from gripper.dynamixel.control_table import (
     TORQUE_ENABLE,
 )
 from gripper.dynamixel.transactions import HIGHEST_ID
-from gripper.errors import BusCorrupt, BusTimeout, ServoRejected
+from gripper.errors import ServoRejected
 
 _RATES = {code: rate for rate, code in BAUD_CODES.items()}
 """Baud rate in bit/s by its raw value."""
-_LAST = (BAUD_RATE.name, SERVO_ID.name)
-"""Items that are written last, because each of them changes the address of the servo. Between the
-two writes it has an ID that no other servo has had."""
+_ADDRESS = (BAUD_RATE.name, SERVO_ID.name)
+"""Items that a restore leaves: new servos share an ID, and would disturb each other again."""
 SETTLE_S = 0.1
 """Time in s between a change of ID or baud rate and the next request."""
-
-
-class Place(NamedTuple):
-    """Address of a servo: ID and baud rate in bit/s."""
-
-    servo_id: int
-    baud_rate: int
-    """In bit/s."""
-
-    def __str__(self) -> str:
-        return f"ID {self.servo_id} at {self.baud_rate} bit/s"
 
 
 class Backup(BaseModel, frozen=True):
     """Original control table of a servo."""
 
     servo_id: int = Field(ge=0, le=HIGHEST_ID)
-    baud_rate: int
-    """Address of the servo after its commissioning: ID, baud rate in bit/s."""
+    """ID of the servo after its commissioning."""
     found: dict[str, int]
     """Raw values by the name of the item, read before the first write."""
-
-    @property
-    def set_at(self) -> Place:
-        """Its address after its commissioning."""
-        return Place(self.servo_id, self.baud_rate)
-
-    @property
-    def found_at(self) -> Place:
-        """Its address before."""
-        return Place(self.found[SERVO_ID.name], _RATES[self.found[BAUD_RATE.name]])
 
     @model_validator(mode="after")
     def _usable(self) -> Self:
         """Refuse a missing or impossible value."""
-        for name in (MODEL_NUMBER.name, *_LAST):
-            if name not in self.found:
-                raise ValueError(f"{name} is missing")
+        if MODEL_NUMBER.name not in self.found:
+            raise ValueError(f"{MODEL_NUMBER.name} is missing")
         for name, value in self.found.items():
             low, high = REGISTERS[name].bounds if name in REGISTERS else (value, value)
-            high = HIGHEST_ID if name == SERVO_ID.name else high
             if not low <= value <= high:
                 raise ValueError(f"{name} is {value}, must be from {low} to {high}")
-        code = self.found[BAUD_RATE.name]
-        if code not in _RATES or self.baud_rate not in BAUD_CODES:
-            rates = f"{code} (raw) and {self.baud_rate} bit/s"
-            raise ValueError(f"baud rates are {rates}, which no servo has")
         return self
 
 
@@ -135,41 +105,42 @@ def restore(
 ) -> tuple[str, ...]:
     """Write the EEPROM of each servo back from its backup; return the results as lines.
 
-    Each servo is read back. Baud rate and ID come last; servos that shared an ID do so again.
-    ``begin`` is called before the first write, which ends the commissioned state of the servos.
-    Raises WizardAborted when the changes are refused; nothing is written then. Raises CellError if
-    there is no backup or one of its values is invalid. Raises it if a servo does not answer, is of
-    another model, has its torque on, or does not keep a value.
+    Each item is read back. ID and baud rate stay. ``begin`` is called before the first write, which
+    ends the commissioned state of the servos. Raises WizardAborted when the changes are refused;
+    nothing is written then. Raises CellError if there is no backup or one of its values is invalid.
+    Raises it if a servo is of another model, has its torque on, or does not keep a value. Raises
+    GripperError if a servo does not answer.
     """
     files = (backup_file(bench.folder, number) for number in range(HIGHEST_ID + 1))
     backups = [backup for path in files if (backup := _read(path)) is not None]
     if not backups:
         raise CellError(f"{bench.folder} has no backup of a servo (backup-servo*.json)")
-    places, changes = _places(bench, port, backups), {}
-    for backup in backups:
-        place = places[backup.servo_id]
-        if place != backup.found_at or place == backup.set_at:
-            # Else it is back; other servos may have this address, too.
-            with bench.servo_bus(port, place.baud_rate) as bus:
-                changes[backup.servo_id] = _differing(bus, backup)
     undo = "run `tactile-cell commission --redo servos`"
-    writes = [
-        write
-        for servo_id, found in changes.items()
-        for write in register_writes(f"servo {servo_id}", found, undo)
-    ]
-    if not writes:
-        return ("all servos are as they were found",)
-    dialog.approve(writes)
-    begin()
-    lines = []
-    for backup in (one for one in backups if changes.get(one.servo_id)):
-        found = changes[backup.servo_id]
-        _write_back(bench, port, places[backup.servo_id], backup, found)
-        lines.append(
-            f"servo {backup.servo_id}: {len(found)} items restored; it is {backup.found_at}"
-        )
-    return tuple(lines)
+    with bench.servo_bus(port) as bus:
+        changes = {}
+        for backup in backups:
+            differing = _differing(bus, backup)
+            changes[backup.servo_id] = {n: c for n, c in differing.items() if n not in _ADDRESS}
+        writes = [
+            write
+            for servo_id, items in changes.items()
+            for write in register_writes(f"servo {servo_id}", items, undo)
+        ]
+        if not writes:
+            return ("all servos are as they were found",)
+        dialog.approve(writes)
+        begin()
+        for servo_id, items in changes.items():
+            bus.demand_answers((servo_id,))
+            for name, (_, wanted) in items.items():
+                bus.write(servo_id, REGISTERS[name], wanted)
+                if (now := bus.read(servo_id, REGISTERS[name])) != wanted:
+                    raise CellError(
+                        f"servo {servo_id} did not keep {name}: wrote {wanted}, is {now}"
+                    )
+    return tuple(
+        f"servo {number}: {len(items)} items restored" for number, items in changes.items()
+    )
 
 
 def since_backup(folder: Path, bus: ServoBus, servo_id: int) -> list[tuple[str, str, str]]:
@@ -201,50 +172,14 @@ def _read(path: Path) -> Backup | None:
     raise CellError(f"{path} is damaged, nothing was written: {wrong}; {SERVO_BACKUP.remedy}")
 
 
-def _places(bench: Bench, port: str, backups: Sequence[Backup]) -> dict[int, Place]:
-    """Return the present address of each servo: that of the wizard, the original one, or half way.
-
-    Half way, at the new ID and old baud rate, writes were interrupted. Servos may have shared their
-    original address, but not one half way: the highest ID, written back last, is searched first.
-    """
-    places: dict[int, Place] = {}
-    for backup in sorted(backups, key=lambda one: one.servo_id, reverse=True):
-        half_way = Place(backup.servo_id, backup.found_at.baud_rate)
-        own = [place for place in (backup.set_at, half_way) if place not in places.values()]
-        for place in dict.fromkeys((*own, backup.found_at)):
-            if _answers(bench, port, place):
-                places[backup.servo_id] = place
-                break
-        else:
-            raise CellError(
-                f"servo {backup.servo_id} answers neither as {backup.set_at} nor at its original "
-                f"{backup.found_at}; nothing was written: check its supply and cable, or find it "
-                "with `tactile-cell commission`"
-            )
-    return places
-
-
-def _answers(bench: Bench, port: str, place: Place) -> bool:
-    """Return whether one servo, or several with colliding answers, answer at an address."""
-    with bench.servo_bus(port, place.baud_rate) as bus, suppress(BusCorrupt):
-        try:
-            bus.ping(place.servo_id)
-        except BusTimeout:
-            return False
-    return True
-
-
 def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
-    """Return the items of the EEPROM that differ from a backup: present and wanted value.
-
-    Items that change the address of the servo come last.
-    """
+    """Return the items of the EEPROM that differ from a backup: present and wanted value."""
     servo_id = backup.servo_id
-    now = read_control_table(bus, servo_id)
-    if now[MODEL_NUMBER.name] != backup.found[MODEL_NUMBER.name]:
+    now, found = read_control_table(bus, servo_id), backup.found
+    if now[MODEL_NUMBER.name] != found[MODEL_NUMBER.name]:
         raise CellError(
             f"servo {servo_id} has model number {now[MODEL_NUMBER.name]}, its backup has "
-            f"{backup.found[MODEL_NUMBER.name]}: this is another servo, so nothing was written; "
+            f"{found[MODEL_NUMBER.name]}: this is another servo, so nothing was written; "
             "choose the backup of this servo"
         )
     if now[TORQUE_ENABLE.name]:
@@ -252,28 +187,5 @@ def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
             f"servo {servo_id} has its torque on and may hold a part, so nothing was written: "
             "release the part first"
         )
-    items = [r.name for r in REGISTERS.values() if r.eeprom and r.name not in _LAST]
-    both = [name for name in (*items, *_LAST) if name in now and name in backup.found]
-    return {
-        name: (now[name], backup.found[name]) for name in both if now[name] != backup.found[name]
-    }
-
-
-def _write_back(
-    bench: Bench, port: str, place: Place, backup: Backup, changes: Mapping[str, tuple[int, int]]
-) -> None:
-    servo_id = place.servo_id
-    with bench.servo_bus(port, place.baud_rate) as bus:
-        bus.demand_answers((servo_id,))
-        for name, (_, wanted) in changes.items():
-            if name in _LAST:
-                continue
-            bus.write(servo_id, REGISTERS[name], wanted)
-            if (found := bus.read(servo_id, REGISTERS[name])) != wanted:
-                raise CellError(f"servo {servo_id} did not keep {name}: wrote {wanted}, is {found}")
-        if BAUD_RATE.name in changes:
-            bus.write(servo_id, BAUD_RATE, changes[BAUD_RATE.name][1])
-            bench.clock.sleep(SETTLE_S)
-    if SERVO_ID.name in changes:
-        with bench.servo_bus(port, backup.found_at.baud_rate) as bus:
-            bus.write(servo_id, SERVO_ID, backup.found_at.servo_id)
+    items = [r.name for r in REGISTERS.values() if r.eeprom and r.name in now and r.name in found]
+    return {name: (now[name], found[name]) for name in items if now[name] != found[name]}

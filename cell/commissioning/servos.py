@@ -278,8 +278,9 @@ def _renumber(
             changes[SERVO_ID.name] = (old_id, new_id)
         changes[BAUD_RATE.name] = (f"{servo.baud_rate} bit/s", f"{rate} bit/s")
         where = f"servo {old_id} at {servo.baud_rate} bit/s"
-        dialog.approve(register_writes(where, changes, _UNDO))
-        keep(bench, dialog, Backup(servo_id=new_id, baud_rate=rate, found=table))
+        undo = "write the old values with the program of the servos' maker"
+        dialog.approve(register_writes(where, changes, undo))
+        keep(bench, dialog, Backup(servo_id=new_id, found=table))
         if new_id != old_id:
             bus.write(old_id, SERVO_ID, new_id)
             bench.clock.sleep(SETTLE_S)
@@ -338,7 +339,7 @@ def _set_up(
         torque_off(bus, dialog, servo_id, table[TORQUE_ENABLE.name])
     dialog.approve(writes)
     for servo_id, table in tables.items():
-        keep(bench, dialog, Backup(servo_id=servo_id, baud_rate=bus.baudrate, found=table))
+        keep(bench, dialog, Backup(servo_id=servo_id, found=table))
         for name, (_, after) in changes[servo_id].items():
             bus.write(servo_id, REGISTERS[name], after)
         found = {name: bus.read(servo_id, REGISTERS[name]) for name in table}

@@ -58,7 +58,9 @@ def commission(
     ] = None,
     restore: Annotated[
         bool,
-        typer.Option("--restore", help="Restore the servos' original registers, and end."),
+        typer.Option(
+            "--restore", help="Restore the servos' registers, but ID and baud rate, and end."
+        ),
     ] = False,
 ) -> None:
     """Set up a new cell step by step, until its first grasp.
