@@ -17,7 +17,7 @@ from tactile import errors as tactile
 
 KEPT = "Kept: goals are frozen."
 LIMP = "Without torque: where the fingers are is not known."
-SET_OFF = "As set by `over_force.reaction`: kept with less current, or without torque."
+LESS = "Kept with less current."
 UNMOVED = "As it was; nothing has moved."
 APART = "Not affected."
 AXES_STOP = "As it was; all axes are stopped."
@@ -125,7 +125,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Kept; a refused command moves nothing.", MEND),
     gripper.ForceAboveCap: Fault(201, "Grip force above its cap",
         "The part was pushed, or the force control is wrong.",
-        "Look at the part; assess the risk; check cap and calibration.", SET_OFF, MEND),
+        "Look at the part; assess the risk; check cap and calibration.", LESS, MEND),
     gripper.PositionContradicted: Fault(202, "Pads or motor contradict the finger position",
         "An encoder is stuck or drifts, or something pushes a finger.",
         "Look, release, then check encoder and linkage.", KEPT,

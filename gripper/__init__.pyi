@@ -8,7 +8,6 @@ from .mechanics.kinematics import (
 )
 from .settings import (
     GripperSettings as GripperSettings,
-    OverForce as OverForce,
     ServoSettings as ServoSettings,
 )
 from .values.force_sensor import ForceSample as ForceSample, ForceSensor as ForceSensor

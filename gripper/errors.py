@@ -103,7 +103,7 @@ class LimitExceeded(GripperError, ValueError):
 
 
 class ForceAboveCap(LimitExceeded):
-    """The measured grip force is above its cap; ``over_force`` is the response."""
+    """The measured grip force is above its cap: the currents are lowered."""
 
 
 class FeedbackImplausible(GripperError):

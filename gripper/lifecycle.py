@@ -21,7 +21,7 @@ from gripper.errors import (
 )
 from gripper.force.loop import LoopRunner
 from gripper.servos.group import Servos
-from gripper.settings import GripperSettings, OverForce
+from gripper.settings import GripperSettings
 from gripper.values.state import GripperPhase, Observer, shows_nothing
 
 _DOING = {
@@ -205,7 +205,7 @@ class Lifecycle:
         left = FingersLeft.UNCONFIRMED
         # The raised error names the cause; a bus that fails again adds nothing.
         with suppress(GripperError):
-            left = fault_response(error, self._runner, self._settings, moving=phase.moving)
+            left = fault_response(error, self._runner, moving=phase.moving)
         self._note_fingers(error, phase, left)
         self.motion_unconfirmed = phase.moving and left is FingersLeft.UNCONFIRMED
 
@@ -255,9 +255,7 @@ class Lifecycle:
         note_fingers(error, f"{_GRIP_LEFT[left]}{measured}")
 
 
-def fault_response(
-    error: BaseException, runner: LoopRunner, settings: GripperSettings, *, moving: bool
-) -> FingersLeft:
+def fault_response(error: BaseException, runner: LoopRunner, *, moving: bool) -> FingersLeft:
     """Write the goals of a fault response; the grip is kept whenever possible.
 
     ================================== ==========================================================
@@ -265,7 +263,7 @@ def fault_response(
     ================================== ==========================================================
     the bus is lost                    nothing is written: the servos' own watchdog acts
     position unknown                   the torque goes off
-    force above its cap                that of ``over_force``
+    force above its cap                the currents are lowered until the force is below it
     one finger silent or without       both hold their positions: none pushes alone
     torque
     any other, moving fingers          they stop, and this is read back; without current where
@@ -283,27 +281,21 @@ def fault_response(
         return FingersLeft.UNCONFIRMED
     # Short time-outs: a silent servo must not delay the others.
     with servos.in_loop():
-        over_force = isinstance(error, ForceAboveCap) or servos.guard.force_is_too_high()
-        limp = over_force and settings.over_force is OverForce.LIMP
-        if limp or isinstance(error, FeedbackImplausible):
+        if isinstance(error, FeedbackImplausible):
             servos.go_limp()
             return FingersLeft.LIMP
-        opens = over_force and settings.over_force is OverForce.OPEN
-        stops = moving and not opens
         # With current a servo follows its own position, which may drift.
         share = 0.0 if isinstance(error, PositionContradicted) else 1.0
-        unconfirmed = servos.stop_motion(share) if stops else []
+        unconfirmed = servos.stop_motion(share) if moving else []
         one_sided = isinstance(error, FingerSilent) or (
             isinstance(error, ServoFault) and error.torque_lost
         )
         with suppress(GripperError):
-            if opens:
-                servos.open_a_step()
-            elif over_force:
+            if isinstance(error, ForceAboveCap) or servos.guard.force_is_too_high():
                 runner.lower_force()
             elif one_sided:
                 servos.hold_position()
-            elif not stops:
+            elif not moving:
                 servos.freeze()
             if servos.heats:
                 servos.freeze()

@@ -5,7 +5,6 @@ with these defaults and ranges.
 """
 
 from dataclasses import dataclass, field, fields
-from enum import StrEnum
 from math import inf, isfinite
 from typing import Any, ClassVar
 
@@ -63,18 +62,6 @@ def largest_setpoint_n(force_max_n: float) -> float:
     A ramp overshoots by at most 0.3 N, or 10 % where that is more; with it the cap holds.
     """
     return min(force_max_n - _OVERSHOOT_N, force_max_n / (1.0 + _OVERSHOOT_SHARE))
-
-
-class OverForce(StrEnum):
-    """Response, once, when the force exceeds its cap.
-
-    LOWER lowers the currents until the force is below the cap, OPEN opens by a small step, LIMP
-    switches the torque off.
-    """
-
-    LOWER = "lower"
-    OPEN = "open"
-    LIMP = "limp"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,10 +167,8 @@ class GripperSettings:
     watchdog_self_test: bool = False
     """True to prove after the first opening that the bus watchdog stops the motors, by a motion
     of a few mm; a grasp then needs this proof."""
-    over_force: OverForce = OverForce.LOWER
-    """Response when the force exceeds its cap."""
     over_force_share: ClassVar[float] = 0.5
-    """Share of the goal currents that `OverForce.LOWER` leaves where one pad shows the force.
+    """Share of the goal currents that stays where one pad alone shows a force above its cap.
     [chosen]"""
     imbalance_n: ClassVar[float] = 2.0
     imbalance_share: ClassVar[float] = 0.5

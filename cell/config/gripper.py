@@ -30,7 +30,6 @@ from gripper.errors import LimitExceeded
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.settings import (
     GripperSettings,
-    OverForce,
     ServoSettings,
     largest_setpoint_n,
 )
@@ -77,17 +76,6 @@ class SlipConfig(Section):
     runaway_mm: float = setting_of(GripperSettings, "runaway_travel_m", MILLI)
     """Closing by this way in mm, 20 mm/s faster than the ramp, after which the part is lost, up to
     50."""
-
-
-class OverForceConfig(Section):
-    """Reaction when the force exceeds gripper.force_max_n; it never adds force."""
-
-    reaction: Literal["lower", "open", "limp"] = "lower"
-    """lower: reduce the currents, the part stays held; open: open the fingers by 0.5 mm,
-    once; limp: switch the torque off, a held part may drop."""
-    noise_n: float = setting_of(GripperSettings, "force_noise_n")
-    """Tolerance above the cap for the mean of a few samples in N, up to 5; three times as much for
-    one sample."""
 
 
 _Corrected = Literal[
@@ -212,6 +200,9 @@ class GripperConfig(Section):
     force_stale_ms: float = setting_of(GripperSettings, "force_stale_s", MILLI)
     """Largest age of a tactile force for control in ms, 20 to 1000; without force messages at least
     2.5 times tactile.sync_period_ms."""
+    force_noise_n: float = setting_of(GripperSettings, "force_noise_n")
+    """Tolerance above the cap for the mean of a few samples in N, up to 5; three times as much for
+    one sample."""
     bus_loss_ms: float = setting_of(GripperSettings, "bus_loss_s", MILLI)
     """Time without answers of the servos after which their bus has a fault in ms, 20 to 2000."""
     feedback_loss_max_share: float = setting_of(GripperSettings, "feedback_loss_max_share")
@@ -229,8 +220,6 @@ class GripperConfig(Section):
     """When a ramp's force counts as reached."""
     slip: SlipConfig = SlipConfig()
     """When a held part slips or is lost."""
-    over_force: OverForceConfig = OverForceConfig()
-    """Reaction to too much force."""
     servo_care: ServoCareConfig = ServoCareConfig()
     """Heat of the servos, and registers that a start may rewrite."""
 
@@ -285,7 +274,6 @@ def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSett
         ),
         watchdog_self_test=config.watchdog_self_test,
         overruns_max=overruns_max,
-        over_force=OverForce(config.over_force.reaction),
         corrected_registers=frozenset(config.servo_care.corrected_registers),
         **values,
     )
@@ -313,7 +301,6 @@ def measured_drive(path: Path, model: ServoModel) -> DriveCharacteristic:
         kt_nm_a = 1.0 / rising
         changes |= {"rising_a_nm": rising, "falling_a_nm": rising, "kt_nm_a": kt_nm_a}
         changes |= {"load_sd": _SCALE_SD, "kt_sd": _SCALE_SD}
-        changes["inertia_ratio"] = model.kt_nm_a / kt_nm_a
     if (falling := values.get("falling_a_nm")) is not None:
         changes |= {"falling_a_nm": falling, "falling_sd": _SCALE_SD}
     if (coulomb := values.get("coulomb_a")) is not None:

@@ -25,7 +25,7 @@ quarter to four times. The catalogue alone is so uncertain. [assumed]"""
 _FALLING_SD = 0.4
 """The same of a load that falls over one that rises. [vendor]"""
 
-_INERTIA_SD = 0.5
+INERTIA_SD = 0.5
 """The same of the inertia: an identified gearing of one model has 2.4 times the catalogue's (arXiv
 2410.08650). [assumed]"""
 
@@ -67,10 +67,6 @@ class DriveCharacteristic:
     """Uncertainty of ``rising_a_nm``."""
     falling_sd: float = _FALLING_SD
     """Uncertainty of ``falling_a_nm`` and ``yielding_share``."""
-    inertia_ratio: float = 1.0
-    """Current that accelerates the servo, over that of its model by inertia and motor constant."""
-    inertia_sd: float = _INERTIA_SD
-    """Its uncertainty."""
     kt_nm_a: float
     """Torque at the output in N m for each A of a rising load, by catalogue and back-EMF."""
     kt_sd: float = KT_SD
@@ -86,7 +82,7 @@ class DriveCharacteristic:
     """Unix time of the measurement in s; 0: never, these are figures of the catalogue."""
 
     def __post_init__(self) -> None:
-        positive = "breakaway_a rising_a_nm falling_a_nm yielding_share inertia_ratio kt_nm_a"
+        positive = "breakaway_a rising_a_nm falling_a_nm yielding_share kt_nm_a"
         for name in positive.split():
             value = getattr(self, name)
             if not 0.0 < value < inf:
@@ -172,7 +168,7 @@ class DriveCharacteristic:
 
     def inertia_a_s2(self, model: ServoModel) -> float:
         """Return the current in A that accelerates a servo of a model by 1 rad/s²."""
-        return self.inertia_ratio * model.rotor_inertia_kg_m2 / model.kt_nm_a
+        return model.rotor_inertia_kg_m2 / self.kt_nm_a
 
     def moving_a(self, speed_rad_s: float) -> float:
         """Return the larger one of the friction currents in A at rest and at a speed in rad/s."""

@@ -7,7 +7,7 @@ motor constant from the gain of the pads: the back-EMF is the reference.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import exp, hypot, log, sqrt
+from math import hypot, log
 from typing import NamedTuple
 
 import numpy as np
@@ -55,12 +55,6 @@ gearings that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]
 _SUREST = 0.2
 """Largest uncertainty of a rising slope that counts, as a share: a gearing that sticks gives few
 edges, but no catalogue has its losses. [tuned]"""
-_LEAST_ACCELERATED, _VISIBLE = 3, 10.0
-"""Fewest parts of a free motion for its inertia, and least sum of squares of their accelerations
-over that of their errors. [chosen]"""
-_SPEED_SHAPE_SD, _LEAST_INERTIA_SD = 0.05, 0.2
-"""Error of the friction of one speed against another one as a share, and least uncertainty of a
-measured inertia: losses of the gearing change with the speed. [assumed]"""
 _LEAST_SPAN = 1.5
 """Least ratio of speeds that separates resistance and back-EMF."""
 _OUTLIER_SIGMAS = 2.5
@@ -82,16 +76,6 @@ class FreePoint(NamedTuple):
         more_v = winding_ohm * (current_a - self.current_a)
         voltage_v = None if self.voltage_v is None else self.voltage_v + more_v
         return self._replace(current_a=current_a, voltage_v=voltage_v)
-
-
-class AcceleratedPoint(NamedTuple):
-    """Short part of a free motion; all signs are those of the opening gripper."""
-
-    speed_rad_s: float
-    current_a: float
-    acceleration_rad_s2: float
-    acceleration_sd_rad_s2: float
-    """Its uncertainty by the resolution of the speed."""
 
 
 class LoadPoint(NamedTuple):
@@ -159,41 +143,6 @@ def fit_friction(points: Sequence[FreePoint], before: DriveCharacteristic) -> Dr
         offset_a=float(offset),
         breakaway_a=before.breakaway_a * rest_a / rested_a if before.measured else rest_a,
         friction_sd=max(rest_sd, LEAST_FRICTION_SD),
-    )
-
-
-def fit_inertia(
-    points: Sequence[AcceleratedPoint], before: DriveCharacteristic, model: ServoModel
-) -> DriveCharacteristic:
-    """Return a characteristic with the inertia of a free motion whose acceleration changes.
-
-    The friction is that of ``before``, and its inertia a prior with its uncertainty. Without a
-    visible acceleration, or with an implausible result, it stays.
-    """
-    if len(points) < _LEAST_ACCELERATED:
-        return before
-    speed, current, acceleration, sd = np.array(points).T
-    sign = 1.0 if speed.mean() > 0.0 else -1.0
-    friction_a = np.array([before.friction_a(one) for one in speed])
-    driving_a = sign * (current - before.offset_a) - friction_a
-    driving_a -= driving_a.mean()
-    changes = sign * (acceleration - acceleration.mean())
-    visible, noise = float(changes @ changes), float(sd @ sd)
-    found = float(changes @ driving_a) / max(visible - noise, 1e-9)
-    if visible < _VISIBLE * noise or found <= 0.0:
-        return before
-    rest = driving_a - found * changes
-    scatter_a2 = float(rest @ rest) / (len(points) - 2)
-    rest_sd_a = hypot(sqrt(scatter_a2), _SPEED_SHAPE_SD * float(friction_a.mean()))
-    new_sd = rest_sd_a / sqrt(visible) / found
-    off, spread = log(found / before.inertia_a_s2(model)), hypot(new_sd, before.inertia_sd)
-    if abs(off) > _OUTLIER_SIGMAS * spread:
-        return before
-    share = (before.inertia_sd / spread) ** 2
-    return replace(
-        before,
-        inertia_ratio=before.inertia_ratio * exp(share * off),
-        inertia_sd=max(new_sd * sqrt(share), _LEAST_INERTIA_SD),
     )
 
 

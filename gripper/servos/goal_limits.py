@@ -28,7 +28,7 @@ from gripper.mechanics.impact import (
 )
 from gripper.mechanics.kinematics import Linkage, Transmission, transmissions
 from gripper.servos.motion import slow_rad_s
-from gripper.settings import GripperSettings, OverForce, ServoSettings
+from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.recent import QUIET_N, RecentForce
 from gripper.values.state import ServoFeedback, ServoState
@@ -46,11 +46,6 @@ _EQUAL_ANGLE_RAD = 1e-6
 """Difference of angles in rad that counts as inside the range; a pulse is 1.5e-3 rad."""
 _MOTION_RESERVE, _MOTION_PULSES = 1.5, 8.0
 """Factor and pulses by which a goal lies farther than at rest, to compensate for the motion."""
-_OVER_FORCE = {
-    OverForce.LOWER: "the driving currents are lowered and the part kept",
-    OverForce.OPEN: "the fingers open by one small step",
-    OverForce.LIMP: "the torque is switched off, a held part possibly dropped",
-}
 
 GOAL_BLOCK = RegisterBlock.between(GOAL_CURRENT, GOAL_POSITION)
 """Registers that one write of goals sets, 102 to 119, in the order of their addresses."""
@@ -236,7 +231,8 @@ class GoalGuard:
             raise ForceAboveCap(
                 f"the grip force is {max(self._forces.newest.force_n):.2f} N, force_max_n is "
                 f"{settings.force_max_n} N (and {settings.force_noise_n} N for noise): "
-                f"{_OVER_FORCE[settings.over_force]}; clear the fault, then release the part"
+                f"the driving currents are lowered and the part kept; clear the fault, then "
+                f"release the part"
             )
 
     def check(self, goals: Sequence[ServoGoal], state: ServoFeedback, now_s: float) -> None:

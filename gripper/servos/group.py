@@ -44,8 +44,6 @@ _GOAL_TRIES = 3
 """Writes of the first goals until a servo counts as not accepting them."""
 _STOP_TRIES = 3
 """Writes of the goals that stop a motion until a servo counts as not obeying."""
-_OPENED_M = 0.0005
-"""Opening in m by which `OverForce.OPEN` opens, in one step. [chosen]"""
 _STALE_PERIODS = 2.0
 """Age of the feedback, in periods, above which moving fingers are read again before a stop."""
 _FARTHEST_GOAL_RAD = 1.0
@@ -182,22 +180,6 @@ class Servos:
             if not unconfirmed:
                 break
         return unconfirmed
-
-    def open_a_step(self) -> None:
-        """Open by half a millimetre from the last read positions, once."""
-        state = self.feedback.last
-        if state is not None and self.goals.last:
-            settings, linkage = self._settings, self._linkage
-            paths = transmissions(settings, linkage, state.angles_rad)
-            currents_a = motion_currents_a(settings, paths, settings.approach_force_n)
-            half_m = _OPENED_M / len(state.servos)
-            goals = [
-                ServoGoal(
-                    angle_rad=at_rad + half_m / linkage.opening_per_rad_m(at_rad), current_a=a
-                )
-                for at_rad, a in zip(state.angles_rad, currents_a, strict=True)
-            ]
-            self.goals.write(goals, state)
 
     # Torque and bus watchdog
 

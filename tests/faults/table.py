@@ -594,14 +594,11 @@ GRIP = (
            205),
           (28, "part slips", "the part slides along the pads with 20 mm/s", "object.slips=20",
            "HOLD", 0.2, 206))),
-    *(FaultRow(29, f"reaction {reaction}",
-               f"something trapped pushes the force above its cap of {servo.CAP_N:g} N in a hold; "
-               "time counts from the cap",
-               "object.trapped=3@contact+0.8s", required, limit_s, servo.something_pushes,
-               LONG_HOLD | {"sequence.force_n": [2.0, 4.0], "gripper.force_max_n": servo.CAP_N,
-                            "gripper.over_force.reaction": reaction})
-      for reaction, required, limit_s in (
-          ("lower", "HOLD", LOWER_S), ("open", "HOLD", 0.03), ("limp", "LIMP", 0.03))),
+    FaultRow(29, "too much force",
+             f"something trapped pushes the force above its cap of {servo.CAP_N:g} N in a hold; "
+             "time counts from the cap",
+             "object.trapped=3@contact+0.8s", "HOLD", LOWER_S, servo.something_pushes,
+             LONG_HOLD | {"sequence.force_n": [2.0, 4.0], "gripper.force_max_n": servo.CAP_N}),
     FaultRow(29, "approach of 200 mm per s",
              "a config asks for an approach whose impact is far above the cap; it is slowed down",
              "gripper.approach_speed_mm_s=200", "NOTHING", None, servo.fast_approach,

@@ -119,24 +119,6 @@ def test_ordinary_grasps_follow_grease_that_warms(make_started) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True,
-    reason="speeds by positions show 1.79 times the catalogue's inertia where 2.0 is true, limit "
-    "10 %; the stated uncertainty is 20 %",
-)
-def test_free_motions_show_the_inertia_of_each_servo(make_started) -> None:
-    """Half the torque of a motor: twice the current accelerates it, and its speed overshoots."""
-    cell = make_started(drive_sds=NEVER, present=False)
-    for motor, factor in zip(cell.motors, (1.0, 0.5), strict=True):
-        motor.kt_factor = factor
-    cell.gripper.open()
-    cell.gripper.drives.measure_friction()
-    for motor, drive in zip(cell.motors, drives(cell), strict=True):
-        assert drive.inertia_ratio == pytest.approx(1.0 / motor.kt_factor, rel=0.1)
-    assert [round(drive.inertia_sd, 2) for drive in drives(cell)] == [0.5, 0.2]
-
-
-@pytest.mark.slow
 def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_started) -> None:
     cell = make_started(present=False)
     cell.gripper.open()

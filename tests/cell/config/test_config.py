@@ -22,7 +22,6 @@ from cell.config.file import (
     recorded_config,
     schema_text,
 )
-from cell.config.gripper import OverForceConfig
 from cell.config.model import CellConfig
 from cell.config.positioner import ServoAxisConfig
 from cell.config.section import Declared
@@ -39,7 +38,7 @@ from cell.errors import ConfigError
 from cell.formats import CONFIG
 from cell.sensors.flexitac import FlexiTacConfig
 from gripper.dynamixel.models import MODELS
-from gripper.settings import GripperSettings, OverForce
+from gripper.settings import GripperSettings
 from recognition.grasp import PadArray
 from tactile.flexitac.stream import PROFILES
 from tactile.layout import LAYOUTS, paper_layout, pinch_layout
@@ -79,7 +78,6 @@ def test_an_example_is_written_in_full_with_the_schema_named(name) -> None:
     [
         (ServoAxisConfig, "model", [model.name for model in MODELS.values() if model.turns]),
         (FlexiTacConfig, "profile", PROFILES),
-        (OverForceConfig, "reaction", OverForce),
         (CellConfig, "format", [str(CONFIG)]),
     ],
 )
@@ -302,15 +300,10 @@ def test_the_channel_of_an_adapter_may_be_its_number() -> None:
 
 
 def test_keys_without_a_number_reach_the_gripper() -> None:
-    changes = {
-        "gripper.over_force.reaction": "limp",
-        "gripper.servo_care.corrected_registers": ["operating_mode"],
-    }
+    changes = {"gripper.servo_care.corrected_registers": ["operating_mode"]}
     settings = changed_config(CellConfig(), changes).gripper_settings
-    assert settings.over_force is OverForce.LIMP
     assert settings.corrected_registers == {"operating_mode"}
     plain, own = CellConfig().gripper_settings, GripperSettings()
-    assert plain.over_force is own.over_force
     assert plain.corrected_registers == own.corrected_registers
 
 
