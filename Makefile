@@ -35,6 +35,7 @@ test-real-time: $(DEV)  ## tests that measure times of real processes, one after
 
 mutants: $(DEV)  ## 60 random changes of the code, and which of them the tests find; N=100 for more, SEED=2 for others
 	$(INSTALL) '.[mutants]'
+	mkdir -p out
 	$(TESTS) -m "not real_time and not long" --processor-times=out/times.txt
 	$(BIN)/python -m tests.mutants draw out/mutants.json --n $(or $(N),60) --seed $(or $(SEED),1)
 	$(BIN)/python -m tests.mutants run out/mutants.json out/times.txt

@@ -121,8 +121,8 @@ class DriveMeasurement:
                         state = self._runner.run(trial.step)
                     spans.append(TimeSpan(since_s, state.t_s))
                     before = settings.drives.of(servo.servo_id, servo.drive)
-                    found = fit_load(trial.rising, trial.falling, before)
-                    settings.drives.put(servo.servo_id, found)
+                    drive = fit_load(trial.rising, trial.falling, before)
+                    settings.drives.put(servo.servo_id, drive)
             finally:
                 control.begin_again(state)
             self._free.compare()

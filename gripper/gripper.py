@@ -177,7 +177,7 @@ class Gripper:
             _check_standing(self._standing_rows())
         else:
             if held_before:
-                self._life.found_held()
+                self._life.torque_from_before()
             report = self._health.verify(correct=False, refuse=not held_before)
         self._check_link(self._ids)
         return report
@@ -536,7 +536,7 @@ class Gripper:
         elif any(condition.torque_on or not condition.answers for condition in conditions):
             # This gripper gave no goals, or some are no longer in force.
             self._servos.forget()
-            self._life.found_held()
+            self._life.torque_from_before()
         else:
             self._life.switched_off()
 

@@ -127,7 +127,7 @@ class Lifecycle:
         else:
             self.phase = GripperPhase.IDLE
 
-    def found_held(self) -> None:
+    def torque_from_before(self) -> None:
         """Set the phase for torque from before the start: a part may be held, force unknown."""
         self.part_possible, self.controlled = True, False
         self.rest()

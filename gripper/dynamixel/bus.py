@@ -201,15 +201,15 @@ class ServoBus:
 
     def scan(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[ServoIdentity, ...]:
         """Ping each ID once, with short time-outs, and return the servos; for diagnosis."""
-        found = []
+        answers = []
         with self.exclusive():
             for servo_id in ids:
                 with suppress(NoAnswerError):
                     status = self._exchange(ping_request(servo_id))
                     if status.error == 0:  # a refusal has no identity
-                        found.append(self._identity(status))
+                        answers.append(self._identity(status))
             self._mark_suspect()
-        return tuple(found)
+        return tuple(answers)
 
     def scan_at_once(self) -> tuple[tuple[ServoIdentity, ...], bool]:
         """Ping all IDs with one broadcast; return the servos, and whether damaged bytes came.
@@ -219,7 +219,7 @@ class ServoBus:
         the other, in the order of their IDs; the wait is that of the vendor's SDK
         (`Protocol2PacketHandler.broadcastPing`).
         """
-        found: list[ServoIdentity] = []
+        answers: list[ServoIdentity] = []
         damaged = False
         with self.exclusive():
             self._handler.send(self.port, BROADCAST_ID, Instruction.PING, b"")
@@ -229,23 +229,23 @@ class ServoBus:
             while (status := self._handler.receive(self.port)) is not None:
                 damaged |= bool(self._handler.dropped) or len(status.data) != PING_SIZE
                 if len(status.data) == PING_SIZE:
-                    found.append(self._identity(status))
+                    answers.append(self._identity(status))
             damaged |= bool(self._handler.dropped)
             self._mark_suspect()
-        return tuple(found), damaged
+        return tuple(answers), damaged
 
     def scan_protocol_1(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[int, ...]:
         """Ping each ID once in Protocol 1.0 and return the servos' IDs; for diagnosis."""
-        found, handler = [], Protocol1PacketHandler()
+        answers, handler = [], Protocol1PacketHandler()
         with self.exclusive():
             for servo_id in ids:
                 ping = [0, 0, servo_id, 2, int(Instruction.PING), 0]
                 answer, result, _ = handler.txRxPacket(self.port, ping)
                 # Not its echo.
                 if result == COMM_SUCCESS and answer != ping:
-                    found.append(servo_id)
+                    answers.append(servo_id)
             self._mark_suspect()
-        return tuple(found)
+        return tuple(answers)
 
     def shares_id(self, servo_id: int) -> bool:
         """Return whether several servos answer to one ID.
@@ -325,8 +325,8 @@ class ServoBus:
         """
         action = f"reading {block} of servos {ids}"
         params = _words(self._common_address(ids, block), block.size)
-        found = self._ask_all(ids, params, block.size, action)
-        return {servo_id: block.decode(status.data) for servo_id, status in found.items()}
+        answers = self._ask_all(ids, params, block.size, action)
+        return {servo_id: block.decode(status.data) for servo_id, status in answers.items()}
 
     def sync_write(self, values: Mapping[int, Sequence[int]], block: RegisterBlock) -> None:
         """Write the items of one block to several servos at once.
@@ -470,14 +470,14 @@ class ServoBus:
         self._begin(quiet=self.patient or all_silent)
         try:
             deadline_s = None if self.patient else self._clock.monotonic() + self._period_s
-            found, failure = self._sync_read(ids, params, size)
+            answers, failure = self._sync_read(ids, params, size)
             for servo_id in ids:
-                if servo_id not in found:
+                if servo_id not in answers:
                     request = Request(servo_id, Instruction.READ, size, action, params)
-                    found[servo_id] = self._retry(request, failure, deadline_s)
+                    answers[servo_id] = self._retry(request, failure, deadline_s)
         finally:
             self._end()
-        return {servo_id: checked(found[servo_id], action) for servo_id in ids}
+        return {servo_id: checked(answers[servo_id], action) for servo_id in ids}
 
     def _ask_once(self, request: Request, *, patient: bool = False) -> tuple[StatusPacket, float]:
         """Send a request that is never repeated; return the answer and the time in s it took."""
@@ -542,13 +542,13 @@ class ServoBus:
         The servos answer one after the other: after a missing answer no other follows.
         """
         self._handler.send(self.port, BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
-        found: dict[int, StatusPacket] = {}
+        answers: dict[int, StatusPacket] = {}
         try:
             for servo_id in ids:
-                found[servo_id] = accepted(self._receive(servo_id, size))
+                answers[servo_id] = accepted(self._receive(servo_id, size))
         except NoAnswerError as failure:
-            return found, failure
-        return found, NoAnswerError(damaged=False)
+            return answers, failure
+        return answers, NoAnswerError(damaged=False)
 
     def _exchange(self, request: Request, *, patient: bool = False) -> StatusPacket:
         self._handler.send(self.port, request.servo_id, request.instruction, request.params)

@@ -153,8 +153,8 @@ BACKUP_READY = _read_only("backup_ready", 147, 1)
 
 
 def _table(registers: Iterable[object]) -> Mapping[str, Register]:
-    found = [item for item in registers if isinstance(item, Register)]
-    return MappingProxyType({r.name: r for r in sorted(found, key=lambda r: r.address)})
+    items = [item for item in registers if isinstance(item, Register)]
+    return MappingProxyType({r.name: r for r in sorted(items, key=lambda r: r.address)})
 
 
 REGISTERS: Mapping[str, Register] = _table(tuple(globals().values()))

@@ -44,19 +44,14 @@ class DriveCharacteristic:
     """
 
     coulomb_a: float
-    stribeck_a: float = 0.0
     viscous_a_s: float = 0.0
-    """Friction current of free motion: constant, what comes to it at rest in A, and its growth in A
-    for each rad/s (arXiv 2410.08650, with Stribeck's term)."""
-    stribeck_rad_s: float = 2.5
-    stribeck_exponent: float = 1.0
-    """Speed in rad/s at which Stribeck's term has fallen to 37 %, and how steeply it falls."""
+    """Friction current of free motion in A: Coulomb's, and its growth in A for each rad/s."""
     offset_a: float = 0.0
     """Half the sum of both directions' currents in A: gravity, and the offset of the sensor."""
     breakaway_a: float
     """Current in A beyond that of the load at which the load begins to rise."""
     friction_sd: float = _FRICTION_SD
-    """Uncertainty of the five currents."""
+    """Uncertainty of the four currents."""
     rising_a_nm: float
     falling_a_nm: float
     """Growth of the current in A for each N m of a load that rises, or falls."""
@@ -132,7 +127,6 @@ class DriveCharacteristic:
         return replace(
             self,
             coulomb_a=factor * self.coulomb_a,
-            stribeck_a=factor * self.stribeck_a,
             viscous_a_s=factor * self.viscous_a_s,
             breakaway_a=factor * self.breakaway_a,
         )
@@ -140,7 +134,7 @@ class DriveCharacteristic:
     @property
     def breakaway_share(self) -> float:
         """Friction at rest under a load over that of free motion."""
-        return self.breakaway_a / (self.coulomb_a + self.stribeck_a)
+        return self.breakaway_a / self.coulomb_a
 
     @cached_property
     def least_breakaway_a(self) -> float:
@@ -160,11 +154,10 @@ class DriveCharacteristic:
     def friction_a(self, speed_rad_s: float) -> float:
         """Return the friction current in A of free motion at a speed in rad/s.
 
-        Friction never drives: terms that fall with the speed leave a share of that at rest.
+        Friction never drives: a viscous term below 0 leaves a share of that at rest.
         """
-        slow = exp(-((abs(speed_rad_s) / self.stribeck_rad_s) ** self.stribeck_exponent))
-        moving_a = self.coulomb_a + slow * self.stribeck_a + self.viscous_a_s * abs(speed_rad_s)
-        return max(_LEAST_MOVING_SHARE * (self.coulomb_a + self.stribeck_a), moving_a)
+        moving_a = self.coulomb_a + self.viscous_a_s * abs(speed_rad_s)
+        return max(_LEAST_MOVING_SHARE * self.coulomb_a, moving_a)
 
     def inertia_a_s2(self, model: ServoModel) -> float:
         """Return the current in A that accelerates a servo of a model by 1 rad/s²."""
@@ -213,7 +206,7 @@ class Drives:
 
     def __init__(self, newest: Mapping[int, DriveCharacteristic] | None = None) -> None:
         self._newest = dict(newest or {})
-        self.kept: dict[str, Any] = {}
+        self.cache: dict[str, Any] = {}
         """Values of these drives at the last angles, each with what it was computed of."""
         self.version = 0
         """Count of the changes: older values do not hold."""

@@ -207,10 +207,10 @@ def _opening_failed(path: str, error: Exception) -> str:
             f"no right to open serial port {path} ({error}): add the user to the group that "
             f"owns the device (often dialout) and log in again"
         )
-    found = ", ".join(serial_candidates()) or "none"
+    ports = ", ".join(serial_candidates()) or "none"
     return (
         f"cannot open serial port {path} ({error}): check the path and that the adapter is "
-        f"plugged in. Serial ports found: {found}"
+        f"plugged in. Serial ports found: {ports}"
     )
 
 

@@ -66,15 +66,15 @@ class Heard:
         return self._bytes + self._packets > 0
 
     def __str__(self) -> str:
-        found = []
+        parts = []
         if self._packets:
-            found.append(f"{self._packets} whole packets that answer no request")
+            parts.append(f"{self._packets} whole packets that answer no request")
         if self._bytes:
             text = f" ({self._head!r})" if _PRINTABLE.issuperset(self._head) else ""
-            found.append(
+            parts.append(
                 f"{self._bytes} bytes that are no packet, the first are {self._head.hex(' ')}{text}"
             )
-        return f"heard were {' and '.join(found) or 'no bytes'}"
+        return f"heard were {' and '.join(parts) or 'no bytes'}"
 
     def add(self, dropped: bytes) -> None:
         """Add bytes that are no packet."""
@@ -141,10 +141,10 @@ def given_up(
     ``pinged``: whether it has answered each ping between its requests.
     """
     if failure.damaged:
-        found = f" ({heard})" if heard else ""
+        parts = f" ({heard})" if heard else ""
         return BusCorrupt(
             f"{request.action}: the answers of servo {request.servo_id} arrive damaged, twice in a "
-            f"row{found}: check cable, termination and that no two servos share the ID"
+            f"row{parts}: check cable, termination and that no two servos share the ID"
         )
     if pinged:
         return AnswersOff(

@@ -47,16 +47,16 @@ def cap_by_current_n(settings: GripperSettings, linkage: Linkage) -> float:
                 f"sensor, or take XM430 servos"
             )
     paths = transmissions(settings, linkage, linkage.angles_rad(settings.aperture_min_m))
-    doubt_n = 0.0
+    error_n = 0.0
     for path in paths:
         # The friction is measured on each approach.
         sd = min(path.drive.friction_sd, LEAST_FRICTION_SD)
         known = path._replace(drive=replace(path.drive, friction_sd=sd))
-        doubt_n = max(doubt_n, _CAP_SIGMAS * known.doubt_n(settings.force_max_n))
-    cap_n = round(settings.force_max_n - doubt_n, 1)
+        error_n = max(error_n, _CAP_SIGMAS * known.force_sd_n(settings.force_max_n))
+    cap_n = round(settings.force_max_n - error_n, 1)
     if not largest_setpoint_n(cap_n) > settings.contact_force_n:
         raise LimitExceeded(
-            f"without a force sensor the grip force is exact to {doubt_n:.1f} N, which leaves "
+            f"without a force sensor the grip force is exact to {error_n:.1f} N, which leaves "
             f"{max(cap_n, 0.0):.1f} N of force_max_n = {settings.force_max_n} N: give the "
             "gripper a force sensor, or write a cap that parts and risk assessment allow"
         )
@@ -139,6 +139,8 @@ class ForceByCurrent:
             t_s=state.t_s,
             force_n=(forces_n[0], forces_n[-1]),
             lag_s=0.5 * self._settings.period_s,
-            noise_n=max(path.doubt_n(force) for path, force in zip(paths, forces_n, strict=False)),
+            noise_n=max(
+                path.force_sd_n(force) for path, force in zip(paths, forces_n, strict=False)
+            ),
             by_current=True,
         )

@@ -331,7 +331,7 @@ class GripStep:
                 replace(goal, angle_rad=angle_rad)
                 for angle_rad, goal in zip(moment.state.angles_rad, goals, strict=True)
             )
-        elif self._slip is not None and not control.watch.doubts:
+        elif self._slip is not None and not control.watch.suspicious:
             self._slip.check(moment, level, setpoint_n=setpoint_n)
         done = self.lost or self._time.settled(control.force_n)
         if done and not self.lost:
@@ -451,7 +451,7 @@ class HoldStep:
         """Return the action of one period; PartLost, PartSlipped when the part goes."""
         self._elapsed_s += moment.dt_s
         _check_part(self._control, moment)
-        if not self._control.watch.doubts:
+        if not self._control.watch.suspicious:
             self._slip.check(moment, 0, setpoint_n=self._setpoint_n)
         goals = self._control.goals(moment, self._setpoint_n)
         done = self._elapsed_s >= self._duration_s - _EQUAL_S

@@ -276,15 +276,15 @@ class LoopRunner:
         """
         servos, settings, most_n = self.servos, self._settings, most_peak_n(self._settings)
         share = settings.over_force_share
-        goals = [goal.kept for goal in servos.goals.last]
+        goals = [goal.lasting for goal in servos.goals.last]
         # Goals that were written may brake.
-        asked = [goal.kept for goal in servos.goals.asked]
-        left, shown_n, state = 1.0, inf, servos.read()
+        asked = [goal.lasting for goal in servos.goals.asked]
+        left, least_n, state = 1.0, inf, servos.read()
         from_m, opened_s, end_s = inf, -inf, state.t_s + _LONGEST_LOWERING * _LOWERING_S
         while goals and (newest := servos.guard.newest_force) and state.t_s < end_s:
             forces_n = servos.guard.newest_forces_n
-            if max(forces_n) < _FOLLOWS_SHARE * shown_n:
-                shown_n, from_m = max(forces_n), state.aperture_m
+            if max(forces_n) < _FOLLOWS_SHARE * least_n:
+                least_n, from_m = max(forces_n), state.aperture_m
             least = -1.0 if min(forces_n) > most_n else share
             follows = state.aperture_m - from_m < _UNSEEN_M
             if max(forces_n) <= most_n or left <= least or not follows:

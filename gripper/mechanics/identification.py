@@ -17,12 +17,9 @@ from scipy.optimize import least_squares
 from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
 
-_SHAPES = ((2.5, 1.0), (2.5, 0.8), (2.0, 1.5), (2.5, 2.0), (2.9, 4.0), (2.9, 8.7), (1.0, 1.0))
-"""Pairs of Stribeck speed in rad/s and exponent that are tried: those of identified gearings (arXiv
-2410.08650), and values between."""
-_STRIBECK_SD, _VISCOUS_SD_S, _OFFSET_SD = 0.4, 0.15, 0.05
-"""Standard deviations before a measurement, as shares of the friction: of Stribeck's term, of the
-viscous one for 1 rad/s and of the offset. [assumed]"""
+_VISCOUS_SD_S, _OFFSET_SD = 0.15, 0.05
+"""Standard deviations before a measurement, as shares of the friction: of the viscous term for 1
+rad/s, and of the offset. [assumed]"""
 _POINT_SD = 0.02
 """Error of the current of one free motion that a longer motion does not reduce, as a share: teeth,
 temperature, acceleration. [assumed]"""
@@ -91,7 +88,7 @@ def fit_friction(points: Sequence[FreePoint], before: DriveCharacteristic) -> Dr
     Parameters
     ----------
     points
-        Free motions. Four speeds or more in both directions, one at 0.3 rad/s or slower, determine
+        Free motions. Three speeds or more in both directions, one at 0.3 rad/s or slower, determine
         all terms. Undetermined terms stay as they were.
     before
         Earlier characteristic, a prior with its uncertainty.
@@ -101,47 +98,26 @@ def fit_friction(points: Sequence[FreePoint], before: DriveCharacteristic) -> Dr
     scale_a = float(np.median([abs(point.current_a) for point in points]))
     if before.measured:
         spread_a = before.friction_sd * before.breakaway_a
-        sds = (spread_a, spread_a, spread_a, _OFFSET_SD * scale_a)
-        shapes: Sequence[tuple[float, float]] = ((before.stribeck_rad_s, before.stribeck_exponent),)
-        if before.stribeck_a == 0.0:
-            shapes = _SHAPES
-        prior = (before.coulomb_a, before.stribeck_a, before.viscous_a_s, before.offset_a)
+        sds = np.array([spread_a, spread_a, _OFFSET_SD * scale_a])
+        prior = np.array([before.coulomb_a, before.viscous_a_s, before.offset_a])
     else:
-        sds = (
-            10.0 * scale_a,
-            _STRIBECK_SD * scale_a,
-            _VISCOUS_SD_S * scale_a,
-            _OFFSET_SD * scale_a,
-        )
-        prior, shapes = (scale_a, 0.0, 0.0, 0.0), _SHAPES
-    speed = np.array([abs(point.speed_rad_s) for point in points])
-    sign = np.array([1.0 if point.speed_rad_s > 0.0 else -1.0 for point in points])
-    sd = np.array([hypot(point.sd_a, _POINT_SD * point.current_a) for point in points])
+        sds = scale_a * np.array([10.0, _VISCOUS_SD_S, _OFFSET_SD])
+        prior = np.array([scale_a, 0.0, 0.0])
+    speed = np.array([point.speed_rad_s for point in points])
     current = np.array([point.current_a for point in points])
-    best: tuple[float, tuple[float, float], np.ndarray, np.ndarray] | None = None
-    for shape in shapes:
-        slow = np.exp(-((speed / shape[0]) ** shape[1]))
-        rows = np.column_stack([sign, sign * slow, sign * speed, np.ones(len(points))])
-        whole = np.vstack([rows / sd[:, None], np.diag(1.0 / np.array(sds))])
-        wanted = np.concatenate([current / sd, np.array(prior) / np.array(sds)])
-        found = np.linalg.lstsq(whole, wanted, rcond=None)[0]
-        misfit = float(((whole @ found - wanted) ** 2).sum())
-        if best is None or misfit < best[0] - 1e-9:
-            best = misfit, shape, found, np.linalg.inv(whole.T @ whole)
-    assert best is not None
-    _, shape, (coulomb, stribeck, viscous, offset), covariance = best
-    rest_a = max(float(coulomb + stribeck), 0.1 * scale_a)
-    rest_sd = float((covariance[:2, :2].sum()) ** 0.5) / rest_a
-    rested_a = before.coulomb_a + before.stribeck_a
+    sd = np.array([hypot(point.sd_a, _POINT_SD * point.current_a) for point in points])
+    rows = np.column_stack([np.sign(speed), speed, np.ones(len(points))])
+    whole = np.vstack([rows / sd[:, None], np.diag(1.0 / sds)])
+    wanted = np.concatenate([current / sd, prior / sds])
+    coulomb, viscous, offset = np.linalg.lstsq(whole, wanted, rcond=None)[0].tolist()
+    rest_a = max(coulomb, 0.1 * scale_a)
+    rest_sd = float(np.linalg.inv(whole.T @ whole)[0, 0] ** 0.5) / rest_a
     return replace(
         before,
-        coulomb_a=rest_a - float(stribeck),
-        stribeck_a=float(stribeck),
-        viscous_a_s=float(viscous),
-        stribeck_rad_s=shape[0],
-        stribeck_exponent=shape[1],
-        offset_a=float(offset),
-        breakaway_a=before.breakaway_a * rest_a / rested_a if before.measured else rest_a,
+        coulomb_a=rest_a,
+        viscous_a_s=viscous,
+        offset_a=offset,
+        breakaway_a=before.breakaway_share * rest_a if before.measured else rest_a,
         friction_sd=max(rest_sd, LEAST_FRICTION_SD),
     )
 
@@ -159,7 +135,7 @@ def fit_load(
     if up is None or up.sds[0] > _SUREST * up.values[0]:
         return before
     slope, base_a = up.values.tolist()
-    found = replace(
+    fitted = replace(
         before,
         rising_a_nm=slope,
         falling_a_nm=slope * before.falling_a_nm / before.rising_a_nm,
@@ -168,11 +144,11 @@ def fit_load(
     )
     down = _falling(falling, up)
     if down is None:
-        return found
+        return fitted
     falls, share, _ = down.values.tolist()
     # A gearing needs no more current to yield than to drive.
     return replace(
-        found,
+        fitted,
         falling_a_nm=min(falls, slope),
         yielding_share=min(share, 1.0),
         falling_sd=float(down.sds[0]) / falls,
@@ -195,8 +171,8 @@ def fit_back_emf(points: Sequence[FreePoint], model: ServoModel) -> float | None
     rows.append((1.0, 0.0, model.winding_ohm))
     sd_v.append(RESISTANCE_SD * model.winding_ohm)
     whole = np.array(rows, dtype=np.float64) / np.array(sd_v)[:, None]
-    found = np.linalg.lstsq(whole[:, :2], whole[:, 2], rcond=None)[0]
-    return float(found[1]) if min(found) > 0.0 else None
+    fitted = np.linalg.lstsq(whole[:, :2], whole[:, 2], rcond=None)[0]
+    return float(fitted[1]) if min(fitted) > 0.0 else None
 
 
 def anchored(
@@ -212,9 +188,9 @@ def anchored(
     if ratio is None:
         ratio, sd = model.kt_nm_a / model.back_emf_v_s, model.back_emf_sd
         # Ratio of a motor with equal torque and back-EMF constants.
-        kept = _kept_share(drive)
-        if kept < ratio:
-            ratio, sd = kept, hypot(sd, _LOSS_SD, 0.5 * drive.falling_sd)
+        torque_share = _torque_share(drive)
+        if torque_share < ratio:
+            ratio, sd = torque_share, hypot(sd, _LOSS_SD, 0.5 * drive.falling_sd)
     values = replace(drive, back_emf_v_s=back_emf_v_s)
     if drive.kt_sd >= min(sd, model.kt_sd):
         values = replace(values, kt_nm_a=ratio * back_emf_v_s, kt_sd=sd)
@@ -246,13 +222,13 @@ def change(point: FreePoint, drive: DriveCharacteristic) -> float:
     Only a measured friction can be contradicted.
     """
     sign = 1.0 if point.speed_rad_s > 0.0 else -1.0
-    found_a = sign * (point.current_a - drive.offset_a)
-    ratio = max(found_a, 1e-3 * drive.breakaway_a) / drive.friction_a(point.speed_rad_s)
+    friction_a = sign * (point.current_a - drive.offset_a)
+    ratio = max(friction_a, 1e-3 * drive.breakaway_a) / drive.friction_a(point.speed_rad_s)
     allowed = SIGMAS * hypot(drive.friction_sd, _CHANGE_SD, point.sd_a / abs(point.current_a))
     return ratio if drive.measured and abs(log(ratio)) > allowed else 1.0
 
 
-def _kept_share(drive: DriveCharacteristic) -> float:
+def _torque_share(drive: DriveCharacteristic) -> float:
     """Return the share of the motor's torque that a rising load gets, by both lines of the load.
 
     Where losses grow with the load, L = (T - base) / (1 + l) rises and (T + base) / (1 - l) falls;
@@ -296,10 +272,10 @@ def _falling(points: Sequence[LoadPoint], up: _Fit) -> _Fit | None:
         slope, share, base_a = values
         passive_nm = share * base_a / slope
         above_nm = load_nm - passive_nm
-        shown_a: NDArray[np.float64] = above_nm * np.where(
+        by_load_a: NDArray[np.float64] = above_nm * np.where(
             above_nm > 0.0, slope, base_a / passive_nm
         )
-        return shown_a
+        return by_load_a
 
     start = np.array([_YIELDING[0] * up.values[0], _YIELDING[0], up.values[1]])
     return _fit(blocks, current_a, start, [_YIELDING[1] * up.values[0], _YIELDING[1], up.sds[1]])
@@ -351,9 +327,9 @@ def _fit(
             off = (model(values, load_nm) - current_a) / sd_a
             return np.concatenate([off, (values - start) / start_sds])
 
-        found = least_squares(misfit, start, bounds=(1e-3 * start, np.inf), x_scale=start)
-        off_a = np.abs(model(found.x, load_nm) - current_a)
+        fitted = least_squares(misfit, start, bounds=(1e-3 * start, np.inf), x_scale=start)
+        off_a = np.abs(model(fitted.x, load_nm) - current_a)
         sd_a = max(_ALIKE * float(np.median(off_a)) / 0.6745, 1e-4)
         near = off_a <= _OUTLIER_SIGMAS * sd_a / _ALIKE
         load_nm, current_a = load_nm[near], current_a[near]
-    return _Fit(found.x, np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac))))
+    return _Fit(fitted.x, np.sqrt(np.diag(np.linalg.pinv(fitted.jac.T @ fitted.jac))))

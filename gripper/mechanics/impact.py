@@ -87,9 +87,9 @@ def impact_limit(
     # Settings are compared by identity, which is enough and quick.
     drives = settings.drives
     key = (drives.version, id(settings), linkage, angles_rad and tuple(angles_rad))
-    kept: tuple[object, GripperSettings, ImpactLimit] | None = drives.kept.get("impact")
-    if kept is not None and kept[0] == key:
-        return kept[2]
+    cached: tuple[object, GripperSettings, ImpactLimit] | None = drives.cache.get("impact")
+    if cached is not None and cached[0] == key:
+        return cached[2]
     ends_m = (settings.aperture_open_m, settings.aperture_min_m)
     ways = [linkage.angles_rad(end_m) for end_m in ends_m] if angles_rad is None else [angles_rad]
     drive_n = mass_kg = load_share = 0.0
@@ -116,7 +116,7 @@ def impact_limit(
         momentum_n_s_m=sqrt(stiffness_n_m * mass_kg),
         load_share=load_share,
     )
-    drives.kept["impact"] = key, settings, limit
+    drives.cache["impact"] = key, settings, limit
     return limit
 
 

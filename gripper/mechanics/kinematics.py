@@ -237,7 +237,7 @@ class Transmission(_Path):
             return above_n * self.drive.falling_a_nm / self.drive.rising_a_nm
         return self.friction_n * above_n / self._passive_n
 
-    def doubt_n(self, force_n: float) -> float:
+    def force_sd_n(self, force_n: float) -> float:
         """Return the standard deviation in N of a grip force by the current alone."""
         load_n = abs(force_n) + self.friction_n
         return hypot(self.drive.load_sd * load_n, self.drive.friction_sd * self.friction_n)
@@ -271,14 +271,14 @@ def transmissions(
     """
     drives = settings.drives
     key = (drives.version, settings.servos, linkage, tuple(angles_rad))
-    kept: tuple[object, tuple[Transmission, ...]] | None = drives.kept.get("transmissions")
-    if kept is not None and kept[0] == key:
-        return kept[1]
+    cached: tuple[object, tuple[Transmission, ...]] | None = drives.cache.get("transmissions")
+    if cached is not None and cached[0] == key:
+        return cached[1]
     paths = tuple(
         Transmission(drives.of(servo.servo_id, servo.drive), linkage.effective_radius_m(angle_rad))
         for servo, angle_rad in zip(settings.servos, angles_rad, strict=True)
     )
-    drives.kept["transmissions"] = key, paths
+    drives.cache["transmissions"] = key, paths
     return paths
 
 

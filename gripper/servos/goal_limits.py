@@ -80,7 +80,7 @@ class ServoGoal:
     """Goal that keeps the present force where no further one follows; None: this goal."""
 
     @property
-    def kept(self) -> "ServoGoal":
+    def lasting(self) -> "ServoGoal":
         """The goal that stays after an error."""
         return self.rest or self
 
@@ -271,7 +271,7 @@ class GoalGuard:
             newest = self.newest_force
             if newest is not None and now_s - newest.t_s <= settings.force_stale_s:
                 self.check_force()
-        self._previous_a = [max(goal.current_a, goal.kept.current_a) for goal in goals]
+        self._previous_a = [max(goal.current_a, goal.lasting.current_a) for goal in goals]
 
     def _excess_n(self) -> float:
         """Return the excess of the force over the cap and its allowance for noise, in N.
@@ -321,8 +321,8 @@ class GoalGuard:
 
 def _positions(state: ServoFeedback) -> str:
     """Return the reported positions of all servos: a goal of one follows from those of both."""
-    found = (f"servo {one.servo_id} at {one.angle_rad:.4f} rad" for one in state.servos)
-    return f"by the positions that all report: {', '.join(found)}; check encoders and horns"
+    positions = (f"servo {one.servo_id} at {one.angle_rad:.4f} rad" for one in state.servos)
+    return f"by the positions that all report: {', '.join(positions)}; check encoders and horns"
 
 
 def pressing_speed_m_s(settings: GripperSettings, impact: ImpactLimit, setpoint_n: float) -> float:

@@ -365,16 +365,16 @@ class Servos:
 
     def _check_goals_taken(self) -> None:
         """Read the goals of the present positions back; ServoFault where one differs."""
-        found = self._bus.sync_read(self._ids, GOAL_BLOCK)
+        goals_raw = self._bus.sync_read(self._ids, GOAL_BLOCK)
         for servo_id, (current_raw, *_, position_raw) in self.goals.raws.items():
             wrote = {GOAL_POSITION.name: position_raw, GOAL_CURRENT.name: current_raw}
             for name, raw in wrote.items():
-                found_raw = found[servo_id][name]
-                if found_raw != raw:
+                read_raw = goals_raw[servo_id][name]
+                if read_raw != raw:
                     raise ServoFault(
                         servo_id,
                         0,
-                        f"it did not take its {name}: wrote {raw}, read {found_raw}; check the "
+                        f"it did not take its {name}: wrote {raw}, read {read_raw}; check the "
                         f"servo line, then clear the fault",
                     )
 
@@ -403,7 +403,7 @@ def frozen(last: Sequence[ServoGoal], state: ServoFeedback) -> list[ServoGoal]:
     position control uses as much of the current as it needs.
     """
     return [
-        replace(goal.kept, angle_rad=min(goal.kept.angle_rad, servo.angle_rad))
+        replace(goal.lasting, angle_rad=min(goal.lasting.angle_rad, servo.angle_rad))
         for goal, servo in zip(last, state.servos, strict=True)
     ]
 
@@ -442,7 +442,7 @@ def lowered(
     """
     if share >= 0.0:
         return [
-            replace(goal, current_a=min(share * goal.current_a, now.kept.current_a))
+            replace(goal, current_a=min(share * goal.current_a, now.lasting.current_a))
             for goal, now in zip(first, last, strict=True)
         ]
     models = (one.servo_model for one in settings.servos)

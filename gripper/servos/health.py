@@ -49,7 +49,7 @@ class ServoHealth:
         self._settings = settings
         self._ids = [servo.servo_id for servo in settings.servos]
         self._polls = 0
-        self._kept = 0
+        self._polled_items = 0
         self._accepted: dict[int, int] = {}
         self._overloaded: set[int] = set()
         self.notes: list[str] = []
@@ -64,8 +64,8 @@ class ServoHealth:
         return all(self._torques())
 
     def _torques(self) -> list[int]:
-        found = self._bus.sync_read(self._ids, _TORQUE)
-        return [found[servo_id][TORQUE_ENABLE.name] for servo_id in self._ids]
+        raws = self._bus.sync_read(self._ids, _TORQUE)
+        return [raws[servo_id][TORQUE_ENABLE.name] for servo_id in self._ids]
 
     def conditions(self) -> tuple[ServoCondition, ...]:
         """Read torque and errors of each servo; a silent servo is no error here."""
@@ -204,7 +204,7 @@ class ServoHealth:
         )
         corrected: set[str] = set()
         self._bus.ping(servo.servo_id)
-        found: dict[str, int] = {}
+        raws: dict[str, int] = {}
         for item in required:
             register = REGISTERS[item.item]
             raw = self._bus.read(servo.servo_id, register)
@@ -212,11 +212,11 @@ class ServoHealth:
                 self._bus.write(servo.servo_id, register, item.write_raw)
                 raw = self._bus.read(servo.servo_id, register)
                 corrected.add(item.item)
-            found[item.item] = raw
+            raws[item.item] = raw
             if register is MODEL_NUMBER and not item.met_by(raw):
                 # For another model the other items may have another meaning.
-                return compare(servo.servo_id, required[:1], found)
-        return compare(servo.servo_id, required, found, frozenset(corrected))
+                return compare(servo.servo_id, required[:1], raws)
+        return compare(servo.servo_id, required, raws, frozenset(corrected))
 
     def poll(self, state: ServoFeedback, *, watchdog: bool = True) -> None:
         """Check one more item of one servo; called repeatedly while the torque is on.
@@ -242,7 +242,7 @@ class ServoHealth:
             if self._ids[index] in self._overloaded:
                 self._check_hardware(self._ids[index])
         elif check == 1:
-            self._check_kept(index)
+            self._check_register(index)
         elif watchdog and self._bus.read(self._ids[index], BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW:
             raise ServoFault(
                 self._ids[index],
@@ -251,14 +251,14 @@ class ServoHealth:
                 "stopped, a part may still be gripped",
             )
 
-    def _check_kept(self, index: int) -> None:
+    def _check_register(self, index: int) -> None:
         """Read the next register that was verified at the start; all of them in turn."""
         servo, settings = self._settings.servos[index], self._settings
         required = requirements(
             servo.servo_model, settings.current_max_a, settings.temperature_max_c
         )
-        item = required[self._kept // len(self._ids) % len(required)]
-        self._kept += 1
+        item = required[self._polled_items // len(self._ids) % len(required)]
+        self._polled_items += 1
         if item.item == HARDWARE_ERROR_STATUS.name:
             return
         raw = self._bus.read(servo.servo_id, REGISTERS[item.item])

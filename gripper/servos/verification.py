@@ -76,7 +76,7 @@ def requirements(
     needed_pwm = min(whole_pwm, ceil(share))
     protection = int(HardwareError.OVERHEATING)
     d_gain, i_gain, p_gain = model.position_gains
-    found = [
+    items = [
         _of("model_number", model.number),
         _of("firmware_version", 1, 255, "1 or later"),
         _of("protocol_type", 2),
@@ -109,7 +109,7 @@ def requirements(
     unneeded = model.absent if model.goal_velocity_raw else model.absent | {"velocity_limit"}
     return tuple(
         one if one.item in corrected else replace(one, write_raw=None)
-        for one in found
+        for one in items
         if one.item not in unneeded
     )
 
@@ -117,25 +117,25 @@ def requirements(
 def compare(
     servo_id: int,
     required: tuple[Requirement, ...],
-    found: Mapping[str, int],
+    raws: Mapping[str, int],
     corrected: frozenset[str] = frozenset(),
 ) -> tuple[VerificationRow, ...]:
     """Return one row for each requirement.
 
     Parameters
     ----------
-    found
+    raws
         Raw values by name of the register.
     corrected
-        Names of the registers that were rewritten before ``found`` was read.
+        Names of the registers that were rewritten before ``raws`` were read.
     """
     return tuple(
         VerificationRow(
             servo_id=servo_id,
             item=requirement.item,
             expected=requirement.expected,
-            found=str(found[requirement.item]),
-            ok=requirement.met_by(found[requirement.item]),
+            found=str(raws[requirement.item]),
+            ok=requirement.met_by(raws[requirement.item]),
             corrected=requirement.item in corrected,
         )
         for requirement in required

@@ -187,7 +187,7 @@ class MoveTo:
         ServoFault
             When a finger does not arrive in time.
         """
-        pressed = self._rise.found(moment) if self._only_open else ""
+        pressed = self._rise.growth(moment) if self._only_open else ""
         if pressed:
             raise PositionContradicted(
                 f"{pressed} while the fingers open: they close, or something pushes them "
@@ -252,7 +252,7 @@ class FirstMotion(MoveTo):
     def step(self, moment: Moment) -> Action:
         """Return the goals of one period; MechanicsContradicted when a finger is blocked."""
         servos = moment.state.servos
-        pressed = self._rise.found(moment)
+        pressed = self._rise.growth(moment)
         if self._back is None:
             self._stands_m = moment.state.aperture_m
         if not pressed and moment.now_s > self._deadline_s:
@@ -297,10 +297,10 @@ class FirstMotion(MoveTo):
                 if not self._only_open:
                     other.lead_rad = closing_margin_rad(other.servo.servo_model, other.most_a)
 
-    def _contradicted(self, servo: ServoState, found: str) -> MechanicsContradicted:
+    def _contradicted(self, servo: ServoState, growth: str) -> MechanicsContradicted:
         most_a = max(finger.current_a for finger in self._fingers)
         return MechanicsContradicted(
-            f"servo {servo.servo_id}: {found}, at an opening of {self._stands_m * 1e3:.1f} mm on "
+            f"servo {servo.servo_id}: {growth}, at an opening of {self._stands_m * 1e3:.1f} mm on "
             f"its way to {self._aperture_m * 1e3:.1f} mm, with {most_a:.2f} A, the "
             f"least that moves it. So the settings do not match the position of the fingers, "
             f"something blocks them, or their friction is too high; the torque is switched off. "
@@ -381,7 +381,7 @@ class _ForceRise:
         self._recent = RecentForce(_QUIET_N, longest_s=_LONGEST_S)
         self._least_n = inf
 
-    def found(self, moment: Moment) -> str:
+    def growth(self, moment: Moment) -> str:
         """Add the newest sample; return by how much the force has grown as text, or nothing."""
         sample, recent = moment.sample, self._recent
         if sample is None or not sample.valid or recent.push(sample) is None:

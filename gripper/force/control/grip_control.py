@@ -116,7 +116,7 @@ class GripControl:
         rises_n = setpoint_n - grip.setpoint_n
         grip.setpoint_n = setpoint_n
         grip.apertures.add(moment.now_s, state.aperture_m)
-        usable = sample is not None and sample.valid and not self.watch.doubts
+        usable = sample is not None and sample.valid and not self.watch.suspicious
         if sample is not None and usable:
             self.watch.pads.take(sample)
             self.watch.check_pads(moment, rises=rises_n > 0.0)

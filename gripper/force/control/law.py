@@ -184,7 +184,7 @@ class Pushes:
         self._from_n = self.growth_n = 0.0
         """Force in N before the last push, and its expected growth by it."""
 
-    def shown(self, sample: ForceSample) -> bool:
+    def has_shown(self, sample: ForceSample) -> bool:
         """Return whether a sample shows the effect of the last push."""
         return sample.measured_s > self._pushed_s + _SHOWS_S
 
@@ -212,7 +212,7 @@ class Pushes:
         drives, grown_n = self._drives, abs(observer.force_n - self._from_n)
         if closing is not self._closing or self.growth_n == 0.0:
             return
-        known = self.growth_n > _EFFECT_SDS * observer.doubt_n
+        known = self.growth_n > _EFFECT_SDS * observer.force_sd_n
         if known and grown_n >= _EFFECT_SHARE * self.growth_n:
             drives.stiction = max(1.0, _WEAKER * drives.stiction)
         else:
@@ -251,7 +251,7 @@ class ForceLaw:
         self._setpoint_n, self._rates_n_s = grip.setpoint_n, deque([0.0], maxlen=3)
         self._started_m, self._most_m_s = grip.apertures.newest, 0.0
         self._falls, self._still_s = False, 0.0
-        self._shown_n_m: float | None = None
+        self._estimated_n_m: float | None = None
         self._jumped_s: float | None = None
         self._contradicted_s = 0.0
 
@@ -298,11 +298,11 @@ class ForceLaw:
             drive_n = 0.5 * (before_n + measured_n)
             observer.predict(moment.dt_s, drive_n, self._frictions_n(period))
         observer.measure(moment, sample)
-        if (shown_n_m := grip.stiffness.stiffness_n_m) not in (None, self._shown_n_m):
+        if (estimated_n_m := grip.stiffness.stiffness_n_m) not in (None, self._estimated_n_m):
             # The opening shrinks by the yield of both pads.
-            before_n_m, self._shown_n_m = observer.stiffness_n_m, shown_n_m
+            before_n_m, self._estimated_n_m = observer.stiffness_n_m, estimated_n_m
             softest_n_m, stiffest_n_m = before_n_m / _STIFFER, before_n_m * _STIFFER
-            observer.stiffness_n_m = min(max(2.0 * shown_n_m, softest_n_m), stiffest_n_m)
+            observer.stiffness_n_m = min(max(2.0 * estimated_n_m, softest_n_m), stiffest_n_m)
             observer.stiffness_sd = STIFFNESS_SD
         return self._frictions_n(period)
 
@@ -358,10 +358,10 @@ class ForceLaw:
     ) -> float:
         """Return the push in N on fingers at rest: 0, or one that starts them."""
         rate_n_s, sign = self.plan.rate_n_s, copysign(1.0, error_n)
-        least_n = max(_HOLD_N if rate_n_s == 0.0 else _RAMP_N, self.observer.doubt_n)
+        least_n = max(_HOLD_N if rate_n_s == 0.0 else _RAMP_N, self.observer.force_sd_n)
         if sign * rate_n_s < 0.0 or (sign < 0.0 and rate_n_s == 0.0):
             least_n += _FALL_N
-        may_start = self._pushes.shown(sample) and (sign > 0.0 or period.may_open)
+        may_start = self._pushes.has_shown(sample) and (sign > 0.0 or period.may_open)
         if abs(error_n) <= least_n or not may_start or period.moment.dt_s <= 0.0:
             return 0.0
         self._started_m = period.state.aperture_m
@@ -407,7 +407,7 @@ class ForceLaw:
         growth_n = self._pushes.growth_n
         unseen_s = 2.0 * (period.moment.now_s - sample.measured_s) + _SHOWS_S
         slow = abs(self.plan.rate_n_s) * unseen_s > growth_n
-        return slow or short_n > 2.0 * growth_n + max(_RAMP_N, self.observer.doubt_n)
+        return slow or short_n > 2.0 * growth_n + max(_RAMP_N, self.observer.force_sd_n)
 
     def _jumps(self, sample: ForceSample, period: Period) -> bool:
         """Return whether a sample shows a large jump of the force that no drive made.
@@ -419,7 +419,7 @@ class ForceLaw:
         jump_n = observer.unexplained_n(sample)
         least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n)
         least_n += observer.stiffness_sd * observer.moved_n(sample.measured_s - LOOK_BACK_S)
-        least_n += _JUMP_SDS * hypot(sample.noise_n, observer.doubt_n)
+        least_n += _JUMP_SDS * hypot(sample.noise_n, observer.force_sd_n)
         if jump_n <= least_n:
             self._jumped_s = None
             return False
@@ -437,8 +437,8 @@ class ForceLaw:
     def _check(self, period: Period) -> None:
         """Raise LimitExceeded when the drive lacks more than is plausible for some time."""
         missing_n, force_n = self.observer.missing_n, self.observer.force_n
-        doubt_n = max(path.doubt_n(period.setpoint_n) for path in period.paths)
-        limit_n = _MOST_MISSING_N + period.friction_n + _MISSING_SDS * doubt_n
+        force_sd_n = max(path.force_sd_n(period.setpoint_n) for path in period.paths)
+        limit_n = _MOST_MISSING_N + period.friction_n + _MISSING_SDS * force_sd_n
         plausible = abs(missing_n) <= limit_n
         self._contradicted_s = 0.0 if plausible else self._contradicted_s + period.moment.dt_s
         if self._contradicted_s > _CONTRADICTED_S:

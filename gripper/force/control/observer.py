@@ -71,7 +71,7 @@ class GripObserver:
         self._sample_s = now_s
 
     @property
-    def doubt_n(self) -> float:
+    def force_sd_n(self) -> float:
         """Standard deviation of the force in N."""
         return sqrt(max(float(self._p[0, 0]), 0.0))
 

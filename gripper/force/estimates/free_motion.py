@@ -44,10 +44,7 @@ _WORN = 5.0
 """Ratio of the friction to the catalogue's above which a servo is not sound. A servo without a
 load may have a tenth of the catalogue's, as an XL330's gearing (arXiv 2410.08650). [assumed]"""
 
-_FRICTION = (
-    *("coulomb_a", "stribeck_a", "viscous_a_s", "stribeck_rad_s", "stribeck_exponent"),
-    *("offset_a", "breakaway_a", "friction_sd"),
-)
+_FRICTION = (*("coulomb_a", "viscous_a_s", "offset_a", "breakaway_a", "friction_sd"),)
 """Fields of a drive characteristic that free motions measure."""
 
 
@@ -164,23 +161,23 @@ class FreeMotion:
         points.append(point)
         self._priors[servo_id] = prior = prior.with_friction(follows)
         before = replace(drive, **{name: getattr(prior, name) for name in _FRICTION})
-        found = fit_friction(points, before)
-        found = replace(
-            found,
-            breakaway_a=(found.coulomb_a + found.stribeck_a) * drive.breakaway_share,
+        fitted = fit_friction(points, before)
+        fitted = replace(
+            fitted,
+            breakaway_a=fitted.coulomb_a * drive.breakaway_share,
             temperature_c=servo.temperature_c,
         )
         if (back_emf_v_s := fit_back_emf(points, model)) is not None:
-            found = anchored(found, model, back_emf_v_s)
-        self._settings.drives.put(servo_id, found)
+            fitted = anchored(fitted, model, back_emf_v_s)
+        self._settings.drives.put(servo_id, fitted)
         usual_a = DriveCharacteristic.catalogue(model).breakaway_a
-        if found.breakaway_a > _WORN * usual_a:
+        if fitted.breakaway_a > _WORN * usual_a:
             raise ServoFault(
                 servo_id,
                 0,
-                f"its free motion takes {found.breakaway_a:.3f} A, {usual_a:.3f} A are usual for a "
-                f"{model.name}: {_cause(_WORN, 0.0)}. Free the finger, or "
-                f"change the servo; then clear the fault, release and start",
+                f"its free motion takes {fitted.breakaway_a:.3f} A, {usual_a:.3f} A are usual for "
+                f"a {model.name}: {_cause(_WORN, 0.0)}. Free the finger, or change "
+                f"the servo; then clear the fault, release and start",
             )
 
     def _note(self, servo: ServoState, drive: DriveCharacteristic, ratio: float) -> None:

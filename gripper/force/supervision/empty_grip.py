@@ -119,12 +119,12 @@ class EmptyGrip:
             return Action()
         if sample.frame_s is not None and len(self._frames) < _CONFIRMING_FRAMES:
             return Action()
-        shown_n = self._samples.finger_means_n if self._samples else sample.force_n
+        means_n = self._samples.finger_means_n if self._samples else sample.force_n
         frames_n = self._frames.finger_means_n
-        if min(shown_n) > self._loaded_n >= min(frames_n) and len(self._samples) < LEAST_SAMPLES:
+        if min(means_n) > self._loaded_n >= min(frames_n) and len(self._samples) < LEAST_SAMPLES:
             # The noise of one sample sometimes loads both pads.
             return Action()
-        if min(shown_n) > self._loaded_n or min(frames_n) > self._loaded_n:
+        if min(means_n) > self._loaded_n or min(frames_n) > self._loaded_n:
             frames = "the frames {:.2f} and {:.2f} N, ".format(*frames_n)
             if sample.frame_s is None:
                 frames = ""
@@ -133,7 +133,7 @@ class EmptyGrip:
             raise GripContradicted(
                 f"the grasp has ended without a part at an opening of "
                 f"{1e3 * opening_m:.1f} mm, but the force samples show "
-                f"{shown_n[0]:.2f} and {shown_n[1]:.2f} N, {frames}from {self._loaded_n:.2f} N on "
+                f"{means_n[0]:.2f} and {means_n[1]:.2f} N, {frames}from {self._loaded_n:.2f} N on "
                 f"both pads something may be held. {advice}"
             )
         return Action(done=True)

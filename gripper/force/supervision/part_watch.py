@@ -187,7 +187,7 @@ class _Motion(NamedTuple):
     drive_n: float
 
 
-class _Doubt:
+class _Suspicion:
     """Samples that show empty pads: the fingers, the force and the frames since their beginning.
 
     Parameters
@@ -207,8 +207,8 @@ class _Doubt:
         """Time in s for which the pads have been empty."""
         self.acts_s: float | None = None
         """Monotonic time in s from which the samples are not used for control; None before."""
-        self.shown = ""
-        """What the samples showed then, as text."""
+        self.fell_to = ""
+        """What the samples read then, as text."""
 
 
 class PartWatch:
@@ -232,7 +232,7 @@ class PartWatch:
         self._grip = grip
         self._contact_n_m = contact_n_m
         self._motions: deque[_Motion] = deque()
-        self._doubt: _Doubt | None = None
+        self._suspicion: _Suspicion | None = None
         self._was_held = False
         self._run_from: tuple[float, float, float] | None = None
         self._ahead_from: tuple[float, float] | None = None
@@ -242,15 +242,15 @@ class PartWatch:
         self._contradicted_s = self._uneven_s = 0.0
 
     @property
-    def doubts(self) -> bool:
+    def suspicious(self) -> bool:
         """Whether the samples must not be used for control: they show a part as gone."""
-        return self._doubt is not None and self._doubt.acts_s is not None
+        return self._suspicion is not None and self._suspicion.acts_s is not None
 
     def resume(self) -> None:
         """Begin again after a pause: earlier values are discarded."""
         self.pads.clear()
         self._motions.clear()
-        self._doubt = None
+        self._suspicion = None
         self._uneven_s = 0.0
 
     def lost(self, moment: Moment) -> bool:
@@ -283,53 +283,53 @@ class PartWatch:
         closed = state.aperture_m < grip.settings.aperture_min_m and not pads.loaded
         runs_away = self._runs_away(moment, stiffness_n_m)
         self.ran = closed or runs_away
-        return self.ran or (self.doubts and self._confirmed(moment, stiffness_n_m))
+        return self.ran or (self.suspicious and self._confirmed(moment, stiffness_n_m))
 
     def _compare(self, moment: Moment, sample: ForceSample) -> None:
         """Begin or end a doubt by a valid sample; GripContradicted when it shows the part again."""
-        pads, doubt = self.pads, self._doubt
+        pads, suspicion = self.pads, self._suspicion
         empty, sudden = pads.empty, pads.suddenly_empty(self._grip.planned_n)
-        if doubt is None:
+        if suspicion is None:
             if not (empty or sudden):
                 return
             # The first fingers' motion that this sample may have missed.
             since_s = sample.t_s - 2.0 * sample.lag_s
             motions = self._motions
             began = next((m for m in reversed(motions) if m.t_s <= since_s), motions[0])
-            self._doubt = doubt = _Doubt(began, pads.before_n, sample.t_s)
-        elif self.doubts and pads.loaded_again(doubt.force_n):
-            raise self._contradicted(moment, doubt, f"now it is {pads.newest_text} again")
-        doubt.frames.push(sample)
-        doubt.empty_s = doubt.empty_s + moment.dt_s if empty else 0.0
-        if doubt.acts_s is not None:
+            self._suspicion = suspicion = _Suspicion(began, pads.before_n, sample.t_s)
+        elif self.suspicious and pads.loaded_again(suspicion.force_n):
+            raise self._contradicted(moment, suspicion, f"now it is {pads.newest_text} again")
+        suspicion.frames.push(sample)
+        suspicion.empty_s = suspicion.empty_s + moment.dt_s if empty else 0.0
+        if suspicion.acts_s is not None:
             return
         if not (empty or sudden):
-            self._doubt = None
-        elif sudden or doubt.empty_s > _EMPTY_S:
-            doubt.acts_s, doubt.shown = moment.now_s, pads.newest_text
+            self._suspicion = None
+        elif sudden or suspicion.empty_s > _EMPTY_S:
+            suspicion.acts_s, suspicion.fell_to = moment.now_s, pads.newest_text
 
     def _confirmed(self, moment: Moment, stiffness_n_m: float | None) -> bool:
         """Return whether another measurement confirms the loss; else may raise GripContradicted.
 
         Free fingers without a drive also stand: `EmptyGrip` tests this before they open.
         """
-        doubt, motion, grip = self._doubt, self._motions[-1], self._grip
-        assert doubt is not None
-        assert doubt.acts_s is not None
+        suspicion, motion, grip = self._suspicion, self._motions[-1], self._grip
+        assert suspicion is not None
+        assert suspicion.acts_s is not None
         stiffness_n_m = stiffness_n_m or SOFTEST_N_M
-        if _run(moment, motion, doubt.began, stiffness_n_m):
+        if _run(moment, motion, suspicion.began, stiffness_n_m):
             self.ran = stiffness_n_m >= _FIRM_N_M
             return True
-        if doubt.frames and min(doubt.frames.finger_means_n) > self.pads.loaded_n:
-            first_n, second_n = doubt.frames.finger_means_n
+        if suspicion.frames and min(suspicion.frames.finger_means_n) > self.pads.loaded_n:
+            first_n, second_n = suspicion.frames.finger_means_n
             shows = f"a frame scanned since then shows {first_n:.2f} and {second_n:.2f} N"
-            raise self._contradicted(moment, doubt, shows)
+            raise self._contradicted(moment, suspicion, shows)
         paths = transmissions(grip.settings, grip.linkage, moment.state.angles_rad)
         friction_n = (1.0 + BREAKAWAY_SHARE) * mean_friction_n(paths)
         pressing_n = driving_n(moment.state, paths) - friction_n
         if pressing_n < _PRESSING_N:
-            return bool(doubt.frames) or moment.sample is None or moment.sample.frame_s is None
-        waited_s = motion.t_s - doubt.acts_s
+            return bool(suspicion.frames) or moment.sample is None or moment.sample.frame_s is None
+        waited_s = motion.t_s - suspicion.acts_s
         if (
             waited_s >= _STAND_S
             and abs(grip.apertures.at(motion.t_s - _STAND_S) - motion.aperture_m) <= _STAND_M
@@ -339,15 +339,15 @@ class PartWatch:
                 f"the fingers stand at an opening of {1e3 * motion.aperture_m:.1f} mm although the "
                 f"motors press with {pressing_n:.1f} N beyond friction"
             )
-            raise self._contradicted(moment, doubt, shows)
+            raise self._contradicted(moment, suspicion, shows)
         if waited_s >= _UNDECIDED_S:
-            raise self._contradicted(moment, doubt, "neither frames nor fingers confirm that")
+            raise self._contradicted(moment, suspicion, "neither frames nor fingers confirm that")
         return False
 
-    def _contradicted(self, moment: Moment, doubt: _Doubt, shows: str) -> GripContradicted:
-        since_ms = 1e3 * (moment.now_s - doubt.began.t_s)
+    def _contradicted(self, moment: Moment, suspicion: _Suspicion, shows: str) -> GripContradicted:
+        since_ms = 1e3 * (moment.now_s - suspicion.began.t_s)
         return GripContradicted(
-            f"the force samples fell from {doubt.force_n:.2f} N to {doubt.shown} "
+            f"the force samples fell from {suspicion.force_n:.2f} N to {suspicion.fell_to} "
             f"{since_ms:.0f} ms ago, below {self.pads.empty_n:.2f} N a pad is empty; {shows}. "
             f"{ADVICE}"
         )

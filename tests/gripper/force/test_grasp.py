@@ -269,11 +269,11 @@ def test_a_rise_ends_where_the_fingers_are_closed() -> None:
 class Control:
     """A control whose force is a value, and whose part is there or not."""
 
-    def __init__(self, force_n: float, *, lost: bool = False, doubts: bool = False) -> None:
+    def __init__(self, force_n: float, *, lost: bool = False, suspicious: bool = False) -> None:
         self.force_n = force_n
         self.asked: list[tuple[float, float | None]] = []
         self.grip = SimpleNamespace(force_n=force_n)
-        self.watch = SimpleNamespace(lost=lambda _moment: lost, doubts=doubts)
+        self.watch = SimpleNamespace(lost=lambda _moment: lost, suspicious=suspicious)
 
     def resume(self) -> None:
         self.asked.clear()
@@ -311,7 +311,7 @@ def test_a_further_ramp_is_watched_at_its_levels_and_a_change_has_none() -> None
 
 def test_nothing_slips_while_the_part_is_in_doubt_and_a_lost_one_is_an_error() -> None:
     slip = Slip()
-    GripStep(SETTINGS, Control(2.0, doubts=True), STAIRS, slip=slip).step(MOMENT)
+    GripStep(SETTINGS, Control(2.0, suspicious=True), STAIRS, slip=slip).step(MOMENT)
     assert slip.levels == []
     with pytest.raises(PartLost, match=r"at an opening of 23\.4 mm"):
         GripStep(SETTINGS, Control(2.0, lost=True), STAIRS).step(MOMENT)

@@ -159,7 +159,7 @@ def test_locked_fingers_whose_positions_move_have_moved() -> None:
     observer.predict(PERIOD_S, 2.0, (3.0, 3.0))
     observer.measure(make_period(PERIOD_S, 2.0, closed_m=0.6e-3).moment, None)
     assert observer.force_n == pytest.approx(2.0 + 3.0, abs=0.6)
-    assert observer.doubt_n > 1.0
+    assert observer.force_sd_n > 1.0
 
 
 @pytest.mark.parametrize("force_n", [1.0, 6.0])

@@ -71,7 +71,7 @@ class Watched:
 def watched() -> Watched:
     made = Watched()
     assert not made.period(30)
-    assert made.watch._doubt is None
+    assert made.watch._suspicion is None
     return made
 
 
@@ -79,11 +79,11 @@ def test_pads_that_are_empty_for_a_moment_are_no_doubt(watched: Watched) -> None
     watched.grip.planned_n = 0.7  # so little that nothing is sudden
     watched.force_n = watched.frame_n = 0.0
     watched.period(15)
-    assert watched.watch._doubt is not None
-    assert not watched.watch.doubts
+    assert watched.watch._suspicion is not None
+    assert not watched.watch.suspicious
     watched.force_n = watched.frame_n = 3.0
     assert not watched.period(15)
-    assert watched.watch._doubt is None
+    assert watched.watch._suspicion is None
 
 
 def test_much_force_that_is_gone_at_once_is_doubted_and_a_frame_confirms_it(watched) -> None:
@@ -93,7 +93,7 @@ def test_much_force_that_is_gone_at_once_is_doubted_and_a_frame_confirms_it(watc
     while not watched.period():
         periods += 1
         assert periods < 10
-    assert watched.watch.doubts
+    assert watched.watch.suspicious
     assert not watched.watch.ran
 
 
@@ -126,7 +126,7 @@ def test_another_witness_that_shows_the_part_is_a_contradiction(
 def test_force_that_comes_back_is_a_contradiction(watched: Watched) -> None:
     watched.force_n = watched.frame_n = 0.0
     assert not watched.period(3)
-    assert watched.watch.doubts
+    assert watched.watch.suspicious
     watched.force_n = 3.0
     with pytest.raises(GripContradicted, match=r"now it is 3\.00 and 3\.00 N again"):
         watched.period(5)
@@ -135,9 +135,9 @@ def test_force_that_comes_back_is_a_contradiction(watched: Watched) -> None:
 def test_a_pause_ends_the_doubt(watched: Watched) -> None:
     watched.force_n = watched.frame_n = 0.0
     watched.period(3)
-    assert watched.watch.doubts
+    assert watched.watch.suspicious
     watched.watch.resume()
-    assert not watched.watch.doubts
+    assert not watched.watch.suspicious
 
 
 def test_one_large_sample_at_the_start_is_no_force_that_is_gone() -> None:
@@ -145,13 +145,13 @@ def test_one_large_sample_at_the_start_is_no_force_that_is_gone() -> None:
     watched.noise_n, watched.frame_n = 0.13, 0.45
     for watched.force_n in (0.97, *[0.38] * 9, *[0.1] * 4):
         assert not watched.period()
-    assert not watched.watch.doubts
+    assert not watched.watch.suspicious
 
 
 def test_nothing_is_lost_that_was_never_held() -> None:
     never = Watched(force_n=0.0)
     assert not never.period(100)
-    assert never.watch._doubt is None
+    assert never.watch._suspicion is None
 
 
 @pytest.mark.slow
