@@ -78,7 +78,7 @@ class Axis:
     acceleration: float
     """Of its profile in m/s and m/s², or rad/s and rad/s²; for the longest time of a travel."""
     unit: str
-    shown: float
+    units_per_si: float
     """Unit of messages, and its number in one m or rad."""
 
     @property
@@ -118,7 +118,7 @@ class Axis:
 
     def in_words(self, position: float) -> str:
         """Return a position with its unit."""
-        return f"{position * self.shown:.2f} {self.unit}"
+        return f"{position * self.units_per_si:.2f} {self.unit}"
 
     def longest_s(self, way: float) -> float:
         """Return the longest time in s for a travel in m or rad."""
@@ -142,13 +142,13 @@ class Axes:
 
     def inspect(self) -> dict[str, str | MotionError]:
         """Return the state or the error of each device by axis; nothing moves."""
-        found: dict[str, str | MotionError] = {}
+        states: dict[str, str | MotionError] = {}
         for axis in self._axes.values():
             try:
-                found[axis.device.name] = axis.device.identify()
+                states[axis.device.name] = axis.device.identify()
             except MotionError as error:
-                found[axis.device.name] = error
-        return found
+                states[axis.device.name] = error
+        return states
 
     def clear_faults(self, *, reboot: bool) -> None:
         """Clear the faults of all devices, also those of an earlier program; nothing moves.
@@ -196,8 +196,8 @@ class Axes:
                 raise
             self._ready, self._reported = False, True
             # Two drives with one node-ID cause many errors: a boot-up, a fault, a wrong state.
-            found = self.inspect().values()
-            cause = next((one for one in found if isinstance(one, AxisDuplicated)), error)
+            states = self.inspect().values()
+            cause = next((state for state in states if isinstance(state, AxisDuplicated)), error)
             raise type(cause)(f"{cause}; {raised}") from cause
         finally:
             self._watch.supervise = unwatched

@@ -72,12 +72,7 @@ class DriveBus:
         self.clock = watch.clock
         self.network = canopen.Network(bus)
         self._source = PolledSource(bus, watch.clock)
-        self._handlers: dict[int, Callable[[bytes], None]] = {}
         self._beat_due_s = math.inf
-
-    def subscribe(self, cob_id: int, handler: Callable[[bytes], None]) -> None:
-        """Pass messages with an identifier to a handler."""
-        self._handlers[cob_id] = handler
 
     def send(self, cob_id: int, data: bytes) -> None:
         """Send a message. Raises AxisSilent when the interface fails."""
@@ -104,8 +99,7 @@ class DriveBus:
             unusable = message.is_error_frame or len(message.data) != message.dlc
             if unusable or of_another_kind(message):
                 continue
-            if handler := self._handlers.get(message.arbitration_id):
-                handler(bytes(message.data))
+            self.network.notify(message.arbitration_id, message.data, message.timestamp)
 
     def drop_old(self) -> None:
         """Drop messages from the time without polls."""

@@ -72,6 +72,8 @@ _NEXT = {
     State.QUICK_STOP_ACTIVE: Control.DISABLE_VOLTAGE,
 }
 """Controlword that leads from each state towards OPERATION ENABLED."""
+_AT_FAULT = (State.FAULT, State.FAULT_REACTION_ACTIVE)
+"""States of a drive at fault."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,12 +131,9 @@ class Cia402Drive:
         self._emergency = 0
         self._supervised = self._stopped = False
         self.target: int | None = None
-        bus.subscribe(
-            COB_SDO_RESPONSE + node_id,
-            lambda data: self._client.on_response(COB_SDO_RESPONSE + node_id, data, 0.0),
-        )
-        bus.subscribe(od.COB_HEARTBEAT + node_id, self._on_heartbeat)
-        bus.subscribe(od.COB_EMCY + node_id, self._on_emergency)
+        bus.network.subscribe(COB_SDO_RESPONSE + node_id, self._client.on_response)
+        bus.network.subscribe(od.COB_HEARTBEAT + node_id, self._on_heartbeat)
+        bus.network.subscribe(od.COB_EMCY + node_id, self._on_emergency)
 
     # -- the interface of an axis ----------------------------------------------------------------
 
@@ -358,36 +357,32 @@ class Cia402Drive:
             (od.CONSUMER_HEARTBEAT, 1, 0),
         ):
             self._write(index, subindex, value)
-            found = self._read(index, subindex)
-            if found != value:
+            if (answer := self._read(index, subindex)) != value:
                 raise AxisMissing(
-                    f"{self.name} keeps {found} in {index:04X}h:{subindex} instead of {value}: "
+                    f"{self.name} keeps {answer} in {index:04X}h:{subindex} instead of {value}: "
                     "correct the config or the drive's own limits"
                 )
 
     def _enable(self) -> None:
-        end_s = self._bus.clock.monotonic() + _STATE_S
-        while (state := self._state()) is not State.OPERATION_ENABLED:
-            self.check()
-            if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        def enabled() -> bool:
+            state = self._state()
+            if state in _AT_FAULT:
                 raise AxisFault(self._fault_text(self._read(od.ERROR_CODE)))
-            if self._bus.clock.monotonic() > end_s:
-                raise AxisMissing(
-                    f"{self.name} stays in {state.words}: check its power stage, enable input "
-                    "and safe torque off"
-                )
             if state in _NEXT:
                 self._write(od.CONTROLWORD, 0, _NEXT[state])
-            self._bus.watch.pause(_POLL_S)
+            return state is State.OPERATION_ENABLED
+
+        failure = "is not enabled: check its power stage, enable input and safe torque off"
+        self._until(enabled, _STATE_S, failure, AxisMissing)
 
     def _reset_fault(self) -> None:
-        if self._state() not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        if self._state() not in _AT_FAULT:
             return
         code = self._read(od.ERROR_CODE)
         self._write(od.CONTROLWORD, 0, Control.DISABLE_VOLTAGE)
         self._write(od.CONTROLWORD, 0, Control.FAULT_RESET)
         self._until(
-            lambda: self._state() not in (State.FAULT, State.FAULT_REACTION_ACTIVE),
+            lambda: self._state() not in _AT_FAULT,
             _STATE_S,
             f"stays at fault, {od.error_code_text(code)}: remedy its cause",
             AxisFault,
@@ -435,7 +430,7 @@ class Cia402Drive:
             )
 
     def _check_state(self, state: State) -> None:
-        if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        if state in _AT_FAULT:
             raise AxisFault(self._fault_text(self._read(od.ERROR_CODE)))
         if state is not State.OPERATION_ENABLED:
             raise AxisFault(
@@ -521,13 +516,13 @@ class Cia402Drive:
             f"{self.name} does not answer ({asked}): check its supply and CAN cable"
         ) from failure
 
-    def _on_heartbeat(self, data: bytes) -> None:
+    def _on_heartbeat(self, _cob_id: int, data: bytearray, _time_s: float) -> None:
         self._heard_s = self._bus.clock.monotonic()
         # Some drives send a boot-up without data.
         self._nmt_state = data[0] & _STATE_BITS if data else _BOOT_UP
         self._booted = self._booted or self._nmt_state == _BOOT_UP
 
-    def _on_emergency(self, data: bytes) -> None:
+    def _on_emergency(self, _cob_id: int, data: bytearray, _time_s: float) -> None:
         # A short message with its code is an emergency, too: its sender has an error.
         if len(data) >= _EMCY_CODE_BYTES:
             code = int.from_bytes(data[:_EMCY_CODE_BYTES], "little")

@@ -149,24 +149,14 @@ _ERROR_TEXTS: Mapping[int, str] = MappingProxyType(
     }
 )
 """Error codes with their own text (CiA 402-2, 603Fh)."""
-_ERROR_CLASSES: Mapping[int, str] = MappingProxyType(
-    {
-        0x2: "current",
-        0x3: "voltage",
-        0x4: "temperature",
-        0x5: "hardware of the drive",
-        0x6: "software of the drive",
-        0x7: "an additional module, as encoder or brake",
-        0x8: "monitoring",
-        0xF: "specific to the maker",
-    }
-)
-"""Meaning of the first digit of all others (CiA 301, 7.2.7.1)."""
 
 
 def error_code_text(code: int) -> str:
-    """Return an error code (603Fh, EMCY) in words."""
-    text = _ERROR_TEXTS.get(code) or _ERROR_CLASSES.get(code >> 12, "not specified")
+    """Return an error code (603Fh, EMCY) in words, or the group of CiA 301 that it belongs to."""
+    from canopen.emcy import EmcyError  # noqa: PLC0415  see `of_node`
+
+    group: str = EmcyError(code, 0, b"", 0.0).get_desc()
+    text = _ERROR_TEXTS.get(code) or group.lower() or "not specified"
     return f"error {code:04X}h: {text}"
 
 

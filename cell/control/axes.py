@@ -88,7 +88,7 @@ def _axis(config: DriveAxisConfig | ServoAxisConfig, device: AxisDevice) -> Axis
         velocity=config.velocity * si,
         acceleration=config.acceleration * si,
         unit="mm" if config.moves in ("x", "y") else "deg",
-        shown=1.0 / si,
+        units_per_si=1.0 / si,
     )
 
 

@@ -253,7 +253,9 @@ class Drive:
     def heard(self, cob_id: int, seconds: float) -> list[tuple[float, bytes]]:
         """Return time and data of the messages of an identifier that come within so many s."""
         found: list[tuple[float, bytes]] = []
-        self.bus.subscribe(cob_id, lambda data: found.append((self.clock.monotonic(), data)))
+        self.bus.network.subscribe(
+            cob_id, lambda _id, data, _time_s: found.append((self.clock.monotonic(), bytes(data)))
+        )
         end_s = self.clock.monotonic() + seconds
         while (left_s := end_s - self.clock.monotonic()) > 0:
             self.bus.wait(left_s)

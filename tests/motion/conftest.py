@@ -102,7 +102,7 @@ def make_drive() -> Iterator[MakeDrive]:
             velocity=settings.velocity / PER_M,
             acceleration=settings.acceleration / PER_M,
             unit="mm",
-            shown=1e3,
+            units_per_si=1e3,
         )
         return DriveBench(clock, simulated, devices, bus, drive, Axes([axis], watch))
 
@@ -157,7 +157,7 @@ def make_wrist() -> Callable[..., WristBench]:
             velocity=1.4,
             acceleration=7.0,
             unit="deg",
-            shown=math.degrees(1.0),
+            units_per_si=math.degrees(1.0),
         )
         return WristBench(clock, simulated, servo, Axes([axis], watch))
 

@@ -68,7 +68,7 @@ def axes_of(*devices: Device) -> Axes:
     common["plausible"] = (-1.1, 1.1)
     return Axes(
         [
-            Axis(name=one.name, device=one, increments=100.0, unit="mm", shown=1e3, **common)
+            Axis(name=one.name, device=one, increments=100.0, unit="mm", units_per_si=1e3, **common)
             for one in devices
         ],
         Watch(VirtualClock(), 0.005),

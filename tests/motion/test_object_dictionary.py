@@ -51,8 +51,8 @@ def test_states_and_controlwords_are_those_of_canopen() -> None:
     [
         (0x8611, "error 8611h: following error: the axis does not follow its set-point"),
         (0x2342, "error 2342h: current"),
-        (0xFF07, "error FF07h: specific to the maker"),
-        (0x1000, "error 1000h: not specified"),
+        (0xFF07, "error FF07h: device specific"),
+        (0x7305, "error 7305h: the encoder failed"),
     ],
 )
 def test_error_codes_have_words(code: int, text: str) -> None:
