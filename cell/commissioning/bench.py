@@ -99,11 +99,6 @@ class Bench:
         return self.lines.clock
 
     @property
-    def gripper_alone(self) -> bool:
-        """Whether the gripper has no control unit: its force comes from the current alone."""
-        return bool(self.found.get("unit", {}).get("gripper_alone", False))
-
-    @property
     def config(self) -> CellConfig:
         """The whole config so far. Raises ConfigError while it is incomplete."""
         changes: dict[str, Any] = {"simulator.faults": []}

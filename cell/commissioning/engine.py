@@ -137,8 +137,6 @@ class Step:
     title: str
     needs: tuple[str, ...] = ()
     """Keys of the steps before it whose findings it uses; redoing one of them redoes this step."""
-    needs_pads: bool = False
-    """Whether a gripper without a control unit skips it."""
 
     @property
     def purpose(self) -> str:
@@ -152,9 +150,6 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Notes | None = No
     Raises WizardAborted when the person leaves or refuses; ``notes`` has the findings until then.
     """
     notes = notes or Notes()
-    if step.needs_pads and bench.gripper_alone:
-        notes.warn("This gripper has no pads: connect its control unit, then `--redo unit`.")
-        return notes
     earlier = bench.settings
     bench.settings = ChainMap(notes.settings, dict(earlier))
     try:

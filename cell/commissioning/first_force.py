@@ -18,7 +18,6 @@ from cell.config.sequence import ramp_from_config
 from cell.control.self_zero import drive_text, kept_zeros, part_between
 from cell.hand.interface import Hand
 from gripper.errors import GripperError
-from gripper.force.by_current import cap_by_current_n
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.identification import weighed
 from gripper.servos.watchdog_proof import proof_travel_m
@@ -74,8 +73,6 @@ def press_first(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     proves = _proves_watchdog(bench.config)
     config = changed_config(bench.config, {"gripper.watchdog_self_test": proves})
     cap_n = config.gripper.force_max_n
-    if bench.gripper_alone:
-        cap_n = cap_by_current_n(config.gripper_settings, config.linkage)
     limit_n = floor(10.0 * largest_setpoint_n(cap_n)) / 10.0
     most_n = dialog.number(
         "first_force.most",
@@ -84,7 +81,7 @@ def press_first(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         (FIRST_FORCE_N, limit_n, "N"),
         min(limit_n, max(config.sequence.forces_n)),
     )
-    dialog.approve(_motions(config, most_n, alone=bench.gripper_alone))
+    dialog.approve(_motions(config, most_n))
     dialog.confirm(
         "first_force.empty", "Take everything out of the fingers, and your hands away from them."
     )
@@ -110,7 +107,7 @@ def meets(config: CellConfig) -> bool:
     return config.gripper.pads_meet and config.largest_ramp_n >= MEET_FORCE_N
 
 
-def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[ProposedChange]:
+def _motions(config: CellConfig, most_n: float) -> list[ProposedChange]:
     gripper, settings = config.gripper, config.gripper_settings
     limp = "the torque goes off at the end of the step; if you leave, the fingers stop"
     held = "they open when you confirm it; a held part stays held if you leave"
@@ -124,7 +121,7 @@ def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Proposed
         motions.append(("close until their bus watchdog stops them", opened, after, limp))
     after = f"{FIRST_FORCE_N:g} N, then {most_n:g} N; never above {gripper.force_max_n:g} N"
     motions.append(("grasp the soft part", "0 N", after, held))
-    if meets(config) and not alone:
+    if meets(config):
         after = f"pad on pad with {MEET_FORCE_N:g} N, then open again"
         motions.append(("close, empty, until the pads meet", opened, after, limp))
     return [ProposedChange("both fingers", *motion) for motion in motions]
@@ -144,9 +141,7 @@ class _Trial:
         return self.motion.hand
 
     def run(self, most_n: float, cap_n: float) -> None:
-        alone = self.bench.gripper_alone
-        if not alone:
-            self.hand.start_sensor()
+        self.hand.start_sensor()
         self._open()
         self.notes.fact("The empty fingers opened as direction, zero and linkage predict.")
         if _proves_watchdog(self.config):
@@ -156,14 +151,13 @@ class _Trial:
                 "Their bus watchdog is not proven, and some servos of the 330 size ignore it: stay "
                 "at the cell while it works."
             )
-        if not alone:
-            self._check_empty()
+        self._check_empty()
         self.motion.ask(
             "first_force.part",
             "Hold the soft part between the pads, and keep it there until the fingers hold it.",
         )
         self._grasp(most_n, cap_n)
-        if not alone and meets(self.config):
+        if meets(self.config):
             self._meet()
 
     def _open(self) -> None:

@@ -150,7 +150,7 @@ def measure_law(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     judge_law(bench.tactile(), loads, notes, adc_max)
 
 
-LAW = Step(measure_law, "pads_law", "Newtons of the pads", needs=("pads_pressed",), needs_pads=True)
+LAW = Step(measure_law, "pads_law", "Newtons of the pads", needs=("pads_pressed",))
 
 
 Load = tuple[float, ...]

@@ -1,7 +1,7 @@
 """Quality of both lines for a minute, at the rate of the force loop: latency, losses, overruns."""
 
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 
 import numpy as np
 
@@ -43,24 +43,18 @@ def check_lines(
     dialog.say(f"Both lines are watched for {duration_s:.0f} s. Move each cable a little.")
     answer_s, messages_s, overruns = list[float](), list[float](), 0
     periods = round(duration_s / period_s)
-    with ExitStack() as undo:
-        sensor = None
-        if not bench.gripper_alone:
-            sensor = undo.enter_context(unit_sensor(bench, patient=False))
-        bus = undo.enter_context(bench.servo_bus())
+    with unit_sensor(bench, patient=False) as sensor, bench.servo_bus() as bus:
         check_link(bus, ids, period_s)
-        if sensor is not None:
-            sensor.read(timeout_s=1.0)
-            sensor.take_forces()
+        sensor.read(timeout_s=1.0)
+        sensor.take_forces()
         due_s = clock.monotonic()
         for number in range(periods):
             asked_s = clock.monotonic()
             with suppress(BusTimeout, BusCorrupt):
                 bus.sync_read(ids, PRESENT_BLOCK)
                 answer_s.append(clock.monotonic() - asked_s)
-            if sensor is not None:
-                sensor.poll()
-                messages_s += [message.t_s for message in sensor.take_forces()]
+            sensor.poll()
+            messages_s += [message.t_s for message in sensor.take_forces()]
             if number % round(gripper.loop_rate_hz) == 0:
                 dialog.live("lines", f"{number * period_s:.0f} of {duration_s:.0f} s")
             due_s += period_s
@@ -68,9 +62,8 @@ def check_lines(
             due_s = max(due_s, now_s)
             clock.sleep(due_s - now_s)
     _judge_servos(answer_s, periods - len(answer_s), bus.statistics, period_s, notes)
-    if sensor is not None:
-        force_period_s = 1e-3 * tactile.force_period_ms * tactile.sends_forces
-        _judge_pads(np.diff(messages_s).tolist(), sensor.source.statistics, force_period_s, notes)
+    force_period_s = 1e-3 * tactile.force_period_ms * tactile.sends_forces
+    _judge_pads(np.diff(messages_s).tolist(), sensor.source.statistics, force_period_s, notes)
     notes.fact(
         f"Loop: {overruns} of {periods} periods of {1e3 * period_s:g} ms took too long, without "
         "the real-time priority of the cell's loop."

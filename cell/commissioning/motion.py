@@ -77,7 +77,7 @@ class WatchedHand:
 
 @contextmanager
 def watched_hand(bench: Bench, config: CellConfig, dialog: Dialog) -> Iterator[WatchedHand]:
-    """Open and start the hand of a config on the bench's lines, for a gripper alone without pads.
+    """Open and start the hand of a config on the bench's lines.
 
     A person who leaves stops the fingers. At the end the torque goes off if nothing is held; a held
     part stays held, with a message to the person who leaves. Raises PortLost, LinkFault or HandLost
@@ -108,19 +108,19 @@ def watched_hand(bench: Bench, config: CellConfig, dialog: Dialog) -> Iterator[W
 
 
 def _opened(bench: Bench, config: CellConfig) -> Hand:
-    gripper, tactile, alone = config.gripper, config.tactile, bench.gripper_alone
-    if bench.clock is time and config.loop.own_process and not alone:
+    gripper, tactile = config.gripper, config.tactile
+    if bench.clock is time and config.loop.own_process:
         return HandProcess(config)
     lines = HandConnections(
         lambda: bench.lines.open_servos(gripper.port, gripper.baud_rate),
         lambda: (
             MissingBus()
-            if alone or not tactile.sensor.on_can
+            if not tactile.sensor.on_can
             else bench.lines.open_can(tactile.interface, tactile.channel, tactile.bitrate)
         ),
         open_boards=bench.board_openers(tactile),
     )
-    return make_hand(config, lines, by_current=alone, clock=bench.clock)
+    return make_hand(config, lines, clock=bench.clock)
 
 
 def _start_free(hand: Hand, dialog: Dialog) -> VerificationReport:

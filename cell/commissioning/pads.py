@@ -215,7 +215,7 @@ def measure_rest(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     }
 
 
-PADS_AT_REST = Step(measure_rest, "pads_at_rest", "Pads at rest", needs=("unit",), needs_pads=True)
+PADS_AT_REST = Step(measure_rest, "pads_at_rest", "Pads at rest", needs=("unit",))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -334,13 +334,7 @@ def find_mounting(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     notes.settings["tactile.mounting"] = [asdict(mount) for mount in mounts]
 
 
-PADS_PRESSED = Step(
-    find_mounting,
-    "pads_pressed",
-    "Which pad is where",
-    needs=("pads_at_rest",),
-    needs_pads=True,
-)
+PADS_PRESSED = Step(find_mounting, "pads_pressed", "Which pad is where", needs=("pads_at_rest",))
 
 
 def _pressed(

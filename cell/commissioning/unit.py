@@ -49,8 +49,6 @@ _LISTEN_S = 0.5
 """Time in s of listening at each bit rate: five heartbeats of a configured unit."""
 _CAN_INTERFACE = "280"
 """Type of a CAN network interface in sysfs (ARPHRD_CAN of linux/if_arp.h)."""
-_NO_CHANNEL = "none"
-"""Channel in the config of a gripper that has no control unit."""
 _PATIENCE_S = 0.5
 """Longest silence in s of a unit while a person presses its pads."""
 _RATE_FRAMES = 100
@@ -112,16 +110,7 @@ def find_unit(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     if not bench.tactile().sensor.canopen:
         _find_boards(bench, dialog, notes)
         return
-    place = _interface(bench, dialog)
-    if place is None:
-        notes.values["gripper_alone"] = True
-        notes.settings |= {"tactile.interface": "socketcan", "tactile.channel": _NO_CHANNEL}
-        notes.warn(
-            "A gripper without pads: its force comes from the motors' current, which is less "
-            "exact. The config names no bus (tactile.channel: none); a cell needs the control unit."
-        )
-        return
-    interface, channel = place
+    interface, channel = _interface(bench, dialog)
     bitrate, heard, how = _bit_rate(bench, dialog, interface, channel)
     notes.fact(f"Bit rate {bitrate:,} bit/s on {channel} ({interface}), found by {how}.")
     notes.settings |= {
@@ -163,10 +152,8 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     tactile = bench.tactile()
     notes.settings["tactile.mounting"] = []
     if tactile.sensor.on_can:
-        place = _interface(bench, dialog)
-        if place is None:
-            raise StepFailed("The boards need a CAN interface: plug its adapter in.")
-        notes.settings["tactile.interface"], notes.settings["tactile.channel"] = place
+        interface, channel = _interface(bench, dialog)
+        notes.settings |= {"tactile.interface": interface, "tactile.channel": channel}
     elif tactile.simulated:
         ports = bench.ports_beside(bench.gripper().port)
         if len(ports) != len(tactile.serial_ports):
@@ -196,28 +183,17 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     notes.values["rate_hz"] = rate_hz
 
 
-def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
-    """Return interface and channel: as given, the only one, or as the person answers.
-
-    None for a gripper without a control unit.
-    """
+def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
+    """Return interface and channel: as given, the only one, or as the person answers."""
     config = bench.tactile()
     interface = str(bench.given.get("tactile.interface", config.interface))
     channel = str(bench.given.get("tactile.channel", config.channel))
-    if interface != SIMULATED and channel != _NO_CHANNEL:
+    if interface != SIMULATED:
         return interface, channel
     servos = str(bench.given.get("gripper.port", bench.gripper().port))
     places = [("socketcan", name) for name in _network_interfaces()]
     places += [("slcan", lasting_name(port)) for port in bench.ports_beside(servos)]
     if not places:
-        answer = dialog.choose(
-            "unit.none",
-            "No CAN interface was found. Does this gripper have a control unit?",
-            {"yes": "yes: plug in its adapter", "alone": "no: a gripper without pads, for now"},
-            "yes",
-        )
-        if answer == "alone":
-            return None
         raise StepFailed(
             "No CAN interface was found: no network interface of CAN (`ip link`), and no serial "
             "port beside that of the servos. Plug the adapter in; for SocketCAN "

@@ -71,7 +71,6 @@ def make_hand(
     lines: HandConnections,
     *,
     notes: tuple[str, ...] = (),
-    by_current: bool = False,
     source: FrameSource | None = None,
     clock: Clock = time,
 ) -> LocalHand:
@@ -79,8 +78,6 @@ def make_hand(
 
     Parameters
     ----------
-    by_current
-        Whether the force is computed from the motors' current; do not use the sensor then.
     source, clock
         Frame source instead of the configured control unit, and its clock.
     """
@@ -103,7 +100,7 @@ def make_hand(
         config.gripper_settings,
         config.linkage,
         baud_rate=config.gripper.baud_rate,
-        force_sensor=None if by_current else force,
+        force_sensor=force,
     )
     return LocalHand(
         gripper=gripper, sensor=sensor, force=force, lines=lines, notes=(*notes, *config.notes)

@@ -147,16 +147,6 @@ def test_fingers_that_find_no_part_fail_the_step(one) -> None:
     assert one.torques == [0, 0]
 
 
-@pytest.mark.slow
-def test_a_gripper_without_pads_presses_by_current(one) -> None:
-    one.cell.inject("unit.off")
-    one.bench.found = {"unit": {"gripper_alone": True}}
-    finding = one.run(STEP, first_force__most=3.0)
-    assert finding.status is not Verdict.FAIL, finding.lines
-    assert min(finding.values["asked_held_peak_n"][1]) == pytest.approx(3.0, abs=1.0)
-    assert one.torques == [0, 0]
-
-
 # -- What has changed since the commissioning, with the step it affects ----------------------------
 
 

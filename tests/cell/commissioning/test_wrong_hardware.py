@@ -13,7 +13,6 @@ from cell.commissioning.link_quality import LINK_QUALITY, check_lines
 from cell.commissioning.pads import PADS_AT_REST
 from cell.commissioning.servos import SERVOS
 from cell.commissioning.unit import UNIT
-from cell.commissioning.walk import all_steps
 from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
 from simulator.devices import SimulatedDrive
@@ -88,16 +87,6 @@ def check(one: Stand, step: Step, status: Verdict, named: str) -> None:
     assert status is WARN or not finding.settings
 
 
-@pytest.mark.parametrize("step", [step for step in all_steps() if step.needs_pads])
-def test_steps_of_the_pads_pass_by_where_there_are_none(stand, step) -> None:
-    one = stand("unit.off")
-    one.bench.found = {"unit": {"gripper_alone": True}}
-    finding = one.run(step)
-    assert finding.status is WARN
-    assert "has no pads" in finding.lines[0]
-    assert not one.person.script.asked
-
-
 @pytest.mark.slow
 def test_sound_lines_pass(stand: MakeStand) -> None:
     finding = stand().passes(LINES)
@@ -106,13 +95,6 @@ def test_sound_lines_pass(stand: MakeStand) -> None:
     assert servos.endswith("0 without an answer, 0 asked twice, 0 damaged.")
     assert re.match(r"Pads: 12\d frames, 0 lost or damaged; (4[5-9]|50)\d force messages", pads)
     assert finding.values["answer_ms"][-1] < 5.0
-
-
-def test_a_gripper_without_pads_has_one_line(stand: MakeStand) -> None:
-    one = stand("unit.off")
-    one.bench.found = {"unit": {"gripper_alone": True}}
-    finding = one.passes(LINES)
-    assert len(finding.lines) == 2
 
 
 # -- The control unit: what is found on a bus ------------------------------------------------------
@@ -191,6 +173,3 @@ def test_the_interface_is_asked_for_only_where_there_are_several(one) -> None:
     finding = one.run(UNIT)
     assert finding.status is Verdict.FAIL
     assert "No CAN interface was found" in finding.lines[0]
-    finding = one.run(UNIT, unit__none="alone")
-    assert finding.status is Verdict.WARN
-    assert finding.values == {"gripper_alone": True}
