@@ -30,63 +30,40 @@ INPUTS = int(os.environ.get("TACTILE_CELL_INPUTS", "0"))
 MEMORY_KB = 64 << 10
 """What one input may take beyond what the process has: four times the largest chunk unpacked."""
 
-Damage = tuple[str, int, int, bytes]
-"""Kind, place, size and new bytes of one damage; see `spoilt`."""
-_KINDS = ("flip", "set", "put", "cut", "end", "double", "move")
+Damage = tuple[int, int, bytes | int]
+"""Place and size of a piece, and what is there instead: other bytes, or a copy from a place."""
 _PIECES = (b"\0\0\0\0", b"\x7f", b"\xff\xff\xfd\0", b"\n", b'"', b"-", b":", b"[")
 """Bytes that mean something to one of the parsers."""
-
-
-_DAMAGE = st.tuples(
-    st.sampled_from(_KINDS),
-    st.integers(0, 1 << 16),
-    st.integers(1, 8) | st.integers(1, 200),
-    st.binary(min_size=1, max_size=8) | st.sampled_from(_PIECES),
-)
+_PLACES = st.integers(0, 1 << 16)
 
 
 def damages(*, at_least: int = 0, at_most: int = 4) -> st.SearchStrategy[list[Damage]]:
     """Return a strategy for lists of damages."""
-    return st.lists(_DAMAGE, min_size=at_least, max_size=at_most)
+    sizes = st.integers(0, 8) | st.integers(0, 200)
+    new = st.binary(max_size=8) | st.sampled_from(_PIECES) | _PLACES
+    return st.lists(st.tuples(_PLACES, sizes, new), min_size=at_least, max_size=at_most)
 
 
 def spoilt(data: bytes, damages: Iterable[Damage]) -> bytes:
-    """Return the bytes with bits flipped, pieces overwritten, put in, lost, doubled or moved."""
-    out = bytearray(data)
-    for kind, place, size, new in damages:
+    """Return the bytes with pieces overwritten, put in, lost, doubled or moved."""
+    out = data
+    for place, size, new in damages:
         at = place % (len(out) + 1)
-        if kind == "flip":
-            out[at : at + 1] = bytes(byte ^ 1 << size % 8 for byte in out[at : at + 1])
-        elif kind == "set":
-            out[at : at + len(new)] = new
-        else:
-            _rearrange(out, kind, at, size, new)
-    return bytes(out)
+        piece = out[new % (len(out) + 1) :][:size] if isinstance(new, int) else new
+        out = out[:at] + piece + out[at + size :]
+    return out
 
 
 def disturbed(messages: Sequence[bytes], damages: Iterable[Damage]) -> list[bytes]:
     """Return the messages with some of them spoilt, lost, doubled or moved, and others put in."""
     out = list(messages)
-    for kind, place, size, new in damages:
+    for place, size, new in damages:
         at = place % (len(out) + 1)
-        if kind in ("flip", "set"):
-            out[at : at + 1] = [spoilt(one, [(kind, size, size, new)]) for one in out[at : at + 1]]
+        if isinstance(new, int):
+            out[at : at + size] = out[new % (len(out) + 1) :][:size]
         else:
-            _rearrange(out, kind, at, size, [new])
+            out[at : at + 1] = [spoilt(one, [(size, 1, new)]) for one in out[at : at + 1]] or [new]
     return out
-
-
-def _rearrange(out: Any, kind: str, at: int, size: int, new: Any) -> None:
-    piece = out[at : at + size]
-    if kind == "put":
-        out[at:at] = new
-    elif kind == "double":
-        out[at:at] = piece
-    else:
-        del out[at : None if kind == "end" else at + size]
-        if kind == "move":
-            to = size % (len(out) + 1)
-            out[to:to] = piece
 
 
 def pieces(data: bytes, size: int) -> list[bytes]:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from cell.errors import DatasetError, ModelError
@@ -57,9 +58,9 @@ def npy_of(array: NDArray[Any]) -> bytes:
     return stream.getvalue()
 
 
-def npy_with(header: str, body: bytes = b"") -> bytes:
+def npy_with(header: str) -> bytes:
     text = header.encode()
-    return b"\x93NUMPY\x01\0" + len(text).to_bytes(2, "little") + text + body
+    return b"\x93NUMPY\x01\0" + len(text).to_bytes(2, "little") + text
 
 
 def array_of(data: bytes) -> NDArray[Any]:
@@ -91,59 +92,50 @@ headers = st.fixed_dictionaries(
     }
 ).map(repr) | st.sampled_from(["{'descr': '<f8', 'shape': (1,) * 40}", "{" * 100, "(" * 2000])
 names = st.sampled_from(["x.npy", "../x.npy", "/etc/x.npy", "a", ".npy"])
-KINDS = ("element", "element", "element", "cut", "double", "text", "scalar")
-values = st.tuples(
-    st.sampled_from(KINDS),
+whole = hnp.arrays(
+    st.sampled_from([np.float64, np.uint16, np.int64, np.dtype("U3"), np.bool_]),
+    hnp.array_shapes(min_dims=0, max_dims=2, min_side=0, max_side=9),
+)
+elements = st.tuples(
     st.integers(0, 9999),
     st.sampled_from([np.nan, np.inf, -1.0, 0.0, 1.0, 1e300, 1e-300, 1e9, -1e9]),
 )
-ways = (
-    st.tuples(st.just("lose"), st.none())
-    | st.tuples(st.just("add"), names)
-    | st.tuples(st.just("new"), st.sampled_from([pickle.dumps(Bomb()), npy_of(np.array([Bomb()]))]))
-    | st.tuples(st.just("new"), headers.map(npy_with))
-    | st.tuples(st.just("header"), headers)
-    | st.tuples(st.just("spoil"), damages(at_least=1))
-    | st.tuples(st.just("values"), values)
-    | st.tuples(st.just("values"), values)
-)
-changes = st.lists(st.tuples(st.integers(0, 99), ways), max_size=2)
+bombs = st.sampled_from([pickle.dumps(Bomb()), npy_of(np.array([Bomb()]))])
+ways = st.none() | names | bombs | headers.map(npy_with) | damages(at_least=1) | whole | elements
+changes = st.lists(st.tuples(st.integers(0, 99), ways | elements), max_size=2)
+"""Number of a file, and what becomes of it: nothing, a copy with that name, other bytes, damage,
+another array, or one with another element."""
 
 
-def changed(good: dict[str, bytes], changes: list[tuple[int, tuple[str, Any]]]) -> dict[str, bytes]:
+def changed(good: dict[str, bytes], changes: list[tuple[int, Any]]) -> dict[str, bytes]:
     """Return the files with some of them changed, added or left out."""
     members = dict(good)
-    for number, (way, what) in changes:
+    for number, way in changes:
         name = list(members)[number % len(members)]
         data = members[name]
-        if way == "lose" and len(members) > 1:
+        if way is None and len(members) > 1:
             del members[name]
-        elif way == "add":
-            members[what] = data
-        elif way == "new":
-            members[name] = what
-        elif way == "header":
-            members[name] = npy_with(what, data[data.find(b"\n") + 1 :])
-        elif way == "spoil":
-            members[name] = spoilt(data, what)
-        elif way == "values" and data is good.get(name):
-            members[name] = npy_of(other_values(array_of(data), *what))
+        elif isinstance(way, str):
+            members[way] = data
+        elif isinstance(way, bytes):
+            members[name] = way
+        elif isinstance(way, list):
+            members[name] = spoilt(data, way)
+        elif isinstance(way, np.ndarray):
+            members[name] = npy_of(way)
+        elif isinstance(way, tuple) and data is good.get(name):
+            members[name] = npy_of(with_element(array_of(data), *way))
     return members
 
 
-def other_values(array: NDArray[Any], kind: str, place: int, value: float) -> NDArray[Any]:
-    if kind == "element" and array.size and array.dtype.kind in "iuf":
-        out = array.copy()
-        if array.dtype.kind != "f":
-            value = min(max(np.nan_to_num(value), 0), np.iinfo(array.dtype).max)
+def with_element(array: NDArray[Any], place: int, value: float) -> NDArray[Any]:
+    out = array.copy()
+    if out.size and out.dtype.kind in "iuf":
+        if out.dtype.kind != "f":
+            value = min(max(np.nan_to_num(value), 0), np.iinfo(out.dtype).max)
         with np.errstate(over="ignore"):
             out.reshape(-1)[place % out.size] = value
-        return out
-    if kind == "cut":
-        return array.reshape(-1)[: place % max(1, array.size)]
-    if kind == "double" and array.ndim:
-        return np.concatenate([array, array])
-    return {"text": np.array(["x"] * (place % 4)), "scalar": np.array(value)}.get(kind, array[None])
+    return out
 
 
 @functools.cache
