@@ -121,17 +121,13 @@ class Driver:
 
     def identify(self, force_n: float, keep: Keep = Keep.NEVER) -> bool:
         step = GraspStep(pose=Pose(), force_n=force_n)
-        witness = self.witness()
+        witness = FrameWitness(
+            lambda: self._scanned,
+            lambda: spoiling(self.simulated.injector.faults, self.simulated.clock.monotonic()),
+        )
         return self.command(
             f"identify {force_n} N, keep {keep}",
             lambda: self.controller.identify(witness, [step], early=True, keep=keep),
-        )
-
-    def witness(self) -> FrameWitness:
-        """Return a recogniser that looks at its frames."""
-        return FrameWitness(
-            lambda: self._scanned,
-            lambda: spoiling(self.simulated.injector.faults, self.simulated.clock.monotonic()),
         )
 
     def cancel(self) -> None:
@@ -199,31 +195,24 @@ class Driver:
         for open_anew in (self.simulated.open_servo_port, self.simulated.open_can_bus):
             with suppress(SimulatorError):  # an adapter that is out is so for both hosts
                 open_anew()  # what the old one has fails from now on
-        self._close_host()
+        self.cell.close()
         self.simulated.clock.sleep(dead_s)
         self.cell = self._new_host()
         self._end()
 
-    def _host_folder(self) -> Path:
+    def _new_host(self) -> Cell:
         self._hosts += 1
         folder = self._folder / f"host{self._hosts}"
         folder.mkdir()
-        return folder
-
-    def _new_host(self) -> Cell:
-        folder = self._host_folder()
         cell = build_cell(self._config, folder=folder, simulated=self.simulated)
         self.monitor.attach(cell)
         cell.controller.moves.present("ball")
         return cell
 
-    def _close_host(self) -> None:
-        self.cell.close()
-
     def _finish_host(self) -> None:
         recording = self.cell.recording_path
         try:
-            self._close_host()
+            self.cell.close()
         except Exception as error:
             self.monitor.broken.append(f"close() raised {type(error).__name__}: {error}")
         self.monitor.attach(None)
@@ -241,7 +230,6 @@ class Driver:
         else:
             self._untrusted = self._untrusted or fault.entry.name in _UNTRUSTED
             self._remounted = self._remounted or fault.entry.name in _REMOUNTED
-        self._trust()
         self._end()
 
     def heal(self) -> None:
@@ -306,18 +294,12 @@ class Driver:
 
     def _begin(self, name: str) -> None:
         now_s = self.simulated.clock.monotonic()
-        self.log.append(f"{now_s:8.3f} s {self._state():<10} {name}")
+        self.log.append(f"{now_s:8.3f} s {self.controller.life.state.value:<10} {name}")
         self.steps += 1
 
     def _end(self) -> None:
-        self._trust()
-        self.check()
-
-    def _state(self) -> str:
-        return self.controller.life.state.value if self._hosts else ""
-
-    def _trust(self) -> None:
         self.monitor.limp_allowed = self._untrusted
+        self.check()
 
     def _watch_scans(self, _now_s: float) -> None:
         scanner = self.simulated.unit.scanner

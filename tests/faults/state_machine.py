@@ -9,7 +9,6 @@ from cell.control.keeping import Keep
 from simulator.faults.entry import FaultEntry, Number
 from simulator.faults.injector import VOCABULARY
 from tests.faults.driver import Driver
-from tests.faults.wires import INTERFACES, driver_of
 
 PIECES = 10
 """Pieces that the tests run, each from a seed of its own."""
@@ -118,12 +117,11 @@ _X_MM = st.sampled_from((0.0, 1.0, -2.0, 4.0, 40.0))
 class CellMachine(RuleBasedStateMachine):
     """A cell under random commands and faults; see `tests.faults.driver`."""
 
-    driver_type: type[Driver] = Driver
     taken = 0
 
     @initialize(self_test=st.booleans(), fast=st.booleans(), started=st.booleans())
     def begin(self, self_test: bool, fast: bool, started: bool) -> None:
-        self.driver = self.driver_type(self_test=self_test, fast=fast)
+        self.driver = Driver(self_test=self_test, fast=fast)
         if started:
             self.driver.start()
 
@@ -235,14 +233,7 @@ class CellMachine(RuleBasedStateMachine):
             self.driver.close()
 
 
-MACHINES: dict[str, type[CellMachine]] = {"": CellMachine} | {
-    interface: type(f"{interface}Machine", (CellMachine,), {"driver_type": driver_of(interface)})
-    for interface in INTERFACES
-}
-"""The machine of a host program, and those of clients of each interface."""
-
-
-def run_machine(steps: int, number: int, *, interface: str = "") -> int:
+def run_machine(steps: int, number: int) -> int:
     """Run at least so many steps, from a seed, which an error names; return how many they were."""
     logging.disable(logging.CRITICAL)
     CellMachine.taken = part = 0
@@ -258,7 +249,7 @@ def run_machine(steps: int, number: int, *, interface: str = "") -> int:
                 print_blob=False,
                 suppress_health_check=list(HealthCheck),
             )
-            seeded = seed(1000 * number + part)(MACHINES[interface])
+            seeded = seed(1000 * number + part)(CellMachine)
             run_state_machine_as_test(seeded, settings=chosen)
     except Exception as error:
         error.add_note(f"seed {number}")

@@ -8,13 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 
-from cell.control.keeping import Keep
-from cell.control.kept_part import KeptPart
 from cell.control.lifecycle import CellLifecycle
-from cell.interfaces.modbus.registers import ModbusInterface
-from cell.interfaces.xml_rpc import Calls
-from cell.runtime.lease import Lease
-from cell.service.service import RELEASE_KEY, Service
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.force.loop import Action
 from gripper.force.supervision.empty_grip import EmptyGrip
@@ -28,12 +22,9 @@ from tests.faults import driver
 from tests.faults.driver import Driver
 from tests.faults.invariants import InvariantBroken
 from tests.faults.state_machine import PIECES, STEPS, fault_texts, run_machine
-from tests.faults.wires import INTERFACES, driver_of
 from tests.fuzz.harness import seed_of_run
 from tests.marks import LONG
 
-WIRE_STEPS = 50
-"""Steps through each interface."""
 WALKS = [(seed, 50) for seed in (1, 2, 3, 4)]
 """Seed and steps of the walks of each change."""
 CAN_OFF = "can.off@contact+100ms"
@@ -45,13 +36,6 @@ LONG_WALKS = [LONG(seed, STEPS) for seed in range(1, PIECES + 1)]
 @pytest.mark.parametrize(("seed", "steps"), [*WALKS, *LONG_WALKS])
 def test_whatever_is_asked_and_whatever_fails_all_invariants_hold(seed: int, steps: int) -> None:
     assert run_machine(steps, seed_of_run(seed)) >= steps
-
-
-@pytest.mark.slow
-@pytest.mark.no_cover
-@pytest.mark.parametrize("interface", [*map(LONG, INTERFACES[1:]), INTERFACES[0]])
-def test_through_each_interface_all_invariants_hold_too(interface: str) -> None:
-    assert run_machine(WIRE_STEPS, seed_of_run(1), interface=interface) >= WIRE_STEPS
 
 
 @pytest.mark.slow
@@ -209,117 +193,3 @@ def test_a_defect_is_reported_with_its_seed_and_steps(monkeypatch: pytest.Monkey
     shown = "".join(traceback.format_exception(found.value))
     assert "InvariantBroken: so" in shown
     assert re.search(r"\n[ |]*after\n", shown)
-
-
-# The same of the interfaces.
-
-
-def drive_through(interface: str) -> None:
-    """Keep a part, repeat and forget, lose the lease, fail, and go on."""
-    cell = driver_of(interface)(self_test=False)
-    try:
-        cell.identify(3.0, Keep.ALWAYS)
-        cell.cancel()
-        cell.verify()
-        cell.release()
-        cell.recover()
-        cell.cancel_soon(0.3)
-        cell.grip(3.0)
-        cell.recover()
-        cell.inject("can.off@contact+100ms")
-        cell.grip(3.0)
-        cell.recover()
-        cell.grip(3.0)
-        cell.restart()
-        cell.recover()
-    finally:
-        cell.close()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("interface", INTERFACES)
-def test_nothing_is_broken_behind_a_interface(interface: str) -> None:
-    drive_through(interface)
-
-
-def any_key(monkeypatch: pytest.MonkeyPatch) -> None:
-    command = Service.command
-    monkeypatch.setattr(
-        Service, "command", lambda *given, **named: command(*given, **named | {"key": RELEASE_KEY})
-    )
-
-
-def done_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    begin, write = Service.begin, ModbusInterface.write
-
-    def forgetful(service: Service, *asked: Any, **named: Any) -> int:
-        return begin(service, *asked, **named | {"number": 0})
-
-    def again(modbus: ModbusInterface, client: Any, address: int, values: Any) -> None:
-        if len(values) > 1:
-            modbus._seq = -1
-        write(modbus, client, address, values)
-
-    monkeypatch.setattr(Service, "begin", forgetful)
-    monkeypatch.setattr(ModbusInterface, "write", again)
-
-
-def no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Lease, "alive", lambda *_: None)
-    monkeypatch.setattr(ModbusInterface, "_command", lambda *_: None)
-
-
-def hold_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        Service, "stop", lambda service, _why="": service.plugin.cell.controller.life.cancel()
-    )
-    monkeypatch.setattr(CellLifecycle, "forget_cancel", lambda _life: None)
-
-
-def holds_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Service, "_check_stopped", lambda *_: None)
-
-
-DEFECTS = {
-    any_key: "release is accepted in COMPLETE",
-    done_twice: "a repeated request has another answer",
-    no_lease: "for a client without the lease",
-    hold_waits: "stopped, though nobody held it",
-    holds_once: "grip: -505 while a button is pressed",
-}
-"""Defects behind an interface, and how each is found."""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("interface", "defect"),
-    [  # Each change has one interface for each defect, in turn.
-        (pytest.param if number % len(INTERFACES) == place else LONG)(
-            interface, defect, id=f"{interface}-{defect.__name__}"
-        )
-        for number, defect in enumerate(DEFECTS)
-        for place, interface in enumerate(INTERFACES)
-    ],
-)
-def test_a_defect_behind_a_interface_is_found(interface, defect, monkeypatch) -> None:
-    defect(monkeypatch)
-    with pytest.raises(InvariantBroken, match=DEFECTS[defect]):
-        drive_through(interface)
-
-
-@pytest.mark.slow
-def test_a_interface_that_shows_another_fault_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Calls, "fault_number", lambda _calls: 500)
-    with pytest.raises(InvariantBroken, match=r"the interface shows .*'fault': 500"):
-        drive_through("xmlrpc")
-
-
-@pytest.mark.slow
-def test_a_command_without_an_end_behind_a_interface_is_found(monkeypatch) -> None:
-    def hang(kept: KeptPart) -> None:
-        while True:
-            kept.life.clock.sleep(0.1)
-
-    monkeypatch.setattr(KeptPart, "verify", hang)
-    with pytest.raises(InvariantBroken, match="did not end within its time"):
-        drive_through("xmlrpc")
