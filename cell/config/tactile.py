@@ -68,7 +68,7 @@ class PaperCalibrationConfig(Section):
     kind: Literal["paper"] = "paper"
     """Law from counts to force."""
     gain: float = Field(default=1.0, ge=0.2, le=10.0)
-    """Factor on the force of each taxel, 0.2 to 10; found with a gauge object."""
+    """Factor on the force of each taxel, 0.2 to 10."""
 
 
 class LinearCalibrationConfig(Section):

@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from cell.config.model import CellConfig
+from cell.config.tactile import PaperCalibrationConfig, layout_from_config, make_calibration
 from cell.control.identification import ReadShape
-from cell.errors import ConfigError
 from cell.learning.blas import one_blas_thread
-from cell.learning.pad_knowledge import PadKnowledge, usual_foam
 from recognition.errors import ContactError, RecognitionError
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import UNCLEAR, ShapeAnswer, shape_of
+from recognition.shape.foam import FoamModel
 
 NO_SHAPE = "no shape: it needs two facing pads of 2 x 2 taxels or more, both pressed"
 """Text instead of shape and size if the pads of a grasp do not show them."""
@@ -25,27 +27,28 @@ _NOUNS = {
 }
 
 
-def shape_reader(config: CellConfig, known: PadKnowledge | None = None) -> ReadShape | None:
-    """Return the function that reads shape and size on a cell; None if the config has them off.
+def usual_foam(config: CellConfig) -> FoamModel:
+    """Return the usual foam on a sensor with the config's law from force to counts."""
+    layout, law = layout_from_config(config.tactile), config.tactile.calibration
+    if isinstance(law, PaperCalibrationConfig):
+        return FoamModel(gain=1.0 / law.gain)
+    one_law = config.tactile.model_copy(update={"pad_gains": (1.0, 1.0)})
+    counts = np.unique([0.0, *getattr(law, "counts", ()), layout.adc_max])
+    counts = counts[counts <= layout.adc_max]
+    force_n = make_calibration(one_law, layout).force_n(counts)
+    return FoamModel(nodes=(tuple(force_n), tuple(counts / layout.adc_max)))
 
-    Foam and sensor are by default the usual ones, under the config's law. Raises ConfigError if
-    there is a gauge although ``recognition.shape`` is off.
-    """
+
+def shape_reader(config: CellConfig) -> ReadShape | None:
+    """Return the function that reads shape and size on a cell; None if the config has them off."""
     if not config.recognition.shape:
-        if known is not None and known.fit is not None:
-            raise ConfigError("a gauge serves shape and size, but recognition.shape is off")
         return None
-    return reader_under(known or PadKnowledge(foam=usual_foam(config)))
-
-
-def reader_under(known: PadKnowledge) -> ReadShape:
-    """Return the function that reads shape and size on pads with this foam and sensor."""
-    foam, trust = known.foam, known.trust
+    foam = usual_foam(config)
 
     @one_blas_thread()
     def read(grasp: Grasp) -> ShapeAnswer | None:
         try:
-            return shape_of(grasp, foam=foam, uncertainty=trust)
+            return shape_of(grasp, foam)
         except ContactError:
             return None
 
@@ -66,18 +69,10 @@ def beside(label: str, shape: ShapeAnswer | None) -> str:
 
 
 class TaughtShapes:
-    """Shape and size of the taught objects read so far.
+    """Shape and size of the taught objects read so far."""
 
-    Raises ConfigError as `shape_reader`.
-
-    Parameters
-    ----------
-    known
-        Foam and sensor; by default the usual ones.
-    """
-
-    def __init__(self, config: CellConfig, known: PadKnowledge | None = None) -> None:
-        self.reader = shape_reader(config, known)
+    def __init__(self, config: CellConfig) -> None:
+        self.reader = shape_reader(config)
         """Reads shape and size from a grasp; None if the config has them off."""
         self._read: dict[str, tuple[Grasp, ShapeAnswer | None]] = {}
         self.n_read = 0

@@ -11,7 +11,6 @@ from cell.config.tactile import layout_from_config
 from cell.control.records import GraspRecord, pad_array
 from cell.errors import CellError, CellStateError, RequestRefused, TrainingSetMissing
 from cell.learning.model import LoadedModel, Trained, check_pads, load_model, save_model
-from cell.learning.pad_knowledge import PadKnowledge
 from cell.learning.shape_reading import TaughtShapes
 from cell.learning.teaching_summary import ToldApart, told_apart
 from cell.learning.training import gaugeable, gauged, train
@@ -47,8 +46,6 @@ class TaughtModel:
         A loaded model file; None if nothing was taught yet.
     training_set
         The grasps that trained the model; empty if they are not available.
-    known
-        Foam and sensor, for shape and size; by default the usual ones.
     """
 
     def __init__(
@@ -57,11 +54,10 @@ class TaughtModel:
         model: LoadedModel | None = None,
         *,
         training_set: Sequence[Grasp] = (),
-        known: PadKnowledge | None = None,
     ) -> None:
         self.config = config
         self.training_set = tuple(training_set)
-        self.shapes = TaughtShapes(config, known)
+        self.shapes = TaughtShapes(config)
         self._n_trained = 0
         self._pads = pad_array(layout_from_config(config.tactile))
         self._trained: Trained | None = None
@@ -80,7 +76,6 @@ class TaughtModel:
         path: Path | str,
         *,
         training_set: Path | str | None = None,
-        known: PadKnowledge | None = None,
     ) -> Self:
         """Read a model file, and its training set if there is one.
 
@@ -90,7 +85,7 @@ class TaughtModel:
         """
         model = load_model(path, pad_array(layout_from_config(config.tactile)))
         grasps = saved_training_set(model) if training_set is None else read_dataset(training_set)
-        return cls(config, model, training_set=grasps, known=known)
+        return cls(config, model, training_set=grasps)
 
     def check_taught(self) -> Trained:
         """Return the last training, with the followed drift. Raises CellStateError before it."""

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
@@ -13,18 +12,15 @@ from cell.control.plan import plan
 from cell.control.records import pad_array
 from cell.errors import CellError, raised_as
 from cell.learning.blas import one_blas_thread
-from cell.learning.pad_knowledge import PadKnowledge, usual_foam
 from cell.learning.progress import Progress, silent
+from cell.learning.shape_reading import usual_foam
 from cell.learning.virtual_grasps import Course, Noise, VirtualPads
 from cell.simulation import converter_noise
 from recognition.grasp import Grasp, PadArray
+from recognition.shape.foam import FoamModel
 from recognition.shape.models import Drawing
 
 _PULSES = 4096
-_MODULUS_FURTHER = 2.5
-"""Foams differ in stiffness more than in anything else."""
-_BEND, _LAG, _NOISE = 0.7, 1.0, 2.5
-"""Uncertainty of converter, slowness of the foam and noise, relative to that of the gain."""
 
 
 @one_blas_thread()
@@ -35,7 +31,8 @@ def teach_drawing(
     n_grasps: int,
     *,
     kind: str = "",
-    known: PadKnowledge | None = None,
+    foam: FoamModel | None = None,
+    course: Course | None = None,
     seed: int = 0,
     start_ms: int = 0,
     progress: Progress = silent,
@@ -51,24 +48,22 @@ def teach_drawing(
         The cell: pads, speeds, ramp, plan.
     label, drawing, kind
         Name, shape and class of shape of the object.
-    known
-        Foam and sensor; by default the usual ones, under the config's law.
+    foam, course
+        Foam and sensor, and motion with all uncertainties; by default the usual ones of the cell.
     seed
         Of poses, forces, noise and all uncertain values.
     start_ms
         Time of the first grasp; each next grasp is a second later.
     """
-    known = known or PadKnowledge(foam=usual_foam(config))
     layout = layout_from_config(config.tactile)
     pads = pad_array(layout)
     first, second = layout.gripping_pads
     virtual = VirtualPads(
         pads=pads,
         gripping=(first, second),
-        foam=known.foam,
-        course=course_of(config, known),
-        noise=_noise(config, pads, known.rest),
-        zero=known.zero,
+        foam=foam or usual_foam(config),
+        course=course or course_of(config),
+        noise=_noise(config, pads),
     )
     rng = np.random.default_rng([seed, 1])
     grasps: list[Grasp] = []
@@ -91,12 +86,11 @@ def teach_drawing(
     return grasps
 
 
-def course_of(config: CellConfig, known: PadKnowledge) -> Course:
+def course_of(config: CellConfig) -> Course:
     """Return the motion of the configured cell."""
     drive, settings = config.gripper.linkage, config.gripper_settings
     arm_mm = drive.link_mm if isinstance(drive, ParallelLinkageConfig) else drive.pinion_radius_mm
     step_mm = arm_mm * math.tau / _PULSES * (2 if len(config.gripper.servos) == 1 else 1)
-    further = max(known.other_foams - 1.0, 0.0)
     return Course(
         period_s=config.tactile.frame_period_s,
         aperture_open_m=settings.aperture_open_m,
@@ -104,25 +98,13 @@ def course_of(config: CellConfig, known: PadKnowledge) -> Course:
         approach_speed_m_s=settings.approach_speed_m_s,
         travel_speed_m_s=settings.travel_speed_m_s,
         aperture_step_m=1e-3 * step_mm,
-        aperture_sd_m=known.aperture_sd_m,
         # What stops a finger is a contact from half of that force on.
         contact_n=settings.contact_force_n,
         impact_n=(0.5 * settings.contact_force_n, settings.contact_force_n + 0.3),
-        modulus_sd=(1.0 + _MODULUS_FURTHER * further) * known.modulus_sd,
-        gain_sd=known.other_foams * known.gain_sd,
-        spread_sd=known.other_foams * known.spread_sd,
-        densification_sd=known.other_foams * known.densification_sd,
-        thickness_sd=known.other_foams * known.thickness_sd,
-        bend_sd=_BEND * further * known.gain_sd,
-        lag=_LAG * further * known.gain_sd,
-        noise_sd=_NOISE * further * known.gain_sd,
     )
 
 
-def _noise(config: CellConfig, pads: PadArray, rest: NDArray[np.uint16] | None) -> Noise:
-    """Return the noise: of the gauge's untouched frames, else that of the simulated cell."""
-    if rest is not None:
-        frames = rest.astype(np.float64)
-        return lambda rng, n_frames: frames[rng.integers(len(frames), size=n_frames)]
+def _noise(config: CellConfig, pads: PadArray) -> Noise:
+    """Return the noise of the simulated cell."""
     converter = converter_noise(config)
     return lambda rng, n_frames: converter(rng, n_frames * pads.n_taxels).reshape(n_frames, -1)

@@ -8,7 +8,7 @@ tared, like those of the cell.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,8 @@ from scipy.signal import lfilter
 
 from cell.control.plan import GraspStep, Pose
 from gripper.force.ramp import ForceRamp
-from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray, SelfZero
+from recognition.drift.self_zero import drawn_zero
+from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray
 from recognition.shape.foam import FoamModel, PadBed, closed_columns_m, neighbours
 from recognition.shape.models import Drawing, posed, resting_roll_rad
 
@@ -151,7 +152,7 @@ class Course:
     """Closing speed of the opening in m/s, near a possible part and before it."""
     aperture_step_m: float
     """Smallest step of the measured opening in m."""
-    aperture_sd_m: float
+    aperture_sd_m: float = 0.2e-3
     """Standard deviation in m of the measured opening, the same over one grasp."""
     contact_n: float
     """Force on each pad in N that counts as contact."""
@@ -161,18 +162,19 @@ class Course:
     """Largest lag in N behind the set-point before the fingers move on."""
     force_sd: float = 0.02
     """Relative standard deviation of the force at the end of the ramp."""
-    modulus_sd: float
-    gain_sd: float
-    spread_sd: float
-    densification_sd: float
-    thickness_sd: float
-    """Relative standard deviations of foam and sensor; drawn for each grasp."""
-    bend_sd: float
+    modulus_sd: float = 0.475
+    gain_sd: float = 0.25
+    spread_sd: float = 0.25
+    densification_sd: float = 0.5
+    thickness_sd: float = 0.15
+    """Relative standard deviations of foam and sensor; drawn for each grasp. A name must hold on
+    any foam, and foams differ in stiffness most."""
+    bend_sd: float = 0.105
     """Standard deviation of the logarithm of an exponent of the reading: a converter whose curve
     differs from its law."""
-    lag: float
+    lag: float = 0.15
     """Largest share of a reading that follows the force only slowly: foam creeps."""
-    noise_sd: float
+    noise_sd: float = 0.375
     """Standard deviation of the logarithm of a factor on the noise."""
     pad_gain_sd: float = 0.05
     taxel_gain_sd: float = 0.08
@@ -191,13 +193,11 @@ class VirtualPads:
     gripping: tuple[int, int]
     """All taxels, and the two pads that face each other."""
     foam: FoamModel
-    """The calibrated foam and sensor."""
+    """Foam and sensor."""
     course: Course
     """Motion of the cell."""
     noise: Noise
     """Noise that is added to the counts."""
-    zero: SelfZero
-    """Self-zero of their hand."""
 
     def __post_init__(self) -> None:
         # The spread is drawn from few values: their matrices are computed once.
@@ -266,7 +266,7 @@ class VirtualPads:
             pads=self.pads,
             counts=np.clip(counts, 0.0, self.pads.adc_max),
             t_s=np.arange(len(force_n), dtype=np.float64) * course.period_s,
-            aperture_m=_measured(aperture_m, foam.aperture_offset_m, course, rng),
+            aperture_m=_measured(aperture_m, course, rng),
             force_n=setpoint_n,
             label=label,
             shape=shape,
@@ -274,23 +274,18 @@ class VirtualPads:
             start_ms=start_ms,
             thickness_m=sum(float(reach_m.max()) for reach_m in upright),
             command=step.command,
-            zero=self.zero,
+            zero=drawn_zero(),
         )
 
     def _drawn_foam(self, rng: np.random.Generator) -> FoamModel:
         """Return foam and sensor within their uncertainty."""
         course, foam = self.course, self.foam
-        return FoamModel(
-            **(
-                foam.as_dict()
-                | {
-                    "modulus_pa": foam.modulus_pa * rng.lognormal(0.0, course.modulus_sd),
-                    "gain": foam.gain * rng.lognormal(0.0, course.gain_sd),
-                    "densification": foam.densification
-                    * rng.lognormal(0.0, course.densification_sd),
-                    "thickness_m": foam.thickness_m * rng.lognormal(0.0, course.thickness_sd),
-                }
-            )
+        return replace(
+            foam,
+            modulus_pa=foam.modulus_pa * rng.lognormal(0.0, course.modulus_sd),
+            gain=foam.gain * rng.lognormal(0.0, course.gain_sd),
+            densification=foam.densification * rng.lognormal(0.0, course.densification_sd),
+            thickness_m=foam.thickness_m * rng.lognormal(0.0, course.thickness_sd),
         )
 
     def _motion(
@@ -390,13 +385,10 @@ def _force_course(
 
 
 def _measured(
-    aperture_m: NDArray[np.float64],
-    offset_m: float,
-    course: Course,
-    rng: np.random.Generator,
+    aperture_m: NDArray[np.float64], course: Course, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     step_m = course.aperture_step_m
-    shift_m = offset_m + rng.normal(0.0, course.aperture_sd_m)
+    shift_m = rng.normal(0.0, course.aperture_sd_m)
     phase_m = rng.uniform(0.0, step_m)
     steps: NDArray[np.float64] = np.rint((aperture_m + shift_m - phase_m) / step_m)
     return steps * step_m + phase_m

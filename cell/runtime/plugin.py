@@ -111,8 +111,6 @@ class TactileCellPlugin:
         places: "CarryCallback | None" = None,
         model: Path | str | None = None,
         training_set: Path | str | None = None,
-        gauge: Path | str | None = None,
-        gauge_shape: str | None = None,
         folder: Path | None = None,
         save: Path | str | None = None,
         ask: Callable[[str], str] | None = None,
@@ -138,12 +136,6 @@ class TactileCellPlugin:
         training_set
             Data set of the grasps that trained the model, needed to teach further objects; by
             default the data set that `save` wrote beside it.
-        gauge
-            Data set or recording of grasps of one known object on this cell. It shows the foam with
-            which shape and size are then read.
-        gauge_shape
-            Its shape, e.g. ``sphere:diameter=9.5mm``; by default that of the configured object with
-            the grasps' label.
         folder
             Folder of the recording; None: no recording.
         save
@@ -179,7 +171,6 @@ class TactileCellPlugin:
                 update={"positioner": checked.positioner.model_copy(update={"kind": "callback"})}
             )
         from cell.build import build_cell  # noqa: PLC0415
-        from cell.learning.pad_knowledge import pad_knowledge  # noqa: PLC0415
         from cell.learning.taught_model import TaughtModel  # noqa: PLC0415
         from cell.runtime import tasks  # noqa: PLC0415
         from cell.runtime.health import health_values  # noqa: PLC0415
@@ -191,11 +182,10 @@ class TactileCellPlugin:
         self._health = health_values
         self._levels: dict[str, Any] = {}
         self._health_s = float("-inf")
-        known = pad_knowledge(checked, None if gauge is None else Path(gauge), gauge_shape)
         self.model = (
-            TaughtModel(checked, known=known)
+            TaughtModel(checked)
             if model is None
-            else TaughtModel.load(checked, model, training_set=training_set, known=known)
+            else TaughtModel.load(checked, model, training_set=training_set)
         )
         """What is taught; only the thread of the plugin changes it."""
         _check_save(save, model)

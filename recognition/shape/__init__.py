@@ -2,6 +2,6 @@
 
 `answer` is the entry. It reduces a grasp to pressed pads, fits all kinds of shape under all
 possible foams (`search`, `fit`, `residuals`, `models`, `foam`), and weights them. `fusion` joins
-several grasps of one object, and `foam_fit` calibrates the foam on a gauge. Constants without
-another source were chosen on simulated and recorded pads (docs/explanations/shape-and-size.md).
+several grasps of one object. Constants without another source were chosen on simulated and
+recorded pads (docs/explanations/shape-and-size.md).
 """

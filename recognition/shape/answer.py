@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.grasp import Grasp
-from recognition.ramp.ramp import Rest
 from recognition.shape.fit import KindEvidence, ShapeFit, evidence_of
 from recognition.shape.foam import FoamModel
-from recognition.shape.pressed_pads import PressedPads, reduce_to_pads
-from recognition.shape.residuals import PadUncertainty
+from recognition.shape.pressed_pads import reduce_to_pads
 from recognition.shape.search import all_fits
 
 UNCLEAR = "unclear"
@@ -99,23 +97,15 @@ class ShapeAnswer:
         }
 
 
-def shape_of(
-    grasp: Grasp,
-    *,
-    foam: FoamModel | None = None,
-    uncertainty: PadUncertainty | None = None,
-    rest: Rest | None = None,
-) -> ShapeAnswer:
-    """Return shape and size of a grasped object.
+def shape_of(grasp: Grasp, foam: FoamModel | None = None) -> ShapeAnswer:
+    """Return shape and size of a grasped object, over all kinds and foams.
 
     Parameters
     ----------
     grasp
         From the open gripper on.
-    foam, uncertainty
-        Foam and sensor, and the uncertainty of both.
-    rest
-        The untouched pads; the grasp's own first frames by default.
+    foam
+        The likeliest foam, and the sensor.
 
     Raises
     ------
@@ -123,22 +113,10 @@ def shape_of(
         Not both pads were touched, or they do not face each other taxel by taxel.
     """
     foam = foam or FoamModel()
-    return shape_from(reduce_to_pads(grasp, foam, rest), foam=foam, uncertainty=uncertainty)
+    return joint_answer(*all_fits(reduce_to_pads(grasp, foam), foam))
 
 
-def shape_from(
-    data: PressedPads, *, foam: FoamModel, uncertainty: PadUncertainty | None = None
-) -> ShapeAnswer:
-    """Return shape and size from pressed pads, over all kinds and foams; see `shape_of`."""
-    uncertainty = uncertainty or PadUncertainty()
-    return joint_answer(*all_fits(data, foam, uncertainty), uncertainty.misfit)
-
-
-def joint_answer(
-    fits: Sequence[ShapeFit],
-    log_prior: Sequence[float] | None = None,
-    least_misfit: float = 0.0,
-) -> ShapeAnswer:
+def joint_answer(fits: Sequence[ShapeFit], log_prior: Sequence[float] | None = None) -> ShapeAnswer:
     """Return the joint answer of the fits of all kinds.
 
     Parameters
@@ -147,11 +125,9 @@ def joint_answer(
         Of all kinds, to the same data; several of one kind are for several possible foams.
     log_prior
         Logarithm of the prior probability of each; equal by default.
-    least_misfit
-        See `PadUncertainty.misfit`.
     """
     prior = [0.0] * len(fits) if log_prior is None else list(log_prior)
-    misfit = max(least_misfit, min(fit.misfit for fit in fits))
+    misfit = min(fit.misfit for fit in fits)
     scale = max(1.0, misfit)
     fits = [fit.at_scale(scale) for fit in fits]
     weight = shares([fit.log_evidence(scale) + p for fit, p in zip(fits, prior, strict=True)])

@@ -10,7 +10,7 @@ half thickness, and the common values of a cell's grasps (foam, gain, spread, ze
 Their priors are divided out, so that several grasps can be multiplied and each prior counts once.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,67 +35,6 @@ _LESS, _MORE = 0.2, 8.0
 """Factors on the damping after a step that lowers the cost, and after one that does not."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Linearisation:
-    """Residuals and their normal equations at some parameters."""
-
-    residuals: Array
-    """(n_data,) float64: residuals over their standard deviations."""
-    normal: Array
-    gradient: Array
-    """(n, n) and (n,) float64: J^T J and J^T r, J the Jacobian of the residuals."""
-
-    @classmethod
-    def of(cls, residuals: Array, jacobian: Array) -> "Linearisation":
-        """Return the linearisation of residuals (n_data,) and their Jacobian (n_data, n)."""
-        return cls(
-            residuals=residuals, normal=jacobian.T @ jacobian, gradient=jacobian.T @ residuals
-        )
-
-
-def minimise(
-    linearise: Callable[[Array], Linearisation],
-    theta: Array,
-    mean: Array,
-    sd: Array,
-    *,
-    steps: int,
-    trials: int,
-    longest: float,
-) -> tuple[Array, float, Linearisation]:
-    """Minimise squared residuals and a prior of ``mean`` and ``sd`` (n,) by Levenberg-Marquardt.
-
-    ``linearise`` returns residuals and normal equations; ``longest`` is the longest step of one
-    parameter, in its unit. Returns the best parameters, the sum of squares, and the linearisation.
-    """
-
-    def cost_of(theta: Array, here: Linearisation) -> float:
-        away = (theta - mean) / sd
-        return float(here.residuals @ here.residuals + away @ away)
-
-    precision = sd**-2
-    damping = _DAMPING
-    here = linearise(theta)
-    cost = cost_of(theta, here)
-    for _ in range(steps):
-        normal = here.normal + np.diag(precision)
-        gradient = here.gradient + precision * (theta - mean)
-        gain = 0.0
-        for _ in range(trials):
-            step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
-            trial = theta + np.clip(step, -longest, longest)
-            there = linearise(trial)
-            new = cost_of(trial, there)
-            if new < cost:
-                gain, theta, cost, here = cost - new, trial, new, there
-                damping = max(_LESS * damping, _LEAST_DAMPING)
-                break
-            damping *= _MORE
-        if gain < _ENOUGH:
-            break
-    return theta, cost, here
-
-
 def misfit_of(
     squared: NDArray[np.float64], informative: NDArray[np.bool_], n_determined: float
 ) -> float:
@@ -111,24 +50,11 @@ def misfit_of(
     informative : (n_data,)
         Whether each depends on a shape: see `PressedPads.informative`.
     n_determined
-        Number of parameters that the data determine, see `n_determined`.
+        Number of parameters that the data determine, not the prior.
     """
     overall = float(squared.sum()) / max(1.0, len(squared) - n_determined)
     by_shape = float(squared[informative].sum()) / max(1.0, int(informative.sum()) - n_determined)
     return max(overall, by_shape)
-
-
-def n_determined(normal: NDArray[np.float64], prior_sd: NDArray[np.float64]) -> float:
-    """Return the number of parameters that the data determine, not the prior.
-
-    Parameters
-    ----------
-    normal : (n, n)
-        J^T J of the data alone.
-    prior_sd : (n,)
-        Standard deviations of the prior.
-    """
-    return float(np.trace(np.linalg.solve(normal + np.diag(prior_sd**-2), normal)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -203,7 +129,7 @@ def fit_shape(
     model: ShapeModel,
     data: PressedPads,
     foam: FoamModel,
-    uncertainty: PadUncertainty | None = None,
+    uncertainty: PadUncertainty,
     *,
     near: ShapeFit | None = None,
     pads_of: ShapeFit | None = None,
@@ -221,40 +147,63 @@ def fit_shape(
     pads_of
         Start of foam and depths: a fit of another kind to the same data under this foam.
     """
-    problem = ShapeProblem(model, data, foam, uncertainty or PadUncertainty())
+    problem = ShapeProblem(model, data, foam, uncertainty)
     starts = problem.starts() if near is None else near.theta[None]
     if near is not None and pads_of is not None:
         n_pads = len(FOAM) + problem.n_levels
         starts = np.repeat(starts, 2, axis=0)
         starts[1, -n_pads:] = pads_of.theta[-n_pads:]
     first = (problem.residuals(starts) ** 2).sum(axis=1) if len(starts) > 1 else np.zeros(1)
+    theta = starts[int(np.argmin(first))]
     if model.turns:
         # A turn has no preferred value: its prior only bounds it around its start.
-        problem.mean[problem.pose + 2] = starts[int(np.argmin(first)), problem.pose + 2]
-    theta, _, found = minimise(
-        lambda theta: Linearisation.of(*problem.around(theta)),
-        starts[int(np.argmin(first))],
-        problem.mean,
-        problem.sd,
-        steps=_STEPS,
-        trials=_TRIALS,
-        longest=_LONGEST,
-    )
+        problem.mean[problem.pose + 2] = theta[problem.pose + 2]
+    theta, residuals, jacobian = _minimised(problem, theta)
+    normal = jacobian.T @ jacobian
+    determined = np.trace(np.linalg.solve(normal + np.diag(problem.sd**-2), normal))
     return ShapeFit(
         model=model,
         theta=theta,
-        normal=found.normal,
-        gradient=found.gradient,
+        normal=normal,
+        gradient=jacobian.T @ residuals,
         prior_mean=problem.mean,
         prior_sd=problem.sd,
-        chi2=float(found.residuals @ found.residuals),
+        chi2=float(residuals @ residuals),
         misfit=misfit_of(
-            found.residuals * found.residuals,
-            data.informative(len(found.residuals)),
-            n_determined(found.normal, problem.sd),
+            residuals * residuals, data.informative(len(residuals)), float(determined)
         ),
         n_shared=problem.n - problem.rest,
     )
+
+
+def _minimised(problem: ShapeProblem, theta: Array) -> tuple[Array, Array, Array]:
+    """Return the likeliest parameters from a start, and residuals and Jacobian there."""
+
+    def cost_of(theta: Array, residuals: Array) -> float:
+        away = (theta - problem.mean) / problem.sd
+        return float(residuals @ residuals + away @ away)
+
+    precision, damping = problem.sd**-2, _DAMPING
+    residuals, jacobian = problem.around(theta)
+    cost = cost_of(theta, residuals)
+    for _ in range(_STEPS):
+        normal = jacobian.T @ jacobian + np.diag(precision)
+        gradient = jacobian.T @ residuals + precision * (theta - problem.mean)
+        gain = 0.0
+        for _ in range(_TRIALS):
+            step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+            trial = theta + np.clip(step, -_LONGEST, _LONGEST)
+            there = problem.around(trial)
+            new = cost_of(trial, there[0])
+            if new < cost:
+                gain, theta, cost = cost - new, trial, new
+                residuals, jacobian = there
+                damping = max(_LESS * damping, _LEAST_DAMPING)
+                break
+            damping *= _MORE
+        if gain < _ENOUGH:
+            break
+    return theta, residuals, jacobian
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

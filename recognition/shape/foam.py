@@ -99,10 +99,7 @@ def closed_columns_m(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoamModel:
-    """Foam of the pads and the sensor below it.
-
-    Raises ValueError if a value is not finite or out of its range.
-    """
+    """Foam of the pads and the sensor below it."""
 
     thickness_m: float = 3e-3
     """Thickness of the sheet in m."""
@@ -116,8 +113,6 @@ class FoamModel:
     """Standard deviation of the spread of the pressure in m."""
     gain: float = 1.0
     """Factor on the force on a taxel before the law."""
-    aperture_offset_m: float = 0.0
-    """Offset of the measured opening in m: measured less true."""
     nodes: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     """Forces on a taxel in N from 0 on, and its readings as shares of the full scale; None:
     equation (11)."""
@@ -125,24 +120,6 @@ class FoamModel:
     """Share, from 0 to below 1, of a point's displacement by the pressure around it."""
     sideways_m: float = 1.2e-3
     """Standard deviation in m of the weights with which it does."""
-
-    def __post_init__(self) -> None:
-        for name in ("thickness_m", "modulus_pa", "spread_m", "gain", "sideways_m"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise ValueError(f"foam: {name} is {value}, must be positive and finite")
-        if not (np.isfinite(self.densification) and self.densification >= 0.0):
-            raise ValueError(f"foam: densification is {self.densification}, must be at least 0")
-        if not 0.0 < self.limit_strain < 1.0:
-            raise ValueError(f"foam: limit_strain is {self.limit_strain}, must be within (0, 1)")
-        if not 0.0 <= self.sideways < 1.0:
-            raise ValueError(f"foam: sideways is {self.sideways}, must be within [0, 1)")
-        if not np.isfinite(self.aperture_offset_m):
-            raise ValueError(f"foam: aperture_offset_m is {self.aperture_offset_m}, not finite")
-        nodes = np.zeros((2, 1)) if self.nodes is None else np.array(self.nodes)
-        rises = np.isfinite(nodes).all() and (np.diff(nodes) > 0.0).all()
-        if not rises or nodes[:, 0].any() or nodes[1, -1] > 1.0:
-            raise ValueError("foam: forces and shares of nodes must rise from 0, shares up to 1")
 
     def relative_pressure(
         self, indentation_m: NDArray[np.floating[Any]], stiffening: ArrayLike = 1.0
@@ -168,11 +145,6 @@ class FoamModel:
         if self.nodes is not None:
             return np.interp(felt_n, *self.nodes)
         return -np.expm1(-DECAY_PER_N * felt_n)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return all set values by their names, with units in the names."""
-        values = {name: getattr(self, name) for name in self.__slots__}
-        return {name: value for name, value in values.items() if value is not None}
 
 
 class PadBed:

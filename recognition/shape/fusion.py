@@ -45,22 +45,24 @@ def fuse_shapes(
 ) -> ShapeAnswer:
     """Return shape and size from several grasps of one object; the order does not matter.
 
-    Raises ValueError without an answer, if one was already fused, or if they have different
-    `PadUncertainty`.
+    Raises ValueError without an answer, or if one was already fused.
 
     Parameters
     ----------
     answers
-        Of single grasps with one `PadUncertainty`; a single answer is returned unchanged.
+        Of single grasps; a single answer is returned unchanged.
     dependence
         n grasps have the weight of n / (1 + (n - 1) dependence) independent ones, because the
         errors of the model of foam and objects are similar in all.
     placing_m
         Standard deviation in m of the thickness from grasp to grasp.
     """
-    _check(answers)
+    if not answers:
+        raise ValueError("no shapes to fuse: grasp at least once")
     if len(answers) == 1:
         return answers[0]
+    if not all(answer.evidence for answer in answers):
+        raise ValueError("a fused shape cannot be fused again; fuse the grasps' own answers")
     hypotheses = list(zip(*(answer.evidence for answer in answers), strict=True))
     faces_of = [_faces([item.scattered(_DISTINCT_M) for item in items]) for items in hypotheses]
     share = independent_share(len(answers), dependence)
@@ -99,17 +101,6 @@ def fuse_shapes(
         misfit=misfit,
         thicknesses=tuple(sorted(thicknesses, key=lambda thickness: thickness.size_m)),
     )
-
-
-def _check(answers: Sequence[ShapeAnswer]) -> None:
-    if not answers:
-        raise ValueError("no shapes to fuse: grasp at least once")
-    if len(answers) > 1 and not all(answer.evidence for answer in answers):
-        raise ValueError("a fused shape cannot be fused again; fuse the grasps' own answers")
-    for answer in answers:
-        for one, other in zip(answers[0].evidence, answer.evidence, strict=True):
-            if one.kind != other.kind or not np.array_equal(one.prior_sd, other.prior_sd):
-                raise ValueError("shapes that were read with different uncertainty cannot be fused")
 
 
 def _faces(items: Sequence[KindEvidence]) -> Faces:

@@ -70,9 +70,6 @@ _BESIDE_M = 1.0
 """Depth in m outside an object, without pressure: much more than any foam."""
 _LOG_HALF_MM = (float(np.log(7.0)), 0.9)
 """Mean and standard deviation of the prior of the logarithm of half a thickness in mm."""
-_DRAWN_M, _DRAWN_POINTS, _DRAWN_SD = 13e-3, 105, 1e-3
-"""Half side in m of the part of a drawn object that pads can press, points along it, and standard
-deviation of the logarithm of its thickness."""
 _FLAT_UNIT_M = 5e-3
 """Half length and half width of a flat object are relative to this, in m."""
 
@@ -212,28 +209,3 @@ SHAPE_MODELS: Mapping[str, ShapeModel] = MappingProxyType(
     }
 )
 """The kinds that are compared, by name."""
-
-
-def drawn_model(drawing: Drawing, roll_rad: float) -> ShapeModel:
-    """Return a drawn object at a roll as a kind of shape of known thickness."""
-    line_m = np.linspace(-_DRAWN_M, _DRAWN_M, _DRAWN_POINTS)
-    reaches_m = drawing.heights(*np.meshgrid(line_m, line_m, indexing="ij"), roll_rad)
-    half_m = 0.5 * sum(float(reach_m.max()) for reach_m in reaches_m)
-
-    def surface(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> Surface:
-        del h_m, own, cell_m
-        near_m, _ = drawing.heights(u_m.astype(np.float64), v_m.astype(np.float64), roll_rad)
-        inside = np.isfinite(near_m)
-        near_m = np.where(inside, near_m, -_BESIDE_M)
-        lag_m = near_m.max(axis=(-2, -1), keepdims=True) - near_m
-        return lag_m.astype(u_m.dtype), inside.astype(u_m.dtype)
-
-    return ShapeModel(
-        kind="drawn",
-        mean=(math.log(1e3 * half_m),),
-        sd=(_DRAWN_SD,),
-        turns=True,
-        surface=surface,
-        dimensions_m=lambda h_m, _own: {"thickness": 2.0 * h_m},
-        starts=lambda _h_m, _long_m, _wide_m: ((),),
-    )

@@ -88,22 +88,20 @@ class PressedPads:
         return found
 
 
-def reduce_to_pads(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> PressedPads:
+def reduce_to_pads(grasp: Grasp, foam: FoamModel) -> PressedPads:
     """Return a grasp reduced to pressed pads.
 
     Raises ContactError if a pad was not touched, the pads do not face each other taxel by taxel, or
-    have no regular grid. Raises ValueError if the grasp does not come from the pads of ``rest``.
+    have no regular grid.
 
     Parameters
     ----------
     grasp
         From the open gripper on.
     foam
-        For the spread of the pressure and the offset of the opening.
-    rest
-        The untouched pads; taken from the grasp's own first frames by default.
+        For the spread of the pressure.
     """
-    rest = rest or learn_rest([grasp], most_pads=2)
+    rest = learn_rest([grasp], most_pads=2)
     pads = grasp.pads
     first = _facing_pads(pads, rest)
     levels = load_levels([grasp], rest)
@@ -144,7 +142,7 @@ def reduce_to_pads(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> P
         sd=sd,
         pressed=share[-1] > _PRESSED_SD * sd[-1],
         whitener=_whitener(share, noise),
-        aperture_m=levels.aperture_mm[0, chosen] * 1e-3 - foam.aperture_offset_m,
+        aperture_m=levels.aperture_mm[0, chosen] * 1e-3,
         force_n=float(levels.force_n[0]),
         centre_m=centre_m,
         spread_m2=spread_m2,

@@ -54,12 +54,6 @@ class PadUncertainty:
     """Standard deviation in m of the opening at one level."""
     force: float = 0.06
     """Relative standard deviation of the commanded force."""
-    other_foams: float = 1.0
-    """Factor on the deviations of other foams from the known one (`recognition.shape.search`): 1
-    without a calibration, less with one."""
-    misfit: float = 0.0
-    """Squared residual per degree of freedom of these pads on a known shape, 0 without one. No
-    other shape is expected to fit better."""
 
 
 class ShapeProblem:

@@ -27,10 +27,16 @@ _KNOWN_PROBABILITY = 0.5
 """Prior probability of the known foam."""
 _SIDEWAYS = 0.7
 """`FoamModel.sideways` of columns that push each other in."""
-_DEPTH_SD_M = 0.25e-3
-"""Standard deviation in m of the depth of both pads together under an unknown foam."""
-_LOOSE = {"modulus": 1.5, "gain": 0.2, "spread": 0.35, "stiffening": 1.5, "bend": 0.12}
-"""Uncertainty of an unknown foam, see `PadUncertainty`."""
+_LOOSE = PadUncertainty(
+    modulus=1.5,
+    gain=0.2,
+    spread=0.35,
+    stiffening=1.5,
+    bend=0.12,
+    aperture_m=math.hypot(0.2e-3, 0.25e-3),
+    aperture_jitter_m=0.12e-3,
+)
+"""Uncertainty of an unknown foam, under which the depth of both pads together is uncertain, too."""
 _FAR = 12.0
 """Deficit of the logarithmic evidence from which a kind is not fitted under a further foam."""
 _SURE = 3.0
@@ -49,23 +55,13 @@ class PossibleFoam:
     probability: float
 
 
-def possible_foams(foam: FoamModel, uncertainty: PadUncertainty) -> tuple[PossibleFoam, ...]:
+def possible_foams(foam: FoamModel) -> tuple[PossibleFoam, ...]:
     """Return the possible foams, the known one first; probabilities sum to 1."""
-    wider = {
-        name: max(getattr(uncertainty, name), sd * uncertainty.other_foams)
-        for name, sd in _LOOSE.items()
-    }
-    loose = replace(
-        uncertainty,
-        **wider,
-        aperture_m=math.hypot(uncertainty.aperture_m, _DEPTH_SD_M),
-        aperture_jitter_m=2.0 * uncertainty.aperture_jitter_m,
-    )
     rest = 0.5 * (1.0 - _KNOWN_PROBABILITY)
     return (
-        PossibleFoam(foam=foam, uncertainty=uncertainty, probability=_KNOWN_PROBABILITY),
-        PossibleFoam(foam=replace(foam, sideways=0.0), uncertainty=loose, probability=rest),
-        PossibleFoam(foam=replace(foam, sideways=_SIDEWAYS), uncertainty=loose, probability=rest),
+        PossibleFoam(foam=foam, uncertainty=PadUncertainty(), probability=_KNOWN_PROBABILITY),
+        PossibleFoam(foam=replace(foam, sideways=0.0), uncertainty=_LOOSE, probability=rest),
+        PossibleFoam(foam=replace(foam, sideways=_SIDEWAYS), uncertainty=_LOOSE, probability=rest),
     )
 
 
@@ -73,28 +69,26 @@ Fits = dict[str, ShapeFit]
 """Fits by kind of shape."""
 
 
-def all_fits(
-    data: PressedPads, foam: FoamModel, uncertainty: PadUncertainty
-) -> tuple[list[ShapeFit], list[float]]:
+def all_fits(data: PressedPads, foam: FoamModel) -> tuple[list[ShapeFit], list[float]]:
     """Return fits of all kinds under all possible foams, and logarithms of prior probabilities.
 
     The order is the same for all grasps: all kinds for each foam.
     """
-    known, *others = possible_foams(foam, uncertainty)
+    known, *others = possible_foams(foam)
     last: Fits = {
         kind: fit_shape(model, data, known.foam, known.uncertainty)
         for kind, model in SHAPE_MODELS.items()
     }
     fits = list(last.values())
-    evidence = _evidence(last, uncertainty)
+    evidence = _evidence(last)
     probed: Fits = {}
     for kind in sorted(evidence, key=lambda kind: -evidence[kind])[:_N_PROBED]:
         probed[kind] = _fit(kind, data, others[0], last)
-    gain = max(_evidence(probed, uncertainty).values()) - max(evidence.values())
+    gain = max(_evidence(probed).values()) - max(evidence.values())
     sure = gain + np.log(others[0].probability / known.probability) < -_SURE
     for number, possible in enumerate(others):
         here: Fits = {}
-        far = _far(last, uncertainty) if number else frozenset()
+        far = _far(last) if number else frozenset()
         pads_of: ShapeFit | None = None
         for kind in SHAPE_MODELS:
             if number == 0 and kind in probed:
@@ -135,13 +129,13 @@ def _as_it_was(fit: ShapeFit, data: PressedPads, possible: PossibleFoam) -> Shap
     return replace(fit, prior_sd=problem.sd)
 
 
-def _evidence(fits: Mapping[str, ShapeFit], uncertainty: PadUncertainty) -> dict[str, float]:
-    scale = max(1.0, uncertainty.misfit, min(fit.misfit for fit in fits.values()))
+def _evidence(fits: Mapping[str, ShapeFit]) -> dict[str, float]:
+    scale = max(1.0, min(fit.misfit for fit in fits.values()))
     return {kind: fit.at_scale(scale).log_evidence(scale) for kind, fit in fits.items()}
 
 
-def _far(last: Mapping[str, ShapeFit], uncertainty: PadUncertainty) -> frozenset[str]:
+def _far(last: Mapping[str, ShapeFit]) -> frozenset[str]:
     """Return the kinds that are too unlikely under the last foam for a further one."""
-    evidence = _evidence(last, uncertainty)
+    evidence = _evidence(last)
     best = max(evidence.values())
     return frozenset(kind for kind, value in evidence.items() if value < best - _FAR)

@@ -83,17 +83,6 @@ Faults = Annotated[
         "(simulate --list-faults).",
     ),
 ]
-Gauge = Annotated[
-    Path | None,
-    typer.Option(
-        "--gauge",
-        help="Grasps of one known object, a data set or a recording: calibrates the foam.",
-    ),
-]
-GaugeShape = Annotated[
-    str | None,
-    typer.Option("--gauge-shape", help="Shape of the gauge [default: the object of its label]."),
-]
 Cells = Annotated[
     list[str] | None, typer.Option("--cell", help="Only grasps of this cell; repeat for several.")
 ]

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
@@ -21,14 +21,12 @@ from cell.control.identification import Identification, grasp_and_classify
 from cell.control.keeping import Judge
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import GraspRecord
-from cell.errors import CellError, ConfigError, NoPartFound
-from cell.learning.pad_knowledge import PadKnowledge
+from cell.errors import CellError, NoPartFound
 from cell.learning.shape_reading import in_words, shape_reader
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
-from recognition.shape.foam import FoamModel
 from recognition.statistics.fusion import DecisionKind
 from tactile.layout import paper_layout
 from tests.cell.conftest import SURE, UNSURE, Scripted, small_config
@@ -245,8 +243,4 @@ def test_a_felt_size_far_from_the_drawn_ones_is_of_no_taught_object(record, draw
 
 
 def test_a_config_may_want_no_shapes() -> None:
-    config = small_config(recognition__shape=False)
-    assert shape_reader(config, PadKnowledge(foam=FoamModel())) is None
-    gauged = PadKnowledge(foam=FoamModel(), fit=cast("Any", "of a gauge"))
-    with pytest.raises(ConfigError, match="a gauge serves shape and size"):
-        shape_reader(config, gauged)
+    assert shape_reader(small_config(recognition__shape=False)) is None

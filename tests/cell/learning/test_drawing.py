@@ -1,4 +1,4 @@
-"""Teaching from a drawing, the gauge, and shape and size on the command line."""
+"""Teaching from a drawing, and shape and size on the command line."""
 
 import json
 from dataclasses import replace
@@ -13,8 +13,7 @@ from cell.control.plan import Pose
 from cell.control.records import pad_array
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.app import app
-from cell.learning.pad_knowledge import PadKnowledge, calibrate_on_gauge, gauge_shape, usual_foam
-from cell.learning.shape_reading import reader_under
+from cell.learning.shape_reading import shape_reader, usual_foam
 from cell.learning.teach_from_drawing import course_of, teach_drawing
 from cell.learning.virtual_grasps import reaches_m
 from cell.recording.dataset import read_dataset, write_dataset
@@ -22,14 +21,20 @@ from cell.runtime.goals import checked_goal
 from cell.simulation import drawn_shape, simulator_settings
 from recognition.ramp.ramp import find_ramp, learn_rest
 from recognition.recognizer import UNKNOWN
-from recognition.shape.foam import FoamModel, PadBed
+from recognition.shape.foam import PadBed
 from simulator.world.taxels import ideal_counts
-from tests.cell.conftest import call, plain_grasp
+from tests.cell.conftest import call
 
 BALL = "sphere:diameter=9.5mm"
 BOX = "box:length=15.9mm,width=10mm,height=10mm"
 CYLINDER = "cylinder:diameter=6mm,length=20mm"
 RATE_N_S, FRAME_S = 20.0, 0.02
+SURE = dict.fromkeys(
+    [f"{name}_sd" for name in ("modulus", "gain", "spread", "densification", "thickness", "bend")]
+    + ["lag", "noise_sd"],
+    0.0,
+)
+"""A course on the usual foam and sensor."""
 
 
 def refused(*arguments: object) -> str:
@@ -41,8 +46,8 @@ def refused(*arguments: object) -> str:
 def test_a_virtual_grasp_looks_like_the_cells_own(taught) -> None:
     config = taught.config
     own = [g for g in taught.grasps if g.label == "ball"]
-    known = PadKnowledge(foam=FoamModel(), other_foams=1.0)
-    drawn = teach_drawing(config, "ball", drawn_shape(BALL), 40, kind="sphere", known=known)
+    course = replace(course_of(config), **SURE)
+    drawn = teach_drawing(config, "ball", drawn_shape(BALL), 40, kind="sphere", course=course)
     first = drawn[0]
     assert first.pads.same_as(own[0].pads)
     assert (first.source, first.shape) == ("drawing", "sphere")
@@ -88,7 +93,6 @@ def test_drawings_alone_name_what_the_cell_grasps(taught, tmp_path) -> None:
     for label, text in (("ball", BALL), ("box", BOX), ("cylinder", CYLINDER)):
         printed = call("teach", label, "--shape", text, "-o", drawings, "-n", 10)
         assert f"10 virtual grasps of {label}" in printed
-        assert "not calibrated" in printed
         assert "simulator.noise: clipped_normal, level 1" in printed
     assert {g.source for g in read_dataset(drawings)} == {"drawing"}
     assert len({g.command for g in read_dataset(drawings)}) == 30
@@ -113,45 +117,6 @@ def test_drawings_alone_name_what_the_cell_grasps(taught, tmp_path) -> None:
     assert "flat, " in printed
 
 
-def test_a_gauge_calibrates_and_is_printed(taught, tmp_path) -> None:
-    gauge, drawings, facts = (tmp_path / name for name in ("g.npz", "d.npz", "f.json"))
-    write_dataset(gauge, [g for g in taught.grasps if g.label == "ball"])
-    printed = call(
-        *("teach", "cube", "--shape", "box:length=8mm,width=8mm,height=8mm", "-n", 4),
-        *("--gauge", gauge, "-o", drawings, "--json", facts),
-    )
-    assert "from 5 grasps" in printed
-    assert "simulator.noise" not in printed
-    pads = json.loads(facts.read_text())["pads"]
-    foam = pads["foam"]
-    assert abs(np.log(foam["modulus_pa"] / 150e3)) < 3 * pads["modulus_sd"] + 0.05
-    assert foam["gain"] == pytest.approx(1.0, abs=0.15)
-    own_noise = np.concatenate([g.counts[:5] for g in taught.grasps]).mean()
-    assert read_dataset(drawings)[0].counts[:5].mean() == pytest.approx(own_noise, rel=0.15)
-
-
-def test_the_calibration_follows_another_foam() -> None:
-    config = CellConfig()
-    pads = pad_array(layout_from_config(config.tactile))
-    true = PadKnowledge(
-        foam=FoamModel(modulus_pa=210e3, gain=0.85),
-        modulus_sd=1e-6,
-        gain_sd=1e-6,
-        spread_sd=1e-6,
-        densification_sd=1e-6,
-        thickness_sd=1e-6,
-        aperture_sd_m=1e-9,
-    )
-    ball = drawn_shape(BALL)
-    known = calibrate_on_gauge(teach_drawing(config, "b", ball, 8, known=true), ball, pads)
-    assert known.foam.gain == pytest.approx(0.85, abs=0.07)
-    assert abs(np.log(known.foam.modulus_pa / 210e3)) < 3 * known.modulus_sd
-    assert known.rest is not None
-    assert known.trust.modulus == known.modulus_sd
-    assert 1.0 < known.other_foams < PadKnowledge(foam=known.foam).other_foams
-
-
-EXACT = {f"{name}_sd": 1e-6 for name in ("modulus", "gain", "spread", "densification", "thickness")}
 LINEAR = {"layout": "pinch", "calibration": {"kind": "linear", "force_per_count_n": 0.001}}
 TABLE = {
     "layout": "pinch",
@@ -179,15 +144,15 @@ def test_simulated_and_virtual_pads_read_as_the_config_says(tactile) -> None:
 def test_virtual_grasps_and_sizes_follow_the_law_of_the_sensor(tactile) -> None:
     config = CellConfig.model_validate({"tactile": tactile, "simulator": {"noise": "none"}})
     calibration = make_calibration(config.tactile, layout_from_config(config.tactile))
-    known = PadKnowledge(foam=usual_foam(config), **EXACT)
-    grasps = teach_drawing(config, "ball", drawn_shape(BALL), 4, known=known)
+    course = replace(course_of(config), **SURE)
+    grasps = teach_drawing(config, "ball", drawn_shape(BALL), 4, course=course)
     for grasp in grasps:
         pads_n = calibration.force_n(grasp.counts[-3:].mean(axis=0))
         for pad in (0, 1):
             assert pads_n[grasp.pads.taxels_of(pad)].sum() == pytest.approx(
                 grasp.force_n[-1], rel=0.2
             )
-    read = reader_under(PadKnowledge(foam=usual_foam(config)))
+    read = shape_reader(config)
     for answer in map(read, grasps):
         assert 1e3 * answer.size_m == pytest.approx(9.5, abs=0.8)
 
@@ -221,8 +186,6 @@ def test_a_mesh_is_a_drawing(tmp_path) -> None:
         (("--shape", "cone:height=3mm"), "unknown shape"),
         (("--shape", BALL, "--mesh", "x.stl"), "exclude each other"),
         (("--mesh", "missing.stl"), "cannot be read"),
-        (("--shape", BALL, "--gauge-shape", BALL), "name its grasps with --gauge"),
-        (("--gauge", "g.npz"), "add --shape or --mesh"),
         (("--shape", "sphere:diameter=30mm"), "to 18 mm (gripper.aperture_open_mm)"),
         (("--shape", "box:length=20mm,width=10mm,height=0.01mm"), "is too narrow for the pads"),
         (("--shape", "cylinder:diameter=0.3mm,length=20mm"), "is 0.247 mm thick at x"),
@@ -267,30 +230,10 @@ def test_an_object_beside_the_pads_is_refused() -> None:
         teach_drawing(config.model_copy(update={"sequence": sequence}), "b", drawn_shape(BALL), 1)
 
 
-@pytest.mark.slow
-def test_what_a_gauge_must_be(taught) -> None:
-    config, ball = taught.config, drawn_shape(BALL)
-    pads = taught.grasps[0].pads
-    with pytest.raises(CellError, match="a gauge is one object, these grasps are of ball, box"):
-        gauge_shape(taught.grasps, None, config)
-    with pytest.raises(CellError, match="a gauge is one object, these grasps are of ball, box"):
-        gauge_shape(taught.grasps, BALL, config)
-    wrong = calibrate_on_gauge([g for g in taught.grasps if g.label == "box"], ball, pads)
-    assert "is this the gauge's shape?" in str(wrong)
-    with pytest.raises(CellError, match="'thing' is not known: add --gauge-shape"):
-        gauge_shape([plain_grasp("thing")], None, config)
-    with pytest.raises(ConfigError, match="unknown shape"):
-        gauge_shape([plain_grasp("thing")], "thing", config)
-    with pytest.raises(CellError, match="on 24 taxels, this cell has 408"):
-        calibrate_on_gauge([plain_grasp("thing")], ball, pads)
-    with pytest.raises(CellError, match="the gauge cannot be used"):
-        calibrate_on_gauge(taught.grasps[:1], ball, pads)
-
-
 def test_untouched_pads_have_no_shape(taught) -> None:
     grasp = taught.grasps[0]
     still = replace(grasp, counts=np.repeat(grasp.counts[:1], grasp.n_frames, axis=0))
-    read = reader_under(PadKnowledge(foam=FoamModel()))
+    read = shape_reader(CellConfig())
     known = read(grasp)
     assert read(still) is None
     assert known.kind == "sphere"
@@ -298,9 +241,8 @@ def test_untouched_pads_have_no_shape(taught) -> None:
 
 def test_one_servo_moves_both_fingers_in_larger_steps() -> None:
     config = CellConfig()
-    known = PadKnowledge(foam=FoamModel())
     alone = config.gripper.model_copy(update={"servos": config.gripper.servos[:1]})
-    both_m = course_of(config, known).aperture_step_m
-    one_m = course_of(config.model_copy(update={"gripper": alone}), known).aperture_step_m
+    both_m = course_of(config).aperture_step_m
+    one_m = course_of(config.model_copy(update={"gripper": alone})).aperture_step_m
     assert one_m == pytest.approx(2 * both_m)
     assert both_m == pytest.approx(60e-3 * 2 * np.pi / 4096)

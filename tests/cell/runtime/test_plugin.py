@@ -5,7 +5,6 @@ import importlib.metadata
 import re
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import pytest
 
 from cell.control.plan import Pose
 from cell.errors import (
-    CellError,
     CellStateError,
     CellStopped,
     ConfigError,
@@ -48,28 +46,6 @@ def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n
     once(
         plugin.cell.simulated.clock, lambda: hand.phase is phase and grip_n(plugin) >= above_n, act
     )
-
-
-@pytest.mark.slow
-def test_a_gauge_says_under_which_foam_shapes_are_read(make_plugin, taught, tmp_path) -> None:
-    gauge = tmp_path / "gauge.npz"
-    balls = [replace(grasp, label="master") for grasp in taught.grasps if grasp.label == "ball"]
-    write_dataset(gauge, balls)
-    with pytest.raises(ConfigError, match="describes the gauge"):
-        make_plugin(gauge_shape="sphere:diameter=9.5mm")
-    with pytest.raises(CellError, match="shape of the gauge 'master' is not known"):
-        make_plugin(gauge=gauge)
-
-    def read(**options: Any) -> Any:
-        shape = make_plugin(model=taught.result.model, **options).model.shapes.reader(box)
-        return shape
-
-    box = taught.grasps[-1]
-    assert 1e3 * read().size_m == pytest.approx(10.0, abs=0.3)
-    right = read(gauge=gauge, gauge_shape="sphere:diameter=9.5mm")
-    # The gauge is said to be 0.4 mm smaller than it is: so is what is measured then.
-    small = read(gauge=gauge, gauge_shape="sphere:diameter=9.1mm")
-    assert 1e3 * (right.size_m - small.size_m) == pytest.approx(0.4, abs=0.15)
 
 
 # -- jobs --------------------------------------------------------------------------------------

@@ -19,7 +19,6 @@ from cell.interfaces.cli.session import (
 )
 from cell.interfaces.cli.terminal import percent, show
 from cell.learning.model import load_model
-from cell.learning.pad_knowledge import pad_knowledge
 from cell.learning.shape_reading import NO_SHAPE, beside, shape_reader
 from cell.learning.training import identify_recorded
 from cell.recording.dataset import read_grasps
@@ -46,8 +45,6 @@ def identify(
         Literal["never", "when-named", "always"],
         typer.Option("--keep", help="When to keep the part in the grip after the answer."),
     ] = "never",
-    gauge: options.Gauge = None,
-    gauge_shape: options.GaugeShape = None,
     config: options.Config = None,
     out_folder: options.Out = None,
     seed: options.Seed = None,
@@ -63,7 +60,7 @@ def identify(
             raise ConfigError("--fault is for the simulated cell: leave it out for recorded grasps")
         if keep != "never":
             raise ConfigError("--keep is for a cell: leave it out for recorded grasps")
-        read_shape = shape_reader(checked, pad_knowledge(checked, gauge, gauge_shape))
+        read_shape = shape_reader(checked)
         _identify_recorded(checked, model, dataset, read_shape, follow=follow, json_file=json_file)
         return
     if follow:
@@ -80,8 +77,6 @@ def identify(
         config_file=config,
         json_file=json_file,
         model=model,
-        gauge=gauge,
-        gauge_shape=gauge_shape,
     ) as cell:
         cell.plugin.watch_parts(lambda _, found: trials.append(found) if found else None)
         part = cell.run(goal)

@@ -12,7 +12,6 @@ from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config, pads_of, running_cell
 from cell.interfaces.cli.terminal import print_line, progress_bar, show
 from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend, name_recorded
-from cell.learning.pad_knowledge import pad_knowledge
 from cell.learning.teach_from_drawing import teach_drawing
 from cell.recording.dataset import read_dataset
 from cell.recording.grasp_limits import text_refused
@@ -54,8 +53,6 @@ def teach(
         Path | None,
         typer.Option("--mesh", help="Teach from an STL file in mm, without grasping."),
     ] = None,
-    gauge: options.Gauge = None,
-    gauge_shape: options.GaugeShape = None,
     recorded: Annotated[
         Path | None,
         typer.Option(
@@ -91,8 +88,6 @@ def teach(
         return
     checked = cell_config(config, seed=seed, faults=faults)
     if shape is None and mesh is None:
-        if gauge is not None or gauge_shape is not None:
-            raise ConfigError("a gauge is for drawings: add --shape or --mesh")
         goal = TeachGoal(label=label, grasps=grasps or _GRASPS, present=present, train=False)
         _teach_grasps(checked, config, goal, dataset, series, out_folder, json_file)
         return
@@ -108,8 +103,6 @@ def teach(
         dataset,
         grasps or _VIRTUAL_GRASPS,
         shape if shape is not None else f"mesh:file={mesh}",
-        gauge=gauge,
-        gauge_shape=gauge_shape,
         json_file=json_file,
     )
 
@@ -167,13 +160,10 @@ def _teach_drawing(
     n_grasps: int,
     drawing: str,
     *,
-    gauge: Path | None,
-    gauge_shape: str | None,
     json_file: Path | None,
 ) -> None:
 
     shape = drawn_shape(drawing)
-    known = pad_knowledge(config, gauge, gauge_shape)
     before = read_dataset(dataset) if dataset.exists() else ()
     with progress_bar() as progress:
         grasps = teach_drawing(
@@ -182,21 +172,16 @@ def _teach_drawing(
             shape,
             n_grasps,
             kind=drawing.partition(":")[0],
-            known=known,
             seed=_SEED_OF_DRAWINGS + config.seed + len(before),
             start_ms=max((grasp.start_ms + 1000 for grasp in before), default=0),
             progress=progress,
         )
     append_to_dataset(dataset, before, grasps)
+    noise = config.simulator
     lines = [
         f"{len(grasps)} virtual grasps of {label} added to {dataset} ({len(before)} were there)",
-        str(known),
+        f"noise of the config (simulator.noise: {noise.noise}, level {noise.noise_level:g}); if "
+        "the sensor has more, taught objects become unknown",
     ]
-    if known.rest is None:
-        noise = config.simulator
-        lines.append(
-            f"noise of the config (simulator.noise: {noise.noise}, level {noise.noise_level:g}); "
-            "if the sensor has more, taught objects become unknown: --gauge measures its noise"
-        )
     values = {"label": label, "n_grasps": len(grasps), "dataset": dataset, "source": "drawing"}
-    show(lines, values | {"drawing": drawing, "pads": known.as_dict()}, json_file)
+    show(lines, values | {"drawing": drawing}, json_file)
