@@ -67,9 +67,9 @@ def repeats(full: int, effort: float, *, least: int = 1) -> int:
     return max(least, round(full * effort))
 
 
-def same(found: bool, what: str) -> None:
+def same(holds: bool, what: str) -> None:
     """End the benchmark if two alternatives have different results."""
-    if not found:
+    if not holds:
         raise SystemExit(f"the figures mean nothing: {what}")
 
 

@@ -97,8 +97,8 @@ def main(effort: float = 1.0, n_grasps: int | None = None) -> None:
             same(added == n, f"{added} of {n} grasps are in the archive")
         added = apart("archive again", n, archived, files, one, 1)
         same(added == 0, f"{added} grasps were added twice")
-        found = [apart("report", n, reported, target) for target in targets.values()]
-        same(found[0] == found[1], "archives by one process and two give different reports")
+        reports = [apart("report", n, reported, target) for target in targets.values()]
+        same(reports[0] == reports[1], "archives by one process and two give different reports")
 
 
 if __name__ == "__main__":

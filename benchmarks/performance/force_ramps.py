@@ -444,13 +444,16 @@ def met(quality: RampQuality, final_n: float) -> tuple[bool, bool, bool]:
 
 def row(setup: Setup, servos: int | None, every: int = 1) -> tuple[str, list[str]]:
     """Return the figures of all ramps of a gripper, and a line for each that misses an aim."""
-    found = {case: grasp(setup, case, servos) for case in CASES[::every]}
-    marks = {case: met(quality, case.final_n) for case, quality in found.items()}
+    qualities = {case: grasp(setup, case, servos) for case in CASES[::every]}
+    marks = {case: met(quality, case.final_n) for case, quality in qualities.items()}
     counts = ", ".join(f"{sum(one):2d}" for one in zip(*marks.values(), strict=True))
-    held = [quality.holding_n for quality in found.values() if not quality.lost]
+    held = [quality.holding_n for quality in qualities.values() if not quality.lost]
     mean_n = sum(held) / max(1, len(held))
-    missed = [f"{case}: {found[case]}" for case, mark in marks.items() if not all(mark)]
-    return f"{counts} of {len(found)}, {mean_n:.2f} N, {len(found) - len(held)} lost", missed
+    missed = [f"{case}: {qualities[case]}" for case, mark in marks.items() if not all(mark)]
+    return (
+        f"{counts} of {len(qualities)}, {mean_n:.2f} N, {len(qualities) - len(held)} lost",
+        missed,
+    )
 
 
 def main(effort: float = 1.0) -> None:

@@ -66,31 +66,31 @@ def from_the_command(n_teach: int, rounds: int) -> None:
             spent_s[controller.hand.phase.value] += now_s - last_s[0]
             last_s[0] = now_s
 
-        def answers(found: Identification) -> float:
-            grasps = [record.grasp for record in found.records]
+        def answers(answer: Identification) -> float:
+            grasps = [record.grasp for record in answer.records]
             _, took = timed(
                 lambda: [(model.recognizer.posterior(g), model.shapes.read(g)) for g in grasps]
             )
             return took.cpu_s
 
         clock.on_advance.append(look)
-        for what, keep, whole, beside in WAYS:
+        for what, keep, whole, phases in WAYS:
             totals_s, phases_s, n_grasps = list[float](), dict[str, list[float]](), 0
             names = Counter[str]()
             for turn, held in enumerate(labels * rounds):
                 spent_s.clear()
                 how = {"seed": 1000 + turn, "keep": keep.value, "whole_ramps": whole}
-                found, _ = tasks.named(IdentifyGoal(present=held, **how))
+                answer, _ = tasks.named(IdentifyGoal(present=held, **how))
                 motion_s = dict(spent_s)
-                if found.kept:
+                if answer.kept:
                     controller.release()
-                computing_s = answers(found)
-                alone_s = computing_s - sum(motion_s.get(name, 0.0) for name in beside)
+                computing_s = answers(answer)
+                alone_s = computing_s - sum(motion_s.get(name, 0.0) for name in phases)
                 totals_s.append(sum(motion_s.values()) + max(0.0, alone_s))
                 for name, value_s in (*motion_s.items(), ("computing", computing_s)):
                     phases_s.setdefault(name, []).append(value_s)
-                names[{held: "right", UNKNOWN: UNKNOWN}.get(found.label, "wrong")] += 1
-                n_grasps += len(found.records)
+                names[{held: "right", UNKNOWN: UNKNOWN}.get(answer.label, "wrong")] += 1
+                n_grasps += len(answer.records)
             line(
                 what,
                 f"from the command median {statistics.median(totals_s):.2f} s, largest "

@@ -154,13 +154,16 @@ def ask(port: int, request: bytes, *, answer: bool = True) -> bool:
 def connects(n: int) -> list[ResourceUse]:
     """Connect ``n`` times to each interface of a service that holds a part."""
     call, samples = dumps((), "state"), []
-    with closing(_service()) as service, open_interfaces(service) as found:
-        head, token = "HTTP/1.1\r\nHost: localhost\r\n", f"Authorization: Bearer {found['token']}"
+    with closing(_service()) as service, open_interfaces(service) as interfaces:
+        head, token = (
+            "HTTP/1.1\r\nHost: localhost\r\n",
+            f"Authorization: Bearer {interfaces['token']}",
+        )
         body = f"Content-Type: text/xml\r\nContent-Length: {len(call)}\r\n\r\n{call}"
         requests = {
-            found["modbus_port"]: bytes.fromhex("000100000006010400000001"),
-            found["xmlrpc_port"]: f"POST /RPC2 {head}{body}".encode(),
-            found["http_port"]: f"GET /api/info {head}{token}\r\n\r\n".encode(),
+            interfaces["modbus_port"]: bytes.fromhex("000100000006010400000001"),
+            interfaces["xmlrpc_port"]: f"POST /RPC2 {head}{body}".encode(),
+            interfaces["http_port"]: f"GET /api/info {head}{token}\r\n\r\n".encode(),
         }
         if not _run(service, service.lease.acquire("soak"), task="grip", force_n=3.0).verification:
             raise SystemExit("nothing was gripped")
@@ -191,8 +194,9 @@ def watch(address: str, count: Any) -> None:
 def hours(n: float) -> list[ResourceUse]:
     """Sort the parts of a shift of ``n`` hours without its pauses, watched by a client."""
     n_parts, samples, processes = round(3600.0 * n / _PART_S), [], get_context("spawn")
-    with closing(_service()) as service, open_interfaces(service) as found:
-        address = f"ws://127.0.0.1:{found['http_port']}/api/live?token={found['token']}&frames=1"
+    with closing(_service()) as service, open_interfaces(service) as interfaces:
+        host = f"ws://127.0.0.1:{interfaces['http_port']}"
+        address = f"{host}/api/live?token={interfaces['token']}&frames=1"
         count = processes.Value("q")
         client = processes.Process(target=watch, args=(address, count), daemon=True)
         client.start()

@@ -50,18 +50,18 @@ class PlacedForces(PadForces):
 
     def latest_force(self) -> ForceSample | None:
         """Return the newest sample."""
-        found, before = super().latest_force(), self._placed
-        if found is None or (before is not None and found.t_s == before.t_s):
+        sample, before = super().latest_force(), self._placed
+        if sample is None or (before is not None and sample.t_s == before.t_s):
             return before
-        if found.grip_n > 0.0:
-            noise_m = _FRAME_CENTRE_N_M / found.grip_n
+        if sample.grip_n > 0.0:
+            noise_m = _FRAME_CENTRE_N_M / sample.grip_n
             if not self._frames:
-                noise_m = _SCAN_CENTRE_N_M / found.grip_n * found.noise_n / self._scan_n
+                noise_m = _SCAN_CENTRE_N_M / sample.grip_n * sample.noise_n / self._scan_n
             x_m, y_m = (self._places.gauss(0.0, noise_m) for _ in (0, 1))
-            centre_m = self._place_m(found.measured_s) + x_m, y_m
-            found = replace(found, centre_m=centre_m, centre_noise_m=noise_m)
-        self._placed = found
-        return found
+            centre_m = self._place_m(sample.measured_s) + x_m, y_m
+            sample = replace(sample, centre_m=centre_m, centre_noise_m=noise_m)
+        self._placed = sample
+        return sample
 
 
 class TouchRig(Rig):
@@ -195,12 +195,12 @@ EVENTS: dict[str, tuple[float, Callable[[float | None, int], float]]] = {
 """What is measured in N, or in s and shown in ms."""
 
 
-def _text(found: list[float], factor: float) -> str:
-    happened = sorted(factor * value for value in found if not math.isnan(value))
+def _text(times: list[float], factor: float) -> str:
+    happened = sorted(factor * value for value in times if not math.isnan(value))
     noticed = [value for value in happened if value < math.inf]
     if not noticed:
         return f"none of {len(happened)}"
-    few = f" ({len(noticed)} of {len(happened)})" if len(noticed) < len(found) else ""
+    few = f" ({len(noticed)} of {len(happened)})" if len(noticed) < len(times) else ""
     return f"{median(happened):6.2f}{noticed[-1]:7.2f}{few}"
 
 

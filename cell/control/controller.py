@@ -133,10 +133,10 @@ class CellController:
                 self.journal.note("note", FORCE_FROM_FRAMES)
             self.zeros.of_unit(unit)
             if self.hand.phase is GripperPhase.HELD_AFTER_FAULT:
-                found = "; ".join(map(str, self.hand.conditions()))
+                conditions = "; ".join(map(str, self.hand.conditions()))
                 raise PartInGrip(
                     f"servos have torque from an earlier run, a part may be in the grip; nothing "
-                    f"was moved ({found}). Clear the fault, release the part, then start again"
+                    f"was moved ({conditions}). Clear the fault, release the part, then start again"
                 )
             self.zeroing.start()
             self.life.complete()
@@ -210,9 +210,9 @@ class CellController:
         try:
             if stopping:
                 self.zeroing.keep_drives()
-            found = self.hand.shutdown()
-            if found:
-                self.journal.note("fault", found)
+            fault = self.hand.shutdown()
+            if fault:
+                self.journal.note("fault", fault)
         finally:
             self.journal.loop(self.hand.statistics)
             if stopping:
@@ -272,7 +272,7 @@ class CellController:
                 self.life.complete()
             else:
                 self.life.keep(since="grip")
-        self._check_found(record)
+        self._check_record(record)
         return record
 
     def identify(
@@ -303,7 +303,7 @@ class CellController:
         """
         self.check_plan(plan)
         self.journal.begin()
-        found = grasp_and_classify(
+        answer = grasp_and_classify(
             self._grasp,
             recognizer,
             plan,
@@ -315,8 +315,8 @@ class CellController:
             on_grasp=on_grasp,
             execute=self._start_answer,
         )
-        self.journal.result(found)
-        return found
+        self.journal.result(answer)
+        return answer
 
     # -- inside --------------------------------------------------------------------------------
 
@@ -340,10 +340,10 @@ class CellController:
                 self.life.keep(since="answer")
             else:
                 self.life.complete()
-        self._check_found(record)
+        self._check_record(record)
         return record, kept
 
-    def _check_found(self, record: GraspRecord) -> None:
+    def _check_record(self, record: GraspRecord) -> None:
         """Raise NoPartFound if a grasp found no part."""
         missing = NOTHING_HELD.get(record.outcome.result)
         if missing is not None:

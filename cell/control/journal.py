@@ -28,9 +28,9 @@ def loop_values(statistics: LoopStatistics, *, undelivered: int = 0) -> dict[str
     }
     values["undelivered"] = undelivered
     for name in DISTRIBUTIONS:
-        found: Distribution = getattr(statistics, name)
+        distribution: Distribution = getattr(statistics, name)
         for quantile in ("p50_s", "p99_s", "p999_s", "max_s"):
-            values[f"{name}_{quantile}"] = getattr(found, quantile)
+            values[f"{name}_{quantile}"] = getattr(distribution, quantile)
     return values
 
 
@@ -121,33 +121,33 @@ class Journal:
         loop = loop_values(statistics.loop, undelivered=statistics.undelivered)
         self._now(schema.LOOP, loop | link_values(statistics))
 
-    def result(self, found: Identification) -> None:
+    def result(self, answer: Identification) -> None:
         """Record the answer of a sequence and its complaints."""
-        for text in found.complaints:
+        for text in answer.complaints:
             self.note("callback", text)
         values: dict[str, Any] = {
-            "label": found.label,
-            "probability": found.decision.probability,
-            "labels": list(found.fused.labels),
-            "probabilities": found.fused.probability.tolist(),
-            "unknown": float(found.fused.unknown),
-            "n_grasps": len(found.records),
-            "n_ended_early": found.n_ended_early,
+            "label": answer.label,
+            "probability": answer.decision.probability,
+            "labels": list(answer.fused.labels),
+            "probabilities": answer.fused.probability.tolist(),
+            "unknown": float(answer.fused.unknown),
+            "n_grasps": len(answer.records),
+            "n_ended_early": answer.n_ended_early,
             "grasp_answers": [
                 {
                     "probabilities": one.probability.tolist(),
                     "unknown": float(one.unknown),
                     "dependence": float(one.dependence),
                 }
-                for one in found.posteriors
+                for one in answer.posteriors
             ],
         }
         if self.brought:
             values["held"] = self.brought
-        if found.shape is not None:
-            values["shape"] = shape_values(found.shape)
-        if found.shapes:
-            values["grasp_shapes"] = [shape_values(shape) for shape in found.shapes]
-        if found.drift is not None:
-            values |= estimate_values(found.drift)
+        if answer.shape is not None:
+            values["shape"] = shape_values(answer.shape)
+        if answer.shapes:
+            values["grasp_shapes"] = [shape_values(shape) for shape in answer.shapes]
+        if answer.drift is not None:
+            values |= estimate_values(answer.drift)
         self._now(schema.RESULT, values)

@@ -126,7 +126,7 @@ class SelfZeros:
     drives: dict[int, dict[str, Any]] = field(default_factory=dict, init=False)
     """Drive characteristic of each servo and the identity of the servo, plain data by its ID."""
     _last: SelfZero | None = field(default=None, init=False)
-    _kept_hand: Mapping[str, Any] = field(default_factory=dict, init=False)
+    _saved_hand: Mapping[str, Any] = field(default_factory=dict, init=False)
     """The hand of the self-zero in the file."""
 
     def __post_init__(self) -> None:
@@ -186,7 +186,7 @@ class SelfZeros:
     def keep(self, zero: SelfZero) -> None:
         """Save a new self-zero; `unkept` has the reason if its file cannot be written."""
         self._last, self.measured_s = zero, self.now_s()
-        self._kept_hand, self.new_hand = self.hand, False
+        self._saved_hand, self.new_hand = self.hand, False
         self.unkept = self.refused = ""
         self._write()
 
@@ -209,13 +209,13 @@ class SelfZeros:
 
     def kept_drives(self, homing: Mapping[int, int]) -> dict[int, DriveCharacteristic]:
         """Return the saved drive characteristics of the present servos, as of another day."""
-        found = {}
-        for servo_id, kept in self.drives.items():
-            if kept["servo"] == self._servo(servo_id, homing):
-                drive = DriveCharacteristic(**kept["drive"])
+        drives = {}
+        for servo_id, saved in self.drives.items():
+            if saved["servo"] == self._servo(servo_id, homing):
+                drive = DriveCharacteristic(**saved["drive"])
                 sd = max(drive.friction_sd, _ANOTHER_DAY_SD)
-                found[servo_id] = replace(drive, friction_sd=sd)
-        return found
+                drives[servo_id] = replace(drive, friction_sd=sd)
+        return drives
 
     def _servo(self, servo_id: int, homing: Mapping[int, int]) -> dict[str, Any]:
         return {**self.servos.get(servo_id, {}), "homing_offset": homing.get(servo_id, 0)}
@@ -223,16 +223,16 @@ class SelfZeros:
     def _write(self) -> None:
         if self.path is None:
             return
-        kept = {
+        content = {
             "measured_s": self.measured_s,
-            "hand": self._kept_hand,
+            "hand": self._saved_hand,
             "zero": None if self._last is None else asdict(self._last),
-            "drives": {str(servo_id): kept for servo_id, kept in self.drives.items()},
+            "drives": {str(servo_id): drive for servo_id, drive in self.drives.items()},
         }
         try:
             with suppress(OSError):  # The write reports the error.
                 self.path.parent.mkdir(parents=True, exist_ok=True)
-            write_json(self.path, SELF_ZERO, kept, error=CellError)
+            write_json(self.path, SELF_ZERO, content, error=CellError)
         except CellError as error:
             self.unkept = f"today's self-zero could not be saved for other programs: {error}"
 
@@ -243,10 +243,10 @@ class SelfZeros:
                 return
             zero = values["zero"]
             last = zero and SelfZero.from_values([zero[name] for name in ZERO_COLUMNS])
-            drives = {int(name): dict(kept) for name, kept in values["drives"].items()}
-            for kept in drives.values():
-                DriveCharacteristic(**kept["drive"])
-            measured_s, self._kept_hand = float(values["measured_s"]), dict(values["hand"])
+            drives = {int(name): dict(saved) for name, saved in values["drives"].items()}
+            for saved in drives.values():
+                DriveCharacteristic(**saved["drive"])
+            measured_s, self._saved_hand = float(values["measured_s"]), dict(values["hand"])
             date.fromtimestamp(measured_s)
         except CellError as error:
             self._refuse(str(error))
@@ -260,8 +260,7 @@ class SelfZeros:
 
     def _refuse_other_hand(self) -> None:
         """Do not use the last one if it is of another hand."""
-        kept = self._kept_hand
-        others = [key for key, value in self.hand.items() if kept.get(key) != value]
+        others = [key for key, value in self.hand.items() if self._saved_hand.get(key) != value]
         if self._last is not None and others:
             self._refuse(
                 f"{self.path or 'it'} is of another cell or hand, with other {', '.join(others)}. "
@@ -273,14 +272,14 @@ class SelfZeros:
         self.refused = f"the saved self-zero is not used: {why}"
 
 
-def part_between(outcome: GraspOutcome, found: ZeroMeasurement | None = None) -> str:
+def part_between(outcome: GraspOutcome, zeroed: ZeroMeasurement | None = None) -> str:
     """Return as text that something other than the pads has stopped the fingers, else "".
 
     `Hand.press_pads_together` ends early if the opening or the first footprints show a part;
-    ``found`` is the measurement at its end.
+    ``zeroed`` is the measurement at its end.
     """
     lost = outcome.result is GraspResult.PART_LOST
-    if not (outcome.ended_early or lost or (found is not None and not found.pads_met)):
+    if not (outcome.ended_early or lost or (zeroed is not None and not zeroed.pads_met)):
         return ""
     return (
         f"the empty fingers did not meet: they stopped at {_mm(outcome.final_aperture_m)} mm, "
@@ -289,16 +288,16 @@ def part_between(outcome: GraspOutcome, found: ZeroMeasurement | None = None) ->
     )
 
 
-def unsound(found: ZeroMeasurement) -> str:
+def unsound(zeroed: ZeroMeasurement) -> str:
     """Return as text that a finger is bent, or one pad measures far less than the other, or ""."""
-    tilt_deg = [math.degrees(tilt) for tilt in found.tilt_rad]
-    if max(map(abs, found.tilt_rad)) > _MOST_TILT_RAD:
+    tilt_deg = [math.degrees(tilt) for tilt in zeroed.tilt_rad]
+    if max(map(abs, zeroed.tilt_rad)) > _MOST_TILT_RAD:
         return (
             f"the pads meet at {tilt_deg[0]:+.1f} degrees along the fingers and "
             f"{tilt_deg[1]:+.1f} across, {math.degrees(_MOST_TILT_RAD):.0f} are allowed: a finger "
             f"is bent or a pad is loose; repair it, then measure again"
         )
-    ratio = math.exp(found.zero.log_gain_ratio)
+    ratio = math.exp(zeroed.zero.log_gain_ratio)
     if 1.0 / _MOST_RATIO <= ratio <= _MOST_RATIO:
         return ""
     weak = 0 if ratio < 1.0 else 1
@@ -309,16 +308,16 @@ def unsound(found: ZeroMeasurement) -> str:
     )
 
 
-def dead_taxels_text(found: ZeroMeasurement, layout: TaxelLayout) -> str:
+def dead_taxels_text(zeroed: ZeroMeasurement, layout: TaxelLayout) -> str:
     """Return the dead taxels as a note; empty without any."""
-    if not found.dead:
+    if not zeroed.dead:
         return ""
     places = ", ".join(
         f"{int(taxel) - layout.taxels_of(pad).start} of {layout.pads[pad].name}"
-        for taxel in found.dead[:8]
+        for taxel in zeroed.dead[:8]
         for pad in (int(layout.taxel_pad[taxel]),)
     )
-    return f"{len(found.dead)} taxels measure nothing although their neighbours do: {places}"
+    return f"{len(zeroed.dead)} taxels measure nothing although their neighbours do: {places}"
 
 
 def _mm(opening_m: float) -> str:
@@ -342,10 +341,10 @@ def drive_text(servo: ServoSettings, drive: DriveCharacteristic) -> str:
     )
 
 
-def zero_text(found: ZeroMeasurement) -> str:
+def zero_text(zeroed: ZeroMeasurement) -> str:
     """Return a self-zero as text for people: zero, gains, foam, how the pads stand."""
-    zero = found.zero
-    along_deg, across_deg = (math.degrees(tilt) for tilt in found.tilt_rad)
+    zero = zeroed.zero
+    along_deg, across_deg = (math.degrees(tilt) for tilt in zeroed.tilt_rad)
     return (
         f"pads meet at {_mm(zero.opening_m)} mm (±{zero.opening_sd_m * 1e3:.2f}), finger 0 "
         f"measures {math.exp(zero.log_gain_ratio):.2f} times finger 1 "

@@ -116,10 +116,10 @@ class Zeroing:
         self.life.obey_cancel_between()
         self.journal.begin()
         with self.life.executing(Event.EXECUTE):
-            found = self._measure(asked=True)
+            zeroed = self._measure(asked=True)
             self.missed = ""
             self.life.complete()
-        return found
+        return zeroed
 
     def keep_drives(self) -> DriveReport:
         """Save the measured drive characteristics; return them."""
@@ -142,33 +142,33 @@ class Zeroing:
         """
         self.open()
         collector, collect = self.watch.collecting()
-        outcome, found, refused = self._meet(collector, collect)
-        between = part_between(outcome, found)
+        outcome, zeroed, refused = self._meet(collector, collect)
+        between = part_between(outcome, zeroed)
         if between and asked:
             raise PartBetweenFingers(
                 f"{between}. The grip is kept. Look at the fingers; clear the fault and release"
             )
-        if found is not None:
-            refused = unsound(found) or ("" if asked else self.zeros.far_off(found.zero))
+        if zeroed is not None:
+            refused = unsound(zeroed) or ("" if asked else self.zeros.far_off(zeroed.zero))
         alone: Sequence[TimeSpan] = ()
         if not (between or refused):
             alone = self.hand.measure_load(collect)
         self.hand.release(self.watch.motion)
-        if found is None or between or refused:
+        if zeroed is None or between or refused:
             raise ZeroRefused(between or refused)
         if alone:
-            found = self._found(collector, alone)
+            zeroed = self._zeroed(collector, alone)
         self.hand.measure_friction(self.watch.motion)
         self._note_each_drive()
         gain = pad_gain(list(self.note_drives().drives.values()))
-        found = anchored(found, _catalogue_n_a(self.config), gain.log_gain, gain.log_sd)
-        self.zeros.keep(found.zero)
-        self.journal.note("self_zero", zero_text(found))
+        zeroed = anchored(zeroed, _catalogue_n_a(self.config), gain.log_gain, gain.log_sd)
+        self.zeros.keep(zeroed.zero)
+        self.journal.note("self_zero", zero_text(zeroed))
         if self.zeros.unkept:
             self.journal.note("note", self.zeros.unkept)
-        if dead := dead_taxels_text(found, self.hand.layout):
+        if dead := dead_taxels_text(zeroed, self.hand.layout):
             self.journal.note("taxels", dead)
-        return found
+        return zeroed
 
     def _meet(
         self, collector: GraspCollector, collect: OnPeriod
@@ -196,11 +196,11 @@ class Zeroing:
         if part_between(outcome):
             return outcome, None, ""
         try:
-            return outcome, self._found(collector), ""
+            return outcome, self._zeroed(collector), ""
         except ValueError as error:
             return outcome, None, f"{error}; measure again"
 
-    def _found(self, collector: GraspCollector, alone: Sequence[TimeSpan] = ()) -> ZeroMeasurement:
+    def _zeroed(self, collector: GraspCollector, alone: Sequence[TimeSpan] = ()) -> ZeroMeasurement:
         """Return the measurement by the frames so far; ``alone``: when one finger moved alone."""
         return measure_zero(
             collector.grasp(),
