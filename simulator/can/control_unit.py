@@ -87,7 +87,6 @@ class SimulatedControlUnit(CanopenDevice):
     ) -> None:
         self.settings = settings or ControlUnitSettings()
         self.faults = faults or ControlUnitFaults()
-        self._layout = layout
         node_id = self.settings.node_id
         super().__init__(node_id, od.of_node(node_id), start_s)
         self._sync_id = 0
@@ -174,7 +173,7 @@ class SimulatedControlUnit(CanopenDevice):
 
     def _reset(self, *, everything: bool) -> None:
         self._node.nmt.stop_heartbeat()
-        self.dictionary.reset(self._layout, everything=everything)
+        self.dictionary.reset(everything=everything)
         if everything:
             self.scanner.reset()
         self._take_settings()
@@ -239,10 +238,6 @@ class SimulatedControlUnit(CanopenDevice):
         if now_s < self._burst_end_s - ROUNDING_S:
             self._passed_over(EMCY_OVERRUN)
             return
-        self.scanner.latch()
-        self._send_frame(now_s)
-
-    def _send_frame(self, now_s: float) -> None:
         messages = self.scanner.frame_messages()
         window_s, bit_s = self._window_s, 1.0 / self.settings.bitrate
         if window_s and len(messages) * _WORST_BITS * bit_s > window_s:

@@ -34,8 +34,6 @@ _FRAME_BIT_AND_COB_ID = 0x3FFF_FFFF
 """
 _LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x181, 0x57F
 """Range of PDO identifiers in the pre-defined connection set."""
-_EDS_FULL_SCALE = 255
-"""Full scale in counts for which the thresholds of the EDS are given."""
 _COMMUNICATION_PROFILE = range(0x1000, 0x2000)
 """Objects that a reset of the communication sets to their defaults (CiA 301)."""
 _TPDO_PARAMETERS = (unit_od.TPDO1_PARAMETER, unit_od.TPDO2_PARAMETER)
@@ -47,15 +45,6 @@ _FIXED_VALUES = {
     (unit_od.TPDO2_PARAMETER, unit_od.PDO_TRANSMISSION): unit_od.PDO_OF_MANUFACTURER,
 }
 """The only value that the host may write to an object: 0 clears the history of errors."""
-_FORCE_FIELDS = {
-    1: slice(0, 1),
-    2: slice(1, 3),
-    3: slice(3, 5),
-    4: slice(5, 6),
-    5: slice(6, 7),
-    6: slice(7, 8),
-}
-"""Bytes of a force message for the sub-indices of object 0x2140."""
 
 
 class UnitDictionary:
@@ -91,7 +80,6 @@ class UnitDictionary:
         self.error_register = 0
         """Object 0x1001."""
         form = scanner.format
-        scale = layout.adc_max / _EDS_FULL_SCALE
         shapes = bytes(size for pad in layout.pads for size in (pad.rows, pad.columns))
         self._constants: dict[tuple[int, int], int | str | bytes] = {
             (unit_od.LAYOUT, unit_od.LAYOUT_PADS): layout.n_pads,
@@ -110,12 +98,8 @@ class UnitDictionary:
             unit_od.ERROR_HISTORY: self._read_history,
             unit_od.LAST_FRAME: self._read_frame,
             unit_od.LAST_FRAME_COUNTER: lambda _subindex: scanner.read_counter,
-            unit_od.TARE: self._read_tare,
-            unit_od.FORCE_MESSAGE: self._read_force,
             unit_od.BOARDS: lambda subindex: boards()[subindex - 1] if subindex else None,
         }
-        # The EDS gives thresholds for 8 bit; a unit with a finer converter scales them.
-        self._defaults(scale)
         node.add_read_callback(self._read)
         node.add_write_callback(self._check)
         node.add_write_callback(self._act)
@@ -131,13 +115,11 @@ class UnitDictionary:
             self._constants[index, subindex] = value
         return before
 
-    def reset(self, layout: TaxelLayout, *, everything: bool) -> None:
+    def reset(self, *, everything: bool) -> None:
         """Go back to the defaults: the communication profile, or all objects."""
         for index in list(self._node.data_store):
             if everything or index in _COMMUNICATION_PROFILE:
                 del self._node.data_store[index]
-        if everything:
-            self._defaults(layout.adc_max / _EDS_FULL_SCALE)
         self.errors.clear()
         self.error_register = 0
 
@@ -154,17 +136,6 @@ class UnitDictionary:
         """Return the identifier of TPDO ``pdo`` (1, 2); None while it is off."""
         value = self.number(_TPDO_PARAMETERS[pdo - 1], 1)
         return None if value & unit_od.PDO_INVALID else value & _COB_ID_BITS
-
-    def _defaults(self, scale: float) -> None:
-        if scale == 1.0:
-            return
-        for subindex in (
-            unit_od.THRESHOLD_TOUCH,
-            unit_od.THRESHOLD_TARE_SPREAD,
-        ):
-            default = self._node.object_dictionary[unit_od.THRESHOLDS][subindex].default
-            data = round(default * scale).to_bytes(2, "little")
-            self._node.data_store.setdefault(unit_od.THRESHOLDS, {})[subindex] = data
 
     def _read(self, *, index: int, subindex: int, od: ODVariable) -> int | str | bytes | None:
         self._check_there(index, subindex, od)
@@ -191,15 +162,6 @@ class UnitDictionary:
             raise canopen.SdoAbortedError(NO_DATA)
         return frame
 
-    def _read_force(self, subindex: int) -> bytes | None:
-        part = _FORCE_FIELDS.get(subindex)
-        return None if part is None else self._scanner.last_force[part]
-
-    def _read_tare(self, subindex: int) -> int | None:
-        if subindex == unit_od.TARE_RESULT:
-            return int(self._scanner.tare_result)
-        return self._scanner.tare_largest if subindex == unit_od.TARE_LARGEST else None
-
     def _check(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         self._check_there(index, subindex, od)
         value = int.from_bytes(data, "little")
@@ -220,8 +182,8 @@ class UnitDictionary:
                 raise canopen.SdoAbortedError(WRONG_STATE)
         if index in _TPDO_PARAMETERS and subindex == 1:
             self._check_cob_id(self.number(index, 1), value)
-        if index in _TPDO_MAPPINGS:
-            self._check_mapping(_TPDO_MAPPINGS.index(index), subindex, value)
+        if index in _TPDO_MAPPINGS and value != od.default and (subindex or value):
+            raise canopen.SdoAbortedError(NOT_MAPPABLE)
 
     def _check_cob_id(self, present: int, value: int) -> None:
         both_on = not (present & unit_od.PDO_INVALID or value & unit_od.PDO_INVALID)
@@ -229,16 +191,6 @@ class UnitDictionary:
             raise canopen.SdoAbortedError(VALUE_RANGE)
         if both_on and (present ^ value) & _COB_ID_BITS:
             raise canopen.SdoAbortedError(VALUE_RANGE)
-
-    def _check_mapping(self, pdo: int, subindex: int, value: int) -> None:
-        """Accept writes of the fixed mapping in the order of CiA 301; refuse changes."""
-        mapping: Any = self._node.object_dictionary[_TPDO_MAPPINGS[pdo]]
-        if not self.number(_TPDO_PARAMETERS[pdo], 1) & unit_od.PDO_INVALID:
-            raise canopen.SdoAbortedError(WRONG_STATE)
-        if subindex == 0 and value not in {0, mapping[0].default}:
-            raise canopen.SdoAbortedError(NOT_MAPPABLE)
-        if subindex and value != mapping[subindex].default:
-            raise canopen.SdoAbortedError(NOT_MAPPABLE)
 
     def _act(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         del od
@@ -253,16 +205,7 @@ class UnitDictionary:
                 take(bytes(data))
             except DamagedObject as error:
                 raise canopen.SdoAbortedError(VALUE_RANGE) from error
-        if (index, subindex) != (unit_od.TARE, unit_od.TARE_COMMAND):
-            return
-        command = int.from_bytes(data, "little")
-        if command == unit_od.TARE_SIGNATURE:
-            self._scanner.start_tare(
-                self.number(unit_od.TARE, unit_od.TARE_FRAMES),
-                self.number(unit_od.THRESHOLDS, unit_od.THRESHOLD_TOUCH),
-                self.number(unit_od.THRESHOLDS, unit_od.THRESHOLD_TARE_SPREAD),
-            )
-        elif command == unit_od.TARE_CLEAR_SIGNATURE:
-            self._scanner.clear_tare()
-        else:
+        # The simulated unit takes no zero of its own, so it can only be told to have none.
+        tare = (index, subindex) == (unit_od.TARE, unit_od.TARE_COMMAND)
+        if tare and int.from_bytes(data, "little") != unit_od.TARE_CLEAR_SIGNATURE:
             raise canopen.SdoAbortedError(NOT_STORED)

@@ -10,6 +10,7 @@ import struct
 import termios
 import tty
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from simulator.errors import EndpointError, SimulatorStateError
@@ -33,8 +34,11 @@ _TERMIOS2 = struct.Struct("=4IB19s2I")
 """Structure termios2: four flags, line discipline, 19 control characters, both speeds."""
 
 
-class Terminal:
-    """One pseudo-terminal with a stable link; it may be removed and come back with a new name.
+class SerialPty:
+    """The host's end of a serial line as a pseudo-terminal, for clients in other processes.
+
+    It has a stable link; it may be removed and come back with a new name. While the client does not
+    read, the device keeps its bytes.
 
     Parameters
     ----------
@@ -43,11 +47,15 @@ class Terminal:
         existing file is an EndpointError.
     """
 
-    def __init__(self, link: Path) -> None:
+    def __init__(self, device: SerialDevice, link: Path) -> None:
         self._link = link
         self._name = ""
+        self._device = device
+        self._unsent = b""
+        self._polled_s: float | None = None
         self.master_fd = -1
         self.slave_fd = -1
+        self.plug_in()
 
     @property
     def path(self) -> str:
@@ -88,12 +96,11 @@ class Terminal:
 
         Returns `plug_in`.
         """
-        self._forget()
+        # The adapter has lost its supply, and with it the bytes in transit.
+        self._device.drop_pending()
+        self._unsent = b""
         self.close()
         return self.plug_in
-
-    def _forget(self) -> None:
-        """Drop bytes in transit: the adapter has lost its supply."""
 
     def close(self) -> None:
         """Remove terminal and link; a second call has no effect."""
@@ -104,20 +111,6 @@ class Terminal:
         if self._link.is_symlink() and os.readlink(self._link) == self._name:
             self._link.unlink()
 
-    def read(self, size: int) -> bytes:
-        """Return up to ``size`` bytes of the client; empty without input."""
-        try:
-            return os.read(self.master_fd, size)
-        except BlockingIOError:
-            return b""
-
-    def write(self, data: bytes) -> int:
-        """Send bytes to the client and return how many it took."""
-        try:
-            return os.write(self.master_fd, data)
-        except BlockingIOError:
-            return 0
-
     def _make_link(self) -> None:
         if self._link.exists() and not self._link.is_symlink():
             raise FileExistsError(f"{self._link} exists and is not a symbolic link")
@@ -125,20 +118,6 @@ class Terminal:
         fresh.unlink(missing_ok=True)
         fresh.symlink_to(self._name)
         fresh.replace(self._link)
-
-
-class SerialPty(Terminal):
-    """The host's end of a serial line as a pseudo-terminal, for clients in other processes.
-
-    While the client does not read, the device keeps its bytes.
-    """
-
-    def __init__(self, device: SerialDevice, link: Path) -> None:
-        super().__init__(link)
-        self._device = device
-        self._unsent = b""
-        self._polled_s: float | None = None
-        self.plug_in()
 
     @property
     def client_baudrate(self) -> int:
@@ -159,22 +138,19 @@ class SerialPty(Terminal):
             self._device.transmit(now_s)
             self._device.drop_pending()
             return self._device.next_event_s()
-        data = self.read(_READ_SIZE)
-        if data:
-            baudrate = self.client_baudrate
-            if baudrate:
-                self._device.baudrate = baudrate
-                self._device.receive(data, now_s, sent_after_s=self._polled_s)
+        data = b""
+        with suppress(BlockingIOError):
+            data = os.read(self.master_fd, _READ_SIZE)
+        if data and (baudrate := self.client_baudrate):
+            self._device.baudrate = baudrate
+            self._device.receive(data, now_s, sent_after_s=self._polled_s)
         self._polled_s = now_s
         if not self._unsent:
             self._unsent = self._device.transmit(now_s)
         if self._unsent:
-            self._unsent = self._unsent[self.write(self._unsent) :]
+            with suppress(BlockingIOError):
+                self._unsent = self._unsent[os.write(self.master_fd, self._unsent) :]
         return now_s if self._unsent else self._device.next_event_s()
-
-    def _forget(self) -> None:
-        self._device.drop_pending()
-        self._unsent = b""
 
 
 class BoardPty(SerialPty):

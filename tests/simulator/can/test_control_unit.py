@@ -22,7 +22,6 @@ from simulator.can.messages import BurstFormat
 from simulator.can.pad_forces import PadForces
 from simulator.errors import SimulatorStateError
 from tactile.control_unit import object_dictionary as od
-from tactile.control_unit.object_dictionary import UnitTareResult
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
 from tactile.frames.force_message import decode_force_message, encode_zero
@@ -256,42 +255,6 @@ def test_a_burst_that_does_not_fit_the_window_is_cut_short_and_told(line) -> Non
     assert line.frame().status == FrameStatus.OVERRUN
 
 
-def test_the_unit_takes_a_zero_on_command(line) -> None:
-    line.skin.counts[:] = 12
-    line.start()
-    line.write(od.TARE, od.TARE_FRAMES, 4, 1)
-    assert line.write(od.TARE, od.TARE_COMMAND, 1, 4) == 0x0800_0020
-    assert line.write(od.TARE, od.TARE_COMMAND, od.TARE_SIGNATURE, 4) == 0
-    for _ in range(3):
-        assert line.frame().status == 0
-        assert line.number(od.TARE, od.TARE_RESULT) == UnitTareResult.RUNNING
-    assert line.frame().status == FrameStatus.TARED
-    assert line.number(od.TARE, od.TARE_RESULT) == UnitTareResult.DONE
-    assert line.number(od.TARE, od.TARE_LARGEST) == 12
-    line.skin.counts[5] = 40
-    line.skin.counts[6] = 2
-    frame = line.frame()
-    assert (frame.status, frame.counts[4:7].tolist()) == (FrameStatus.TARED, [0, 28, 0])
-    assert line.write(od.TARE, od.TARE_COMMAND, od.TARE_CLEAR_SIGNATURE, 4) == 0
-    assert line.frame().counts[5] == 40
-
-
-@pytest.mark.parametrize(
-    ("counts", "result"),
-    [((31, 31), UnitTareResult.REFUSED_TOUCHED), ((5, 17), UnitTareResult.REFUSED_SPREAD)],
-)
-def test_a_touched_or_restless_skin_gives_no_zero(line, counts, result) -> None:
-    line.start()
-    line.write(od.THRESHOLDS, od.THRESHOLD_TARE_SPREAD, 11, 2)
-    line.write(od.TARE, od.TARE_FRAMES, 2, 1)
-    line.write(od.TARE, od.TARE_COMMAND, od.TARE_SIGNATURE, 4)
-    for value in counts:
-        line.skin.counts[9] = value
-        line.frame()
-    assert line.number(od.TARE, od.TARE_RESULT) == result
-    assert line.frame().status == 0
-
-
 @pytest.mark.parametrize(
     ("index", "sub", "value", "size", "code"),
     [
@@ -305,23 +268,17 @@ def test_a_touched_or_restless_skin_gives_no_zero(line, counts, result) -> None:
         (0x1800, 1, 0x186, 4, 0x0609_0030),
         (0x1800, 1, 0x8000_0600, 4, 0x0609_0030),
         (0x1800, 2, 1, 1, 0x0609_0030),
-        (0x1A00, 0, 0, 1, 0x0800_0022),
+        (0x1A00, 0, 1, 1, 0x0604_0041),
+        (0x1A00, 2, 0x2140_0108, 4, 0x0604_0041),
     ],
 )
 def test_writes_that_are_not_allowed_are_refused(index, sub, value, size, code) -> None:
     assert Line().write(index, sub, value, size) == code
 
 
-def test_the_mapping_can_be_written_again_but_not_changed(line) -> None:
-    mapping, parameter = od.TPDO1_MAPPING, od.TPDO1_PARAMETER
-    assert line.write(parameter, 1, 0xC000_0185, 4) == 0
-    assert line.write(mapping, 0, 0, 1) == 0
-    assert line.write(mapping, 1, od.TPDO1_ENTRIES[0], 4) == 0
-    assert line.write(mapping, 2, 0x2140_0108, 4) == 0x0604_0041
-    assert line.write(mapping, 2, od.TPDO1_ENTRIES[1], 4) == 0
-    assert line.write(mapping, 0, 1, 1) == 0x0604_0041
-    assert line.write(mapping, 0, 2, 1) == 0
-    assert line.write(parameter, 1, 0x4000_0185, 4) == 0
+def test_the_mapping_can_be_written_again(line) -> None:
+    for sub, value, size in ((0, 0, 1), (1, od.TPDO1_ENTRIES[0], 4), (0, 2, 1)):
+        assert line.write(od.TPDO1_MAPPING, sub, value, size) == 0
     line.start()
     assert len(line.tell(SYNC)) == 59
 

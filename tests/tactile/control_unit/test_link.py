@@ -372,7 +372,6 @@ def test_two_bursts_after_each_sync_are_a_second_unit(idle, other_content) -> No
     def both(messages: list[bytes]) -> list[bytes]:
         second = messages
         if other_content:
-            idle.unit.scanner.latch()
             second = idle.unit.scanner.frame_messages()
         return [data for pair in zip(messages, second, strict=True) for data in pair]
 
