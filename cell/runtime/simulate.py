@@ -11,19 +11,13 @@ from typing import Any
 from cell.config.file import SCHEMA_LINE, changed_config, config_text
 from cell.config.model import CellConfig
 from cell.config.positioner import PositionerConfig
-from cell.config.tactile import layout_from_pads
 from cell.errors import CellError, ConfigError
 from cell.files import write_text
 from cell.hand.real_time import raised_priority
 from cell.learning.blas import one_blas_thread
-from cell.recording.dataset import read_grasps
-from cell.simulation import largest_aperture_m, simulator_settings
-from recognition.grasp import Grasp
+from cell.simulation import simulator_settings
 from simulator.errors import SimulatorError, SimulatorSettingsError
 from simulator.realtime.process import serve
-
-_OPENING_OVERSHOOT_M = 2e-3
-"""Largest overshoot of opening fingers in m, from recorded grasps."""
 
 _LEAST_LIMITS = (
     ("tactile", "heartbeat_ms", 400),
@@ -44,7 +38,6 @@ _LEAST_AXIS_LOSS_MS = 400.0
 def serve_simulated_cell(
     config: CellConfig,
     *,
-    frames: Path | None,
     folder: Path | None,
     announce: Callable[[dict[str, Any]], None],
     until_parent_ends: bool = False,
@@ -58,8 +51,6 @@ def serve_simulated_cell(
     config
         The cell to simulate. The simulator's ports replace its ports, and the simulator's socket
         its positioner, unless axes move the object.
-    frames
-        Data set or recording to play instead of pressing objects.
     folder
         Folder of device links, socket and config; a temporary folder by default.
     announce
@@ -67,20 +58,7 @@ def serve_simulated_cell(
     until_parent_ends
         Also end when the parent process ends.
     """
-    grasps: tuple[Grasp, ...] = read_grasps(frames) if frames is not None else ()
-    layout = layout_from_pads(grasps[0].pads) if grasps else None
-    reached_m = config.gripper.aperture_open_mm * 1e-3 + _OPENING_OVERSHOOT_M
-    if grasps and largest_aperture_m(grasps) > reached_m:
-        raise CellError(
-            f"{frames} opens to {largest_aperture_m(grasps) * 1e3:.1f} mm, "
-            f"gripper.aperture_open_mm is {config.gripper.aperture_open_mm:g}; "
-            "take a config that opens further: `tactile-cell config init --example pinch-13x6`"
-        )
-    if grasps:
-        # Played grasps have their poses already, and no pads that meet.
-        played = {"positioner": {"kind": "simulated"}, "self_zero": "never"}
-        config = changed_config(config, played)
-    settings = simulator_settings(config, layout=layout, grasps=grasps)
+    settings = simulator_settings(config)
     with ExitStack() as undo:
         temporary = undo.enter_context(tempfile.TemporaryDirectory(prefix="tactile-cell-"))
         place = Path(temporary) if folder is None else folder.resolve()

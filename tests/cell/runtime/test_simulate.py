@@ -32,9 +32,7 @@ def test_a_folder_serves_one_simulated_cell_at_a_time(tmp_path, monkeypatch) -> 
     served: list[Path] = []
 
     def serve_here() -> None:
-        simulate.serve_simulated_cell(
-            small_config(), frames=None, folder=folder, announce=lambda _line: None
-        )
+        simulate.serve_simulated_cell(small_config(), folder=folder, announce=lambda _line: None)
 
     def serve(_settings: Any, announce: Any, *, folder: Path, **_options: Any) -> None:
         served.append(folder)
@@ -60,7 +58,7 @@ def test_a_client_gets_the_axes_at_their_ports_and_more_patience(tmp_path, monke
         announce(FOUND)
 
     monkeypatch.setattr(simulate, "serve", serve)
-    simulate.serve_simulated_cell(config, frames=None, folder=tmp_path, announce=announced.append)
+    simulate.serve_simulated_cell(config, folder=tmp_path, announce=announced.append)
     client = load_config(Path(announced[0]["config"]))
     link = link_settings(client.tactile)
     assert (link.force_timeout_s, link.heartbeat_s) == (0.2, 0.4)

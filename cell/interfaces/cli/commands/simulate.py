@@ -20,12 +20,6 @@ from simulator.realtime.hands import Hands
 
 
 def simulate(
-    frames: Annotated[
-        Path | None,
-        typer.Option(
-            "--frames", help="Play the grasps of this data set or recording.", hidden=True
-        ),
-    ] = None,
     config: options.Config = None,
     folder: Annotated[
         Path | None, typer.Option("--out", help="Folder for device links and a matching config.")
@@ -65,7 +59,6 @@ def simulate(
         return
     serve_simulated_cell(
         cell_config(config, seed=seed, faults=faults, simulate=True),
-        frames=frames,
         folder=folder,
         announce=lambda line: typer.echo(json.dumps(line)),
         until_parent_ends=with_parent,
