@@ -32,8 +32,6 @@ _REMEDY = f"POST calls to {_PATHS[1]}, as text/xml in UTF-8, without compression
 """Remedy for a request that is not a call."""
 _IDLE_S = 60
 """Silence in s after which a connection is closed; robots reconnect by themselves."""
-_TYPES = {int: "int", float: "double", bool: "boolean", str: "string"}
-"""Names of the types in XML-RPC."""
 
 
 class Calls:
@@ -375,14 +373,6 @@ class _Dispatcher(SimpleXMLRPCDispatcher):
             CLIENT.set(scope["client"][0])
             found = await asyncio.to_thread(self._marshaled_dispatch, call)
             await send_answer(send, 200, cast("bytes", found), "text/xml")
-
-    def system_methodSignature(self, method_name: str) -> Any:  # noqa: N802  name of the base class
-        """Return one list with the types of a method: first the result, then the arguments."""
-        if method_name not in self.funcs or method_name.startswith("system."):
-            return super().system_methodSignature(method_name)
-        found = inspect.signature(self.funcs[method_name])
-        taken = (one.annotation for one in found.parameters.values())
-        return [[_TYPES.get(one, "struct") for one in (found.return_annotation, *taken)]]
 
 
 def _decoded(body: bytes) -> str | None:

@@ -4,7 +4,6 @@ import asyncio
 import struct
 from collections.abc import Sequence
 from contextlib import closing, suppress
-from typing import ClassVar
 
 import pytest
 from hypothesis import strategies as st
@@ -18,8 +17,6 @@ N = 64
 
 class Memory:
     """Registers with their number as value; what is written is kept."""
-
-    identification: ClassVar = {0: "maker", 1: "x" * 90, 2: "1", 0x80: "y" * 200, 0x81: "z" * 90}
 
     def __init__(self) -> None:
         self.values = list(range(N))
@@ -51,9 +48,6 @@ good = (
         lambda read, write: b"\x17" + read + write[1:],
         st.builds(struct.pack, st.just(">HH"), *2 * [st.integers(0, 130)]),
         st.builds(write_of, st.integers(0, 70), st.lists(st.integers(0, 0xFFFF), max_size=122)),
-    )
-    | st.builds(
-        lambda code, first: bytes((43, 14, code, first)), st.integers(0, 5), st.integers(0, 255)
     )
 )
 requests = st.builds(spoilt, good, damages(at_most=2)) | st.binary(max_size=253)

@@ -30,7 +30,6 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "config": {
         "init": ("config:init", "Write a config file with explained keys, and its schema."),
         "check": ("config:check", "Check a config file."),
-        "schema": ("config:schema", "Print the JSON schema of the config file."),
     },
     "hand": {
         "zero": ("hand:zero", "Close the empty fingers on each other; measure zero and gains."),
@@ -51,7 +50,7 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "recover": ("recording:recover", "Save the undamaged data of a damaged recording."),
     },
     "archive": {
-        "add": ("archive:add", "Add recordings and data sets; the name `add` may be left out."),
+        "add": ("archive:add", "Add recordings and data sets; what is there is left out."),
         "report": ("archive:report", "Write the page of an archive: confusions, drift, ageing."),
     },
 }
@@ -66,7 +65,7 @@ _PANELS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "Set up": {
         "commission": ("commission:commission", "Set up a new cell, until its first grasp."),
-        "config": ("", "Config files: init, check, schema."),
+        "config": ("", "Config files: init, check."),
         "doctor": ("doctor:doctor", "Check machine, ports, servos and control unit."),
         "simulate": ("simulate:simulate", "Run the simulated cell for other programs."),
     },
@@ -81,8 +80,6 @@ _PANELS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
 }
 """The commands by their purpose; a name without a place is one of `_GROUPS`."""
-_DEFAULTS = {"archive": "add"}
-"""Command of a group that need not be named."""
 # fmt: on
 
 
@@ -111,25 +108,18 @@ class Group(TyperGroup):
     def __init__(
         self,
         panels: Mapping[str, Mapping[str, tuple[str, str]]] = _PANELS,
-        default: str = "",
         **settings: Any,
     ) -> None:
-        self._panels, self._default = panels, default
+        self._panels = panels
         made = {
             name: LazyCommand(name, place, text)
             if place
-            else Group({"Commands": _GROUPS[name]}, _DEFAULTS.get(name, ""), name=name, help=text)
+            else Group({"Commands": _GROUPS[name]}, name=name, help=text)
             for panel in panels.values()
             for name, (place, text) in panel.items()
         }
         always = {"commands": made, "no_args_is_help": True, "rich_markup_mode": None}
         super().__init__(**settings | always)
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the default command before words that name no command."""
-        if self._default and args and args[0] not in {*self.commands, *ctx.help_option_names}:
-            args = [self._default, *args]
-        return super().parse_args(ctx, args)
 
     def get_params(self, ctx: Any) -> Any:
         """Return the options; the one that only prints the completion is not in the help."""

@@ -67,7 +67,6 @@ FolderModel = Annotated[
 ModelOut = Annotated[Path, _ending(".npz", "model file")]
 DatasetOut = Annotated[Path, _ending(".npz", "data set")]
 RecordingOut = Annotated[Path | None, _ending(".mcap", "recording")]
-Picture = Annotated[Path, typer.Option("--output", "-o", help="Picture to write (.png or .svg).")]
 Grasps = Annotated[
     Path | None,
     typer.Argument(

@@ -1,7 +1,6 @@
 """The cell of a command: its config, its start, and the message when it ends early."""
 
 import shlex
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,7 +17,6 @@ from cell.config.tactile import layout_from_config
 from cell.control.journal import loop_line
 from cell.control.lifecycle import NO_GRIP
 from cell.control.records import pad_array
-from cell.control.states import CellState, GraspState
 from cell.errors import (
     CellError,
     CellStopped,
@@ -44,7 +42,6 @@ from cell.learning.progress import Progress
 from cell.runtime.goals import Goal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import Job
-from gripper.clock import Clock
 from gripper.errors import (
     FeedbackImplausible,
     GripperError,
@@ -229,7 +226,7 @@ def running_cell(
         ):
             for note in (before := _notes(plugin)):
                 print_note(note)
-            with progress_bar(doing(plugin)) as progress:
+            with progress_bar() as progress:
                 plugin.reset(timeout_s=None)
                 for note in _notes(plugin):
                     if note not in before:
@@ -284,26 +281,6 @@ def job_folder(directory: Path, job: str) -> Path:
             ) from error
         return folder
     raise CellError(f"{directory} has 100 folders of {job}-{stamp}; name another folder with --out")
-
-
-def doing(plugin: TactileCellPlugin, clock: Clock = time) -> Callable[[], str]:
-    """Return what gives the states of cell and grip, and for how long they have lasted, as text.
-
-    A grasp may take long on a busy machine. The text is empty while the fingers rest: then the cell
-    may wait for a person who types below the bars.
-    """
-    last, since_s = "", 0.0
-
-    def text() -> str:
-        nonlocal last, since_s
-        status = plugin.status()
-        rests = status.grasp == GraspState.IDLE or not CellState(status.state).acting
-        now = "" if rests else f"{status.state}, {status.grasp}"
-        if now != last:
-            last, since_s = now, clock.monotonic()
-        return now and f"{now} for {clock.monotonic() - since_s:.0f} s"
-
-    return text
 
 
 def show_steps(show: Progress, progress: Mapping[str, Any]) -> None:

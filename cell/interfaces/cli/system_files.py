@@ -25,9 +25,6 @@ AFTER_WRITING = (
     "systemctl daemon-reload && systemctl enable --now tactile-cell",
 )
 """Commands that activate the files."""
-BEFORE_REMOVING = ("systemctl disable --now tactile-cell",)
-AFTER_REMOVING = ("systemctl daemon-reload && udevadm control --reload",)
-"""Commands before and after the files are removed."""
 _CHIPS = "0403|10c4|1a86"
 """USB vendors whose adapters brltty mistakes for braille displays: FTDI, Silicon Labs, WCH."""
 _UNIT = """\

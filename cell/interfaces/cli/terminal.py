@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO, Any, TextIO, cast
 
 import typer
-from rich.console import Console, RenderableType
+from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
     BarColumn,
@@ -155,23 +155,9 @@ def ask(text: str) -> str:
     return line.decode(errors="replace").rstrip("\r\n")
 
 
-class _Bars(Progress):
-    """Bars, and below them a line that is read again ten times a second."""
-
-    line: Callable[[], str] = str
-
-    def get_renderables(self) -> Iterator[RenderableType]:
-        yield from super().get_renderables()
-        if text := self.line():
-            yield Text(text)
-
-
 @contextmanager
-def progress_bar(line: Callable[[], str] = str) -> Iterator[Callable[[str, int, int], None]]:
-    """Draw a bar on standard error for each task of a job; see `cell.learning.progress`.
-
-    ``line`` returns what a terminal shows below the bars meanwhile; it is called in a thread.
-    """
+def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
+    """Draw a bar on standard error for each task of a job; see `cell.learning.progress`."""
     columns = (
         TextColumn("{task.description:<22}"),
         BarColumn(bar_width=32),
@@ -179,20 +165,14 @@ def progress_bar(line: Callable[[], str] = str) -> Iterator[Callable[[str, int, 
         TimeElapsedColumn(),
     )
     tasks: dict[str, TaskID] = {}
-    bars = _Bars(*columns, console=err)
-    bars.line = line
-    with bars:
+    with Progress(*columns, console=err) as bars:
 
         def show(task: str, done: int, total: int) -> None:
             if task not in tasks:
                 tasks[task] = bars.add_task(plain_text(task), total=total)
             bars.update(tasks[task], completed=done, total=total)
 
-        try:
-            yield show
-        finally:
-            # Only the bars stay on the screen.
-            bars.line = str
+        yield show
 
 
 def show(lines: Iterable[str | Table], data: Any = None, path: Path | None = None) -> None:

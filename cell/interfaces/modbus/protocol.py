@@ -1,11 +1,11 @@
-"""Modbus TCP: frames and functions 3, 4, 6, 16, 23, 43 as pure functions, and a server on asyncio.
+"""Modbus TCP: frames and functions 3, 4, 6, 16, 23 as pure functions, and a server on asyncio.
 
 From the Modbus Application Protocol V1.1b3 and the TCP guide V1.0b.
 """
 
 import asyncio
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Protocol
 
@@ -20,10 +20,6 @@ _LONGEST = 254
 """Largest length field of a header: unit and a request of 253 bytes."""
 _MOST_READ, _MOST_WRITE, _MOST_BOTH = 125, 123, 121
 """Most registers of functions 3 and 4, of 16, and of the write of 23."""
-_ONE_OBJECT, _LAST_BASIC, _CONFORMITY = 4, 2, 0x82
-"""Code of a request for one object; last basic object; conformity level: regular objects."""
-_OBJECTS_MAX, _OBJECT_MAX = 246, 100
-"""Most bytes of all objects in an answer, and of the text of one."""
 _IDLE_S = 120.0
 """Silence in s after which a connection is closed."""
 
@@ -38,10 +34,6 @@ class ModbusError(Exception):
 
 class Registers(Protocol):
     """The registers behind one connection; both methods raise `ModbusError`."""
-
-    @property
-    def identification(self) -> Mapping[int, str]:
-        """Objects of the device identification by number, ASCII: 0 to 2 basic, to 6 regular."""
 
     def read(self, function: int, address: int, count: int) -> Sequence[int]:
         """Return holding (function 3) or input registers (4)."""
@@ -82,36 +74,8 @@ def _carry_out(function: int, body: bytes, registers: Registers) -> bytes:
             _read(registers, 3, address, count)  # an invalid read refuses the write too
             registers.write(to, written)
             return _read(registers, 3, address, count)
-        case 43:
-            return body[:1] + _identification(body, registers.identification)
         case _:
             raise ModbusError(ILLEGAL_FUNCTION)
-
-
-def _identification(body: bytes, objects: Mapping[int, str]) -> bytes:
-    """Return the objects of a request for the device identification (type 14)."""
-    if body[:1] != b"\x0e":
-        raise ModbusError(ILLEGAL_FUNCTION)
-    if len(body) != 3 or body[1] not in (1, 2, 3, 4):
-        raise ModbusError(ILLEGAL_VALUE)
-    code, first = body[1:]
-    if code == _ONE_OBJECT:
-        if first not in objects:
-            raise ModbusError(ILLEGAL_ADDRESS)
-        asked = [first]
-    else:
-        asked = [one for one in objects if code > 1 or one <= _LAST_BASIC]
-        asked = [one for one in asked if one >= first] or asked  # an unknown object: all of them
-    found = b""
-    following = 0
-    for count, one in enumerate(asked):
-        text = objects[one].encode("ascii", "replace")[:_OBJECT_MAX]
-        if len(found) + 2 + len(text) > _OBJECTS_MAX:
-            following, asked = one, asked[:count]
-            break
-        found += bytes((one, len(text))) + text
-    more = 0xFF if following else 0
-    return bytes((code, _CONFORMITY, more, following, len(asked))) + found
 
 
 def _words(body: bytes, count: int) -> tuple[int, ...]:

@@ -7,7 +7,7 @@ changes. After a reconnect a client first writes the acknowledged number. The pa
 
 import itertools
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from math import degrees
 from typing import Any, NamedTuple
@@ -270,14 +270,6 @@ class ModbusInterface(ModbusServer):
         self._synchronous = False
         self._seq = 0
         self._result = 0
-        self.identification: Mapping[int, str] = {
-            0: "tactile-cell maintainers",
-            1: "tactile-cell",
-            2: service.version,
-            4: "tactile-cell",
-            5: "simulated cell" if service.config.simulated else "cell",
-            6: service.config.name,
-        }
         self._secret = read_secret(config.secret_file) if config.secret_file else ""
         if len(self._secret) > 2 * N_SECRET:
             raise ConfigError(
@@ -413,7 +405,6 @@ class _Client:
         self.hold = 0
         self.secret = [0] * N_SECRET
         self.refusal = Refusal()
-        self.identification = interface.identification
         self.read = partial(interface.read, self)
         self.write = partial(interface.write, self)
         self.disconnected = partial(interface.disconnected, self)

@@ -63,14 +63,14 @@ def files_in(folder: Path) -> set[str]:
 # -- the files ---------------------------------------------------------------------------------
 
 
-def test_what_the_page_types_prints_writes_removes_and_packs(tmp_path, monkeypatch) -> None:
+def test_what_the_page_types_prints_writes_and_packs(tmp_path, monkeypatch) -> None:
     page = PAGE.read_text("utf-8")
     commands = [
         shlex.split(line.partition("tactile-cell ")[2])
         for block in re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
         for line in block.splitlines()
     ]
-    shown, applied, removed, support = commands
+    shown, applied, support = commands
     image = tmp_path / "image"
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cell.yaml").write_text("")
@@ -85,18 +85,13 @@ def test_what_the_page_types_prints_writes_removes_and_packs(tmp_path, monkeypat
         assert (image / name).read_text().strip() in printed
     again = call(*applied, "--root", image).output
     assert again.count("already up to date") == 3
-    call(*removed, "--root", image, answers="y\ny\ny\n")
-    assert files_in(image) == set()
     call(*support)
     assert (tmp_path / "bundle.zip").exists()
 
 
 def test_each_file_is_asked_for_and_the_end_of_the_input_is_a_no(tmp_path) -> None:
-    for way, answers in (("--apply", "n\ny\n"), ("--remove", "n\n")):
-        call("service", "install", way, "--root", tmp_path, answers=answers)
-        assert files_in(tmp_path) == {"etc/sysusers.d/tactile-cell.conf"}
-    both = CliRunner().invoke(app, ["service", "install", "--apply", "--remove"])
-    assert both.exit_code == 2
+    call("service", "install", "--apply", "--root", tmp_path, answers="n\ny\n")
+    assert files_in(tmp_path) == {"etc/sysusers.d/tactile-cell.conf"}
 
 
 def with_axes(can: dict[str, Any]) -> dict[str, Any]:

@@ -1,66 +1,23 @@
 """The cell of a command: what is left when its recording ends early."""
 
 import json
-from io import StringIO
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
 import pytest
-from rich.console import Console
 
 from cell.config.model import CellConfig
 from cell.errors import CellError, CellStopped, ModelError, RecordingError
-from cell.interfaces.cli import session, terminal
-from cell.interfaces.cli.session import doing, running_cell
-from cell.interfaces.cli.terminal import progress_bar
+from cell.interfaces.cli import session
+from cell.interfaces.cli.session import running_cell
 from cell.recording import recorder
 from cell.recording.sink import DirectFile
 from cell.runtime.goals import TeachGoal
 from cell.runtime.worker import Job
-from simulator.clock import VirtualClock
 from tests.cell.conftest import quick_config
 
 PRESSED_N = 1.0
-
-
-def test_a_terminal_shows_what_the_cell_does_and_for_how_long(monkeypatch) -> None:
-    clock, plugin = VirtualClock(), Mock()
-    line = doing(plugin, clock)
-    shown = []
-    for state, grasp in (
-        ("EXECUTE", "IDLE"),
-        ("EXECUTE", "GRIPPING"),
-        ("EXECUTE", "GRIPPING"),
-        ("EXECUTE", "HOLDING"),
-        ("COMPLETE", "HOLDING"),
-    ):
-        plugin.status.return_value = Mock(state=state, grasp=grasp)
-        shown.append(line())
-        clock.sleep(10.0)
-    assert shown == [
-        "",
-        "EXECUTE, GRIPPING for 0 s",
-        "EXECUTE, GRIPPING for 10 s",
-        "EXECUTE, HOLDING for 0 s",
-        "",
-    ]
-
-
-@pytest.mark.parametrize("is_terminal", [True, False])
-def test_the_line_below_the_bars_is_for_a_terminal_and_does_not_stay(
-    monkeypatch, is_terminal
-) -> None:
-    screen = StringIO()
-    monkeypatch.setattr(terminal, "err", Console(file=screen, force_terminal=is_terminal))
-    with progress_bar(lambda: "GRIPPING for 7 s") as progress:
-        progress("teach ball", 1, 2)
-        terminal.print_note("drawn again")
-    assert ("GRIPPING for 7 s" in screen.getvalue()) == is_terminal
-    assert "teach ball" in screen.getvalue()
-    left = screen.getvalue().rpartition("\x1b[2K")[2]
-    assert "GRIPPING" not in left
-    assert "teach ball" in left
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""`config init`, `config check`, `config schema`: config files."""
+"""`config init`, `config check`: config files."""
 
 from pathlib import Path
 from typing import Annotated
@@ -69,8 +69,3 @@ def check(path: Annotated[Path, typer.Argument(help="Config file.")]) -> None:
         print_note(note)
     kind = "simulated ports" if config.simulated else "real ports"
     print_line(f"{path}: valid: {config.name}, {kind}")
-
-
-def schema() -> None:
-    """Print the JSON schema of the config file."""
-    typer.echo(schema_text(), nl=False)

@@ -59,18 +59,12 @@ def release(
     message names that finger and the other finger opens. Always name the config file, even if the
     folder has one: so the part falls in the intended cell.
     """
-    if config is None:
+    if config is None or not confirm:
         example = options.FOLDER_CONFIG if options.FOLDER_CONFIG.exists() else Path("FILE")
         raise ConfigError(
-            "the config file of the cell is missing; nothing was moved. The whole command: "
-            f"`{release_command(example)}`"
+            "the part may fall: name the config file of the cell and confirm; nothing was moved. "
+            f"The whole command: `{release_command(config or example)}`"
         )
-    if not confirm:
-        raise ConfigError(
-            "the part may fall, so --confirm is required; nothing was moved. The whole command: "
-            f"`{release_command(config)}`"
-        )
-
     checked = cell_config(config)
     with cell_of_earlier_run(checked) as cell:
         report = cell.controller.release_held()

@@ -209,7 +209,6 @@ def evaluate(
             callback=options.known_recognizers,
         ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, max=options.MAX_SEED)] = 0,
     cells: options.Cells = None,
     days: options.Days = None,
     objects: options.Objects = None,
@@ -234,7 +233,6 @@ def evaluate(
             train=taught,
             names=names,
             fuse=_numbers(fuse),
-            seed=seed,
             mapper=mapper,
             progress=progress,
         )

@@ -79,7 +79,9 @@ def report(
 def plot(
     number: Annotated[int, typer.Argument(min=0, help="Number of the grasp, from 0.")],
     source: Annotated[str, typer.Argument(help="Archive, data set or recording.")],
-    output: options.Picture,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Picture to write (.png or .svg).")
+    ],
     cells: options.Cells = None,
     days: options.Days = None,
     objects: options.Objects = None,
@@ -95,11 +97,11 @@ def plot(
         every = Archive(source).grasps(selection)
     else:
         every = (one for one in read_grasps(source) if selection.fits(one))
-    found = next(islice(every, number, None), None)
-    if found is None:
+    grasp = next(islice(every, number, None), None)
+    if grasp is None:
         raise CellError(f"{source} has no grasp {number} among the selected ones")
-    title = f"{found.label or 'no label'}, {cell_of(found)}, {day_of(found.start_ms)}"
-    write_picture(output, grasp_figure(found, title))
+    title = f"{grasp.label or 'no label'}, {cell_of(grasp)}, {day_of(grasp.start_ms)}"
+    write_picture(output, grasp_figure(grasp, title))
     print_line(f"{title}: {output}")
 
 

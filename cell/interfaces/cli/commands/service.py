@@ -20,9 +20,6 @@ def install(
     apply: Annotated[
         bool, typer.Option("--apply", help="Write the files; asks before each file.")
     ] = False,
-    remove: Annotated[
-        bool, typer.Option("--remove", help="Remove the files; asks before each file.")
-    ] = False,
     root: Annotated[Path, typer.Option("--root", help="Folder to use as /.", hidden=True)] = Path(
         "/"
     ),
@@ -32,34 +29,30 @@ def install(
     The service is `tactile-cell serve` with this config and model. It starts with the machine and
     restarts when it was killed; a held part stays held.
     """
-    if apply and remove:
-        raise typer.BadParameter("--apply and --remove exclude each other")
     served_with = () if model is None else ("--model", str(model.resolve()))
     checked = cell_config(config)
     files = system.system_files(checked, config, served_with)
     changed = False
-    if not remove and config is not None and not checked.serve.ports:
+    if config is not None and not checked.serve.ports:
         print_note(ALL_CLOSED)
-    for path in () if remove else (Path(system.program()[0]), config, model):
+    for path in (Path(system.program()[0]), config, model):
         if path is not None and (closed := system.closed_to_others(path)) is not None:
             print_note(
                 f"{path}: the user {system.NAME} cannot read {closed}; move it, for example to "
                 f"{system.STATE_FOLDER} or /opt, or permit it: chmod o+rX"
             )
-    if remove:
-        _print_commands("before", system.BEFORE_REMOVING)
     for file in files:
         path = root / file.path.relative_to("/")
-        if remove:
-            changed |= _remove(path)
-        elif apply:
+        if apply:
             changed |= _write(path, file.text)
         else:
             print_line(f"# {path}\n{file.text}")
-    if not remove and not apply:
+    if not apply:
         print_line("# nothing was written; add --apply to write these files")
     elif changed:
-        _print_commands("now", system.AFTER_REMOVING if remove else system.AFTER_WRITING)
+        print_line("now, as root:")
+        for command in system.AFTER_WRITING:
+            print_line(f"  {command}")
 
 
 def _write(path: Path, text: str) -> bool:
@@ -77,17 +70,6 @@ def _write(path: Path, text: str) -> bool:
     return True
 
 
-def _remove(path: Path) -> bool:
-    """Remove a file if the person agrees; return whether it is gone now."""
-    if not path.exists():
-        print_line(f"{path}: not there")
-        return False
-    if not _agreed(f"remove {path}?"):
-        return False
-    path.unlink()
-    return True
-
-
 def _agreed(question: str) -> bool:
     """Ask a question at the terminal; the end of the input means no."""
     try:
@@ -96,11 +78,6 @@ def _agreed(question: str) -> bool:
         return False
 
 
-def _print_commands(when: str, commands: tuple[str, ...]) -> None:
-
-    print_line(f"{when}, as root:")
-    for command in commands:
-        print_line(f"  {command}")
 
 
 _MB = 1_000_000

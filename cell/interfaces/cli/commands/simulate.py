@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from cell.control.positioner import SocketPlacer
-from cell.errors import CellError, ConfigError, raised_as
+from cell.errors import CellError, ConfigError
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config
 from cell.interfaces.cli.terminal import ask, print_error, print_line
@@ -37,9 +37,7 @@ def simulate(
             help="Act as the operator's hands at the cell that runs in --out, and end: look, "
             "close, open, half, block, part, press, load, lift, empty, disconnect, connect. "
             "Examples: 'open finger 0', 'block 10', 'press finger0.inner tip left'; 'help' "
-            "explains them. '-' asks for them line by line. Programs send JSON, for example "
-            """'{"state": true}': check, place, define, remove, """
-            "press, lift, hand, state, kinds, inject, clear.",
+            "explains them. '-' asks for them line by line.",
         ),
     ] = None,
     with_parent: Annotated[
@@ -69,11 +67,6 @@ def _be_hands(folder: Path, text: str) -> None:
     """Send a request to the simulated cell that runs in a folder; print the reply."""
     with closing(SocketPlacer(str(folder / "positioner.sock"))) as cell:
         hands = Hands(cell.ask, time.sleep)
-        if text.startswith("{"):
-            with raised_as(ConfigError, ValueError, where=f"--ask {text!r:.80} is not valid JSON"):
-                request = json.loads(text)
-            typer.echo(json.dumps(cell.ask(request)))
-            return
         try:
             while text == "-":
                 try:

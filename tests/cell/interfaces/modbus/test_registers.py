@@ -5,16 +5,13 @@ import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from importlib.metadata import version
 from importlib.util import find_spec
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from cell.control.live import LiveValues
 from cell.control.plan import Pose
-from cell.interfaces.modbus import protocol
 from cell.interfaces.modbus.registers import (
     ANSWER_KEPT,
     ANSWERED,
@@ -226,36 +223,6 @@ def test_each_start_has_a_number_of_its_own(connect, monkeypatch) -> None:
     monkeypatch.setattr("cell.service.service.time.time", lambda: 0xFFFF * 8.0 + 3.2)
     _, again = connect()
     assert again.inputs()[27] == 4
-
-
-def test_the_device_names_itself(connect) -> None:
-    _, plc = connect()
-
-    def read(code: int, first: int = 0) -> Any:
-        return plc.link.read_device_information(read_code=code, object_id=first)
-
-    assert set(read(1).information) == {0, 1, 2}
-    found = read(2).information
-    assert set(found) == {0, 1, 2, 4, 5, 6}
-    assert (found[1], found[2].decode()) == (b"tactile-cell", version("tactile-cell"))
-    assert read(4, 2).information == {2: found[2]}
-    assert [read(*wrong).exception_code for wrong in ((4, 3), (5, 0))] == [2, 3]
-
-
-def test_a_long_identification_goes_on_in_the_next_answer() -> None:
-    client = SimpleNamespace(identification=dict.fromkeys(range(7), "x" * 100))
-    found, first = [], 0
-    while True:
-        got = protocol.answer(bytes((43, 14, 2, first)), client)
-        assert len(got) <= 253
-        assert got[:4] == bytes((43, 14, 2, 0x82))
-        found += [got[7 + 102 * place] for place in range(got[6])]
-        if not got[4]:
-            break
-        first = got[5]
-    assert found == list(range(7))
-    for wrong in (b"", b"\x0d", b"\x0e\x01", b"\x0e\x01\x00\x00"):
-        assert protocol.answer(b"\x2b" + wrong, client)[0] == 0xAB
 
 
 def test_unknown_commands_objects_and_addresses_are_refused(connect) -> None:
