@@ -47,7 +47,7 @@ from simulator.servo.motor import OverloadRule
 from simulator.servo.wrist import WristMount
 from simulator.settings import SimulatedServoSettings, SimulatorSettings
 from simulator.world.press import PadPair
-from simulator.world.shape_files import MeshShape, parse_shape, read_mesh
+from simulator.world.shape_files import parse_shape
 from simulator.world.shapes import ObjectPose, Shape, thicknesses_m
 from simulator.world.taxels import NoiseModel, SensorLaw
 from simulator.world.world import NOTHING
@@ -279,12 +279,6 @@ def drawn_shape(text: str) -> Shape:
     Raises ConfigError if the text is not a shape, or a mesh file cannot be read.
     """
     return _shape(text, f"shape {text!r}")
-
-
-def shape_of_stl(data: bytes, name: str) -> MeshShape:
-    """Return the shape in an STL file in mm. Raises ConfigError if it has no shape."""
-    with raised_as(ConfigError, SimulatorError), extra("mesh", needed_by=name):
-        return read_mesh(data, name)
 
 
 def _shape(text: str, where: str) -> Shape:

@@ -24,7 +24,7 @@ from cell.interfaces.access import (
 )
 
 REQUEST_BYTES = 65536
-"""Largest request in bytes, without a photo."""
+"""Largest request in bytes."""
 _SEND_BUFFER_BYTES = 65536
 """Send buffer of the system for one connection in bytes. After a stall, a client of the live
 WebSocket first receives this amount of old state."""
@@ -39,7 +39,6 @@ REMEDIES = {
     "method": "Read the methods of each path in /openapi.json.",
     "job": "Read the numbers in GET /api/jobs.",
     "grasp": "Read the numbers of `shift.answers` in GET /api/state.",
-    "photo": "Send a photo with PUT to this path.",
 }
 """Remedy for each cause for which a request does not reach the cell."""
 
@@ -72,8 +71,6 @@ class Gate:
     app: Any
     config: ServeConfig
     """Contains the allow-list."""
-    longest: Callable[[Scope], int]
-    """Returns the largest body in bytes of a request."""
     pages: bool
     """Whether pages of this origin may send requests; other pages are always refused."""
     listener: Listener
@@ -123,9 +120,8 @@ class Gate:
             return 403, text, "origin"
         if length is None:
             return 413, "the request has no valid Content-Length", "length"
-        longest = self.longest(scope)
-        if length > longest:
-            return 413, f"the body has {length} bytes, more than {longest}", "size"
+        if length > REQUEST_BYTES:
+            return 413, f"the body has {length} bytes, more than {REQUEST_BYTES}", "size"
         return None
 
     def _is_own(self, origin: str, host: str, scope: Scope) -> bool:
@@ -160,8 +156,6 @@ class HttpServer:
         Address, allow-list and limits.
     port
         TCP port; 0: any free one.
-    longest
-        Returns the largest body in bytes of a request.
     pages
         As `Gate`.
     idle_s
@@ -176,7 +170,6 @@ class HttpServer:
         config: ServeConfig,
         port: int,
         *,
-        longest: Callable[[Scope], int] = lambda _scope: REQUEST_BYTES,
         pages: bool = False,
         idle_s: int = 5,
         **settings: Any,
@@ -187,7 +180,6 @@ class HttpServer:
         gate = Gate(
             app=app,
             config=config,
-            longest=longest,
             pages=pages,
             listener=self._listener,
             idle_s=idle_s,

@@ -10,20 +10,15 @@ from cell.service.shift import Distribution
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 """Format of `metrics_text`."""
 _QUANTILES = {"0.5": "p50_s", "0.99": "p99_s", "0.999": "p999_s", "1": "max_s"}
-"""Quantiles of durations of the force loop, and their names in `loop_values`."""
+"""Quantiles of the lateness of the force loop, and their names in `loop_values`."""
 _COUNTERS = (
     ("frames", "Tactile frames handed out", "tactile", "complete"),
     ("frames_lost", "Tactile frames that were lost", "tactile", "lost"),
-    ("frames_damaged", "Tactile frames or messages with a wrong checksum", "tactile", "corrupt"),
-    ("frames_torn", "Tactile frames dropped because messages were missing", "tactile", "torn"),
     ("force_messages", "Force messages received", "tactile", "force_received"),
     ("force_messages_lost", "Force messages that were lost", "tactile", "force_lost"),
-    ("can_errors", "Errors that the CAN controller reported", "tactile", "error_frames"),
-    ("packets", "Transactions on the servo bus", "servo_bus", "transactions"),
     ("packets_lost", "Answers of servos that did not arrive in time", "servo_bus", "timeouts"),
     ("packets_damaged", "Answers of servos that arrived damaged", "servo_bus", "corrupt"),
     ("packets_repeated", "Requests to servos sent a second time", "servo_bus", "retries"),
-    ("loop_periods", "Periods of the force loop", "loop", "cycles"),
     ("loop_late", "Periods that began more than half a period late", "loop", "late"),
     ("loop_overruns", "Periods whose work was not done in time", "loop", "overruns"),
     ("loop_missed_reads", "Periods without an answer of the servos", "loop", "missed_reads"),
@@ -41,20 +36,8 @@ _DRIVES: tuple[tuple[str, str, dict[str, str]], ...] = (
         "Torque of a servo for its current, by catalogue and back-EMF",
         {"": "kt_nm_a"},
     ),
-    ("servo_measured_seconds", "Unix time of a servo's measurement", {"": "measured_s"}),
 )
 """Name and meaning of each measured value of the servos, and its key by direction."""
-_SERVOS = (
-    ("servo_temperature_celsius", "Temperature of each servo", "temperature_c"),
-    ("servo_load_ratio", "Current of each servo, as a share of its limit", "load"),
-)
-"""Name, meaning and key in the health of each value of the servos."""
-_DURATIONS = (
-    ("lateness", "How late periods of the force loop began"),
-    ("transaction", "How long reading the servos took"),
-    ("sensor_age", "Age of the force sample when a step of control used it"),
-)
-"""Name in `loop_values` and meaning of each duration of the force loop."""
 _Labelled = Sequence[tuple[Mapping[str, str], float]]
 """Labels and value of each sample."""
 _Family = tuple[str, str, str, float | _Labelled | Distribution]
@@ -101,15 +84,12 @@ def _families(service: Service) -> Iterator[_Family]:
     status, counters, health = plugin.status(), plugin.cell.health(), plugin.health()
     servos, drift, loop = health["servos"], health["drift"] or {}, counters["loop"]
     opening_mm = drift.get("opening_mm")
-    info = {"version": service.version, "cell": service.config.name}
-    gauges: tuple[tuple[str, str, float | _Labelled | None], ...] = (
-        ("info", "Version and name of the cell", [(info, 1.0)]),
+    gauges: tuple[tuple[str, str, float | None], ...] = (
         ("working", "1 while the service works", not service.problem),
         ("state", "State of the cell, a PackTags number", status.state_number),
         ("holding", "1 while a part may be in the grip", status.holding),
         ("fault", "Number of the latched fault; 0 for none", status.fault_number),
         ("recording_lost", "1 while the recording has stopped", bool(status.recording_fault)),
-        ("force_newtons", "Grip force", status.live.force_n),
         ("disk_free_bytes", "Space left where recordings are written", _free_bytes(service)),
         ("drift_gain_ratio", "Gain of the pads, as a share of teaching", drift.get("gain")),
         (
@@ -121,9 +101,8 @@ def _families(service: Service) -> Iterator[_Family]:
     for name, meaning, value in gauges:
         if value is not None:
             yield name, "gauge", meaning, value
-    for name, meaning, key in _SERVOS:
-        by_servo = [({"servo": str(n)}, value) for n, value in enumerate(servos[key])]
-        yield name, "gauge", meaning, by_servo
+    warmth = [({"servo": str(n)}, value) for n, value in enumerate(servos["temperature_c"])]
+    yield "servo_temperature_celsius", "gauge", "Temperature of each servo", warmth
     drives = [({"servo": str(n)}, one) for n, one in enumerate(servos.get("drives", ())) if one]
     for name, meaning, ways in _DRIVES:
         directed = [
@@ -132,9 +111,8 @@ def _families(service: Service) -> Iterator[_Family]:
             for way, key in ways.items()
         ]
         yield name, "gauge", meaning, directed
-    for name, meaning in _DURATIONS:
-        quantiles = [({"quantile": q}, loop[f"{name}_{key}"]) for q, key in _QUANTILES.items()]
-        yield f"loop_{name}_seconds", "gauge", meaning, quantiles
+    late = [({"quantile": q}, loop[f"lateness_{key}"]) for q, key in _QUANTILES.items()]
+    yield "loop_lateness_seconds", "gauge", "How late periods of the force loop began", late
     parts = sorted(totals.parts.items())
     results = [({"label": label, "result": result}, n) for (label, result), n in parts]
     yield "parts", "counter", "Parts by label and result", results

@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass
 from datetime import date
 from functools import cache, partial
 from typing import Annotated, Any, Literal
-from urllib.parse import quote
 
 from fastapi import APIRouter, Body, Depends, FastAPI, HTTPException, Query, Request, WebSocket
 from fastapi.exceptions import RequestValidationError
@@ -22,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 from starlette.exceptions import HTTPException as StarletteHTTPException
 from starlette.websockets import WebSocketDisconnect
 
-from cell.config.simulator import LONGEST_LABEL, checked_label
+from cell.config.simulator import LONGEST_LABEL
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import (
@@ -34,7 +33,6 @@ from cell.errors import (
     NotInCommand,
     PlanRefused,
     RequestRefused,
-    raised_as,
 )
 from cell.fault_catalogue import CATALOGUE, Refusal
 from cell.interfaces.access import is_loopback, read_secret, same_secret, view_token
@@ -42,16 +40,13 @@ from cell.interfaces.http_server import (
     REMEDIES,
     REQUEST_BYTES,
     HttpServer,
-    Scope,
     refusal_values,
 )
 from cell.interfaces.metrics import CONTENT_TYPE, metrics_text
 from cell.interfaces.page import mount_page
 from cell.interfaces.page_address import page_address, qr_code, view_note
 from cell.runtime.goals import goal_schema
-from cell.service.photos import LONGEST_PHOTO
 from cell.service.service import Service, plain_data, state_values
-from cell.simulation import shape_of_stl
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 
@@ -71,8 +66,6 @@ _CAUSES = {401: "token", 404: "path", 405: "method"}
 """Causes of `REMEDIES` for refusals of the framework, by status."""
 _ERRORS = (CellError, GripperError, TactileError, OSError)
 """Expected errors of the cell."""
-LONGEST_STL = 10_000_100
-"""Largest STL file in bytes: 200,000 triangles as binary."""
 RATE_HZ = 30.0
 """Messages per second to one WebSocket."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -305,7 +298,6 @@ class WebInterface(HttpServer):
             self._app(),
             config,
             config.http_port or 0,
-            longest=self.longest,
             pages=True,
             ws="websockets-sansio",
             ws_max_size=REQUEST_BYTES,
@@ -332,8 +324,6 @@ class WebInterface(HttpServer):
             ("/jobs", "GET", self.jobs),
             ("/jobs/{number}", "GET", self.job),
             ("/taught", "GET", self.taught),
-            ("/taught/{label:path}/photo", "GET", self.photo),
-            ("/taught/{label:path}/photo", "PUT", self.put_photo),
             ("/taught/{label:path}", "DELETE", self.forget),
             ("/jobs", "POST", self.start),
             ("/commands", "POST", self.command),
@@ -346,7 +336,6 @@ class WebInterface(HttpServer):
                 ("/simulation/faults", "DELETE", self.end_fault),
                 ("/simulation/part", "GET", self.simulated_part),
                 ("/simulation/part", "POST", self.choose_part),
-                ("/simulation/objects/{label:path}", "PUT", self.define_object),
                 ("/simulation/reset", "POST", self.reset_simulation),
             )
         paths += (
@@ -364,14 +353,6 @@ class WebInterface(HttpServer):
         app.add_api_route("/metrics", self.metrics, methods=["GET"])
         mount_page(app)
         return app
-
-    def longest(self, scope: Scope) -> int:
-        """Return the largest body in bytes: larger for a photo or an STL file."""
-        if scope.get("method") != "PUT":
-            return REQUEST_BYTES
-        if scope["path"].startswith("/api/simulation/objects/"):
-            return LONGEST_STL
-        return LONGEST_PHOTO if scope["path"].endswith("/photo") else REQUEST_BYTES
 
     def authorize(
         self,
@@ -429,32 +410,26 @@ class WebInterface(HttpServer):
         ``?frames=newtons``: the force on each taxel in N, float32, little-endian.
         ``?parts_after=N``: each part with a higher number, once, as ``{"event": "part", ...}``.
 
-        The token is a subprotocol ``token.TOKEN`` beside ``tactile-cell``, or ``?token=``, or the
-        first message ``{"token": TOKEN}``. A slow client skips messages and gets the newest.
+        The token is a subprotocol ``token.TOKEN`` beside ``tactile-cell``, or ``?token=``. A slow
+        client skips messages and gets the newest.
         """
         offered = link.scope.get("subprotocols", [])
         chosen = _SUBPROTOCOL if _SUBPROTOCOL in offered else None
         tokens = [one.removeprefix("token.") for one in offered if one.startswith("token.")]
         tokens += link.query_params.getlist("token")
-        if tokens and not any(map(self._may_read, tokens)):
+        if not any(map(self._may_read, tokens)):
             await link.close(1008, "wrong token")
             return
         await link.accept(chosen)
         try:
-            if not tokens:
-                async with asyncio.timeout(self._service.config.serve.request_timeout_s):
-                    first = await link.receive_text()
-                if not self._may_read(_token_of(first)):
-                    await link.close(1008, "wrong token")
-                    return
             after = link.query_params.get("parts_after", "")
             if after and not after.isdecimal():
                 await link.close(1008, "parts_after is not a part number")
                 return
             frames = link.query_params.get("frames", "")
             await self._feed.send_to(link, frames, int(after) if after else None)
-        except (WebSocketDisconnect, TimeoutError, RuntimeError, KeyError):
-            return  # the client is gone, takes nothing, or has not named its token
+        except (WebSocketDisconnect, TimeoutError, RuntimeError):
+            return  # the client is gone, or takes nothing
 
     def healthz(self) -> JSONResponse:
         """Whether the service works; needs no token. 503: its ``problem`` says why.
@@ -531,41 +506,17 @@ class WebInterface(HttpServer):
         return found
 
     def taught(self) -> list[dict[str, Any]]:
-        """List the taught objects: stored grasps, shape and size in mm, address of the photo."""
-        photos = self._service.photos
-        return [
-            plain_data(one)
-            | {"photo": _photo_path(one["label"]) if photos.has(one["label"]) else None}
-            for one in self._plugin.taught()
-        ]
+        """List the taught objects: stored grasps, shape and size in mm."""
+        return list(plain_data(self._plugin.taught()))
 
     def forget(self, label: str, lease: int, last: bool = False) -> dict[str, int]:
         """Start to delete a taught object, or with ``last=true`` its newest grasp.
 
         It is deleted when the job has succeeded.
         """
-        forgotten = partial(self._service.photos.remove, label)
-        start = partial(self._plugin.forget, label, last=last, forgotten=forgotten)
+        start = partial(self._plugin.forget, label, last=last)
         given = {"label": label, "last": last}
         return {"job": self._service.begin(lease, "forget", start, given=given)}
-
-    def photo(self, label: str) -> Response:
-        """Return the photo of a taught object."""
-        found = self._service.photos.get(label)
-        if found is None:
-            raise NotThere(f"{label!r:.80} has no photo", "photo")
-        photo, kind = found
-        headers = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}
-        return Response(photo, media_type=kind, headers=headers)
-
-    async def put_photo(self, label: str, lease: int, request: Request) -> dict[str, Any]:
-        """Store a photo of a taught object; the body is a JPEG or PNG of at most 512 kB."""
-        photo = await request.body()
-        self._service.lease.alive(lease)
-        if label not in self._plugin.labels:
-            raise RequestRefused(f"{label!r:.80} is not taught")
-        await asyncio.to_thread(self._service.photos.put, label, photo)
-        return {}
 
     def start(
         self, body: Annotated[StartBody, Body(openapi_examples=JOB_EXAMPLES)]
@@ -633,18 +584,6 @@ class WebInterface(HttpServer):
         self._service.choose_part(body.lease, body.part, Pose(**body.pose.model_dump()))
         return self.simulated_part()
 
-    async def define_object(self, label: str, lease: int, request: Request) -> dict[str, Any]:
-        """Add an object to the simulated cell; the body is an STL file in mm of at most 10 MB."""
-        stl = await request.body()
-
-        def define() -> list[str]:
-            with raised_as(RequestRefused, ValueError):
-                shape = shape_of_stl(stl, checked_label(label))
-            return list(self._plugin.simulate({"define": label, "shape": shape})["objects"])
-
-        self._service.lease.alive(lease)
-        return {"objects": await asyncio.to_thread(define)}
-
     def reset_simulation(self, body: LeasedBody) -> dict[str, int]:
         """Start to reset the simulated cell: faults end, the part is released and removed."""
         start = self._plugin.begin_simulation_reset
@@ -664,19 +603,6 @@ class WebInterface(HttpServer):
         host = "" if request.client is None else request.client.host
         self._service.stop_as(f"HTTP {host} {name}".rstrip(), latch)
         return {"state": self._plugin.status().state, "held_by": self._service.held_by}
-
-
-def _photo_path(label: str) -> str:
-    return f"/api/taught/{quote(label, safe='')}/photo"
-
-
-def _token_of(message: str) -> str:
-    """Return the token in the first message of a WebSocket; empty without a token."""
-    try:
-        found = json.loads(message)["token"]
-    except (ValueError, KeyError, TypeError):
-        return ""
-    return found if isinstance(found, str) else ""
 
 
 def _refused(_request: Request, error: Exception) -> JSONResponse:

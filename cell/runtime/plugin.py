@@ -486,9 +486,7 @@ class TactileCellPlugin:
             return Command.RELEASE_HELD
         return command
 
-    def forget(
-        self, label: str, *, last: bool = False, forgotten: Callable[[], None] = lambda: None
-    ) -> Job:
+    def forget(self, label: str, *, last: bool = False) -> Job:
         """Start to forget a taught object and return the job at once.
 
         Parameters
@@ -497,8 +495,6 @@ class TactileCellPlugin:
             The object.
         last
             Whether only its newest grasp is removed.
-        forgotten
-            Called in the thread of the cell after the last grasp of the object is removed.
 
         Raises
         ------
@@ -513,7 +509,7 @@ class TactileCellPlugin:
         file = self._file
 
         def work(_report: Report) -> None:
-            file.forget(label, last=last, forgotten=forgotten)
+            file.forget(label, last=last)
 
         return self._accept(work, Command.GRASP, "forget")
 

@@ -66,15 +66,13 @@ class ModelFile:
                     training_set_file(self._path).unlink(missing_ok=True)
         self.due = self._emptied = False
 
-    def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> None:
+    def forget(self, label: str, *, last: bool) -> None:
         """Forget a taught object, or its newest grasp with ``last``, and write the model.
 
         Raises CellError as `TaughtModel.forget`, and if the model cannot be written; the write is
         tried again.
         """
         self.model.forget(label, last=last)
-        if label not in self.model.objects():
-            forgotten()
         self.due, self._emptied = True, not self.model.labels
         self.write()
 

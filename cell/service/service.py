@@ -39,7 +39,6 @@ from cell.runtime.lease import Lease
 from cell.runtime.plugin import HostStatus, TactileCellPlugin
 from cell.runtime.worker import Job
 from cell.service.history import History, history_file
-from cell.service.photos import Photos
 from cell.service.shift import Shift, Totals
 from gripper.clock import Clock
 from gripper.errors import GraspStopped
@@ -177,8 +176,6 @@ class Service:
         Mover of a cell with a positioner of kind ``callback``.
     history_path
         SQLite file of the history; None keeps it in memory.
-    photos_beside
-        Model file; the photos of taught objects are beside it. None keeps them in memory.
     note
         Gets messages for the operator.
     clock
@@ -194,7 +191,6 @@ class Service:
         *,
         poses: PoseHandshake | None = None,
         history_path: Path | None = None,
-        photos_beside: Path | None = None,
         note: Callable[[str], None] = lambda _text: None,
         clock: Clock = time,
         wall_s: Callable[[], float] = time.time,
@@ -214,8 +210,6 @@ class Service:
         """Parts and faults of the days."""
         self.history.start()
         plugin.watch_parts(self._count)
-        self.photos = Photos(photos_beside)
-        """Photos of taught objects."""
         self.plugin = plugin
         """The cell, for what it alone knows; its jobs are started by the service."""
         self._poses = PoseHandshake() if poses is None else poses
@@ -610,13 +604,11 @@ def open_service(
         **cell,
     )
     kept = kept_folder(config, cell.get("folder"))
-    beside = cell.get("save") or cell.get("model")
     return Service(
         plugin,
         config,
         poses=poses,
         history_path=None if kept is None else history_file(kept, config.name),
-        photos_beside=None if beside is None else Path(beside),
         note=note,
         clock=clock,
         wall_s=wall_s,
@@ -639,7 +631,7 @@ def state_values(service: Service) -> dict[str, Any]:
                 for task, error in service.allowed().items()
             },
             "fault": _fault(service, now.status),
-            "taught_revision": service.plugin.taught_revision + service.photos.revision,
+            "taught_revision": service.plugin.taught_revision,
             "health": service.plugin.health(),
             "shift": service.shift.values(),
         }

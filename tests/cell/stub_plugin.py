@@ -5,7 +5,6 @@ go on or fail, or a client holds it.
 """
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -152,12 +151,11 @@ class StubPlugin:
             for label, values in self.objects.items()
         ]
 
-    def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> Job:
+    def forget(self, label: str, *, last: bool) -> Job:
         self.taught_revision += 1
         self.objects[label]["n_grasps"] -= 1
         if not last:
             del self.objects[label]
-            forgotten()
         return self._accept(("forget", last), Command.GRASP, CellState.EXECUTE, self._end)
 
     def forget_drift(self) -> Job:

@@ -380,7 +380,6 @@ def order_of(length: int, host: bytes) -> tuple[list[str], int]:
     gate = Gate(
         app=app,
         config=ServeConfig(),
-        longest=lambda _: REQUEST_BYTES,
         pages=False,
         listener=Mock(),
         idle_s=5,

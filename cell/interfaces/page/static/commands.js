@@ -6,7 +6,7 @@ import { runs } from "./band.js";
 import { faultText, has, loadWords, native, t } from "./words.js";
 
 const RELEASE_KEY = 0x4f50;
-const DIALOGS = ["grasp", "sure", "camera", "simulation", "share"]; // Escape closes them
+const DIALOGS = ["grasp", "sure", "simulation", "share"]; // Escape closes them
 
 // Reason why a command is not allowed now; empty if it is. `any`: for any client in command.
 export function reasonOf({ link, state, taught }, command, any = false) {

@@ -70,7 +70,7 @@ export function shapeParts(kind, size_mm, interval_mm) {
   return parts;
 }
 
-export function renderHeld({ state, info, taught, photo, link }) {
+export function renderHeld({ state, info, taught, link }) {
   if (!state) return;
   const { status, job } = state;
   const found = current(state);
@@ -113,12 +113,7 @@ export function renderHeld({ state, info, taught, photo, link }) {
   const disagree = feels && clear(found.shape) && found.shape !== kind && (object.size_mm < low_mm || object.size_mm > high_mm);
   setText(byId("held_size"), disagree ? `${size}\n${t("held.disagree", { shape: feels })}` : size);
 
-  const picture = object?.photo ? photo(object) : null;
-  show(byId("held_photo_box"), Boolean(picture));
-  if (picture && byId("held_photo").src !== picture) byId("held_photo").src = picture;
-  byId("held_photo").alt = object ? t("held.photo_of", { label: object.label }) : "";
-  setText(byId("held_photo_text"), t("held.as_taught"));
-  if (object && !picture) drawShape(byId("held_taught"), object.shape, object.size_mm);
+  if (object) drawShape(byId("held_taught"), object.shape, object.size_mm);
   else show(byId("held_taught_box"), false);
 
   const checked = !runs(job) && job?.verification;

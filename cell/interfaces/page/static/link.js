@@ -174,27 +174,24 @@ export class Link {
 
   // -- requests -----------------------------------------------------------------------------------
 
-  async fetch(method, path, { body, type, timeout_ms = ANSWER_MS } = {}) {
+  async call(method, path, { body, timeout_ms = ANSWER_MS } = {}) {
     const headers = { Authorization: `Bearer ${this.token}` };
-    if (body !== undefined) headers["Content-Type"] = type ?? "application/json";
+    if (body !== undefined) headers["Content-Type"] = "application/json";
     let answer;
     try {
       answer = await fetch(this.url(path), {
         method,
         headers,
-        body: body === undefined || type ? body : JSON.stringify(body),
+        body: JSON.stringify(body),
         cache: "no-store",
         signal: AbortSignal.timeout(timeout_ms),
       });
     } catch (error) {
       throw new NoAnswer(String(error));
     }
-    if (!answer.ok) throw new Refused(answer.status, await answer.json().catch(() => null));
-    return answer;
-  }
-
-  async call(method, path, options) {
-    return (await this.fetch(method, path, options)).json().catch(() => null);
+    const content = await answer.json().catch(() => null);
+    if (!answer.ok) throw new Refused(answer.status, content);
+    return content;
   }
 
   // Start a job or a command. Its number identifies a repeated request: nothing is done twice when

@@ -10,7 +10,7 @@ import { drawOpened, openGrasp, renderShift } from "./shift.js";
 import { renderHealth } from "./health.js";
 import { renderFault } from "./fault.js";
 import { beginPage, reasonOf, renderCommands, setupCommands } from "./commands.js";
-import { renderTeach, setupTeach, teachEnded } from "./teach.js";
+import { renderTeach, setupTeach } from "./teach.js";
 import { renderGauge, setupGauge } from "./gauge.js";
 import { renderSort, setupSort } from "./sort.js";
 import { renderSimulation, setupSimulation } from "./simulation.js";
@@ -18,7 +18,6 @@ import { renderShare, setupShare } from "./share.js";
 
 const TABS = ["held", "teach", "sort"];
 const TAB_OF = { identify: "held", grip: "held", verify: "held", teach: "teach", gauge: "teach", zero: "teach", sort: "sort" };
-const photos = new Map(); // URL of each fetched photograph, by its address
 let dirty = true;
 let lastJob = null;
 
@@ -34,7 +33,6 @@ const view = {
   open: (answer) => openGrasp(view, answer),
   tab: chooseTab,
   ask,
-  photo,
   refreshTaught,
 };
 
@@ -46,18 +44,6 @@ function chooseTab(name) {
     show(byId(one), chosen);
   }
   dirty = true;
-}
-
-// Pictures need the token, so they are fetched like other data.
-function photo(object) {
-  if (!photos.has(object.photo)) {
-    photos.set(object.photo, null);
-    view.link.fetch("GET", object.photo.replace(/^\//, "")).then((answer) => answer.blob()).then((blob) => {
-      photos.set(object.photo, URL.createObjectURL(blob));
-      dirty = true;
-    }).catch(() => photos.delete(object.photo));
-  }
-  return photos.get(object.photo);
 }
 
 async function refreshInfo() {
@@ -72,8 +58,6 @@ async function refreshInfo() {
 }
 
 async function refreshTaught() {
-  for (const url of photos.values()) if (url) URL.revokeObjectURL(url);
-  photos.clear();
   try {
     view.taught = await view.link.call("GET", "api/taught", { timeout_ms: 5000 });
   } catch (error) {
@@ -94,7 +78,6 @@ function take(state) {
       if (TAB_OF[job.task]) chooseTab(TAB_OF[job.task]);
       view.say("");
     }
-    if (job.task === "teach" && !runs(job)) teachEnded(view, job);
   }
   lastJob = { number: job.number, outcome: job.outcome };
   dirty = true;

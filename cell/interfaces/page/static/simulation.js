@@ -102,17 +102,6 @@ export function setupSimulation(view) {
   }));
   byId("sim_fault").addEventListener("change", () => { byId("sim_value").value = ""; view.changed(); });
   act("sim_reset", () => send("POST", "reset", { lease: link.lease }));
-  byId("sim_stl").addEventListener("change", async (event) => {
-    const [file] = event.target.files;
-    event.target.value = "";
-    if (!file) return;
-    const name = file.name.replace(/\.stl$/i, "").slice(0, 60);
-    await attempt(() => link.fetch("PUT", `api/simulation/objects/${encodeURIComponent(name)}?lease=${link.lease}`, { body: file, type: "model/stl", timeout_ms: 20_000 }));
-    await refresh();
-    renderSimulation(view);
-    if (now?.objects.includes(name)) byId("sim_part").value = name;
-    renewLengths();
-  });
   view.endFault = (fault) => attempt(() => send("DELETE", `faults?fault=${encodeURIComponent(fault)}`)).then(refresh);
 }
 
@@ -131,7 +120,6 @@ export function renderSimulation(view) {
   if (kept && byId("sim_part").value !== kept) byId("sim_part").value = kept;
   renewLengths();
   allow(byId("sim_put"), t("sim.put"), t("sim.put_hint"), held);
-  byId("sim_stl").disabled = Boolean(reason);
   allow(byId("sim_reset"), t("sim.reset"), t("sim.reset_hint"), reason || (runs(state.job) ? t("why.state.EXECUTE") : ""));
 
   renew(byId("sim_fault"), faults.kinds.map((one) => one.name), () => faultGroups(faults.kinds));

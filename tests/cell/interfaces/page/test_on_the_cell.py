@@ -14,7 +14,6 @@ from cell.control.states import Command
 from gripper.errors import PartSlipped
 from tests.cell.interfaces.page.conftest import address
 from tests.cell.interfaces.page.test_page import becomes, click, fits, press
-from tests.cell.interfaces.test_web import stl
 from tests.waiting import until
 
 
@@ -223,8 +222,7 @@ def test_a_slow_line_is_not_shown_as_live(served, wire, open_page) -> None:
     becomes(page, "#state", "Ready")
 
 
-def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, tmp_path) -> None:
-    pytest.importorskip("trimesh", reason="the extra mesh is not installed")
+def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page) -> None:
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     served = serve("http", cell={})
     world = served.plugin.cell.simulated.world
@@ -252,10 +250,6 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page, tmp_
     until(lambda: served.plugin.job().task == "simulation_reset")
     assert served.ended().error == ""
     becomes(page, "#sim_placed", "nothing")
-    (tmp_path / "pyramid.stl").write_bytes(stl(12.0))
-    page.set_input_files("#sim_stl", tmp_path / "pyramid.stl")
-    page.wait_for_selector("#sim_part:has(option[value='pyramid']:checked)")
-    click(page, "#sim_put", "#sim_placed", "pyramid")
 
 
 def test_a_second_person_watches_by_the_link(served, open_page) -> None:

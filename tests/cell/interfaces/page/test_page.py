@@ -1,6 +1,5 @@
 """The page in a browser, on a server with any state."""
 
-import base64
 import re
 from typing import Any
 
@@ -12,10 +11,6 @@ from tests.marks import LONG
 from tests.waiting import until
 
 EVIL = '<img src=x onerror="window.evil=1">'
-PIXEL = base64.b64decode(
-    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
-)
-"""A picture of one pixel."""
 STATES = ("idle", "working", "named", "unknown", "faulted", "teaching", "sorting")
 
 
@@ -285,15 +280,11 @@ def test_the_cell_is_gauged_with_a_taught_object(open_page, cell) -> None:
 
 
 @pytest.mark.slow
-def test_it_is_taught_with_a_photograph(open_page, cell) -> None:
+def test_an_object_is_taught_and_forgotten(open_page, cell) -> None:
     page = open_page(command=True)
     page.click("#tab_teach")
     page.fill("#teach_name", "washer")
     page.fill("#teach_grasps", "10")
-    page.set_input_files(
-        "#teach_file", {"name": "washer.png", "mimeType": "image/png", "buffer": PIXEL}
-    )
-    page.wait_for_selector("#teach_photo", state="visible")
     cell.plugin.pause()
     page.click("#teach_start")
     until(lambda: cell.asked)
@@ -307,9 +298,6 @@ def test_it_is_taught_with_a_photograph(open_page, cell) -> None:
     cell.plugin.report(taught=nearest)
     cell.plugin.go_on()
     becomes(page, "#teach_end", "Similar to nut: 12% would be confused")
-    until(lambda: cell.service.photos.has("washer"))
-    page.wait_for_selector("#taught img")
-
     page.click("[aria-label='Remove the last grasp of washer']")
     click(page, "#sure_yes", "#taught li:last-child small", "9 grasps")
     page.click("[aria-label='Forget washer']")
