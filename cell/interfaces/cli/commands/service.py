@@ -78,8 +78,6 @@ def _agreed(question: str) -> bool:
         return False
 
 
-
-
 def support(
     file: Annotated[Path, typer.Argument(help="Bundle to write (.zip).")],
     config: options.Config = None,
