@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from cell.service.service import Service
-from cell.service.shift import Distribution
+from cell.service.shift import Sum
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 """Format of `metrics_text`."""
@@ -40,7 +40,7 @@ _DRIVES: tuple[tuple[str, str, dict[str, str]], ...] = (
 """Name and meaning of each measured value of the servos, and its key by direction."""
 _Labelled = Sequence[tuple[Mapping[str, str], float]]
 """Labels and value of each sample."""
-_Family = tuple[str, str, str, float | _Labelled | Distribution]
+_Family = tuple[str, str, str, float | _Labelled | Sum]
 """Name, type, meaning and values of a metric."""
 
 
@@ -58,14 +58,11 @@ def metrics_text(service: Service) -> str:
 
 
 def _samples(
-    values: float | _Labelled | Distribution,
+    values: float | _Labelled | Sum,
 ) -> Iterator[tuple[str, Mapping[str, str], float]]:
     """Yield the suffix of the name, the labels and the value of each sample."""
-    if isinstance(values, Distribution):
-        count = 0
-        for edge, count in values.cumulated():
-            yield "_bucket", {"le": "+Inf" if edge == float("inf") else str(edge)}, count
-        yield "_count", {}, count
+    if isinstance(values, Sum):
+        yield "_count", {}, values.n
         yield "_sum", {}, values.sum
     elif isinstance(values, float | int):
         yield "", {}, values
@@ -120,9 +117,9 @@ def _families(service: Service) -> Iterator[_Family]:
     yield "faults", "counter", "Faults by number", faults
     for name, meaning, group, key in _COUNTERS:
         yield name, "counter", meaning, counters[group][key]
-    yield "cycle_seconds", "histogram", "Time of each part", totals.cycles_s
+    yield "cycle_seconds", "summary", "Time of each part", totals.cycles_s
     meaning = "Distance of force and set-point at the end of a grasp"
-    yield "force_error_newtons", "histogram", meaning, totals.force_errors_n
+    yield "force_error_newtons", "summary", meaning, totals.force_errors_n
 
 
 def _free_bytes(service: Service) -> float | None:

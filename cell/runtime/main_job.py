@@ -42,10 +42,10 @@ class MainResult:
     parts: tuple[Part, ...]
     trials: tuple[Identification, ...]
     """The parts of known objects, in order, and their grasps."""
-    dataset: Path | None
-    model: Path | None
+    dataset: Path
+    model: Path
     recording: Path | None
-    """Files; None if not written."""
+    """Files; None for no recording."""
     drift: DriftGrid | None = None
     """The drift at the end; None if drift is not followed."""
     remarks: tuple[str, ...] = ()
@@ -97,7 +97,7 @@ def teach_and_identify(
 ) -> MainResult:
     """Teach each object, train, identify each object ``n_trials`` times; write data set and model.
 
-    A plugin with a model teaches nothing. Plans of teaching and identifying have different seeds,
+    Plans of teaching and identifying have different seeds,
     so no pose and force repeats. Ramps are whole: all recognisers get the same grasps.
 
     Raises
@@ -106,21 +106,14 @@ def teach_and_identify(
         Errors of the cell; the recording has everything until then.
     """
     started_s = time.monotonic()
-    remarks: list[str] = []
-    default, model, n_taught = config.recognition.recognizer, None, 0
-    recognizers: dict[str, Recognizer] = {}
-    if not plugin.labels:
-        remarks += teach_objects(plugin, config, labels, n_teach, progress)
-        n_taught = len(plugin.model.training_set)
-        progress("train", 0, 2)
-        plugin.train()
-        model = folder / "model.npz"
-        plugin.save(model)
-        progress("train", 1, 2)
-        recognizers = baseline(default, plugin.model.training_set)
-        progress("train", 2, 2)
-    else:
-        default = plugin.model.check_taught().trainer_name
+    default, model = config.recognition.recognizer, folder / "model.npz"
+    remarks = teach_objects(plugin, config, labels, n_teach, progress)
+    progress("train", 0, 2)
+    plugin.train()
+    plugin.save(model)
+    progress("train", 1, 2)
+    recognizers = baseline(default, plugin.model.training_set)
+    progress("train", 2, 2)
     parts: list[Part] = []
     trials: list[Identification] = []
     plugin.watch_parts(lambda _, found: trials.append(found) if found else None)
@@ -136,7 +129,7 @@ def teach_and_identify(
     return MainResult(
         labels=tuple(labels),
         default=default,
-        n_taught=n_taught,
+        n_taught=len(plugin.model.training_set),
         seconds=round(time.monotonic() - started_s, 2),
         scores=score_tables(
             [(one.presented, one.label, first) for one, first in zip(parts, firsts, strict=True)],
@@ -145,7 +138,7 @@ def teach_and_identify(
         ),
         parts=tuple(parts),
         trials=tuple(trials),
-        dataset=None if model is None else training_set_file(model),
+        dataset=training_set_file(model),
         model=model,
         recording=plugin.recording_path,
         drift=plugin.model.drift,

@@ -4,10 +4,9 @@ import statistics
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timedelta
-from itertools import accumulate
-from math import inf
 from typing import Any
 
 from cell.control.identification import Identification
@@ -21,11 +20,6 @@ _KEPT_CYCLES = 1000
 """Number of newest parts whose cycle times are kept."""
 _HOUR_S = 3600.0
 """Time in s before now in which recent parts are counted."""
-
-_CYCLES_S = (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 30.0, 60.0)
-"""Upper edges of the classes of cycle times in s."""
-_ERRORS_N = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
-"""Upper edges of the classes of force errors in N."""
 
 
 class Shift:
@@ -153,23 +147,17 @@ def began_s(now_s: float, begins_h: Sequence[float]) -> float:
     return max(begin for begin in begins if begin <= now).timestamp()
 
 
-class Distribution:
-    """Counts values in classes; each class includes its upper edge."""
+@dataclass(slots=True)
+class Sum:
+    """Number and sum of values."""
 
-    def __init__(self, edges: tuple[float, ...]) -> None:
-        self._edges = (*edges, inf)
-        self._counts = [0] * len(self._edges)
-        self.sum = 0.0
-        """Sum of all values."""
+    n: int = 0
+    sum: float = 0.0
 
     def add(self, value: float) -> None:
         """Count one value."""
-        self._counts[next(n for n, edge in enumerate(self._edges) if value <= edge)] += 1
+        self.n += 1
         self.sum += value
-
-    def cumulated(self) -> Iterator[tuple[float, int]]:
-        """Yield each edge with the number of values up to it; the last edge is inf."""
-        return zip(self._edges, accumulate(self._counts), strict=True)
 
 
 class Totals:
@@ -179,9 +167,9 @@ class Totals:
         self.parts: Counter[tuple[str, str]] = Counter()
         """Parts by label and result: ``named``, ``unknown``, ``rejected`` (named, but released at
         the place of the rejects) or ``missed`` (no part found; without label)."""
-        self.cycles_s = Distribution(_CYCLES_S)
+        self.cycles_s = Sum()
         """Time of each part in s, as `Part.seconds`."""
-        self.force_errors_n = Distribution(_ERRORS_N)
+        self.force_errors_n = Sum()
         """Distance in N between force and set-point at the end of each grasp of a part."""
 
     def add(self, part: Part, found: Identification | None) -> None:

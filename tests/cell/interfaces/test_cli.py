@@ -142,19 +142,6 @@ def test_run_teaches_identifies_and_writes_everything(quick, tmp_path, monkeypat
     assert len(read_dataset(data["dataset"])) == 6
 
 
-@pytest.mark.slow
-def test_run_with_a_model_teaches_nothing_and_says_what_it_is(
-    config, model, tmp_path, monkeypatch
-) -> None:
-    monkeypatch.setattr("cell.interfaces.cli.commands.run.write_report", lambda *_given: None)
-    config.write_text(config.read_text().replace("max_grasps: 4", "max_grasps: 1"))
-    out = ("--out", tmp_path / "out", "--json", tmp_path / "r.json")
-    call("run", "-c", config, "--model", model, "--trials", 1, *out)
-    data = read_json(tmp_path / "r.json")
-    assert (data["n_taught"], data["dataset"], data["model"]) == (0, None, None)
-    assert (data["default"], data["labels"]) == ("force_ramp", ["ball", "box"])
-
-
 @pytest.mark.parametrize("width", [40, 80, None])
 def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(monkeypatch, width) -> None:
     console = Console(file=io.StringIO(), force_terminal=width is not None, width=width)
@@ -183,8 +170,8 @@ def test_the_paper_is_put_beside_its_five_objects(capsys) -> None:
         scores=dict.fromkeys(("force_ramp", "level_check"), score("", labels, labels, labels)),
         parts=(),
         trials=(),
-        dataset=None,
-        model=None,
+        dataset=Path("model.grasps.npz"),
+        model=Path("model.npz"),
         recording=None,
     )
     show(result_lines(result, {}))

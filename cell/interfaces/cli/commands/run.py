@@ -12,9 +12,8 @@ from cell.config.model import CellConfig
 from cell.errors import CellError, ConfigError, MissingExtraError, RecordingError, ReportError
 from cell.installation import missing_note
 from cell.interfaces.cli import options
-from cell.interfaces.cli.session import cell_config, pads_of, running_cell
+from cell.interfaces.cli.session import cell_config, running_cell
 from cell.interfaces.cli.terminal import percent, plain_text, print_note
-from cell.learning.model import load_model
 from cell.learning.taught_cache import MODEL_FILE, keep_model
 from cell.recording.reader import read_recording
 from cell.report.confusion import TABLE_1, TABLE_1_LABELS, ConfusionTable, paper_table
@@ -40,7 +39,6 @@ def run(
     trials: Annotated[
         int, typer.Option("--trials", min=1, max=1000, help="Identifications of each object.")
     ] = 10,
-    model: options.Model = None,
     out_folder: options.Out = None,
     seed: options.Seed = None,
     faults: options.Faults = None,
@@ -48,18 +46,12 @@ def run(
 ) -> None:
     """Teach objects and identify each of them: the main job."""
     checked = cell_config(config, seed=seed, faults=faults)
-    taught = () if model is None else load_model(model, pads_of(checked)).labels
-    labels = _labels(checked, objects, taught)
+    labels = _labels(checked, objects)
     no_report = missing_note("report", "report page")
     if no_report:
         print_note(no_report)
     failed: CellError | None = None
-    with running_cell(
-        *(checked, "run", out_folder),
-        config_file=config,
-        json_file=json_file,
-        model=model,
-    ) as cell:
+    with running_cell(checked, "run", out_folder, config_file=config, json_file=json_file) as cell:
         folder = cell.folder
         result = teach_and_identify(
             cell.plugin,
@@ -90,15 +82,12 @@ def run(
 
 def _keep_for_serve(result: MainResult, config: CellConfig) -> None:
     """Keep the model of the built-in cell for `serve` if all its objects were taught."""
-    model, dataset = result.model, result.dataset
-    if model is None or dataset is None:
-        return
     if set(result.labels) != {entry.label for entry in config.simulator.objects}:
         return
 
     def write(folder: Path) -> None:
-        shutil.copyfile(model, folder / MODEL_FILE)
-        shutil.copyfile(dataset, folder / dataset.name)
+        shutil.copyfile(result.model, folder / MODEL_FILE)
+        shutil.copyfile(result.dataset, folder / result.dataset.name)
 
     try:
         keep_model(config, write)
@@ -106,14 +95,14 @@ def _keep_for_serve(result: MainResult, config: CellConfig) -> None:
         print_note(f"`serve` cannot use this model, it cannot be kept: {error}")
 
 
-def _labels(config: CellConfig, objects: Sequence[str] | None, taught: Sequence[str]) -> list[str]:
+def _labels(config: CellConfig, objects: Sequence[str] | None) -> list[str]:
     """Return the objects of a run. Raises ConfigError if the cell does not have them."""
     if not config.brings_objects:
         if not objects:
             raise ConfigError("name the available objects, for example --object ball --object box")
         return list(objects)
     configured = [entry.label for entry in config.simulator.objects]
-    labels = list(objects or taught or configured)
+    labels = list(objects or configured)
     strange = [label for label in labels if label not in configured]
     if strange:
         raise ConfigError(
