@@ -3,13 +3,10 @@
 Modules of an extra are imported within `extra`, so that all errors are the same.
 """
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
 from pathlib import Path
-from urllib.parse import unquote, urlsplit
 
 from cell.errors import MissingExtraError
 
@@ -57,23 +54,7 @@ def missing_note(extra: str, what: str) -> str:
 
 
 def remedy(extra: str) -> str:
-    """Return instructions to add an extra to this installation.
-
-    pip gets the project from its origin (PEP 610, ``direct_url.json``): a folder, a file or a
-    repository. Without an origin that still exists it needs a checkout.
-    """
-    text = f"install this project with its extra `{extra}`: pip install"
-    try:
-        origin = json.loads(distribution("tactile-cell").read_text("direct_url.json") or "{}")
-    except (PackageNotFoundError, ValueError):
-        origin = {}
-    url = urlsplit(str(origin.get("url", "")))
-    path = Path(unquote(url.path))
-    if not url.scheme or (url.scheme == "file" and not path.exists()):
-        return f"{text} '.[{extra}]' in its checkout"
-    if "dir_info" in origin:
-        option = "-e " if origin["dir_info"].get("editable") else ""
-        return f"{text} {option}'{path}[{extra}]'"
-    kind = origin.get("vcs_info", {}).get("vcs")
-    source = f"{kind}+{url.geturl()}" if kind else url.geturl()
-    return f"{text} 'tactile-cell[{extra}] @ {source}'"
+    """Return instructions to add an extra to this installation."""
+    return (
+        f"install this project with its extra `{extra}`: pip install '.[{extra}]' in its checkout"
+    )

@@ -5,7 +5,6 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -41,36 +40,6 @@ def test_a_module_that_hides_a_package_is_named_where_a_cell_is_wanted(
     )
     assert ended.returncode == 1
     assert f"{kind}: {hiding} hides the package {name!r} of tactile-cell" in ended.stderr
-
-
-@pytest.mark.parametrize(
-    ("origin", "command"),
-    [
-        ('{"url": "file://HERE", "dir_info": {"editable": true}}', ": pip install -e 'HERE[mesh]'"),
-        ('{"url": "file://HERE", "dir_info": {}}', ": pip install 'HERE[mesh]'"),
-        ('{"url": "file:///gone", "dir_info": {}}', ": pip install '.[mesh]' in its checkout"),
-        ('{"url": "file:///x.whl", "archive_info": {}}', ": pip install '.[mesh]' in its checkout"),
-        (
-            '{"url": "https://host/x.whl", "archive_info": {}}',
-            ": pip install 'tactile-cell[mesh] @ https://host/x.whl'",
-        ),
-        (
-            '{"url": "https://host/x", "vcs_info": {"vcs": "git", "commit_id": "1"}}',
-            ": pip install 'tactile-cell[mesh] @ git+https://host/x'",
-        ),
-        ("", ": pip install '.[mesh]' in its checkout"),
-        ("not JSON", ": pip install '.[mesh]' in its checkout"),
-    ],
-)
-def test_an_extra_is_added_to_the_installation_that_is_there(
-    origin: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    text = origin.replace("HERE", str(tmp_path)) or None
-    installed = SimpleNamespace(read_text={"direct_url.json": text}.get)
-    monkeypatch.setattr(installation, "distribution", {"tactile-cell": installed}.__getitem__)
-    assert installation.remedy("mesh") == (
-        "install this project with its extra `mesh`" + command.replace("HERE", str(tmp_path))
-    )
 
 
 def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,6 @@ from cell.control.plan import Pose
 from cell.errors import CellError
 from cell.interfaces.access import (
     BUSY_MAX,
-    Listener,
     is_for_this_machine,
     may_connect,
     same_secret,
@@ -119,30 +118,6 @@ def test_the_system_asks_whether_a_peer_is_still_there(serve, link, interface) -
     kind, ticks = until(lambda: [one for one in timer() if one[:2] == "02"])[0].split(":")
     assert kind == "02"  # keep-alive
     assert int(ticks, 16) <= 10 * 100
-
-
-def test_places_go_to_those_who_have_fewest(monkeypatch) -> None:
-    gone = list[int]()
-    numbers = iter(range(BUSY_MAX + 3))
-    others = iter(("late", "later", "crowd"))
-
-    def accept(_listener: Any) -> tuple[Any, tuple[str, int]]:
-        number = next(numbers)
-        first = "crowd" if number % 4 else f"host {number}"
-        link = Mock(**{"fileno.return_value": 9})
-        link.shutdown.side_effect = lambda _how: gone.append(number)
-        return link, (first if number < BUSY_MAX else next(others), number)
-
-    monkeypatch.setattr(socket.socket, "accept", accept)
-    with Listener("127.0.0.1", 0) as listener:
-        for _ in range(BUSY_MAX):
-            listener.accept()
-        listener.heard(("crowd", 1))
-        listener.accept()
-        listener.accept()
-        assert gone == [2, 3]  # of the crowd, those that were never heard, from the oldest on
-        listener.accept()
-        assert gone == [2, 3, 5]
 
 
 # -- who may connect ---------------------------------------------------------------------------
@@ -245,18 +220,6 @@ def test_a_taken_port_names_the_key_that_sets_another(serve, interface: str) -> 
             pass
 
 
-@pytest.mark.parametrize("interface", ["modbus", "xmlrpc", "http"])
-def test_an_interface_that_dies_is_a_problem_of_the_service(serve, interface: str) -> None:
-    service = serve().service
-    interfaces = {name: Ended() for name in ("modbus_port", "xmlrpc_port", "http_port")}
-    with running(service, interfaces):
-        assert service.problem == ""
-        interfaces[f"{interface}_port"].end()
-        until(lambda: service.problem)
-        assert service.problem.startswith(f"the interface of serve.{interface}_port has ended")
-    assert service.problem == ""
-
-
 class Ended:
     """An interface that serves nobody."""
 
@@ -271,7 +234,7 @@ class Ended:
         self._over.set()
 
 
-def test_an_error_ends_one_interface_and_is_shown(serve, caplog) -> None:
+def test_an_interface_that_dies_is_a_problem_and_its_error_is_shown(serve, caplog) -> None:
     service = serve().service
     broken = SimpleNamespace(serve=AsyncMock(side_effect=OSError("no more files")), end=Mock())
     with running(service, {"modbus_port": broken, "http_port": Ended()}):

@@ -49,7 +49,7 @@ from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckTrainer
 from simulator.faults.injector import VOCABULARY
 from simulator.realtime.hands import Hands
-from tests.cell.conftest import COARSE_PADS, call, once, plain_grasp, quick_config, small_config
+from tests.cell.conftest import call, once, plain_grasp, quick_config
 from tests.faults.scenarios.axes import CHANGES as AXES
 from tests.fuzz.harness import Clock
 from tests.marks import LONG
@@ -802,19 +802,6 @@ def test_the_help_of_the_program_fits_one_screen_and_each_line_is_true() -> None
 def test_an_interrupt_outside_a_sequence_is_one(monkeypatch, fail) -> None:
     monkeypatch.setattr("cell.interfaces.cli.commands.doctor.examine", raising(KeyboardInterrupt()))
     assert fail("doctor") == f"{BUILT_IN} error: interrupted"
-
-
-@pytest.mark.slow
-def test_fingers_that_do_not_close_in_time_are_told_as_that(tmp_path, fail, monkeypatch) -> None:
-    # The config takes them for faster than they are.
-    monkeypatch.setattr("cell.config.model._STARTING_S", -60.0)
-    slow = {"gripper__approach_speed_mm_s": 4, "gripper__contact_timeout_s": 1}
-    config = small_config(tactile__layout=COARSE_PADS, **slow)
-    (tmp_path / "cell.yaml").write_text(config_text(config, comments=False))
-    files = ("-o", tmp_path / "d.npz", "--out", tmp_path / "out")
-    said = fail("teach", "ball", *files, "-c", tmp_path / "cell.yaml")
-    assert "the fingers came no farther in gripper.contact_timeout_s = 1 s" in said
-    assert "nothing is held; recording so far" in said
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """The page on the real interface: on a stub of the cell, and once on the simulated cell."""
 
-import re
 import socket
 import threading
 from collections.abc import Iterator
@@ -8,7 +7,6 @@ from contextlib import suppress
 from typing import Any
 
 import pytest
-import segno
 
 from cell.control.states import Command
 from gripper.errors import PartSlipped
@@ -273,19 +271,3 @@ def test_a_second_person_watches_by_the_link(served, open_page) -> None:
     second.keyboard.press("Escape")
     becomes(page, "#state", "On hold")
     assert served.grip_n > 0.0
-
-
-def test_other_machines_get_a_qr_code(serve, open_page, monkeypatch) -> None:
-    monkeypatch.setattr("cell.interfaces.web.view_note", lambda _config: "")
-    served = serve("http")
-    page = open_page(address(served))
-    page.click("#share_open")
-    page.wait_for_selector("#share_qr path", state="attached")
-    assert page.is_visible("#share_qr")
-    assert not page.is_visible("#share_note")
-    # The picture shows the code of the address, with its quiet zone.
-    code = segno.make_qr(page.get_attribute("#share_address", "href"))
-    rows = [list(row) for row in code.matrix]
-    dark = {(x + 4, y + 4) for y, row in enumerate(rows) for x, one in enumerate(row) if one}
-    drawn = re.findall(r"M(\d+) (\d+)h1v1h-1z", page.get_attribute("#share_qr path", "d"))
-    assert {(int(x), int(y)) for x, y in drawn} == dark

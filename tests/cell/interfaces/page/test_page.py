@@ -237,19 +237,6 @@ def test_all_states_fit_and_have_no_finding_of_axe(open_page, cell, scheme, wide
 
 
 @pytest.mark.long
-def test_german_words_numbers_and_faults(open_page, cell) -> None:
-    page = open_page(locale="de-DE", command=True)
-    becomes(page, "#state", "Bereit")
-    show(page, cell, "named")
-    becomes(page, "#held_size", "eine Kugel von 9,5 mm")
-    becomes(page, "#held_sure", "90\\s%")
-    show(page, cell, "faulted")
-    becomes(page, "#fault_title", "Das gehaltene Teil rutscht")
-    becomes(page, "#fault_grip", "Gehalten")
-    assert page.get_attribute("html", "lang") == "de"
-
-
-@pytest.mark.long
 def test_an_unknown_part_is_an_answer(page, cell) -> None:
     becomes(page, "#state", "Ready")
     show(page, cell, "unknown")
@@ -403,40 +390,6 @@ def test_no_dialog_stands_in_front_of_hold(open_page, cell, wide) -> None:
     page.keyboard.press("Escape")
     until(lambda: len(cell.holds) == 3)
     page.wait_for_selector("#grasp", state="hidden")
-
-
-@pytest.mark.long
-def test_the_keyboard_alone_is_enough(page, cell) -> None:
-    becomes(page, "#state", "Ready")
-    focused = "document.activeElement.id || document.activeElement.textContent"
-
-    def tab_to(wanted: str) -> None:
-        for _ in range(80):
-            page.keyboard.press("Tab")
-            if page.evaluate(focused) == wanted:
-                return
-        raise AssertionError(f"Tab does not reach {wanted}")
-
-    tab_to("command")
-    page.keyboard.press("Enter")
-    becomes(page, "#commander", "This page")
-    tab_to("do_identify")
-    page.keyboard.press("Space")
-    until(lambda: cell.asked)
-    show(page, cell, "named")
-    tab_to("do_release")
-    page.keyboard.press("Enter")
-    assert not cell.given("release")
-    page.keyboard.down("Space")
-    until(lambda: page.wait_for_timeout(100) or cell.given("release"))
-    page.keyboard.up("Space")
-    tab_to("tab_held")
-    page.keyboard.press("ArrowRight")
-    assert page.is_visible("#teach_name")
-    tab_to("teach_name")
-    page.keyboard.type("washer")
-    page.keyboard.press("Escape")
-    until(lambda: cell.holds)
 
 
 @pytest.mark.long
