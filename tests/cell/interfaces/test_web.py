@@ -422,8 +422,10 @@ def test_a_page_from_elsewhere_is_refused(host) -> None:
         assert host.ask("POST", "/api/hold", {}, Origin=other)[0] == 403
         with pytest.raises(InvalidStatus, match="403"), host.live(origin=other):
             pass
-    rebound = {"Host": "evil.example"}
-    with pytest.raises(InvalidStatus, match="403"), host.live(additional_headers=rebound):
+    # A name that leads here is not the name of this machine.
+    here_by_another = socket.create_connection(("127.0.0.1", host.port))
+    at = f"ws://evil.example:{host.port}/api/live?token={host.token}"
+    with pytest.raises(InvalidStatus, match="403"), open_socket(at, sock=here_by_another):
         pass
 
 
