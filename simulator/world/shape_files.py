@@ -1,5 +1,6 @@
 """Objects from text and from STL files: shapes with their lengths, triangles."""
 
+import io
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -37,8 +38,6 @@ _THINNEST_M = 5e-5
 """Least mean thickness in m: twice the volume over the surface."""
 _MOST_BODIES = 100
 """Most bodies that are compared with each other."""
-_HEAD_BYTES = 84
-"""Bytes before the triangles of a binary file: 80 of comment, 4 of their number."""
 _EDGE_ON_M2 = 1e-18
 """Twice the area in m² below which a triangle is seen edge-on."""
 _ON_EDGE = 1e-9
@@ -47,21 +46,6 @@ _ROUNDING_M = 1e-12
 """Allowance in m for rounding where a point lies at the end of a triangle."""
 _PAIRS = 500_000
 """Most pairs of triangle and point in one batch: 40 MB."""
-_FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_NUMBER = rb"[+-]?(?:[0-9]{1,20}(?:\.[0-9]{0,30})?|\.[0-9]{1,30})(?:[eE][+-]?[0-9]{1,3})?"
-_VERTEX = re.compile(rb"(?i)vertex[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % (_NUMBER, _NUMBER, _NUMBER))
-_CORNER = rb"\s++vertex(?:[ \t]++%b){3}" % _NUMBER
-_FACET = (
-    rb"\s*+facet\s++normal(?:[ \t]++\S++){3}\s++outer\s++loop(?:%b){3}"
-    rb"\s++endloop\s++endfacet"
-) % _CORNER
-_SOLID = rb"solid[^\r\n]*+(?:%b)*+" % _FACET
-_WHOLE = rb"(?:%b\s*+end[ \t]*+solid[^\r\n]*+\s*+)" % _SOLID
-_BEGIN = rb"(?i)(?:\xef\xbb\xbf)?\s*+"
-_TEXT = re.compile(rb"%b%b++" % (_BEGIN, _WHOLE))
-"""An STL text file: solids of triangles. Their normals are not used."""
-_TEXT_BEGUN = re.compile(rb"%b(?=solid)%b*+(?:%b)?" % (_BEGIN, _WHOLE, _SOLID))
-"""The first lines of a text file, as far as they are right."""
 _UNIT_M = 1e-3
 """Length of one unit of a file in m; STL has none, mm is what most programs write."""
 
@@ -248,26 +232,18 @@ def _bodies_apart(triangles: NDArray[np.float64], adjacent: NDArray[np.int64]) -
 
 def _triangles(data: bytes, path: str) -> NDArray[np.float64]:
     """Return the corners of an STL file in its units, (n, 3, 3)."""
-    n_faces = int.from_bytes(data[80:84], "little")
-    if len(data) == _HEAD_BYTES + n_faces * _FACE.itemsize:
-        faces = np.frombuffer(data, dtype=_FACE, offset=_HEAD_BYTES)
+    from trimesh.exchange.stl import load_stl  # noqa: PLC0415 (an extra, see `read_mesh`)
+
+    try:
         with np.errstate(invalid="ignore"):  # what is no number is refused below
-            corners = faces["corners"].astype(np.float64)
-    elif _TEXT.fullmatch(data):
-        numbers = [float(number) for line in _VERTEX.findall(data) for number in line]
-        corners = np.array(numbers, dtype=np.float64).reshape(-1, 3, 3)
-    elif b"\0" not in data and (begun := _TEXT_BEGUN.match(data)):
-        n_lines = len(begun[0].splitlines())
+            loaded = load_stl(io.BytesIO(data))
+            solids = loaded.get("geometry", {"": loaded}).values()
+            corners = np.concatenate([np.asarray(one["vertices"])[one["faces"]] for one in solids])
+    except Exception as error:  # whatever its parser raises for damaged data
         raise SimulatorSettingsError(
-            f"{path} is a text STL whose line {n_lines + 1} is neither a whole triangle with "
-            "finite corners nor `endsolid`; export it again, as binary STL"
-        )
-    else:
-        expected = _HEAD_BYTES + n_faces * _FACE.itemsize
-        raise SimulatorSettingsError(
-            f"{path} is neither a text STL nor a binary STL ({len(data)} bytes, but its "
-            f"{n_faces} triangles need {expected}); export it again, as binary STL"
-        )
+            f"{path} is neither a text STL nor a binary STL ({len(data)} bytes); export it again, "
+            "as binary STL"
+        ) from error
     if not 1 <= len(corners) <= MAX_FACES:
         raise SimulatorSettingsError(
             f"{path} has {len(corners)} triangles, must have 1 to {MAX_FACES}"
@@ -277,7 +253,7 @@ def _triangles(data: bytes, path: str) -> NDArray[np.float64]:
         raise SimulatorSettingsError(
             f"{path} has a corner at {largest:g}, must be finite and at most {_LARGEST:g}"
         )
-    return corners
+    return corners.astype(np.float64)
 
 
 _UNITS_M = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}

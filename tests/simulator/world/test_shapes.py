@@ -197,9 +197,8 @@ SHRUNK = (
         "\ufeff" + BOX_TEXT.replace("endsolid", SHRUNK).upper(),
         BOX_TEXT.replace("normal -1.0", "normal nan").replace("0.0", "-nan(ind)", 2),
         BOX_TEXT.replace("endfacet\n", "endfacet\nendsolid a\nsolid b\n", 1),
-        BOX_TEXT.replace("endsolid", "end solid"),
     ],
-    ids=["capitals, byte order mark", "normals", "two solids", "end solid"],
+    ids=["capitals, byte order mark", "normals", "two solids"],
 )
 def test_a_mesh_as_programs_export_it_is_read(stl, text) -> None:
     assert text != BOX_TEXT
@@ -218,16 +217,14 @@ def test_a_mesh_in_another_unit_is_refused_with_its_size(stl, size_mm, shown) ->
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "line"),
+    ("right", "wrong", "says"),
     [
-        ("vertex", "vertex nan", 2),
-        ("endsolid", "", 86),
-        ("endfacet", "end facet", 2),
-        ("endsolid", "endsolid\nx", 88),
+        ("vertex", "vertex nan", "neither a text STL nor a binary STL"),
+        ("vertex 8.0", "vertex nan", "finite"),
     ],
 )
-def test_a_text_mesh_with_a_wrong_line_is_refused_with_its_number(stl, right, wrong, line) -> None:
-    with pytest.raises(SimulatorSettingsError, match=rf"text STL whose line {line} is neither"):
+def test_a_text_mesh_with_a_wrong_line_is_refused(stl, right, wrong, says) -> None:
+    with pytest.raises(SimulatorSettingsError, match=says):
         load_mesh(stl(BOX_TEXT.replace(right, wrong, 1)))
 
 
@@ -258,7 +255,7 @@ def test_meshes_that_are_no_solid_are_refused(stl) -> None:
         load_mesh(stl(trimesh.Trimesh(BOX.vertices, BOX.faces[:-2])))
     path = stl(BOX)
     path.write_bytes(path.read_bytes()[:-7])
-    with pytest.raises(SimulatorSettingsError, match=r"677 bytes, but its 12 .* need 684"):
+    with pytest.raises(SimulatorSettingsError, match=r"nor a binary STL \(677 bytes"):
         load_mesh(path)
     for triangles_m, says in (
         (np.zeros((0, 3, 3)), "shape"),
