@@ -53,27 +53,6 @@ def packed(text: str) -> bytes:
     return bytes.fromhex(text.replace(" ", ""))
 
 
-class ServoKnobs:
-    """What may befall a servo: heat, load, supply, a reboot, its encoder."""
-
-    def __init__(self, servo: SimulatedServo) -> None:
-        self.core = servo.core
-        self.overload = servo.core.plant.overload
-        self.reboot = servo.core.boot
-
-    def overheat(self, temperature_c: float) -> None:
-        self.core.plant.temperature_c = temperature_c
-
-    def supply(self, voltage_v: float) -> None:
-        self.core.plant.voltage_v = voltage_v
-
-    def jump_encoder(self, angle_rad: float) -> None:
-        self.core.plant.encoder_offset_rad += angle_rad
-
-    def offset_report(self, offset_raw: int) -> None:
-        self.core.position.reported_offset_raw = offset_raw
-
-
 @dataclass
 class ScriptedStream:
     """Answers exact requests with exact bytes, each piece after a delay; anything else fails."""
@@ -268,7 +247,7 @@ class Cell:
             SimulatedServo(i + 1, model, motor, settings=eeprom)
             for i, motor in enumerate(self.motors)
         ]
-        self.knobs = [ServoKnobs(servo) for servo in self.servos]
+        self.cores = [servo.core for servo in self.servos]
         self.device = ServoBusDevice(self.servos, 1_000_000)
         self.stream = MemoryServoStream(self.device, self.clock)
         self.bus = ServoBus(self.stream, baudrate=1_000_000, clock=self.clock)

@@ -16,10 +16,9 @@ from cell.control.states import CellState, GraspState
 from cell.errors import CellStateError, CellStopped, NoPartFound, PlanRefused, PositionerError
 from cell.learning.shape_reading import shape_reader
 from cell.recording.reader import read_recording
-from gripper.errors import GripContradicted, GripperError, LimitExceeded
+from gripper.errors import GripperError, LimitExceeded
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
-from tactile.errors import ForceContradicted
 from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, quick_config
 from tests.marks import LONG
 from tests.values import raising
@@ -33,22 +32,10 @@ OPEN_M = quick_config().gripper.aperture_open_mm * 1e-3
 
 
 @pytest.mark.slow
-def test_a_grasp_reaches_its_force_and_lets_go(bench: Any) -> None:
-    bench.ready()
-    held_n: list[float] = []
-    bench.once_in(RELEASING, lambda: held_n.append(bench.grip_n))
-    record = bench.grasp(4.0, Pose(x_m=1e-3))
-    assert record.outcome.result is GraspResult.FORCE_REACHED
-    assert record.outcome.final_force_n == pytest.approx(4.0, abs=0.5)
-    assert held_n[0] > 2.0
-    assert (record.reached.x_m, record.step.force_n) == (1e-3, 4.0)
-    assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
-    assert bench.aperture_m == pytest.approx(OPEN_M, abs=5e-4)
-
-
-@pytest.mark.slow
 def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) -> None:
-    record = bench.ready().grasp(4.0)
+    record = bench.ready().grasp(4.0, Pose(x_m=1e-3))
+    assert (record.outcome.result, bench.grip_n) == (GraspResult.FORCE_REACHED, 0.0)
+    assert (record.reached.x_m, record.step.force_n) == (1e-3, 4.0)
     grasp, cycles = record.grasp, record.cycles
     assert grasp.pads.same_as(pad_array(bench.controller.hand.layout))
     assert (grasp.label, grasp.source) == ("", "cell simulated cell")
@@ -94,27 +81,16 @@ def test_an_empty_gripper_is_no_part_and_no_fault(make_bench: MakeBench, tmp_pat
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("shape", "closed_mm", "reached", "gearing"),
-    [
-        LONG("sphere:diameter=5mm", 0.5, False, "drawn"),
-        ("cylinder:diameter=3mm,length=20mm", 0.0, False, "drawn"),
-        ("cylinder:diameter=2mm,length=20mm", -4.0, True, "ideal"),
-        ("cylinder:diameter=2mm,length=20mm", -4.0, True, "drawn"),
-    ],
+    ("diameter_mm", "closed_mm", "reached"), [(3, 0.0, False), (2, -4.0, True)]
 )
 def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(
-    make_bench: MakeBench,
-    tmp_path: Path,
-    *,
-    shape: str,
-    closed_mm: float,
-    reached: bool,
-    gearing: str,
+    make_bench: MakeBench, tmp_path: Path, *, diameter_mm: int, closed_mm: float, reached: bool
 ) -> None:
+    shape = f"cylinder:diameter={diameter_mm}mm,length=20mm"
     small = quick_config(
         gripper__aperture_min_mm=closed_mm,
         simulator__objects=[{"label": "a", "shape": shape}],
-        simulator__servos__gearing=gearing,
+        simulator__servos__gearing="drawn",
     )
     bench = make_bench(small, folder=tmp_path).ready("a")
     record = bench.controller.grip(8.0, Pose())
@@ -122,7 +98,6 @@ def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(
     assert bool(record.ended) is not reached
     bench.idle(0.5)
     assert bench.controller.kept.verify().same
-    assert bench.life.state is CellState.COMPLETE
     bench.controller.release()
     # The cell goes on, and takes closed fingers for empty as before.
     bench.once_in(APPROACHING, bench.simulated.remove)
@@ -131,9 +106,9 @@ def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(
     bench.cell.close()
     events = read_recording(tmp_path / "recording.mcap").events
     told = [event["text"] for event in events if event["kind"] == "ramp"]
-    assert [
-        re.search(r"too small or too soft for 8\.0 N.*min_mm is (\S+)\)", t)[1] for t in told
-    ] == ([] if reached else [f"{closed_mm:g}"])
+    assert [re.search(r"too soft for 8\.0 N.*min_mm is (\S+)\)", t)[1] for t in told] == (
+        [] if reached else [f"{closed_mm:g}"]
+    )
 
 
 @pytest.mark.slow
@@ -163,47 +138,45 @@ def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path
     assert set(recording.cycles.phase) == {"OPENING", "APPROACHING", "RAMPING", "RELEASING"}
 
 
-@pytest.mark.slow
-def test_a_force_that_is_not_allowed_is_refused_before_anything_moves(bench: Any) -> None:
-    bench.ready()
-    began_s = bench.simulated.clock.monotonic()
-    for force_n, complaint in (
+@pytest.mark.parametrize(
+    ("force_n", "says"),
+    [
         (40.0, r"asks for 40.* the limit is 13\.64 N"),
         (14.9, r"13\.64 N, so that its overshoot stays below force_max_n = 15"),
         (0.1, "could not hold a part"),
-        *((no_force_n, "must be finite") for no_force_n in (-3.0, math.nan, math.inf)),
+        (-3.0, "must be finite"),
+        (math.nan, "must be finite"),
+    ],
+)
+def test_a_force_that_is_not_allowed_is_refused_before_anything_moves(bench, force_n, says) -> None:
+    bench.ready()
+    began_s = bench.clock.monotonic()
+    good, bad = (GraspStep(pose=Pose(), force_n=one_n) for one_n in (3.0, force_n))
+    for ask, *given in (
+        (bench.controller.grasp, bad),
+        (bench.controller.check_plan, [good, bad]),
+        (bench.controller.identify, Scripted(UNSURE), [good, bad]),
     ):
-        steps = [GraspStep(pose=Pose(), force_n=one_n) for one_n in (3.0, force_n)]
-        for ask, given in (
-            (bench.controller.grasp, steps[1:]),
-            (bench.controller.check_plan, [steps]),
-            (bench.controller.identify, [Scripted(UNSURE), steps]),
-        ):
-            with pytest.raises(LimitExceeded, match=complaint):
-                ask(*given)
-    assert bench.simulated.clock.monotonic() == began_s
+        with pytest.raises(LimitExceeded, match=says):
+            ask(*given)
+    assert bench.clock.monotonic() == began_s
     assert (bench.life.state, bench.life.fault) == (CellState.IDLE, None)
-    assert bench.grasp().outcome.result is GraspResult.FORCE_REACHED
 
 
 def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
     bench.ready()
     step = GraspStep(pose=Pose(), force_n=3.0)
     nothing: Any = None
-    for ask, complaint in (
-        (lambda: bench.controller.grasp(nothing), "None is not a step"),
-        (lambda: bench.controller.grasp(GraspStep(pose=nothing, force_n=3.0)), "is not a step"),
-        (lambda: bench.controller.grasp(step, label=nothing), "None is not a label"),
-        (lambda: bench.controller.check_plan([]), "the plan is empty"),
-        (lambda: bench.controller.check_plan([step], nothing), "None is not a label"),
-        (
-            lambda: bench.controller.check_plan([step], "UNKNOWN"),
-            "is UNKNOWN, the answer for untaught objects",
-        ),
-        (lambda: bench.controller.identify(Scripted(SURE), []), "the plan is empty"),
+    for complaint, ask, *given in (
+        ("None is not a step", bench.controller.grasp, nothing),
+        ("is not a step", bench.controller.grasp, GraspStep(pose=nothing, force_n=3.0)),
+        ("None is not a label", bench.controller.check_plan, [step], nothing),
+        ("is UNKNOWN, the answer for untau", bench.controller.check_plan, [step], "UNKNOWN"),
+        ("the plan is empty", bench.controller.check_plan, []),
+        ("the plan is empty", bench.controller.identify, Scripted(SURE), []),
     ):
         with pytest.raises(PlanRefused, match=complaint):
-            ask()
+            ask(*given)
     assert (bench.life.state, bench.life.fault) == (CellState.IDLE, None)
 
 
@@ -212,13 +185,7 @@ def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("phase", "after_s", "least_n"),
-    [
-        LONG(RAMPING, 0.0, 0.2),
-        (RAMPING, 0.3, 1.0),
-        LONG(APPROACHING, 0.0, 0.0),
-        (APPROACHING, 0.2, 0.0),
-    ],
+    ("phase", "after_s", "least_n"), [(RAMPING, 0.3, 1.0), (APPROACHING, 0.2, 0.0)]
 )
 def test_cancelling_keeps_the_grip_until_it_is_released(bench, phase, after_s, least_n) -> None:
     bench.ready()
@@ -233,7 +200,6 @@ def test_cancelling_keeps_the_grip_until_it_is_released(bench, phase, after_s, l
     assert least_n <= bench.grip_n < 6.6
     bench.controller.release()
     assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
-    assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
 
 
 @pytest.mark.slow
@@ -261,14 +227,8 @@ def test_a_release_can_be_stopped_too(bench: Any, again: str) -> None:
     bench.once_in(RELEASING, bench.life.cancel, 0.03)
     with pytest.raises(CellStopped) as stopped:
         getattr(bench.controller, again)()
-    stood_mm = bench.simulated.devices.mechanics.aperture_m * 1e3
-    told = re.search(
-        r"while letting go, at an opening of ([\d.]+) mm; a part may be half held until",
-        str(stopped.value),
-    )
-    assert float(told[1]) == pytest.approx(stood_mm, abs=0.5)
-    bench.sleep(0.5)
-    assert bench.simulated.devices.mechanics.aperture_m * 1e3 == pytest.approx(stood_mm, abs=0.8)
+    assert "while letting go, at an opening of" in str(stopped.value)
+    assert "mm; a part may be half held until" in str(stopped.value)
     assert bench.life.holding
     assert bench.life.state.value == ("HELD" if again == "release" else "STOPPED")
     getattr(bench.controller, again)()
@@ -277,14 +237,9 @@ def test_a_release_can_be_stopped_too(bench: Any, again: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("when", ["before", "while opening", "while zeroing"])
-def test_a_cancelled_start_leaves_the_cell_stopped(bench: Any, when: str) -> None:
-    if when == "before":
-        bench.life.cancel()
-    elif when == "while opening":
-        bench.once_in(OPENING, bench.life.cancel)
-    else:
-        bench.once_in(GripperPhase.IDLE, bench.life.cancel, 0.2)
+@pytest.mark.parametrize("phase", [GripperPhase.OFF, OPENING, GripperPhase.IDLE])
+def test_a_cancelled_start_leaves_the_cell_stopped(bench: Any, phase: GripperPhase) -> None:
+    bench.once_in(phase, bench.life.cancel, 0.2 if phase is GripperPhase.IDLE else 0.0)
     with pytest.raises(CellStopped, match="no part was gripped"):
         bench.controller.start()
     assert bench.life.state is CellState.STOPPED
@@ -393,27 +348,9 @@ def test_the_cell_is_supervised_while_a_person_moves_the_object(make_bench: Make
 
     bench = make_bench(quick_config(positioner__kind="operator"), ask=ask)
     bench.controller.start()
-    before_s = bench.simulated.clock.monotonic()
-    bench.simulated.clock.on_advance.append(
-        lambda now_s: moving.set() if now_s > before_s + 3.0 else None
-    )
+    end_s = bench.clock.monotonic() + 3.0
+    bench.clock.on_advance.append(lambda now_s: moving.set() if now_s > end_s else None)
     bench.controller.moves.present("ball")
     assert "'ball'" in asked[0]
     assert bench.life.state is CellState.IDLE
     assert len(bench.cell.local_hand._force._new) < 5
-
-    bench.simulated.place("ball")
-    assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
-    assert len(asked) == 2
-
-
-@pytest.mark.slow
-def test_a_frame_that_shows_the_part_stands_against_messages_that_show_none(make_bench) -> None:
-    slow = {"kind": "linear", "rate_n_s": 5.0, "hold_s": 0.3}
-    # With some noise the sensor's own comparison of messages and frames is the first to find it.
-    bench = make_bench(quick_config(sequence__ramp=slow, seed=2)).ready()
-    bench.simulated.inject("unit.force_gain=0@contact+0.25s")
-    with pytest.raises((GripContradicted, ForceContradicted)):
-        bench.controller.grasp(GraspStep(pose=Pose(), force_n=5.0))
-    assert bench.life.state is CellState.ABORTED
-    assert min(bench.simulated.world.contact_force_n()) > 1.0

@@ -34,10 +34,6 @@ from tests.fuzz.harness import Clock
 from tests.values import raising
 
 
-def distinct_poses(steps: tuple[GraspStep, ...]) -> int:
-    return len({step.pose for step in steps})
-
-
 def test_random_plan_stays_in_its_ranges_and_repeats_with_its_seed() -> None:
     config = SequenceConfig()
     steps = plan(config, 200, seed=3)
@@ -48,7 +44,7 @@ def test_random_plan_stays_in_its_ranges_and_repeats_with_its_seed() -> None:
         assert abs(step.pose.y_m) <= 2e-3
         assert 0.0 <= step.pose.rotation_rad <= 2 * math.pi
         assert 2.0 <= step.force_n <= 8.0
-    assert distinct_poses(steps) == 200
+    assert len({step.pose for step in steps}) == 200
 
 
 def test_grid_visits_each_point_once_before_it_repeats() -> None:
@@ -56,7 +52,7 @@ def test_grid_visits_each_point_once_before_it_repeats() -> None:
         kind="grid", x_mm=(-1.0, 1.0), y_mm=(0.0, 0.0), roll_deg=(0.0, 0.0), force_n=(4.0, 4.0)
     )
     steps = plan(config, 18, seed=0)
-    assert distinct_poses(steps) == 9
+    assert len({step.pose for step in steps}) == 9
     assert steps[:9] == steps[9:]
     assert {step.pose.x_m for step in steps} == {-1e-3, 0.0, 1e-3}
 
@@ -72,12 +68,9 @@ def test_list_is_taken_in_order_and_anew() -> None:
     assert steps[2] == steps[0]
 
 
-def test_empty_plan_is_refused() -> None:
+def test_no_plan_is_empty_and_no_pose_is_not_finite() -> None:
     with pytest.raises(ValueError, match="at least 1"):
         plan(SequenceConfig(), 0, seed=0)
-
-
-def test_pose_refuses_what_is_not_finite_and_reads_well() -> None:
     with pytest.raises(ValueError, match="x_m"):
         Pose(x_m=math.nan)
     assert str(Pose(x_m=1e-3, rotation_rad=math.pi)).startswith(

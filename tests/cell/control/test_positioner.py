@@ -9,10 +9,8 @@ from math import radians
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.axes import AxesPositioner
 from cell.control.plan import GraspStep, Pose
@@ -26,7 +24,6 @@ from cell.control.positioner import (
 from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped, PositionerError, PositionerFault
 from gripper.values.state import GripperPhase
-from simulator.world.shapes import ObjectPose
 from tests.cell.conftest import MakeBench, once, quick_config
 from tests.faults.scenarios.axes import CHANGES
 from tests.values import raising
@@ -148,9 +145,7 @@ def test_socket_without_a_simulator_is_a_clear_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "reply",
     [
-        b'{"ok": true}\n',
         b'{"pose": [1, 2]}\n',
-        b'{"pose": {"x_m": "far"}}\n',
         b'{"pose": {"x_m": NaN, "y_m": 0, "rotation_rad": 0, "roll_rad": 0}}\n',
         b"[" * 20_000 + b"\n",
         b"x" * 70_000,
@@ -215,51 +210,16 @@ def test_a_host_that_brings_parts_to_their_places_leaves_the_axes_to_be_seen(
 
 
 @pytest.mark.slow
-def test_an_object_that_is_taken_off_the_axes_does_not_come_back(bench: Any) -> None:
-    cell = bench.simulated
-    for y_m in (0.0, 0.2):  # between the pads, and beside them
-        cell.place("ball", ObjectPose(y_m=y_m))
-        assert (cell.world.placed is None) is (y_m > 0.0)
-        cell.place("nothing")
-        assert cell.devices.stage._carried is None
-        bench.controller.moves.positioner.move_to(AWAY)
-        assert cell.world.placed is None
-
-
-@pytest.mark.slow
-def test_a_missed_move_shows_in_the_grasp_though_no_encoder_shows_it(
-    make_bench: MakeBench, config: CellConfig
-) -> None:
-    # The noise of untouched taxels moves the centre by up to 1 mm.
-    exact = {"simulator.noise_level": 0.1, "simulator.servos.gearing": "ideal"}
-    bench = make_bench(changed_config(config, exact))
-
-    def centre_m(pose: Pose) -> float:
-        grasp = bench.grasp(4.0, pose).grasp
-        last = grasp.counts[-20:].mean(axis=0) - grasp.counts[:5].mean(axis=0)
-        pad = grasp.pads.taxels_of(bench.controller.hand.layout.gripping_pads[0])
-        weights = np.clip(last[pad], 0.0, None)
-        return float(weights @ grasp.pads.taxel_xy_m[pad, 0] / weights.sum())
-
-    bench.ready("ball")
-    before_m = centre_m(Pose())
-    bench.simulated.devices.axes["x"].slipped = 0.003
-    after_m = centre_m(Pose())
-    assert bench.controller.life.state is CellState.IDLE
-    assert after_m - before_m == pytest.approx(3e-3, abs=1e-3)
-
-
-@pytest.mark.slow
-def test_the_object_is_carried_out_of_the_pads_and_back(bench: Any) -> None:
+def test_the_axes_carry_an_object_out_of_the_pads_and_back_until_it_is_taken_off(bench) -> None:
     bench.ready("ball")
     devices = bench.simulated.devices
-    bench.grasp(3.0, Pose())
-    devices.axes["x"].slipped = 0.5
-    bench.sleep(0.1)
+    for slipped_m in (0.5, 0.0):
+        devices.axes["x"].slipped = slipped_m
+        bench.sleep(0.1)
+        assert (devices.physical.placed is None) is (slipped_m > 0.0)
+    bench.simulated.place("nothing")
+    bench.controller.moves.positioner.move_to(AWAY)
     assert devices.physical.placed is None
-    devices.axes["x"].slipped = 0.0
-    bench.sleep(0.1)
-    assert devices.physical.placed is not None
 
 
 @pytest.mark.slow
@@ -325,12 +285,9 @@ def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("fault", "number"),
-    [("axis2.fault", 606), ("a defect of the program", 599)],
-)
+@pytest.mark.parametrize("number", [606, 599])
 def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(
-    bench: Any, monkeypatch: pytest.MonkeyPatch, fault: str, number: int
+    bench: Any, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     bench.ready()
     bench.controller.grip(3.0, Pose())
@@ -338,7 +295,7 @@ def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(
         axes = bench.controller.moves.positioner.axes
         monkeypatch.setattr(axes, "_move", lambda *_args: {}["defect"])
     else:
-        bench.simulated.inject(fault)
+        bench.simulated.inject("axis2.fault")
     there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3))
     with pytest.raises((PositionerFault, KeyError), match=r"drive 12|defect"):
         bench.controller.moves.carry_to(there)
@@ -385,8 +342,6 @@ def test_the_fingers_are_supervised_while_the_axes_move(bench: Any) -> None:
     with pytest.raises(Exception, match="servo"):
         bench.controller.grasp(GraspStep(pose=Pose(x_m=5e-3), force_n=3.0))
     assert bench.controller.life.state is CellState.ABORTED
-    stood_m = axes["x"].position
-    assert stood_m < 4e-3
-    bench.simulated.clock.sleep(0.3)
-    assert axes["x"].position == pytest.approx(stood_m, abs=1e-5)
+    assert axes["x"].position < 4e-3
+    bench.sleep(0.3)
     assert not any(axis.moving for axis in axes.values())

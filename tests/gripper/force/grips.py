@@ -53,8 +53,10 @@ def make_period(
     if isinstance(sample, float):
         sample = ForceSample(t_s=now_s, force_n=(sample, sample), lag_s=0.0015, noise_n=0.1)
     paths = transmissions(GripperSettings(), LINKAGE, STATE.angles_rad)
-    current_a = -drive_n / paths[0].n_per_a
-    servos = tuple(replace(one, current_a=current_a) for one in STATE.servos)
+    current_a, velocity_rad_s = -drive_n / paths[0].n_per_a, 0.5 * speed_m_s / paths[0].radius_m
+    servos = tuple(
+        replace(servo, current_a=current_a, velocity_rad_s=velocity_rad_s) for servo in STATE.servos
+    )
     state = replace(
         STATE,
         t_s=now_s,

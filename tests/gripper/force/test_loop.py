@@ -2,10 +2,11 @@
 
 import pytest
 
-from gripper.errors import BusTimeout, ForceSensorStale
+from gripper.errors import BusTimeout, ForceAboveCap, ForceSensorStale
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
+from simulator.servo.faults import Chatter
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 
@@ -75,3 +76,21 @@ def test_a_pause_before_three_lost_answers_is_no_lost_bus(cell) -> None:
         cell.gripper.tick()
     assert cell.gripper.fault is None
     assert cell.gripper.statistics.missed_reads >= 3
+
+
+@pytest.mark.parametrize(
+    ("knob", "value", "error"), [("gain", 3.0, ForceAboveCap), ("dead", True, ForceSensorStale)]
+)
+def test_pads_are_watched_while_the_servos_are_not_understood(
+    make_started, knob, value, error
+) -> None:
+    cell = make_started(bus_loss_s=2.0, force_max_n=9.0)
+
+    def fail() -> None:
+        cell.device.faults.chatter = Chatter(data=b"\xa5", every_s=0.0003)
+        setattr(cell.sensor, knob, value)
+
+    with pytest.raises(error):
+        cell.gripper.grasp(RAMP, cell.once(fail, at_n=5.0))
+    assert cell.clock.monotonic() - cell.acted_s[0] < 0.2
+    assert cell.gripper.statistics.missed_reads > 5

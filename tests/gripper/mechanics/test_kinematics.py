@@ -1,3 +1,4 @@
+from dataclasses import replace
 from math import asin, pi
 
 import pytest
@@ -8,6 +9,7 @@ from gripper.dynamixel.models import XM430_W350
 from gripper.errors import LimitExceeded
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion, Transmission
 
+LINK = ParallelLinkage(link_m=0.06)
 LINKAGES = st.one_of(
     st.builds(
         ParallelLinkage,
@@ -55,35 +57,20 @@ def test_figures_of_current_and_force() -> None:
 
 
 @settings(max_examples=50)
-@given(st.floats(0.0, 30.0))
-def test_currents_bound_the_band(force_n: float) -> None:
-    path = Transmission(
-        DriveCharacteristic(
-            breakaway_a=0.1, coulomb_a=0.1, rising_a_nm=0.6, falling_a_nm=0.5, kt_nm_a=1.7
-        ),
-        0.05,
-    )
-    assert path.force_band_n(path.loading_current_a(force_n))[0] == pytest.approx(force_n, abs=1e-9)
-    unloading_a = force_n * path.radius_m * 0.5 - 0.1
-    assert path.force_band_n(unloading_a)[1] == pytest.approx(force_n, abs=1e-9)
-
-
-@settings(max_examples=50)
 @given(st.floats(0.0, 30.0), st.floats(0.3, 1.0))
 def test_a_force_falls_at_one_drive_and_is_gone_at_the_friction(
     force_n: float, share: float
 ) -> None:
-    path = Transmission(
-        DriveCharacteristic(
-            breakaway_a=0.1,
-            coulomb_a=0.1,
-            rising_a_nm=0.6,
-            falling_a_nm=0.3,
-            yielding_share=share,
-            kt_nm_a=1.7,
-        ),
-        0.05,
+    drive = replace(
+        DriveCharacteristic.catalogue(XM430_W350),
+        breakaway_a=0.1,
+        coulomb_a=0.1,
+        rising_a_nm=0.6,
+        falling_a_nm=0.3,
+        yielding_share=share,
     )
+    path = Transmission(drive, 0.05)
+    assert path.force_band_n(path.loading_current_a(force_n))[0] == pytest.approx(force_n, abs=1e-9)
     assert path.held_n(path.yielding_n(force_n)) == pytest.approx(force_n, abs=1e-9)
     assert path.yielding_n(0.0) == pytest.approx(-path.friction_n)
     held_n = share * 0.1 / (0.3 * 0.05)
@@ -99,21 +86,18 @@ def test_one_servo_for_both_fingers_needs_twice_the_torque() -> None:
     assert one.angles_rad(0.06) == (pytest.approx(asin(0.5)),)
 
 
-def test_impossible_geometry_is_refused() -> None:
-    linkage = ParallelLinkage(link_m=0.06)
-    with pytest.raises(LimitExceeded, match="out of reach"):
-        linkage.angles_rad(0.2)
-    with pytest.raises(LimitExceeded, match="dead centre"):
-        linkage.opening_per_rad_m(pi / 2)
-    with pytest.raises(LimitExceeded, match="got 1 angles"):
-        linkage.aperture_m([0.1])
-    with pytest.raises(LimitExceeded, match="out of reach"):
-        RackPinion(pinion_radius_m=0.01).angles_rad(0.2)
-    with pytest.raises(LimitExceeded, match="link_m"):
-        ParallelLinkage(link_m=0.0)
-    with pytest.raises(LimitExceeded, match="n_servos"):
-        RackPinion(pinion_radius_m=0.01, n_servos=3)
-    with pytest.raises(LimitExceeded, match="offset_m"):
-        RackPinion(pinion_radius_m=0.01, offset_m=float("nan"))
-    with pytest.raises(LimitExceeded, match="offset_m"):
-        ParallelLinkage(link_m=0.01, offset_m=float("nan"))
+@pytest.mark.parametrize(
+    ("use", "says"),
+    [
+        (lambda: LINK.angles_rad(0.2), "out of reach"),
+        (lambda: LINK.opening_per_rad_m(pi / 2), "dead centre"),
+        (lambda: LINK.aperture_m([0.1]), "got 1 angles"),
+        (lambda: RackPinion(pinion_radius_m=0.01).angles_rad(0.2), "out of reach"),
+        (lambda: ParallelLinkage(link_m=0.0), "link_m"),
+        (lambda: RackPinion(pinion_radius_m=0.01, n_servos=3), "n_servos"),
+        (lambda: ParallelLinkage(link_m=0.01, offset_m=float("nan")), "offset_m"),
+    ],
+)
+def test_impossible_geometry_is_refused(use, says) -> None:
+    with pytest.raises(LimitExceeded, match=says):
+        use()

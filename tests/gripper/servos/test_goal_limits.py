@@ -26,24 +26,6 @@ RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
 
 
-@pytest.mark.parametrize("alone", [True, False])
-def test_too_much_force_is_lowered_and_as_configured_where_one_pad_alone_shows_it(
-    make_cell, alone: bool
-) -> None:
-    cell = make_cell(force_max_n=6.0)
-    cell.hold_part(RAMP)
-    written: list[int] = []
-    measure, gain = cell.sensor.measure, 1.0 if alone else 2.5
-    cell.sensor.measure = lambda now_s, true_n: measure(now_s, (2.5 * true_n[0], gain * true_n[1]))
-    with pytest.raises(ValueError, match="force_max_n is 6"):
-        cell.gripper.hold(1.0, lambda _: written.append(cell.register(0, "goal_current")))
-    cell.clock.sleep(0.5)
-    if alone:
-        left = abs(cell.register(0, "goal_current"))
-        assert 0.4 * abs(written[-1]) < left < abs(written[-1])
-    assert 0.3 < cell.force_n < (4.4 if alone else 6.0 / 2.5)
-
-
 @pytest.mark.parametrize(("over_n", "at_most_s"), [(0.8, 0.03), (3.0, 0.006)])
 def test_the_cap_is_noticed_the_sooner_the_more_it_is_passed(over_n, at_most_s) -> None:
     draw = random.Random(4)

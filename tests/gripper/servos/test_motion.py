@@ -7,7 +7,7 @@ import pytest
 
 from gripper.dynamixel.control_table import TICK_MODULO
 from gripper.dynamixel.models import XM430_W350
-from gripper.servos.motion import ServoMotion, position_sd_rad, slow_rad_s
+from gripper.servos.motion import ServoMotion, slow_rad_s
 
 COUNT_RAD = XM430_W350.rad_per_pulse
 PERIOD_MS = 5
@@ -96,20 +96,3 @@ def test_lost_answers_leave_a_speed_and_a_pause_does_not() -> None:
     assert speeds(lost)[20] == pytest.approx(0.4, abs=0.05)
     paused = [None if 20 <= index < 41 else rad for index, rad in enumerate(ways)]
     assert speeds(paused)[20] == 0.0
-
-
-def test_after_a_restart_no_earlier_position_counts() -> None:
-    motion = ServoMotion(XM430_W350)
-    motion.speed_rad_s(0, 0.0)
-    motion.forget()
-    assert motion.speed_rad_s(5, 3.0) == 0.0
-
-
-def test_a_position_is_off_by_rounding_and_dither() -> None:
-    rng, rad = random.Random(3), 0.0
-    errors = []
-    for _ in range(4000):
-        rad += 0.317 * COUNT_RAD
-        errors.append(round(rad / COUNT_RAD + rng.choice((-0.5, 0.5))) * COUNT_RAD - rad)
-    spread_rad = (sum(one**2 for one in errors) / len(errors)) ** 0.5
-    assert spread_rad == pytest.approx(position_sd_rad(XM430_W350), rel=0.05)

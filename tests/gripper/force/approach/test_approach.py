@@ -68,14 +68,6 @@ def test_contact_takes_several_new_samples_on_each_pad() -> None:
     assert detector.touched == (False, False)
 
 
-def test_both_pads_end_the_approach(approach) -> None:
-    events = []
-    for i in range(3):
-        at = state(0.02 * i, 0.02, -0.02)
-        events.append(step(approach, 0.02 * i, DT_S, at, sample(0.02 * i, 1.0, 1.0))[0])
-    assert events == [ApproachEvent.CLOSING, ApproachEvent.CLOSING, ApproachEvent.CONTACT]
-
-
 def test_a_finger_that_touches_waits_while_the_other_closes_on(approach) -> None:
     goals = [LINKAGE.angles_rad(0.02)]
     for i in range(40):
@@ -96,15 +88,13 @@ def test_the_goal_runs_ahead_by_a_little_only(approach) -> None:
     assert LINKAGE.aperture_m(angles) >= 0.02 - 0.0061
 
 
-def test_closed_without_contact_is_the_limit_even_when_the_pads_touch_each_other() -> None:
-    approach = new_approach(0.0004)
-    event, _ = step(approach, 0.0, DT_S, state(0.0, 0.0004, -0.02), sample(0.0, 5.0, 5.0))
-    assert event is ApproachEvent.LIMIT
-
-
-def test_time_out_is_the_limit() -> None:
-    event, _ = step(new_approach(), 3.0, DT_S, state(3.0, 0.02, -0.02), None)
-    assert event is ApproachEvent.LIMIT
+@pytest.mark.parametrize(("t_s", "aperture_m"), [(0.0, 0.0004), (3.0, 0.02)])
+def test_closed_or_out_of_time_is_the_limit_even_when_the_pads_touch_each_other(
+    t_s, aperture_m
+) -> None:
+    at = state(t_s, aperture_m, -0.02)
+    seen = sample(t_s, 5.0, 5.0) if t_s == 0.0 else None
+    assert step(new_approach(aperture_m), t_s, DT_S, at, seen)[0] is ApproachEvent.LIMIT
 
 
 @pytest.mark.parametrize(
@@ -182,21 +172,6 @@ def test_fingers_that_touch_before_they_have_run_press_on_all_the_same(make_star
     assert outcome.contact_t_s < 1.5
 
 
-def rests_s(rest: ContactRest, period_s: float, force_n: float, noise_n: float) -> float:
-    """Return for how long fingers rest with a sensor of this period and noise."""
-    i = 0
-    while rest.goes_on(
-        Moment(
-            now_s=DT_S * i,
-            dt_s=DT_S,
-            state=state(DT_S * i, 0.01, 0.0),
-            sample=scan(period_s * int(DT_S * i / period_s + 1e-9), force_n, noise_n),
-        )
-    ):
-        i += 1
-    return DT_S * i
-
-
 @pytest.mark.parametrize(
     ("period_s", "noise_n", "hard_n", "lasts_s"),
     [
@@ -209,8 +184,14 @@ def rests_s(rest: ContactRest, period_s: float, force_n: float, noise_n: float) 
 def test_the_rest_ends_where_the_force_of_a_light_touch_is_known(
     period_s, noise_n, hard_n, lasts_s
 ) -> None:
-    rest = ContactRest(0.0, hard_n=hard_n)
-    assert rests_s(rest, period_s, 0.7, noise_n) == pytest.approx(lasts_s, abs=0.009)
+    rest, t_s, goes_on = ContactRest(0.0, hard_n=hard_n), -DT_S, True
+    while goes_on:
+        t_s += DT_S
+        seen = scan(period_s * int(t_s / period_s + 1e-9), 0.7, noise_n)
+        goes_on = rest.goes_on(
+            Moment(now_s=t_s, dt_s=DT_S, state=state(t_s, 0.01, 0.0), sample=seen)
+        )
+    assert t_s == pytest.approx(lasts_s, abs=0.009)
     assert rest.force_n == pytest.approx(0.7)
 
 

@@ -46,15 +46,6 @@ def stands_right(cell) -> bool:
     return all(row.ok for row in rows)
 
 
-def refused_at_rest(cell) -> str:
-    assert not stands_right(cell)
-    keys = r"gripper.servos\[[01]\].direction -?1, zero_pulse \d+, gripper.linkage link_mm 60"
-    with pytest.raises(VerificationFailed, match=keys) as refused:
-        cell.gripper.start()
-    assert cell.torques == [0, 0]
-    return str(refused.value)
-
-
 def told_by_motion(cell) -> str:
     assert stands_right(cell)
     cell.gripper.start()
@@ -70,62 +61,56 @@ def told_by_motion(cell) -> str:
     return str(told.value)
 
 
-@pytest.mark.parametrize("aperture_m", [0.0, 0.0005, 0.0035])
-@pytest.mark.parametrize("friction_error", [LONG(-0.2), 0.0, LONG(0.2)])
-def test_a_wrong_direction_of_both_near_closed_is_told_by_the_first_motion(
-    make_cell, aperture_m, friction_error
+@pytest.mark.parametrize(
+    ("turned", "aperture_m", "changes"),
+    [
+        ((0, 1), 0.0, {}),
+        ((0, 1), 0.0035, {}),
+        LONG((0, 1), 0.0005, {"friction_error": -0.2}),
+        LONG((0, 1), 0.0035, {"friction_error": 0.2}),
+        # A low cap of the current leaves room for the way back.
+        ((0, 1), 0.0, {"current_max_a": 0.3}),
+        ((0,), 0.009, {}),
+        ((1,), 0.0, {}),
+        LONG((1,), 0.004, {}),
+    ],
+)
+def test_a_wrong_direction_near_closed_is_told_by_the_first_motion(
+    make_cell, turned, aperture_m, changes
 ) -> None:
-    cell = make_cell(
-        turned=(0, 1), aperture_m=aperture_m, friction_error=friction_error, present=False
-    )
-    told_by_motion(cell)
+    cell = make_cell(turned=turned, aperture_m=aperture_m, present=False, **changes)
+    text = told_by_motion(cell)
+    if len(turned) == 1:
+        assert f"servo {turned[0] + 1}: it is blocked" in text
 
 
-@pytest.mark.parametrize("aperture_m", [0.0, 0.0035])
-def test_a_low_cap_of_the_current_leaves_room_for_the_way_back(make_cell, aperture_m) -> None:
-    cell = make_cell(turned=(0, 1), aperture_m=aperture_m, current_max_a=0.3, present=False)
-    told_by_motion(cell)
-
-
-@pytest.mark.parametrize("index", [0, 1])
-@pytest.mark.parametrize("aperture_m", [0.0, 0.004, 0.009])
-def test_a_wrong_direction_of_one_is_told_by_the_first_motion(make_cell, index, aperture_m) -> None:
-    cell = make_cell(turned=(index,), aperture_m=aperture_m, present=False)
-    assert f"servo {index + 1}: it is blocked" in told_by_motion(cell)
-
-
-@pytest.mark.parametrize("index", [0, 1])
-@pytest.mark.parametrize("aperture_m", [0.012, 0.018, 0.03])
-def test_a_wrong_direction_of_one_is_refused_where_its_finger_is_beyond_the_middle(
+@pytest.mark.parametrize(("index", "aperture_m"), [(0, 0.012), (1, 0.018), (0, 0.03)])
+def test_a_wrong_direction_is_refused_where_its_finger_is_beyond_the_middle(
     make_cell, index, aperture_m
 ) -> None:
     cell = make_cell(turned=(index,), aperture_m=aperture_m, present=False)
-    text = refused_at_rest(cell)
-    assert f"servo {index + 1} present_position" in text
-    assert f"servo {2 - index} present_position" not in text
+    assert not stands_right(cell)
+    keys = r"gripper.servos\[[01]\].direction -?1, zero_pulse \d+, gripper.linkage link_mm 60"
+    with pytest.raises(VerificationFailed, match=keys) as refused:
+        cell.gripper.start()
+    assert cell.torques == [0, 0]
+    assert f"servo {index + 1} present_position" in str(refused.value)
+    assert f"servo {2 - index} present_position" not in str(refused.value)
 
 
-@pytest.mark.parametrize("linkage", ["parallel", "rack"])
-@pytest.mark.parametrize("aperture_m", [0.0, 0.002, 0.018])
+@pytest.mark.parametrize(("linkage", "aperture_m"), [("parallel", 0.0), ("rack", 0.002)])
 def test_a_wrong_direction_of_one_servo_that_drives_both_is_told(
     make_cell, linkage, aperture_m
 ) -> None:
     cell = make_cell(n_servos=1, linkage=linkage, turned=(0,), aperture_m=aperture_m, present=False)
-    if aperture_m > 0.004:
-        with pytest.raises(VerificationFailed, match=r"gripper.servos\[0\].direction -1"):
-            cell.gripper.start()
-        return
     cell.gripper.start()
     with pytest.raises(MechanicsContradicted, match="free on its way back"):
         cell.gripper.open()
     assert cell.torques == [0]
 
 
-@pytest.mark.parametrize("aperture_m", [0.0, 0.018, 0.03])
-def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(
-    make_started, aperture_m
-) -> None:
-    cell = make_started(zero_off=(100, 100), aperture_m=aperture_m, present=False, force_max_n=8.0)
+def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(make_started) -> None:
+    cell = make_started(zero_off=(100, 100), aperture_m=0.018, present=False, force_max_n=8.0)
     stop = Stop(cell)
     cell.gripper.open(0.03)
     with pytest.raises(GripContradicted, match=r"at an opening of 1[789]\.\d mm, .*zero_pulse"):
@@ -134,28 +119,15 @@ def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("link_m", [0.03, 0.08])
-def test_a_wrong_length_without_an_offset_is_not_told_by_motion(make_started, link_m) -> None:
-    cell = make_started(link_m=link_m, present=False)
+def test_an_offset_that_lets_the_fingers_meet_nothing_is_a_wrong_zero(make_started) -> None:
+    cell = make_started(offset_m=-0.004, present=False)
     cell.gripper.open()
-    assert cell.gripper.grasp(RAMP).result is GraspResult.NO_CONTACT
-    assert cell.mechanics.aperture_m == pytest.approx(0.0, abs=5e-4)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("offset_m", [0.004, -0.004])
-def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_started, offset_m) -> None:
-    cell = make_started(offset_m=offset_m, present=False)
-    cell.gripper.open()
-    error, told = (GripContradicted, "zero_pulse")
-    if offset_m < 0.0:
-        error, told = (MechanicsContradicted, "found nothing")
-    with pytest.raises(error, match=told):
+    with pytest.raises(MechanicsContradicted, match="found nothing"):
         cell.gripper.grasp(RAMP)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("aperture_m", [0.0, 0.03, 0.052, 0.065])
+@pytest.mark.parametrize("aperture_m", [0.0, 0.052])
 def test_a_pinion_opens_from_each_part_of_its_turn_and_grips_wide_parts(
     make_started, aperture_m
 ) -> None:
@@ -173,8 +145,9 @@ def test_a_pinion_opens_from_each_part_of_its_turn_and_grips_wide_parts(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("friction_error", [LONG(-0.3), 0.0, 0.3, LONG(0.6)])
-@pytest.mark.parametrize("aperture_m", [0.0, 0.004, 0.018])
+@pytest.mark.parametrize(
+    ("friction_error", "aperture_m"), [(0.0, 0.0), (0.3, 0.004), LONG(-0.3, 0.018), LONG(0.6, 0.0)]
+)
 def test_the_proof_costs_a_right_gripper_little_time(
     make_started, friction_error, aperture_m
 ) -> None:
@@ -185,7 +158,8 @@ def test_the_proof_costs_a_right_gripper_little_time(
     assert state.aperture_m == pytest.approx(0.03, abs=0.001)
     way_s = (0.03 - aperture_m) / 0.06
     assert cell.clock.monotonic() - began_s < way_s + 0.3
-    assert cell.gripper.grasp(RAMP).result is GraspResult.NO_CONTACT
+    outcome = cell.gripper.grasp(RAMP)
+    assert (outcome.result, outcome.contact_t_s) == (GraspResult.NO_CONTACT, None)
     before_s = cell.clock.monotonic()
     cell.gripper.open()
     assert cell.clock.monotonic() - before_s < 0.03 / 0.06 + 0.15
