@@ -82,8 +82,8 @@ _FARTHEST_M = 10.0
 _HEADER = "model"
 _PREFIX = "learnt."
 _PADS = "pads."
-_OWN_SECTIONS = ("model", "learnt", "pads")
-"""Names of arrays in the archive: the header, and the prefixes of recogniser and pads."""
+_TRAINING = "training_set."
+"""Names of arrays in the archive: the header, and prefixes of recogniser, pads, training set."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,8 +94,8 @@ class Trained:
     """The recogniser, ready to answer."""
     trainer_name: str
     """Its kind, one of `cell.plugins.RECOGNISERS`."""
-    sections: Mapping[str, Arrays] = field(default_factory=dict)
-    """Further arrays of the model file by section."""
+    training_set: Arrays = field(default_factory=dict)
+    """Name and checksum of the data set of its training set; empty without one."""
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -125,12 +125,11 @@ def save_model(
     *,
     trainer_name: str,
     pads: PadArray,
-    sections: Mapping[str, Arrays] | None = None,
+    training_set: Arrays | None = None,
 ) -> None:
     """Write a taught recogniser, whole or not at all.
 
-    Raises ModelError if the kind is unknown or the write fails, and ValueError if the name of a
-    section is invalid.
+    Raises ModelError if the kind is unknown or the write fails.
 
     Parameters
     ----------
@@ -140,22 +139,19 @@ def save_model(
         Its kind, one of `cell.plugins.RECOGNISERS`.
     pads
         The pads that it was taught on.
-    sections
-        Further arrays, by the name of a section and their own; programs ignore unknown sections.
+    training_set
+        As `Trained.training_set`.
     """
     path = Path(path)
     kind = type(recognizer)
     if _class_of(path, trainer_name, kind.__name__) is not kind:
         raise ModelError(f"cannot write model {path}: {kind.__name__} is not of {trainer_name!r}")
-    learnt = recognizer.to_arrays()
-    arrays: dict[str, NDArray[Any]] = {
-        **pads.to_arrays(_PADS),
-        **{_PREFIX + name: np.asarray(array) for name, array in learnt.items()},
+    parts = {_PREFIX: recognizer.to_arrays(), _TRAINING: training_set or {}}
+    arrays: dict[str, NDArray[Any]] = pads.to_arrays(_PADS) | {
+        prefix + name: np.asarray(array)
+        for prefix, part in parts.items()
+        for name, array in part.items()
     }
-    for section, content in (sections or {}).items():
-        if not section.isidentifier() or section in _OWN_SECTIONS:
-            raise ValueError(f"{section!r} is not a valid name of a section")
-        arrays |= {f"{section}.{name}": np.asarray(array) for name, array in content.items()}
     header = {
         "format": str(MODEL),
         "trainer": trainer_name,
@@ -197,13 +193,12 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
         raise ModelError(
             f"{path} names other labels in its header than in its arrays; train it again"
         )
-    names = {name.partition(".")[0] for name in arrays if "." in name}
     return LoadedModel(
         recognizer=recognizer,
         trainer_name=trainer_name,
         pads=pads,
         path=path,
-        sections={n: _section(arrays, f"{n}.") for n in sorted(names.difference(_OWN_SECTIONS))},
+        training_set=_section(arrays, _TRAINING),
     )
 
 

@@ -15,7 +15,6 @@ from cell.learning.shape_reading import TaughtShapes
 from cell.learning.teaching_summary import ToldApart, told_apart
 from cell.learning.training import gaugeable, gauged, train
 from cell.learning.training_set import (
-    TRAINING_SECTION,
     check_training_set,
     saved_training_set,
     training_section,
@@ -313,12 +312,12 @@ class TaughtModel:
         ModelError or DatasetError if a file cannot be written.
         """
         path, trained = Path(path), self.check_taught()
-        recognizer, sections = trained.recognizer, dict(trained.sections)
+        recognizer, training_set = trained.recognizer, trained.training_set
         if grasps := self.training_set:
             if self._written[0] is not grasps or self._written[1].parent != path.parent:
                 write_dataset(beside := training_set_file(path), grasps)
                 self._written = (grasps, beside)
-            sections[TRAINING_SECTION] = training_section(*self._written)
+            training_set = training_section(*self._written)
         if followed and isinstance(recognizer, DriftFollowing):
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_kept())
         save_model(
@@ -326,7 +325,7 @@ class TaughtModel:
             recognizer,
             trainer_name=trained.trainer_name,
             pads=self._pads,
-            sections=sections,
+            training_set=training_set,
         )
 
 

@@ -12,12 +12,9 @@ from cell.learning.model import Arrays, LoadedModel
 from cell.recording.dataset import read_dataset
 from recognition.grasp import Grasp
 
-TRAINING_SECTION = "training_set"
-"""Section of a model file that names the data set of its training set, and its checksum."""
-
 
 def training_section(grasps: Sequence[Grasp], file: Path) -> Arrays:
-    """Return the section of a model file that names the data set of its training set."""
+    """Return what a model file has of its training set: name and checksum of the data set."""
     return {
         "file": np.array(file.name),
         "sha256": np.array(_checksum(grasps)),
@@ -30,7 +27,7 @@ def saved_training_set(model: LoadedModel) -> tuple[Grasp, ...]:
 
     Raises DatasetError if it cannot be read.
     """
-    name = str(model.sections.get(TRAINING_SECTION, {}).get("file", ""))
+    name = str(model.training_set.get("file", ""))
     path = model.path.parent / name
     return read_dataset(path) if Path(name).name == name and os.path.isfile(path) else ()
 
@@ -44,7 +41,7 @@ def check_training_set(model: LoadedModel, grasps: Sequence[Grasp]) -> None:
     if not grasps:
         return
     labels = {grasp.label for grasp in grasps}
-    section = model.sections.get(TRAINING_SECTION, {})
+    section = model.training_set
     kept, count = section.get("sha256"), str(section.get("grasps", len(grasps)))
     n_trained = int(count) if count.isdecimal() and len(count) < 10 else len(grasps)
     if (

@@ -9,7 +9,6 @@ tared, like those of the cell.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from cell.control.plan import GraspStep, Pose
 from gripper.force.ramp import ForceRamp
 from recognition.drift.self_zero import drawn_zero
 from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray
-from recognition.shape.foam import FoamModel, PadBed, closed_columns_m, neighbours
+from recognition.shape.foam import FoamModel, PadBed
 from recognition.shape.models import Drawing, posed, resting_roll_rad
 
 _DEEPEST = 0.97
@@ -28,12 +27,6 @@ _LARGEST_SHARE = 0.98
 """Largest force as a share of that at the largest depth."""
 _N_DEPTHS = 48
 """Number of depths at which the force is computed."""
-_FEW_DEPTHS = 20
-"""The same for foam that spreads sideways, where each depth needs an iteration."""
-_STEPS = 6
-"""Steps of the iteration."""
-_FAR_M = 1.0
-"""Distance in m instead of an infinite one, where nothing faces the pad."""
 _SLOW_WAY_M = 2e-3
 """Distance in m before the touch of the widest part in which fast fingers slow down: 0.5 mm margin
 and 1.5 mm for mass and servo."""
@@ -106,19 +99,11 @@ def pressed_pad(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> P
     near = lag_m < foam.thickness_m
     rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
     part = np.ix_(rows, columns)
-    n_depths = _FEW_DEPTHS if foam.sideways else _N_DEPTHS
-    depth_m = np.linspace(0.0, _DEEPEST * foam.thickness_m, n_depths)
-    closed_m: NDArray[np.floating[Any]] = depth_m[:, None, None] - lag_m[part]
-    if foam.sideways:
-        wanted_m = np.maximum(closed_m, -_FAR_M).astype(np.float32)
-        pushes = (
-            neighbours(bed.x_m[rows, 0], foam.sideways_m).astype(np.float32),
-            neighbours(bed.y_m[0, columns], foam.sideways_m).astype(np.float32),
-        )
-        closed_m = closed_columns_m(wanted_m, 1.0, foam.sideways, pushes, steps=_STEPS)
+    depth_m = np.linspace(0.0, _DEEPEST * foam.thickness_m, _N_DEPTHS)
+    closed_m = depth_m[:, None, None] - lag_m[part]
     pressure_pa = foam.modulus_pa * foam.relative_pressure(closed_m)
     taxels_n = bed.along[:, rows] @ (pressure_pa @ bed.across[:, columns].T) * bed.cell_area_m2
-    taxels_n = taxels_n.reshape(n_depths, -1)
+    taxels_n = taxels_n.reshape(_N_DEPTHS, -1)
     return PressedPad(
         reach_max_m=highest_m, depth_m=depth_m, force_n=taxels_n.sum(axis=1), taxels_n=taxels_n
     )

@@ -413,7 +413,7 @@ def test_train_writes_a_model(dataset, tmp_path) -> None:
     assert "2 objects taught with 20 grasps" in text
     assert load_model(path).trainer_name == "level_check"
     written = read_json(tmp_path / "t.json")
-    amount, series = written.pop("teaching")["notes"]
+    amount, series = written.pop("notes")
     assert "4 objects (now 2)" in amount
     assert "in one series" in series
     assert written == {

@@ -27,7 +27,7 @@ from cell.interfaces.cli.terminal import percent, print_line, print_note, progre
 from cell.learning.labelled_grasps import duplicate_grasps
 from cell.learning.model import LAST_MODEL, load_model, save_model
 from cell.learning.parallel import workers
-from cell.learning.teaching_summary import summarise_teaching
+from cell.learning.teaching_summary import teaching_notes
 from cell.learning.training import calibrate_model, follow_shift, gaugeable, train as train_model
 from cell.recording.dataset import read_grasps
 from cell.runtime.goals import TeachGoal
@@ -79,19 +79,19 @@ def train(
             f"spread between days and cells: gain {100 * prior.log_gain_sd:.0f} %, opening "
             f"{prior.offset_sd_mm:.1f} mm"
         )
-    summary = summarise_teaching(grasps)
+    notes = teaching_notes(grasps)
     values = {
         "model": str(model),
         "recognizer": recognizer,
         "n_grasps": len(grasps),
         "labels": list(labels),
-        "teaching": summary,
+        "notes": notes,
     }
     if prior is not None:
         spread = {"log_gain_sd": prior.log_gain_sd, "offset_sd_mm": prior.offset_sd_mm}
         values["spread"] = spread
     show(lines, values, json_file)
-    for note in summary.notes:
+    for note in notes:
         print_note(note)
 
 
@@ -152,7 +152,7 @@ def calibrate(
         corrected,
         trainer_name=loaded.trainer_name,
         pads=loaded.pads,
-        sections=loaded.sections,
+        training_set=loaded.training_set,
     )
     values = {"model": output, "gauge": gauge, **corrected.grid.values, "n_grasps": n_grasps}
     line = (
