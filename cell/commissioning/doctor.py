@@ -2,11 +2,13 @@
 
 import importlib.metadata
 import platform
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from shlex import quote
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +16,8 @@ from numpy.typing import NDArray
 from cell.build import Cell, build_cell
 from cell.checks.findings import Finding, Verdict, check_result, kept_values
 from cell.checks.ports import check_port
-from cell.commissioning.changes import (
-    Found,
-    changed_pads,
-    changed_servos,
-    changed_unit,
-    since_commissioning,
-)
 from cell.config.model import CellConfig
-from cell.config.tactile import layout_from_config, make_calibration, pad_mounts
+from cell.config.tactile import layout_from_config, make_calibration
 from cell.control.self_zero import drive_text, kept_zeros
 from cell.errors import CellError
 from cell.hand.connections import MISSING
@@ -42,7 +37,10 @@ from gripper.settings import CORRECTABLE
 from gripper.values.servo_checks import VerificationRow, overload_text
 from motion.errors import AxisMissing, AxisSilent, MotionError
 from tactile.errors import IdentityMismatch, TactileError
+from tactile.source import SourceIdentity
 
+Found = Mapping[str, Mapping[str, Any]]
+"""Values of the findings of the commissioning by the key of the step."""
 Changed = Callable[[str, Sequence[Finding]], list[Finding]]
 """Changes of a device since the commissioning, with advice, by its name."""
 _AT_START = "the cell sets it at its start"
@@ -250,12 +248,10 @@ def _control_unit(
     source = hand.statistics.source
     forces, statistics = source.forces, source.frames
     lost = statistics.lost + statistics.torn + statistics.corrupt
-    changes = changed_unit(kept, identity)
-    changes += changed_pads(kept, hand.layout, frames, pad_mounts(config.tactile))
     number = f", serial {identity.serial}, revision {identity.revision:#x}" if is_unit else ""
     from_frames = f"{identity.name} sends frames alone; the force comes from them"
     return [
-        *changed("control unit and pads", changes),
+        *changed("control unit and pads", changed_unit(kept, identity)),
         check_result("control unit" if is_unit else "sensor", f"{identity.name}{number}", ok=True),
         check_result(
             "tactile frames",
@@ -335,3 +331,52 @@ def _boards(boards: tuple[int, int], config: CellConfig) -> Finding:
     if boards[0] != boards[1]:
         advice = f"press each pad to check its finger, then write {[*boards]} into the config"
     return check_result("pads' boards", found, advice)
+
+
+def _change(what: str, step: str, was: Any, now: Any, text: str = "{}") -> list[Finding]:
+    """Return the change of one value, which ``text`` formats; ``step`` is the step to repeat."""
+    if was == now:
+        return []
+    found = f"{text.format(now)}, at commissioning {text.format(was)}"
+    return [Finding(what=what, verdict=Verdict.WARN, found=found, step=step)]
+
+
+def changed_unit(found: Found, now: SourceIdentity) -> list[Finding]:
+    """Return the differences of a control unit and its pads from the commissioning."""
+    unit, pads = found.get("unit", {}), found.get("pads_at_rest", {})
+    serial, revision = unit.get("serial_number", now.serial), unit.get("revision", now.revision)
+    firmware = "firmware of the control unit"
+    changes = _change("control unit", "unit", serial, now.serial, "serial {}")
+    changes = changes or _change(firmware, "unit", revision, now.revision, "revision {:#x}")
+    was = tuple(pads.get("board_serial_numbers", now.boards))
+    if was == now.boards[::-1] != now.boards:
+        both = f"serial {was[0]} on finger 0, {was[1]} on finger 1"
+        return changes + _change("pads", "pads_at_rest", both, "exchanged")
+    for finger in (0, 1):
+        what, number = f"pads of finger {finger}", now.boards[finger]
+        changes += _change(what, "pads_at_rest", was[finger], number, "serial {}")
+    return changes
+
+
+def changed_servos(found: Found, servos: Mapping[int, tuple[str, int]]) -> list[Finding]:
+    """Return the differences of servos from the commissioning; ``servos``: model, firmware."""
+    changes = []
+    for was in found.get("servos", {}).get("servos", ()):
+        before = (was["model"], was["firmware"])
+        now = servos.get(was["id"], before)
+        changes += _change(f"servo {was['id']}", "servos", before, now, "{0[0]}, firmware {0[1]}")
+    return changes
+
+
+def since_commissioning(
+    folder: Path, found: Found, what: str, changes: Sequence[Finding]
+) -> list[Finding]:
+    """Return the changes with advice, or one finding without any; empty without ``found``."""
+    if not found:
+        return []
+    place = "" if folder == Path() else f" {quote(str(folder))}"
+    command = f"`tactile-cell commission{place} --redo"
+    return [
+        replace(change, advice=f"{command} {change.step}` repeats the steps it affects")
+        for change in changes
+    ] or [check_result(what, "as at commissioning", ok=True)]

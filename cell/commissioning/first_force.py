@@ -41,6 +41,8 @@ _MEET_N_S = 10.0
 _MEET_MM = 1.5
 """Opening in mm, positive or negative, at which the empty pads may meet: each foam yields by 0.3
 mm, and a zero is set by hand."""
+_LOSS_SHARE = 1e-3
+"""Least reported share of lost answers or messages: a good line loses none."""
 _LAST_PERIODS = 20
 """Periods of the loop, 0.1 s, whose mean is the force at the end of a motion."""
 
@@ -89,12 +91,7 @@ def press_first(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         _Trial(bench, config, notes, motion).run(most_n, cap_n)
 
 
-FIRST_FORCE = Step(
-    press_first,
-    "first_force",
-    "First force",
-    needs=("fingers", "unit", "pads_law", "link_quality"),
-)
+FIRST_FORCE = Step(press_first, "first_force", "First force", needs=("fingers", "unit", "pads_law"))
 
 
 def _proves_watchdog(config: CellConfig) -> bool:
@@ -159,6 +156,29 @@ class _Trial:
         self._grasp(most_n, cap_n)
         if meets(self.config):
             self._meet()
+        self._judge_lines()
+
+    def _judge_lines(self) -> None:
+        """Note what both lines have lost during the motions."""
+        statistics = self.hand.statistics
+        loop, servo_bus, source = statistics.loop, statistics.servo_bus, statistics.source
+        frames, forces = source.frames, source.forces
+        lost = frames.lost + frames.torn + frames.corrupt + forces.lost + source.malformed
+        again = servo_bus.retries + servo_bus.corrupt
+        self.notes.fact(
+            f"Servos: {loop.cycles} periods, {loop.missed_reads} without an answer, {again} asked "
+            f"again. Pads: {frames.complete} frames, {forces.received} force messages, {lost} lost."
+        )
+        if again + loop.missed_reads > _LOSS_SHARE * loop.cycles:
+            self.notes.warn(
+                "The servos' line loses answers: check its plugs, the ground between adapter and "
+                "servos, and keep its cable away from the motors' supply."
+            )
+        if lost + source.error_frames > _LOSS_SHARE * (frames.complete + forces.received):
+            self.notes.warn(
+                "The line of the pads loses messages: check its plugs, on CAN both terminating "
+                "resistors (60 Ohm between CAN_H and CAN_L, switched off), and the bus load."
+            )
 
     def _open(self) -> None:
         """Open the empty fingers; after a failure their torque may go off at the end."""

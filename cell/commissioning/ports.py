@@ -5,7 +5,7 @@ from pathlib import Path
 from cell.checks.findings import Notes, Verdict
 from cell.checks.ports import check_port, lasting_name
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Step
+from cell.commissioning.engine import Dialog, Step, StepFailed
 
 _WAIT_S = 30.0
 """Longest time in s until an adapter disappears or comes back on request."""
@@ -35,27 +35,25 @@ PORTS = Step(find_port, "ports", "Ports")
 def _found(bench: Bench, dialog: Dialog) -> str:
     """Return the only port, or the port that disappears and comes back with its plug."""
     ports = bench.lines.serial_ports()
-    while not ports:
-        text = "No serial adapter was found. Plug in that of the servos, or leave and use "
-        dialog.confirm("ports.plug_in", f"{text}--servo-port.", "it is plugged in")
-        ports = _changed(bench, ports)
+    if not ports:
+        raise StepFailed(
+            "No serial adapter was found: plug in that of the servos, or leave and name it "
+            "with --servo-port."
+        )
     if len(ports) == 1:
         return lasting_name(ports[0])
-    gone: set[str] = set()
-    while len(gone) != 1:
-        dialog.say(f"Serial ports: {', '.join(map(lasting_name, ports))}")
-        text = "Which one leads to the servos? Pull the USB plug of their adapter."
-        dialog.confirm("ports.unplug", text, "it is pulled")
-        gone = set(ports) - set(_changed(bench, ports))
-        if len(gone) != 1:
-            dialog.say(f"{len(gone)} ports are gone, one should be. Plug in the others first.")
-            ports = bench.lines.serial_ports()
-    left = tuple(port for port in ports if port not in gone)
-    back: set[str] = set()
-    while len(back) != 1:
-        dialog.confirm("ports.plug_back", "Plug it in again.", "it is plugged in")
-        # It may come back under another name.
-        back = set(_changed(bench, left)) - set(left)
+    dialog.say(f"Serial ports: {', '.join(map(lasting_name, ports))}")
+    text = "Which one leads to the servos? Pull the USB plug of their adapter."
+    dialog.confirm("ports.unplug", text, "it is pulled")
+    left = _changed(bench, ports)
+    dialog.confirm("ports.plug_back", "Plug it in again.", "it is plugged in")
+    # It may come back under another name.
+    back = set(_changed(bench, left)) - set(left)
+    if len(left) != len(ports) - 1 or len(back) != 1:
+        raise StepFailed(
+            f"{len(ports) - len(left)} ports disappeared and {len(back)} came back, one should: "
+            "pull the plug of the servos' adapter alone, and wait for each question."
+        )
     return lasting_name(back.pop())
 
 

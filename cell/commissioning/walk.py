@@ -4,7 +4,6 @@ from cell.commissioning.engine import Step
 from cell.commissioning.fingers import FINGERS
 from cell.commissioning.first_force import FIRST_FORCE
 from cell.commissioning.law import LAW
-from cell.commissioning.link_quality import LINK_QUALITY
 from cell.commissioning.pads import PADS_AT_REST, PADS_PRESSED
 from cell.commissioning.ports import PORTS
 from cell.commissioning.servos import SERVOS
@@ -14,4 +13,4 @@ from cell.commissioning.unit import UNIT
 def all_steps() -> tuple[Step, ...]:
     """Return the steps from the box to the first grasp; each comes after the steps it needs."""
     pads = (PADS_AT_REST, PADS_PRESSED, LAW)
-    return (PORTS, SERVOS, FINGERS, UNIT, *pads, LINK_QUALITY, FIRST_FORCE)
+    return (PORTS, SERVOS, FINGERS, UNIT, *pads, FIRST_FORCE)

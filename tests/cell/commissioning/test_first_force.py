@@ -6,17 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from cell.checks.findings import Notes, Verdict
-from cell.commissioning.changes import (
-    changed_hardware,
-    changed_pads,
-    changed_servos,
-    changed_unit,
-    since_commissioning,
-)
+from cell.commissioning.doctor import changed_servos, changed_unit, since_commissioning
 from cell.commissioning.engine import WizardAborted
 from cell.commissioning.first_force import FIRST_FORCE
 from cell.control.self_zero import kept_zeros
@@ -25,7 +18,7 @@ from gripper.settings import largest_setpoint_n
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
-from tactile.layout import PadMount, pinch_layout
+from tactile.layout import pinch_layout
 from tactile.source import SourceIdentity
 from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.marks import LONG
@@ -152,12 +145,7 @@ def test_fingers_that_find_no_part_fail_the_step(one) -> None:
 
 FOUND: dict[str, Any] = {
     "unit": {"serial_number": 7, "revision": 0x10001},
-    "pads_at_rest": {
-        "board_serial_numbers": [1, 2],
-        "zero_counts": [100.0, 100.0],
-        "noise_counts": [80.0, 80.0],
-        "bad_taxels": [3],
-    },
+    "pads_at_rest": {"board_serial_numbers": [1, 2]},
     "servos": {
         "servos": [
             {"id": 1, "model": "XM430-W350", "firmware": 46},
@@ -171,12 +159,7 @@ SOUND = SourceIdentity(name="unit", serial=7, revision=0x10001, boards=(1, 2))
 def test_the_same_hardware_has_not_changed() -> None:
     assert changed_unit(FOUND, SOUND) == []
     assert changed_servos(FOUND, {1: ("XM430-W350", 46), 2: ("XM430-W350", 46)}) == []
-    rng = np.random.default_rng(0)
-    frames = np.clip(rng.normal(100.0, 80.0, (10, 156)), 1, None).astype(np.uint16)
-    frames[:, 3] = 0
-    assert changed_pads(FOUND, pinch_layout(), frames) == []
     assert changed_unit({}, SOUND) == changed_servos({}, {1: ("other", 1)}) == []
-    assert changed_pads({}, pinch_layout(), frames) == []
 
 
 SERVOS = {1: ("XM430-W210", 46), 2: ("XM430-W350", 46)}
@@ -198,43 +181,3 @@ def test_what_has_changed_names_the_step_to_repeat(changes, what, step) -> None:
     assert found.step == step
     assert ", at commissioning " in found.found
     assert f"commission box --redo {step}`" in found.advice
-
-
-def test_pads_that_drift_shake_or_break_are_named() -> None:
-    rng = np.random.default_rng(0)
-    frames = rng.normal(600.0, 80.0, (10, 156))
-    frames[:, 78:] = 100.0 + 4.0 * (frames[:, 78:] - 600.0)
-    frames = np.clip(frames, 1, None).astype(np.uint16)
-    frames[:, 10] = 0
-    changes = changed_pads(FOUND, pinch_layout(), frames)
-    assert {change.what for change in changes} >= {
-        "broken taxels",
-        "zero of finger0.inner",
-        "noise of finger1.inner",
-    }
-
-
-def test_what_was_found_at_rest_is_compared_taxel_by_taxel_where_pads_are_exchanged() -> None:
-    exchanged = (PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0))
-    found = {"pads_at_rest": FOUND["pads_at_rest"] | {"zero_counts": [100.0, 700.0]}}
-    rng = np.random.default_rng(0)
-    frames = rng.normal(700.0, 80.0, (10, 156))
-    frames[:, 78:] -= 600.0
-    frames = np.clip(frames, 1, None).astype(np.uint16)
-    frames[:, 78 + 3] = 0
-    assert changed_pads(found, pinch_layout(), frames, exchanged) == []
-    (broken, *_) = changed_pads(found, pinch_layout(), frames)
-    assert broken.found.startswith("1, new: finger1.inner row 0 column 3")
-
-
-def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(one) -> None:
-    servos = [{"id": n, "model": "XM430-W350", "firmware": 0} for n in (1, 2)]
-    one.bench.found = FOUND | {"unit": {"serial_number": 1}, "servos": {"servos": servos}}
-    assert {change.what for change in changed_hardware(one.bench)} == {"servo 1", "servo 2"}
-    one.bench.found = FOUND | {"servos": {"servos": []}}
-    assert [change.what for change in changed_hardware(one.bench)] == ["control unit"]
-    one.cell.inject("unit.off")
-    one.cell.inject("servos.off")
-    assert changed_hardware(one.bench) == []
-    one.bench.found = {}
-    assert changed_hardware(one.bench) == []

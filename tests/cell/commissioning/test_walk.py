@@ -1,22 +1,18 @@
 """The whole wizard on simulated cells in virtual time: from the box to the first force."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import pytest
 
 from cell.checks.findings import Verdict
 from cell.commissioning.bench import Bench
-from cell.commissioning.changes import changed_hardware
-from cell.commissioning.engine import CONFIG_NAME, Engine, Step
-from cell.commissioning.link_quality import LINK_QUALITY, check_lines
+from cell.commissioning.engine import CONFIG_NAME, Engine
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.simulation import simulator_settings
 from docs.tools.transcript import TRANSCRIPT, transcript
-from simulator.can.control_unit import ControlUnitSettings
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
@@ -28,26 +24,17 @@ pytestmark = pytest.mark.long
 EXCHANGED = (PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0))
 
 
-def brisk_steps() -> list[Step]:
-    """Return all steps, with a shorter look at the lines."""
-    short = replace(LINK_QUALITY, run=partial(check_lines, duration_s=2.0))
-    return [short if step.key == short.key else step for step in all_steps()]
-
-
-def brought_up(folder: Path, boards: tuple[int, int] = (1, 2)) -> Script:
+def brought_up(folder: Path) -> Script:
     """Run the wizard until it is finished, as the command does; returns what was said and found."""
     settings = SimulatorSettings(
         layout=pinch_layout(),
         noise=NoiseModel(level=0.4),
-        unit=ControlUnitSettings(boards=boards),
         aperture_m=0.03,
     )
     with SimulatedCell(settings) as cell:
         person = Person(cell)
         given = {"tactile.interface": "socketcan", "tactile.channel": "can0"}
-        engine = Engine(brisk_steps(), Bench(folder, SimulatedLines(cell), given=given))
-        for change in changed_hardware(engine.bench):
-            engine.redo(change.step)
+        engine = Engine(all_steps(), Bench(folder, SimulatedLines(cell), given=given))
         engine.run(person.script)
         torque = [s.core.registers.get("torque_enable") for s in cell.devices.servo_bus.servos]
         assert torque == [0, 0]
@@ -60,10 +47,6 @@ def test_a_sound_cell_is_brought_up_without_a_warning(tmp_path) -> None:
     config = load_config(tmp_path / CONFIG_NAME)
     assert config.tactile.mounting == ()
     assert config.tactile.board_serial_numbers == (1, 2)
-    # The same cell with another pad on finger 1.
-    again = brought_up(tmp_path, boards=(1, 9))
-    assert again.began == ["pads_at_rest", "pads_pressed", "pads_law", "first_force"]
-    assert load_config(tmp_path / CONFIG_NAME).tactile.board_serial_numbers == (1, 9)
 
 
 CONFIGS = Path(__file__).parents[3] / "config"
@@ -100,7 +83,7 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, m
     with SimulatedCell(settings) as cell:
         person = Person(cell, {r"With which force may it be": ("", "")})
         bench = Bench(tmp_path, SimulatedLines(cell, ports), given=given, base=base)
-        Engine(brisk_steps(), bench).run(person.script)
+        Engine(all_steps(), bench).run(person.script)
         (servo,) = cell.devices.servo_bus.servos
         assert servo.core.registers.get("torque_enable") == 0
     found = person.script.findings

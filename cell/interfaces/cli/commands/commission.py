@@ -7,7 +7,6 @@ import typer
 
 from cell.commissioning.backup import restore as restore_servos
 from cell.commissioning.bench import Bench
-from cell.commissioning.changes import changed_hardware
 from cell.commissioning.engine import Engine, WizardAborted
 from cell.commissioning.servo_bench.result import run_bench
 from cell.commissioning.servo_bench.rig import open_rig
@@ -96,9 +95,6 @@ def commission(
                 return
             for key in redo or ():
                 print_line(f"steps to repeat: {', '.join(engine.redo(key))}")
-            for change in changed_hardware(bench):
-                print_note(f"{change.what}: {change.found}")
-                print_line(f"steps to repeat: {', '.join(engine.redo(change.step))}")
             files = engine.run(dialog)
     except KeyboardInterrupt:
         print_note("left; the results are kept. The same command continues there")
