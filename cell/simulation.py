@@ -101,8 +101,6 @@ def simulator_settings(config: CellConfig) -> SimulatorSettings:
                     gearing=_gearing(settings.servos.gearing, MODELS[servo.model]),
                     friction_factor=settings.servos.friction[finger],
                     kt_factor=settings.servos.kt[finger],
-                    temperature_c=settings.servos.start_c,
-                    wear_per_turn=settings.servos.wear_per_turn,
                     overload_rule=OverloadRule(settings.servos.overload),
                 )
                 for finger, servo in enumerate(config.gripper.servos)

@@ -15,7 +15,7 @@ from simulator.servo.drawn import drawn_gearing
 from simulator.servo.encoder import ServoNoise
 from simulator.servo.gearing import IDEAL_GEARING, Gearing
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, ServoMount
-from simulator.servo.motor import AMBIENT_C, OverloadRule, ServoMotor
+from simulator.servo.motor import OverloadRule, ServoMotor
 from simulator.servo.wrist import WristMount
 from simulator.world.world import WorldSettings
 from tactile.layout import PadMount, TaxelLayout, paper_layout
@@ -38,10 +38,6 @@ class SimulatedServoSettings:
     """Factor on its friction without load."""
     kt_factor: float = 1.0
     """Factor on torque and back-EMF of its motor."""
-    temperature_c: float = AMBIENT_C
-    """Temperature at the start in degC: below `AMBIENT_C` it has more friction and warms up."""
-    wear_per_turn: float = 0.0
-    """Growth of the friction without load in each turn of the output, as a share."""
     overload_rule: OverloadRule = OverloadRule.DUTY
     """Rule of its overload protection."""
 
@@ -54,7 +50,7 @@ class SimulatedServoSettings:
         gearing = self.gearing or drawn_gearing(self.model, drawn_by)
         noise = None if gearing is IDEAL_GEARING else ServoNoise(drawn_by)
         motor = ServoMotor(self.model, gearing=gearing, noise=noise)
-        own = ("friction_factor", "kt_factor", "temperature_c", "wear_per_turn", "overload_rule")
+        own = ("friction_factor", "kt_factor", "overload_rule")
         for name in own:
             setattr(motor, name, getattr(self, name))
         return motor

@@ -66,10 +66,6 @@ class SimulatedServosConfig(Section):
     """Factors on the friction without load of the servo of finger 0 and finger 1, 0.1 to 10."""
     kt: tuple[Share, Share] = (1.0, 1.0)
     """Factors on torque and back-EMF of their motors, 0.1 to 10."""
-    start_c: float = Field(default=25.0, ge=10.0, le=25.0)
-    """Their temperature at the start, 10 to 25; below 25 they have more friction and warm up."""
-    wear_per_turn: float = Field(default=0.0, ge=0.0, le=1.0)
-    """Growth of the friction without load in each turn of the output, as a share, 0 to 1."""
     overload: Literal["duty", "current", "following_error"] = "duty"
     """Rule of their overload protection, which the vendor has not published: what must stay high
     for seconds until a servo switches its torque off."""
@@ -90,7 +86,7 @@ class SimulatorConfig(Section):
         max_length=1000,
     )
     """Objects for grasps; default: the five objects of the paper."""
-    noise: Literal["clipped_normal", "symmetric", "uniform", "none"] = "clipped_normal"
+    noise: Literal["clipped_normal", "none"] = "clipped_normal"
     """Noise of each taxel and frame; in the paper a normal value clipped to 1 to 20 of 255."""
     noise_level: float = Field(default=1.0, ge=0.0, le=2.5)
     """Factor on the noise, 0 to 2.5; 1: as in the paper."""

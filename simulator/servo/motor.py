@@ -71,9 +71,6 @@ _VELOCITY_LOOP_A_S_RAD = 1.0
 """Gain of the velocity loop in A per rad/s; an assumption."""
 _VELOCITY_LOOP_A_RAD = 20.0
 """Integral gain of the velocity loop in A per rad; an assumption."""
-COLD_FRICTION_PER_K = 0.025
-"""Growth of friction without load for each K below `AMBIENT_C`, as a share: grease thickens; an
-assumption. A servo warms with `THERMAL_TIME_CONSTANT_S`."""
 _LEAST_SUPPLY_V = 0.1
 """Smallest supply in V for the calculation of duty and load: avoids a division by zero."""
 
@@ -160,10 +157,6 @@ class ServoMotor:
         """Knob: torque and back-EMF of the motor over those of its model."""
         self.friction_factor = 1.0
         """Knob: friction without load over that of its model, including the viscous part."""
-        self.wear_per_turn = 0.0
-        """Knob: growth of this friction in each turn of the output, as a share."""
-        self.worn = 0.0
-        """Growth of the friction so far, as a share."""
         self.voltage_v = data_sheet(model).voltage_v
         self._cold_ohm = self._resistance_ohm = drive.winding_ohm
         self._stall_a = data_sheet(model).stall_current_a
@@ -228,16 +221,9 @@ class ServoMotor:
         return self._kt_nm_a * self.kt_factor
 
     @property
-    def no_load_factor(self) -> float:
-        """Friction without load over that of a new, warm servo of its kind."""
-        cold_k = AMBIENT_C - self.temperature_c
-        cold = 1.0 + COLD_FRICTION_PER_K * cold_k if cold_k > 0.0 else 1.0
-        return self.friction_factor * (1.0 + self.worn) * cold
-
-    @property
     def viscous_nm_s(self) -> float:
         """Viscous friction in N.m s/rad."""
-        return self._friction.viscous_nm_s * self.no_load_factor
+        return self._friction.viscous_nm_s * self.friction_factor
 
     def friction_nm(self, driving_nm: float = 0.0, load_nm: float = 0.0) -> float:
         """Return friction in N.m at the present speed, without its viscous part.
@@ -245,7 +231,7 @@ class ServoMotor:
         See `simulator.servo.gearing.Friction.torque_nm`.
         """
         return self._friction.torque_nm(
-            driving_nm, load_nm, self.velocity_rad_s, self.no_load_factor
+            driving_nm, load_nm, self.velocity_rad_s, self.friction_factor
         )
 
     def overload(self) -> None:
@@ -356,9 +342,7 @@ class ServoMotor:
         return (back_emf_v + math.copysign(math.sqrt(square), goal_a)) / (2.0 * supply_v)
 
     def _account(self, dt_s: float) -> None:
-        """Update temperature, overload budget and wear."""
-        if self.wear_per_turn:
-            self.worn += self.wear_per_turn * abs(self.velocity_rad_s) * dt_s / math.tau
+        """Update temperature and overload budget."""
         current_a = self.current_a
         final_k = (1.0 - BOARD_SHARE) * self._heat * current_a * current_a
         self.winding_rise_k += (final_k - self.winding_rise_k) * (dt_s / WINDING_TIME_CONSTANT_S)

@@ -12,7 +12,7 @@ from simulator.errors import SimulatorSettingsError
 from simulator.world.foam import Foam
 from tactile.layout import Pad
 
-NoiseKind = Literal["clipped_normal", "symmetric", "uniform", "none"]
+NoiseKind = Literal["clipped_normal", "none"]
 
 _SIGMA_COUNTS = 10.0
 """Standard deviation of the normal distribution in counts; the paper does not give it."""
@@ -28,15 +28,12 @@ _LEVEL_MAX = 4.0
 class NoiseModel:
     """Noise of the converter, new for each taxel and each frame.
 
-    The paper adds "values from a normal distribution in the range [1, 20]" to counts of 8 bit. A
-    normal variable has no range, so there are several interpretations; all are scaled with the
-    full scale of the converter.
+    The paper adds "values from a normal distribution in the range [1, 20]" to counts of 8 bit. They
+    are scaled with the full scale of the converter.
     """
 
     kind: NoiseKind = "clipped_normal"
-    """``clipped_normal``: the magnitude of N(0, 10) clipped to [1, 20], never negative.
-    ``symmetric``: N(0, 10) clipped to [-20, 20]. ``uniform``: even over [1, 20]. ``none``: nothing.
-    """
+    """``clipped_normal``: the magnitude of N(0, 10) clipped to [1, 20]. ``none``: nothing."""
     level: float = 1.0
     """Factor from 0 to 4 on all of it; 1 is the paper's upper limit, 8 % of full scale."""
 
@@ -54,17 +51,11 @@ class NoiseModel:
         """Return noise in counts for ``n`` taxels of a converter with full scale ``adc_max``."""
         if self.kind == "none" or self.level == 0.0:
             return np.zeros(n)
-        if self.kind == "uniform":
-            counts = rng.uniform(_LEAST_COUNTS, _LIMIT_COUNTS, n)
-        else:
-            counts = rng.standard_normal(n)
-            counts *= _SIGMA_COUNTS
-            least_counts = -_LIMIT_COUNTS
-            if self.kind == "clipped_normal":
-                np.abs(counts, out=counts)
-                least_counts = _LEAST_COUNTS
-            np.maximum(counts, least_counts, out=counts)
-            np.minimum(counts, _LIMIT_COUNTS, out=counts)
+        counts = rng.standard_normal(n)
+        counts *= _SIGMA_COUNTS
+        np.abs(counts, out=counts)
+        np.maximum(counts, _LEAST_COUNTS, out=counts)
+        np.minimum(counts, _LIMIT_COUNTS, out=counts)
         counts *= self.level * adc_max / _FULL_SCALE_COUNTS
         return counts
 

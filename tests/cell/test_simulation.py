@@ -30,7 +30,7 @@ def test_settings_follow_the_config() -> None:
             tactile__layout="pinch",
             gripper__servos=[{"id": 4, "model": "XL330-M288", "direction": -1}],
             gripper__linkage=RACK,
-            simulator__noise="uniform",
+            simulator__noise="none",
             simulator__noise_level=0.5,
         )
     )
@@ -40,12 +40,12 @@ def test_settings_follow_the_config() -> None:
     unit = settings.unit
     assert (unit.node_id, unit.serial_number, unit.bitrate) == (9, 77, 500_000)
     assert settings.layout.n_taxels == 156
-    assert (settings.noise.kind, settings.noise.level, settings.seed) == ("uniform", 0.5, 5)
+    assert (settings.noise.kind, settings.noise.level, settings.seed) == ("none", 0.5, 5)
     assert set(settings.objects) == {"ball", "box"}
 
 
 def test_the_servos_differ_as_the_config_says() -> None:
-    keys = {"gearing": "ideal", "friction": [1.5, 1.0], "kt": [0.8, 1.1], "start_c": 15.0}
+    keys = {"gearing": "ideal", "friction": [1.5, 1.0], "kt": [0.8, 1.1]}
     config = changed_config(
         CellConfig(), {f"simulator.servos.{key}": value for key, value in keys.items()}
     )
@@ -54,7 +54,6 @@ def test_the_servos_differ_as_the_config_says() -> None:
     assert first.gearing is GEARINGS["ideal"]
     assert (first.friction_factor, second.friction_factor) == (1.5, 1.0)
     assert (first.kt_factor, second.kt_factor) == (0.8, 1.1)
-    assert first.temperature_c == second.temperature_c == 15.0
     for name in GEARINGS:
         changed_config(CellConfig(), {"simulator.servos.gearing": name})
 

@@ -17,7 +17,6 @@ from simulator.servo.gearing import (
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.servo.motor import (
     AMBIENT_C,
-    COLD_FRICTION_PER_K,
     OVERLOAD_BUDGET_S,
     DriveCommand,
     DriveMode,
@@ -280,29 +279,6 @@ def test_factors_change_torque_and_friction(motor):
     assert made_nm == pytest.approx(0.8 * 1.769, rel=1e-3)
     assert motor.friction_nm() == pytest.approx(1.5 * 0.2214)
     assert motor.viscous_nm_s == pytest.approx(1.5 * ServoMotor().viscous_nm_s)
-
-
-def test_a_cold_servo_has_more_friction_until_it_is_warm(motor):
-    motor.temperature_c = 5.0
-    assert motor.no_load_factor == pytest.approx(1.0 + 20.0 * COLD_FRICTION_PER_K)
-    for _ in range(300):
-        motor.torque_nm(1.0)
-    assert motor.no_load_factor - 1.0 == pytest.approx(
-        20.0 * COLD_FRICTION_PER_K / math.e, rel=0.01
-    )
-    motor.temperature_c = 60.0
-    assert motor.no_load_factor == 1.0
-
-
-def test_turns_wear_a_servo_and_rest_does_not(motor):
-    motor.wear_per_turn = 0.01
-    motor.velocity_rad_s = -2.0
-    stall(motor, DriveCommand(DriveMode.CURRENT), math.tau)
-    assert motor.no_load_factor == pytest.approx(1.02, rel=1e-4)
-    motor.velocity_rad_s = 0.0
-    stall(motor, DriveCommand(DriveMode.CURRENT), 1.0)
-    motor.wear_per_turn = 0.0
-    assert motor.no_load_factor == pytest.approx(1.02, rel=1e-4)
 
 
 LAW = Friction(
