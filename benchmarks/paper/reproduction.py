@@ -33,7 +33,7 @@ from cell.report.confusion import TABLE_1_LABELS as LABELS
 from recognition.evaluation.metrics import confusion_matrix, wilson_interval
 from recognition.grasp import Grasp
 from recognition.quadric.eigen import Reading, eigenvalues
-from recognition.quadric.level import DEFAULT_LEVEL, grip_surfaces, level_or_none
+from recognition.quadric.level import grip_surfaces, level_or_none
 from recognition.quadric.thresholds import LevelBands, find_thresholds
 from recognition.quadric.trajectory import PAPER_SWEEP, sweep
 from recognition.recognizers import make_trainer
@@ -62,9 +62,9 @@ def one_frame(grasp: Grasp, force_n: float) -> Grasp:
 def levels_of(grasp: Grasp) -> list[float]:
     """Return the grasp's level by each of `VIEWS`; NaN where it carries no surface."""
     found = (
-        level_or_none(one_frame(grasp, COMMON_N), DEFAULT_LEVEL),
-        level_or_none(grasp, replace(DEFAULT_LEVEL, force_n=COMMON_N)),
-        level_or_none(grasp, DEFAULT_LEVEL),
+        level_or_none(one_frame(grasp, COMMON_N)),
+        level_or_none(grasp, COMMON_N),
+        level_or_none(grasp),
     )
     return [np.nan if level is None else level for level in found]
 

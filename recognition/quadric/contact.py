@@ -23,6 +23,8 @@ _QUIET_SIGMAS = 5.0
 """Largest excess of a pad's total over its least value before contact, in standard deviations."""
 _QUIET_SCALE = 0.002
 """The same as a share of one taxel's full scale, added to the noise."""
+_LOADED_SIGMAS = 4.0
+"""Threshold of a loaded taxel in standard deviations of the mean."""
 _LEAST_HEIGHT = 0.004
 """Least height of a loaded taxel as a share of full scale: one count of 255."""
 _NEIGHBOURS = np.ones((3, 3), dtype=np.int64)
@@ -104,9 +106,7 @@ def _quiet_frames(total: NDArray[np.float64], limit: float) -> int:
     return n_quiet - 1 if len(loud) and n_quiet > MIN_QUIET_FRAMES else n_quiet
 
 
-def noise_threshold(
-    noise_counts: float, n_averaged: int, adc_max: int, sigmas: float = 4.0
-) -> float:
+def noise_threshold(noise_counts: float, n_averaged: int, adc_max: int) -> float:
     """Return the height in counts that a taxel must exceed to be loaded.
 
     Parameters
@@ -117,10 +117,8 @@ def noise_threshold(
         Number of averaged frames.
     adc_max
         Full scale; the threshold is never below 0.4 % of it (one count of 255).
-    sigmas
-        Standard deviations of the mean.
     """
-    return max(sigmas * noise_counts / float(np.sqrt(n_averaged)), _LEAST_HEIGHT * adc_max)
+    return max(_LOADED_SIGMAS * noise_counts / float(np.sqrt(n_averaged)), _LEAST_HEIGHT * adc_max)
 
 
 def main_patch(

@@ -14,34 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 from recognition.errors import ContactError, QuadricError
 from recognition.grasp import Grasp, PadArray
 from recognition.quadric.contact import estimate_baseline, main_patch, noise_threshold
-from recognition.quadric.eigen import Reading, smallest_eigenvalue
+from recognition.quadric.eigen import smallest_eigenvalue
 from recognition.quadric.quadric import fit_height_field
 from recognition.quadric.thresholds import LevelBands
-from recognition.records import ArrayRecord
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LevelSettings(ArrayRecord):
-    """Settings of a level."""
-
-    force_n: float | None = None
-    """Grip force in N of the level; None: near the full force of the ramp. Grasps without recorded
-    forces are used near their full load."""
-    tolerance: float = 0.1
-    """Largest relative difference of frames near a force or load."""
-    sigmas: float = 4.0
-    """Threshold of a loaded taxel in standard deviations of the noise."""
-    peak_share: float = 0.4
-    """Least height of a loaded taxel as a share of the pad's largest. Without it the threshold
-    falls with the number of averaged frames. Taxels at the edge of the patch then appear and
-    disappear with the remaining noise and change the fitted surface."""
-    rim: int = 1
-    """Rings of unloaded taxels that the fit includes."""
-    reading: Reading = Reading.SMALLEST_MAGNITUDE
-
-
-DEFAULT_LEVEL = LevelSettings()
-"""The settings of the recogniser `level_check`."""
+_TOLERANCE = 0.1
+"""Largest relative difference of frames near a force or load."""
+_PEAK_SHARE = 0.4
+"""Least height of a loaded taxel as a share of the pad's largest. Without it the threshold falls
+with the number of averaged frames. Taxels at the edge of the patch then appear and disappear with
+the remaining noise and change the fitted surface."""
+_RIM = 1
+"""Rings of unloaded taxels that the fit includes."""
 FULL_SCALE_COUNTS = 255.0
 """Full scale of the fitted heights: counts of the paper's 8-bit converter, for pads of any kind."""
 
@@ -85,7 +69,7 @@ def gripping_pads(load: ArrayLike, pads: PadArray) -> tuple[int, ...]:
     return (first, second) if load[second] > _LEAST_SHARE * load[first] else (first,)
 
 
-def frames_near_full(grasp: Grasp, tolerance: float) -> NDArray[np.int64]:
+def frames_near_full(grasp: Grasp) -> NDArray[np.int64]:
     """Return the frames of a ramp near its full force.
 
     It uses the commanded force if known. Else it uses the total load between its least and its
@@ -104,7 +88,7 @@ def frames_near_full(grasp: Grasp, tolerance: float) -> NDArray[np.int64]:
         least = float(total.min())
         reached = (total - least) / max(float(total.max()) - least, 1e-9)
     distance = np.abs(reached - 1.0)
-    return np.flatnonzero(distance <= max(tolerance, float(distance.min())))
+    return np.flatnonzero(distance <= max(_TOLERANCE, float(distance.min())))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,15 +104,14 @@ class MeanFrames:
     """Standard deviation of a height in counts of 255: the median over the pads."""
 
     @classmethod
-    def of(cls, grasp: Grasp, settings: LevelSettings) -> "MeanFrames":
-        """Return that mean. Raises ContactError if the ramp never came near the force."""
-        frames = frames_at(grasp, settings.force_n, settings)
+    def of(cls, grasp: Grasp, force_n: float | None) -> "MeanFrames":
+        """Return that mean; arguments and errors as `frames_at`."""
+        frames = frames_at(grasp, force_n)
         baseline, pads = estimate_baseline(grasp), grasp.pads
         share = np.sqrt(1.0 / len(frames) + 1.0 / np.maximum(baseline.quiet_frames, 1))
         noise = float(np.median(baseline.noise_counts * share))
         threshold = [
-            noise_threshold(float(one), len(frames), pads.adc_max, settings.sigmas)
-            for one in baseline.noise_counts
+            noise_threshold(float(one), len(frames), pads.adc_max) for one in baseline.noise_counts
         ]
         return cls(
             pads=pads,
@@ -137,9 +120,7 @@ class MeanFrames:
             noise=noise * FULL_SCALE_COUNTS / pads.adc_max,
         )
 
-    def surfaces(
-        self, settings: LevelSettings, disturbance: ArrayLike = 0.0
-    ) -> list[NDArray[np.float64]]:
+    def surfaces(self, disturbance: ArrayLike = 0.0) -> list[NDArray[np.float64]]:
         """Return the surface of each gripping pad that has one, with disturbed heights.
 
         Raises ContactError or QuadricError as `grip_level`.
@@ -150,15 +131,15 @@ class MeanFrames:
         to_8_bit = FULL_SCALE_COUNTS / pads.adc_max
         found, refused = [], []
         for pad in gripping_pads(load, pads):
-            least = settings.peak_share * float(height[pads.taxels_of(pad)].max())
+            least = _PEAK_SHARE * float(height[pads.taxels_of(pad)].max())
             threshold = max(float(self.threshold[pad]), least)
-            patch = main_patch(height, pads, pad, threshold, rim=settings.rim)
+            patch = main_patch(height, pads, pad, threshold, rim=_RIM)
             try:
                 surface = fit_height_field(pads.taxel_xy_m[patch], to_8_bit * height[patch])
             except QuadricError as error:
                 refused.append(f"pad {pad}: {error}")
                 continue
-            if smallest_eigenvalue(surface, settings.reading).degenerate:
+            if smallest_eigenvalue(surface).degenerate:
                 refused.append(f"pad {pad}: the matrix is singular to rounding")
             else:
                 found.append(surface)
@@ -166,53 +147,50 @@ class MeanFrames:
             raise QuadricError("no pad carries a surface: " + "; ".join(refused))
         return found
 
-    def level(self, settings: LevelSettings, disturbance: ArrayLike = 0.0) -> float:
-        """Return the smallest eigenvalue, the mean of the pads; raises as `surfaces`."""
+    def level(self, disturbance: ArrayLike = 0.0) -> float:
+        """Return the smallest magnitude, the geometric mean of the pads; raises as `surfaces`."""
         smallest = [
-            float(smallest_eigenvalue(surface, settings.reading).value)
-            for surface in self.surfaces(settings, disturbance)
+            float(smallest_eigenvalue(surface).value) for surface in self.surfaces(disturbance)
         ]
-        if settings.reading is Reading.ALGEBRAIC_MINIMUM:
-            return float(np.mean(smallest))
         return float(np.exp(np.mean(np.log(smallest))))
 
 
-def grip_surfaces(
-    grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL
-) -> tuple[NDArray[np.float64], ...]:
+def grip_surfaces(grasp: Grasp, force_n: float | None = None) -> tuple[NDArray[np.float64], ...]:
     """Return the surface of each gripping pad that has one, the most loaded pad first.
 
     Surfaces are property matrices (4, 4), see `recognition.quadric.quadric`. Raises ContactError or
     QuadricError as `grip_level`.
     """
-    return tuple(MeanFrames.of(grasp, settings).surfaces(settings))
+    return tuple(MeanFrames.of(grasp, force_n).surfaces())
 
 
-def grip_level(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> float:
-    """Return the smallest eigenvalue of one grasp.
+def grip_level(grasp: Grasp, force_n: float | None = None) -> float:
+    """Return the smallest eigenvalue of one grasp, at a force in N or near its full one.
 
     Frames near the force are averaged (the noise filter before the surface). The loaded patch of
     each gripping pad is fitted in the form (7), and the eigenvalues of the pads are averaged,
     magnitudes geometrically. Raises ContactError if no pad is touched, or the ramp never came near
-    ``settings.force_n``. Raises QuadricError if no gripping pad has a surface.
+    ``force_n``. Raises QuadricError if no gripping pad has a surface.
     """
-    return MeanFrames.of(grasp, settings).level(settings)
+    return MeanFrames.of(grasp, force_n).level()
 
 
-def frames_at(grasp: Grasp, force_n: float | None, settings: LevelSettings) -> NDArray[np.int64]:
+def frames_at(grasp: Grasp, force_n: float | None) -> NDArray[np.int64]:
     """Return the frames near a force in N, near the full force for None.
+
+    Grasps without recorded forces are used near their full load.
 
     Raises ContactError if the ramp never came near it.
     """
     known = np.isfinite(grasp.force_n)
     if force_n is None or not known.any():
-        return frames_near_full(grasp, settings.tolerance)
+        return frames_near_full(grasp)
     largest = float(np.max(grasp.force_n[known]))
     distance = np.where(known, np.abs(grasp.force_n - force_n), np.inf)
-    frames = np.flatnonzero(distance <= settings.tolerance * force_n)
+    frames = np.flatnonzero(distance <= _TOLERANCE * force_n)
     if len(frames) == 0:
         raise ContactError(
-            f"no frame within {settings.tolerance * force_n:.3g} N of {force_n:.3g} N; the ramp "
+            f"no frame within {_TOLERANCE * force_n:.3g} N of {force_n:.3g} N; the ramp "
             f"reached {largest:.3g} N"
         )
     return frames
@@ -227,9 +205,7 @@ def common_force_n(grasps: Sequence[Grasp]) -> float | None:
     return least if np.isfinite(least) and least > 0.0 else None
 
 
-def level_noise_per_count(
-    mean: MeanFrames, settings: LevelSettings, rng: np.random.Generator
-) -> float:
+def level_noise_per_count(mean: MeanFrames, rng: np.random.Generator) -> float:
     """Return the relative change of the level by noise, for each count of `MeanFrames.noise`.
 
     The mean is disturbed a dozen times by its own amount of noise. Patch and surface are then
@@ -237,11 +213,11 @@ def level_noise_per_count(
     """
     counts = mean.noise * mean.pads.adc_max / FULL_SCALE_COUNTS
     draws = rng.normal(0.0, counts, (_DRAWS, mean.pads.n_taxels))
-    levels = [mean.level(settings, draw) for draw in draws]
+    levels = [mean.level(draw) for draw in draws]
     return float(np.std(levels) / abs(np.mean(levels))) / mean.noise
 
 
-def usual_noise(grasps: Sequence[Grasp], settings: LevelSettings) -> tuple[float, float]:
+def usual_noise(grasps: Sequence[Grasp], force_n: float | None) -> tuple[float, float]:
     """Return the median of `MeanFrames.noise` and the root mean square of `level_noise_per_count`.
 
     About `_NOISE_GRASPS` of the grasps, evenly selected, are used. Those without a surface are left
@@ -250,8 +226,8 @@ def usual_noise(grasps: Sequence[Grasp], settings: LevelSettings) -> tuple[float
     found, rng = [], np.random.default_rng(0)
     for grasp in grasps[:: -(-len(grasps) // _NOISE_GRASPS)]:
         try:
-            mean = MeanFrames.of(grasp, settings)
-            found.append((mean.noise, level_noise_per_count(mean, settings, rng)))
+            mean = MeanFrames.of(grasp, force_n)
+            found.append((mean.noise, level_noise_per_count(mean, rng)))
         except (ContactError, QuadricError):
             continue  # without a surface there is no level
     if not found:
@@ -278,10 +254,10 @@ def log_statistics(
     return mean, np.where(counts > 0, spread, np.nan)
 
 
-def level_or_none(grasp: Grasp, settings: LevelSettings) -> float | None:
+def level_or_none(grasp: Grasp, force_n: float | None = None) -> float | None:
     """Return the level of a grasp, None if it has no surface."""
     try:
-        value = grip_level(grasp, settings)
+        value = grip_level(grasp, force_n)
     except (ContactError, QuadricError):
         return None  # the caller answers unknown, or leaves the grasp out of the teaching
     return value if value != 0.0 else None

@@ -5,7 +5,7 @@ fitted peak height, so objects of any shape with similar pressure are confused.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from recognition.errors import TrajectoryError
 from recognition.grasp import Grasp, PadArray, keep_array
 from recognition.quadric.level import (
-    DEFAULT_LEVEL,
-    LevelSettings,
     MeanFrames,
     common_force_n,
     level_novelty,
@@ -38,13 +36,13 @@ _FLATTEN = 0.01
 class LevelCheckRecognizer(TaughtRecord):
     """Taught levels."""
 
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     labels: tuple[str, ...]
     """The taught objects, sorted."""
     pads: PadArray
     """The pads of the teaching."""
-    settings: LevelSettings
-    """Settings of the level of a grasp."""
+    force_n: float | None
+    """Grip force in N of the levels; None: near the full force of each ramp."""
     mean: NDArray[np.float64]
     spread: NDArray[np.float64]
     """(n_labels,) float64: mean and standard deviation of the natural logarithm of the level's
@@ -95,7 +93,7 @@ class LevelCheckRecognizer(TaughtRecord):
                 f"up to {grasp.pads.adc_max}; taught were {self.pads.n_pads} with "
                 f"{self.pads.n_taxels} up to {self.pads.adc_max}, or other positions; teach again"
             )
-        return level_or_none(grasp, self.settings)
+        return level_or_none(grasp, self.force_n)
 
     def more_noise(self, grasp: Grasp) -> float:
         """Return the additional noise of a grasp over the taught ones, as a share of its level.
@@ -103,7 +101,7 @@ class LevelCheckRecognizer(TaughtRecord):
         It is a standard deviation, 0 without additional noise. Raises ContactError if the ramp
         never came near the force of the levels.
         """
-        counts = MeanFrames.of(grasp, self.settings).noise
+        counts = MeanFrames.of(grasp, self.force_n).noise
         return self.noise_per_count * float(np.sqrt(max(counts**2 - self.noise_counts**2, 0.0)))
 
     def check(self, grasp: Grasp) -> str:
@@ -150,10 +148,10 @@ class LevelCheckRecognizer(TaughtRecord):
 class LevelCheckTrainer:
     """Teaches the levels."""
 
-    settings: LevelSettings = DEFAULT_LEVEL
-    """Settings of the level of a grasp. The default force is the largest one that every taught
-    grasp reached, because levels compare at equal force only. Without recorded forces the level is
-    taken near the full load."""
+    force_n: float | None = None
+    """Grip force in N of the levels. The default is the largest one that every taught grasp
+    reached, because levels compare at equal force only. Without recorded forces the level is taken
+    near the full load."""
     margin: float = 0.08
     """Share of its edge by which a level's band is extended into open space, above 0, below 1."""
     name: ClassVar[str] = NAME
@@ -185,22 +183,20 @@ class LevelCheckTrainer:
         if not all(pads.same_as(grasp.pads) for grasp in grasps):
             raise ValueError(f"{NAME}: the grasps were taken on different pads")
         labels = tuple(sorted({grasp.label for grasp in grasps}))
-        settings = self.settings
-        if settings.force_n is None:
-            settings = replace(settings, force_n=common_force_n(grasps))
+        force_n = common_force_n(grasps) if self.force_n is None else self.force_n
         taught: dict[str, list[float]] = {label: [] for label in labels}
         for grasp in grasps:
-            value = level_or_none(grasp, settings)
+            value = level_or_none(grasp, force_n)
             if value is not None:
                 taught[grasp.label].append(value)
         values = [np.array(taught[label]) for label in labels]
         levels = find_thresholds(values, margin=self.margin)
         mean, spread = log_statistics(values)
-        noise_counts, noise_per_count = usual_noise(grasps, settings)
+        noise_counts, noise_per_count = usual_noise(grasps, force_n)
         return LevelCheckRecognizer(
             labels=labels,
             pads=pads,
-            settings=settings,
+            force_n=force_n,
             mean=mean,
             spread=spread,
             low=levels.low,

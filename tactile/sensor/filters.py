@@ -4,7 +4,6 @@ All of them take and return one value for each taxel in counts, shape (n_taxels,
 """
 
 from collections import deque
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,11 @@ Mask = NDArray[np.bool_]
 _ALL = np.ones((3, 3), dtype=np.bool_)
 _BESIDE = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.bool_)
 """The 3 x 3 neighbours with the taxel itself, and without it."""
+_START, _KEEP = 5.5, 3.0
+"""A region starts at a taxel above the first, and lasts while one is above the second. All limits
+are in standard deviations of the smoothed noise."""
+_JOIN, _LEAVE = 4.0, 0.0
+"""A taxel next to a region joins it above the first, and leaves it below the second."""
 
 
 class Neighbourhood:
@@ -118,27 +122,6 @@ class MovingMean:
         return total / len(self._frames)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TouchThresholds:
-    """Thresholds of touched taxels, in standard deviations of their smoothed noise."""
-
-    start: float = 5.5
-    """A region starts at a taxel above this."""
-    keep: float = 3.0
-    """A region lasts while at least one of its taxels is above this."""
-    join: float = 4.0
-    """A taxel next to a region joins it above this."""
-    leave: float = 0.0
-    """A taxel leaves its region below this."""
-
-    def __post_init__(self) -> None:
-        if not (self.leave <= self.join <= self.start and 0.0 < self.keep <= self.start):
-            raise ValueError(
-                f"touch thresholds start {self.start}, keep {self.keep}, join {self.join}, leave "
-                f"{self.leave}: must be leave <= join <= start and 0 < keep <= start"
-            )
-
-
 def smoothing_gain(hood: Neighbourhood, passes: int) -> Values:
     """Return the factor of ``passes`` of the mean on independent noise, (n_taxels,)."""
     answers = np.eye(hood.layout.n_taxels)
@@ -168,19 +151,14 @@ class ActiveTaxels:
 
     Parameters
     ----------
-    thresholds
-        In standard deviations.
     noise_counts : (n_taxels,) float64
         Standard deviation of the counts of `step`, above 0.
     """
 
-    def __init__(
-        self, hood: Neighbourhood, thresholds: TouchThresholds, noise_counts: Values
-    ) -> None:
+    def __init__(self, hood: Neighbourhood, noise_counts: Values) -> None:
         if not np.all(noise_counts > 0.0):
             raise ValueError("the noise of each taxel must be above 0 counts")
         self._hood = hood
-        self._thresholds = thresholds
         self._per_small = 1.0 / (noise_counts * smoothing_gain(hood, 1))
         self._per_large = 1.0 / (noise_counts * smoothing_gain(hood, 2))
         self._active = np.zeros(hood.layout.n_taxels, dtype=np.bool_)
@@ -191,8 +169,7 @@ class ActiveTaxels:
         large = self._hood.mean(small) * self._per_large
         small *= self._per_small
         highest = np.maximum(small, large)
-        limits = self._thresholds
-        allowed = (small > limits.join) | (self._active & (small > limits.leave))
-        seed = (highest > limits.start) | (self._active & (highest > limits.keep))
+        allowed = (small > _JOIN) | (self._active & (small > _LEAVE))
+        seed = (highest > _START) | (self._active & (highest > _KEEP))
         self._active = self._hood.connected(seed, allowed)
         return self._active.copy()

@@ -22,7 +22,6 @@ from tactile.sensor.filters import (
     ActiveTaxels,
     MovingMean,
     Neighbourhood,
-    TouchThresholds,
     Values,
     fill_bad,
     typical_noise,
@@ -41,6 +40,10 @@ from tactile.source import (
 
 _KEPT_FORCES = 1000
 """Size of the queue of force messages: five seconds at 200 a second; older ones are dropped."""
+_GAP_S = 0.1
+"""Longest gap between frames in the mean in s; after a longer one the mean starts again."""
+_POLL_S = 0.001
+"""Pause between two polls during a wait in s."""
 _ROUNDING_COUNTS = 12.0**-0.5
 """Standard deviation of the rounding to whole counts."""
 _LEAST_TOUCHED = 9
@@ -60,25 +63,17 @@ class SensorSettings:
 
     mean_frames: int = 3
     """Number of averaged frames: the force then follows a step completely."""
-    touch: TouchThresholds = field(default_factory=TouchThresholds)
-    """Thresholds of touched taxels."""
     noise_floor_share: float = 0.002
     """Least noise of a taxel as a share of the full scale."""
-    gap_s: float = 0.1
-    """Longest gap between frames in the mean in s; after a longer one the mean starts again."""
     quality: QualityLimits = field(default_factory=QualityLimits)
     """Limits of valid samples."""
     bad_share: float = 0.05
     """Largest share of bad taxels on a gripping pad with valid forces."""
-    poll_s: float = 0.001
-    """Pause between two polls during a wait in s."""
     tare_limits: TareLimits = field(default_factory=TareLimits)
     """Limits of a zero."""
 
     def __post_init__(self) -> None:
-        require_at_least(
-            self, mean_frames=1, gap_s=0.0, bad_share=0.0, noise_floor_share=1e-6, poll_s=1e-6
-        )
+        require_at_least(self, mean_frames=1, bad_share=0.0, noise_floor_share=1e-6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -376,7 +371,7 @@ class TactileSensor:
         least = self._settings.noise_floor_share * self.layout.adc_max
         noise = typical_noise(self.layout, tare.noise_counts, least)
         noise /= np.sqrt(self._settings.mean_frames)
-        return ActiveTaxels(self._hood, self._settings.touch, noise)
+        return ActiveTaxels(self._hood, noise)
 
     def _wait(self, deadline_s: float, failure: str) -> None:
         left_s = deadline_s - self._clock.monotonic()
@@ -384,7 +379,7 @@ class TactileSensor:
             raise FrameTimeout(
                 f"{failure}: check that the control unit is powered and that SYNC is running"
             )
-        self._clock.sleep(min(left_s, self._settings.poll_s))
+        self._clock.sleep(min(left_s, _POLL_S))
 
     def _reading(self, frame: TactileFrame) -> TactileReading:
         self._watch_changes(frame)
@@ -472,7 +467,7 @@ class TactileSensor:
 
     def _watch_changes(self, frame: TactileFrame) -> None:
         last_s, self._last_s = self._last_s, frame.t_s
-        if last_s is not None and frame.t_s - last_s > self._settings.gap_s:
+        if last_s is not None and frame.t_s - last_s > _GAP_S:
             self._mean.reset()
         latest = self.latest
         try:

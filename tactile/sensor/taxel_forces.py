@@ -10,7 +10,6 @@ from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import (
     ActiveTaxels,
     Neighbourhood,
-    TouchThresholds,
     fill_bad,
     typical_noise,
 )
@@ -26,7 +25,7 @@ class TaxelForces:
         self._zero = zero
         # Counts are integers, so smaller noise is not visible.
         noise = typical_noise(layout, zero.noise_counts, 1.0)
-        self._untouched = ActiveTaxels(self._hood, TouchThresholds(), noise)
+        self._untouched = ActiveTaxels(self._hood, noise)
 
     def of(self, counts: NDArray[np.uint16]) -> NDArray[np.float32]:
         """Return the force in N on each taxel, (n_taxels,) float32; 0 on untouched taxels."""

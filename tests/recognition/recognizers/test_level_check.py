@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from recognition.errors import ContactError, QuadricError, RecognitionError
-from recognition.quadric.eigen import Reading
 from recognition.quadric.level import (
-    LevelSettings,
     frames_near_full,
     grip_level,
     gripping_pads,
@@ -107,12 +105,11 @@ def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform(rng):
 
 
 def test_arrays_hold_all_that_was_learnt(rng):
-    settings = LevelSettings(force_n=6.0, rim=0, reading=Reading.ALGEBRAIC_MINIMUM)
-    taught = LevelCheckTrainer(settings=settings).fit(_taught(PINCH, rng))
+    taught = LevelCheckTrainer(force_n=6.0).fit(_taught(PINCH, rng))
     arrays = taught.to_arrays()
     assert all(array.dtype.kind in "iufU" for array in arrays.values())
     again = LevelCheckRecognizer.from_arrays(arrays)
-    assert again.settings == settings
+    assert again.force_n == 6.0
     grasp = _grasp(PINCH, 0.4, rng)
     first, second = taught.posterior(grasp), again.posterior(grasp)
     assert np.array_equal(first.probability, second.probability)
@@ -168,7 +165,7 @@ def test_the_trainer_says_what_it_is_and_refuses_what_does_not_teach():
 
 def test_the_level_is_a_quarter_over_the_fitted_peak_in_counts_of_255(pads, rng):
     grasp = _grasp(pads, 0.5, rng, noise=0.0, width_m=0.012)
-    level = grip_level(grasp, LevelSettings(rim=0))
+    level = grip_level(grasp)
     assert level == pytest.approx(0.25 / (0.5 * 255), rel=0.1)
 
 
@@ -187,19 +184,18 @@ def test_gripping_pads_are_the_most_loaded_and_its_counterpart():
 
 def test_frames_near_the_full_force_or_load(rng):
     grasp = _grasp(PINCH, 0.5, rng)
-    assert frames_near_full(grasp, 0.01).tolist() == list(range(27, 38))
-    assert len(frames_near_full(grasp, 0.0)) >= 1
+    assert frames_near_full(grasp).tolist() == list(range(25, 38))
     without = _grasp(PINCH, 0.5, rng, force=False)
-    assert set(frames_near_full(without, 0.05)) >= set(range(28, 37))
+    assert set(frames_near_full(without)) >= set(range(28, 37))
 
 
 def test_a_fixed_force_that_was_not_reached_is_refused():
     grasp = _grasp(PINCH, 0.5, np.random.default_rng(21))
-    half = grip_level(grasp, LevelSettings(force_n=4.0))
+    half = grip_level(grasp, 4.0)
     assert half == pytest.approx(2 * grip_level(grasp), rel=0.2)
     with pytest.raises(ContactError, match=r"within 2 N of 20 N; the ramp reached 8 N"):
-        grip_level(grasp, LevelSettings(force_n=20.0))
-    taught = LevelCheckTrainer(settings=LevelSettings(force_n=4.0)).fit(
+        grip_level(grasp, 20.0)
+    taught = LevelCheckTrainer(force_n=4.0).fit(
         _taught(PINCH, np.random.default_rng(22), force=False)
     )
     assert (
@@ -211,13 +207,12 @@ def test_levels_are_taken_at_the_force_that_every_taught_grasp_reached(rng):
     taught = _taught(PINCH, rng)
     weak = dataclasses.replace(taught[0], force_n=0.5 * taught[0].force_n)
     recognizer = LevelCheckTrainer().fit([*taught, weak])
-    assert recognizer.settings.force_n == pytest.approx(4.0)
+    assert recognizer.force_n == pytest.approx(4.0)
     unknown_force = [
         dataclasses.replace(grasp, force_n=np.full(grasp.n_frames, np.nan)) for grasp in taught
     ]
-    assert LevelCheckTrainer().fit(unknown_force).settings.force_n is None
-    wanted = LevelSettings(force_n=3.0)
-    assert LevelCheckTrainer(settings=wanted).fit(taught).settings.force_n == 3.0
+    assert LevelCheckTrainer().fit(unknown_force).force_n is None
+    assert LevelCheckTrainer(force_n=3.0).fit(taught).force_n == 3.0
 
 
 def _held(pads, peak, rng, noise, n_frames):
@@ -230,12 +225,7 @@ def _held(pads, peak, rng, noise, n_frames):
 
 def test_the_patch_does_not_grow_with_the_number_of_frames_averaged():
     few, many = (_held(INNER, 0.5, np.random.default_rng(3), 0.01, n) for n in (2, 40))
-
-    def spread_over(settings):
-        return abs(np.log(grip_level(few, settings) / grip_level(many, settings)))
-
-    assert spread_over(LevelSettings()) < 0.05
-    assert spread_over(LevelSettings(peak_share=0.0)) > 2 * spread_over(LevelSettings())
+    assert abs(np.log(grip_level(few) / grip_level(many))) < 0.05
 
 
 def test_noise_of_the_whole_pad_does_not_hide_the_first_touch_in_the_baseline():
@@ -261,6 +251,6 @@ def test_more_noise_than_taught_is_seen_and_widens_bands_and_probabilities(rng):
 def test_noise_predicts_how_far_levels_of_one_touch_vary(rng):
     grasps = [_held(INNER, 0.5, rng, 0.03, 20) for _ in range(60)]
     seen = np.std(np.log([grip_level(grasp) for grasp in grasps]))
-    counts, per_count = usual_noise(grasps, LevelSettings())
+    counts, per_count = usual_noise(grasps, None)
     assert counts * per_count == pytest.approx(seen, rel=0.4)
     assert counts == pytest.approx(0.03 * 255 * np.sqrt(1 / 20 + 1 / 12), rel=0.15)

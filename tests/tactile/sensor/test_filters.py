@@ -13,7 +13,6 @@ from tactile.sensor.filters import (
     ActiveTaxels,
     MovingMean,
     Neighbourhood,
-    TouchThresholds,
     fill_bad,
     smoothing_gain,
 )
@@ -98,11 +97,7 @@ def test_smoothing_gain_is_what_noise_shrinks_by(passes: int) -> None:
     ("make", "error", "says"),
     [
         (lambda: MovingMean(0), ValueError, "0 frames"),
-        *(
-            (partial(TouchThresholds, **change), ValueError, "must be leave <= join <= start")
-            for change in ({"start": 3.0}, {"keep": 0.0}, {"keep": 9.0}, {"leave": 4.5})
-        ),
-        (lambda: ActiveTaxels(HOOD, TouchThresholds(), np.zeros(N)), ValueError, "above 0"),
+        (lambda: ActiveTaxels(HOOD, np.zeros(N)), ValueError, "above 0"),
         *(
             (partial(law, *values), CalibrationError, "gains")
             for gain in (0.0, -1.0, float("nan"), [1.0, float("inf")])
@@ -134,7 +129,7 @@ def touched_by(touch: ActiveTaxels, peak: float) -> set[int]:
 
 def test_touch_starts_high_and_ends_low() -> None:
     # One taxel of 16 counts is 4 counts after smoothing; the noise there is 0.375.
-    touch = ActiveTaxels(HOOD, TouchThresholds(), np.ones(N))
+    touch = ActiveTaxels(HOOD, np.ones(N))
     assert touched_by(touch, 5.0 * 0.375 * 4) == set()
     assert taxel(8, 1) in touched_by(touch, 6.0 * 0.375 * 4)
     assert taxel(8, 1) in touched_by(touch, 3.5 * 0.375 * 4)
@@ -143,7 +138,7 @@ def test_touch_starts_high_and_ends_low() -> None:
 
 
 def test_a_light_flat_touch_is_seen_at_the_large_scale() -> None:
-    touch = ActiveTaxels(HOOD, TouchThresholds(), np.ones(N))
+    touch = ActiveTaxels(HOOD, np.ones(N))
     counts = np.zeros(N)
     counts[[taxel(r, c) for r in range(6, 11) for c in range(4)]] = 1.9
     assert np.all(HOOD.mean(counts)[taxel(8, 1)] / 0.375 < 5.5)

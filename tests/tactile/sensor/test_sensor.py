@@ -472,7 +472,7 @@ def test_without_noise_dead_taxels_cannot_be_told() -> None:
 @pytest.mark.parametrize(
     ("kind", "wrong"),
     [
-        (SensorSettings, {"mean_frames": 0, "gap_s": -1.0, "poll_s": 0.0, "bad_share": np.nan}),
+        (SensorSettings, {"mean_frames": 0, "bad_share": np.nan}),
         (QualityLimits, {"frozen_s": np.nan, "stuck_frames": 3, "drift_share": -0.1}),
         (TareLimits, {"offset_share": -0.1, "bump_share": -0.1, "pad_share": -0.1}),
         (TareLimits, {"drift_share": -0.1, "bad_share": -0.1}),
