@@ -29,6 +29,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.servos import feedback
 from gripper.values.state import GripperPhase
 from tests.marks import LONG
+from tests.values import raising
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
@@ -83,26 +84,20 @@ class Fails(Exception):
     """What an observer may raise."""
 
 
-def in_the_way(cell, how: str):
-    """Return an observer that stops, fails, stalls or silences while the fingers open fast."""
+def deaf(cell) -> None:
+    cell.gripper.request_stop()
+    cell.gripper.bus.sync_write = lambda *_a, **_k: None
 
-    def observe(cycle) -> None:
-        if cycle.phase.moving and cycle.state.aperture_velocity_m_s > 0.03:
-            if how == "stop":
-                cell.gripper.request_stop()
-            elif how == "fail":
-                raise Fails("the disk is full")
-            elif how == "stall":
-                cell.clock.sleep(0.3)
-            elif how == "deaf":
-                cell.gripper.request_stop()
-                cell.gripper.bus.sync_write = lambda *_a, **_k: None
-            elif how == "silent":
-                cell.device.faults.silent.add(1)
-            else:
-                cell.device.faults.silent.update((1, 2))
 
-    return observe
+IN_THE_WAY = {
+    "stop": lambda cell: cell.gripper.request_stop(),
+    "fail": lambda _cell: raising(Fails("the disk is full"))(),
+    "stall": lambda cell: cell.clock.sleep(0.3),
+    "deaf": deaf,
+    "silent": lambda cell: cell.device.faults.silent.add(1),
+    "dead": lambda cell: cell.device.faults.silent.update((1, 2)),
+}
+"""What happens while the fingers open fast."""
 
 
 @pytest.mark.parametrize(
@@ -123,8 +118,13 @@ def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error
         cell.hold_part(RAMP)
     else:
         cell.gripper.start()
+
+    def observe(cycle) -> None:
+        if cycle.phase.moving and cycle.state.aperture_velocity_m_s > 0.03:
+            IN_THE_WAY[how](cell)
+
     with pytest.raises(error) as caught:
-        getattr(cell.gripper, command)(observer=in_the_way(cell, how))
+        getattr(cell.gripper, command)(observer=observe)
     told = fingers_left(caught.value)
     doing = "letting go" if command == "release" else "opening"
     assert told.startswith(f"the fingers {left} while {doing}, at an opening of ")

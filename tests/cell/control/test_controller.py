@@ -13,7 +13,7 @@ import pytest
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
-from cell.errors import CellStateError, CellStopped, NoPartFound, PlanRefused, PositionerError
+from cell.errors import CellStateError, CellStopped, NoPartFound, PlanRefused
 from cell.learning.shape_reading import shape_reader
 from cell.recording.reader import read_recording
 from gripper.errors import GripperError, LimitExceeded
@@ -314,26 +314,7 @@ def test_a_stop_that_finds_the_servos_gone_is_a_fault(bench: Any) -> None:
 # -- states ----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_shutting_down_twice_is_harmless_and_an_idle_cell_lets_its_servos_rest(bench: Any) -> None:
-    bench.ready().grasp()
-    bench.controller.shutdown()
-    bench.controller.shutdown()
-    assert bench.life.state is CellState.STOPPED
-    assert bench.cell.local_hand.gripper.phase is GripperPhase.OFF
-    bench.life.tick()
-    bench.ready().grasp()
-
-
 # -- positioners -----------------------------------------------------------------------------
-
-
-def test_an_object_that_does_not_exist_is_refused_before_anything_closes(bench: Any) -> None:
-    bench.ready()
-    with pytest.raises(PositionerError, match="there is no object 'unicorn'; there are ball, box"):
-        bench.controller.moves.present("unicorn")
-    assert not bench.life.holding
-    assert bench.aperture_m == pytest.approx(OPEN_M, abs=5e-4)
 
 
 @pytest.mark.slow

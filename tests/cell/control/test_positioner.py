@@ -124,22 +124,16 @@ def serve(tmp_path: Path) -> Iterator[Callable[[list[bytes]], str]]:
         thread.join(10.0)
 
 
-def test_socket_placer_speaks_json_lines(serve: Callable[[list[bytes]], str]) -> None:
+def test_socket_placer_speaks_json_lines(serve: Callable[[list[bytes]], str], tmp_path) -> None:
+    with pytest.raises(PositionerError, match="no simulated cell answers"):
+        SocketPlacer(str(tmp_path / "none"))
     reply = json.dumps({"ok": True, "pose": asdict(Pose(x_m=3e-3))}).encode() + b"\n"
     placer = SocketPlacer(serve([reply, b'{"error": "no such object"}\n', b"nonsense\n"]))
     assert placer.place("ball", POSE) == Pose(x_m=3e-3)
-    with pytest.raises(PositionerError, match="no such object"):
-        placer.place("x", POSE)
-    with pytest.raises(PositionerError, match="lost"):
-        placer.place("x", POSE)
-    with pytest.raises(PositionerError, match=r"closed|lost"):
-        placer.place("x", POSE)
+    for complaint in ("no such object", "lost", r"closed|lost"):
+        with pytest.raises(PositionerError, match=complaint):
+            placer.place("x", POSE)
     placer.close()
-
-
-def test_socket_without_a_simulator_is_a_clear_error(tmp_path: Path) -> None:
-    with pytest.raises(PositionerError, match="no simulated cell answers"):
-        SocketPlacer(str(tmp_path / "none"))
 
 
 @pytest.mark.parametrize(
@@ -188,19 +182,11 @@ def bench(make_bench: MakeBench, config: CellConfig) -> Any:
     return make_bench(config)
 
 
-def true_pose(bench: Any) -> Pose:
-    """Where the axes really are."""
+def true_pose(bench: Any) -> dict[str, float]:
+    """Where the axes really are, as values of a pose."""
     axes = bench.simulated.devices.axes
-    return Pose(
-        x_m=axes["x"].position,
-        rotation_rad=axes["rotation"].position,
-        roll_rad=axes["roll"].position,
-    )
-
-
-def near(one: Pose, other: Pose) -> bool:
-    turns = max(abs(one.rotation_rad - other.rotation_rad), abs(one.roll_rad - other.roll_rad))
-    return abs(one.x_m - other.x_m) < NEAR_M and one.y_m == other.y_m and turns < NEAR_RAD
+    values = {"x_m": "x", "rotation_rad": "rotation", "roll_rad": "roll"}
+    return {name: axes[axis].position for name, axis in values.items()} | {"y_m": 0.0}
 
 
 def test_a_host_that_brings_parts_to_their_places_leaves_the_axes_to_be_seen(
@@ -268,7 +254,7 @@ def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
     held = bench.grip_n
     assert held > 1.0
     bench.controller.moves.carry_to(there)
-    assert true_pose(bench).x_m == pytest.approx(5e-3, abs=NEAR_M)
+    assert true_pose(bench)["x_m"] == pytest.approx(5e-3, abs=NEAR_M)
     assert bench.grip_n == pytest.approx(held, abs=0.3)
     with pytest.raises(PositionerError, match="the place bin of ball has no pose"):
         bench.controller.moves.carry_to(Destination(label="ball", place="bin"))
@@ -277,8 +263,8 @@ def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
     assert bench.grip_n == pytest.approx(held, abs=0.3)
     bench.controller.release()
     bench.controller.moves.present("box")
-    assert near(bench.grasp(3.0, AWAY).reached, AWAY)
-    assert near(true_pose(bench), AWAY)
+    assert asdict(bench.grasp(3.0, AWAY).reached) == pytest.approx(asdict(AWAY), abs=NEAR_RAD)
+    assert true_pose(bench) == pytest.approx(asdict(AWAY), abs=NEAR_RAD)
     label, placed = bench.simulated.world.placed
     assert (label, placed.x_m) == ("box", pytest.approx(AWAY.x_m, abs=NEAR_M))
     assert placed.rotation_rad == pytest.approx(AWAY.rotation_rad, abs=NEAR_RAD)

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from gripper.dynamixel.control_table import GOAL_CURRENT
 from gripper.dynamixel.drive import DriveCharacteristic, Drives
 from gripper.errors import ForceAboveCap, ForceSensorStale, LimitExceeded
 from gripper.force.ramp import ForceRamp
@@ -42,35 +41,6 @@ def test_the_cap_is_noticed_the_sooner_the_more_it_is_passed(over_n, at_most_s) 
     assert 10.0 < found_s <= 10.0 + at_most_s
 
 
-def test_the_guard_stands_beside_the_write(started) -> None:
-    state = started.gripper.open()
-    guard = GoalGuard(started.settings, started.linkage)
-    angles = [servo.angle_rad for servo in state.servos]
-    good = [ServoGoal(angle_rad=angle - 0.01, current_a=0.2) for angle in angles]
-    guard.check(good, state, state.t_s)
-    with pytest.raises(LimitExceeded, match=r"goal current 0\.900"):
-        guard.check([good[0], ServoGoal(angle_rad=angles[1], current_a=0.9)], state, state.t_s)
-    with pytest.raises(LimitExceeded, match="goal angle"):
-        guard.check([good[0], ServoGoal(angle_rad=1.4, current_a=0.2)], state, state.t_s)
-    with pytest.raises(LimitExceeded, match=r"feedback is 0\.500 s old"):
-        guard.check(good, state, state.t_s + 0.5)
-    with pytest.raises(LimitExceeded, match="from 0 to"):
-        guard.check([good[0], ServoGoal(angle_rad=angles[1], current_a=-0.1)], state, state.t_s)
-    assert started.bus.read(1, GOAL_CURRENT) >= 0
-
-
-def test_a_force_above_the_cap_counts_while_it_is_young(started) -> None:
-    state = started.gripper.open()
-    guard = GoalGuard(started.settings, started.linkage)
-    goals = [ServoGoal(angle_rad=s.angle_rad - 0.01, current_a=0.2) for s in state.servos]
-    most_n = started.settings.force_max_n + 5.0
-    guard.note_force(ForceSample(t_s=state.t_s, force_n=(most_n, most_n)))
-    with pytest.raises(ForceAboveCap):
-        guard.check(goals, state, state.t_s)
-    late = replace(state, t_s=state.t_s + 2.0 * started.settings.force_stale_s)
-    guard.check(goals, late, late.t_s)
-
-
 @pytest.mark.parametrize("at_least", [True, False])
 @pytest.mark.parametrize("shown_n", [35.0, 8.5, 5.0])
 def test_a_force_of_taxels_at_full_scale_is_a_lower_bound(make_cell, shown_n, at_least) -> None:
@@ -96,14 +66,6 @@ def test_a_force_of_taxels_at_full_scale_is_a_lower_bound(make_cell, shown_n, at
     assert cell.force_n > 1.0
 
 
-def test_a_current_that_makes_more_than_the_cap_is_refused(make_started) -> None:
-    cell = make_started(force_max_n=6.0, current_max_a=0.8)
-    state = cell.gripper.open()
-    goals = [ServoGoal(angle_rad=s.angle_rad - 0.05, current_a=0.5) for s in state.servos]
-    with pytest.raises(LimitExceeded, match="force_max_n is 6"):
-        GoalGuard(cell.settings, cell.linkage).check(goals, state, state.t_s)
-
-
 PAIR = measured_drives(GripperSettings())
 FRICTION_N, ONE_N_A = 1.5, 0.06 / 1.80
 """Friction of an XM430-W350 at a pad on a link of 60 mm in N, and its current in A for 1 N."""
@@ -113,6 +75,35 @@ def standing(velocity_rad_s: float) -> ServoFeedback:
     servo = make_servo(angle_rad=0.1, velocity_rad_s=velocity_rad_s, next_rad_s=velocity_rad_s)
     servos = (servo,) * 2
     return make_state(servos=tuple(replace(s, servo_id=i) for i, s in enumerate(servos, 1)))
+
+
+GOOD = ServoGoal(angle_rad=0.09, current_a=0.2)
+
+
+@pytest.mark.parametrize(
+    ("goal", "age_s", "says"),
+    [
+        (replace(GOOD, current_a=0.9), 0.0, r"goal current 0\.900"),
+        (replace(GOOD, current_a=-0.1), 0.0, "from 0 to"),
+        (replace(GOOD, angle_rad=0.05, current_a=0.7), 0.0, "force_max_n is 15"),
+        (replace(GOOD, angle_rad=1.4), 0.0, "goal angle"),
+        (GOOD, 0.5, r"feedback is 0\.500 s old"),
+    ],
+)
+def test_the_guard_stands_beside_the_write(goal: ServoGoal, age_s: float, says: str) -> None:
+    guard, state = GoalGuard(PAIR, LINKAGE), standing(velocity_rad_s=0.0)
+    guard.check([GOOD, GOOD], state, state.t_s)
+    with pytest.raises(LimitExceeded, match=says):
+        guard.check([GOOD, goal], state, state.t_s + age_s)
+
+
+def test_a_force_above_the_cap_counts_while_it_is_young() -> None:
+    guard, state = GoalGuard(PAIR, LINKAGE), standing(velocity_rad_s=0.0)
+    guard.note_force(ForceSample(t_s=state.t_s, force_n=(20.0, 20.0)))
+    with pytest.raises(ForceAboveCap):
+        guard.check([GOOD, GOOD], state, state.t_s)
+    late = replace(state, t_s=state.t_s + 2.0 * PAIR.force_stale_s)
+    guard.check([GOOD, GOOD], late, late.t_s)
 
 
 @pytest.mark.parametrize(

@@ -1,21 +1,17 @@
 """The watch of a part alone: its doubt, and the measurements that end it."""
 
-from functools import partial
-from math import sqrt
-
 import pytest
 
 from benchmarks.performance.force_ramps import PARTS
 from benchmarks.performance.touch import TouchRig
-from gripper.dynamixel.models import XM430_W350
-from gripper.errors import GripContradicted, PartLost
+from gripper.errors import GripContradicted
 from gripper.force.estimates.grip import Grip
 from gripper.force.ramp import ForceRamp
-from gripper.force.supervision.part_watch import RUN_M, PartWatch
+from gripper.force.supervision.part_watch import PartWatch
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
-from gripper.values.state import GRAIN_M, GripperPhase
-from tests.gripper.force.grips import LINKAGE, PERIOD_S, STATE, make_grip, make_period
+from gripper.values.state import GripperPhase
+from tests.gripper.force.grips import PERIOD_S, STATE, make_grip, make_period
 
 
 class Watched:
@@ -174,26 +170,6 @@ def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(started) -> 
     stopped_m = started.mechanics.aperture_m
     started.clock.sleep(1.0)
     assert stopped_m - started.mechanics.aperture_m < 0.003
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("final_n", [3.0, 8.0])
-def test_fast_force_shows_a_part_taken_away_at_once(make_cell, final_n) -> None:
-    took_s = []
-    for seed in (7, 8, 9):
-        cell = make_cell(rate_hz=333.0, noise_n=0.3, seed=seed)
-        cell.hold_part(ForceRamp.linear(final_n, rate_n_s=10.0))
-        take = cell.once(partial(setattr, cell.part, "present", False), in_s=0.4)
-        with pytest.raises(PartLost):
-            cell.gripper.hold(1.0, take)
-        took_s.append(cell.clock.monotonic() - cell.acted_s[0])
-    # The pads do not suffice: the inertia runs through whole counts, too. Of the gripping force
-    # friction takes a part, and the law lowers the drive with the force.
-    runs_m = RUN_M + GRAIN_M
-    runs_s = sqrt(4.0 * runs_m * XM430_W350.rotor_inertia_kg_m2 / final_n) / LINKAGE.link_m
-    # One unlucky sample may cost a period.
-    assert sorted(took_s)[1] < runs_s + PERIOD_S
-    assert max(took_s) < runs_s + 2.0 * PERIOD_S
 
 
 @pytest.mark.slow
