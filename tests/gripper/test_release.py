@@ -18,10 +18,14 @@ from gripper.values.state import GripperPhase
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
 
-def held_by_one(cell, limp: int = 0):
-    """Hold the part, let a servo shut down, and return the gripper of the next program."""
+def leave_part(cell) -> None:
     cell.hold_part(RAMP)
     cell.gripper.close()
+
+
+def held_by_one(cell, limp: int = 0):
+    """Hold the part, let a servo shut down, and return the gripper of the next program."""
+    leave_part(cell)
     cell.cores[limp].plant.overload()
     cell.clock.sleep(0.1)
     assert cell.register(limp, "torque_enable") == 0
@@ -74,8 +78,7 @@ def test_a_reboot_is_judged_by_the_servo_not_by_its_answer(cell, monkeypatch, lo
 @pytest.mark.parametrize("levels", [(0, 0), (1, 1), (2, 0), (1, 2)])
 def test_a_part_is_let_go_by_servos_that_confirm_no_write(make_cell, levels) -> None:
     cell = make_cell(corrected_registers=frozenset({"operating_mode", "return_delay_time"}))
-    cell.hold_part(RAMP)
-    cell.gripper.close()
+    leave_part(cell)
     for servo, level in zip(cell.servos, levels, strict=True):
         servo.core.registers.put("status_return_level", level)
     assert cell.new_gripper().release().opened == (1, 2)
@@ -84,8 +87,7 @@ def test_a_part_is_let_go_by_servos_that_confirm_no_write(make_cell, levels) -> 
 
 @pytest.mark.parametrize("how", ["torque 0", "reboot", "low supply"])
 def test_a_servo_that_is_limp_or_has_an_error_with_torque_opens_again(cell, how) -> None:
-    cell.hold_part(RAMP)
-    cell.gripper.close()
+    leave_part(cell)
     if how == "torque 0":
         cell.bus.write(1, TORQUE_ENABLE, 0)
     elif how == "reboot":
@@ -102,8 +104,7 @@ def test_a_servo_that_is_limp_or_has_an_error_with_torque_opens_again(cell, how)
 
 
 def test_the_finger_that_answers_opens_where_the_other_is_silent(cell) -> None:
-    cell.hold_part(RAMP)
-    cell.gripper.close()
+    leave_part(cell)
     cell.device.faults.silent.add(1)
     report = cell.new_gripper().release()
     assert cell.force_n == 0.0
@@ -137,8 +138,7 @@ def test_nothing_is_opened_where_no_servo_can_be_moved_and_the_way_on_is_named(m
 
 
 def test_a_servo_that_does_not_match_is_made_limp_and_the_message_says_so(cell) -> None:
-    cell.hold_part(RAMP)
-    cell.gripper.close()
+    leave_part(cell)
     cell.cores[1].registers.put("drive_mode", 1)
     with pytest.raises(VerificationFailed, match="torque is off now and the fingers did not open"):
         cell.new_gripper().release()

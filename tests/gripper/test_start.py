@@ -33,15 +33,6 @@ def test_a_servo_with_another_id_is_named_in_the_table(cell) -> None:
     assert not cell.cores[0].torque_on
 
 
-def test_a_wrong_baud_rate_is_a_silent_bus_and_the_advice_says_so(cell) -> None:
-    cell.device.baudrate = 57600
-    before_s = cell.clock.monotonic()
-    with pytest.raises(VerificationFailed, match="check supply, cable, baud rate") as bad:
-        cell.gripper.start()
-    assert len(bad.value.report.failed) == 2
-    assert cell.clock.monotonic() - before_s < 2.0
-
-
 @pytest.mark.parametrize("pattern", PATTERNS.values(), ids=PATTERNS)
 def test_a_start_on_a_line_of_another_device_names_what_was_heard(cell, pattern) -> None:
     cell.device.faults.silent.update({1, 2})
@@ -79,13 +70,25 @@ def test_a_second_id_that_no_servo_listens_to_is_none(cell, raw: int) -> None:
     assert cell.gripper.start().ok
 
 
-@pytest.mark.parametrize("servo_id", [1, 2])
-def test_a_servo_in_protocol_1_is_named_with_the_register(cell, servo_id: int) -> None:
+def in_protocol_1(cell, servo_id: int) -> None:
     cell.cores[1].registers.put("protocol_type", 1)
     cell.cores[1].table.data[7] = servo_id
-    hint = rf"Protocol 1\.0 come from servo {servo_id}: .*\(register 13\) to 2"
+
+
+@pytest.mark.parametrize(
+    ("change", "hint"),
+    [
+        (lambda cell: setattr(cell.device, "baudrate", 57600), "check supply, cable, baud rate"),
+        (lambda cell: in_protocol_1(cell, 1), r"1\.0 come from servo 1: .*\(register 13\) to 2"),
+        (lambda cell: in_protocol_1(cell, 2), r"1\.0 come from servo 2: .*\(register 13\) to 2"),
+    ],
+)
+def test_what_does_not_answer_gets_a_hint(cell, change, hint: str) -> None:
+    change(cell)
+    before_s = cell.clock.monotonic()
     with pytest.raises(VerificationFailed, match=hint):
         cell.gripper.start()
+    assert cell.clock.monotonic() - before_s < 2.0
 
 
 def test_what_may_be_corrected_is_a_setting(make_cell) -> None:
