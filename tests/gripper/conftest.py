@@ -210,7 +210,6 @@ class Cell:
         turned: tuple[int, ...] = (),
         drive_sds: tuple[float, float] = (0.1, 0.02),
         zero_off: tuple[int, int] = (0, 0),
-        link_m: float = 0.06,
         pinion_radius_m: float = 0.012,
         offset_m: float = 0.0,
         **settings: Any,
@@ -237,7 +236,7 @@ class Cell:
         own: Linkage
         if linkage == "parallel":
             theirs: Any = ParallelogramLinkage(link_m=0.06)
-            own = ParallelLinkage(link_m=link_m, offset_m=offset_m, n_servos=n_servos)
+            own = ParallelLinkage(link_m=0.06, offset_m=offset_m, n_servos=n_servos)
         else:
             theirs = RackLinkage(pinion_radius_m=pinion_radius_m)
             own = RackPinion(pinion_radius_m=pinion_radius_m, n_servos=n_servos)
