@@ -62,8 +62,6 @@ class SimulatedDrive(CanopenDevice):
         """Fault knob: -1 or 1 for a limit switch that is always active."""
         self.slipped = 0.0
         """Fault knob: offset of the axis from the encoder's position in m or rad."""
-        self.misread = 0.0
-        """Fault knob: offset of the encoder's reading in m or rad."""
         super().__init__(mount.node_id, od.of_node(mount.node_id), start_s)
         self._node.add_read_callback(self._read)
         self._node.add_write_callback(self._write)
@@ -71,9 +69,7 @@ class SimulatedDrive(CanopenDevice):
             od.STATUSWORD: lambda: self.statusword,
             od.MODE_DISPLAY: lambda: self._number(od.MODE),
             od.ERROR_CODE: lambda: self._error_code,
-            od.POSITION: lambda: round(
-                self.motion.actual - self._zero + self.misread * mount.increments
-            ),
+            od.POSITION: lambda: round(self.motion.actual - self._zero),
             od.VELOCITY: lambda: round(self.motion.actual_speed),
             od.FOLLOWING_ERROR: lambda: round(self.motion.demand - self.motion.actual),
             od.DIGITAL_INPUTS: self._inputs,

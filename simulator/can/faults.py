@@ -66,8 +66,6 @@ class ControlUnitFaults:
     """The converter always returns its last scan; counter and checksum are valid."""
     stuck_counts: dict[int, int] = field(default_factory=dict)
     """Taxels that always read the counts given."""
-    dead_taxels: set[int] = field(default_factory=set)
-    """Taxels that always read 0."""
     offset_counts: float = 0.0
     """Drift that is added to all taxels."""
     gain: float = 1.0
@@ -109,8 +107,6 @@ class ControlUnitFaults:
             counts = np.clip(shifted, 0, adc_max).astype(np.uint16)
         for taxel, stuck in self.stuck_counts.items():
             counts[taxel] = stuck
-        if self.dead_taxels:
-            counts[list(self.dead_taxels)] = 0
         return counts
 
     def spoil(self, message: ForceMessage) -> ForceMessage:

@@ -40,11 +40,10 @@ _TPDO_PARAMETERS = (unit_od.TPDO1_PARAMETER, unit_od.TPDO2_PARAMETER)
 _TPDO_MAPPINGS = (unit_od.TPDO1_MAPPING, unit_od.TPDO2_MAPPING)
 """Communication and mapping parameters of TPDO1 and TPDO2."""
 _FIXED_VALUES = {
-    (unit_od.ERROR_HISTORY, 0): 0,
     (unit_od.TPDO1_PARAMETER, unit_od.PDO_TRANSMISSION): unit_od.PDO_OF_MANUFACTURER,
     (unit_od.TPDO2_PARAMETER, unit_od.PDO_TRANSMISSION): unit_od.PDO_OF_MANUFACTURER,
 }
-"""The only value that the host may write to an object: 0 clears the history of errors."""
+"""The only value that the host may write to an object."""
 
 
 class UnitDictionary:
@@ -75,8 +74,8 @@ class UnitDictionary:
         self._node: Any = node
         self._scanner = scanner
         self._missing = missing
-        self.errors: list[int] = []
-        """Error codes of 0x1003, the newest first."""
+        self.errors: set[int] = set()
+        """Error codes since the last reset."""
         self.error_register = 0
         """Object 0x1001."""
         form = scanner.format
@@ -95,7 +94,6 @@ class UnitDictionary:
         }
         self._live: dict[int, Callable[[int], int | bytes | None]] = {
             unit_od.ERROR_REGISTER: lambda _subindex: self.error_register,
-            unit_od.ERROR_HISTORY: self._read_history,
             unit_od.LAST_FRAME: self._read_frame,
             unit_od.LAST_FRAME_COUNTER: lambda _subindex: scanner.read_counter,
             unit_od.BOARDS: lambda subindex: boards()[subindex - 1] if subindex else None,
@@ -151,11 +149,6 @@ class UnitDictionary:
         if subindex != od.subindex:
             raise canopen.SdoAbortedError(NO_SUBINDEX)
 
-    def _read_history(self, subindex: int) -> int:
-        if subindex > len(self.errors):
-            raise canopen.SdoAbortedError(NO_DATA)
-        return self.errors[subindex - 1] if subindex else len(self.errors)
-
     def _read_frame(self, _subindex: int) -> bytes:
         frame = self._scanner.last_frame()
         if frame is None:
@@ -175,11 +168,6 @@ class UnitDictionary:
         fixed_value = _FIXED_VALUES.get((index, subindex))
         if fixed_value is not None and value != fixed_value:
             raise canopen.SdoAbortedError(VALUE_RANGE)
-        if index == unit_od.SYNC_OVERFLOW:
-            if value == 1:
-                raise canopen.SdoAbortedError(VALUE_RANGE)
-            if self.number(unit_od.SYNC_PERIOD_US):
-                raise canopen.SdoAbortedError(WRONG_STATE)
         if index in _TPDO_PARAMETERS and subindex == 1:
             self._check_cob_id(self.number(index, 1), value)
         if index in _TPDO_MAPPINGS and value != od.default and (subindex or value):
@@ -194,8 +182,6 @@ class UnitDictionary:
 
     def _act(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         del od
-        if index == unit_od.ERROR_HISTORY:
-            self.errors.clear()
         take = {
             unit_od.FORCE_TABLE: self._scanner.forces.take_table,
             unit_od.FORCE_ZERO: self._scanner.forces.take_zero,

@@ -54,12 +54,6 @@ def _reboot(target: Target) -> None:
         axis.servo.core.boot(target.now_s)
 
 
-def _second_node(target: Target) -> Undo:
-    bus = target.devices.axes_can_devices
-    assert bus is not None, "a drive is on a bus"
-    return bus.add(SimulatedDrive(_drive(target).mount, start_s=target.now_s))
-
-
 # fmt: off
 AXIS = (
     FaultEntry("axisN.following_error", FaultKind.STUCK,
@@ -77,15 +71,5 @@ AXIS = (
     FaultEntry("axisN.reboot", FaultKind.REBOOT,
                "its drive or servo restarts: torque off, set-up and position lost", _reboot,
                moment=True),
-    knob_fault("axisN.misread", FaultKind.WRONG,
-               "the reading of its drive's encoder suddenly grows by this value", "misread",
-               Number("m or rad", -100.0, 100.0, default=5.0), owner=_drive),
-    FaultEntry("axisN.nmt", FaultKind.OFF,
-               "another CANopen master commands its drive: 2 stop, 128 pre-operational",
-               lambda target: _drive(target).command(int(target.number)),
-               value=Number("command", 1, 130, default=2, whole=True), check=_drive, moment=True),
-    FaultEntry("axisN.second_node", FaultKind.WRONG,
-               "another drive with the same node-ID joins the bus", _second_node, "axis_second",
-               check=_drive),
 )
 # fmt: on

@@ -116,9 +116,9 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
         "twice": lambda: undo.append(bench.second_drive()),
         "short": lambda: simulated._live.update({od.STATUSWORD: lambda: b"\x27"}),  # type: ignore[dict-item,return-value]
         "no state": lambda: simulated._live.update({od.STATUSWORD: lambda: 1}),
-        "jump": lambda: setattr(simulated, "misread", 5.0),
+        "jump": lambda: simulated._live.update({od.POSITION: lambda: 5_000_000}),
     }
-    undo: list[Callable[[], None]] = []
+    undo, live = list[Callable[[], None]](), dict(simulated._live)
     bench.once_moving(acts[fail])
     with pytest.raises(error, match=words) as caught:
         bench.move(0.015)
@@ -133,8 +133,8 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
     for take_off in undo:
         take_off()
     simulated.motion.blocked = simulated.dead = False
-    simulated._live[od.STATUSWORD] = lambda: simulated.statusword
-    simulated.forced_switch, simulated.misread = 0, 0.0
+    simulated._live.update(live)
+    simulated.forced_switch = 0
     assert bench.move(0.005) == pytest.approx(0.005, abs=NEAR_M)
     assert simulated.position == pytest.approx(0.005, abs=NEAR_M)
 

@@ -151,7 +151,6 @@ def _knobs(cell: SimulatedCell) -> Any:
     drive, wrist = devices.axes["x"], devices.axes["roll"]
     stuck.append(repr(devices.faults.boards))
     axes = [drive.dead, drive.forced_switch, drive.motion.blocked, wrist.blocked]
-    axes += [drive.misread, len(devices.axes_can_devices._devices)]
     return (
         axes,
         world.force_gain,
@@ -168,8 +167,8 @@ def _knobs(cell: SimulatedCell) -> Any:
 
 def test_the_kinds_are_those_that_fit_the_cell(cell, uskin_cell) -> None:
     kinds = set(cell.injector.kinds())
-    assert {"can.off", "servo1.off", "servo2.off", "axis1.misread", "axis2.fault"} <= kinds
-    assert not kinds & {"servo3.off", "axis2.misread", "axis3.fault", "servoN.off"}
+    assert {"can.off", "servo1.off", "servo2.off", "axis1.limit_switch", "axis2.fault"} <= kinds
+    assert not kinds & {"servo3.off", "axis2.limit_switch", "axis3.fault", "servoN.off"}
     kinds |= set(uskin_cell.injector.kinds())
     assert {name.replace("axis1", "axisN").replace("servo1", "servoN") for name in kinds} >= set(
         VOCABULARY
