@@ -180,7 +180,7 @@ def read_npz(
             if head == _RECORDING:
                 raise error(
                     f"{path} is a recording, not a {what}; rename it to end in .mcap, then train, "
-                    "evaluate and identify read its grasps"
+                    "evaluate and replay read its grasps"
                 )
             if not head.startswith(_ARCHIVE):
                 found = "not an npz archive" if head else "empty"

@@ -28,6 +28,7 @@ from cell.installation import extra
 from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
+from recognition.grasp import Grasp
 from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
@@ -45,7 +46,7 @@ from simulator.servo.mechanics import (
 )
 from simulator.servo.motor import OverloadRule
 from simulator.servo.wrist import WristMount
-from simulator.settings import SimulatedServoSettings, SimulatorSettings
+from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
 from simulator.world.press import PadPair
 from simulator.world.shape_files import parse_shape
 from simulator.world.shapes import ObjectPose, Shape, thicknesses_m
@@ -71,15 +72,18 @@ _LINKAGE_MARGIN_M = 1e-3
 """Opening in m that a simulated linkage keeps to its end stop."""
 
 
-def simulator_settings(config: CellConfig) -> SimulatorSettings:
+def simulator_settings(
+    config: CellConfig, *, layout: TaxelLayout | None = None, grasps: Sequence[Grasp] = ()
+) -> SimulatorSettings:
     """Return the settings of the simulated cell of a config.
 
+    With recorded grasps instead of objects, ``layout`` has their taxels instead of the config's.
     Raises ConfigError if a shape or a fault is unknown, or if the linkage cannot open as far as the
     gripper must.
     """
     settings = config.simulator
     with raised_as(ConfigError, SimulatorError, where="simulator"):
-        linkage, layout = _linkage(config), layout_from_config(config.tactile)
+        linkage = _linkage(config)
         opening_m = config.gripper.aperture_open_mm * 1e-3
         reach_m = 2.0 * linkage.half_opening_max_m - _LINKAGE_MARGIN_M
         if opening_m > reach_m:
@@ -90,9 +94,9 @@ def simulator_settings(config: CellConfig) -> SimulatorSettings:
         for text in settings.faults:
             check_fault(text, len(config.gripper.servos), len(config.positioner.axes))
         if config.tactile.sensor.canopen:
-            _check_noise(config, layout)
+            _check_noise(config, layout or layout_from_config(config.tactile))
         return SimulatorSettings(
-            layout=layout,
+            layout=layout or layout_from_config(config.tactile),
             servos=tuple(
                 SimulatedServoSettings(
                     servo_id=servo.id,
@@ -115,8 +119,8 @@ def simulator_settings(config: CellConfig) -> SimulatorSettings:
                 else config.tactile.serial_number,
                 boards=config.tactile.board_serial_numbers or (1, 2),
             ),
-            mounts=pad_mounts(config.tactile),
-            boards=config.tactile.sensor.simulated(),
+            mounts=() if grasps else pad_mounts(config.tactile),
+            boards=None if grasps else config.tactile.sensor.simulated(),
             pads=PadPair(
                 shift_m=(1e-3 * settings.pads.shift_mm[0], 1e-3 * settings.pads.shift_mm[1]),
                 tilt_rad=(
@@ -134,6 +138,10 @@ def simulator_settings(config: CellConfig) -> SimulatorSettings:
             seed=config.seed,
             objects=simulated_objects(config),
             aperture_m=opening_m,
+            grasps=tuple(
+                RecordedGrasp(counts=grasp.counts, aperture_m=grasp.aperture_m, label=grasp.label)
+                for grasp in grasps
+            ),
             axes=_mounts(config.positioner),
             axes_can_bitrate=config.positioner.can.bitrate,
             faults=settings.faults,
@@ -434,6 +442,12 @@ class InProcessPlacer:
         with raised_as(PositionerError, SimulatorError, where=where):
             reached = self._cell.place(label, ObjectPose(**asdict(pose)))
         return Pose(**{name: getattr(reached, name) for name in asdict(pose)})
+
+
+def largest_aperture_m(grasps: Sequence[Grasp]) -> float:
+    """Return the widest recorded opening in m; 0 if not known."""
+    widest = [float(np.nanmax(g.aperture_m)) for g in grasps if np.isfinite(g.aperture_m).any()]
+    return max(widest, default=0.0)
 
 
 def _linkage(config: CellConfig) -> FingerLinkage:

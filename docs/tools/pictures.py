@@ -39,7 +39,7 @@ _WAIT_MS = 300_000
 """Longest wait in ms for what the page shows: a first start teaches five objects."""
 _LEAST_ALIKE = 0.5
 """Likeness from 0 to 1 from which a line of today is taken for the one that is shown."""
-_NOT_RUN = ("serve",)
+_NOT_RUN = ("serve", "replay")
 """Commands that run until they are ended."""
 _CONSOLE = re.compile(r"(?<=```console\n).*?(?=```)", re.DOTALL)
 _NEVER_SHOWN = re.compile("━")

@@ -465,6 +465,22 @@ def test_evaluate_prints_what_is_taken_for_which_object_and_what_is_left_out(
     assert "force_ramp confuses, one grasp each: 1 x box as ball" in said
 
 
+def test_a_replay_that_differs_fails(dataset, monkeypatch, fail) -> None:
+    from cell.runtime import replay as replaying
+
+    play = replaying._Rig.play
+
+    def wrong(self: Any, number: int, grasp: Any) -> Any:
+        back = play(self, number, grasp)
+        counts = np.array(back.counts)
+        counts[3, 7] ^= 1
+        return replace(back, counts=counts)
+
+    monkeypatch.setattr(replaying._Rig, "play", wrong)
+    said = fail("recording", "replay", dataset, "--limit", 1)
+    assert "frames differ: grasp 0, frame 3, taxel 7" in said
+
+
 # -- config, doctor, simulate ----------------------------------------------------------------------
 
 
@@ -581,6 +597,7 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (2, "recording recover x.mcap -o y.npz", "the name of a recording ends in .mcap"),
         (2, "model train x.npz -o m.npz --recognizer magic", "no recogniser 'magic' is installed"),
         (2, "model evaluate {dataset} --fuse 1,x", "--fuse"),
+        (2, "recording replay x.npz --limit 0", "--limit"),
         (2, "hand release", "--confirm"),
         (2, "serve --listen 0.0.0.0 --modbus 0", "serve.allow is empty"),
         (2, "serve -c {config} --out served", "no interface is open: set serve.http_port"),
@@ -595,6 +612,7 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (1, "model train {dataset} {other} -o {made}", "different pads; train a model for each"),
         (1, "model train {nameless} -o {made}", "its 1 grasps have no label"),
         (1, "model train {empty} -o {made}", "has no whole grasp"),
+        (1, "recording replay {empty}", "has no whole grasp"),
         (1, "doctor --plugins --json {config}/x", "cannot be written"),
         (1, "run -c {config} --out {config}", "cannot be made"),
     ],

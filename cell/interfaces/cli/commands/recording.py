@@ -1,4 +1,4 @@
-"""`recording`: lists, marks, reports on, plots and recovers recordings."""
+"""`recording`: lists, marks, reports on, plots, replays and recovers recordings."""
 
 from datetime import datetime
 from itertools import islice
@@ -9,13 +9,17 @@ import typer
 from rich.table import Table
 
 from cell.archive.selection import cell_of, day_of, is_archive, parse_selection
+from cell.config.file import load_config
 from cell.errors import CellError
 from cell.installation import extra
 from cell.interfaces.cli import options
 from cell.interfaces.cli.terminal import (
+    percent,
     plain_text,
     print_line,
+    print_note,
     print_table,
+    progress_bar,
     show,
 )
 from cell.recording.dataset import read_grasps
@@ -24,6 +28,8 @@ from cell.recording.retention import mark as mark_one, recordings, unmark as unm
 from cell.report.figures import grasp_figure, write_picture
 from cell.report.page import write_report
 from cell.report.recorded import recorded_report
+from cell.runtime.replay import replay_grasps
+from recognition.recognizers import DEFAULT_TRAINER
 
 RecordingsArgument = Annotated[list[Path], typer.Argument(help="Recordings (.mcap).")]
 
@@ -119,3 +125,46 @@ def recover(
         f"{found.n_grasps} whole grasps; {found.n_broken_grasps} broken grasps are left out",
     )
     show(lines, found, json_file)
+
+
+ReplayConfigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--config", "-c", help="Config file of the cell [default: one made for the grasps' pads]."
+    ),
+]
+
+
+def replay(
+    source: Annotated[Path, typer.Argument(help="Data set or recording.")],
+    split: options.Split = "chronological:0.6",
+    limit: Annotated[
+        int | None, typer.Option("--limit", min=1, help="Replay at most so many [default: all].")
+    ] = None,
+    recognizer: options.Recognizer = DEFAULT_TRAINER,
+    config: ReplayConfigOption = None,
+    json_file: options.Json = None,
+) -> None:
+    """Send recorded grasps through the real protocols, compare, and identify them."""
+    with progress_bar() as progress:
+        result = replay_grasps(
+            read_grasps(source),
+            load_config(config) if config is not None else None,
+            split=split,
+            limit=limit,
+            recognizer=recognizer,
+            progress=progress,
+        )
+    same = "bit for bit the same" if result.frames_equal else "NOT the same"
+    lines = [
+        f"{result.n_grasps} grasps: {result.frames_sent} frames sent, "
+        f"{result.frames_received} received, {same}",
+        f"openings differ by at most {result.aperture_error_mm:.3f} mm: servos report pulses",
+    ]
+    if result.accuracy is not None:
+        lines.append(f"named right by one grasp: {percent(result.accuracy, result.interval)}")
+    else:
+        print_note(f"no grasp was identified: {result.unnamed}")
+    show(lines, result, json_file)
+    if not result.frames_equal:
+        raise CellError(f"frames differ: {result.difference}")
