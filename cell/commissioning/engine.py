@@ -129,9 +129,8 @@ class Step:
 
     Nothing is written or moved without `Dialog.approve`. After it, also after an error, no servo
     has torque that had none before, and a held part stays held. Raises WizardAborted when the
-    person leaves or refuses; only the values of the step are kept then. CellError, GripperError
-    and TactileError end the step; `carry_out` adds them to the notes. Its docstring is for the
-    person: what it finds, writes and moves."""
+    person leaves or refuses. CellError, GripperError and TactileError end the step; `carry_out`
+    adds them to the notes. Its docstring is for the person: what it finds, writes and moves."""
     key: str
     """Name in commissioning.json and for ``--redo``."""
     title: str
@@ -144,20 +143,18 @@ class Step:
         return " ".join((self.run.__doc__ or "").split())
 
 
-def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Notes | None = None) -> Notes:
+def carry_out(step: Step, bench: Bench, dialog: Dialog) -> Notes:
     """Run a step and return its notes; an error of cell or lines is a failure of the step.
 
-    Raises WizardAborted when the person leaves or refuses; ``notes`` has the findings until then.
+    Raises WizardAborted when the person leaves or refuses.
     """
-    notes = notes or Notes()
+    notes = Notes(began=_now())
     earlier = bench.settings
     bench.settings = ChainMap(notes.settings, dict(earlier))
     try:
         step.run(bench, dialog, notes)
     except WizardAborted:
         raise
-    except StepFailed as why:
-        notes.fail(str(why))
     except (CellError, GripperError, TactileError) as error:
         # A pulled cable, a full disk: after the repair the step runs again.
         notes.fail(error_text(error))
@@ -165,6 +162,7 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Notes | None = No
         bench.settings = earlier
     if notes.failed:
         notes.settings.clear()
+    notes.ended = _now()
     return notes
 
 
@@ -287,22 +285,10 @@ class Engine:
             self.approved += [replace(write, step=step.key, at=at) for write in writes]
             self._store()
 
-        notes = Notes(began=_now())
-        try:
-            carry_out(step, self.bench, _Logged(dialog, log), notes)
-        except WizardAborted:
-            if notes.values:
-                left = Notes(began=notes.began, values=notes.values)
-                left.fail("It was left before its end, and goes on with what it has found so far.")
-                self._keep(step, left)
-            raise
-        self._keep(step, notes)
-        dialog.found(step, notes)
-
-    def _keep(self, step: Step, notes: Notes) -> None:
-        notes.ended = _now()
+        notes = carry_out(step, self.bench, _Logged(dialog, log))
         self.notes[step.key] = notes
         self._store()
+        dialog.found(step, notes)
 
     def _store(self) -> None:
         content = {"steps": self.notes, "approved": self.approved}

@@ -18,8 +18,6 @@ from tactile.sensor.sensor import TactileSensor
 
 GRAVITY_N_KG = 9.80665
 """Standard acceleration of free fall (ISO 80000-3), which a kitchen scale assumes for its grams."""
-_TYPED = "loads_so_far_n"
-"""Name of the loads by finger among the values, until all loads are measured."""
 _TABLE_SHARES = (0.0, 0.0625, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0)
 """Nodes of a table of counts and forces, as shares of the full scale."""
 _STEPS = 3
@@ -135,18 +133,10 @@ def measure_law(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         "Lay a flat stamp of about 10 mm across on the middle of the pad. Press it against the "
         "scale, or lay the weight on it, and keep it so until the next question."
     )
-    # Loads of an unfinished run, e.g. after an error of the unit.
-    kept = bench.found.get(LAW.key, {}).get(_TYPED, ([], []))
-    loads = [list(map(tuple, of_finger)) for of_finger in kept]
-    if n_kept := sum(map(len, loads)):
-        dialog.say(f"{n_kept} loads are kept from before.")
-    notes.values[_TYPED] = loads
     with unit_sensor(bench) as sensor:
         sensor.tare(bench.tactile().tare_frames)
-        for finger in (0, 1):
-            _load(sensor, dialog, finger, _targets_n(bench), loads[finger])
+        loads = [_loads(sensor, dialog, finger, _targets_n(bench)) for finger in (0, 1)]
         adc_max = sensor.layout.adc_max
-    del notes.values[_TYPED]
     judge_law(bench.tactile(), loads, notes, adc_max)
 
 
@@ -163,18 +153,15 @@ def _targets_n(bench: Bench) -> list[float]:
     return [round(float(n), 1) for n in np.linspace(min(least_n, 0.5 * most_n), most_n, _STEPS)]
 
 
-def _load(
-    sensor: TactileSensor,
-    dialog: Dialog,
-    finger: int,
-    targets_n: Sequence[float],
-    loads: list[Load],
-) -> None:
-    """Add the true and shown forces of the loads on one inner pad to the present ones."""
+def _loads(
+    sensor: TactileSensor, dialog: Dialog, finger: int, targets_n: Sequence[float]
+) -> list[Load]:
+    """Return the true and shown forces of the loads on one inner pad."""
+    loads = list[Load]()
     pad = sensor.layout.gripping_pads[finger]
     name = sensor.layout.pads[pad].name
     most_g = 2e3 * max(targets_n) / GRAVITY_N_KG
-    for number, target_n in list(enumerate(targets_n, start=1))[len(loads) :]:
+    for number, target_n in enumerate(targets_n, start=1):
         weight_g = dialog.number(
             f"pads_law.{finger}.{number}",
             f"Load {number} of {len(targets_n)} on {name}: about "
@@ -190,6 +177,7 @@ def _load(
         loads.append((true_n, _force_n(sensor, pad, counts), *parts))
         dialog.say(f"{true_n:.2f} N on the scale, {loads[-1][1]:.2f} N by the pad.")
     dialog.say("Take the load off.")
+    return loads
 
 
 def _counts(sensor: TactileSensor, pad: int, n_frames: int) -> NDArray[np.float64]:

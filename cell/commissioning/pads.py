@@ -13,7 +13,7 @@ from cell.checks.findings import Notes
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step
 from cell.commissioning.unit import unit_sensor
-from cell.config.model import TAXELS_OF_SMALL_PART, CellConfig
+from cell.config.model import CellConfig
 from cell.errors import ConfigError
 from cell.hand.build import sensor_settings
 from tactile.control_unit.node import Mounting
@@ -22,7 +22,7 @@ from tactile.layout import PadMount, TaxelLayout
 from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import Neighbourhood
 from tactile.sensor.sensor import TactileSensor
-from tactile.sensor.tare import TareLimits, TaxelHealth, assess_health, compute_tare, too_many_bad
+from tactile.sensor.tare import TareLimits, TaxelHealth, assess_health, compute_tare
 
 _REST_FRAMES = 100
 """Number of frames at rest, the same as for the zero of a cell."""
@@ -68,8 +68,6 @@ class PadsAtRest:
     """Dead, stuck and saturated taxels."""
     noise_n: tuple[float, ...]
     """Standard deviation in N of the force of each pad at rest, over the mean of three frames."""
-    full_n: tuple[float, ...]
-    """Force in N at which the taxels of each pad reach full scale, the median."""
 
 
 def rest_of(layout: TaxelLayout, calibration: Calibration, frames: Counts) -> PadsAtRest:
@@ -79,14 +77,12 @@ def rest_of(layout: TaxelLayout, calibration: Calibration, frames: Counts) -> Pa
     n = len(frames) // _MEAN_FRAMES
     tared = np.where(health.bad, 0.0, frames[: n * _MEAN_FRAMES] - zero)
     force_n = calibration.force_n(tared.reshape(n, _MEAN_FRAMES, -1).mean(axis=1))
-    full_n = calibration.force_n(layout.adc_max - zero)
     slices = [layout.taxels_of(pad) for pad in range(layout.n_pads)]
     return PadsAtRest(
         zero_counts=zero,
         noise_counts=frames.std(axis=0, dtype=np.float64),
         health=health,
         noise_n=tuple(float(force_n[:, one].sum(axis=1).std(ddof=1)) for one in slices),
-        full_n=tuple(float(np.median(full_n[one])) for one in slices),
     )
 
 
@@ -115,7 +111,6 @@ def judge_rest(
     *,
     limits: TareLimits,
     contact_force_n: float,
-    most_force_n: float,
 ) -> None:
     """Note why pads are not suitable for grasps.
 
@@ -125,8 +120,8 @@ def judge_rest(
         The taxels, frames (n, n_taxels) at rest, and their values.
     limits
         Limits of the zero.
-    contact_force_n, most_force_n
-        Force in N that must be detected, and the largest force that must be measured.
+    contact_force_n
+        Force in N that must be detected.
     """
     health = rest.health
     kinds = {"dead": health.dead, "stuck": health.stuck, "at full scale": health.saturated}
@@ -135,13 +130,6 @@ def judge_rest(
             are = "1 taxel is" if len(taxels) == 1 else f"{len(taxels)} taxels are"
             names = taxel_names(layout, taxels)
             notes.warn(f"{are} {name}: {names}. Their neighbours replace them.")
-    for index, pad in enumerate(layout.pads):
-        n_bad = int(np.count_nonzero(health.bad[layout.taxels_of(index)]))
-        if too_many_bad(n_bad, pad.n_taxels, limits.bad_share):
-            notes.fail(
-                f"{n_bad} of {pad.n_taxels} taxels of {pad.name} are bad, allowed are "
-                f"{limits.bad_share:.0%}: check its plug and cable, then replace the pad."
-            )
     if not health.noisy:
         notes.warn("The counts do not change at rest: press each pad to find dead or stuck taxels.")
     noise = _by_pad(layout, rest.noise_counts)
@@ -158,12 +146,6 @@ def judge_rest(
             notes.fail(
                 f"The force of {name} at rest varies by {noise_n:.2f} N, too much for a contact "
                 f"at {contact_force_n:g} N: reduce its noise, or raise gripper.contact_force_n."
-            )
-        largest_n = TAXELS_OF_SMALL_PART * rest.full_n[index]
-        if most_force_n > largest_n:
-            notes.warn(
-                f"A small part saturates {name} at {largest_n:.1f} N, below the {most_force_n:g} N "
-                "of the sequence: ask for less, or grasp larger parts only."
             )
     if not notes.failed:
         try:
@@ -198,7 +180,6 @@ def measure_rest(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         notes,
         limits=sensor_settings(bench.tactile()).tare_limits,
         contact_force_n=bench.gripper().contact_force_n,
-        most_force_n=sequence_forces_n(bench)[1],
     )
     alike = boards[0] == boards[1]
     notes.settings["tactile.board_serial_numbers"] = None if alike else list(boards)
@@ -207,12 +188,7 @@ def measure_rest(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             "The boards of both fingers have the same serial number, so exchanged pads are not "
             "detected: press each pad after every work on their cables."
         )
-    notes.values |= {
-        "board_serial_numbers": list(boards),
-        "zero_counts": zero,
-        "noise_counts": noise,
-        "bad_taxels": np.flatnonzero(rest.health.bad).tolist(),
-    }
+    notes.values["board_serial_numbers"] = list(boards)
 
 
 PADS_AT_REST = Step(measure_rest, "pads_at_rest", "Pads at rest", needs=("unit",))

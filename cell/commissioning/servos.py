@@ -38,8 +38,6 @@ _USUAL_RATES = (57600, 1_000_000)
 """Baud rates of the factory and of this package."""
 SCAN_RATES = (*_USUAL_RATES, *(rate for rate in BAUD_CODES if rate not in _USUAL_RATES))
 """Order in which baud rates are scanned."""
-_COUNT = "n_servos"
-"""Name of the number of servos among the values of the step."""
 _BOOT_S = 1.0
 """Wait in s for new servos to boot."""
 _MOST_FINGER_SERVOS = 2
@@ -117,7 +115,7 @@ def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     """
     port, rate = bench.gripper().port, bench.gripper().baud_rate
     use_servo_models(SERVO_MODELS.usable())
-    fingers = _numbered(bench, dialog, port, rate, notes)
+    fingers = _numbered(bench, dialog, port, rate)
     if len(fingers) > _MOST_FINGER_SERVOS:
         raise StepFailed(
             f"{len(fingers)} servos answer on {port}, a gripper has one or two: give each servo of "
@@ -162,17 +160,13 @@ SERVOS = Step(find_servos, "servos", "Servos", needs=("ports",))
 # Finding and numbering
 
 
-def _numbered(
-    bench: Bench, dialog: Dialog, port: str, rate: int, notes: Notes
-) -> list[ServoIdentity]:
+def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoIdentity]:
     """Return the servos, each with an ID of its own at one baud rate."""
     found = scan_servos(bench, port, dialog)
-    # An interrupted step has saved their number; numbered servos answer alone.
-    n_wanted = int(bench.found.get(SERVOS.key, {}).get(_COUNT, 0))
+    n_wanted = 0
     while True:
         if found.crowded:
             n_wanted = _MOST_FINGER_SERVOS
-            notes.values[_COUNT] = n_wanted
             _ask_for_one_alone(dialog, found)
         elif not found.servos:
             _look_for_protocol_1(bench, port)
@@ -185,7 +179,6 @@ def _numbered(
             placed = _placed(bench, dialog, port, rate, found)
             found = Scan(servos=tuple(Found(rate, one) for one in placed))
             n_wanted = n_wanted or _count(bench, dialog, placed)
-            notes.values[_COUNT] = n_wanted
             if len(placed) >= n_wanted or not _connected(dialog, placed[-1]):
                 return placed
         bench.clock.sleep(_BOOT_S)

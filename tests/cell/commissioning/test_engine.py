@@ -87,25 +87,6 @@ def test_leaving_keeps_what_was_found_and_the_next_run_goes_on_there(tmp_path: P
     assert third.asked == []
 
 
-def test_a_step_that_is_left_keeps_the_values_that_it_has_found(tmp_path: Path) -> None:
-    def typing(bench: Bench, dialog: Dialog, notes: Notes) -> None:
-        typed = list(bench.found.get("law", {}).get("typed", ()))
-        notes.settings |= REAL
-        while len(typed) < 3:
-            dialog.ask(Question(key=f"load{len(typed)}", text="?", default=1.0))
-            typed.append(1.0)
-            notes.values["typed"] = typed
-
-    first = Script(leave_at=["load2"])
-    with pytest.raises(WizardAborted):
-        Engine([step("law", typing)], Bench(tmp_path)).run(first)
-    engine = Engine([step("law", typing)], bench := Bench(tmp_path))
-    assert not engine.done(engine.steps[0])
-    assert (bench.found, bench.settings) == ({"law": {"typed": [1.0, 1.0]}}, {})
-    engine.run(again := Script())
-    assert again.asked == ["load2"]
-
-
 def test_what_was_wrong_is_one_list_of_all_steps(tmp_path: Path) -> None:
     with pytest.raises(WizardAborted):
         Engine(steps(), Bench(tmp_path)).run(Script(leave_at=["unit.q"]))

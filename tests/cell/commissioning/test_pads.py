@@ -107,24 +107,18 @@ def test_corners_are_named_as_a_person_sees_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("noises", "force_per_count_n", "most_n", "status", "named"),
+    ("noises", "force_per_count_n", "status", "named"),
     [
-        ((20.0, 20.0), 1e-4, 8.0, Verdict.WARN, "A small part saturates finger0.inner at 3.1 N"),
-        ((20.0, 20.0), 1e-4, 3.0, Verdict.PASS, ""),
-        ((10.0, 60.0), 1e-4, 2.0, Verdict.WARN, "finger1.inner is noisy: "),
-        ((10.0, 60.0), 2e-3, 2.0, Verdict.FAIL, "The force of finger1.inner at rest varies by 0."),
+        ((20.0, 20.0), 1e-4, Verdict.PASS, ""),
+        ((10.0, 60.0), 1e-4, Verdict.WARN, "finger1.inner is noisy: "),
+        ((10.0, 60.0), 2e-3, Verdict.FAIL, "The force of finger1.inner at rest varies by 0."),
     ],
 )
-def test_pads_of_much_noise_or_a_small_full_scale_are_named(
-    noises, force_per_count_n, most_n, status, named
-) -> None:
+def test_pads_of_much_noise_are_named(noises, force_per_count_n, status, named) -> None:
     layout, generator = pinch_layout(), np.random.default_rng(0)
     frames = generator.normal(250.0, np.repeat(noises, 78), (30, 156)).astype(np.uint16)
     rest = rest_of(layout, LinearCalibration(force_per_count_n, layout.adc_max), frames)
-    judge_rest(
-        layout, frames, rest, notes := Notes(),
-        limits=TareLimits(), contact_force_n=0.3, most_force_n=most_n,
-    )  # fmt: skip
+    judge_rest(layout, frames, rest, notes := Notes(), limits=TareLimits(), contact_force_n=0.3)
     assert notes.status is status, notes.lines
     assert named in "\n".join(notes.lines)
 
@@ -176,28 +170,6 @@ def test_a_law_that_is_off_is_named_and_set_right(paper: MakeStand, felt: float)
     assert gain == pytest.approx(1.0 / felt, rel=0.06)
     assert finding.corrected == [finding.lines[-1]]
     assert f"tactile.calibration.gain was 1, is now {gain:.3g}" in finding.lines[-1]
-
-
-@pytest.mark.slow
-def test_loads_that_were_typed_outlast_an_error_of_the_unit(paper: MakeStand) -> None:
-    one = paper()
-
-    def upset() -> None:
-        one.does("load finger1.inner 510")()
-        one.cell.inject("unit.emergency=0xFF02")
-
-    failed = one.run(LAW, **{"pads_law.1.2": upset})
-    assert failed.status is Verdict.FAIL
-    assert "emergency" in failed.lines[-1]
-    one.bench.found = {"pads_law": failed.values}
-    found = one.passes(LAW)
-    assert one.person.script.asked == ["pads_law.with", "pads_law.1.2", "pads_law.1.3"]
-    assert "4 loads are kept" in one.person.script.text
-    assert [len(loads) for loads in found.values["loads_n"]] == [3, 3]
-    # A law that was judged begins anew.
-    one.bench.found = {"pads_law": found.values}
-    one.passes(LAW)
-    assert len(one.person.script.asked) == 7
 
 
 @pytest.mark.slow

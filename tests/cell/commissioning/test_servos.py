@@ -1,20 +1,18 @@
 """Servos that are new or set otherwise: numbered, backed up, set, read back, and brought back."""
 
 import json
-from contextlib import suppress
 
 import pytest
 
 from cell.commissioning.backup import backup_file, restore
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Engine, WizardAborted
-from cell.commissioning.ports import PORTS
+from cell.commissioning.engine import WizardAborted
 from cell.commissioning.servos import SERVOS
-from cell.errors import CellError, ConfigError
+from cell.errors import CellError
 from cell.formats import SERVO_BACKUP, write_json
 from gripper.errors import GripperError
 from tests.cell.commissioning.conftest import MakeStand, Stand
-from tests.cell.commissioning.hands import Person, Script
+from tests.cell.commissioning.hands import Script
 
 STEP = SERVOS
 PORT = "/dev/ttyUSB0"
@@ -86,19 +84,6 @@ def test_servos_in_protocol_1_are_named_with_the_register(one, rate: int) -> Non
         servo.core.registers.put("baud_rate", rate)
     finding = one.run(STEP)
     assert any("Protocol 1.0 come from servo 1, 2" in line for line in finding.lines)
-
-
-@pytest.mark.slow
-def test_a_step_that_goes_on_knows_that_two_servos_answered(new) -> None:
-    engine = Engine([PORTS, STEP], new.bench)
-    for leave_at in (["servos.connect_next"], []):
-        person = Person(new.cell)
-        person.script.leave_at = leave_at
-        # Without a control unit there is no whole config yet.
-        with suppress(WizardAborted, ConfigError):
-            engine.run(person.script)
-    assert person.script.asked == ["servos.connect_next"]
-    assert [one["id"] for one in engine.notes["servos"].values["servos"]] == [1, 2]
 
 
 def test_a_second_servo_that_is_not_there_after_all_is_not_waited_for(new) -> None:
