@@ -248,7 +248,10 @@ def _control_unit(
     source = hand.statistics.source
     forces, statistics = source.forces, source.frames
     lost = statistics.lost + statistics.torn + statistics.corrupt
-    number = f", serial {identity.serial}, revision {identity.revision:#x}" if is_unit else ""
+    number = ""
+    if is_unit:
+        number = f", serial {identity.serial}, revision {identity.revision:#x}, boards of the pads "
+        number += " and ".join(map(str, identity.boards))
     from_frames = f"{identity.name} sends frames alone; the force comes from them"
     return [
         *changed("control unit and pads", changed_unit(kept, identity)),
@@ -280,7 +283,6 @@ def _control_unit(
             "changes: press each pad once and check that its force follows",
             ok=n_moving >= n_taxels // 2,
         ),
-        _boards(identity.boards, config),
     ]
 
 
@@ -317,20 +319,6 @@ def _load(frames: NDArray[np.uint16], config: CellConfig, named: str) -> Finding
         f"`tactile-cell hand release{named} --confirm`",
         ok=max(first_n, second_n) < config.gripper.contact_force_n,
     )
-
-
-def _boards(boards: tuple[int, int], config: CellConfig) -> Finding:
-    """Check that exchanged pads would be detected: forces and labels depend on it."""
-    found = f"serial {boards[0]} on finger 0, {boards[1]} on finger 1"
-    if not any(boards):
-        found = "no serial numbers"
-    if config.tactile.board_serial_numbers is not None or config.simulated:
-        return check_result("pads' boards", found, ok=True)
-    found += "; tactile.board_serial_numbers is empty: exchanged pads are not detected"
-    advice = "these boards look the same: press each pad after every work on the cables"
-    if boards[0] != boards[1]:
-        advice = f"press each pad to check its finger, then write {[*boards]} into the config"
-    return check_result("pads' boards", found, advice)
 
 
 def _change(what: str, step: str, was: Any, now: Any, text: str = "{}") -> list[Finding]:

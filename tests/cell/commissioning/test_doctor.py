@@ -13,7 +13,7 @@ import pytest
 import cell.commissioning.doctor
 from cell.build import build_cell
 from cell.checks.findings import Finding, Verdict
-from cell.commissioning.doctor import _boards, examine
+from cell.commissioning.doctor import examine
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
@@ -46,7 +46,7 @@ def test_the_simulated_cell_is_well() -> None:
     assert findings["noise of the taxels"].verdict is Verdict.PASS
     assert findings["pads' force"].verdict is Verdict.PASS
     assert "0.0 N on finger 0, 0.0 N on finger 1" in findings["pads' force"].found
-    assert findings["pads' boards"].found == "serial 1 on finger 0, 2 on finger 1"
+    assert findings["control unit"].found.endswith("boards of the pads 1 and 2")
     assert "gripper.port" not in findings
 
 
@@ -144,30 +144,12 @@ def test_servos_that_withhold_their_answers_are_named_by_the_register(
         assert whole or "Status Return Level (register 68)" in one.found
 
 
-@pytest.mark.parametrize(
-    ("boards", "named", "verdict", "advice"),
-    [
-        ((7, 8), [7, 8], Verdict.PASS, ""),
-        ((7, 8), None, Verdict.WARN, "write [7, 8] into the config"),
-        ((0, 0), None, Verdict.WARN, "look the same"),
-    ],
-)
-def test_pads_that_could_be_exchanged_unnoticed_are_a_warning(
-    boards, named, verdict, advice
-) -> None:
-    config = small_config(tactile__board_serial_numbers=named, **REAL)
-    finding = _boards(boards, config)
-    assert finding.verdict is verdict
-    assert advice in finding.advice
-
-
 def test_boards_without_force_messages_and_numbers_are_well() -> None:
     preset = load_config(Path(__file__).parents[3] / "config" / "flexitac.yaml")
     findings = by_name(examine(preset))
     assert findings["sensor"].found == "FlexiTac"
     assert findings["force messages"].verdict is Verdict.PASS
     assert findings["force messages"].found.startswith("FlexiTac sends frames alone")
-    assert findings["pads' boards"].found == "no serial numbers"
 
 
 @pytest.fixture
