@@ -60,25 +60,20 @@ _FRAMES = 10
 
 
 @contextmanager
-def unit_sensor(
-    bench: Bench, *, mounted: bool = True, patient: bool = True
-) -> Iterator[TactileSensor]:
+def unit_sensor(bench: Bench, *, mounted: bool = True) -> Iterator[TactileSensor]:
     """Start the sensor of the config so far, and close it at the end.
 
-    Raises TactileError as `tactile.open_sensor`.
+    A busy machine may be late, and force messages are not used, because nothing is held. Raises
+    TactileError as `tactile.open_sensor`.
 
     Parameters
     ----------
     mounted
         False: pads as in the layout, without ``tactile.mounting``.
-    patient
-        True: a busy machine may be late, and force messages are not used, because nothing is held.
-        False: as for a grip.
     """
     tactile = bench.tactile() if mounted else bench.tactile(mounting=[])
-    if patient:
-        forces = {"force_period_ms": 0} if tactile.sensor.canopen else {}
-        tactile = changed_config(tactile, {"silence_ms": 1e3 * _PATIENCE_S} | forces)
+    forces = {"force_period_ms": 0} if tactile.sensor.canopen else {}
+    tactile = changed_config(tactile, {"silence_ms": 1e3 * _PATIENCE_S} | forces)
     with _started(bench, tactile) as sensor:
         yield sensor
 
