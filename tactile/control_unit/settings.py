@@ -56,31 +56,16 @@ class LinkSettings:
 
     sync_period_s: float = setting(0.02, 0.001, 1.0)
     """Period of SYNC and of the frames in s."""
-    sync_window_s: float | None = None
-    """Longest burst of the unit in s; at most the period. By default `WINDOW_SHARE` of it."""
     heartbeat_s: float = setting(0.1, 0.005, 10.0)
     """Period of the unit's heartbeat in s."""
-    heartbeat_factor: float = setting(2.5, 1.0, 10.0)
-    """The heartbeat is lost after this number of periods. One lost message is not a fault, and
-    missing frames show a dead unit earlier."""
     startup_timeout_s: float = setting(3.0, 0.01, 120.0)
     """Longest time in s of the boot-up, and of the change to operational."""
     sdo_timeout_s: float = setting(0.3, 0.005, 10.0)
     """Longest wait for one SDO response in s."""
-    frame_timeout_periods: int = setting(3, 1, 1000)
-    """Number of SYNCs without a complete frame that is a fault."""
     max_loss_rate: float = setting(0.05, 0.0, 1.0)
-    loss_window_frames: int = setting(50, 1, 10_000)
-    """Largest share of lost frames, and the number of last frames for it."""
-    late_periods: int = setting(2, 1, 1000)
-    """Delay of frames in periods, compared with before, that is a fault if it occurs three times.
-    """
+    """Largest share of lost frames."""
     max_foreign_hz: float = setting(2000.0, 0.0, 1e5)
     """Allowed rate of messages of other nodes or unknown COB-IDs in 1/s."""
-    max_malformed_hz: float = setting(20.0, 0.0, 1e5)
-    """Allowed rate of damaged or unusable messages in 1/s."""
-    error_passive_s: float = setting(0.5, 0.0, 10.0)
-    """Longest time in s in which the host's CAN controller may be error-passive."""
     identity: ExpectedIdentity = field(default_factory=ExpectedIdentity)
     """The accepted unit."""
     force_period_s: float = setting(0.005, 0.0, 0.05)
@@ -113,17 +98,11 @@ class LinkSettings:
                     f"{one.name} is {value}, must be {one.metadata['low']:g} to "
                     f"{one.metadata['high']:g}"
                 )
-        if not 0.0005 <= self.window_s <= self.sync_period_s:
-            raise ValueError(
-                f"sync_window_s is {self.window_s}, must be 0.0005 to {self.sync_period_s:g}"
-            )
 
     @property
     def window_s(self) -> float:
-        """Synchronous window in s."""
-        if self.sync_window_s is None:
-            return WINDOW_SHARE * self.sync_period_s
-        return self.sync_window_s
+        """Synchronous window in s: the longest burst of the unit."""
+        return WINDOW_SHARE * self.sync_period_s
 
 
 def message_bits(n_bytes: int) -> int:

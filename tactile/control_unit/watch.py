@@ -70,6 +70,19 @@ _STALL_SHOWS_S = 0.2
 `ForceStream.behind_s`, whose window is half of it."""
 _LAG_FRAMES = 500
 """Number of newest frames whose least lag is the usual one."""
+_HEARTBEATS = 2.5
+"""Number of periods after which the heartbeat is lost. One lost message is not a fault, and missing
+frames show a dead unit earlier."""
+_MAX_UNUSABLE_HZ = 20.0
+"""Allowed rate of damaged or unusable messages in 1/s."""
+_PASSIVE_S = 0.5
+"""Longest time in s in which the host's CAN controller may be error-passive."""
+_LOSS_FRAMES = 50
+"""Number of newest frames for the share of lost ones."""
+_UNANSWERED_SYNCS = 3
+"""Number of SYNCs without a complete frame that is a fault."""
+_LATE_PERIODS = 2
+"""Delay of frames in periods, compared with before, that is a fault if it lasts."""
 _LATE_SYNCS = 3
 """Number of successive SYNCs with late frames that counts: after a stall frames catch up."""
 _SURPLUS_SHARE = 1.5
@@ -133,8 +146,7 @@ class NodeWatch:
 
     def __init__(self, name: str, settings: LinkSettings) -> None:
         self._name = name
-        self._silence_s = settings.heartbeat_factor * settings.heartbeat_s
-        self._passive_s = settings.error_passive_s
+        self._silence_s = _HEARTBEATS * settings.heartbeat_s
         self._foreign_limit = TrafficLimit(
             "messages of other nodes or unknown COB-IDs",
             "find out who sends them, or raise tactile.foreign_max_hz where they belong there",
@@ -143,7 +155,7 @@ class NodeWatch:
         self._unusable_limit = TrafficLimit(
             "damaged messages",
             "check cable, termination, bit rate and adapter",
-            settings.max_malformed_hz,
+            _MAX_UNUSABLE_HZ,
         )
         self._in_operation = False
         self._heartbeat_at_s: float | None = None
@@ -224,10 +236,10 @@ class NodeWatch:
         """Raise the fault of a missed deadline, or of too many unusable messages in total."""
         self._unusable_limit.reach(unusable, now_s)
         passive_since_s = self._passive_since_s
-        if passive_since_s is not None and now_s - passive_since_s >= self._passive_s:
+        if passive_since_s is not None and now_s - passive_since_s >= _PASSIVE_S:
             raise BusErrorPassive(
                 f"the CAN controller of the host has been error-passive for "
-                f"{now_s - passive_since_s:.2f} s, allowed are {self._passive_s:g} s: check "
+                f"{now_s - passive_since_s:.2f} s, allowed are {_PASSIVE_S:g} s: check "
                 "wiring, termination and bit rate, then start the link again"
             )
         if not self._in_operation or self._heartbeat_at_s is None:
@@ -253,12 +265,11 @@ class FrameFlow:
     def __init__(self, name: str, settings: LinkSettings, burst_messages: int) -> None:
         self._name = name
         allowed = ceil(settings.silence_s / settings.sync_period_s)
-        self._timeout_periods = max(settings.frame_timeout_periods, allowed)
-        self._late_periods = max(settings.late_periods, allowed)
+        self._timeout_periods = max(_UNANSWERED_SYNCS, allowed)
+        self._late_periods = max(_LATE_PERIODS, allowed)
         self._max_loss_rate = settings.max_loss_rate
-        self._window_frames = settings.loss_window_frames
         self._burst_messages = burst_messages
-        self._arrived: deque[bool] = deque(maxlen=self._window_frames)
+        self._arrived: deque[bool] = deque(maxlen=_LOSS_FRAMES)
         self._last_counter: int | None = None
         self._unanswered = 0
         self._ahead = 0
@@ -303,14 +314,14 @@ class FrameFlow:
         step = 1
         if self._last_counter is not None:
             step = (counter - self._last_counter) & COUNTER_MASK
-            self._arrived.extend([False] * min(step - 1, self._window_frames))
+            self._arrived.extend([False] * min(step - 1, _LOSS_FRAMES))
         self._arrived.append(True)
         self._last_counter = counter
         self._ahead -= step
         lost_frames = self._arrived.count(False)
-        if lost_frames > self._max_loss_rate * self._window_frames:
+        if lost_frames > self._max_loss_rate * _LOSS_FRAMES:
             raise FrameTimeout(
-                f"{lost_frames} of the last {self._window_frames} frames from {self._name} were "
+                f"{lost_frames} of the last {_LOSS_FRAMES} frames from {self._name} were "
                 f"lost, allowed are {self._max_loss_rate:.0%}: check bus load, cable and "
                 "termination, then start the link again"
             )
