@@ -3,7 +3,6 @@
 Indices and sub-indices as in `control_unit.eds`; the communication profile follows CiA 301.
 """
 
-from enum import IntEnum
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -95,15 +94,11 @@ BOARDS = 0x2103
 THRESHOLDS = 0x2120
 THRESHOLD_TOUCH = 1
 """U16, counts above which a taxel is touched and the unit's own tare is refused."""
-THRESHOLD_TARE_SPREAD = 2
-"""U16, span of a taxel's counts above which the tare is refused."""
 TARE = 0x2130
 TARE_COMMAND = 1
 TARE_RESULT = 2
-TARE_FRAMES = 3
-TARE_LARGEST = 4
-TARE_SIGNATURE = int.from_bytes(b"tare", "little")
-"""U32 for a tare by a write to `TARE_COMMAND`: a wrong write does not start one."""
+TARE_DONE = 2
+"""Result of the unit's own tare: it is in use."""
 TARE_CLEAR_SIGNATURE = int.from_bytes(b"zero", "little")
 """U32 for raw counts by a write to `TARE_COMMAND`."""
 FORCE_MESSAGE = 0x2140
@@ -115,16 +110,6 @@ LAST_FRAME = 0x2200
 """Domain: the samples of the last complete frame, as in the frame messages."""
 LAST_FRAME_COUNTER = 0x2201
 """U16: counter of the frame of the last upload of `LAST_FRAME`."""
-
-
-class UnitTareResult(IntEnum):
-    """Result of the unit's own tare, object 0x2130:02."""
-
-    NONE = 0
-    RUNNING = 1
-    DONE = 2
-    REFUSED_TOUCHED = 3
-    REFUSED_SPREAD = 4
 
 
 @cache

@@ -164,7 +164,7 @@ def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
         objects.write_unsigned(index, 0, value, n_bytes)
         checks += _read_rows(objects, [(what, index, 0, value)])
     refuse_mismatch(checks, "the control unit did not keep its set-up")
-    if objects.read_unsigned(od.TARE, od.TARE_RESULT) == od.UnitTareResult.DONE:
+    if objects.read_unsigned(od.TARE, od.TARE_RESULT) == od.TARE_DONE:
         objects.write_unsigned(od.TARE, od.TARE_COMMAND, od.TARE_CLEAR_SIGNATURE, 4)
 
 

@@ -256,7 +256,7 @@ def test_lost_sdo_responses_are_asked_for_again_and_hide_no_second_unit(idle) ->
 
 
 def test_a_zero_held_by_the_unit_is_cleared(idle) -> None:
-    idle.unit.dictionary.pretend(od.TARE, od.TARE_RESULT, od.UnitTareResult.DONE)
+    idle.unit.dictionary.pretend(od.TARE, od.TARE_RESULT, od.TARE_DONE)
     idle.link.start()
     assert written(idle)[od.TARE, od.TARE_COMMAND] == od.TARE_CLEAR_SIGNATURE
 
