@@ -107,11 +107,3 @@ class PluginFault(LinkFault):
 
 class BusNotOpened(LinkFault):
     """The CAN bus could not be opened."""
-
-
-def require_at_least(settings: object, **least: float) -> None:
-    """Refuse settings that are below their least values; ValueError names the first."""
-    for name, low in least.items():
-        value = getattr(settings, name)
-        if not value >= low:
-            raise ValueError(f"{name} is {value}, must be at least {low:g}")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.errors import FrameTimeout, require_at_least
+from tactile.errors import FrameTimeout
 from tactile.layout import TaxelLayout
 from tactile.sensor.filters import Mask, Neighbourhood, Values
 from tactile.sensor.tare import TareResult
@@ -45,11 +45,6 @@ class QualityLimits:
     which identical samples are frozen ones."""
     drift_share: float = 0.01
     """Largest distance of the untouched pads from their zero, as a share of the full scale."""
-
-    def __post_init__(self) -> None:
-        require_at_least(
-            self, frozen_s=0.0, stuck_frames=8, force_step_n=0.0, width_step_m=0.0, drift_share=0.0
-        )
 
 
 class QualityWatch:

@@ -15,7 +15,6 @@ from tactile.errors import (
     ForceContradicted,
     FrameTimeout,
     ZeroDrifted,
-    require_at_least,
 )
 from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import (
@@ -71,9 +70,6 @@ class SensorSettings:
     """Largest share of bad taxels on a gripping pad with valid forces."""
     tare_limits: TareLimits = field(default_factory=TareLimits)
     """Limits of a zero."""
-
-    def __post_init__(self) -> None:
-        require_at_least(self, mean_frames=1, bad_share=0.0, noise_floor_share=1e-6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -84,12 +84,6 @@ class TareLimits:
     """Largest share of bad taxels of a pad; one bad taxel is always allowed, unless the share is 0.
     """
 
-    def __post_init__(self) -> None:
-        for name in ("offset_share", "bump_share", "pad_share", "drift_share", "bad_share"):
-            value = getattr(self, name)
-            if not (0.0 < value <= 1.0 or (name == "bad_share" and value == 0.0)):
-                raise ValueError(f"{name} is {value}, must be above 0 and at most 1")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TareResult:

@@ -140,15 +140,6 @@ def test_noise_below_three_sigma_is_not_a_patch():
     assert pressed(maps, np.array([[0.01]]))[0, 0].tolist() == [0.0, 0.05, 0.5]
 
 
-def test_an_empty_pad_gives_finite_numbers(grid):
-    nothing = np.zeros((1, K, len(grid.xy_mm)))
-    f = describe_footprint(nothing, QUIET, grid)
-    for name in ("log_load", "log_extent", "log_axes", "tails", "harmonics", "profile"):
-        assert np.all(np.isfinite(getattr(f, name))), name
-    assert np.all(np.isfinite(profile(nothing, grid)))
-    assert np.all(np.isfinite(answers(nothing, grid)))
-
-
 def test_harmonics_are_the_answers_of_the_plain_formula(factory):
     pad = pad_grid(factory.pads(shapes=((7, 5),)), 0)
     maps = np.random.default_rng(3).uniform(0.05, 0.6, (1, K, 35))
@@ -195,33 +186,6 @@ def test_opening_features_give_size_and_squeeze(train):
 
 
 # -- The table of feature groups: nothing forgotten, and vectors of the groups that are used -------
-
-
-@pytest.fixture(scope="module")
-def described(train):
-    rest = learn_rest(train)
-    return load_levels(train, rest), rest
-
-
-@pytest.fixture(scope="module")
-def footprints(described):
-    levels, rest = described
-    return [
-        describe_footprint(maps, levels.noise[..., column], pad_grid(rest.pads, pad))
-        for column, (maps, pad) in enumerate(zip(levels.maps, rest.gripping, strict=True))
-    ]
-
-
-@pytest.mark.parametrize("opening", [True, False])
-def test_a_vector_holds_the_groups_and_then_the_opening(opening, described, footprints):
-    expected = [
-        group.features(described[0], footprints)
-        for group in FEATURE_GROUPS
-        if group.name != "harmonics" or not opening
-    ]
-    expected += [aperture_features(described[0])] * opening
-    found = features_of(*described, opening=opening)
-    assert np.array_equal(found, np.concatenate(expected, axis=1))
 
 
 def test_one_pad_has_no_other_to_compare_with(factory):

@@ -7,7 +7,7 @@ import pytest
 
 from recognition.features.aperture import aperture_features
 from recognition.features.footprint import describe_footprint, growth_features, pad_grid
-from recognition.ramp.levels import LOAD_FRACTIONS, load_levels, stack_levels
+from recognition.ramp.levels import LOAD_FRACTIONS, load_levels
 from recognition.ramp.ramp import Rest, find_ramp, held_part, learn_rest
 from tests.recognition.conftest import part
 
@@ -128,12 +128,6 @@ def test_a_ramp_of_a_cell_has_the_same_levels_at_any_rate(train):
     # The command of another hand may begin before it touches.
     elsewhere = load_levels([dataclasses.replace(at_once, source="")], rest)
     assert elsewhere.touch_aperture_mm[0, 0] > fast.touch_aperture_mm[0, 0]
-
-
-def test_levels_of_one_grasp_are_those_among_many(rest, train):
-    alone, among = load_levels(train[3:4], rest), load_levels(train, rest)
-    assert alone.maps[1][0] == pytest.approx(among.maps[1][3])
-    assert len(stack_levels([alone, among])) == 1 + len(train)
 
 
 def test_gaps_in_the_opening_are_bridged_and_a_missing_one_stays_missing(rest, train):

@@ -8,7 +8,6 @@ from recognition.quadric.level import (
     frames_near_full,
     grip_level,
     gripping_pads,
-    usual_noise,
 )
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
@@ -246,11 +245,3 @@ def test_more_noise_than_taught_is_seen_and_widens_bands_and_probabilities(rng):
     hopeless = dataclasses.replace(taught, noise_per_count=1e3)
     assert hopeless.check(loud) == UNKNOWN
     assert hopeless.posterior(loud).unknown == 1.0
-
-
-def test_noise_predicts_how_far_levels_of_one_touch_vary(rng):
-    grasps = [_held(INNER, 0.5, rng, 0.03, 20) for _ in range(60)]
-    seen = np.std(np.log([grip_level(grasp) for grasp in grasps]))
-    counts, per_count = usual_noise(grasps, None)
-    assert counts * per_count == pytest.approx(seen, rel=0.4)
-    assert counts == pytest.approx(0.03 * 255 * np.sqrt(1 / 20 + 1 / 12), rel=0.15)

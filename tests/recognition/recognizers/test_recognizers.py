@@ -9,7 +9,7 @@ from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.evaluation.splits import a_day_later
 from recognition.features.footprint import pad_grid
-from recognition.grasp import Grasp, by_label
+from recognition.grasp import Grasp
 from recognition.ramp.levels import load_levels
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import DEFAULT_TRAINER, make_trainer, trainer_names
@@ -22,13 +22,6 @@ from tests.recognition.conftest import accuracy, part
 @pytest.fixture(scope="module")
 def taught(teach):
     return teach("force_ramp")
-
-
-@pytest.mark.slow
-def test_no_feature_of_the_default_has_a_unit_that_taught_grasps_hardly_show(teach):
-    taught = teach("force_ramp")
-    for view in (taught.touch, taught.both):
-        assert view.model.discriminant.scale.min() >= 0.02
 
 
 def test_registry_makes_each_trainer_both_ways():
@@ -277,36 +270,6 @@ def test_a_size_between_two_taught_ones_is_no_taught_object(train, fresh):
     assert np.mean([taught.posterior(g).name == g.label for g in known]) >= 0.7
     moved = [Drift(aperture_offset_m=8e-3).apply(g) for g in known]
     assert all(taught.posterior(g).name == UNKNOWN for g in moved)
-
-
-@pytest.mark.slow
-def test_the_fewer_objects_are_taught_the_farther_off_their_own_grasps_are_expected(train):
-    few = [grasp for group in by_label(train).values() for grasp in group[:6]]
-    five, two = (
-        make_trainer("force_ramp").fit([g for g in few if g.label in labels]).both.limit[0]
-        for labels in (("bar", "block", "disc", "egg", "pin"), ("bar", "disc"))
-    )
-    assert two > five + 0.35
-
-
-@pytest.mark.slow
-def test_the_farther_off_in_touch_the_less_of_size_makes_an_object_new(teach, fresh):
-    taught = teach("force_ramp")
-    levels = load_levels(fresh, taught.rest)
-    grids = [pad_grid(taught.rest.pads, pad) for pad in taught.rest.gripping]
-    none = np.zeros(1)
-    features = describe(levels, grids, opening=True, log_gains=none, offsets_mm=none)
-    distance = taught.both.model.score(features).novelty[:, 0, 0, 0]
-    moved = [
-        dataclasses.replace(features, sizes_mm=features.sizes_mm + off_mm)
-        for off_mm in np.linspace(0.0, 5.0, 101)
-    ]
-    new = np.stack([taught.both.likelihood(some)[2][:, 0, 0] > 0.5 for some in moved])
-    assert not new[0].any()
-    assert new[-1].all()
-    needed = new.argmax(axis=0)
-    near, far = np.array_split(np.argsort(distance), 2)
-    assert needed[far].mean() < needed[near].mean()
 
 
 @pytest.mark.slow

@@ -47,21 +47,6 @@ def test_frames_come_at_the_rate_of_the_slower_board_with_fresh_times(cell, sour
     assert (stats.frames.torn, stats.frames.duplicate, stats.recent_loss_rate) == (0, 0, 0.0)
 
 
-def test_a_press_shows_at_its_place_on_its_pad(cell, source) -> None:
-    source.start()
-    rest = np.mean([one.counts for one in run(cell, source, 0.5)], axis=0)
-    for pad in (0, 1):
-        cell.world.press(pad, 0.018, -0.006, 4.0)  # type: ignore[union-attr]
-        cell.clock.sleep(0.05)
-        source.poll()
-        change = run(cell, source, 0.1)[-1].counts - rest
-        taxel = int(np.argmax(change))
-        assert LAYOUT.taxel_pad[taxel] == pad
-        assert LAYOUT.taxel_xy_m[taxel] == pytest.approx((0.018, -0.006), abs=0.002)
-        assert change.max() > 30
-        cell.world.lift()  # type: ignore[union-attr]
-
-
 def test_pads_that_sit_otherwise_are_put_right(cell) -> None:
     mounts = [PadMount(pad=0, sent_as=1, rows_mirrored=True), PadMount(pad=1, sent_as=0)]
     source = make_source(cell, mounts=mounts)

@@ -9,7 +9,6 @@ from tactile.errors import FrameTimeout, TareRefused, ZeroDrifted
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import FoamCalibration, LinearCalibration
 from tactile.sensor.filters import Neighbourhood
-from tactile.sensor.quality import QualityLimits
 from tactile.sensor.sensor import SensorSettings, SensorStatistics, TactileSensor
 from tactile.sensor.tare import TareLimits, assess_health, compute_tare
 from tactile.source import (
@@ -467,18 +466,3 @@ def test_without_noise_dead_taxels_cannot_be_told() -> None:
     assert health.summary() == "0 dead, 0 stuck, 1 saturated"
     with pytest.raises(ValueError, match="at least 8"):
         assess_health(frames[:5], 255)
-
-
-@pytest.mark.parametrize(
-    ("kind", "wrong"),
-    [
-        (SensorSettings, {"mean_frames": 0, "bad_share": np.nan}),
-        (QualityLimits, {"frozen_s": np.nan, "stuck_frames": 3, "drift_share": -0.1}),
-        (TareLimits, {"offset_share": -0.1, "bump_share": -0.1, "pad_share": -0.1}),
-        (TareLimits, {"drift_share": -0.1, "bad_share": -0.1}),
-    ],
-)
-def test_settings_out_of_range_are_refused(kind, wrong) -> None:
-    for name, value in wrong.items():
-        with pytest.raises(ValueError, match=f"{name} is"):
-            kind(**{name: value})
