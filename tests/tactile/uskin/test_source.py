@@ -149,8 +149,9 @@ def test_single_lost_messages_cost_one_frame_each(cell: SimulatedCell, source: U
 
 def test_short_and_foreign_messages_are_counted_and_left_out(cell, source) -> None:
     source.start()
-    cell.devices.can_devices.send(cell.clock.monotonic(), 0x710, [b"\x00\x01"])
-    cell.devices.can_devices.send(cell.clock.monotonic(), 0x123, [bytes(8)])
+    send = cell.devices.can_devices._send
+    send(cell.clock.monotonic(), 0x710, [b"\x00\x01"])
+    send(cell.clock.monotonic(), 0x123, [bytes(8)])
     run(cell, source, 0.1)
     assert (source.statistics.malformed, source.statistics.foreign) == (1, 1)
 
