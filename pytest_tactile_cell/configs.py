@@ -7,29 +7,6 @@ from typing import Any
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.config.section import SIMULATED
-from pytest_tactile_cell.options import HardwareOptions
-
-
-def config_under_test(path: Path | None, options: HardwareOptions) -> CellConfig:
-    """Return the config of the file with the command line's values for servos and node.
-
-    Raises
-    ------
-    ConfigError
-        If the file or the result is not valid.
-    """
-    config = load_config(path)
-    changes: dict[str, Any] = {}
-    if options.servo_baud_rate is not None:
-        changes["gripper.baud_rate"] = options.servo_baud_rate
-    if options.servo_ids is not None:
-        known = {servo.id: servo.model_dump(mode="json") for servo in config.gripper.servos}
-        changes["gripper.servos"] = [known.get(i, {"id": i}) for i in options.servo_ids]
-    if options.can_bitrate is not None:
-        changes["tactile.bitrate"] = options.can_bitrate
-    if options.node_id is not None:
-        changes["tactile.node_id"] = options.node_id
-    return changed_config(config, changes)
 
 
 def simulated_config(

@@ -167,18 +167,18 @@ class InjectFault(Protocol):
 def cell_config(request: pytest.FixtureRequest) -> "CellConfig":
     """Config of the cell under test: from ``--cell-config`` or the ini option ``cell_config``.
 
-    Without either: the built-in simulated cell. Servo IDs, rates and node of the command line
-    are in it. A project can override this fixture in its conftest.py.
+    Without either: the built-in simulated cell. A project can override this fixture in its
+    conftest.py.
     """
     try:
         refuse_shadows()
     except ImportError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
+    from cell.config.file import load_config
     from cell.errors import ConfigError
-    from pytest_tactile_cell.configs import config_under_test
 
     try:
-        return config_under_test(config_path(request.config), HardwareOptions.of(request.config))
+        return load_config(config_path(request.config))
     except ConfigError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
 

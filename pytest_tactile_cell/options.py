@@ -1,17 +1,10 @@
 """Options of the plugin: config and real ports."""
 
-from argparse import ArgumentTypeError
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import pytest
-
-_HIGHEST_SERVO_ID = 252
-"""Highest ID of a servo (e-Manual, Protocol 2.0)."""
-
 
 CONTRACTS = ("sensor", "servo_model", "recogniser")
 """Kinds of plugins that have a contract: files of `pytest_tactile_cell.contracts`."""
@@ -23,17 +16,9 @@ class HardwareOptions:
 
     servo_port: str | None = None
     """Port of the servos; None: simulated servos."""
-    servo_baud_rate: int | None = None
-    """Rate of the servos' line in bit/s."""
-    servo_ids: tuple[int, ...] | None = None
-    """IDs of the servos."""
     can_interface: str | None = None
     can_channel: str | None = None
     """CAN adapter, for python-can; None: a simulated control unit."""
-    can_bitrate: int | None = None
-    """Rate of the CAN bus in bit/s."""
-    node_id: int | None = None
-    """Node-ID of the control unit."""
     allow_motion: bool = False
     """Whether tests may switch torque on and move real servos."""
 
@@ -70,31 +55,22 @@ def refuse_shadows() -> None:
     refuse_others()
 
 
-def _servo_ids(text: str) -> tuple[int, ...]:
-    try:
-        ids = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        ids = ()
-    if not ids or not all(0 <= servo_id <= _HIGHEST_SERVO_ID for servo_id in ids):
-        raise ArgumentTypeError(
-            f"{text!r} is not a list of servo IDs from 0 to {_HIGHEST_SERVO_ID}, for example 1,2"
-        )
-    return ids
-
-
-_VALUES: tuple[tuple[str, str, Callable[[str], Any], str], ...] = (
-    ("--cell-config", "FILE", str,
-     "config of the cell under test (also ini option cell_config); its ports are not used"),
-    ("--servo-port", "PATH", str, "real servos on this serial port, for example /dev/ttyUSB0"),
-    ("--servo-baud-rate", "RATE", int, "baud rate of the servo bus in bit/s"),
-    ("--servo-ids", "IDS", _servo_ids, "IDs of the servos, for example 1,2"),
-    ("--can-interface", "NAME", str,
-     "real control unit on this python-can interface, for example socketcan or slcan"),
-    ("--can-channel", "NAME", str, "channel of the interface, for example can0"),
-    ("--can-bitrate", "RATE", int, "bit rate of the CAN bus in bit/s"),
-    ("--node-id", "ID", int, "CANopen node id, 1 to 127"),
-)  # fmt: skip
-"""Options with a value: name, metavar, type and help."""
+_VALUES = (
+    (
+        "--cell-config",
+        "FILE",
+        "config of the cell under test (also ini option cell_config): IDs, rates, node; its ports "
+        "are not used",
+    ),
+    ("--servo-port", "PATH", "real servos on this serial port, for example /dev/ttyUSB0"),
+    (
+        "--can-interface",
+        "NAME",
+        "real control unit on this python-can interface, for example socketcan or slcan",
+    ),
+    ("--can-channel", "NAME", "channel of the interface, for example can0"),
+)
+"""Options with a value: name, metavar and help."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -102,8 +78,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup(
         "tactile-cell", "tactile-cell: cell under test; without ports the simulated cell"
     )
-    for option, metavar, kind, text in _VALUES:
-        group.addoption(option, metavar=metavar, type=kind, help=text)
+    for option, metavar, text in _VALUES:
+        group.addoption(option, metavar=metavar, help=text)
     group.addoption(
         "--allow-motion",
         action="store_true",

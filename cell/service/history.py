@@ -16,7 +16,7 @@ from typing import Any
 
 from cell.control.part import Part
 from cell.errors import CellError
-from cell.files import free_name, name_in_file
+from cell.files import name_in_file
 from cell.formats import PROGRAM
 from cell.runtime.plugin import HostStatus
 from cell.service.shift import Shift
@@ -71,7 +71,6 @@ _WAITING_MAX = 10_000
 """Most rows that wait for the disk; the oldest are dropped."""
 _LOOK_S = 1.0
 """Time in s from one write to the next."""
-_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
 _Sums = Counter[Any]
@@ -111,7 +110,7 @@ class History:
     Parameters
     ----------
     path
-        SQLite file; a damaged file is moved away. None keeps the history in memory.
+        SQLite file. None keeps the history in memory.
     status
         Returns the state of the cell, with its faults.
     note
@@ -198,11 +197,10 @@ class History:
             self._refused = ""
         except (sqlite3.Error, OSError, CellError) as error:
             if str(error) != self._refused:
-                self._note(f"the history is not kept in {self._path}: {error}")
+                text = f"the history is not kept in {self._path}: {error}"
+                self._note(f"{text}; move a damaged file away")
             self._refused = str(error)
             self._close_link()
-            if getattr(error, "sqlite_errorcode", 0) in _DAMAGED:
-                self._move_away()
 
     def _run(self) -> None:
         self.update()
@@ -295,12 +293,6 @@ class History:
         if link is not None:
             with suppress(sqlite3.Error):
                 link.close()
-
-    def _move_away(self) -> None:
-        assert self._path is not None
-        with suppress(OSError):
-            moved = self._path.rename(free_name(self._path))
-            self._note(f"a new history begins; the damaged file is now {moved}")
 
 
 def history_file(directory: Path, cell_name: str) -> Path:

@@ -2,8 +2,8 @@
 
 Without options the tests run on the simulator, and those on hardware are skipped:
 
-    pytest tests/contract --servo-port /dev/ttyUSB0 --servo-ids 1,2
-    pytest tests/contract --can-interface socketcan --can-channel can0 --node-id 5
+    pytest tests/contract --servo-port /dev/ttyUSB0
+    pytest tests/contract --can-interface socketcan --can-channel can0
     pytest tests/contract --cell-config my-cell.yaml --axes
 
 Nothing moves and no torque is switched on without --allow-motion; EEPROM is left as it was found.

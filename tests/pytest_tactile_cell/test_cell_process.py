@@ -131,7 +131,7 @@ def test_a_process_does_not_outlive_a_test_run_that_is_killed(pytester) -> None:
 def test_the_contract_holds_over_real_ports_and_never_touches_a_held_part(cell_process) -> None:
     cell = cell_process()
     ports = (
-        *("--servo-port", cell.servo_port, "--servo-ids", "1,2"),
+        *("--servo-port", cell.servo_port),
         *("--can-interface", cell.can_interface, "--can-channel", cell.can_channel),
     )
 

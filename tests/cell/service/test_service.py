@@ -734,21 +734,22 @@ def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(kept, t
     assert kept.look()["today"]["parts"] == 4
 
 
-def test_a_damaged_file_is_moved_away_and_one_of_another_version_is_left(kept: Kept) -> None:
-    kept.path.parent.mkdir()
-    kept.path.write_bytes(b"no data base at all, but long enough to be looked at" * 100)
-    kept.add(part())
+def test_a_damaged_file_and_one_of_another_version_are_left_as_they_are(kept: Kept) -> None:
     kept.look()
-    assert "a new history begins; the damaged file is now" in kept.notes[-1]
-    assert kept.look()["today"]["parts"] == 1
     kept.history._close_link()
     with closing(sqlite3.connect(kept.path)) as link:
         link.execute("PRAGMA user_version = 1")
-    before = kept.path.read_bytes()
-    kept.add(part())
-    kept.look()
-    assert "has a table of version 1, but tactile-cell" in kept.notes[-1]
-    assert kept.path.read_bytes() == before
+    other = kept.path.read_bytes()
+    for content, cause in (
+        (b"no data base at all, but long enough to be looked at" * 100, "not a database"),
+        (other, "has a table of version 1, but tactile-cell"),
+    ):
+        kept.path.write_bytes(content)
+        kept.add(part())
+        kept.look()
+        assert cause in kept.notes[-1]
+        assert "move a damaged file away" in kept.notes[-1]
+        assert kept.path.read_bytes() == content
     with pytest.raises(CellError, match="cannot read the history"):
         read_day(kept.path.with_name("none.sqlite3"), date(2027, 3, 1))
 
