@@ -50,7 +50,6 @@ from motion.bus import Watch
 from simulator.cell import SimulatedCell
 from simulator.clock import Pace
 from tactile.can.bus import CanBus, close_bus, open_bus
-from tactile.source import FrameSource
 
 _IDLE_STEP_S = 0.02
 """Virtual time in s between two checks of a paced cell with empty fingers: one frame."""
@@ -177,7 +176,6 @@ def build_cell(
     ask: Callable[[str], str] | None = None,
     simulated: SimulatedCell | None = None,
     partial: bool = False,
-    source: FrameSource | None = None,
     note: Callable[[str], None] = lambda _text: None,
     wall_s: Callable[[], float] = time.time,
 ) -> Cell:
@@ -199,8 +197,6 @@ def build_cell(
         An existing simulated cell that outlives this one; by default a new one.
     partial
         Whether one line of the hand may be missing, for diagnosis and release; see `Cell.missing`.
-    source
-        Frame source of a simulated cell, instead of its control unit.
     note
         Gets messages for the operator, e.g. that the recording has stopped, from any thread.
     wall_s
@@ -226,7 +222,7 @@ def build_cell(
         axes = positioner.axes if isinstance(positioner, AxesPositioner) else None
         if places is not None:
             positioner = HostPlaces(positioner, places)
-        hand = _hand(config, simulated, source, partial=partial)
+        hand = _hand(config, simulated, partial=partial)
         undo.callback(hand.close)
         recorder = None
         if folder is not None:
@@ -283,13 +279,7 @@ def kept_folder(config: CellConfig, folder: Path | None) -> Path | None:
     return None if folder is None else folder.parent
 
 
-def _hand(
-    config: CellConfig,
-    simulated: SimulatedCell | None,
-    source: FrameSource | None,
-    *,
-    partial: bool,
-) -> Hand:
+def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool) -> Hand:
     if simulated is None:
         if config.loop.own_process:
             return HandProcess(config, partial=partial)
@@ -303,7 +293,7 @@ def _hand(
             functools.partial(simulated.open_board, n) for n in range(len(simulated.board_streams))
         ],
     )
-    return make_hand(config, lines, source=source, clock=simulated.clock)
+    return make_hand(config, lines, clock=simulated.clock)
 
 
 def _positioner(

@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_tactile_cell.faults import FaultHandle, FaultRegistry, FaultTarget
+from pytest_tactile_cell.faults import FaultHandle, FaultRegistry
 from pytest_tactile_cell.options import HardwareOptions, config_path, refuse_shadows
 
 if TYPE_CHECKING:
@@ -156,13 +156,6 @@ class MakeCellProcess(_Maker):
         return cell
 
 
-class InjectFault(Protocol):
-    """Injects faults into the simulated cell of the test."""
-
-    def __call__(self, text: str, *, into: FaultTarget | None = None) -> FaultHandle:
-        """Inject a fault; ``into`` is the cell if the test has several."""
-
-
 @pytest.fixture
 def cell_config(request: pytest.FixtureRequest) -> "CellConfig":
     """Config of the cell under test: from ``--cell-config`` or the ini option ``cell_config``.
@@ -299,7 +292,7 @@ def cell_process(
 
 
 @pytest.fixture
-def inject_fault(cell_faults: FaultRegistry) -> InjectFault:
+def inject_fault(cell_faults: FaultRegistry) -> Callable[..., FaultHandle]:
     """Inject faults into the simulated cell of the test: ``inject_fault("can.loss=0.05@2s")``.
 
     For cells of simulated_cell and cell_process and for the devices of servo_bus and can_bus; on

@@ -71,18 +71,17 @@ def make_hand(
     lines: HandConnections,
     *,
     notes: tuple[str, ...] = (),
-    source: FrameSource | None = None,
     clock: Clock = time,
 ) -> LocalHand:
     """Return a hand of gripper and sensor on open lines, which the hand closes at its end.
 
     Parameters
     ----------
-    source, clock
-        Frame source instead of the configured control unit, and its clock.
+    clock
+        Clock of the lines.
     """
     settings = sensor_settings(config.tactile, config.friction_n)
-    source = source or frame_source(
+    source = frame_source(
         config.tactile,
         SensorLines(
             clock=clock,
