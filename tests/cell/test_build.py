@@ -50,19 +50,18 @@ def test_cells_of_other_make_grasp_too(make_bench, change) -> None:
     assert bench.grip_n == 0.0
 
 
-def test_operator_needs_somebody_to_ask(make_bench) -> None:
-    config = small_config(positioner__kind="operator")
-    with pytest.raises(ConfigError, match="no terminal to ask at"):
+@pytest.mark.parametrize(
+    ("kind", "complaint", "given", "made"),
+    [
+        ("operator", "no terminal to ask at", {"ask": lambda _text: ""}, OperatorPositioner),
+        ("callback", "must pass its mover", {"mover": lambda _pose: None}, CallbackPositioner),
+    ],
+)
+def test_a_positioner_needs_who_moves(make_bench, kind, complaint, given, made) -> None:
+    config = small_config(positioner__kind=kind)
+    with pytest.raises(ConfigError, match=complaint):
         make_bench(config)
-    assert isinstance(positioner(make_bench(config, ask=lambda _text: "")), OperatorPositioner)
-
-
-def test_callback_needs_a_mover(make_bench) -> None:
-    config = small_config(positioner__kind="callback")
-    with pytest.raises(ConfigError, match="must pass its mover"):
-        make_bench(config)
-    moved = positioner(make_bench(config, mover=lambda _pose: None))
-    assert isinstance(moved, CallbackPositioner)
+    assert isinstance(positioner(make_bench(config, **given)), made)
 
 
 def test_a_socket_is_used_where_one_is_named(make_bench, tmp_path) -> None:

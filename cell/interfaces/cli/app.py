@@ -124,10 +124,10 @@ class Group(TyperGroup):
 
     def get_params(self, ctx: Any) -> Any:
         """Return the options; the one that only prints the completion is not in the help."""
-        found: list[Any] = super().get_params(ctx)
-        for option in found:
+        options: list[Any] = super().get_params(ctx)
+        for option in options:
             option.hidden = option.name == "show_completion"
-        return found
+        return options
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write a section for each panel, with equal columns."""

@@ -104,16 +104,11 @@ def known_recognizers(names: list[str] | None) -> list[str] | None:
     return names
 
 
-def _known_recognizer(name: str) -> str:
-    known_recognizers([name])
-    return name
-
-
 Recognizer = Annotated[
     str,
     typer.Option(
         "--recognizer",
         help="Its kind, as doctor lists them with --plugins.",
-        callback=_known_recognizer,
+        callback=lambda name: known_recognizers([name]) and name,
     ),
 ]

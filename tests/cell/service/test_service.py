@@ -1,6 +1,5 @@
 """The service: one lease commands, anyone holds, nothing is done twice; and what it keeps."""
 
-import json
 import sqlite3
 import threading
 from collections.abc import Iterator
@@ -11,7 +10,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
-from urllib.request import Request, urlopen
 
 import pytest
 
@@ -36,6 +34,7 @@ from cell.service.shift import KEPT_ANSWERS, Shift, began_s
 from gripper.values.state import GripperPhase
 from tactile.errors import FrameTimeout
 from tests.cell.conftest import once, small_config
+from tests.cell.interfaces.hosts import Client
 from tests.cell.served import LEASE_S, until
 from tests.fuzz.harness import Clock
 from tests.values import raising
@@ -759,18 +758,14 @@ def test_the_service_keeps_it_and_http_shows_it(tmp_path: Path, serve: Any) -> N
     folder = tmp_path / "out" / "serve-20270301-060000"
     folder.mkdir(parents=True)
     served = serve("http", cell={"folder": folder})
-    service, found = served.service, served.interfaces
+    service, host = served.service, Client(served.interfaces)
     lease = service.lease.acquire("test")
     service.start(lease, {"task": "identify", "present": "box"})
     assert served.ended().part.label == "box"
     until(lambda: service.history.values().get("today", {}).get("parts"))
-    address = f"http://127.0.0.1:{found['http_port']}/api/history"
-    asked = Request(address, headers={"Authorization": f"Bearer {found['token']}"})
-    with urlopen(asked) as answer:
-        assert json.load(answer) == service.history.values()
-    asked.full_url = f"{address}?day={date.today()}"
-    with urlopen(asked) as answer:
-        assert [row["kind"] for row in json.load(answer)["rows"]] == ["start", "part"]
+    assert host.get("/api/history") == service.history.values()
+    rows = host.get(f"/api/history?day={date.today()}")["rows"]
+    assert [row["kind"] for row in rows] == ["start", "part"]
     service.close()
     path = history_file(tmp_path / "out", small_config().name)
     (row,) = (one for one in read_day(path, date.today()) if one["kind"] == "part")

@@ -1,8 +1,7 @@
 """`model`: trains, calibrates and evaluates recognisers."""
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -32,7 +31,7 @@ from cell.learning.training import calibrate_model, follow_shift, gaugeable, tra
 from cell.recording.dataset import read_grasps
 from cell.runtime.goals import TeachGoal
 from recognition.drift.drift import drift_text
-from recognition.evaluation.evaluation import Evaluation, Mapper
+from recognition.evaluation.evaluation import Evaluation
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import DEFAULT_TRAINER, trainer_names
@@ -180,7 +179,7 @@ def _grasps_of(gauge: str, grasps: list[Grasp], dataset: Path, *, alone: bool) -
 _PAIRS = 5
 """Number of pairs of confused objects that are printed, the most frequent first."""
 _MANY_GRASPS = 1000
-"""Number of grasps from which several processes save more time than their start takes."""
+"""Number of grasps from which a process for each core saves more time than its start takes."""
 
 
 def evaluate(
@@ -226,7 +225,8 @@ def evaluate(
         taught = selected_grasps([train_on], EVERYTHING, print_line)
     if twice := len(duplicate_grasps([*(taught or ()), *grasps])):
         print_note(f"{twice} tested grasps were taught or occur twice: the accuracy is too high")
-    with _workers(grasps) as mapper, progress_bar() as progress:
+    n_processes = 0 if len(grasps) >= _MANY_GRASPS else 1
+    with workers(n_processes) as mapper, progress_bar() as progress:
         result = evaluate_recognizers(
             grasps,
             split=split,
@@ -239,11 +239,6 @@ def evaluate(
     for name, reason in result.left_out.items():
         print_note(f"{name} is left out: {reason}")
     show(_lines(result), result.as_json(), json_file)
-
-
-def _workers(grasps: Sequence[Grasp]) -> AbstractContextManager[Mapper]:
-    """Return what does the work: a process for each core where that saves time."""
-    return workers(0 if len(grasps) >= _MANY_GRASPS else 1)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -305,7 +300,6 @@ def _lines(result: EvaluationResult) -> Iterator[str | Table]:
         )
     for name, figures in result.recognizers.items():
         yield from _details(name, figures.full)
-    yield f"took {result.seconds:.1f} s"
 
 
 def _details(name: str, evaluation: Evaluation) -> Iterator[str]:

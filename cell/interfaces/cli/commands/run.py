@@ -48,8 +48,6 @@ def run(
     checked = cell_config(config, seed=seed, faults=faults)
     labels = _labels(checked, objects)
     no_report = missing_note("report", "report page")
-    if no_report:
-        print_note(no_report)
     failed: CellError | None = None
     with running_cell(checked, "run", out_folder, config_file=config, json_file=json_file) as cell:
         folder = cell.folder

@@ -28,9 +28,7 @@ from cell.service.service import Service, open_service
 SIGNAL_LOOK_S = 0.25
 """Longest wait in s before signals are handled; Python handles them between two waits."""
 _PAGE_PORT = 8080
-"""First port to try for HTTP of the built-in cell."""
-_PAGE_PORTS = 100
-"""Number of ports to try for HTTP."""
+"""Port for HTTP of the built-in cell; any free one if it is taken."""
 _FIRST_GRASPS = 10
 """Grasps taught of each object at the first start of the built-in cell: half as many as `run`."""
 
@@ -197,18 +195,16 @@ def _announced_interfaces(service: Service) -> Iterator[None]:
 
 
 def free_page_port(listen: str) -> int | None:
-    """Return the first free port for the page; without its extra None, with a note."""
+    """Return the port for the page, 0 for any; without its extra None, with a note."""
     if no_page := missing_note("serve", "page"):
         print_note(no_page)
         return None
     family = socket.AF_INET6 if ":" in listen else socket.AF_INET
-    for port in range(_PAGE_PORT, _PAGE_PORT + _PAGE_PORTS):
-        try:
-            socket.create_server((listen, port), family=family).close()
-        except OSError:
-            continue
-        return port
-    return 0
+    try:
+        socket.create_server((listen, _PAGE_PORT), family=family).close()
+    except OSError:
+        return 0
+    return _PAGE_PORT
 
 
 def _teach_first(
