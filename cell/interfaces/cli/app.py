@@ -185,11 +185,7 @@ def main() -> None:
 def _fail(text: str, code: int) -> NoReturn:
     """Print the error and end; another Ctrl-C has no effect."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    from cell.interfaces.cli.terminal import (  # noqa: PLC0415
-        discard_unwritable_output,
-        print_error,
-    )
+    from cell.interfaces.cli.terminal import print_error  # noqa: PLC0415
 
     print_error(text)
-    discard_unwritable_output()
     sys.exit(code)

@@ -200,19 +200,3 @@ def percent(share: float, interval: tuple[float, float] | None = None) -> str:
     if interval is not None:
         text += f" ({100 * interval[0]:.1f} to {100 * interval[1]:.1f})"
     return text
-
-
-def discard_unwritable_output() -> None:
-    """Redirect standard output and standard error to the null device if they cannot be written.
-
-    Otherwise the interpreter tries again at its end and prints its own error.
-    """
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for number, stream in ((1, sys.stdout), (2, sys.stderr)):
-        try:
-            # A program may have been started without these streams.
-            if stream is not None:
-                stream.flush()
-        except OSError:
-            os.dup2(nowhere, number)
-    os.close(nowhere)

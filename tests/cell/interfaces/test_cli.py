@@ -816,15 +816,6 @@ def test_an_interrupt_outside_a_sequence_is_one(monkeypatch, fail) -> None:
     assert fail("doctor") == f"{BUILT_IN} error: interrupted"
 
 
-@pytest.mark.slow
-def test_output_that_nobody_takes_is_an_error_in_plain_words() -> None:
-    program = [sys.executable, "-c", "from cell.interfaces.cli import main; main()", "--version"]
-    with open("/dev/full", "w") as full:
-        ended = subprocess.run(program, stdout=full, stderr=subprocess.PIPE, check=False)
-        assert (ended.returncode, ended.stderr) == (1, b"error: No space left on device\n")
-        assert subprocess.run(program, stdout=full, stderr=full, check=False).returncode == 1
-
-
 def test_progress_and_complaints_end_no_job_when_the_terminal_is_gone(monkeypatch) -> None:
     with open("/dev/full", "w", buffering=1) as full:
         monkeypatch.setattr(sys, "stderr", full)

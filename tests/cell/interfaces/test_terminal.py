@@ -217,24 +217,6 @@ main()
     assert b"Traceback" not in ended.stderr
 
 
-def test_an_interrupt_that_turns_into_another_error_is_an_interrupt() -> None:
-    program = """
-import signal, sys, types
-from cell.interfaces.cli import main
-# A shell that runs the tests in the background has them inherit SIGINT as ignored.
-signal.signal(signal.SIGINT, signal.default_int_handler)
-def run():
-    try:
-        signal.raise_signal(signal.SIGINT)
-    except KeyboardInterrupt:
-        raise ImportError('initialization failed')
-sys.modules['cell.interfaces.cli.app'] = types.SimpleNamespace(main=run)
-main()
-"""
-    ended = run(program)
-    assert (ended.returncode, ended.stderr) == (1, b"error: interrupted\n")
-
-
 def test_a_third_signal_does_not_cut_off_what_the_second_leaves_time_for() -> None:
     program = """
 import os, signal, time
