@@ -14,7 +14,6 @@ from typing import Any
 
 from cell.config.file import load_config
 from tests.faults.campaign import (
-    CampaignCell,
     FaultRow,
     campaign_config,
     carry_with_fault,
@@ -127,9 +126,7 @@ CAN_BUS = (
     FaultRow(1, "", "one tactile frame lost (one message of it)",
              "can.lose_next=1, with a SYNC", "NOTE", BURST_S + SYNC_S + LOOP_S,
              partial(can.sets_lost, lost=lambda number: number == 0, crossing=1)),
-    FaultRow(2, "silence", "every set lost from one SYNC on",
-             "can.loss=1, with a SYNC", "HOLD", SETS_S, can.fault_from_a_sync),
-    FaultRow(2, "silence at any moment", "every set lost, beginning anywhere between two SYNCs",
+    FaultRow(2, "silence", "every set lost, beginning anywhere between two SYNCs",
              "can.loss=1@contact+0.1s", "HOLD", SETS_S + SYNC_S, number=401),
     FaultRow(2, "one set in five",
              "20 % of the sets lost, evenly; the limit counts from the set that is one too many",
@@ -179,8 +176,7 @@ CAN_BUS = (
 
 CONTROL_UNIT = (
     FaultRow(9, "", "the unit reboots in the ramp; the limit counts its boot of 20 ms",
-             "unit.reboot@contact+0.1s", "HOLD", BOOT_S + LOOP_S, can.unit_reboots, WIDE,
-             number=308),
+             "unit.reboot@contact+0.1s", "HOLD", BOOT_S + LOOP_S, changes=WIDE, number=308),
     FaultRow(10, "heartbeat lost", "the heartbeat stops",
              "unit.heartbeat_off@contact+0.1s", "HOLD", 0.25 + LOOP_S, number=305),
     FaultRow(10, "never appears", "the unit is not there at the start",
@@ -315,10 +311,6 @@ TAXELS = _with(PAPER_PADS, (
     FaultRow(17, "drift between grasps",
              "the zero has drifted before the next grasp; it is refused with nothing moved",
              "taxels.offset=10 in a cell that waits", "HOLD", None, can.drifts_between_grasps),
-    FaultRow(17, "touched while zeroing",
-             "a part is squeezed between the pads while the zero is taken",
-             "a zero of ten frames while a ball is gripped with 1 N", "REJECT", 0.25,
-             can.touched_while_zeroing),
 ))
 
 USKIN = _with(OF_USKIN, (
@@ -654,12 +646,9 @@ DISK_AND_PORTS = (
 BAD_CONFIGS = (
     # Variant, text of the file, word of the cause in the refusal.
     ("corrupt", "gripper: {force_max_n: [\n", "not YAML"),
-    ("partial", 'gripper:\n  port: "/dev/tty', "closing quote"),
-    ("duplicate key", "gripper:\n  force_max_n: 5\n  force_max_n: 50\n", "force_max_n"),
     ("NaN", "gripper:\n  force_max_n: .nan\n", "gripper.force_max_n"),
     ("out of range", "gripper:\n  force_max_n: 51.0\n", "gripper.force_max_n"),
     ("misspelt", "gripper:\n  forc_max_n: 5.0\n", "did you mean force_max_n"),
-    ("wrong type", "gripper:\n  force_max_n: '5'\n", "gripper.force_max_n"),
     ("nothing stops below the cap", "gripper:\n  force_max_n: 2.0\n"
      "sequence:\n  force_n: [1.8, 1.8]\n  carry_force_n: 1.0\n", "Raise force_max_n"),
 )
@@ -680,13 +669,8 @@ COMMANDS = (
     *(FaultRow(42, variant, f"`{command}` while the cell is {state}", command, "REJECT", LOOP_S,
                scenario)
       for variant, command, state, scenario in (
-          ("double start", "start", "IDLE", partial(host.refused, prepare=CampaignCell.start)),
-          ("release while moving", "release", "EXECUTE", host.refused_while_moving),
           ("start while moving", "start", "EXECUTE", host.refused_while_moving),
-          ("shutdown while moving", "shutdown", "EXECUTE", host.refused_while_moving),
-          ("reset without clear", "reset", "ABORTED", partial(host.refused, prepare=host.aborted)),
-          ("release without clear", "release", "ABORTED",
-           partial(host.refused, prepare=host.aborted)))),
+          ("release while moving", "release", "EXECUTE", host.refused_while_moving))),
     FaultRow(42, "cancel during start", "the start is cancelled while the fingers open",
              "cancel", "HOLD", 2 * LOOP_S, host.start_cancelled),
     FaultRow(42, "cancel twice", "a grasp is cancelled twice in the ramp",

@@ -180,30 +180,6 @@ def test_a_carried_part_outlasts_its_loop(make_cell, simulator) -> None:
     assert str(controller.life.fault).endswith(" s after the grip")
 
 
-def test_a_killed_loop_is_a_fault_that_says_so(make_cell, simulator) -> None:
-    cell = make_cell()
-    controller, hand = cell.controller, hand_of(cell)
-    controller.start()
-    controller.moves.present("box")
-    pid = hand.pid
-    thread = in_a_grasp(cell, simulator, lambda: os.kill(pid, signal.SIGKILL))
-    with pytest.raises(HandLost, match=rf"pid {pid}\) was ended by SIGKILL; a part may still be"):
-        controller.grasp(STEP)
-    thread.join()
-    assert gone(pid)
-    assert controller.life.state is CellState.ABORTED
-    assert controller.life.holding
-    assert "watchdog acts after 500 ms" in str(controller.life.fault)
-    with pytest.raises(CellStateError, match="fault"):
-        controller.release()
-
-    controller.life.clear()
-    assert hand.pid != pid
-    controller.life.reset()
-    controller.release_held()
-    assert simulator.grip_n() == 0.0
-
-
 def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(make_cell, simulator) -> None:
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)

@@ -11,13 +11,12 @@ from typing import Any
 
 import pytest
 
-from cell.config.file import changed_config, load_config, parse_config
+from cell.config.file import load_config, parse_config
 from cell.recording.reader import read_recording
-from cell.runtime.goals import IdentifyGoal, TeachGoal
+from cell.runtime.goals import TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from gripper.errors import ServoFault
 from pytest_tactile_cell.process import CellProcess
-from recognition.recognizer import UNKNOWN
 from tests.hil.program import CONFIG, LIMIT_S, end, first, hurry, run, running
 from tests.waiting import until
 
@@ -52,25 +51,6 @@ def teaching(simulator: CellProcess, folder: Path, n: int = 50, *more: object) -
     """Return the command that teaches the box, with its files in a folder."""
     command = ("teach", "box", "-n", n, "--config", simulator.config_path, *more)
     return (*command, "-o", folder / "d.npz", "--out", folder / "out")
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("free_machine")
-@pytest.mark.parametrize("seed", range(200))
-def test_no_name_and_no_part_of_two_are_exchanged(cell_process, seed: int) -> None:
-    objects = [
-        {"label": "nut", "shape": "cylinder:diameter=13mm,length=6mm"},
-        {"label": "bolt", "shape": "cylinder:diameter=8mm,length=25mm"},
-    ]
-    config = parse_config(CONFIG + SEQUENCE, source="test")
-    simulator = cell_process(changed_config(config, {"simulator.objects": objects, "seed": seed}))
-    with TactileCellPlugin(simulator.config_path) as plugin:
-        for label in ("nut", "bolt"):
-            assert plugin.run(TeachGoal(label=label, grasps=3)) == 3
-        for label, size_mm in (("bolt", 8.0), ("nut", 13.0)):
-            answer = plugin.run(IdentifyGoal(present=label))
-            assert (answer.presented, answer.label in (label, UNKNOWN)) == (label, True)
-            assert answer.size_mm == pytest.approx(size_mm, abs=1.0)
 
 
 @pytest.mark.long

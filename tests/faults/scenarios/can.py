@@ -3,9 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from gripper.force.ramp import ForceRamp
-from simulator.faults.injector import InjectedFault
-from tactile.errors import TareRefused
 from tests.faults.campaign import (
     CampaignCell,
     FaultRow,
@@ -19,19 +16,6 @@ _SYNC_ID = 0x80
 """COB-ID of SYNC, CiA 301."""
 _TOUCH_N = 0.02
 """Force in N on both pads that is a contact, as in the simulator."""
-
-
-def fault_from_a_sync(row: FaultRow) -> Observed:
-    """Inject with a SYNC: its set is the first that is lost, and the time counts from it."""
-    injected: list[InjectedFault] = []
-
-    def inject(number: int) -> None:
-        if number == 0:
-            injected.append(cell.simulated.inject(row.injected.partition(",")[0]))
-
-    with campaign_cell(row.changes) as cell:
-        observed = observe(cell, lambda: _on_sync(cell, inject))
-        return _since(cell, observed, injected[0].began_s)
 
 
 def sets_lost(row: FaultRow, *, lost: Callable[[int], bool], crossing: int) -> Observed:
@@ -67,12 +51,6 @@ def adapter_comes_back(row: FaultRow) -> Observed:
         return recovered(cell, row, observed, cell.grasp)
 
 
-def unit_reboots(row: FaultRow) -> Observed:
-    """Reboot in a grasp; the next job sets up and zeroes anew."""
-    with campaign_cell(row.changes) as cell:
-        return recovered(cell, row, observe(cell, row.injected), cell.grasp)
-
-
 def drifts_between_grasps(row: FaultRow) -> Observed:
     """Inject while the cell is started and waits, then grasp."""
 
@@ -83,25 +61,6 @@ def drifts_between_grasps(row: FaultRow) -> Observed:
     with campaign_cell(row.changes) as cell:
         cell.start()
         return observe(cell, row.injected.partition(" ")[0], job)
-
-
-def touched_while_zeroing(row: FaultRow) -> Observed:
-    """Take a zero while a part is between the pads."""
-    with campaign_cell(row.changes) as cell:
-        cell.start()
-        cell.simulated.place("ball")
-        hand = cell.controller.hand
-        hand.grasp(ForceRamp.linear(1.0, rate_n_s=10.0, hold_s=0.1), lambda _cycle, _frames: None)
-        began_s = cell.now_s
-        try:
-            hand.tare(10)
-        except TareRefused as error:
-            return Observed(
-                "REJECT",
-                cell.now_s - began_s,
-                f"TareRefused: {error}; the old zero stays, the grip is kept ({cell.grip_n:.1f} N)",
-            )
-        return Observed("NOTHING", None, "the zero was taken")
 
 
 def _on_sync(cell: CampaignCell, act: Callable[[int], None], *, after: int = 5) -> None:

@@ -251,13 +251,6 @@ def _grasp_with_clock(step_s: float) -> tuple[GraspRecord, float]:
 # -- 42: commands out of order ---------------------------------------------------------------
 
 
-def refused(row: FaultRow, *, prepare: Callable[[CampaignCell], object]) -> Observed:
-    """Give a command in a state that does not allow it, and look at what it changed."""
-    with campaign_cell(row.changes) as cell:
-        prepare(cell)
-        return _refusal(cell, row.injected)
-
-
 def refused_while_moving(row: FaultRow) -> Observed:
     with campaign_cell(row.changes) as cell:
         refusals: list[Observed] = []
@@ -268,11 +261,6 @@ def refused_while_moving(row: FaultRow) -> Observed:
         cell.once_in(GripperPhase.RAMPING, refuse, after_s=0.1)
         grasp_job(cell)
         return refusals[0]
-
-
-def aborted(cell: CampaignCell) -> None:
-    """Bring a cell to ABORTED, with the part in its grip."""
-    observe(cell, "can.off@contact+0.2s")
 
 
 def _refusal(cell: CampaignCell, command: str) -> Observed:
