@@ -17,7 +17,7 @@ BENCHMARKS = {
         "soak",
         "touch",
     ),
-    "recognition": ("comparators", "many_objects", "other_cell", "sensors"),
+    "recognition": ("comparators", "other_cell", "sensors"),
     "paper": ("method", "reproduction"),
 }
 """Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""

@@ -69,7 +69,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
         def answers(answer: Identification) -> float:
             grasps = [record.grasp for record in answer.records]
             _, took = timed(
-                lambda: [(model.recognizer.posterior(g), model.shapes.read(g)) for g in grasps]
+                lambda: [(model.recognizer.posterior(g), model.shape_of(g)) for g in grasps]
             )
             return took.cpu_s
 

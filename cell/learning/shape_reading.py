@@ -1,6 +1,4 @@
-"""Shape and size: read from a grasp, written as text, and those of the taught objects."""
-
-from collections.abc import Mapping
+"""Shape and size: read from a grasp, and written as text."""
 
 import numpy as np
 
@@ -8,7 +6,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import PaperCalibrationConfig, layout_from_config, make_calibration
 from cell.control.identification import ReadShape
 from cell.learning.blas import one_blas_thread
-from recognition.errors import ContactError, RecognitionError
+from recognition.errors import ContactError
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import UNCLEAR, ShapeAnswer, shape_of
@@ -66,36 +64,3 @@ def beside(label: str, shape: ShapeAnswer | None) -> str:
     if shape is None:
         return ""
     return f": {in_words(shape)}" if label == UNKNOWN else f"; {shape}"
-
-
-class TaughtShapes:
-    """Shape and size of the taught objects read so far."""
-
-    def __init__(self, config: CellConfig) -> None:
-        self.reader = shape_reader(config)
-        """Reads shape and size from a grasp; None if the config has them off."""
-        self._read: dict[str, tuple[Grasp, ShapeAnswer | None]] = {}
-        self.n_read = 0
-        """Number of shapes read so far."""
-
-    def read(self, grasp: Grasp) -> ShapeAnswer | None:
-        """Return shape and size from one grasp; None if it does not show them."""
-        try:
-            return None if self.reader is None else self.reader(grasp)
-        except (RecognitionError, ValueError):
-            return None
-
-    def of(self, label: str, newest: Grasp | None) -> ShapeAnswer | None:
-        """Return the shape of an object from its newest grasp; None if not read yet."""
-        read_from, shape = self._read.get(label, (None, None))
-        return shape if read_from is newest else None
-
-    def unread(self, newest: Mapping[str, Grasp]) -> list[str]:
-        """Return the objects whose newest grasps were not read yet."""
-        return [one for one in newest if self._read.get(one, (None,))[0] is not newest[one]]
-
-    def read_newest(self, newest: Mapping[str, Grasp]) -> None:
-        """Read the missing shapes, some tenths of a second for each."""
-        for label in self.unread(newest):
-            self._read[label] = (newest[label], self.read(newest[label]))
-            self.n_read += 1

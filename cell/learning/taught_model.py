@@ -11,7 +11,7 @@ from cell.config.tactile import layout_from_config
 from cell.control.records import GraspRecord, pad_array
 from cell.errors import CellError, CellStateError, RequestRefused, TrainingSetMissing
 from cell.learning.model import LoadedModel, Trained, check_pads, load_model, save_model
-from cell.learning.shape_reading import TaughtShapes
+from cell.learning.shape_reading import shape_reader
 from cell.learning.teaching_summary import ToldApart, told_apart
 from cell.learning.training import gaugeable, gauged, train
 from cell.learning.training_set import (
@@ -25,6 +25,7 @@ from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, drift_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.drift.self_zero import foam_change
+from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from recognition.shape.answer import ShapeAnswer
@@ -56,8 +57,10 @@ class TaughtModel:
     ) -> None:
         self.config = config
         self.training_set = tuple(training_set)
-        self.shapes = TaughtShapes(config)
-        self._n_trained = 0
+        self.read_shape = shape_reader(config)
+        """Reads shape and size from a grasp; None if the config has them off."""
+        self._shapes: dict[str, tuple[Grasp, ShapeAnswer | None]] = {}
+        self._n_trained = self._n_read = 0
         self._pads = pad_array(layout_from_config(config.tactile))
         self._trained: Trained | None = None
         self._written: tuple[tuple[Grasp, ...], Path] = ((), Path())
@@ -199,29 +202,43 @@ class TaughtModel:
 
         Only available grasps count. No shape is known before `read_shapes`.
         """
-        counts, newest = Counter(grasp.label for grasp in self.training_set), self._newest
+        counts, unread = Counter(grasp.label for grasp in self.training_set), self._unread
         return {
-            label: (counts[label], self.shapes.of(label, newest.get(label)))
-            for label in dict.fromkeys((*self.labels, *newest))
+            label: (
+                counts[label],
+                None if label in unread else self._shapes.get(label, (None, None))[1],
+            )
+            for label in dict.fromkeys((*self.labels, *counts))
         }
 
     @property
     def shapes_read(self) -> bool:
         """Whether `read_shapes` has nothing to do."""
-        return not self.shapes.unread(self._newest)
+        return not self._unread
 
     def read_shapes(self) -> None:
         """Read the missing shapes of `objects`: some tenths of a second for each."""
-        self.shapes.read_newest(self._newest)
+        for label, grasp in self._unread.items():
+            self._shapes[label] = grasp, self.shape_of(grasp)
+            self._n_read += 1
+
+    def shape_of(self, grasp: Grasp) -> ShapeAnswer | None:
+        """Return shape and size from one grasp; None if it does not show them."""
+        try:
+            return None if self.read_shape is None else self.read_shape(grasp)
+        except (RecognitionError, ValueError):
+            return None
 
     @property
     def revision(self) -> int:
         """Number of changes of the taught objects; each summand is counted by one thread."""
-        return self._n_trained + self.shapes.n_read
+        return self._n_trained + self._n_read
 
     @property
-    def _newest(self) -> dict[str, Grasp]:
-        return {grasp.label: grasp for grasp in self.training_set}
+    def _unread(self) -> dict[str, Grasp]:
+        """The newest grasps of the objects whose shape was not read from them yet."""
+        newest = {grasp.label: grasp for grasp in self.training_set}
+        return {k: g for k, g in newest.items() if self._shapes.get(k, (None,))[0] is not g}
 
     # -- drift ---------------------------------------------------------------------------------
 

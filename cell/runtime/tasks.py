@@ -304,7 +304,7 @@ class Tasks:
             recognizer,
             plan(sequence, goal.max_grasps or sequence.max_grasps, seed=goal.seed),
             early=model.ends_early and not goal.whole_ramps,
-            read_shape=model.shapes.reader,
+            read_shape=model.read_shape,
             on_grasp=on_grasp,
             keep=Keep(goal.keep),
         )
@@ -408,7 +408,7 @@ class Tasks:
 
 def _grasp_values(record: GraspRecord, model: TaughtModel) -> dict[str, Any]:
     """Return force, opening and size of one taught grasp as plain data."""
-    shape = model.shapes.read(record.grasp)
+    shape = model.shape_of(record.grasp)
     return {
         "force_n": record.outcome.final_force_n,
         "opening_mm": 1e3 * record.outcome.final_aperture_m,
