@@ -7,14 +7,14 @@ from gripper.values.recent import RecentForce
 
 
 def sample(t_s: float, force_n: float = 1.0, noise_n: float = 0.3) -> ForceSample:
-    return ForceSample(t_s=t_s, force_n=(force_n, force_n), noise_n=noise_n)
+    return ForceSample(t_s=t_s, force_n=(force_n - 0.5, force_n + 0.5), noise_n=noise_n)
 
 
 def test_a_slow_sensor_gives_its_last_few_samples() -> None:
     recent = RecentForce(0.08, least=3, longest_s=0.05)
     for i in range(10):
         recent.push(sample(0.02 * i, float(i)))
-    assert [one.force_n[0] for one in recent] == [9.0, 8.0, 7.0]
+    assert [one.force_n[1] for one in recent] == [9.5, 8.5, 7.5]
     assert recent.grip_n == 8.0
     assert recent.noise_n == pytest.approx(0.3 / 3.0**0.5)
 

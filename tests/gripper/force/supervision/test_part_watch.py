@@ -23,6 +23,7 @@ class Watched:
         self.now_s, self.force_n, self.frame_n = 0.0, force_n, force_n
         self.closing_m_s, self.pressing_n, self.noise_n = 0.0, 6.0, 0.05
         self.aperture_m = STATE.aperture_m
+        self._frame = 0.0, (force_n, force_n)
 
     def period(self, n: int = 1) -> bool:
         """Run periods; return whether one of them shows the part as lost."""
@@ -31,13 +32,16 @@ class Watched:
     def _one(self) -> bool:
         self.now_s += PERIOD_S
         self.aperture_m -= PERIOD_S * self.closing_m_s
+        frame_s = 0.02 * (self.now_s // 0.02)
+        if frame_s > self._frame[0]:
+            self._frame = frame_s, (self.frame_n, self.frame_n)
         sample = ForceSample(
             t_s=self.now_s,
             force_n=(self.force_n, self.force_n),
             lag_s=0.0015,
             noise_n=self.noise_n,
-            frame_s=0.02 * (self.now_s // 0.02),
-            frame_n=(self.frame_n, self.frame_n),
+            frame_s=self._frame[0],
+            frame_n=self._frame[1],
         )
         period = make_period(
             self.now_s,
