@@ -60,6 +60,20 @@ def test_too_much_force_is_lowered_and_the_part_kept(make_cell) -> None:
     assert 1.0 < cell.force_n <= 6.0 < peak_n
 
 
+def test_force_that_one_pad_shows_alone_lowers_the_currents_by_a_share(make_cell) -> None:
+    cell = make_cell(force_max_n=6.0)
+    cell.hold_part(RAMP)
+    written: list[int] = []
+    measure = cell.sensor.measure
+    cell.sensor.measure = lambda now_s, true_n: measure(now_s, (2.5 * true_n[0], true_n[1]))
+    with pytest.raises(ForceAboveCap, match="force_max_n is 6"):
+        cell.gripper.hold(1.0, lambda _: written.append(cell.register(0, "goal_current")))
+    cell.clock.sleep(0.5)
+    left = abs(cell.register(0, "goal_current"))
+    assert 0.4 * abs(written[-1]) < left < abs(written[-1])
+    assert 0.3 < cell.force_n < 4.4
+
+
 def test_the_other_finger_stands_still_when_a_servo_drops_its_torque(cell) -> None:
     cell.hold_part(RAMP)
     observe = cell.once(cell.cores[1].plant.overload, in_s=0.5)
