@@ -181,7 +181,9 @@ def test_ticks_feed_the_watchdog_between_commands(started) -> None:
     assert started.force_n == pytest.approx(8.0, abs=0.5)
     started.gripper.keep_grip()
     assert started.register(0, "bus_watchdog") == 0
-    started.gripper.hold(0.1)
+    began_s = started.clock.monotonic()
+    started.gripper.hold(0.5)
+    assert started.clock.monotonic() - began_s == pytest.approx(0.5, abs=0.02)
     assert started.register(0, "bus_watchdog") == 10
 
 

@@ -3,15 +3,19 @@
 import random
 from collections.abc import Sequence
 from dataclasses import replace
+from statistics import median
 
 import pytest
 
 from gripper.errors import LimitExceeded
+from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
 from gripper.force.control.law import ForceLaw, ForcePlan
 from gripper.force.control.observer import GripObserver
+from gripper.force.estimates.grip import StiffnessEstimate
 from gripper.mechanics.kinematics import Transmission, transmissions
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
+from gripper.values.state import ServoFeedback
 from tests.gripper.force.grips import LINKAGE, PERIOD_S, STATE, make_grip, make_period
 
 STIFFNESS_N_M = 1e4
@@ -203,3 +207,70 @@ def test_by_current_the_drive_is_the_edge_of_the_friction_and_then_its_middle() 
     friction_n = make_period(0.0, 0.0).friction_n
     assert drives_n[80] == pytest.approx(4.0 + friction_n, abs=0.1)
     assert drives_n[-1] == pytest.approx(4.0, abs=0.1)
+
+
+# -- Goals that make a driving force: their side, and how far they may open ------------------------
+
+
+def standing(angle_rad: float) -> ServoFeedback:
+    servos = tuple(replace(servo, angle_rad=angle_rad) for servo in STATE.servos)
+    return replace(STATE, servos=servos, aperture_m=LINKAGE.aperture_m((angle_rad,) * 2))
+
+
+def first_goal(goals: DriveGoals, drive_n: float, angle_rad: float) -> tuple[float, float]:
+    state = standing(angle_rad)
+    goals._grip.drive_n = drive_n
+    made = goals.goals(state, transmissions(GripperSettings(), LINKAGE, state.angles_rad))
+    return made[0].angle_rad, made[0].current_a
+
+
+def test_the_side_of_the_goal_is_the_sign_of_the_drive() -> None:
+    contact = standing(0.1)
+    goals = DriveGoals(make_grip(), contact, contact.aperture_m)
+    closing_rad, closing_a = first_goal(goals, 4.0, 0.09)
+    opening_rad, opening_a = first_goal(goals, -4.0, 0.09)
+    assert closing_rad < 0.09 < opening_rad
+    assert closing_a == pytest.approx(opening_a)
+    assert first_goal(goals, 100.0, 0.09)[1] == GripperSettings().current_max_a
+
+
+def test_a_position_that_drifts_open_does_not_take_a_closing_goal_with_it() -> None:
+    goals = DriveGoals(make_grip(), standing(0.1), standing(0.1).aperture_m)
+    before_rad, _ = first_goal(goals, 4.0, 0.09)
+    assert first_goal(goals, 4.0, 0.2)[0] == pytest.approx(before_rad, abs=1e-3)
+
+
+def test_no_finger_is_driven_open_beyond_the_touch() -> None:
+    contact = standing(0.1)
+    touch_m = standing(0.1 + 0.5 * GIVE_RAD).aperture_m
+    goals = DriveGoals(make_grip(), contact, touch_m)
+    assert first_goal(goals, -30.0, 0.1)[0] == pytest.approx(0.1 + GIVE_RAD)
+    assert goals.may_open
+    beyond_rad = 0.1 + 0.6 * GIVE_RAD
+    assert first_goal(goals, -30.0, beyond_rad)[0] == pytest.approx(beyond_rad)
+    assert not goals.may_open
+    first_goal(goals, -30.0, 0.1)
+    assert goals.may_open
+
+
+# -- Stiffness of a part by its samples ------------------------------------------------------------
+
+
+def slope_n_m(rate_hz: float, noise_n: float, seed: int = 0) -> float:
+    """Return the stiffness found over 6 mm of a part of 200 N/m, from noisy samples."""
+    estimate = StiffnessEstimate(GripperSettings())
+    generator = random.Random(seed)
+    for i in range(100):
+        now_s = 0.005 * i
+        if i % round(200.0 / rate_hz) == 0:
+            grip_n = 200.0 * 0.012 * now_s + generator.gauss(0.0, noise_n)
+            sample = ForceSample(t_s=now_s, force_n=(grip_n, grip_n), lag_s=0.0)
+        period = make_period(now_s, 0.0, sample, closed_m=0.012 * now_s, speed_m_s=-0.012)
+        estimate.push(period.moment)
+    return estimate.stiffness_n_m
+
+
+def test_the_noise_of_fast_samples_is_no_stiffness() -> None:
+    assert slope_n_m(50.0, 0.0) == pytest.approx(200.0, rel=0.05)
+    fast_n_m = median(slope_n_m(200.0, 0.15, seed) for seed in range(7))
+    assert fast_n_m == pytest.approx(200.0, rel=0.35)
