@@ -40,9 +40,16 @@ class SimulatedCell:
         self._closed = False
         self.can_bus = self._new_bus()
         """The host's end of the CAN bus; its ``clock`` is that of the cell."""
-        self.axes_can_bus = self._new_axes_bus()
+        self.axes_can_bus: InMemoryCanBus | None = None
         """The host's end of the bus of the axes' drives; None without drives."""
-        self.axes_streams = self._new_axes_streams()
+        if (drives := self.devices.axes_can_devices) is not None:
+            bitrate = self.settings.axes_can_bitrate
+            self.axes_can_bus = InMemoryCanBus(drives, self.clock, bitrate=bitrate)
+        self.axes_streams = {
+            moves: MemoryServoStream(axis.bus, self.clock)
+            for moves, axis in self.devices.axes.items()
+            if isinstance(axis, SimulatedWrist)
+        }
         """The host's ends of the lines of the axes' servos, by their part of the pose."""
         self.board_streams = [MemoryServoStream(b, self.clock) for b in self.devices.boards]
         """The host's ends of the lines of the sensor boards, by finger."""
@@ -141,19 +148,6 @@ class SimulatedCell:
             faults=self.devices.faults.can,
             seed=self.settings.seed,
         )
-
-    def _new_axes_bus(self) -> InMemoryCanBus | None:
-        devices = self.devices.axes_can_devices
-        if devices is None:
-            return None
-        return InMemoryCanBus(devices, self.clock, bitrate=self.settings.axes_can_bitrate)
-
-    def _new_axes_streams(self) -> dict[str, MemoryServoStream]:
-        return {
-            moves: MemoryServoStream(axis.bus, self.clock)
-            for moves, axis in self.devices.axes.items()
-            if isinstance(axis, SimulatedWrist)
-        }
 
     def close(self) -> None:
         """Close all buses; the cell cannot be used afterwards."""

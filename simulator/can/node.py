@@ -52,11 +52,11 @@ class _PeriodicTask:
         self.network.remove(self)
 
 
-class DeviceNetwork:
+class DeviceNetwork(canopen.Network):
     """The network of one canopen LocalNode in the time of the simulation: no bus, no thread.
 
-    Takes the messages of the node and keeps its periodic ones. It has the methods of
-    ``canopen.Network`` that a LocalNode calls.
+    Takes the messages of the node and keeps its periodic ones. The owner passes messages to the
+    node by the rules of NMT.
 
     Parameters
     ----------
@@ -65,6 +65,7 @@ class DeviceNetwork:
     """
 
     def __init__(self, send: Callable[[float, int, bytes], None], now_s: float) -> None:
+        super().__init__()
         self._send = send
         self._tasks: list[_PeriodicTask] = []
         self.next_due_s = math.inf
@@ -72,19 +73,13 @@ class DeviceNetwork:
         self.now_s = now_s
         """Present time in s; set by the owner."""
 
-    def subscribe(self, can_id: int, callback: Callable[..., Any]) -> None:
-        """Do nothing: the owner passes messages to the node by the rules of NMT."""
-
-    def unsubscribe(self, can_id: int, callback: Callable[..., Any] | None = None) -> None:
-        """Do nothing, see `subscribe`."""
-
     def send_message(self, can_id: int, data: Sequence[int], remote: bool = False) -> None:
         """Send a message now; this device sends no remote frames."""
         self._send(self.now_s, can_id, bytes(data))
 
     def send_periodic(
         self, can_id: int, data: Sequence[int], period: float, remote: bool = False
-    ) -> _PeriodicTask:
+    ) -> Any:
         """Send a message every ``period`` s, for the first time after one period."""
         task = _PeriodicTask(self, can_id, bytes(data), period, self.now_s + period)
         self._tasks.append(task)

@@ -6,20 +6,11 @@ They act on packets. The same seed and traffic always give the same result.
 import math
 import random
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from simulator.servo.protocol2 import crc16
 
 _ROUNDING = 1e-6
 """Share of a period by which the time of a burst may be rounded."""
-
-
-class Piece(NamedTuple):
-    """Bytes on their way to the host."""
-
-    delay_s: float
-    """Additional delay in s."""
-    data: bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,8 +79,8 @@ class WireFaults:
         """Return the bytes at the servos for one write of the host."""
         return b"" if self.lose_request and self._happens(self.lose_request) else data
 
-    def answer(self, servo_id: int, packet: bytes) -> list[Piece]:
-        """Return the pieces of one answer at the host; without faults the unchanged packet."""
+    def answer(self, servo_id: int, packet: bytes) -> list[tuple[float, bytes]]:
+        """Return additional delay in s and bytes of the pieces of one answer at the host."""
         if self.lag:
             key = servo_id, len(packet)
             packet, self._before[key] = self._before.get(key, packet), packet
@@ -110,9 +101,9 @@ class WireFaults:
             packet = packet[:-_TRUNCATED_BYTES]
         if self.garbage and self._happens(self.garbage):
             packet = _GARBAGE + packet
-        pieces = [Piece(self.delay_s, packet)]
+        pieces = [(self.delay_s, packet)]
         if self.repeat_s > 0.0:
-            pieces.append(Piece(self.delay_s + self.repeat_s, packet))
+            pieces.append((self.delay_s + self.repeat_s, packet))
         return pieces
 
     def _happens(self, share: float) -> bool:

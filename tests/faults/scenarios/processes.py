@@ -23,15 +23,12 @@ from cell.build import build_cell
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
-from cell.errors import CellError, CellStateError
+from cell.errors import CellError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.session import running_cell
 from cell.recording.reader import read_recording
 from cell.runtime.goals import TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
-from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import BUS_WATCHDOG
-from gripper.dynamixel.serial_port import SerialStream
 from gripper.errors import GripperError
 from pytest_tactile_cell.process import CellProcess
 from tests.cell.conftest import once
@@ -52,10 +49,6 @@ _KEPT_N = 0.6
 _LET_GO_ATTEMPTS = 5
 _PRIORITY = 60
 """Of the simulated cell: above the force loop, as devices answer whatever the host does."""
-_TRIPPED = -1
-"""Value of the register Bus Watchdog after it has tripped (XM430 manual)."""
-_WATCHDOG_MARGIN_S = 0.06
-"""What the bus watchdogs may take longer than they are set to, in s."""
 _INTERRUPTED = 1
 """Exit code after one signal or several, also where closing took too long and was cut off."""
 _STEP = GraspStep(pose=Pose(), force_n=4.0)
@@ -237,44 +230,6 @@ def host_killed(_row: FaultRow) -> Observed:
             lambda: os.kill(client.pid, signal.SIGKILL),
             "the process of the force loop freezes the goals, disarms the watchdog and ends",
         )
-
-
-def all_killed(_row: FaultRow) -> Observed:
-    """Kill program and loop at once, as a loss of power does; then start again."""
-    config = _client_config()
-    with _gripping() as client:
-        os.killpg(client.pid, signal.SIGKILL)
-        wait_s = 1e-3 * config.gripper.watchdog_ms + _WATCHDOG_MARGIN_S
-        threading.Event().wait(wait_s)
-        if not _watchdogs_tripped(config):
-            return Observed("NOTHING", None, "no watchdog has tripped")
-        before = _simulator().ask(state=True)
-        cell = build_cell(config)
-        try:
-            cell.controller.start()
-            refusal = "the restart moved"
-        except CellStateError as error:
-            refusal = str(error)
-        state = cell.controller.life.state.value
-        cell.close()
-        after = _simulator().ask(state=True)
-        still = abs(after["aperture_m"] - before["aperture_m"]) < 2e-4
-        refused = "nothing was moved" in refusal and state == "ABORTED" and still
-        return Observed(
-            "HOLD" if refused else "MOVED",
-            wait_s,
-            f"the watchdogs of both servos have tripped; restart: {state}, {refusal} "
-            f"({min(after['contact_force_n']):.1f} N)",
-        )
-
-
-def _watchdogs_tripped(config: CellConfig) -> bool:
-    stream = SerialStream(config.gripper.port, config.gripper.baud_rate)
-    try:
-        bus = ServoBus(stream, baudrate=config.gripper.baud_rate, clock=time, period_s=0.05)
-        return all(bus.read(servo.id, BUS_WATCHDOG) == _TRIPPED for servo in config.gripper.servos)
-    finally:
-        stream.close()
 
 
 # -- The processes ---------------------------------------------------------------------------
