@@ -110,10 +110,9 @@ def _trend_lines(answers: Answers, question: str) -> list[str]:
 def trend_text(trend: Trend) -> str:
     """Return a trend as a sentence."""
     low, high = (_amount(value, trend.unit) for value in trend.interval)
-    since = f", since {trend.since}" if trend.since else ""
     return (
         f"{trend.cell}: {trend.signal} {_amount(trend.change, trend.unit)} ({low} to {high}) from "
-        f"{trend.days[0]} to {trend.days[-1]}{since}"
+        f"{trend.days[0]} to {trend.days[-1]}"
     )
 
 
@@ -131,8 +130,8 @@ def _confusion_lines(answers: Answers) -> list[str]:
     found = []
     for one in answers.confusions[:_MOST_CONFUSIONS]:
         cells = ", ".join(f"{cell} {k}" for cell, k in one.cells.items())
-        since = f"more often since {one.since}" if one.since else f"{one.first} to {one.last}"
-        found.append(f"{one.n} x {one.label} as {one.answer} (of {one.n_parts}), {since}: {cells}")
+        days = f"{one.first} to {one.last}"
+        found.append(f"{one.n} x {one.label} as {one.answer} (of {one.n_parts}), {days}: {cells}")
     return found or ["No object was confused with another one."]
 
 

@@ -6,7 +6,7 @@ effects of a cell are the rest after the object effects.
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
-from scipy.special import stdtrit, xlogy
+from scipy.special import stdtrit
 
 from cell.archive.selection import EVERYTHING, Selection
 from cell.archive.store import Archive, nothing_selected
@@ -28,8 +28,6 @@ _COLUMNS = (
 )  # fmt: skip
 LEAST_DAYS = 3
 """Fewest days of a cell for a trend."""
-_LEAST_EVIDENCE = 5.0
-"""Logarithm of the likelihood ratio above which a confusion has a first day."""
 _FEW_GRASPS, _ENOUGH_RIGHT = 10, 0.95
 """Fewest grasps of an object, and the required share of right names."""
 
@@ -100,8 +98,6 @@ class Trend:
     found: bool
     """Whether the question is answered with yes: certain, large enough, in a counted direction.
     """
-    since: str
-    """Day from which it is off by half of the least counted change; empty where unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,8 +114,6 @@ class Confusion:
     first: str
     last: str
     """First and last day."""
-    since: str
-    """Day from which it is more frequent; empty where it is equally frequent on all days."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,16 +156,10 @@ class Answers:
 
     def as_json(self) -> dict[str, Any]:
         """Return the output of ``--json``."""
-        values = asdict(self)
-        values["parts"] = [
+        parts = [
             {"label": label, "answer": answer, "n": n} for (label, answer), n in self.parts.items()
         ]
-        return values | {
-            "drifting_cells": sorted({t.cell for t in self.found("drift")}),
-            "ageing_pads": [(t.cell, t.signal) for t in self.found("ageing")],
-            "growing_friction": [t.cell for t in self.found("friction")],
-            "need_grasps": [one.label for one in self.objects if one.reasons],
-        }
+        return asdict(replace(self, parts={})) | {"parts": parts}
 
 
 def ask(target: str, selection: Selection = EVERYTHING) -> Answers:
@@ -244,7 +232,6 @@ def _trends(cell: str, rows: Sequence[Row]) -> Iterable[Trend]:
             and int(np.sign(change)) in signal.signs
         )
         shown = [day for day, one in zip(days, taken, strict=True) if one]
-        moved = np.sign(change) * (effect - effect[0]) >= 0.5 * signal.least
         yield Trend(
             cell=cell,
             signal=name,
@@ -255,58 +242,26 @@ def _trends(cell: str, rows: Sequence[Row]) -> Iterable[Trend]:
             change=float(change),
             interval=(float(low), float(high)),
             found=bool(found),
-            since=shown[_last_run(moved)] if found and moved[-1] else "",
         )
 
 
-def _last_run(holds: NDArray[np.bool_]) -> int:
-    """Return the start of the run of true values at the end."""
-    others = np.flatnonzero(~holds)
-    return int(others[-1]) + 1 if len(others) else 0
-
-
 def _confusions(parts: Sequence[Row], asked: Mapping[tuple[str, str], int]) -> Iterable[Confusion]:
-    days = sorted({row["day"] for row in parts})
     for (label, answer), n in sorted(asked.items(), key=lambda item: -item[1]):
         if not label or answer in (label, UNKNOWN):
             continue
-        k_of, n_of, cells = Counter[str](), Counter[str](), Counter[str]()
-        for row in parts:
-            if row["label"] == label:
-                n_of[row["day"]] += row["count_all"]
-                if row["answer"] == answer:
-                    k_of[row["day"]] += row["count_all"]
-                    cells[row["cell"]] += row["count_all"]
-        met = [day for day in days if k_of[day]]
+        confused = [row for row in parts if (row["label"], row["answer"]) == (label, answer)]
+        cells, days = Counter[str](), sorted(row["day"] for row in confused)
+        for row in confused:
+            cells[row["cell"]] += row["count_all"]
         yield Confusion(
             label=label,
             answer=answer,
             n=n,
-            n_parts=n_of.total(),
+            n_parts=sum(count for (held, _), count in asked.items() if held == label),
             cells=dict(cells),
-            first=met[0],
-            last=met[-1],
-            since=_since(days, k_of, n_of),
+            first=days[0],
+            last=days[-1],
         )
-
-
-def _since(days: Sequence[str], k_of: Mapping[str, int], n_of: Mapping[str, int]) -> str:
-    """Return the day on which a share rises, by the likelihood of two shares against one."""
-    k = np.cumsum([k_of[day] for day in days], dtype=np.float64)
-    n = np.cumsum([n_of[day] for day in days], dtype=np.float64)
-    before_k, before_n, after_k, after_n = k[:-1], n[:-1], k[-1] - k[:-1], n[-1] - n[:-1]
-    gain = _likelihood(before_k, before_n) + _likelihood(after_k, after_n) - _likelihood(k, n)[-1]
-    rises = after_k * before_n > before_k * after_n
-    gain = np.where(rises & (before_n > 0), gain, -np.inf)
-    if not len(gain) or gain.max() < _LEAST_EVIDENCE:
-        return ""
-    return days[int(gain.argmax()) + 1]
-
-
-def _likelihood(k: NDArray[np.float64], n: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the largest log likelihood of k of n."""
-    share = k / np.maximum(n, 1.0)
-    return np.asarray(xlogy(k, share) + xlogy(n - k, 1.0 - share), dtype=np.float64)
 
 
 def _needs(rows: pa.Table, parts: Sequence[Row]) -> list[ObjectNeed]:

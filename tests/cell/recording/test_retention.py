@@ -2,9 +2,8 @@
 
 import errno
 import os
-import subprocess
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from datetime import datetime
 from pathlib import Path
@@ -15,15 +14,14 @@ import pytest
 
 from cell.errors import RecordingError
 from cell.recording import retention, sink as recorder_sink
-from cell.recording.reader import Recording, read_recording
+from cell.recording.reader import read_recording
 from cell.recording.recorder import Recorder
 from cell.recording.retention import LEAST_FREE_BYTES, Retention, mark, recordings, unmark
-from cell.recording.sink import LEFT_BYTES, DirectFile, free_bytes
+from cell.recording.sink import DirectFile
 from cell.runtime.goals import GripGoal, IdentifyGoal
 from cell.runtime.plugin import TactileCellPlugin
-from cell.service.history import History
 from recognition.recognizer import UNKNOWN
-from tests.cell.conftest import Taught, call
+from tests.cell.conftest import call
 from tests.cell.recording.test_recording import PADS
 from tests.fuzz.harness import Clock
 from tests.values import raising
@@ -186,38 +184,6 @@ def test_a_disk_that_does_not_answer_holds_up_neither_start_nor_end(keep, monkey
     assert not keeper.retention._thread.is_alive()
 
 
-def check_jobs(
-    taught: Taught, place: Path, fill: Callable[[], object], free: Callable[[], object]
-) -> tuple[Recording, list[str]]:
-    """Check two jobs on a disk that is filled before the first, and has room before the second.
-
-    Returns the recording that stopped, and the notes for the operator.
-    """
-    folder, notes = place / "out" / "serve-20270115-080000", list[str]()
-    folder.mkdir(parents=True)
-    with TactileCellPlugin(
-        taught.config, model=taught.result.model, folder=folder, note=notes.append
-    ) as plugin:
-        plugin.run(GripGoal(force_n=3.0, present="ball"))
-        plugin.release()
-        fill()
-        stopped = plugin.recording_path
-        mark(stopped)  # so that its disk without room does not cost it
-        assert plugin.run(IdentifyGoal(present="ball", max_grasps=2)).label in ("ball", UNKNOWN)
-        assert "stopped after" in plugin.status().recording_fault
-        free()
-        second = plugin.run(IdentifyGoal(present="box", max_grasps=1))
-        assert plugin.status().recording_fault == ""
-        path = plugin.recording_path
-    found = read_recording(path)
-    assert found.complete
-    assert [row["label"] for row in found.results] == [second.label]
-    assert len(found.grasps) == 1
-    assert "stopped after" in found.events[0]["text"]
-    assert any(f"the recording {stopped} stopped after" in text for text in notes)
-    return read_recording(stopped), notes
-
-
 @pytest.mark.slow
 def test_a_job_on_a_full_disk_has_its_answer_and_the_next_job_records_again(
     taught, tmp_path, monkeypatch
@@ -230,40 +196,28 @@ def test_a_job_on_a_full_disk_has_its_answer_and_the_next_job_records_again(
         return write(file, data)
 
     monkeypatch.setattr(DirectFile, "write", limited)
-    stopped, notes = check_jobs(taught, tmp_path, fill=lambda: full.append(True), free=full.clear)
-    assert len(stopped.grasps) == 1
-    assert not stopped.complete
-    assert ["No space left" in text for text in notes] == [True]
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.geteuid() != 0, reason="mounting needs root")
-def test_a_tmpfs_that_fills_and_empties(taught, tmp_path) -> None:
-    place = tmp_path / "disk"
-    place.mkdir()
-    mounted = ["mount", "-t", "tmpfs", "-o", "size=40m", "none", str(place)]
-    if subprocess.run(mounted, check=False).returncode:
-        pytest.skip("mount is not allowed here")
-    filling = place / "filling"
-
-    def fill() -> None:
-        with filling.open("wb", buffering=0) as file:
-            file.truncate(0)
-            while free_bytes(place) > LEFT_BYTES + 10_000:
-                file.write(bytes(4096))
-        status: Any = SimpleNamespace(n_faults=0, fault=None, fault_number=0)
-        history = History(place / "history.sqlite3", lambda: status)
-        history.update()
-        assert history.values()["today"]["starts"] == 1
-        history._close_link()
-
-    try:
-        stopped, notes = check_jobs(taught, place, fill, filling.unlink)
-        assert stopped.complete
-        assert stopped.events[-1]["text"] in notes
-        assert any("less than 500 MB free" in text for text in notes)
-    finally:
-        subprocess.run(["umount", place], check=True)
+    folder, notes = tmp_path / "serve-20270115-080000", list[str]()
+    folder.mkdir()
+    with TactileCellPlugin(
+        taught.config, model=taught.result.model, folder=folder, note=notes.append
+    ) as plugin:
+        plugin.run(GripGoal(force_n=3.0, present="ball"))
+        plugin.release()
+        full.append(True)
+        path = plugin.recording_path
+        assert plugin.run(IdentifyGoal(present="ball", max_grasps=2)).label in ("ball", UNKNOWN)
+        assert "stopped after" in plugin.status().recording_fault
+        full.clear()
+        second = plugin.run(IdentifyGoal(present="box", max_grasps=1))
+        assert plugin.status().recording_fault == ""
+    stopped, again = read_recording(path), read_recording(plugin.recording_path)
+    assert (len(stopped.grasps), stopped.complete, again.complete) == (1, False, True)
+    assert [row["label"] for row in again.results] == [second.label]
+    assert len(again.grasps) == 1
+    assert "stopped after" in again.events[0]["text"]
+    (note,) = notes
+    assert f"the recording {path} stopped after" in note
+    assert "No space left" in note
 
 
 def test_recordings_are_listed_and_marked_by_commands(keep) -> None:
