@@ -95,7 +95,6 @@ def test_without_a_usable_variable_the_cache_is_that_of_the_home(
 def test_a_run_that_has_taught_all_objects_keeps_its_model(tmp_path, monkeypatch, taught) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     _keep_for_serve(replace(taught.result, labels=("ball",)), taught.config)
-    _keep_for_serve(replace(taught.result, model=None), taught.config)
     assert cached_model(taught.config) is None
     _keep_for_serve(taught.result, taught.config)
     assert cached_model(taught.config) is not None
