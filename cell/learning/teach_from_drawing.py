@@ -17,7 +17,6 @@ from cell.learning.shape_reading import usual_foam
 from cell.learning.virtual_grasps import Course, Noise, VirtualPads
 from cell.simulation import converter_noise
 from recognition.grasp import Grasp, PadArray
-from recognition.shape.foam import FoamModel
 from recognition.shape.models import Drawing
 
 _PULSES = 4096
@@ -31,7 +30,6 @@ def teach_drawing(
     n_grasps: int,
     *,
     kind: str = "",
-    foam: FoamModel | None = None,
     course: Course | None = None,
     seed: int = 0,
     start_ms: int = 0,
@@ -48,8 +46,8 @@ def teach_drawing(
         The cell: pads, speeds, ramp, plan.
     label, drawing, kind
         Name, shape and class of shape of the object.
-    foam, course
-        Foam and sensor, and motion with all uncertainties; by default the usual ones of the cell.
+    course
+        Motion with all uncertainties; by default the usual one of the cell.
     seed
         Of poses, forces, noise and all uncertain values.
     start_ms
@@ -61,7 +59,7 @@ def teach_drawing(
     virtual = VirtualPads(
         pads=pads,
         gripping=(first, second),
-        foam=foam or usual_foam(config),
+        foam=usual_foam(config),
         course=course or course_of(config),
         noise=_noise(config, pads),
     )

@@ -13,7 +13,7 @@ each hypothesis, so each needs a value.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -45,26 +45,6 @@ _N_PROBED = 2
 """Number of the likeliest kinds that are tried first under a second foam."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PossibleFoam:
-    """One possible foam of the pads."""
-
-    foam: FoamModel
-    uncertainty: PadUncertainty
-    """Foam and sensor, and the uncertainty of both."""
-    probability: float
-
-
-def possible_foams(foam: FoamModel) -> tuple[PossibleFoam, ...]:
-    """Return the possible foams, the known one first; probabilities sum to 1."""
-    rest = 0.5 * (1.0 - _KNOWN_PROBABILITY)
-    return (
-        PossibleFoam(foam=foam, uncertainty=PadUncertainty(), probability=_KNOWN_PROBABILITY),
-        PossibleFoam(foam=replace(foam, sideways=0.0), uncertainty=_LOOSE, probability=rest),
-        PossibleFoam(foam=replace(foam, sideways=_SIDEWAYS), uncertainty=_LOOSE, probability=rest),
-    )
-
-
 Fits = dict[str, ShapeFit]
 """Fits by kind of shape."""
 
@@ -74,10 +54,10 @@ def all_fits(data: PressedPads, foam: FoamModel) -> tuple[list[ShapeFit], list[f
 
     The order is the same for all grasps: all kinds for each foam.
     """
-    known, *others = possible_foams(foam)
+    others = [replace(foam, sideways=sideways) for sideways in (0.0, _SIDEWAYS)]
+    each_other = (1.0 - _KNOWN_PROBABILITY) / len(others)
     last: Fits = {
-        kind: fit_shape(model, data, known.foam, known.uncertainty)
-        for kind, model in SHAPE_MODELS.items()
+        kind: fit_shape(model, data, foam, PadUncertainty()) for kind, model in SHAPE_MODELS.items()
     }
     fits = list(last.values())
     evidence = _evidence(last)
@@ -85,8 +65,8 @@ def all_fits(data: PressedPads, foam: FoamModel) -> tuple[list[ShapeFit], list[f
     for kind in sorted(evidence, key=lambda kind: -evidence[kind])[:_N_PROBED]:
         probed[kind] = _fit(kind, data, others[0], last)
     gain = max(_evidence(probed).values()) - max(evidence.values())
-    sure = gain + np.log(others[0].probability / known.probability) < -_SURE
-    for number, possible in enumerate(others):
+    sure = gain + np.log(each_other / _KNOWN_PROBABILITY) < -_SURE
+    for number, other in enumerate(others):
         here: Fits = {}
         far = _far(last) if number else frozenset()
         pads_of: ShapeFit | None = None
@@ -94,39 +74,25 @@ def all_fits(data: PressedPads, foam: FoamModel) -> tuple[list[ShapeFit], list[f
             if number == 0 and kind in probed:
                 here[kind] = probed[kind]
             elif sure or kind in far:
-                here[kind] = _as_it_was(last[kind], data, possible)
+                here[kind] = _as_it_was(last[kind], data, other)
             else:
-                here[kind] = _fit(kind, data, possible, last, pads_of)
+                here[kind] = _fit(kind, data, other, last, pads_of)
             pads_of = here[kind]
         last = here
         fits += here.values()
-    log_prior = [
-        float(np.log(possible.probability)) for possible in (known, *others) for _ in SHAPE_MODELS
-    ]
-    return fits, log_prior
+    log_prior = np.log(np.repeat([_KNOWN_PROBABILITY, each_other, each_other], len(SHAPE_MODELS)))
+    return fits, log_prior.tolist()
 
 
 def _fit(
-    kind: str,
-    data: PressedPads,
-    possible: PossibleFoam,
-    last: Fits,
-    pads_of: ShapeFit | None = None,
+    kind: str, data: PressedPads, foam: FoamModel, last: Fits, pads_of: ShapeFit | None = None
 ) -> ShapeFit:
-    return fit_shape(
-        SHAPE_MODELS[kind],
-        data,
-        possible.foam,
-        possible.uncertainty,
-        near=last[kind],
-        pads_of=pads_of,
-    )
+    return fit_shape(SHAPE_MODELS[kind], data, foam, _LOOSE, near=last[kind], pads_of=pads_of)
 
 
-def _as_it_was(fit: ShapeFit, data: PressedPads, possible: PossibleFoam) -> ShapeFit:
+def _as_it_was(fit: ShapeFit, data: PressedPads, foam: FoamModel) -> ShapeFit:
     """Return the last fit with the priors of another foam."""
-    problem = ShapeProblem(fit.model, data, possible.foam, possible.uncertainty)
-    return replace(fit, prior_sd=problem.sd)
+    return replace(fit, prior_sd=ShapeProblem(fit.model, data, foam, _LOOSE).sd)
 
 
 def _evidence(fits: Mapping[str, ShapeFit]) -> dict[str, float]:

@@ -44,10 +44,6 @@ class LinearDiscriminant(ArrayRecord):
         projected -= self.mean @ projection
         return projected
 
-    def distances(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n, C): squared distance of each row to each class, in standard deviations."""
-        return squared_distances(self.project(features), self.centres)
-
 
 def squared_distances(
     points: NDArray[np.float64], others: NDArray[np.float64]
