@@ -1,15 +1,21 @@
 """Steps of a grasp: ramps and their levels, a ramp that is ended on request, holding."""
 
 import re
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from gripper.errors import GraspStopped
-from gripper.force.grasp import RampTime
+from gripper.errors import GraspStopped, PartLost
+from gripper.force import grasp
+from gripper.force.grasp import GripStep, HoldStep, RampTime
+from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
+from gripper.servos.goal_limits import ServoGoal
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
+from tests.values import make_state
 
 LINEAR = ForceRamp.linear(8.0, 10.0, hold_s=0.3)
 RAMPS = {
@@ -188,3 +194,35 @@ def test_a_rise_ends_where_the_fingers_are_closed() -> None:
     time.pass_by(0.005, 1.4, SETTINGS.least_pressed_m)
     assert (time.ramp.final_n, time.requested_n) == (pytest.approx(1.4), 4.0)
     assert time.settled(1.4)
+
+
+MOMENT = Moment(now_s=1.0, dt_s=0.005, state=make_state(1.0), sample=None)
+
+
+def control(*, lost: bool = False, suspicious: bool = False) -> Any:
+    """Return a control that holds 2 N, and whose part is there or not."""
+    goals = (ServoGoal(angle_rad=0.0, current_a=0.3),) * 2
+    return SimpleNamespace(
+        force_n=2.0,
+        grip=SimpleNamespace(force_n=2.0, setpoint_n=2.0),
+        watch=SimpleNamespace(lost=lambda _moment: lost, suspicious=suspicious),
+        resume=lambda: None,
+        goals=lambda *_given, **_named: goals,
+        quiet_goals=lambda _moment: goals,
+    )
+
+
+def test_levels_are_watched_for_a_slip_unless_the_part_is_in_doubt(monkeypatch) -> None:
+    levels: list[int | None] = []
+    slip: Any = SimpleNamespace(check=lambda _moment, level, **_named: levels.append(level))
+    monkeypatch.setattr(grasp, "LevelSlip", lambda _settings: slip)
+    for suspicious in (True, False):
+        step = GripStep(SETTINGS, control(suspicious=suspicious), STAIRS, slip=slip)
+        HoldStep(SETTINGS, control(suspicious=suspicious), 0.1).step(MOMENT)
+        shown = [step.step(MOMENT).level for _ in range(30)]
+        assert set(shown) == {None, 0}
+        assert levels == ([] if suspicious else [0, *shown])
+    change = GripStep(SETTINGS, control(), STAIRS)
+    assert {change.step(MOMENT).level for _ in range(30)} == {None}
+    with pytest.raises(PartLost, match=r"at an opening of 23\.4 mm"):
+        GripStep(SETTINGS, control(lost=True), STAIRS).step(MOMENT)
