@@ -71,7 +71,9 @@ class Grip:
         self.finger = Finger(paths[0], self.grip.mass_kg, force_n, stiction)
         self.random, self.periods, self.gain = random.Random(3), 0, 1.0
 
-    def follow(self, setpoints_n: Sequence[float], *, seen: bool = True) -> list[float]:
+    def follow(
+        self, setpoints_n: Sequence[float], *, seen: bool = True, may_open: bool = True
+    ) -> list[float]:
         """Follow set-points, and return the force after each period in N."""
         forces_n = []
         for setpoint_n in setpoints_n:
@@ -86,6 +88,7 @@ class Grip:
                 drive_n=self.finger.drive_n,
                 paths=self.paths,
                 friction_n=self.paths[0].friction_n,
+                may_open=may_open,
             )
             self.grip.drive_n = self.law.step(period)
             self.finger.drive(self.grip.drive_n)
@@ -127,6 +130,12 @@ def test_an_error_of_a_hold_is_corrected_either_way_without_hunting(setpoint_n, 
     held_n = grip.follow([setpoint_n] * 200)
     assert held_n == pytest.approx([setpoint_n] * 200, abs=0.3)
     assert max(held_n) - min(held_n) < 0.3
+
+
+@pytest.mark.parametrize("may_open", [True, False])
+def test_fingers_beyond_the_touch_are_not_pushed_open(may_open) -> None:
+    forces_n = Grip(4.0, stiction=1.0).follow([3.0] * 200, may_open=may_open)
+    assert forces_n[-1] == pytest.approx(3.0 if may_open else 4.0, abs=0.3)
 
 
 def test_pushes_show_the_stiction_and_the_next_grip_begins_with_it() -> None:
