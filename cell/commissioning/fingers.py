@@ -69,15 +69,8 @@ _UNUSABLE_FIT_M = 3e-3
 _BLOCKS = (
     ("Take a stiff block with parallel faces, best about 10 mm thick; measure it.", 1.0),
     ("A second one, best about 30 mm thick; 0 if you have none.", 0.0),
-    (
-        "No simple linkage fits both blocks: is each thickness right? A third one, best about 20 "
-        "mm thick, decides; 0 if you have none.",
-        0.0,
-    ),
 )
 """Texts that ask for the blocks, each with the least thickness in mm."""
-_SIMPLE_BLOCKS = 2
-"""Number of blocks that determine a simple linkage."""
 _OFF_PULSES = 60
 """Least distance of a zero from that of the config that is reported."""
 _LEAST_ROOM_M = 6e-3
@@ -178,11 +171,6 @@ def decided(fits: Sequence[LinkageFit]) -> bool:
     """
     rivals = [fit.residual_m for fit in fits[1:] if fit.kind != "swinging"]
     return min(rivals) - fits[0].residual_m > _GOOD_FIT_M
-
-
-def _simple(fit: LinkageFit) -> bool:
-    """Return whether two blocks have determined the linkage."""
-    return fit.kind != "swinging" and fit.residual_m <= _GOOD_FIT_M
 
 
 def _swinging(
@@ -348,13 +336,11 @@ class _Hands:
         return closed[order], np.array([opened[index], last])
 
     def _blocks(self, closed: Pulses, signs: Pulses) -> list[BlockMeasurement]:
-        """Return the fingers on blocks of known size: two, and a third if no simple law fits."""
+        """Return the fingers on two blocks of known size, or on one."""
         fingers = [f"finger {number} open by" for number in range(len(signs))]
         self._shown = lambda: _degrees_text(fingers, self._turned(self._read(), closed, signs))
         measured: list[BlockMeasurement] = []
         for number, (text, least) in enumerate(_BLOCKS, start=1):
-            if number > _SIMPLE_BLOCKS and _simple(fit_linkages(measured)[0]):
-                break
             size_mm = self._dialog.number(
                 f"fingers.block{number}",
                 f"{text} How thick is it?",

@@ -243,17 +243,17 @@ def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(limp) -> None
 
 
 @pytest.mark.slow
-def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(one) -> None:
+def test_a_thickness_that_was_typed_wrong_is_found(one) -> None:
     replies: dict[str, Any] = {
         "fingers.on_block2": one.does("block 30"),
-        "fingers.on_block3": one.does("block 20"),
+        "fingers.kind": "parallel",
     }
-    found = one.run(STEP, fingers__block2=50.0, fingers__block3=20.0, **replies)
+    found = one.run(STEP, fingers__block2=50.0, **replies)
     assert found.status is Verdict.FAIL
     assert "was a thickness typed wrong" in found.lines[0]
     assert "fingers.free" not in one.person.script.asked
-    # A smaller error, and no third block: the residual warns.
-    found = one.run(STEP, fingers__block2=33.0, fingers__block3=0.0, **replies)
+    # A smaller error warns.
+    found = one.run(STEP, fingers__block2=33.0, **replies)
     assert found.status is Verdict.WARN
     assert "the residual is above 0.5 mm: measure the blocks again" in "\n".join(found.lines)
 

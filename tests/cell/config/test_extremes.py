@@ -25,8 +25,6 @@ _MINUTES = ("sequence.ramp.hold_s=60",)
 """Ends that do nothing but let time pass."""
 _BOUND_S = 60.0
 """Longest simulated time of a start and a grasp in s."""
-_GROUP = 7
-"""Ends that a test takes at once."""
 _BESIDE: dict[str, dict[str, Any]] = {
     "gripper.aperture_open_mm=2": {
         "simulator.objects": [{"label": "ball", "shape": "box:length=20mm,width=10mm,height=1.5mm"}]
@@ -53,16 +51,6 @@ REFUSED = {
     "sequence.carry_force_n=50": "carry_force_n is 50 N; .* at most 13.64 N",
 }
 """Ends that the defaults of other keys forbid, and what is said of them."""
-_ALONE = (
-    "gripper.contact.samples",
-    "gripper.open_speed_mm_s",
-    "gripper.aperture_open_mm",
-    "sequence.ramp.rate_n_s",
-    "simulator.noise_level",
-    "tactile.force_period_ms",
-    "tactile.tare_frames",
-)
-"""Keys with an end that does not go with others at theirs, or takes long: only alone."""
 
 
 class TooLong(BaseException):
@@ -99,17 +87,15 @@ def ends(section: BaseModel | None = None, path: str = "") -> Iterator[End]:
 ENDS = tuple(ends())
 
 
-def config_at(*at: End) -> CellConfig:
-    """Return a config with short jobs and some keys at an end; ConfigError where it is refused."""
-    changes: dict[str, Any] = {"gripper.aperture_open_mm": 16.0}
-    for end in at:
-        changes |= _BESIDE.get(str(end), {}) | {end.path: end.value}
-    return campaign_config(changes)
+def config_at(end: End) -> CellConfig:
+    """Return a config with short jobs and a key at its end; ConfigError where it is refused."""
+    changes = {"gripper.aperture_open_mm": 16.0} | _BESIDE.get(str(end), {})
+    return campaign_config(changes | {end.path: end.value})
 
 
-def grasp(*at: End) -> None:
-    """Start, bring the ball and grasp it with some keys at an end; raises what goes wrong."""
-    config = config_at(*at)
+def grasp(end: End) -> None:
+    """Start, bring the ball and grasp it with a key at its end; raises what goes wrong."""
+    config = config_at(end)
     with simulation_of(config) as simulated:
         cell = build_cell(config, simulated=simulated)
 
@@ -135,22 +121,6 @@ GRASPED = tuple(
 """Accepted ends that matter for a grasp."""
 
 
-def groups() -> list[tuple[End, ...]]:
-    """Return the ends that go with others in groups, no key twice in one, and then the others."""
-    rest = [end for end in GRASPED if end.path not in _ALONE]
-    rest.sort(key=lambda end: end.value > _default(end))
-    count = -(-len(rest) // _GROUP)
-    alone = [(end,) for end in GRASPED if end.path in _ALONE]
-    return [*(tuple(rest[number::count]) for number in range(count)), *alone]
-
-
-def _default(end: End) -> float:
-    value: Any = CellConfig()
-    for name in end.path.split("."):
-        value = getattr(value, name)
-    return 0.0 if value is None else float(value)
-
-
 @pytest.mark.slow
 def test_all_ends_are_accepted_but_those_that_others_forbid() -> None:
     complaints = dict(REFUSED)
@@ -163,15 +133,10 @@ def test_all_ends_are_accepted_but_those_that_others_forbid() -> None:
     assert complaints == {}
 
 
-FIRST, *REST = groups()
-FEW = [FIRST, *(LONG(group) for group in REST)]
-"""The groups; each change runs the first."""
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("at", FEW, ids=lambda at: ", ".join(map(str, at)))
-def test_a_grasp_is_done_at_the_ends(at) -> None:
-    grasp(*at)
+@pytest.mark.parametrize("end", [GRASPED[0], *map(LONG, GRASPED[1:])], ids=str)
+def test_a_grasp_is_done_at_the_end(end) -> None:
+    grasp(end)
 
 
 @pytest.mark.parametrize(("bitrate", "period_ms"), [(250_000, 43), (500_000, 20), (1_000_000, 10)])
