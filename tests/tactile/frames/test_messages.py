@@ -219,11 +219,6 @@ def received(assembler: FrameAssembler, stream: Stream) -> list[TactileFrame]:
     return [frame for frame in frames if frame is not None]
 
 
-@pytest.fixture
-def assembler() -> FrameAssembler:
-    return FrameAssembler(PAPER)
-
-
 def burst_loss(stream: Stream, rng: np.random.Generator) -> Stream:
     length = int(rng.integers(1, 131))
     start = int(rng.integers(0, len(stream) - length))
@@ -259,82 +254,71 @@ def test_every_frame_that_lost_nothing_is_handed_out(damage: Damage) -> None:
         assert [f.counter for f in received(FrameAssembler(PAPER), stream)] == whole
 
 
-def test_undamaged_stream_is_all_there_across_the_counters_turn(assembler) -> None:
-    frames = received(
-        assembler, stream_of({c & 0xFFFF: np.full(408, c & 0xFF) for c in range(65530, 65546)})
-    )
-    assert len(frames) == 16
-    statistics = assembler.counts
-    assert (statistics.complete, statistics.lost, statistics.torn) == (16, 0, 0)
+def burst(counter: int, value: int | None = None) -> Stream:
+    return SENT.burst(np.full(408, counter & 0xFF if value is None else value), counter, 0)
 
 
-def test_lost_and_torn_are_counted() -> None:
-    messages = [SENT.burst(np.full(408, c), c, 0) for c in range(8)]
-    del messages[2][17]
-    stream = [m for c in (0, 1, 2, 3, 6, 7) for m in messages[c]]
+def without(messages: Stream, index: int) -> Stream:
+    return messages[:index] + messages[index + 1 :]
+
+
+def swapped(m: Stream) -> Stream:
+    return [m[1], m[0], m[0], *m[2:], m[58], m[3]]
+
+
+def wrong_crc(m: Stream) -> Stream:
+    return [*m[:58], m[58][:-1] + bytes([m[58][-1] ^ 1])]
+
+
+def other_phase(messages: Stream) -> Stream:
+    return [bytes([m[0] ^ 1 << PHASE_SHIFT]) + m[1:] for m in messages]
+
+
+@pytest.mark.parametrize(
+    ("stream", "handed_out", "counted"),
+    [
+        pytest.param(
+            [m for c in range(65530, 65546) for m in burst(c & 0xFFFF)],
+            [c & 0xFFFF for c in range(65530, 65546)],
+            {"complete": 16, "lost": 0, "torn": 0},
+            id="counter turns",
+        ),
+        pytest.param(
+            [*burst(0), *burst(1), *without(burst(2), 17), *burst(3), *burst(6), *burst(7)],
+            [0, 1, 3, 6, 7],
+            {"lost": 3, "torn": 1},
+            id="lost and torn",
+        ),
+        pytest.param(
+            [*without(burst(0), 40), *burst(1)[:20], burst(0)[40], *burst(1)[20:]],
+            [0, 1],
+            {"reordered": 1, "torn": 0},
+            id="completed while the next one arrives",
+        ),
+        pytest.param(
+            [*without(burst(0), 40), *burst(1), burst(0)[40], *burst(2)],
+            [1, 2],
+            {},
+            id="later than the next frame",
+        ),
+        pytest.param(swapped(burst(9)), [9], {"reordered": 1, "duplicate": 3}, id="swapped"),
+        pytest.param([*burst(9), *burst(8), *burst(9, 77)], [9], {"stale": 2}, id="stale"),
+        pytest.param(
+            [*(burst(0)[0][:n] for n in (0, 1, 3, 7)), *burst(0)], [0], {"short": 4}, id="short"
+        ),
+        pytest.param([bytes([59]) + bytes(7)], [], {"corrupt": 1}, id="beyond the burst"),
+        pytest.param([*wrong_crc(burst(4)), *burst(5)], [5], {"corrupt": 1}, id="wrong CRC"),
+        pytest.param(other_phase(burst(4)), [], {"corrupt": 1}, id="another phase"),
+    ],
+)
+def test_what_is_handed_out_and_counted(stream: Stream, handed_out, counted) -> None:
     assembler = FrameAssembler(PAPER)
-    assert [frame.counter for frame in received(assembler, stream)] == [0, 1, 3, 6, 7]
-    statistics = assembler.counts
-    assert (statistics.lost, statistics.torn) == (3, 1)
+    assert [frame.counter for frame in received(assembler, stream)] == handed_out
+    assert {name: getattr(assembler.counts, name) for name in counted} == counted
 
 
-def test_a_late_message_completes_its_own_frame_while_the_next_one_arrives() -> None:
-    first, second = (SENT.burst(np.full(408, c), c, 0) for c in (0, 1))
-    late = first.pop(40)
-    stream = first + second[:20] + [late] + second[20:]
+def test_a_buffer_that_the_caller_reuses_does_no_harm() -> None:
     assembler = FrameAssembler(PAPER)
-    assert [frame.counter for frame in received(assembler, stream)] == [0, 1]
-    assert (assembler.counts.reordered, assembler.counts.torn) == (1, 0)
-
-
-def test_a_message_later_than_the_next_frame_does_not_bring_back_an_older_frame(assembler) -> None:
-    first, second, third = (SENT.burst(np.full(408, c), c, 0) for c in (0, 1, 2))
-    late = first.pop(40)
-    counters = [frame.counter for frame in received(assembler, first + second + [late] + third)]
-    assert counters == [1, 2]
-
-
-def test_duplicates_and_swaps_are_counted_and_harmless(assembler) -> None:
-    messages = SENT.burst(np.arange(408) & 255, 9, 0)
-    swapped = [messages[1], messages[0], messages[0], *messages[2:], messages[58], messages[3]]
-    assert len(received(assembler, swapped)) == 1
-    assert (assembler.counts.reordered, assembler.counts.duplicate) == (1, 3)
-
-
-def test_repeated_and_older_frames_are_stale(assembler) -> None:
-    newer, older = (SENT.burst(np.full(408, c), c, 0) for c in (9, 8))
-    other = SENT.burst(np.full(408, 77), 9, 0)
-    assert len(received(assembler, newer + older + other)) == 1
-    assert assembler.counts.stale == 2
-
-
-@pytest.mark.parametrize("length", [0, 1, 3, 7])
-def test_short_messages_are_dropped(assembler, length: int) -> None:
-    messages = SENT.burst(np.zeros(408, int), 0, 0)
-    assert assembler.push(messages[0][:length], 0.0) is None
-    assert assembler.counts.short == 1
-    assert len(received(assembler, messages)) == 1
-
-
-def test_index_beyond_the_burst_is_refused(assembler) -> None:
-    assert assembler.push(bytes([59]) + bytes(7), 0.0) is None
-    assert assembler.counts.corrupt == 1
-
-
-def test_wrong_crc_is_refused_and_the_next_frame_is_taken(assembler) -> None:
-    first, second = (SENT.burst(np.full(408, c), c, 0) for c in (4, 5))
-    first[58] = first[58][:-1] + bytes([first[58][-1] ^ 1])
-    assert [frame.counter for frame in received(assembler, first + second)] == [5]
-    assert assembler.counts.corrupt == 1
-
-
-def test_a_counter_of_another_phase_than_its_messages_is_refused(assembler) -> None:
-    sent = [bytes([m[0] ^ 1 << PHASE_SHIFT]) + m[1:] for m in stream_of({4: np.full(408, 7)})]
-    assert received(assembler, sent) == []
-    assert assembler.counts.corrupt == 1
-
-
-def test_a_buffer_that_the_caller_reuses_does_no_harm(assembler) -> None:
     buffer = bytearray(8)
     frame = None
     for message in SENT.burst(np.arange(408) & 255, 1, 0):
