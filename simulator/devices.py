@@ -56,10 +56,6 @@ class CellDevices:
             else max(_PAST_MIDDLE_M, settings.linkage.half_opening_min_m),
         )
         self.world = self._make_world(start_s)
-        if settings.servo_baud_rate not in BAUD_RATES:
-            raise SimulatorSettingsError(
-                f"servo_baud_rate is {settings.servo_baud_rate}, must be one of {BAUD_RATES}"
-            )
         eeprom = {
             "baud_rate": BAUD_RATES.index(settings.servo_baud_rate),
             "return_delay_time": 0,

@@ -10,7 +10,6 @@ from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.boards.site import SimulatedBoards
 from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
-from simulator.errors import SimulatorSettingsError, require_positive
 from simulator.servo.drawn import drawn_gearing
 from simulator.servo.encoder import ServoNoise
 from simulator.servo.gearing import IDEAL_GEARING, Gearing
@@ -40,9 +39,6 @@ class SimulatedServoSettings:
     """Factor on torque and back-EMF of its motor."""
     overload_rule: OverloadRule = OverloadRule.DUTY
     """Rule of its overload protection."""
-
-    def __post_init__(self) -> None:
-        require_positive(friction_factor=self.friction_factor, kt_factor=self.kt_factor)
 
     def motor(self, seed: int) -> ServoMotor:
         """Return a new motor of this servo in a cell with a seed."""
@@ -103,10 +99,3 @@ class SimulatorSettings(WorldSettings):
     """Bit rate of the drives' CAN bus in bit/s."""
     faults: tuple[str, ...] = ()
     """Faults at the start, for example ``can.loss=0.05@2s``."""
-
-    def __post_init__(self) -> None:
-        reach_m = 2.0 * self.linkage.half_opening_max_m
-        if not 0.0 <= self.aperture_m <= reach_m:
-            raise SimulatorSettingsError(
-                f"aperture_m is {self.aperture_m}, must be from 0 to {reach_m:.3f} m (linkage)"
-            )

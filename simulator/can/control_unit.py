@@ -18,7 +18,6 @@ from simulator.can.object_dictionary import UnitDictionary
 from simulator.can.scanner import ScannedWorld, Scanner
 from simulator.can.wire import mean_bits
 from simulator.clock import ROUNDING_S
-from simulator.errors import SimulatorSettingsError
 from tactile.control_unit import object_dictionary as od
 from tactile.layout import TaxelLayout
 
@@ -63,12 +62,6 @@ class ControlUnitSettings:
     """Object 0x2103: serial numbers of the pads' boards on finger 0 and finger 1."""
     force_messages: bool = True
     """False: an older unit of minor revision 0, without force messages."""
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.node_id <= 127:
-            raise SimulatorSettingsError(f"node_id is {self.node_id}, must be 1 to 127")
-        if self.bitrate <= 0:
-            raise SimulatorSettingsError(f"bitrate is {self.bitrate}, must be positive")
 
 
 class SimulatedControlUnit(CanopenDevice):

@@ -7,8 +7,6 @@ from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
-from simulator.errors import SimulatorSettingsError
-
 _STUFFABLE_BITS = 34
 """Start of frame, identifier, control field and CRC of an 11-bit data frame, in bits."""
 _FIXED_BITS = 13
@@ -77,8 +75,6 @@ class CanWire:
     """
 
     def __init__(self, bitrate: int) -> None:
-        if bitrate <= 0:
-            raise SimulatorSettingsError(f"CAN bit rate is {bitrate} bit/s, must be positive")
         self.bitrate = bitrate
         self._busy_until_s = -math.inf
         self._queues: dict[float, deque[_Queued]] = {}

@@ -4,7 +4,9 @@ They have no loop: the owner waits until the descriptor is readable or the next 
 calls ``poll``.
 """
 
+import fcntl
 import os
+import struct
 import termios
 import tty
 from collections.abc import Callable
@@ -24,6 +26,12 @@ _BAUD_BY_CONSTANT: dict[int, int] = {
 """Line rate in baud of constants of termios such as B115200."""
 _OUTPUT_SPEED = 5
 """Position of the output speed in the result of `termios.tcgetattr`."""
+_SPEED_IN_NUMBERS = 0o10000
+"""BOTHER of asm-generic/termbits.h: termios2 has the rate as a number; clients in Rust set it."""
+_TCGETS2 = 0x802C542A
+"""Request that reads termios2 (asm-generic/ioctls.h)."""
+_TERMIOS2 = struct.Struct("=4IB19s2I")
+"""Structure termios2: four flags, line discipline, 19 control characters, both speeds."""
 
 
 class SerialPty:
@@ -113,8 +121,11 @@ class SerialPty:
 
     @property
     def client_baudrate(self) -> int:
-        """Line rate in baud set by the client, one of termios; 0: another one, or hung up."""
+        """Line rate in baud set by the client, as constant or number; 0: hung up."""
         speed = termios.tcgetattr(self.slave_fd)[_OUTPUT_SPEED]
+        if speed == _SPEED_IN_NUMBERS:
+            raw = fcntl.ioctl(self.slave_fd, _TCGETS2, bytes(_TERMIOS2.size))
+            return int(_TERMIOS2.unpack(raw)[-1])
         return _BAUD_BY_CONSTANT.get(speed, 0)
 
     def poll(self, now_s: float) -> float | None:

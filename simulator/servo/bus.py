@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 from simulator.clock import ROUNDING_S, VirtualClock
-from simulator.errors import PortUnplugged, SimulatorSettingsError
+from simulator.errors import PortUnplugged
 from simulator.servo.device import SimulatedServo
 from simulator.servo.faults import WireFaults
 from simulator.servo.protocol2 import (
@@ -42,11 +42,6 @@ class ServoBusDevice:
     """
 
     def __init__(self, servos: Sequence[SimulatedServo], baudrate: int) -> None:
-        ids = [servo.servo_id for servo in servos]
-        if len(set(ids)) != len(ids):
-            raise SimulatorSettingsError(f"the IDs of the servos differ, got {ids}")
-        if baudrate <= 0:
-            raise SimulatorSettingsError(f"baudrate is positive, got {baudrate}")
         self.servos = tuple(servos)
         self.baudrate = baudrate
         """Line rate of the host in baud; an endpoint sets it to the client's rate."""

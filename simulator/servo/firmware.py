@@ -1,7 +1,7 @@
 """The firmware of a simulated servo: boot, torque, goals, bus watchdog, protections.
 
 `simulator.servo.device` uses it to answer instructions; `simulator.servo.motor` carries out its
-commands.
+commands. Homing Offset and Startup Configuration have no effect: the driver refuses both.
 """
 
 import math
@@ -14,7 +14,6 @@ from gripper.dynamixel.control_table import (
     DRIVE_MODE,
     GOAL_PWM,
     HARDWARE_ERROR_STATUS,
-    HOMING_OFFSET,
     MAX_VOLTAGE_LIMIT,
     MOVING_THRESHOLD,
     OPERATING_MODE,
@@ -47,8 +46,6 @@ GOAL_START, GOAL_END = GOAL_PWM.address, PRESENT_START
 """Addresses of goals and profile, 100 to 119."""
 IN_POSITION_PULSES = 20
 """Distance to Goal Position in pulses at which Moving Status shows arrival (e-Manual, 123)."""
-HOMING_OFFSET_MODE_3 = 1024
-"""Largest Homing Offset in pulses in position mode; a larger offset is ignored there."""
 REBOOT_S = 0.35
 """Time in s of a reboot, without reception and answers; an assumption."""
 REVERSE_MODE = 0x01
@@ -56,8 +53,6 @@ REVERSE_MODE = 0x01
 effect here."""
 _TICKS_PER_S, _ROUNDING_TICKS = 1000.0, 1e-6
 """Rate of Realtime Tick (e-Manual, 120), and the allowance for rounding in ticks."""
-_TORQUE_AT_BOOT = 0x01
-"""Bit of Startup Configuration (e-Manual, 60)."""
 _ARRIVED, _PROFILE_ONGOING, _TRAPEZOIDAL_PROFILE = 0x01, 0x02, 0x30
 """Bits of Moving Status (e-Manual, 123)."""
 _FOLLOWS_POSITION = frozenset(
@@ -72,8 +67,8 @@ _PRESENT = struct.Struct("<HBBhhiiiiHB")
 position trajectory, voltage, temperature."""
 _GOALS = struct.Struct("<hhiIIi")
 """Registers 100 to 119: PWM, current, velocity, profile acceleration and velocity, position."""
-_HOMING, _THRESHOLD = struct.Struct("<i"), struct.Struct("<I")
-"""Registers 20 to 23 and 24 to 27: homing offset, moving threshold."""
+_THRESHOLD = struct.Struct("<I")
+"""Registers 24 to 27: moving threshold."""
 _LIMITS = struct.Struct("<HH4xI")
 """Registers 36 to 47: limits of PWM, current and velocity, with the 4 bytes before the last."""
 _GAINS = struct.Struct("<HHH")
@@ -104,29 +99,21 @@ class ServoPosition:
         return -1 if self._registers.table.data[_DRIVE] & REVERSE_MODE else 1
 
     def present_raw(self) -> int:
-        """Return Present Position: sensed angle in counts, folded, with Homing Offset."""
+        """Return Present Position: sensed angle in counts, folded."""
         return self.to_raw(self._plant.sensed_rad)
 
     def fold_turns(self) -> None:
-        """Reduce the position to one turn: 0 to 4095 before Homing Offset."""
+        """Reduce the position to one turn: 0 to 4095."""
         actual, turn = self.sign * self._plant.sensed_count, self._model.pulses_per_turn
         self._turn_offset = -(actual // turn) * turn
 
     def to_raw(self, angle_rad: float) -> int:
         """Return the position in counts of a motor angle in rad."""
-        return self.sign * self._counts(angle_rad) + self._offset()
+        return self.sign * self._counts(angle_rad) + self._turn_offset
 
     def to_rad(self, raw: int) -> float:
         """Return the motor angle in rad of a position in counts."""
-        return self.sign * (raw - self._offset()) * self._model.rad_per_pulse
-
-    def _offset(self) -> int:
-        """Return the counts of turns and Homing Offset."""
-        data = self._registers.table.data
-        (homing,) = _HOMING.unpack_from(data, HOMING_OFFSET.address)
-        if data[_MODE] == OperatingMode.POSITION and abs(homing) > HOMING_OFFSET_MODE_3:
-            homing = 0
-        return self._turn_offset + int(homing)
+        return self.sign * (raw - self._turn_offset) * self._model.rad_per_pulse
 
     def refresh(self, uptime_s: float, *, following: bool) -> None:
         """Bring registers 120 to 146 up to date.
@@ -136,7 +123,7 @@ class ServoPosition:
         following
             Whether the motor follows Goal Position.
         """
-        plant, sign, offset = self._plant, self.sign, self._offset()
+        plant, sign, offset = self._plant, self.sign, self._turn_offset
         data = self._registers.table.data
         velocity_raw = sign * plant.sensed_velocity_raw
         position_raw = sign * plant.sensed_count + offset
@@ -293,7 +280,7 @@ class ServoCore:
         return bool(self.table.data[_HARDWARE_ERROR] & self.table.data[SHUTDOWN.address])
 
     def boot(self, now_s: float, *, blackout_s: float = REBOOT_S) -> None:
-        """Restart the firmware: RAM at its defaults, one turn, torque as configured."""
+        """Restart the firmware: RAM at its defaults, one turn, torque off."""
         self.registers.load_ram()
         self.silent_until_s = now_s + blackout_s
         self._booted_s = now_s
@@ -303,7 +290,7 @@ class ServoCore:
         self.plant.load_excess_s = 0.0
         self.position.fold_turns()
         self.registers.put("goal_position", self.position.present_raw())
-        self.table.data[_TORQUE] = self.registers.get("startup_configuration") & _TORQUE_AT_BOOT
+        self.table.data[_TORQUE] = 0
         self.apply_goals()
 
     def refresh(self, now_s: float) -> None:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from gripper.dynamixel.models import ServoModel
-from simulator.errors import SimulatorSettingsError
 from simulator.servo.data_sheets import data_sheet
 
 _VISCOUS_SHARE = 0.01
@@ -122,17 +121,6 @@ class Gearing:
     """Share of the friction on the output side of the backlash: bearings, horn, finger."""
     drive: Drive | None = None
     """Values of one servo; None: those of its data sheet with ``load_friction``."""
-
-    def __post_init__(self) -> None:
-        for name, limit in (
-            ("load_friction", 1.0),
-            ("output_friction", 1.0),
-            ("backlash_rad", math.pi),
-        ):
-            if not 0.0 <= getattr(self, name) < limit:
-                raise SimulatorSettingsError(
-                    f"{name} of a gearing is from 0 to below {limit:g}, got {getattr(self, name)}"
-                )
 
     def drive_of(self, model: ServoModel) -> Drive:
         """Return motor and gearing of a servo of a model.

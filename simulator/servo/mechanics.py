@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from simulator.errors import SimulatorSettingsError, require_positive
+from simulator.errors import SimulatorSettingsError
 from simulator.servo.motor import DriveMode, ServoMotor
 
 FINGER_INERTIA_KG_M2 = 2e-4
@@ -35,9 +35,6 @@ class ParallelogramLinkage:
     """Half opening in m at the angle 0."""
     open_stop_rad: float = LARGEST_LINK_ANGLE_RAD
     """Angle in rad of the open end stop."""
-
-    def __post_init__(self) -> None:
-        require_positive(link_m=self.link_m, open_stop_rad=self.open_stop_rad)
 
     @property
     def half_opening_max_m(self) -> float:
@@ -80,9 +77,6 @@ class RackLinkage:
     travel_m: float = 0.05
     """Largest half opening in m."""
 
-    def __post_init__(self) -> None:
-        require_positive(pinion_radius_m=self.pinion_radius_m, travel_m=self.travel_m)
-
     @property
     def half_opening_max_m(self) -> float:
         """Largest half opening in m."""
@@ -124,10 +118,6 @@ class ServoMount:
     """+1 when the fingers open with a growing position, -1 when they close."""
     zero_raw: int = 2048
     """Raw position at the linkage angle 0."""
-
-    def __post_init__(self) -> None:
-        if self.direction not in {-1, 1}:
-            raise SimulatorSettingsError(f"direction is 1 or -1, got {self.direction}")
 
 
 def velocity_after(
@@ -174,16 +164,6 @@ class FingerMechanics:
         aperture_m: float,
         half_opening_min_m: float = 0.0,
     ) -> None:
-        if len(motors) not in {1, 2} or len(mounts) != len(motors):
-            raise SimulatorSettingsError(
-                f"a gripper has one or two motors, each with a mount; got {len(motors)} motors "
-                f"and {len(mounts)} mounts"
-            )
-        low_m, high_m = linkage.half_opening_min_m, linkage.half_opening_max_m
-        if not low_m <= half_opening_min_m < high_m:
-            raise SimulatorSettingsError(
-                f"half_opening_min_m is {half_opening_min_m}, must be from {low_m} to {high_m}"
-            )
         self.motors = tuple(motors)
         self._single = len(motors) == 1
         self._linkage = linkage
@@ -221,13 +201,7 @@ class FingerMechanics:
 
         Below 0 the pads press on each other.
         """
-        half_m = 0.5 * aperture_m
-        low_m, high_m = self._linkage.half_opening_min_m, self._linkage.half_opening_max_m
-        if not low_m <= half_m <= high_m:
-            raise SimulatorSettingsError(
-                f"aperture {aperture_m} m is outside {2 * low_m} to {2 * high_m} m"
-            )
-        theta = self._linkage.angle_rad(half_m)
+        theta = self._linkage.angle_rad(0.5 * aperture_m)
         self._driven = True
         for motor, (direction, zero_rad) in zip(self.motors, self._axes, strict=True):
             motor.place(zero_rad + direction * theta)

@@ -18,7 +18,6 @@ from enum import Enum, IntEnum
 from typing import NamedTuple
 
 from gripper.dynamixel.models import XM430_W350, ServoModel
-from simulator.errors import SimulatorSettingsError
 from simulator.servo.control_table import is_x330
 from simulator.servo.data_sheets import data_sheet
 from simulator.servo.encoder import ServoNoise, VelocityRegister
@@ -142,8 +141,6 @@ class ServoMotor:
         gearing: Gearing = IDEAL_GEARING,
         noise: ServoNoise | None = None,
     ) -> None:
-        if not math.isfinite(angle_rad):
-            raise SimulatorSettingsError(f"the angle of a motor is finite, got {angle_rad} rad")
         self.model, self._rad_per_pulse = model, model.rad_per_pulse
         self.gearing = gearing
         self._noise, self._dither = noise, 0.0

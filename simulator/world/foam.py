@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.errors import SimulatorSettingsError, require_positive
+from simulator.errors import SimulatorSettingsError
 
 TABLE_STEP_M = 10e-6
 """Spacing in m of the depths in a force table: 1/300 of the foam."""
@@ -37,15 +37,6 @@ class Foam:
     spread_m: float = 1.5e-3
     """Standard deviation in m of the spreading of a pressure on its way through the sheet: about
     half the thickness."""
-
-    def __post_init__(self) -> None:
-        require_positive(
-            thickness_m=self.thickness_m, modulus_pa=self.modulus_pa, spread_m=self.spread_m
-        )
-        if not (math.isfinite(self.densification) and self.densification >= 0.0):
-            raise SimulatorSettingsError(
-                f"foam: densification is {self.densification}, must be at least 0"
-            )
 
     def pressure_pa(self, indentation_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the pressure in Pa of columns with an indentation in m.

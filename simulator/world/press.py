@@ -19,10 +19,6 @@ _SETTLE_STEPS = 60
 """Most Newton or bisection steps: bisection reaches the precision of a float within them."""
 _COARSE = 4
 """Step of the coarse grid in cells, for pads that meet each other."""
-_LEAST_SHARE, _MOST_SHARE = 0.1, 10.0
-"""Range of the factors between pads; beyond it a pad is defective."""
-_MOST_SHIFT_M, _MOST_TILT_RAD = 0.005, math.radians(10.0)
-"""Largest misalignment of the pads along each axis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,21 +35,6 @@ class PadPair:
     """Factors from 0.1 to 10 on the measured force of the taxels of finger 0 and finger 1."""
     stiffness: tuple[float, float] = (1.0, 1.0)
     """Factors from 0.1 to 10 on the modulus of their foam."""
-
-    def __post_init__(self) -> None:
-        for name, values in (("gains", self.gains), ("stiffness", self.stiffness)):
-            if not all(_LEAST_SHARE <= value <= _MOST_SHARE for value in values):
-                raise SimulatorSettingsError(
-                    f"{name} of the pads are {values}, must be from {_LEAST_SHARE} to {_MOST_SHARE}"
-                )
-        if not (
-            all(abs(value) <= _MOST_SHIFT_M for value in self.shift_m)
-            and all(abs(value) <= _MOST_TILT_RAD for value in self.tilt_rad)
-        ):
-            raise SimulatorSettingsError(
-                f"the pads are misaligned by {self.shift_m} m and {self.tilt_rad} rad, must be "
-                f"within {_MOST_SHIFT_M} m and {_MOST_TILT_RAD:.3f} rad"
-            )
 
     def foams(self, foam: Foam) -> tuple[Foam, Foam]:
         """Return the foam of each finger's pad, from one sheet."""

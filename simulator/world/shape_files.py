@@ -59,21 +59,6 @@ class MeshShape:
     roll_step_rad: float = 0.0
     """Rolls in which it rests between the pads, multiples of this in rad; 0 allows any."""
 
-    def __post_init__(self) -> None:
-        triangles_m = np.array(self.triangles_m, dtype=np.float64)
-        if triangles_m.ndim != 3 or triangles_m.shape[1:] != (3, 3) or len(triangles_m) == 0:
-            raise SimulatorSettingsError(
-                f"triangles have shape {triangles_m.shape}, expected (n, 3, 3)"
-            )
-        if len(triangles_m) > MAX_FACES:
-            raise SimulatorSettingsError(
-                f"the mesh has {len(triangles_m)} triangles, limit {MAX_FACES}"
-            )
-        if not np.all(np.isfinite(triangles_m)):
-            raise SimulatorSettingsError("the mesh has corners that are not finite")
-        triangles_m.setflags(write=False)
-        object.__setattr__(self, "triangles_m", triangles_m)
-
     def heights(
         self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], roll_rad: float
     ) -> Heights:

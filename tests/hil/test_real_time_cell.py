@@ -1,11 +1,8 @@
 """The program against a simulated cell in another process: real time, pseudo-terminals."""
 
-import contextlib
 import json
-import os
 import signal
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,26 +10,14 @@ import pytest
 
 from cell.config.file import load_config, parse_config
 from cell.recording.reader import read_recording
-from cell.runtime.goals import TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from gripper.errors import ServoFault
 from pytest_tactile_cell.process import CellProcess
-from tests.hil.program import CONFIG, LIMIT_S, end, first, hurry, run, running
-from tests.waiting import until
+from tests.hil.program import CONFIG, LIMIT_S, end, first, run, running
 
 pytestmark = pytest.mark.real_time
 
 SEQUENCE = "sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}\n"
-
-
-@pytest.fixture
-def hurried() -> Iterator[None]:
-    """Let this thread, and those that it starts, go before others."""
-    before = os.getpriority(os.PRIO_PROCESS, 0)
-    hurry(0)
-    yield
-    with contextlib.suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, 0, before)
 
 
 @pytest.fixture
@@ -184,33 +169,3 @@ def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(simulator, tmp
     assert len(recording.frames) > 10
     kinds = [event["kind"] for event in recording.events if event["kind"] != "job"]
     assert kinds[0] == "fault"
-
-
-@pytest.mark.usefixtures("hurried")
-def test_a_part_is_kept_in_real_time_until_the_host_lets_it_go(simulator) -> None:
-    with TactileCellPlugin(simulator.config_path) as plugin:
-        assert not plugin.info()["simulated"]
-        for seed, label in enumerate(("ball", "box")):
-            plugin.result(plugin.start(TeachGoal(label=label, grasps=3, seed=seed)), 4.0 * LIMIT_S)
-        job = plugin.start({"task": "identify", "present": "box", "keep": "always", "seed": 9})
-        answer = plugin.result(job, LIMIT_S)
-        assert answer.kept
-        assert (plugin.status().state, plugin.status().state_number) == ("COMPLETE", 17)
-        for _ in range(20):
-            threading.Event().wait(0.1)
-            assert plugin.status().fault is None
-            assert simulator.grip_n() == pytest.approx(4.0, abs=1.0)
-        found = plugin.result(plugin.start({"task": "verify"}), LIMIT_S)
-        assert (found.held, found.same) == (True, True)
-        assert plugin.status().state == "COMPLETE"
-        plugin.cancel(job)
-        plugin.release()
-        assert simulator.grip_n() == 0.0
-        assert plugin.status().state == "IDLE"
-
-        grip = {"task": "grip", "force_n": 3.0, "present": "ball"}
-        plugin.result(plugin.start(grip), LIMIT_S)
-        simulator.ask(inject="object.gone")
-        until(lambda: plugin.status().fault)
-        assert plugin.status().grasp == "PART LOST"
-        assert str(plugin.status().fault).endswith(" s after the grip")

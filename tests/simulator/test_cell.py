@@ -8,15 +8,11 @@ import can
 import pytest
 
 from gripper.dynamixel.models import XM430_W350
-from simulator.can.control_unit import ControlUnitSettings
-from simulator.can.wire import CanWire
 from simulator.cell import SimulatedCell
 from simulator.clock import Pace, VirtualClock
 from simulator.errors import PortUnplugged, SimulatorSettingsError
-from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import SimulatedServo
-from simulator.servo.gearing import Gearing
-from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
+from simulator.servo.mechanics import ParallelogramLinkage, RackLinkage
 from simulator.servo.motor import ServoMotor
 from simulator.settings import SimulatorSettings
 from tactile.frames.assembler import FrameAssembler
@@ -129,39 +125,15 @@ def servo(**settings: int) -> SimulatedServo:
     return SimulatedServo(1, XM430_W350, ServoMotor(), settings=settings)
 
 
-def fingers(motors: int = 2, **options: float) -> FingerMechanics:
-    made = [ServoMotor() for _ in range(motors)]
-    mounts = [ServoMount() for _ in range(motors)]
-    return FingerMechanics(made, mounts, ParallelogramLinkage(), **{"aperture_m": 0.01} | options)
-
-
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: ControlUnitSettings(node_id=0), "node_id"),
-        (lambda: ControlUnitSettings(node_id=128), "node_id"),
-        (lambda: ControlUnitSettings(bitrate=0), "bitrate"),
-        (lambda: CanWire(0), "bit rate"),
-        (lambda: SimulatorSettings(aperture_m=0.5), "aperture_m"),
-        (lambda: SimulatedCell(SimulatorSettings(servo_baud_rate=12345)), "servo_baud_rate"),
-        (lambda: ServoBusDevice([servo(), servo()], 57600), "IDs"),
-        (lambda: ServoBusDevice([servo()], 0), "baudrate"),
+        (lambda: SimulatedCell(SimulatorSettings(aperture_m=0.5)), "out of reach"),
         (lambda: servo(present_position=1), "present_position"),
         (lambda: servo(no_such_item=1), "no_such_item"),
         (lambda: servo(return_delay_time=255), "return_delay_time"),
-        (lambda: fingers(0), "one or two motors"),
-        (lambda: fingers(half_opening_min_m=-0.1), "half_opening_min_m"),
-        (lambda: fingers().drive_to(-1.0), "aperture -1.0 m"),
-        (lambda: fingers().drive_to(1.0), "aperture 1.0 m"),
-        (lambda: fingers().drive_to(math.nan), "aperture nan m"),
-        (lambda: ServoMount(direction=0), "direction"),
-        (lambda: ParallelogramLinkage(link_m=0.0), "link_m"),
-        (lambda: RackLinkage(travel_m=math.inf), "travel_m"),
         (lambda: ParallelogramLinkage().angle_rad(0.07), "out of reach"),
         (lambda: RackLinkage().angle_rad(0.06), "beyond"),
-        (lambda: Gearing(load_friction=1.0), "load_friction"),
-        (lambda: Gearing(backlash_rad=math.nan), "backlash_rad"),
-        (lambda: ServoMotor(angle_rad=math.nan), "finite"),
     ],
 )
 def test_the_setting_is_named(make: Callable[[], object], says: str) -> None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import fcntl
 import json
 import math
 import os
@@ -276,6 +277,16 @@ def test_another_rate_is_met_with_silence(endpoint, speed: int):
     os.write(descriptor, PING)
     assert endpoint.poll(1.0) is None
     os.close(descriptor)
+
+
+@pytest.mark.parametrize("baudrate", [1_000_000, 1_234_567])
+def test_a_rate_set_as_a_number_is_known_too(endpoint, client, baudrate: int):
+    layout = struct.Struct("=4IB19s2I")
+    settings = list(layout.unpack(fcntl.ioctl(client, 0x802C542A, bytes(layout.size))))
+    settings[2] = settings[2] & ~0o10017 | 0o10000
+    settings[-2:] = [baudrate, baudrate]
+    fcntl.ioctl(client, 0x402C542B, layout.pack(*settings))
+    assert endpoint.client_baudrate == baudrate
 
 
 def test_a_client_that_never_reads_does_not_block(endpoint, client):

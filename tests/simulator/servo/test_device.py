@@ -135,14 +135,10 @@ def test_the_realtime_tick_counts_ms_and_wraps(bench):
     assert servo.read(120, 2, 32.768).data == bytes(2)
 
 
-def test_homing_offset_shifts_and_reverse_mirrors_only_the_motor():
+def test_reverse_mode_mirrors_the_position():
     plain = ServoBench().read(1, 132, 4, signed=True)
-    offset = ServoBench(settings={"homing_offset": 100, "operating_mode": 4})
-    assert offset.read(1, 132, 4, signed=True) == plain + 100
-    reverse = ServoBench(settings={"homing_offset": 100, "drive_mode": 1, "operating_mode": 4})
-    assert reverse.read(1, 132, 4, signed=True) == (-plain) % 4096 + 100
-    ignored = ServoBench(settings={"homing_offset": 2000, "operating_mode": 3})
-    assert ignored.read(1, 132, 4, signed=True) == plain
+    reverse = ServoBench(settings={"drive_mode": 1, "operating_mode": 4})
+    assert reverse.read(1, 132, 4, signed=True) == (-plain) % 4096
 
 
 def multi_turn():
@@ -181,11 +177,6 @@ def test_reboot_answers_first_then_is_deaf_and_loses_its_ram(bench):
     assert bench.read(1, 112, 4) == 0
     assert bench.read(1, 116, 4) == bench.read(1, 132, 4)
     assert bench.read(1, 120, 2) < 1000
-
-
-def test_startup_configuration_switches_the_torque_on():
-    bench = ServoBench(settings={"startup_configuration": 1})
-    assert bench.read(1, 64, 1) == 1
 
 
 def ids(answer: bytes) -> list[int]:
