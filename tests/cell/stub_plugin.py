@@ -86,6 +86,10 @@ class StubPlugin:
         """Have the job that runs report so much more."""
         self._set(progress=self.job().progress | progress)
 
+    def report_part(self, part: Part) -> None:
+        """Have the job that runs report a part."""
+        self._set(part=part)
+
     def ready(self) -> None:
         """Be idle with empty fingers, whatever was before; the job that runs is cancelled."""
         self._error = None

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -72,15 +73,11 @@ def test_the_config_of_the_page_on_keys_is_valid() -> None:
 @pytest.mark.long
 def test_the_page_on_updates_can_be_typed(here) -> None:
     Path("commissioning.md").write_text("signed")
-    printed = list(typed("update.md"))
+    back_up, put_back, *_ = blocks("update.md", "sh")
+    subprocess.run(["bash", "-ec", back_up + put_back], check=True)
     for name in ("commissioning.md", "parts.model.npz", "tactile-cell.yaml"):
         assert Path("../press-4", name).read_bytes() == Path(name).read_bytes()
-    (shown,) = blocks("update.md", "text")
-    name = r"\.\./before-update\.tar: 3 files, \d+\.\d MB\n"
-    assert re.fullmatch(name, printed[0])
-    assert re.fullmatch(name, shown)
-    assert printed[1] == "../press-4: 3 files of ../before-update.tar\n"
-    assert re.search(r"\b(ball|box)\b", printed[-1])
+    assert re.search(r"\b(ball|box)\b", list(typed("update.md"))[-1])
 
 
 def test_a_wheel_of_the_page_has_the_name_that_a_build_gives_it() -> None:

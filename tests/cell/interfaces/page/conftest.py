@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from cell.config.model import CellConfig
+from cell.control.part import Part
 from cell.runtime.goals import Goal
 from cell.runtime.plugin import cell_values
 from cell.service.service import Service, state_values
@@ -26,7 +27,6 @@ TEACHING: dict[str, Any] = {
 SORTING: dict[str, Any] = {
     "task": "sort", "of": 40, "parts": 13, "n_rejected": 1, "n_missed": 0,
     "places": {"tray A": 7, "tray B": 4, "box": 1, "rejects": 1},
-    "label": "nut", "place": "tray A", "probability": 0.98,
 }  # fmt: skip
 
 
@@ -118,6 +118,7 @@ class FakeCell:
     def sorting(self) -> None:
         """A sort, the fourteenth part."""
         self._begin({"task": "sort", "parts": 40}, SORTING)
+        self.plugin.report_part(Part(label="nut", place="tray A"))
 
     def _name(self, label: str, **fields: Any) -> None:
         self.plugin.ready()
