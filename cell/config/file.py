@@ -271,7 +271,7 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
         value, message = item["input"], item["msg"].removeprefix("Value error, ")
         given = "" if isinstance(value, dict | list) else f" (found: {value!r:.200})"
         if item["type"] == "extra_forbidden":
-            message = f"unknown key; {_meant(item['loc'])}`tactile-cell config schema` lists all"
+            message = f"unknown key; {_meant(item['loc'])}`tactile-cell config init` writes all"
         lines.append(f"{source}:{place}: {key or 'config'}: {message}{given}")
     more = [f"{source}: {len(lines) - _MAX_COMPLAINTS} more errors"]
     return "\n".join(lines[:_MAX_COMPLAINTS] + more * (len(lines) > _MAX_COMPLAINTS))

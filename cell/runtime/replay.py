@@ -11,16 +11,12 @@ import numpy as np
 from cell.config.gripper import GripperConfig, RackPinionConfig, ServoConfig
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_pads, link_settings
-from cell.errors import CellError, raised_as
-from cell.learning.blas import one_blas_thread
+from cell.errors import CellError
 from cell.learning.progress import Progress
-from cell.learning.training import train
 from cell.simulation import largest_aperture_m, simulator_settings
 from gripper.gripper import open_gripper
 from gripper.settings import HARD_FORCE_CAP_N
 from gripper.values.force_sensor import ForceSample
-from recognition.evaluation.metrics import wilson_interval
-from recognition.evaluation.splits import chronological_split, parse_split
 from recognition.grasp import Grasp
 from simulator.cell import SimulatedCell
 from tactile.sensor.opening import open_sensor
@@ -48,87 +44,45 @@ class ReplayResult:
     """The first difference."""
     aperture_error_mm: float
     """Largest difference of a received opening in mm: the servos report whole pulses."""
-    accuracy: float | None
-    interval: tuple[float, float] | None
-    """Share of grasps whose likeliest label is right, and its 95 % interval; None without labels to
-    train with."""
-    n_train: int
-    """Number of grasps for training; they are not replayed."""
-    recognizer: str
-    unnamed: str | None
-    """Why no grasp was identified."""
     seconds: float
     """Duration in s."""
 
 
-@one_blas_thread()
 def replay_grasps(
     grasps: Sequence[Grasp],
     config: CellConfig | None = None,
     *,
-    split: str,
     limit: int | None,
-    recognizer: str,
     progress: Progress,
 ) -> ReplayResult:
-    """Train on one part of recorded grasps, send the other part through the links, identify it.
+    """Send recorded grasps through the links, and compare what comes back.
 
-    Raises CellError if the split is invalid, or the grasps cannot be played.
+    Raises CellError if the grasps cannot be played.
 
     Parameters
     ----------
-    grasps
-        Recorded grasps. Without labels, or with too few grasps to teach, all are replayed and not
-        identified.
     config
         Servos and control unit to play with; by default rack-driven fingers that open far enough.
-    split
-        Part for the training, e.g. ``chronological:0.6``.
     limit
-        Most grasps to replay, spread evenly over the rest.
+        Most grasps to replay, spread evenly; None: all.
     """
     started_s = time.monotonic()
-    progress("train", 0, 1)
-    train_part: tuple[Grasp, ...] = ()
-    taught, test_part, unnamed = None, tuple(grasps), "a grasp has no label"
-    if all(grasp.label for grasp in grasps):
-        with raised_as(CellError, ValueError):
-            fraction = parse_split(split)
-        try:
-            train_part, test_part = chronological_split(grasps, fraction)
-            taught, unnamed = train(train_part, recognizer).recognizer, ""
-        except (CellError, ValueError) as error:
-            train_part, test_part, unnamed = (), tuple(grasps), str(error)
-    progress("train", 1, 1)
-    if limit is not None and limit < len(test_part):
-        chosen = np.linspace(0, len(test_part) - 1, limit).round().astype(int)
-        test_part = tuple(test_part[i] for i in chosen)
+    sent = tuple(grasps)
+    if limit is not None and limit < len(sent):
+        sent = tuple(sent[i] for i in np.linspace(0, len(sent) - 1, limit).round().astype(int))
     received = []
-    with _Rig(config or _wide_config(grasps), test_part) as rig:
-        for number, grasp in enumerate(test_part):
+    with _Rig(config or _wide_config(sent), sent) as rig:
+        for number, grasp in enumerate(sent):
             received.append(rig.play(number, grasp))
-            progress("replay", number + 1, len(test_part))
-    right = (
-        None
-        if taught is None
-        else sum(
-            taught.posterior(back).best == sent.label
-            for back, sent in zip(received, test_part, strict=True)
-        )
-    )
-    difference = _first_difference(test_part, received)
+            progress("replay", number + 1, len(sent))
+    difference = _first_difference(sent, received)
     return ReplayResult(
-        n_grasps=len(test_part),
-        frames_sent=sum(grasp.n_frames for grasp in test_part),
+        n_grasps=len(sent),
+        frames_sent=sum(grasp.n_frames for grasp in sent),
         frames_received=sum(grasp.n_frames for grasp in received),
         frames_equal=not difference,
         difference=difference or None,
-        aperture_error_mm=round(1e3 * _aperture_error_m(test_part, received), 4),
-        accuracy=None if right is None else right / len(test_part),
-        interval=None if right is None else wilson_interval(right, len(test_part)),
-        n_train=len(train_part),
-        recognizer=recognizer,
-        unnamed=unnamed or None,
+        aperture_error_mm=round(1e3 * _aperture_error_m(sent, received), 4),
         seconds=round(time.monotonic() - started_s, 2),
     )
 

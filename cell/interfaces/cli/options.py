@@ -93,7 +93,6 @@ Objects = Annotated[
     list[str] | None,
     typer.Option("--object", help="Only grasps of this object; repeat for several."),
 ]
-Split = Annotated[str, typer.Option("--split", help="chronological:FRACTION to train on.")]
 
 
 def known_recognizers(names: list[str] | None) -> list[str] | None:

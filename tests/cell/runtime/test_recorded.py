@@ -32,7 +32,7 @@ SPLIT = "chronological:0.6"
 
 
 def play(grasps: Any, **changes: Any) -> Any:
-    options = {"split": SPLIT, "limit": None, "recognizer": "force_ramp", "progress": silent}
+    options = {"limit": None, "progress": silent}
     return replay_grasps(grasps, **options | changes)
 
 
@@ -78,27 +78,15 @@ def test_what_cannot_be_evaluated_says_why(taught: Any) -> None:
 
 
 @pytest.mark.slow
-def test_replayed_grasps_come_back_bit_for_bit_and_are_named(taught: Any) -> None:
+def test_replayed_grasps_come_back_bit_for_bit(taught: Any) -> None:
     told: list[tuple[str, int, int]] = []
-    result = play(taught.grasps, progress=lambda *step: told.append(step))
+    result = play(taught.grasps, limit=4, progress=lambda *step: told.append(step))
     assert result.frames_equal
-    assert (result.difference, result.n_grasps, result.n_train) == (None, 4, 6)
+    assert (result.difference, result.n_grasps) == (None, 4)
     assert result.frames_received == result.frames_sent > 4 * 20
     assert result.aperture_error_mm < 0.3
-    assert result.accuracy == 1.0
     assert told[-1] == ("replay", 4, 4)
     assert json.loads(json_bytes(result))["frames_equal"] is True
-
-
-@pytest.mark.parametrize(
-    ("n", "limit", "changes", "why"),
-    [(2, 1, {"label": ""}, "no label"), (1, None, {}, "ball"), (4, None, {}, "ball")],
-)
-def test_what_cannot_teach_is_compared_and_not_named(taught: Any, n, limit, changes, why) -> None:
-    result = play([replace(grasp, **changes) for grasp in taught.grasps[:n]], limit=limit)
-    assert result.frames_equal
-    assert (result.n_grasps, result.accuracy, result.n_train) == (limit or n, None, 0)
-    assert why in str(result.unnamed)
 
 
 def test_other_pads_wide_openings_and_unknown_ones_are_replayed() -> None:
@@ -111,11 +99,9 @@ def test_other_pads_wide_openings_and_unknown_ones_are_replayed() -> None:
     assert result.aperture_error_mm < 1.0
 
 
-def test_what_cannot_be_replayed_says_why(taught: Any) -> None:
+def test_what_cannot_be_replayed_says_why() -> None:
     with pytest.raises(ConfigError, match="have 3 pads"):
         play([plain_grasp("", ((2, 2),) * 3)])
-    with pytest.raises(CellError, match="not understood"):
-        play(taught.grasps, split="?")
 
 
 # -- identify -------------------------------------------------------------------------------------

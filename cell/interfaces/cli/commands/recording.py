@@ -14,10 +14,8 @@ from cell.errors import CellError
 from cell.installation import extra
 from cell.interfaces.cli import options
 from cell.interfaces.cli.terminal import (
-    percent,
     plain_text,
     print_line,
-    print_note,
     print_table,
     progress_bar,
     show,
@@ -29,7 +27,6 @@ from cell.report.figures import grasp_figure, write_picture
 from cell.report.page import write_report
 from cell.report.recorded import recorded_report
 from cell.runtime.replay import replay_grasps
-from recognition.recognizers import DEFAULT_TRAINER
 
 RecordingsArgument = Annotated[list[Path], typer.Argument(help="Recordings (.mcap).")]
 
@@ -137,22 +134,18 @@ ReplayConfigOption = Annotated[
 
 def replay(
     source: Annotated[Path, typer.Argument(help="Data set or recording.")],
-    split: options.Split = "chronological:0.6",
     limit: Annotated[
         int | None, typer.Option("--limit", min=1, help="Replay at most so many [default: all].")
     ] = None,
-    recognizer: options.Recognizer = DEFAULT_TRAINER,
     config: ReplayConfigOption = None,
     json_file: options.Json = None,
 ) -> None:
-    """Send recorded grasps through the real protocols, compare, and identify them."""
+    """Send recorded grasps through the real protocols, and compare what comes back."""
     with progress_bar() as progress:
         result = replay_grasps(
             read_grasps(source),
             load_config(config) if config is not None else None,
-            split=split,
             limit=limit,
-            recognizer=recognizer,
             progress=progress,
         )
     same = "bit for bit the same" if result.frames_equal else "NOT the same"
@@ -161,10 +154,6 @@ def replay(
         f"{result.frames_received} received, {same}",
         f"openings differ by at most {result.aperture_error_mm:.3f} mm: servos report pulses",
     ]
-    if result.accuracy is not None:
-        lines.append(f"named right by one grasp: {percent(result.accuracy, result.interval)}")
-    else:
-        print_note(f"no grasp was identified: {result.unnamed}")
     show(lines, result, json_file)
     if not result.frames_equal:
         raise CellError(f"frames differ: {result.difference}")
