@@ -54,20 +54,20 @@ def sources(places: Sequence[Path]) -> list[Path]:
     The models in a folder, which runs write beside their recordings, are left out. Raises
     ArchiveError where one does not exist, or no file is found.
     """
-    found: list[Path] = []
+    files: list[Path] = []
     for place in places:
         if place.is_dir():
             paths = sorted(path for kind in _KINDS for path in place.rglob(f"*{kind}"))
-            found += [path for path in paths if not _is_model(path)]
+            files += [path for path in paths if not _is_model(path)]
         elif place.exists():
-            found.append(place)
+            files.append(place)
         else:
             raise ArchiveError(f"{place} is not there: name folders, recordings or data sets")
-    if not found:
+    if not files:
         raise ArchiveError(
             f"no recording (.mcap) and no data set (.npz) in {', '.join(map(str, places))}"
         )
-    return list(dict.fromkeys(path.resolve() for path in found))
+    return list(dict.fromkeys(path.resolve() for path in files))
 
 
 def _is_model(path: Path) -> bool:

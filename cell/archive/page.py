@@ -76,11 +76,11 @@ def archive_report(answers: Answers, target: str) -> Page:
 
 def lines(answers: Answers) -> list[str]:
     """Return the answers as lines of text."""
-    found = _confusion_lines(answers)
+    texts = _confusion_lines(answers)
     for question in _QUESTIONS:
-        found += _trend_lines(answers, question)
+        texts += _trend_lines(answers, question)
     needs = [f"{one.label}: {'; '.join(one.reasons)}" for one in answers.objects if one.reasons]
-    return found + (
+    return texts + (
         [f"needs more grasps: {one}" for one in needs] or ["No object needs more grasps."]
     )
 
@@ -99,12 +99,12 @@ def _trend_lines(answers: Answers, question: str) -> list[str]:
     """Return the trends that answer a question, and the cells with too few days for one."""
     judged = {one.cell for one in answers.trends if one.question == question}
     few = ", ".join(cell for cell in answers.cells if cell not in judged)
-    found = [trend_text(one) for one in answers.found(question)]
-    if judged and not found:
-        found = [_QUESTIONS[question][1]]
+    texts = [trend_text(one) for one in answers.counted(question)]
+    if judged and not texts:
+        texts = [_QUESTIONS[question][1]]
     days = f"fewer than {LEAST_DAYS} days of the same objects"
     missing = f"No answer about {question}: {days} in {few}."
-    return found + ([missing] if few else [])
+    return texts + ([missing] if few else [])
 
 
 def trend_text(trend: Trend) -> str:
@@ -127,12 +127,12 @@ def _shown(value: float, unit: str) -> float:
 
 
 def _confusion_lines(answers: Answers) -> list[str]:
-    found = []
+    texts = []
     for one in answers.confusions[:_MOST_CONFUSIONS]:
         cells = ", ".join(f"{cell} {k}" for cell, k in one.cells.items())
         days = f"{one.first} to {one.last}"
-        found.append(f"{one.n} x {one.label} as {one.answer} (of {one.n_parts}), {days}: {cells}")
-    return found or ["No object was confused with another one."]
+        texts.append(f"{one.n} x {one.label} as {one.answer} (of {one.n_parts}), {days}: {cells}")
+    return texts or ["No object was confused with another one."]
 
 
 def trends_figure(trends: Sequence[Trend], cells: Sequence[str]) -> "Figure":
@@ -143,7 +143,7 @@ def trends_figure(trends: Sequence[Trend], cells: Sequence[str]) -> "Figure":
         axes = figure.subplots()
         for one in trends:
             days: Any = [date.fromisoformat(day) for day in one.days]
-            look: Any = {"color": colour(cells.index(one.cell)), "lw": 2.0 if one.found else 0.9}
+            look: Any = {"color": colour(cells.index(one.cell)), "lw": 2.0 if one.counts else 0.9}
             axes.plot(days, [_shown(v, unit) for v in one.effect], marker="o", ms=2.6, **look)
         axes.set_ylabel("change / " + ("%" if unit == "log" else unit))
         axes.tick_params(axis="x", labelrotation=30)

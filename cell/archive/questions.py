@@ -95,7 +95,7 @@ class Trend:
     change: float
     interval: tuple[float, float]
     """Change from the first day to the last by a straight line, and its 95 % interval."""
-    found: bool
+    counts: bool
     """Whether the question is answered with yes: certain, large enough, in a counted direction.
     """
 
@@ -149,9 +149,9 @@ class Answers:
     parts: Mapping[tuple[str, str], int] = field(default_factory=dict)
     """Number of identifications by true label and answer."""
 
-    def found(self, question: str) -> tuple[Trend, ...]:
+    def counted(self, question: str) -> tuple[Trend, ...]:
         """Return the trends that answer a question with yes, the largest first."""
-        those = [t for t in self.trends if t.found and t.question == question]
+        those = [t for t in self.trends if t.counts and t.question == question]
         return tuple(sorted(those, key=lambda trend: -abs(trend.change)))
 
     def as_json(self) -> dict[str, Any]:
@@ -202,8 +202,8 @@ def ask(target: str, selection: Selection = EVERYTHING) -> Answers:
 
 def _grouped(rows: pa.Table, keys: list[str], values: list[tuple[Any, str]]) -> list[Row]:
     """Return the values of each group, sorted by the keys."""
-    found = rows.group_by(keys, use_threads=False).aggregate(values)
-    return list(found.sort_by([(key, "ascending") for key in keys]).to_pylist())
+    groups = rows.group_by(keys, use_threads=False).aggregate(values)
+    return list(groups.sort_by([(key, "ascending") for key in keys]).to_pylist())
 
 
 def _trends(cell: str, rows: Sequence[Row]) -> Iterable[Trend]:
@@ -226,22 +226,22 @@ def _trends(cell: str, rows: Sequence[Row]) -> Iterable[Trend]:
         (slope, _), covariance = np.polyfit(x, effect, 1, cov=True)
         change, sd = np.ptp(x) * np.array([slope, np.sqrt(covariance[0, 0])])
         low, high = change + sd * stdtrit(len(x) - 2, [0.025, 0.975])
-        found = (
+        counts = (
             abs(change) >= signal.least
             and low * high > 0.0
             and int(np.sign(change)) in signal.signs
         )
-        shown = [day for day, one in zip(days, taken, strict=True) if one]
+        days_taken = [day for day, one in zip(days, taken, strict=True) if one]
         yield Trend(
             cell=cell,
             signal=name,
             unit=signal.unit,
             question=signal.question,
-            days=tuple(shown),
+            days=tuple(days_taken),
             effect=tuple(effect.tolist()),
             change=float(change),
             interval=(float(low), float(high)),
-            found=bool(found),
+            counts=bool(counts),
         )
 
 
@@ -265,7 +265,7 @@ def _confusions(parts: Sequence[Row], asked: Mapping[tuple[str, str], int]) -> I
 
 
 def _needs(rows: pa.Table, parts: Sequence[Row]) -> list[ObjectNeed]:
-    found = []
+    needs = []
     counted = [([], "count_all"), ("day", "count_distinct"), ("cell", "count_distinct")]
     for one in _grouped(rows, ["label"], counted):
         if not (label := one["label"]):
@@ -279,7 +279,7 @@ def _needs(rows: pa.Table, parts: Sequence[Row]) -> list[ObjectNeed]:
             reasons.append(f"{one['count_all']} grasps, {_FEW_GRASPS} are needed")
         if high < _ENOUGH_RIGHT:
             reasons.append(f"named rightly {n_right} of {n_parts} times")
-        found.append(
+        needs.append(
             ObjectNeed(
                 label=label,
                 n_grasps=one["count_all"],
@@ -294,4 +294,4 @@ def _needs(rows: pa.Table, parts: Sequence[Row]) -> list[ObjectNeed]:
                 reasons=tuple(reasons),
             )
         )
-    return sorted(found, key=lambda one: (not one.reasons, one.interval[1], one.n_grasps))
+    return sorted(needs, key=lambda one: (not one.reasons, one.interval[1], one.n_grasps))

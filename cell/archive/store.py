@@ -58,10 +58,10 @@ class Archive:
             head = f"{self._root}/{HEAD}"
             if self._fs.exists(head):
                 try:
-                    found = json.loads(self._fs.cat_file(head)).get("format")
+                    form = json.loads(self._fs.cat_file(head)).get("format")
                 except (ValueError, AttributeError):
-                    found = None
-                ARCHIVE.check(found, target, ArchiveError)
+                    form = None
+                ARCHIVE.check(form, target, ArchiveError)
             elif not create:
                 raise ArchiveError(
                     f"{target} is not an archive; `tactile-cell archive RECORDINGS --to {target}` "
@@ -196,11 +196,11 @@ class Archive:
 
     def _keys_in(self, folder: str) -> set[str]:
         """Return the keys of a cell and day."""
-        found = set[str]()
+        keys = set[str]()
         for path in self._fs.find(f"{self._root}/{folder}"):
             with _readable(path), self._fs.open(path, "rb") as file, pq.ParquetFile(file) as rows:
-                found.update(rows.read(["key"])["key"].to_pylist())
-        return found
+                keys.update(rows.read(["key"])["key"].to_pylist())
+        return keys
 
 
 def nothing_selected(target: str) -> ArchiveError:

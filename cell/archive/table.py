@@ -144,7 +144,7 @@ _OF_SHAPE = {
 
 def _answers(recording: Recording) -> dict[int, dict[str, Any]]:
     """Return the columns of the identifications, by the index of the grasp in the recording."""
-    found: dict[int, dict[str, Any]] = {}
+    columns: dict[int, dict[str, Any]] = {}
     for part, (row, met) in enumerate(recording.identified):
         singles, shapes = row.get("grasp_answers", []), row.get("grasp_shapes", [])
         common = {"part": part} | {name: row.get(key) for name, key in _OF_RESULT.items()}
@@ -157,8 +157,8 @@ def _answers(recording: Recording) -> dict[int, dict[str, Any]]:
                 chances = singles[place].get("probabilities", [])
                 values["probabilities"] = list(zip(row["labels"], chances, strict=False))
                 values["unknown"] = singles[place].get("unknown")
-            found[i] = common | {"of_part": place} | values
-    return found
+            columns[i] = common | {"of_part": place} | values
+    return columns
 
 
 def _servos(recording: Recording, grasp: Grasp, t_s: float) -> dict[str, Any]:
@@ -166,17 +166,17 @@ def _servos(recording: Recording, grasp: Grasp, t_s: float) -> dict[str, Any]:
     length_s = float(grasp.t_s[-1])
     closing = recording.cycles.between(t_s - _BEFORE_S, t_s + length_s)
     holding = recording.cycles.between(t_s + 0.9 * length_s, t_s + length_s)
-    found = {}
+    values = {}
     moving = np.array(closing.phase) == GripperPhase.APPROACHING.name
     if moving.any():
-        found["closing_current_a"] = float(np.nanmedian(np.abs(closing.current_a[moving])))
+        values["closing_current_a"] = float(np.nanmedian(np.abs(closing.current_a[moving])))
     if len(holding):
         means = {"hold_current_a": np.abs(holding.current_a), "hold_force_n": holding.force_n}
-        found |= {
+        values |= {
             n: float(v[np.isfinite(v)].mean()) for n, v in means.items() if np.isfinite(v).any()
         }
-        found["temperature_c"] = float(holding.temperature_c[-1])
-    return found
+        values["temperature_c"] = float(holding.temperature_c[-1])
+    return values
 
 
 def batches(rows: Sequence[Row], recording: str, sha256: str) -> Iterator[pa.RecordBatch]:
@@ -192,8 +192,11 @@ def batches(rows: Sequence[Row], recording: str, sha256: str) -> Iterator[pa.Rec
         part = rows[start : start + GROUP]
         grasps = [grasp for grasp, _ in part]
         values = [
-            {"recording": recording, "recording_sha256": sha256} | _plain(grasp) | found | beside
-            for (grasp, beside), found in zip(part, _described(grasps, rest), strict=True)
+            {"recording": recording, "recording_sha256": sha256}
+            | _plain(grasp)
+            | described
+            | further
+            for (grasp, further), described in zip(part, _described(grasps, rest), strict=True)
         ]
         yield pa.RecordBatch.from_arrays(
             [pa.array([_known(row.get(one.name)) for row in values], one.type) for one in TABLE],
@@ -238,20 +241,20 @@ def _described(grasps: Sequence[Grasp], rest: Rest | None) -> list[dict[str, Any
         if len(grasps) > 1:
             return [one for grasp in grasps for one in _described([grasp], rest)]
         levels = None
-    found: list[dict[str, Any]] = [{} for _ in grasps]
+    described: list[dict[str, Any]] = [{} for _ in grasps]
     if rest is None or levels is None or not levels.touched.any():
-        return found
+        return described
     places, levels = np.flatnonzero(levels.touched), levels.take(levels.touched)
     features = features_of(levels, rest, opening=True)
     loads = np.stack([maps[:, -1].sum(axis=1) for maps in levels.maps], axis=1)
     for row, place in enumerate(places.tolist()):
-        found[place] = {
+        described[place] = {
             "touch_aperture_m": 1e-3 * float(sizes_mm(levels)[row, 1]),
             "pad_load": loads[row].tolist(),
             "features": features[row].astype(np.float32),
             "feature_version": FEATURE_VERSION,
         }
-    return found
+    return described
 
 
 @lru_cache(maxsize=16)

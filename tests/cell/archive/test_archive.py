@@ -388,11 +388,11 @@ def aged(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_each_question_names_the_cell_that_it_concerns(aged: str) -> None:
     found = ask(aged)
     assert found.n_grasps == 120
-    assert {one.cell for one in found.found("drift")} == {"press 2"}
-    ageing = {(one.cell, one.signal) for one in found.found("ageing")}
+    assert {one.cell for one in found.counted("drift")} == {"press 2"}
+    ageing = {(one.cell, one.signal) for one in found.counted("ageing")}
     assert ("press 2", "pad 1") in ageing
     assert ageing <= {("press 2", "pad 1"), ("press 2", "pad 0 against pad 1")}
-    assert [one.cell for one in found.found("friction")] == ["press 2"]
+    assert [one.cell for one in found.counted("friction")] == ["press 2"]
     json.dumps(found.as_json())
     trends = {(one.cell, one.signal): one for one in found.trends}
     opening = trends["press 2", "opening"]
@@ -400,7 +400,7 @@ def test_each_question_names_the_cell_that_it_concerns(aged: str) -> None:
     assert opening.interval[0] < opening.change < opening.interval[1]
     assert trends["press 2", "pad 1"].change == pytest.approx(9 * np.log(0.95), abs=0.1)
     assert trends["press 2", "friction"].change == pytest.approx(9 * np.log(1.04), abs=1e-3)
-    assert not any(one.found for (cell, _), one in trends.items() if cell == "press 1")
+    assert not any(one.counts for (cell, _), one in trends.items() if cell == "press 1")
 
 
 def test_a_confusion_has_its_days_and_cells(aged: str) -> None:
