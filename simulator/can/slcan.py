@@ -13,16 +13,12 @@ from simulator.can.link import CanLink
 
 BIT_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 """Bit rate by the digit of the command S."""
-OUTPUT_LIMIT = 1 << 18
-"""Most bytes that wait for a client; further bytes are lost (flag 0x01)."""
 
 _OK, _REFUSED = b"\r", b"\a"
-_LINE_LIMIT = 32
-"""Longest command in characters: T, 8 of the identifier, 1 of the length, 16 of data, reserve."""
 _VERSION = b"V1013\r"
 """Answer to V: hardware version 1.0, software version 1.3."""
-_FLAG_QUEUE_FULL, _FLAG_PASSIVE, _FLAG_BUS_ERROR = 0x01, 0x20, 0x80
-"""Bits of the answer to F."""
+_FLAG_PASSIVE = 0x20
+"""Bit of the answer to F."""
 _HEX_DIGITS = frozenset(string.hexdigits)
 _STANDARD_ID_MAX, _EXTENDED_ID_MAX = 0x7FF, 0x1FFF_FFFF
 """Largest identifiers of 11 and of 29 bits."""
@@ -47,8 +43,6 @@ class SlcanAdapter:
         self._chosen = bitrate
         self._input = bytearray()
         self._output = bytearray()
-        self._overflow = False
-        self._passing_over = False
         self._open = False
 
     def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
@@ -66,20 +60,11 @@ class SlcanAdapter:
         self._input += data
         *lines, rest = self._input.split(b"\r")
         self._input = rest
-        if lines and self._passing_over:
-            del lines[0]  # the end of a line that was too long
-            self._passing_over = False
         since_s = now_s if sent_after_s is None else min(sent_after_s, now_s)
         for number, line in enumerate(lines, start=1):
             if line:
                 at_s = since_s + (now_s - since_s) * (number - 0.5) / len(lines)
-                self._put(self._command(line, at_s))
-        if self._passing_over:
-            self._input = bytearray()
-        elif len(rest) > _LINE_LIMIT:
-            self._input = bytearray()
-            self._passing_over = True
-            self._put(_REFUSED)
+                self._output += self._command(line, at_s)
 
     def transmit(self, now_s: float) -> bytes:
         """Return the bytes for the client until ``now_s`` s."""
@@ -87,7 +72,7 @@ class SlcanAdapter:
         deaf = not self._open or self._link.deaf(self._chosen)
         while (message := self._link.take(now_s)) is not None:
             if not (deaf or message.is_error_frame):
-                self._put(_text(message))
+                self._output += _text(message)
         output = bytes(self._output)
         self._output.clear()
         return output
@@ -106,14 +91,8 @@ class SlcanAdapter:
         self._input.clear()
         self._output.clear()
         self._link.clear()
-        self._open = self._overflow = self._passing_over = False
+        self._open = False
         self._chosen = self._bitrate
-
-    def _put(self, data: bytes) -> None:
-        if len(self._output) + len(data) > OUTPUT_LIMIT:
-            self._overflow = True
-        else:
-            self._output += data
 
     def _command(self, line: bytes | bytearray, now_s: float) -> bytes:
         try:
@@ -131,7 +110,7 @@ class SlcanAdapter:
             self._link.clear(now_s)
             return _OK
         if name == "F" and not rest and self._open:
-            return self._flags()
+            return b"F%02X\r" % (_FLAG_PASSIVE if self._link.faults.error_passive else 0)
         return _VERSION if text == "V" else _REFUSED
 
     def _send(self, name: str, rest: str, now_s: float) -> bytes:
@@ -154,13 +133,6 @@ class SlcanAdapter:
         if not remote and not self._link.deaf(self._chosen):
             self._link.send(can_id, data, now_s, extended=extended)
         return b"Z\r" if extended else b"z\r"
-
-    def _flags(self) -> bytes:
-        flags = _FLAG_QUEUE_FULL if self._overflow else 0
-        flags |= _FLAG_PASSIVE if self._link.faults.error_passive else 0
-        flags |= _FLAG_BUS_ERROR if self._link.faults.bus_off else 0
-        self._overflow = False
-        return b"F%02X\r" % flags
 
 
 def _text(message: can.Message) -> bytes:

@@ -1,7 +1,5 @@
 """Named faults of sensor boards on serial lines."""
 
-import numpy as np
-
 from simulator.boards.uskin import UskinSettings
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.entry import (
@@ -32,19 +30,6 @@ def _unplugged(target: Target) -> Undo:
     return target.plugs[f"board{int(target.number)}"]()
 
 
-def _swapped(target: Target) -> Undo:
-    """Exchange two neighbouring rows of a pad, as by a wrongly soldered connector."""
-    layout, finger = target.devices.settings.layout, int(target.number)
-    order = np.arange(layout.n_taxels)
-    pad = layout.gripping_pads[finger]
-    rows = order[layout.taxels_of(pad)].reshape(layout.pad_shape[pad])
-    middle = len(rows) // 2
-    rows[[middle, middle + 1]] = rows[[middle + 1, middle]]
-    mounted = target.devices.faults.unit.mounted
-    mounted[f"swapped {finger}"] = order
-    return lambda: mounted.pop(f"swapped {finger}", None)
-
-
 def _of_finger(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
     def fingers(target: Target) -> object:
         return getattr(target.devices.faults.boards, knob) | {int(target.number)}
@@ -73,9 +58,6 @@ BOARD = (
     knob_fault("board.rows", FaultKind.WRONG,
                "both boards send this number of rows: another profile", "rows",
                Number("rows", 1, 64, default=16, whole=True), check=_check),
-    FaultEntry("board.rows_swapped", FaultKind.WRONG,
-               "two neighbouring rows of this finger's pad are exchanged", _swapped, "board_rows",
-               _FINGER, check=_check),
     _of_finger("uskin.off", FaultKind.UNPLUGGED, "this finger's board is unplugged", "silent"),
     _of_finger("uskin.low_supply", FaultKind.REBOOT,
                "this finger's board restarts at low supply and waits for its start",

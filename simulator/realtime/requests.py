@@ -18,8 +18,6 @@ from tactile.layout import Pad
 _POSE_FIELDS = tuple(entry.name for entry in fields(ObjectPose))
 _FARTHEST = 100.0
 """Largest coordinate or angle of a pose in m or rad: far beyond any cell, and safe to square."""
-_MOST_OBJECTS = 2000
-"""Most named objects."""
 _NEAR_EDGE = 0.7
 """Position of a fingertip at an edge: share of the way from the middle of the pad to the edge."""
 
@@ -104,8 +102,6 @@ class CellRequests:
         name, shape, world = request["define"], request.get("shape"), self._devices.physical
         if not isinstance(name, str) or name in (*self._devices.settings.objects, NOTHING, ""):
             raise SimulatorSettingsError(f"{name!r:.60} cannot be defined: take another name")
-        if len(world.objects) >= _MOST_OBJECTS and name not in world.objects:
-            raise SimulatorSettingsError(f"the limit of {_MOST_OBJECTS} objects is reached")
         if not isinstance(shape, MeshShape):
             shape = world.shape(self._label(shape))
         world.objects[name] = shape

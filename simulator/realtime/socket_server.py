@@ -1,4 +1,4 @@
-"""The server of the positioner's Unix socket: JSON lines of limited length, without own loop."""
+"""The server of the positioner's Unix socket: JSON lines, without own loop."""
 
 import json
 import os
@@ -9,10 +9,8 @@ from typing import Any
 
 from simulator.errors import EndpointError, SimulatorError
 
-LINE_LIMIT = 65536
-"""Longest request in bytes; a client that sends more is disconnected."""
-CLIENT_LIMIT = 8
-"""Most clients at a time; a further client is disconnected at once."""
+_READ_BYTES = 65536
+"""Most bytes of one read."""
 
 Handler = Callable[[dict[str, Any]], dict[str, Any]]
 """Carries out one request and returns the reply; a SimulatorError becomes an error reply."""
@@ -46,7 +44,7 @@ class PositionerServer:
                 path.unlink()
             self._listener.bind(str(path))
             os.chmod(path, 0o600)
-            self._listener.listen(CLIENT_LIMIT)
+            self._listener.listen()
         except OSError as error:
             self._listener.close()
             raise EndpointError(f"no socket for the positioner at {path}: {error}") from error
@@ -76,15 +74,12 @@ class PositionerServer:
             connection, _ = self._listener.accept()
         except BlockingIOError:
             return
-        if len(self._clients) >= CLIENT_LIMIT:
-            connection.close()
-            return
         connection.setblocking(False)
         self._clients[connection.fileno()] = _Client(connection)
 
     def _serve(self, client: _Client) -> None:
         try:
-            data = client.connection.recv(LINE_LIMIT)
+            data = client.connection.recv(_READ_BYTES)
         except BlockingIOError:
             return
         except OSError:
@@ -96,15 +91,10 @@ class PositionerServer:
         *lines, rest = client.received.split(b"\n")
         client.received = rest
         replies = b"".join(self._answer(bytes(line)) for line in lines if line.strip())
-        if len(rest) > LINE_LIMIT:
-            replies += _line({"error": f"a request has at most {LINE_LIMIT} bytes"})
         try:
             client.connection.sendall(replies)
         except OSError:
             self._drop(client)  # a client that does not take its replies is gone
-            return
-        if len(rest) > LINE_LIMIT:
-            self._drop(client)
 
     def _answer(self, line: bytes) -> bytes:
         try:

@@ -61,21 +61,20 @@ def _xm430(kt_nm_a: float, back_emf_v_s: float, inertia_kg_m2: float) -> Spread:
 
 def _x330(torque: float, back_emf_v_s: float, winding_ohm: float, inertia_kg_m2: float) -> Spread:
     """Return the spread of a 330 size with ``torque`` times the torques of an XL330-M288."""
-    xl330 = Drive(
-        kt_nm_a=0.365,
-        back_emf_v_s=back_emf_v_s / torque,
-        friction=Friction(
-            base_nm=(0.01, 0.0),
-            drive=(0.37, 0.0),
-            load=(0.06, 0.0),
-            load_quadratic_per_nm=0.3,
-            viscous_nm_s=0.005,
-        ),
-        inertia_kg_m2=inertia_kg_m2 / torque,
-        winding_ohm=winding_ohm,
-    )
     return Spread(
-        typical=xl330.scaled(torque, winding_ohm),
+        typical=Drive(
+            kt_nm_a=torque * 0.365,
+            back_emf_v_s=back_emf_v_s,
+            friction=Friction(
+                base_nm=(torque * 0.01, 0.0),
+                drive=(0.37, 0.0),
+                load=(0.06, 0.0),
+                load_quadratic_per_nm=0.3 / torque,
+                viscous_nm_s=torque * 0.005,
+            ),
+            inertia_kg_m2=inertia_kg_m2,
+            winding_ohm=winding_ohm,
+        ),
         # The friction under load grows little towards rest: a pendulum rises without steps.
         breakaway=(1.0, 1.1),
         load=(0.0, 0.0),

@@ -6,7 +6,7 @@ Physics Simulation of Servo Actuators" (arXiv 2410.08650).
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from gripper.dynamixel.models import ServoModel
@@ -69,17 +69,6 @@ class Friction:
                 found_nm += share * drive_quadratic * driving_nm * driving_nm
         return found_nm
 
-    def scaled(self, factor: float) -> "Friction":
-        """Return the friction with all torques times ``factor``."""
-        base, base_s = self.base_nm
-        return replace(
-            self,
-            base_nm=(factor * base, factor * base_s),
-            drive_quadratic_per_nm=self.drive_quadratic_per_nm / factor,
-            load_quadratic_per_nm=self.load_quadratic_per_nm / factor,
-            viscous_nm_s=factor * self.viscous_nm_s,
-        )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
@@ -96,17 +85,6 @@ class Drive:
     """Resistance of its winding."""
     breakaway: float = 1.05
     """Friction at rest over that at the least speed: 1.3 to 1.8 on an XM430-W350."""
-
-    def scaled(self, factor: float, winding_ohm: float) -> "Drive":
-        """Return the drive with all torques and the inertia times ``factor``, and a winding."""
-        return Drive(
-            winding_ohm=winding_ohm,
-            breakaway=self.breakaway,
-            kt_nm_a=factor * self.kt_nm_a,
-            back_emf_v_s=factor * self.back_emf_v_s,
-            friction=self.friction.scaled(factor),
-            inertia_kg_m2=factor * self.inertia_kg_m2,
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

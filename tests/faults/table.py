@@ -359,9 +359,6 @@ BOARDS = _with(FLEXITAC, (
              number=(200, 207)),  # the other pad's sudden force, or the imbalance
     FaultRow(45, "dead pad at the start", "all taxels of a pad read 0 from the start on",
              "taxels.stuck_at=384-767:0", "REJECT", START_S, number=405),
-    # No reading shows it: the pads of the wizard are pressed, and parts are taught with it.
-    FaultRow(45, "swapped rows", "two neighbouring rows of a pad are exchanged",
-             "board.rows_swapped=0", "NOTHING", None),
     FaultRow(45, "saturated", "all taxels of a pad read full scale in the ramp",
              "taxels.saturated=0@contact+0.1s", "HOLD", FORCE_STALE_S + 2 * BOARD_S, number=201),
 ))

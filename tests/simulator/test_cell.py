@@ -144,7 +144,6 @@ def test_the_setting_is_named(make: Callable[[], object], says: str) -> None:
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: VirtualClock(start_s=math.nan), "finite time"),
         (lambda: VirtualClock().advance_to(math.inf), "finite time"),
         (lambda: VirtualClock().sleep(-1e-9), "sleep takes"),
         (lambda: VirtualClock().sleep(math.nan), "sleep takes"),

@@ -14,7 +14,7 @@ from simulator.can.faults import CanLinkFaults
 from simulator.can.link import CanLink
 from simulator.can.memory_bus import InMemoryCanBus
 from simulator.can.node import SendBurst
-from simulator.can.slcan import OUTPUT_LIMIT, SlcanAdapter
+from simulator.can.slcan import SlcanAdapter
 from simulator.can.wire import Burst, CanWire, mean_bits
 from simulator.clock import VirtualClock
 from simulator.devices import CellDevices
@@ -279,22 +279,10 @@ def test_answers_of_a_closed_and_an_open_adapter(is_open: bool) -> None:
         assert Line(*[b"O"] * is_open).say(command + b"\r") == answer, command
 
 
-def test_a_client_that_does_not_read_loses_messages_and_is_told() -> None:
-    line = Line(b"O")
-    text = b"t1858" + b"00" * 8 + b"\r"
-    sent = OUTPUT_LIMIT // len(text)
-    line.device.send(1.0, 0x185, [bytes(8)] * (sent + 1))
-    assert line.say(b"", 1e3) == text * sent
-    assert line.say(b"F\r") == b"F01\r"
-    assert line.say(b"F\r") == b"F00\r"
-
-
 def test_the_flags_tell_the_state_of_the_controller() -> None:
     line = Line(b"O")
     line.faults.error_passive = True
     assert line.say(b"F\r") == b"F20\r"
-    line.faults.bus_off = True
-    assert line.say(b"F\r") == b"FA0\r"
 
 
 def test_losing_power_closes_the_channel() -> None:

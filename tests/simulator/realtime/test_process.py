@@ -31,7 +31,7 @@ from simulator.faults.injector import FaultInjector
 from simulator.realtime.hands import HELP, Hands
 from simulator.realtime.process import FORGIVEN_S, PIECE_S, RealTimeCell, serve
 from simulator.realtime.requests import CellRequests
-from simulator.realtime.socket_server import CLIENT_LIMIT, LINE_LIMIT, PositionerServer
+from simulator.realtime.socket_server import PositionerServer
 from simulator.realtime.terminals import SerialPty
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.protocol2 import Instruction, encode_instruction
@@ -483,18 +483,6 @@ def test_a_line_that_is_no_request_is_answered_with_the_reason(served, line: byt
     assert served.asked == []
 
 
-def test_a_request_without_an_end_is_cut_off(served) -> None:
-    with served.connect() as client:
-        client.setblocking(False)
-        sent = 0
-        while sent <= LINE_LIMIT:
-            sent += client.send(b"x" * 10_000)
-            served.poll()
-        client.settimeout(5.0)
-        assert b"at most" in client.recv(4096)
-        assert client.recv(4096) == b""
-
-
 def test_a_client_that_is_gone_is_forgotten(served) -> None:
     client = served.connect()
     client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -502,15 +490,6 @@ def test_a_client_that_is_gone_is_forgotten(served) -> None:
     client.close()
     served.poll()
     assert len(served.server.filenos()) == 1
-
-
-def test_only_so_many_clients_are_served(served) -> None:
-    clients = [served.connect() for _ in range(CLIENT_LIMIT + 1)]
-    served.poll()
-    assert len(served.server.filenos()) == CLIENT_LIMIT + 1
-    assert clients[-1].recv(1) == b""
-    for client in clients:
-        client.close()
 
 
 def test_the_socket_belongs_to_its_owner_and_replaces_a_stale_one(tmp_path) -> None:

@@ -314,14 +314,6 @@ def test_the_law_is_its_formula(driving_nm, load_nm, speed_rad_s, friction_nm) -
     assert more_nm - friction_nm == pytest.approx(2.0 * bare_nm)
 
 
-def test_scaled_torques_have_scaled_friction() -> None:
-    torques_nm = [-0.8, -0.1, 0.0, 0.2, 1.3]
-    for driving_nm, load_nm in [(a, b) for a in torques_nm for b in torques_nm]:
-        alone_nm = LAW.torque_nm(driving_nm, load_nm, 0.4)
-        twice_nm = LAW.scaled(2.0).torque_nm(2.0 * driving_nm, 2.0 * load_nm, 0.4)
-        assert twice_nm == pytest.approx(2.0 * alone_nm)
-
-
 # -- Servos that are drawn at random: within the spread of real ones, the same for a seed ---------
 
 
