@@ -1,6 +1,6 @@
 """The pads: zero, noise and broken taxels at rest, and the position of each pad, by a fingertip.
 
-Pure functions of frames judge them: `rest_of`, `judge_rest`, `pressed_at`, `mounts_of`.
+Functions of frames judge them: `judge_rest`, `pressed_at`, `mounts_of`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ from tactile.layout import PadMount, TaxelLayout
 from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import Neighbourhood
 from tactile.sensor.sensor import TactileSensor
-from tactile.sensor.tare import TareLimits, TaxelHealth, assess_health, compute_tare
+from tactile.sensor.tare import TareLimits, assess_health, compute_tare
 
 _REST_FRAMES = 100
 """Number of frames at rest, the same as for the zero of a cell."""
@@ -57,35 +57,6 @@ def sequence_forces_n(bench: Bench) -> tuple[float, float]:
         return CellConfig().sequence.forces_n
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PadsAtRest:
-    """Untouched pads."""
-
-    zero_counts: NDArray[np.float64]
-    noise_counts: NDArray[np.float64]
-    """(n_taxels,) float64: mean and standard deviation of the counts."""
-    health: TaxelHealth
-    """Dead, stuck and saturated taxels."""
-    noise_n: tuple[float, ...]
-    """Standard deviation in N of the force of each pad at rest, over the mean of three frames."""
-
-
-def rest_of(layout: TaxelLayout, calibration: Calibration, frames: Counts) -> PadsAtRest:
-    """Return the values of untouched pads from frames (n, n_taxels) at rest."""
-    zero = frames.mean(axis=0, dtype=np.float64)
-    health = assess_health(frames, layout.adc_max)
-    n = len(frames) // _MEAN_FRAMES
-    tared = np.where(health.bad, 0.0, frames[: n * _MEAN_FRAMES] - zero)
-    force_n = calibration.force_n(tared.reshape(n, _MEAN_FRAMES, -1).mean(axis=1))
-    slices = [layout.taxels_of(pad) for pad in range(layout.n_pads)]
-    return PadsAtRest(
-        zero_counts=zero,
-        noise_counts=frames.std(axis=0, dtype=np.float64),
-        health=health,
-        noise_n=tuple(float(force_n[:, one].sum(axis=1).std(ddof=1)) for one in slices),
-    )
-
-
 def taxel_names(layout: TaxelLayout, taxels: Sequence[int]) -> str:
     """Return the names of taxels by pad, row and column; of many taxels only the first."""
     named = []
@@ -105,25 +76,42 @@ def _by_pad(layout: TaxelLayout, values: NDArray[np.float64]) -> list[float]:
 
 def judge_rest(
     layout: TaxelLayout,
+    calibration: Calibration,
     frames: Counts,
-    rest: PadsAtRest,
     notes: Notes,
     *,
     limits: TareLimits,
     contact_force_n: float,
 ) -> None:
-    """Note why pads are not suitable for grasps.
+    """Note zero and noise of untouched pads, and why they are not suitable for grasps.
 
     Parameters
     ----------
-    layout, frames, rest
-        The taxels, frames (n, n_taxels) at rest, and their values.
+    layout, calibration, frames
+        The taxels, their law, and frames (n, n_taxels) at rest.
     limits
         Limits of the zero.
     contact_force_n
         Force in N that must be detected.
     """
-    health = rest.health
+    zero_counts, health = (
+        frames.mean(axis=0, dtype=np.float64),
+        assess_health(frames, layout.adc_max),
+    )
+    zero, noise = _by_pad(layout, zero_counts), _by_pad(layout, frames.std(axis=0))
+    n = len(frames) // _MEAN_FRAMES
+    tared = np.where(health.bad, 0.0, frames[: n * _MEAN_FRAMES] - zero_counts)
+    force_n = calibration.force_n(tared.reshape(n, _MEAN_FRAMES, -1).mean(axis=1))
+    noises_n = {
+        layout.pads[pad].name: float(force_n[:, layout.taxels_of(pad)].sum(axis=1).std(ddof=1))
+        for pad in layout.gripping_pads
+    }
+    first_n, second_n = noises_n.values()
+    notes.fact(
+        f"{layout.n_taxels} taxels read: zero {min(zero):.1f} to {max(zero):.1f}, noise "
+        f"{min(noise):.1f} to {max(noise):.1f} counts of {layout.adc_max} by pad; at rest the "
+        f"force of the inner pads varies by {first_n:.2f} and {second_n:.2f} N."
+    )
     kinds = {"dead": health.dead, "stuck": health.stuck, "at full scale": health.saturated}
     for name, mask in kinds.items():
         if taxels := np.flatnonzero(mask).tolist():
@@ -132,7 +120,6 @@ def judge_rest(
             notes.warn(f"{are} {name}: {names}. Their neighbours replace them.")
     if not health.noisy:
         notes.warn("The counts do not change at rest: press each pad to find dead or stuck taxels.")
-    noise = _by_pad(layout, rest.noise_counts)
     quiet = max(min(noise), 1.0)
     for pad, counts in zip(layout.pads, noise, strict=True):
         if counts > _NOISY_FACTOR * quiet:
@@ -140,8 +127,7 @@ def judge_rest(
                 f"{pad.name} is noisy: {counts:.1f} counts, the quietest pad {quiet:.1f}. Check "
                 "the shield of its cable, its ground and its plug."
             )
-    for index in layout.gripping_pads:
-        name, noise_n = layout.pads[index].name, rest.noise_n[index]
+    for name, noise_n in noises_n.items():
         if noise_n > _NOISE_PER_CONTACT * contact_force_n:
             notes.fail(
                 f"The force of {name} at rest varies by {noise_n:.2f} N, too much for a contact "
@@ -165,18 +151,10 @@ def measure_rest(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         frames = np.stack([sensor.read(timeout_s=1.0).frame.counts for _ in range(_REST_FRAMES)])
         layout, calibration = sensor.layout, sensor.calibration
         boards = (0, 0) if sensor.identity is None else sensor.identity.boards
-    rest = rest_of(layout, calibration, frames)
-    zero, noise = _by_pad(layout, rest.zero_counts), _by_pad(layout, rest.noise_counts)
-    first_n, second_n = (rest.noise_n[pad] for pad in layout.gripping_pads)
-    notes.fact(
-        f"{layout.n_taxels} taxels read: zero {min(zero):.1f} to {max(zero):.1f}, noise "
-        f"{min(noise):.1f} to {max(noise):.1f} counts of {layout.adc_max} by pad; at rest the "
-        f"force of the inner pads varies by {first_n:.2f} and {second_n:.2f} N."
-    )
     judge_rest(
         layout,
+        calibration,
         frames,
-        rest,
         notes,
         limits=sensor_settings(bench.tactile()).tare_limits,
         contact_force_n=bench.gripper().contact_force_n,

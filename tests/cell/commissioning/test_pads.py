@@ -16,7 +16,6 @@ from cell.commissioning.pads import (
     judge_rest,
     mounts_of,
     pressed_at,
-    rest_of,
 )
 from cell.config.tactile import TactileConfig
 from simulator.can.control_unit import ControlUnitSettings
@@ -117,8 +116,8 @@ def test_corners_are_named_as_a_person_sees_them() -> None:
 def test_pads_of_much_noise_are_named(noises, force_per_count_n, status, named) -> None:
     layout, generator = pinch_layout(), np.random.default_rng(0)
     frames = generator.normal(250.0, np.repeat(noises, 78), (30, 156)).astype(np.uint16)
-    rest = rest_of(layout, LinearCalibration(force_per_count_n, layout.adc_max), frames)
-    judge_rest(layout, frames, rest, notes := Notes(), limits=TareLimits(), contact_force_n=0.3)
+    law, notes = LinearCalibration(force_per_count_n, layout.adc_max), Notes()
+    judge_rest(layout, law, frames, notes, limits=TareLimits(), contact_force_n=0.3)
     assert notes.status is status, notes.lines
     assert named in "\n".join(notes.lines)
 
