@@ -158,21 +158,6 @@ def test_damage_is_refused_naming_file_and_array(name, change, says, good, tmp_p
     assert "bad.npz" in str(caught.value)
 
 
-class Bomb:
-    exploded = False
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return setattr, (Bomb, "exploded", True)
-
-
-def test_pickle_in_disguise_is_refused_and_not_run(good, tmp_path) -> None:
-    arrays = arrays_of(good) | {"label": np.array([Bomb()] * 3, dtype=object)}
-    np.savez(tmp_path / "evil.npz", **arrays)  # type: ignore[arg-type]
-    with pytest.raises(DatasetError, match=r"array label: Object arrays .*; take another copy"):
-        read_dataset(tmp_path / "evil.npz")
-    assert not Bomb.exploded
-
-
 def npy(header: bytes, length: int | None = None) -> bytes:
     stated = (len(header) if length is None else length).to_bytes(4, "little")
     return b"\x93NUMPY\2\0" + stated + header
