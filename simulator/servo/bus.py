@@ -8,6 +8,7 @@ import functools
 import heapq
 import itertools
 import operator
+import struct
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
@@ -30,6 +31,8 @@ from simulator.servo.protocol2 import (
 
 BITS_PER_BYTE = 10
 """Bits on the line for one byte: start bit, 8 data bits, stop bit."""
+_BULK_READ = struct.Struct("<BHH")
+"""One servo in a Bulk Read: ID, address, size."""
 
 
 class ServoBusDevice:
@@ -173,10 +176,14 @@ class ServoBusDevice:
                 answers = [servo.execute(instruction, b"", now_s) for servo in same_id]
                 packets = [encode_status(same_id[0].servo_id, *answer) for answer in answers]
                 self._reply(same_id[0], _at_once(packets), now_s)
-        elif instruction == Instruction.SYNC_READ:
-            self._sync_read(parameters, hearing, now_s)
-        elif instruction == Instruction.SYNC_WRITE:
-            for servo_id, address, data in _sync_writes(parameters):
+        elif instruction in {Instruction.SYNC_READ, Instruction.BULK_READ}:
+            sync = instruction == Instruction.SYNC_READ
+            requests = _sync_reads(parameters) if sync else _bulk_reads(parameters)
+            self._chain(instruction, requests, hearing, now_s)
+        elif instruction in {Instruction.SYNC_WRITE, Instruction.BULK_WRITE}:
+            sync = instruction == Instruction.SYNC_WRITE
+            writes = _sync_writes(parameters) if sync else _bulk_writes(parameters)
+            for servo_id, address, data in writes:
                 for servo in hearing:
                     if servo_id == servo.servo_id:
                         servo.write(address, data, now_s)
@@ -184,17 +191,18 @@ class ServoBusDevice:
             for servo in hearing:
                 servo.execute(instruction, parameters, now_s)
 
-    def _sync_read(
-        self, parameters: bytes, hearing: Iterable[SimulatedServo], now_s: float
+    def _chain(
+        self,
+        instruction: int,
+        requests: Sequence[tuple[int, int, int]],
+        hearing: Iterable[SimulatedServo],
+        now_s: float,
     ) -> None:
         """Let servos answer in sequence; the first silent servo ends the chain."""
-        if len(parameters) < 5:
-            return
-        address, size = words(parameters[:4])
         by_id = {servo.servo_id: servo for servo in hearing}
-        for servo_id in parameters[4:]:
+        for servo_id, address, size in requests:
             servo = by_id.get(servo_id)
-            if servo is None or not servo.answers(Instruction.SYNC_READ):
+            if servo is None or not servo.answers(instruction):
                 break
             error, data = servo.read(address, size, now_s)
             self._reply(servo, encode_status(servo_id, error, data), now_s)
@@ -258,6 +266,20 @@ def _protocol_1(body: bytes) -> bytes:
     return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
+def _sync_reads(parameters: bytes) -> list[tuple[int, int, int]]:
+    """Return (ID, address, size) of each servo in a sync read; none when it is cut off."""
+    if len(parameters) < 5:
+        return []
+    address, size = words(parameters[:4])
+    return [(servo_id, address, size) for servo_id in parameters[4:]]
+
+
+def _bulk_reads(parameters: bytes) -> list[tuple[int, int, int]]:
+    """Return (ID, address, size) of each servo in a bulk read; none when it is cut off."""
+    whole = len(parameters) % _BULK_READ.size == 0
+    return list(_BULK_READ.iter_unpack(parameters)) if whole else []
+
+
 def _sync_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
     """Return (ID, address, data) of each servo in a sync write; none when it is cut off."""
     if len(parameters) < 6:
@@ -267,6 +289,22 @@ def _sync_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
     if size == 0 or len(rest) % (size + 1):
         return []
     return [(rest[i], address, rest[i + 1 : i + 1 + size]) for i in range(0, len(rest), size + 1)]
+
+
+def _bulk_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
+    """Return (ID, address, data) of each servo in a bulk write; none when it is cut off."""
+    writes = []
+    at = 0
+    while at < len(parameters):
+        if len(parameters) < at + 5:
+            return []
+        address, size = words(parameters[at + 1 : at + 5])
+        data = parameters[at + 5 : at + 5 + size]
+        if size == 0 or len(data) != size:
+            return []
+        writes.append((parameters[at], address, data))
+        at += 5 + size
+    return writes
 
 
 class SerialDevice(Protocol):

@@ -1,9 +1,9 @@
 """A DYNAMIXEL X servo as a Protocol 2.0 device: its answer to each instruction.
 
 Written from the ROBOTIS e-Manual ("Protocol 2.0", control tables of the X series). It carries out
-ping, read, write, sync read and sync write, reboot. Other instructions (bulk and registered writes,
-fast reads, factory reset, clear, backup) are refused, as by a firmware without them. One object is
-one servo; `simulator.servo.bus` finds the packets and orders the answers.
+ping, read, write, group reads and writes, reboot. Other instructions (registered writes, fast
+reads, factory reset, clear, backup) are refused, as by a firmware without them. One object is one
+servo; `simulator.servo.bus` finds the packets and orders the answers.
 """
 
 from collections.abc import Mapping
@@ -62,7 +62,7 @@ _ANSWERS_READS, _ANSWERS_ALL = 1, 2
 """Contents of Status Return Level (68)."""
 _PROTOCOL_1 = 1
 """Content of Protocol Type (13)."""
-_READS = frozenset({Instruction.READ, Instruction.SYNC_READ})
+_READS = frozenset({Instruction.READ, Instruction.SYNC_READ, Instruction.BULK_READ})
 
 
 class StatusBody(NamedTuple):
