@@ -54,28 +54,12 @@ class ContactConfig(Section):
     fingers it limits the approach speed, so that no impact exceeds force_max_n."""
 
 
-class SettleConfig(Section):
-    """When the end of a force ramp counts as reached."""
-
-    timeout_s: float = setting_of(GripperSettings, "settle_timeout_s")
-    """Longest time after the ramp in s, up to 10; then the force counts as not reached."""
-    tolerance_n: float = setting_of(GripperSettings, "settle_tolerance_n")
-    """Largest error of a reached force in N, up to 5."""
-    tolerance_share: float = setting_of(GripperSettings, "settle_tolerance_share")
-    """The same as a share of the force, 0 to 0.5; the larger of the two counts."""
-
-
 class SlipConfig(Section):
     """When a held part counts as slipping or lost; then the goals are frozen."""
 
     drop_n: float = setting_of(GripperSettings, "slip_drop_n")
     """Sudden drop of the held force that means a slip in N, up to 20; above the sensor's noise. A
     drop by less than 15 % of the force is none."""
-    travel_mm: float = setting_of(GripperSettings, "slip_travel_m", MILLI)
-    """Closing at a steady force that means a slip in mm of opening, up to 50."""
-    runaway_mm: float = setting_of(GripperSettings, "runaway_travel_m", MILLI)
-    """Closing by this way in mm, 20 mm/s faster than the ramp, after which the part is lost, up to
-    50."""
 
 
 _Corrected = Literal[
@@ -216,8 +200,6 @@ class GripperConfig(Section):
     """Whether the first opening proves for each servo that its watchdog stops the motor."""
     contact: ContactConfig = ContactConfig()
     """Approach and contact."""
-    settle: SettleConfig = SettleConfig()
-    """When a ramp's force counts as reached."""
     slip: SlipConfig = SlipConfig()
     """When a held part slips or is lost."""
     servo_care: ServoCareConfig = ServoCareConfig()
