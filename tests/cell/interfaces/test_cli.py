@@ -619,7 +619,7 @@ def test_wrong_use_is_two_and_a_failing_job_one(fail, files, code, command, comp
 @pytest.mark.parametrize(
     ("extra", "command"),
     [
-        ("trimesh: mesh", "teach x -o {made} --mesh {none}"),
+        ("trimesh: mesh", "teach x -o {made} --shape mesh:file={none}"),
         ("trimesh: mesh", "config check {meshed}"),
         ("fastapi: serve", "serve -c {config} --http 0"),
     ],

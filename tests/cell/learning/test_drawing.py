@@ -175,7 +175,7 @@ def test_a_mesh_is_a_drawing(tmp_path) -> None:
     trimesh = pytest.importorskip("trimesh")
     mesh, drawings = tmp_path / "cube.stl", tmp_path / "d.npz"
     trimesh.creation.box((8.0, 8.0, 8.0)).export(mesh)
-    call("teach", "cube", "--mesh", mesh, "-n", 3, "-o", drawings)
+    call("teach", "cube", "--shape", f"mesh:file={mesh}", "-n", 3, "-o", drawings)
     grasps = read_dataset(drawings)
     assert (len(grasps), grasps[0].shape) == (3, "mesh")
 
@@ -184,8 +184,7 @@ def test_a_mesh_is_a_drawing(tmp_path) -> None:
     ("options", "message"),
     [
         (("--shape", "cone:height=3mm"), "unknown shape"),
-        (("--shape", BALL, "--mesh", "x.stl"), "exclude each other"),
-        (("--mesh", "missing.stl"), "cannot be read"),
+        (("--shape", "mesh:file=missing.stl"), "cannot be read"),
         (("--shape", "sphere:diameter=30mm"), "to 18 mm (gripper.aperture_open_mm)"),
         (("--shape", "box:length=20mm,width=10mm,height=0.01mm"), "is too narrow for the pads"),
         (("--shape", "cylinder:diameter=0.3mm,length=20mm"), "is 0.247 mm thick at x"),

@@ -45,13 +45,9 @@ def teach(
         str | None,
         typer.Option(
             "--shape",
-            help="Teach from a shape without grasping, for example "
-            "cylinder:diameter=6mm,length=20mm.",
+            help="Teach from a shape without grasping: cylinder:diameter=6mm,length=20mm, or "
+            "mesh:file=part.stl, an STL file in mm.",
         ),
-    ] = None,
-    mesh: Annotated[
-        Path | None,
-        typer.Option("--mesh", help="Teach from an STL file in mm, without grasping."),
     ] = None,
     recorded: Annotated[
         Path | None,
@@ -84,27 +80,21 @@ def teach(
     if wrong := text_refused("series", series):
         raise ConfigError(f"--series {wrong}")
     if recorded is not None:
-        _name_recorded(recorded, label, dataset, series, json_file)
+        added, before = name_recorded(recorded, label, dataset, series)
+        line = f"{added} grasps of {recorded} added to {dataset} as {label} ({before} were there)"
+        values = {"label": label, "n_grasps": added, "dataset": dataset, "source": recorded}
+        show([line], values, json_file)
         return
     checked = cell_config(config, seed=seed, faults=faults)
-    if shape is None and mesh is None:
+    if shape is None:
         goal = TeachGoal(label=label, grasps=grasps or _GRASPS, present=present, train=False)
         _teach_grasps(checked, config, goal, dataset, series, out_folder, json_file)
         return
-    if shape is not None and mesh is not None:
-        raise ConfigError("--shape and --mesh exclude each other; use one of them")
     if series:
         raise ConfigError("--series is for grasps: leave it out for a drawing")
     if faults:
         raise ConfigError("--fault is for the simulated cell: leave it out for a drawing")
-    _teach_drawing(
-        checked,
-        label,
-        dataset,
-        grasps or _VIRTUAL_GRASPS,
-        shape if shape is not None else f"mesh:file={mesh}",
-        json_file=json_file,
-    )
+    _teach_drawing(checked, label, dataset, grasps or _VIRTUAL_GRASPS, shape, json_file=json_file)
 
 
 def _teach_grasps(
@@ -142,15 +132,6 @@ def _teach_grasps(
                     print_line(shown["short"])
     values = {"label": goal.label, "n_grasps": shown["grasps"], "n_missed": shown["missed"]}
     cell.finish([f"recording: {cell.plugin.recording_path}"], values | {"dataset": dataset})
-
-
-def _name_recorded(
-    source: Path, label: str, dataset: Path, series: str, json_file: Path | None
-) -> None:
-    added, before = name_recorded(source, label, dataset, series)
-    line = f"{added} grasps of {source} added to {dataset} as {label} ({before} were there)"
-    values = {"label": label, "n_grasps": added, "dataset": dataset, "source": source}
-    show([line], values, json_file)
 
 
 def _teach_drawing(
