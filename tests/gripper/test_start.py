@@ -14,7 +14,7 @@ from gripper.errors import (
 from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.state import GripperPhase
-from simulator.servo.faults import Chatter, Piece, WireFaults
+from simulator.servo.faults import Chatter, WireFaults
 
 SENTENCE = b"$GPGGA,092751.000,5321.6802,N,00630.3371,W,1,8,1.03,61.7,M\r\n"
 PATTERNS = {
@@ -171,7 +171,7 @@ def test_a_machine_that_is_too_busy_is_refused(cell) -> None:
     class Busy(WireFaults):
         answers = 0
 
-        def answer(self, servo_id: int, packet: bytes) -> list[Piece]:
+        def answer(self, servo_id: int, packet: bytes) -> list[tuple[float, bytes]]:
             """Return each third answer late."""
             self.answers += 1
             self.delay_s = 0.02 if self.answers % 3 == 0 else 0.0

@@ -21,9 +21,15 @@ from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray
 from recognition.recognizer import Posterior
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
 from tests.cell.conftest import plain_grasp, plain_pads
-from tests.cell.recording.test_dataset import Bomb
 
 PADS = plain_pads((8, 5), (8, 5), adc_max=255)
+
+
+class Bomb:
+    exploded = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return setattr, (Bomb, "exploded", True)
 
 
 def press(label: str, *, height: float, width_m: float, seed: int = 0) -> Grasp:
