@@ -2,8 +2,8 @@
 
 After each SYNC it latches one scan and sends it as one burst of TPDO1, at the rate of the wire; the
 force on the gripping pads goes out as TPDO2, on its event timer.
-This module adds to `simulator.can.node` services by NMT state, resets, SYNC, emergencies and the
-synchronous window.
+This module adds to `simulator.can.node` services by NMT state, resets, SYNC, the history of errors
+and the synchronous window.
 """
 
 import math
@@ -36,6 +36,8 @@ _CHANGES_OF_STATE = tuple(
 """NMT commands that the node of canopen carries out."""
 _WORST_BITS = 135
 """Longest message of 8 data bytes on the wire in bits, all stuff bits included (ISO 11898-1)."""
+_MAX_HISTORY = 8
+"""Most error codes in object 0x1003: its sub-indices in the EDS."""
 _FORCE_OBJECTS = frozenset(
     (
         od.FORCE_MESSAGE,
@@ -135,7 +137,7 @@ class SimulatedControlUnit(CanopenDevice):
         self.receive(od.COB_NMT, command, now_s)
 
     def emergency(self, code: int, *, register: int = REGISTER_GENERIC) -> None:
-        """Report an error: EMCY and error register; code 0: all errors are cleared.
+        """Report an error: EMCY, error register and history; code 0: all errors are cleared.
 
         Parameters
         ----------
@@ -149,7 +151,8 @@ class SimulatedControlUnit(CanopenDevice):
             dictionary.error_register = 0
         else:
             dictionary.error_register |= register | REGISTER_GENERIC
-            dictionary.errors.add(code)
+            dictionary.errors.insert(0, code)
+            del dictionary.errors[_MAX_HISTORY:]
         if not math.isfinite(self._boot_due_s) and self.state != _STOPPED:
             self._node.emcy.send(code, dictionary.error_register)
 

@@ -40,10 +40,11 @@ _TPDO_PARAMETERS = (unit_od.TPDO1_PARAMETER, unit_od.TPDO2_PARAMETER)
 _TPDO_MAPPINGS = (unit_od.TPDO1_MAPPING, unit_od.TPDO2_MAPPING)
 """Communication and mapping parameters of TPDO1 and TPDO2."""
 _FIXED_VALUES = {
+    (unit_od.ERROR_HISTORY, 0): 0,
     (unit_od.TPDO1_PARAMETER, unit_od.PDO_TRANSMISSION): unit_od.PDO_OF_MANUFACTURER,
     (unit_od.TPDO2_PARAMETER, unit_od.PDO_TRANSMISSION): unit_od.PDO_OF_MANUFACTURER,
 }
-"""The only value that the host may write to an object."""
+"""The only value that the host may write to an object: 0 clears the history of errors."""
 
 
 class UnitDictionary:
@@ -74,8 +75,8 @@ class UnitDictionary:
         self._node: Any = node
         self._scanner = scanner
         self._missing = missing
-        self.errors: set[int] = set()
-        """Error codes since the last reset."""
+        self.errors: list[int] = []
+        """Error codes of 0x1003, the newest first."""
         self.error_register = 0
         """Object 0x1001."""
         form = scanner.format
@@ -94,6 +95,7 @@ class UnitDictionary:
         }
         self._live: dict[int, Callable[[int], int | bytes | None]] = {
             unit_od.ERROR_REGISTER: lambda _subindex: self.error_register,
+            unit_od.ERROR_HISTORY: self._read_history,
             unit_od.LAST_FRAME: self._read_frame,
             unit_od.LAST_FRAME_COUNTER: lambda _subindex: scanner.read_counter,
             unit_od.BOARDS: lambda subindex: boards()[subindex - 1] if subindex else None,
@@ -149,6 +151,11 @@ class UnitDictionary:
         if subindex != od.subindex:
             raise canopen.SdoAbortedError(NO_SUBINDEX)
 
+    def _read_history(self, subindex: int) -> int:
+        if subindex > len(self.errors):
+            raise canopen.SdoAbortedError(NO_DATA)
+        return self.errors[subindex - 1] if subindex else len(self.errors)
+
     def _read_frame(self, _subindex: int) -> bytes:
         frame = self._scanner.last_frame()
         if frame is None:
@@ -182,6 +189,8 @@ class UnitDictionary:
 
     def _act(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         del od
+        if index == unit_od.ERROR_HISTORY:
+            self.errors.clear()
         take = {
             unit_od.FORCE_TABLE: self._scanner.forces.take_table,
             unit_od.FORCE_ZERO: self._scanner.forces.take_zero,

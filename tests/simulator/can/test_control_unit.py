@@ -206,15 +206,26 @@ def test_table_and_zero_need_a_right_checksum_and_can_be_read_back(line) -> None
     assert line.read(od.FORCE_TABLE) == table
 
 
-def test_an_emergency_is_sent_and_sets_the_error_register(line) -> None:
+def test_an_emergency_is_sent_and_remembered(line) -> None:
     line.unit.emergency(0x5000)
     assert line.take() == [(EMCY, bytes.fromhex("00 50 01 00 00 00 00 00"))]
     line.unit.emergency(0x8110, register=0x10)
     assert line.take() == [(EMCY, bytes.fromhex("10 81 11 00 00 00 00 00"))]
+    assert line.number(od.ERROR_HISTORY) == 2
+    assert line.number(od.ERROR_HISTORY, 1) == 0x8110
+    assert line.number(od.ERROR_HISTORY, 2) == 0x5000
     assert line.number(od.ERROR_REGISTER) == 0x11
+    with pytest.raises(canopen.SdoAbortedError, match="08000024"):
+        line.read(od.ERROR_HISTORY, 3)
     line.unit.emergency(0)
     assert line.take() == [(EMCY, bytes(8))]
     assert line.number(od.ERROR_REGISTER) == 0
+    for code in range(0xFF10, 0xFF30):
+        line.unit.emergency(code)
+    line.take()
+    assert line.number(od.ERROR_HISTORY) == 8
+    assert line.write(od.ERROR_HISTORY, 0, 0, 1) == 0
+    assert line.number(od.ERROR_HISTORY) == 0
 
 
 def test_a_sync_during_a_burst_is_passed_over_and_told(line) -> None:
