@@ -64,8 +64,8 @@ class Archive:
                 ARCHIVE.check(form, target, ArchiveError)
             elif not create:
                 raise ArchiveError(
-                    f"{target} is not an archive; `tactile-cell archive RECORDINGS --to {target}` "
-                    "makes one"
+                    f"{target} is not an archive; `tactile-cell archive add RECORDINGS --to "
+                    f"{target}` makes one"
                 )
             else:
                 staged = f"{self._root}/{STAGED}/{HEAD}"

@@ -236,16 +236,16 @@ class ServoBus:
 
     def scan_protocol_1(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[int, ...]:
         """Ping each ID once in Protocol 1.0 and return the servos' IDs; for diagnosis."""
-        answers, handler = [], Protocol1PacketHandler()
+        answering, handler = [], Protocol1PacketHandler()
         with self.exclusive():
             for servo_id in ids:
                 ping = [0, 0, servo_id, 2, int(Instruction.PING), 0]
                 answer, result, _ = handler.txRxPacket(self.port, ping)
                 # Not its echo.
                 if result == COMM_SUCCESS and answer != ping:
-                    answers.append(servo_id)
+                    answering.append(servo_id)
             self._mark_suspect()
-        return tuple(answers)
+        return tuple(answering)
 
     def shares_id(self, servo_id: int) -> bool:
         """Return whether several servos answer to one ID.

@@ -141,10 +141,10 @@ def given_up(
     ``pinged``: whether it has answered each ping between its requests.
     """
     if failure.damaged:
-        parts = f" ({heard})" if heard else ""
+        received = f" ({heard})" if heard else ""
         return BusCorrupt(
             f"{request.action}: the answers of servo {request.servo_id} arrive damaged, twice in a "
-            f"row{parts}: check cable, termination and that no two servos share the ID"
+            f"row{received}: check cable, termination and that no two servos share the ID"
         )
     if pinged:
         return AnswersOff(

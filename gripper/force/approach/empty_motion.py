@@ -297,10 +297,10 @@ class FirstMotion(MoveTo):
                 if not self._only_open:
                     other.lead_rad = closing_margin_rad(other.servo.servo_model, other.most_a)
 
-    def _contradicted(self, servo: ServoState, growth: str) -> MechanicsContradicted:
+    def _contradicted(self, servo: ServoState, cause: str) -> MechanicsContradicted:
         most_a = max(finger.current_a for finger in self._fingers)
         return MechanicsContradicted(
-            f"servo {servo.servo_id}: {growth}, at an opening of {self._stands_m * 1e3:.1f} mm on "
+            f"servo {servo.servo_id}: {cause}, at an opening of {self._stands_m * 1e3:.1f} mm on "
             f"its way to {self._aperture_m * 1e3:.1f} mm, with {most_a:.2f} A, the "
             f"least that moves it. So the settings do not match the position of the fingers, "
             f"something blocks them, or their friction is too high; the torque is switched off. "
