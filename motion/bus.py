@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import can
 import canopen
@@ -57,8 +58,8 @@ _OPERATIONAL = b"\x05"
 """NMT state in it (CiA 301, 7.2.8.3.3)."""
 
 
-class DriveBus:
-    """CAN bus of one to three drives, used by the thread that moves them.
+class DriveBus(canopen.Network):
+    """CAN bus of one to three drives, used by the thread that moves them; canopen dispatches.
 
     Parameters
     ----------
@@ -67,22 +68,22 @@ class DriveBus:
     """
 
     def __init__(self, bus: can.BusABC, watch: Watch, loss_s: float) -> None:
+        super().__init__(bus)
         self.watch = watch
         self.loss_s = loss_s
         self.clock = watch.clock
-        self.network = canopen.Network(bus)
         self._source = PolledSource(bus, watch.clock)
         self._beat_due_s = math.inf
 
-    def send(self, cob_id: int, data: bytes) -> None:
+    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
         """Send a message. Raises AxisSilent when the interface fails."""
         with _failures_named():
-            self.network.send_message(cob_id, data)
+            super().send_message(can_id, data, remote)
 
     def beat(self) -> None:
         """Start the host's heartbeat, for drives that stop without it."""
         self._beat_due_s = self.clock.monotonic() + HOST_HEARTBEAT_S
-        self.send(COB_HEARTBEAT + HOST_NODE, _OPERATIONAL)
+        self.send_message(COB_HEARTBEAT + HOST_NODE, _OPERATIONAL)
 
     def service(self) -> None:
         """Pass on received messages, and send the heartbeat when it is due.
@@ -99,7 +100,7 @@ class DriveBus:
             unusable = message.is_error_frame or len(message.data) != message.dlc
             if unusable or of_another_kind(message):
                 continue
-            self.network.notify(message.arbitration_id, message.data, message.timestamp)
+            self.notify(message.arbitration_id, message.data, message.timestamp)
 
     def drop_old(self) -> None:
         """Drop messages from the time without polls."""

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import can
 from canopen.nmt import NMT_COMMANDS, NMT_STATES
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
@@ -61,7 +60,7 @@ _ANSWER_REMEDY = (
     "the drive is another one than CiA 402 describes, or somebody else sends with its node-ID. "
     "Check drive, firmware and node-IDs, then clear the fault and start again"
 )
-_QUICK_STOP_REQUEST = struct.pack("<BHBHH", 0x2B, od.CONTROLWORD, 0, Control.QUICK_STOP, 0)
+_QUICK_STOP_REQUEST = struct.pack("<BHBHH", 0x2B, 0x6040, 0, Control.QUICK_STOP, 0)
 """SDO request that writes a controlword of two bytes (CiA 301, 7.2.4.3.3)."""
 
 _NEXT = {
@@ -115,15 +114,16 @@ class Cia402Drive:
         self._bus = bus
         self._node_id = node_id
         self._settings = settings
+        self._objects: Any = od.of_node(node_id)
         self._client = PolledSdoClient(
             node_id=node_id,
-            dictionary=od.of_node(node_id),
+            dictionary=self._objects,
             clock=bus.clock,
             service=bus.service,
             wait=bus.wait,
             timeout_s=_SDO_SHARE * bus.loss_s,
         )
-        self._client.network = bus.network
+        self._client.network = bus  # it names the failures of the interface
         self._heard_s = 0.0
         self._nmt_state = _OPERATIONAL
         self._surplus = 0
@@ -131,9 +131,9 @@ class Cia402Drive:
         self._emergency = 0
         self._supervised = self._stopped = False
         self.target: int | None = None
-        bus.network.subscribe(COB_SDO_RESPONSE + node_id, self._client.on_response)
-        bus.network.subscribe(od.COB_HEARTBEAT + node_id, self._on_heartbeat)
-        bus.network.subscribe(od.COB_EMCY + node_id, self._on_emergency)
+        bus.subscribe(COB_SDO_RESPONSE + node_id, self._client.on_response)
+        bus.subscribe(od.COB_HEARTBEAT + node_id, self._on_heartbeat)
+        bus.subscribe(od.COB_EMCY + node_id, self._on_emergency)
 
     # -- the interface of an axis ----------------------------------------------------------------
 
@@ -146,8 +146,8 @@ class Cia402Drive:
         self._supervised, self._nmt_state = False, _OPERATIONAL
         self._surplus = self._client.surplus
         try:
-            kind = self._read(od.DEVICE_TYPE)
-            modes = self._read(od.SUPPORTED_MODES)
+            kind = self._read("Device type")
+            modes = self._read("Supported drive modes")
         except AxisSilent as error:
             raise AxisMissing(f"{error}; also check its node-ID and the bit rate") from error
         if kind & 0xFFFF != od.PROFILE_402:
@@ -167,7 +167,7 @@ class Cia402Drive:
         state = self._state()
         words = f"{state.words}, position {self.position} increments"
         if state is State.FAULT:
-            words += f", {od.error_code_text(self._read(od.ERROR_CODE))}"
+            words += f", {od.error_code_text(self._read('Error code'))}"
         self._bus.watch.pause(_POLL_S)
         self.check()
         return words
@@ -183,7 +183,7 @@ class Cia402Drive:
         self.identify()
         self._booted, self._emergency, self._nmt_state = False, 0, _BOOT_UP
         self._command("OPERATIONAL")  # a booting drive missed the first command
-        self._write(od.HEARTBEAT_MS, 0, round(1e3 * HEARTBEAT_S))
+        self._write("Producer heartbeat time", round(1e3 * HEARTBEAT_S))
         self._until(
             lambda: self._nmt_state == _OPERATIONAL,
             _START_S,
@@ -192,7 +192,7 @@ class Cia402Drive:
         )
         if self._state() is State.OPERATION_ENABLED:
             # It may still move: a silent drive could not be stopped.
-            self._write(od.CONTROLWORD, 0, Control.QUICK_STOP)
+            self._write("Controlword", Control.QUICK_STOP)
             self._until(self.standing, self._braking_s, "does not stop")
         self._set_up()
         if reset:
@@ -243,15 +243,15 @@ class Cia402Drive:
             )
         # The monitored node-ID, and its longest silence in ms (CiA 301, 1016h).
         host_lost_ms = round(1e3 * _HOST_LOST_FACTOR * self._bus.loss_s)
-        self._write(od.CONSUMER_HEARTBEAT, 1, HOST_NODE << 16 | host_lost_ms)
+        self._write("Consumer heartbeat time.Host", HOST_NODE << 16 | host_lost_ms)
         self._bus.beat()
-        self._write(od.TARGET_POSITION, 0, target)
+        self._write("Target position", target)
         self.target = target
-        self._write(od.CONTROLWORD, 0, Control.NEW_SET_POINT)
+        self._write("Controlword", Control.NEW_SET_POINT)
         self._until(
             lambda: bool(self._status() & Status.ACKNOWLEDGED), _STATE_S, "takes no set-point"
         )
-        self._write(od.CONTROLWORD, 0, Control.ENABLE_OPERATION)
+        self._write("Controlword", Control.ENABLE_OPERATION)
         self._until(
             lambda: not self._status() & Status.ACKNOWLEDGED, _STATE_S, "keeps its set-point"
         )
@@ -271,24 +271,24 @@ class Cia402Drive:
 
     def rest(self) -> None:
         """End the drive's supervision of the host's heartbeat."""
-        self._write(od.CONSUMER_HEARTBEAT, 1, 0)
+        self._write("Consumer heartbeat time.Host", 0)
 
     @property
     def position(self) -> int:
         """Present position in increments (6064h)."""
-        return self._read(od.POSITION)
+        return self._read("Position actual value")
 
     def stop(self) -> None:
         """Send a quick stop without a wait; a silent drive may still receive it."""
         self.target, self._stopped = None, True
         if self._nmt_state == _STOPPED:
             self._command("PRE-OPERATIONAL")  # else it receives no SDO
-        self._bus.send(COB_SDO_REQUEST + self._node_id, _QUICK_STOP_REQUEST)
+        self._bus.send_message(COB_SDO_REQUEST + self._node_id, _QUICK_STOP_REQUEST)
 
     def standing(self) -> bool:
         """Return whether the axis stands still after a stop."""
         self._supervised = False
-        still = abs(self._read(od.VELOCITY)) <= self._settings.velocity * _STILL_SHARE
+        still = abs(self._read("Velocity actual value")) <= self._settings.velocity * _STILL_SHARE
         return still and self._state() is not State.OPERATION_ENABLED
 
     def check(self) -> None:
@@ -329,7 +329,7 @@ class Cia402Drive:
 
     def _command(self, command: str) -> None:
         """Command an NMT state."""
-        self._bus.send(od.COB_NMT, bytes((NMT_COMMANDS[command], self._node_id)))
+        self._bus.send_message(od.COB_NMT, bytes((NMT_COMMANDS[command], self._node_id)))
 
     def _not_operational(self) -> AxisNotOperational:
         state = NMT_STATES.get(self._nmt_state, "unknown").lower()
@@ -341,25 +341,25 @@ class Cia402Drive:
 
     def _set_up(self) -> None:
         wanted = self._settings
-        for index, subindex, value in (
-            (od.SOFTWARE_LIMITS, 1, wanted.low),
-            (od.SOFTWARE_LIMITS, 2, wanted.high),
-            (od.FOLLOWING_ERROR_WINDOW, 0, wanted.following_error),
-            (od.FOLLOWING_ERROR_MS, 0, _FOLLOWING_MS),
-            (od.POSITION_WINDOW, 0, wanted.window),
-            (od.POSITION_WINDOW_MS, 0, _WINDOW_MS),
-            (od.PROFILE_VELOCITY, 0, wanted.velocity),
-            (od.PROFILE_ACCELERATION, 0, wanted.acceleration),
-            (od.PROFILE_DECELERATION, 0, wanted.acceleration),
-            (od.QUICK_STOP_DECELERATION, 0, 2 * wanted.acceleration),
-            (od.QUICK_STOP_OPTION, 0, od.STAY_IN_QUICK_STOP),
-            (od.ABORT_CONNECTION, 0, od.STOP_WHEN_HOST_IS_LOST),
-            (od.CONSUMER_HEARTBEAT, 1, 0),
+        for name, value in (
+            ("Software position limit.Min position limit", wanted.low),
+            ("Software position limit.Max position limit", wanted.high),
+            ("Following error window", wanted.following_error),
+            ("Following error time out", _FOLLOWING_MS),
+            ("Position window", wanted.window),
+            ("Position window time", _WINDOW_MS),
+            ("Profile velocity", wanted.velocity),
+            ("Profile acceleration", wanted.acceleration),
+            ("Profile deceleration", wanted.acceleration),
+            ("Quick stop deceleration", 2 * wanted.acceleration),
+            ("Quick stop option code", od.STAY_IN_QUICK_STOP),
+            ("Abort connection option code", od.STOP_WHEN_HOST_IS_LOST),
+            ("Consumer heartbeat time.Host", 0),
         ):
-            self._write(index, subindex, value)
-            if (answer := self._read(index, subindex)) != value:
+            self._write(name, value)
+            if (answer := self._read(name)) != value:
                 raise AxisMissing(
-                    f"{self.name} keeps {answer} in {index:04X}h:{subindex} instead of {value}: "
+                    f"{self.name} keeps {answer} in {self._place(name)} instead of {value}: "
                     "correct the config or the drive's own limits"
                 )
 
@@ -367,9 +367,9 @@ class Cia402Drive:
         def enabled() -> bool:
             state = self._state()
             if state in _AT_FAULT:
-                raise AxisFault(self._fault_text(self._read(od.ERROR_CODE)))
+                raise AxisFault(self._fault_text(self._read("Error code")))
             if state in _NEXT:
-                self._write(od.CONTROLWORD, 0, _NEXT[state])
+                self._write("Controlword", _NEXT[state])
             return state is State.OPERATION_ENABLED
 
         failure = "is not enabled: check its power stage, enable input and safe torque off"
@@ -378,9 +378,9 @@ class Cia402Drive:
     def _reset_fault(self) -> None:
         if self._state() not in _AT_FAULT:
             return
-        code = self._read(od.ERROR_CODE)
-        self._write(od.CONTROLWORD, 0, Control.DISABLE_VOLTAGE)
-        self._write(od.CONTROLWORD, 0, Control.FAULT_RESET)
+        code = self._read("Error code")
+        self._write("Controlword", Control.DISABLE_VOLTAGE)
+        self._write("Controlword", Control.FAULT_RESET)
         self._until(
             lambda: self._state() not in _AT_FAULT,
             _STATE_S,
@@ -392,12 +392,12 @@ class Cia402Drive:
         wanted = self._settings
         slow = max(1, wanted.homing_velocity // _ZERO_SPEED_SHARE)
         self._set_mode(ModeOfOperation.HOMING)
-        self._write(od.HOMING_METHOD, 0, method)
-        self._write(od.HOME_OFFSET, 0, wanted.home)
-        self._write(od.HOMING_SPEEDS, 1, wanted.homing_velocity)
-        self._write(od.HOMING_SPEEDS, 2, slow)
-        self._write(od.HOMING_ACCELERATION, 0, wanted.acceleration)
-        self._write(od.CONTROLWORD, 0, Control.START_HOMING)
+        self._write("Homing method", method)
+        self._write("Home offset", wanted.home)
+        self._write("Homing speeds.Speed during search for switch", wanted.homing_velocity)
+        self._write("Homing speeds.Speed during search for zero", slow)
+        self._write("Homing acceleration", wanted.acceleration)
+        self._write("Controlword", Control.START_HOMING)
         # The longest travel: from one end to the other, and back from the switch.
         longest_s = _STATE_S + 2.0 * (wanted.high - wanted.low) / wanted.homing_velocity
 
@@ -410,18 +410,20 @@ class Cia402Drive:
             return bool(status & Status.ACKNOWLEDGED and status & Status.TARGET_REACHED)
 
         self._until(attained, longest_s, "has not found its home: check its switch", HomingFailed)
-        self._write(od.CONTROLWORD, 0, Control.ENABLE_OPERATION)
+        self._write("Controlword", Control.ENABLE_OPERATION)
 
     def _set_mode(self, mode: ModeOfOperation) -> None:
-        self._write(od.MODE, 0, mode)
+        self._write("Modes of operation", mode)
         self._until(
-            lambda: self._read(od.MODE_DISPLAY) == mode, _STATE_S, f"does not take mode {mode.name}"
+            lambda: self._read("Modes of operation display") == mode,
+            _STATE_S,
+            f"does not take mode {mode.name}",
         )
 
     def _check_status(self, status: int) -> None:
         self._check_state(State.of(status))
         if status & Status.INTERNAL_LIMIT:
-            inputs = self._read(od.DIGITAL_INPUTS)
+            inputs = self._read("Digital inputs")
             which = {od.INPUT_NEGATIVE_SWITCH: "negative ", od.INPUT_POSITIVE_SWITCH: "positive "}
             raise LimitSwitchReached(
                 f"{self.name} is stopped by its {which.get(inputs & 3, '')}limit switch at "
@@ -431,7 +433,7 @@ class Cia402Drive:
 
     def _check_state(self, state: State) -> None:
         if state in _AT_FAULT:
-            raise AxisFault(self._fault_text(self._read(od.ERROR_CODE)))
+            raise AxisFault(self._fault_text(self._read("Error code")))
         if state is not State.OPERATION_ENABLED:
             raise AxisFault(
                 f"{self.name} left OPERATION ENABLED for {state.words}: check its enable input, "
@@ -462,7 +464,7 @@ class Cia402Drive:
         return State.of(self._status())
 
     def _status(self) -> int:
-        status = self._read(od.STATUSWORD)
+        status = self._read("Statusword")
         try:
             State.of(status)
         except ValueError as error:
@@ -472,42 +474,41 @@ class Cia402Drive:
             ) from error
         return status
 
-    def _read(self, index: int, subindex: int = 0) -> int:
-        variable = self._variable(index, subindex)
-        data = self._transfer("read", index, subindex, self._client.upload)
+    def _read(self, name: str) -> int:
+        variable = self._objects[name]
+        data = self._transfer("read", name, self._client.upload)
         if 8 * len(data) != len(variable):
             raise AxisAnswerWrong(
-                f"{self.name} sends {index:04X}h:{subindex} with a length of {len(data)} instead "
-                f"of {len(variable) // 8} bytes: {_ANSWER_REMEDY}"
+                f"{self.name} sends {self._place(name)} with a length of {len(data)} instead of "
+                f"{len(variable) // 8} bytes: {_ANSWER_REMEDY}"
             )
         return int(variable.decode_raw(data))
 
-    def _write(self, index: int, subindex: int, value: int) -> None:
-        data = self._variable(index, subindex).encode_raw(int(value))
-        self._transfer("write", index, subindex, self._client.download, data)
+    def _write(self, name: str, value: int) -> None:
+        data = self._objects[name].encode_raw(int(value))
+        self._transfer("write", name, self._client.download, data)
 
-    def _variable(self, index: int, subindex: int) -> Any:
-        return od.of_node(self._node_id).get_variable(index, subindex)
+    def _place(self, name: str) -> str:
+        variable = self._objects[name]
+        return f"{variable.index:04X}h:{variable.subindex}"
 
-    def _transfer(self, verb: str, index: int, subindex: int, transfer: Any, *data: bytes) -> Any:
-        failure: Exception | None = None
+    def _transfer(self, verb: str, name: str, transfer: Any, *data: bytes) -> Any:
+        variable, failure = self._objects[name], None
         for _ in range(_ATTEMPTS):
             self.check()
             try:
-                return transfer(index, subindex, *data)
+                return transfer(variable.index, variable.subindex, *data)
             except SdoCommunicationError as error:
                 failure = error
             except SdoAbortedError as error:
                 raise AxisMissing(
-                    f"{self.name} refused to {verb} {index:04X}h:{subindex} ({error}): the drive "
+                    f"{self.name} refused to {verb} {self._place(name)} ({error}): the drive "
                     "does not have what CiA 402 asks for, or its limits are narrower"
                 ) from error
-            except (can.CanError, OSError) as error:
-                raise AxisSilent(f"the CAN interface of {self.name} failed: {error}") from error
         self.check()
         if self._nmt_state == _STOPPED:
             raise self._not_operational()
-        asked = f"{verb} of {index:04X}h:{subindex}, {_ATTEMPTS} times"
+        asked = f"{verb} of {self._place(name)}, {_ATTEMPTS} times"
         if not isinstance(failure, SdoNotAnswered):
             raise AxisAnswerWrong(
                 f"{self.name} answers wrongly ({asked}; {failure}): {_ANSWER_REMEDY}"

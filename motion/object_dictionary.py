@@ -1,6 +1,7 @@
-"""Objects of a CiA 402 drive: indices, bits of controlword and statusword, states, error codes.
+"""Objects of a CiA 402 drive: bits of controlword and statusword, states, error codes.
 
-The dictionary is ``drive.eds``; the meaning follows CiA 301 (communication) and CiA 402-2 (drive).
+The dictionary is ``drive.eds``, and objects have their names in it. The meaning follows CiA 301
+(communication) and CiA 402-2 (drive).
 """
 
 from collections.abc import Mapping
@@ -20,42 +21,12 @@ COB_EMCY = 0x080
 COB_HEARTBEAT = 0x700
 """Identifiers of the pre-defined connection set (CiA 301, 7.3.5), without the node-ID."""
 
-DEVICE_TYPE = 0x1000
 PROFILE_402 = 402
 """Lower 16 bits of the device type of a drive."""
-CONSUMER_HEARTBEAT = 0x1016
-"""U32 each: monitored node-ID << 16, and its longest silence in ms; 0 for none."""
-HEARTBEAT_MS = 0x1017
-ABORT_CONNECTION = 0x6007
 STOP_WHEN_HOST_IS_LOST = 3
-"""Its value for a quick stop when the heartbeat of the host (1016h) is lost."""
-ERROR_CODE = 0x603F
-CONTROLWORD = 0x6040
-STATUSWORD = 0x6041
-QUICK_STOP_OPTION = 0x605A
+"""Abort connection option for a quick stop when the heartbeat of the host (1016h) is lost."""
 STAY_IN_QUICK_STOP = 6
-"""Its value for a quick stop ramp to QUICK STOP ACTIVE, with torque."""
-MODE = 0x6060
-MODE_DISPLAY = 0x6061
-POSITION = 0x6064
-FOLLOWING_ERROR_WINDOW = 0x6065
-FOLLOWING_ERROR_MS = 0x6066
-POSITION_WINDOW = 0x6067
-POSITION_WINDOW_MS = 0x6068
-VELOCITY = 0x606C
-TARGET_POSITION = 0x607A
-HOME_OFFSET = 0x607C
-SOFTWARE_LIMITS = 0x607D
-PROFILE_VELOCITY = 0x6081
-PROFILE_ACCELERATION = 0x6083
-PROFILE_DECELERATION = 0x6084
-QUICK_STOP_DECELERATION = 0x6085
-HOMING_METHOD = 0x6098
-HOMING_SPEEDS = 0x6099
-HOMING_ACCELERATION = 0x609A
-FOLLOWING_ERROR = 0x60F4
-DIGITAL_INPUTS = 0x60FD
-SUPPORTED_MODES = 0x6502
+"""Quick stop option for a ramp to QUICK STOP ACTIVE, with torque."""
 
 
 class ModeOfOperation(IntEnum):
@@ -92,7 +63,6 @@ class Status(IntFlag):
     """Bits of the statusword (6041h) other than the state."""
 
     VOLTAGE_ENABLED = 1 << 4
-    WARNING = 1 << 7
     REMOTE = 1 << 9
     TARGET_REACHED = 1 << 10
     INTERNAL_LIMIT = 1 << 11

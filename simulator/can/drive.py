@@ -65,14 +65,14 @@ class SimulatedDrive(CanopenDevice):
         super().__init__(mount.node_id, od.of_node(mount.node_id), start_s)
         self._node.add_read_callback(self._read)
         self._node.add_write_callback(self._write)
-        self._live: dict[int, Callable[[], int]] = {
-            od.STATUSWORD: lambda: self.statusword,
-            od.MODE_DISPLAY: lambda: self._number(od.MODE),
-            od.ERROR_CODE: lambda: self._error_code,
-            od.POSITION: lambda: round(self.motion.actual - self._zero),
-            od.VELOCITY: lambda: round(self.motion.actual_speed),
-            od.FOLLOWING_ERROR: lambda: round(self.motion.demand - self.motion.actual),
-            od.DIGITAL_INPUTS: self._inputs,
+        self._live: dict[str, Callable[[], int]] = {
+            "Statusword": lambda: self.statusword,
+            "Modes of operation display": lambda: self._number("Modes of operation"),
+            "Error code": lambda: self._error_code,
+            "Position actual value": lambda: round(self.motion.actual - self._zero),
+            "Velocity actual value": lambda: round(self.motion.actual_speed),
+            "Following error actual value": lambda: round(self.motion.demand - self.motion.actual),
+            "Digital inputs": self._inputs,
         }
         self._stepped_s = start_s
         self._host_due_s = math.inf
@@ -126,8 +126,10 @@ class SimulatedDrive(CanopenDevice):
             return
         if can_id == od.COB_NMT and len(data) == 2 and data[1] in {0, self.mount.node_id}:
             self.command(data[0])
-        elif can_id == od.COB_HEARTBEAT + (self._number(od.CONSUMER_HEARTBEAT, 1) >> 16):
-            self._host_due_s = now_s + 1e-3 * (self._number(od.CONSUMER_HEARTBEAT, 1) & 0xFFFF)
+        elif can_id >> 7 == od.COB_HEARTBEAT >> 7:
+            node_id, silence_ms = divmod(self._number("Consumer heartbeat time.Host"), 1 << 16)
+            if can_id == od.COB_HEARTBEAT + node_id:
+                self._host_due_s = now_s + 1e-3 * silence_ms
         elif can_id == self._node.sdo.rx_cobid and self._node.nmt.state != "STOPPED":
             self._serve(data)
 
@@ -163,14 +165,14 @@ class SimulatedDrive(CanopenDevice):
         self._error_code = code
         self._homing = None
         self.state = State.FAULT_REACTION_ACTIVE if powered else State.FAULT
-        self.motion.stop(self._number(od.QUICK_STOP_DECELERATION) or 1e6)
+        self.motion.stop(self._number("Quick stop deceleration") or 1e6)
         self._node.emcy.send(code, _REGISTER_GENERIC, b"")
 
     # -- objects -------------------------------------------------------------------------------
 
-    def _number(self, index: int, subindex: int = 0) -> int:
-        variable = self._node.object_dictionary.get_variable(index, subindex)
-        return int(variable.decode_raw(self._node.get_data(index, subindex)))
+    def _number(self, name: str) -> int:
+        variable = self._node.object_dictionary[name]
+        return int(variable.decode_raw(self._node.get_data(variable.index, variable.subindex)))
 
     def _inputs(self) -> int:
         negative, positive = self.motion.switches(self.forced_switch)
@@ -179,27 +181,25 @@ class SimulatedDrive(CanopenDevice):
     def _read(self, *, index: int, subindex: int, od: ODVariable) -> int | None:
         if subindex != od.subindex:
             raise canopen.SdoAbortedError(NO_SUBINDEX)
-        live = self._live.get(index)
+        live = self._live.get(od.name)
         return None if live is None else live()
 
     def _write(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         if subindex != od.subindex:
             raise canopen.SdoAbortedError(NO_SUBINDEX)
-        self._accept(index, int(od.decode_raw(data)))
-
-    def _accept(self, index: int, value: int) -> None:
-        if index == od.CONTROLWORD:
+        value = int(od.decode_raw(data))
+        if od.name == "Controlword":
             self._command(value)
-        elif index == od.MODE:
+        elif od.name == "Modes of operation":
             if value not in (0, ModeOfOperation.PROFILE_POSITION, ModeOfOperation.HOMING):
                 raise canopen.SdoAbortedError(VALUE_RANGE)
             if not self._stands:
                 raise canopen.SdoAbortedError(WRONG_STATE)
             self._acknowledged = self._reached = False
-        elif index == od.CONSUMER_HEARTBEAT:
+        elif od.name == "Host":
             # Supervision begins with the first heartbeat (CiA 301, 7.2.8.3.3).
             self._host_due_s = math.inf
-        elif index == od.HOMING_METHOD and value not in [0, *HomingMethod]:
+        elif od.name == "Homing method" and value not in [0, *HomingMethod]:
             raise canopen.SdoAbortedError(VALUE_RANGE)
 
     # -- state machine -------------------------------------------------------------------------
@@ -247,7 +247,7 @@ class SimulatedDrive(CanopenDevice):
 
     def _abort_connection(self) -> None:
         """Carry out the option of 6007h when the host is lost or stopped the node (CiA 402-2)."""
-        stops = self._number(od.ABORT_CONNECTION) == od.STOP_WHEN_HOST_IS_LOST
+        stops = self._number("Abort connection option code") == od.STOP_WHEN_HOST_IS_LOST
         if stops and self.state is State.OPERATION_ENABLED:
             self._quick_stop()
 
@@ -258,24 +258,25 @@ class SimulatedDrive(CanopenDevice):
             return
         self.state = State.QUICK_STOP_ACTIVE
         self._homing = None
-        self.motion.stop(self._number(od.QUICK_STOP_DECELERATION) or 1e6)
+        self.motion.stop(self._number("Quick stop deceleration") or 1e6)
 
     def _start(self, word: int, *, rising: bool) -> None:
-        mode = self._number(od.MODE)
+        mode = self._number("Modes of operation")
         if mode == ModeOfOperation.PROFILE_POSITION:
             if not word & _START_BIT:
                 self._acknowledged = False
             elif rising:
-                target = self._number(od.TARGET_POSITION)
-                low, high = (self._number(od.SOFTWARE_LIMITS, end) for end in (1, 2))
+                target = self._number("Target position")
+                low = self._number("Software position limit.Min position limit")
+                high = self._number("Software position limit.Max position limit")
                 # A drive moves to its software limit at most.
                 goal = min(max(target, low), high) + self._zero
-                velocity = self._number(od.PROFILE_VELOCITY)
-                acceleration = self._number(od.PROFILE_ACCELERATION)
+                velocity = self._number("Profile velocity")
+                acceleration = self._number("Profile acceleration")
                 self.motion.go(goal, velocity, acceleration or 1e9)
                 self._acknowledged, self._reached, self._at_switch = True, False, False
         elif mode == ModeOfOperation.HOMING and rising:
-            self._homing = self._number(od.HOMING_METHOD)
+            self._homing = self._number("Homing method")
             self._leaving = self._braking_at_home = False
             self._acknowledged = self._reached = False
         elif mode == ModeOfOperation.HOMING and not word & _START_BIT:
@@ -294,8 +295,11 @@ class SimulatedDrive(CanopenDevice):
             self._switch_off(State.FAULT)
         if self.state is State.OPERATION_ENABLED:
             self._watch_lag()
-            if self._number(od.MODE) == ModeOfOperation.PROFILE_POSITION and motion.resting:
-                near = abs(motion.demand - motion.actual) <= self._number(od.POSITION_WINDOW)
+            if (
+                self._number("Modes of operation") == ModeOfOperation.PROFILE_POSITION
+                and motion.resting
+            ):
+                near = abs(motion.demand - motion.actual) <= self._number("Position window")
                 self._reached = near and not self._at_switch
 
     def _watch_switches(self) -> None:
@@ -303,13 +307,13 @@ class SimulatedDrive(CanopenDevice):
         into = (negative and self.motion.speed < 0.0) or (positive and self.motion.speed > 0.0)
         if into and not self._at_switch:
             self._at_switch = True
-            self.motion.stop(self._number(od.QUICK_STOP_DECELERATION) or 1e6)
+            self.motion.stop(self._number("Quick stop deceleration") or 1e6)
 
     def _watch_lag(self) -> None:
-        motion, window = self.motion, self._number(od.FOLLOWING_ERROR_WINDOW)
+        motion, window = self.motion, self._number("Following error window")
         beyond = abs(motion.demand - motion.actual) > window
         self._lag_s = self._lag_s + STEP_S if beyond else 0.0
-        if self._lag_s * 1e3 > self._number(od.FOLLOWING_ERROR_MS):
+        if self._lag_s * 1e3 > self._number("Following error time out"):
             self.fail(od.FOLLOWING_ERROR_CODE)
 
     def _home(self, method: int) -> None:
@@ -321,15 +325,15 @@ class SimulatedDrive(CanopenDevice):
         negative, positive = motion.switches(self.forced_switch)
         direction = -1.0 if method == HomingMethod.NEGATIVE_SWITCH else 1.0
         active = negative if direction < 0.0 else positive
-        acceleration = self._number(od.HOMING_ACCELERATION) or 1e9
+        acceleration = self._number("Homing acceleration") or 1e9
         if not self._leaving:
             if not active:
-                fast = self._number(od.HOMING_SPEEDS, 1)
+                fast = self._number("Homing speeds.Speed during search for switch")
                 motion.go(motion.demand + direction * 1e9, fast, acceleration)
                 return
             self._leaving = True
         if active:
-            slow = self._number(od.HOMING_SPEEDS, 2)
+            slow = self._number("Homing speeds.Speed during search for zero")
             motion.go(motion.demand - direction * 1e9, slow, acceleration)
         else:
             self._found_home()
@@ -341,8 +345,8 @@ class SimulatedDrive(CanopenDevice):
                 self._acknowledged = self._reached = True
             return
         self._braking_at_home = True
-        self._zero = self.motion.actual - self._number(od.HOME_OFFSET)
-        self.motion.stop(self._number(od.HOMING_ACCELERATION) or 1e6)
+        self._zero = self.motion.actual - self._number("Home offset")
+        self.motion.stop(self._number("Homing acceleration") or 1e6)
 
     def _silenced(self) -> bool:
         return self.dead

@@ -253,7 +253,7 @@ class Drive:
     def heard(self, cob_id: int, seconds: float) -> list[tuple[float, bytes]]:
         """Return time and data of the messages of an identifier that come within so many s."""
         found: list[tuple[float, bytes]] = []
-        self.bus.network.subscribe(
+        self.bus.subscribe(
             cob_id, lambda _id, data, _time_s: found.append((self.clock.monotonic(), bytes(data)))
         )
         end_s = self.clock.monotonic() + seconds
@@ -297,5 +297,5 @@ def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
             clock=clock,
             may_move=request.param == "simulator" or request.config.getoption("allow_motion"),
         )
-        device._write(od.CONTROLWORD, 0, od.Control.DISABLE_VOLTAGE)
-        device._write(od.HEARTBEAT_MS, 0, 0)
+        device._write("Controlword", od.Control.DISABLE_VOLTAGE)
+        device._write("Producer heartbeat time", 0)

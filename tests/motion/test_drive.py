@@ -5,7 +5,6 @@ from collections.abc import Callable
 import can
 import pytest
 
-from motion import object_dictionary as od
 from motion.errors import (
     AxisAnswerWrong,
     AxisDuplicated,
@@ -20,7 +19,7 @@ from motion.errors import (
     PositionImplausible,
     PositionNotReached,
 )
-from motion.object_dictionary import HomingMethod, State
+from motion.object_dictionary import Control, HomingMethod, State
 from tests.motion.conftest import BOOT_S, NODE, DriveBench, MakeDrive
 
 NEAR_M = 5e-5
@@ -78,7 +77,9 @@ def test_the_limits_stand_beside_the_write_and_in_the_drive(make_drive) -> None:
     bench.move(0.0)
     with pytest.raises(AxisLimitExceeded, match="was asked for 20001 increments"):
         bench.drive.go_to(20_001)
-    assert [bench.drive._read(od.SOFTWARE_LIMITS, end) for end in (1, 2)] == [-20_000, 20_000]
+    assert [
+        bench.drive._read(f"Software position limit.{end} position limit") for end in ("Min", "Max")
+    ] == [-20_000, 20_000]
 
 
 @pytest.mark.slow
@@ -110,13 +111,13 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
         "dead": lambda: setattr(simulated, "dead", True),
         "reboot": simulated.power_cycle,
         "empty boot-up": lambda: put(bench, arbitration_id=0x700 + NODE),
-        "shut": lambda: simulated._command(od.Control.SHUTDOWN),
+        "shut": lambda: simulated._command(Control.SHUTDOWN),
         "stopped": lambda: simulated.command(2),
         "pre-operational": lambda: simulated.command(128),
         "twice": lambda: undo.append(bench.second_drive()),
-        "short": lambda: simulated._live.update({od.STATUSWORD: lambda: b"\x27"}),  # type: ignore[dict-item,return-value]
-        "no state": lambda: simulated._live.update({od.STATUSWORD: lambda: 1}),
-        "jump": lambda: simulated._live.update({od.POSITION: lambda: 5_000_000}),
+        "short": lambda: simulated._live.update({"Statusword": lambda: b"\x27"}),  # type: ignore[dict-item,return-value]
+        "no state": lambda: simulated._live.update({"Statusword": lambda: 1}),
+        "jump": lambda: simulated._live.update({"Position actual value": lambda: 5_000_000}),
     }
     undo, live = list[Callable[[], None]](), dict(simulated._live)
     bench.once_moving(acts[fail])
@@ -247,19 +248,21 @@ def test_who_is_no_drive_or_not_there_is_refused(bench) -> None:
     found = next(iter(bench.axes.inspect().values()))
     assert isinstance(found, AxisMissing)
     bench.simulated.dead = False
-    bench.simulated._live[od.DEVICE_TYPE] = lambda: 0x0191
+    bench.simulated._live["Device type"] = lambda: 0x0191
     with pytest.raises(AxisMissing, match="device type 00000191h, which is no CiA 402 drive"):
         bench.move(0.0)
-    bench.simulated._live[od.DEVICE_TYPE] = lambda: 0x0192
-    bench.simulated._live[od.SUPPORTED_MODES] = lambda: 1
+    bench.simulated._live["Device type"] = lambda: 0x0192
+    bench.simulated._live["Supported drive modes"] = lambda: 1
     with pytest.raises(AxisMissing, match="has no mode HOMING"):
         bench.move(0.0)
 
 
 def test_a_limit_that_the_drive_does_not_keep_is_refused(bench) -> None:
-    bench.simulated._live[od.FOLLOWING_ERROR_WINDOW] = lambda: 5
+    bench.simulated._live["Following error window"] = lambda: 5
     with pytest.raises(AxisMissing, match=r"keeps 5 in 6065h:0 instead of 1000"):
         bench.move(0.0)
+    with pytest.raises(AxisMissing, match=r"refused to write 6060h:0 \(.*limits are narrower"):
+        bench.drive._write("Modes of operation", 9)
 
 
 def test_an_adapter_that_is_gone_is_named(bench) -> None:

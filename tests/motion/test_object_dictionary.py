@@ -19,19 +19,6 @@ def test_dcfchk_finds_nothing() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_every_index_of_the_constants_is_in_the_eds() -> None:
-    dictionary = od.of_node(11)
-    indices = {
-        value
-        for name, value in vars(od).items()
-        if name.isupper() and isinstance(value, int) and 0x1000 <= value < 0x7000
-    }
-    assert len(indices) > 25
-    assert indices <= set(dictionary)
-    assert dictionary[od.DEVICE_TYPE].default & 0xFFFF == od.PROFILE_402
-    assert dictionary[od.SUPPORTED_MODES].default == 0b100001
-
-
 def test_states_and_controlwords_are_those_of_canopen() -> None:
     for name, (mask, bits) in State402.SW_MASK.items():
         state = State[name.replace(" ", "_")]

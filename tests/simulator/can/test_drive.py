@@ -73,14 +73,14 @@ def test_canopens_own_node_changes_modes_and_finds_the_home(bench) -> None:
         bench.witness.op_mode = mode
         assert bench.witness.op_mode == mode
     assert not bench.witness.is_op_mode_supported("PROFILED VELOCITY")
-    bench.witness.sdo[od.HOMING_METHOD].raw = HomingMethod.POSITIVE_SWITCH
-    bench.witness.sdo[od.HOME_OFFSET].raw = 7000
-    bench.witness.sdo[od.HOMING_SPEEDS][1].raw = 20_000
-    bench.witness.sdo[od.HOMING_SPEEDS][2].raw = 2_000
-    bench.witness.sdo[od.HOMING_ACCELERATION].raw = 200_000
+    bench.witness.sdo["Homing method"].raw = HomingMethod.POSITIVE_SWITCH
+    bench.witness.sdo["Home offset"].raw = 7000
+    bench.witness.sdo["Homing speeds"][1].raw = 20_000
+    bench.witness.sdo["Homing speeds"][2].raw = 2_000
+    bench.witness.sdo["Homing acceleration"].raw = 200_000
     assert bench.witness.homing(timeout=30)
     # The switch lets go at 10 mm, where 7000 is read; braking goes on a little.
-    assert bench.witness.sdo[od.POSITION].raw - 7000 == pytest.approx(
+    assert bench.witness.sdo["Position actual value"].raw - 7000 == pytest.approx(
         1e6 * (bench.drive.position - 0.01), abs=15
     )
 
@@ -89,7 +89,7 @@ def test_canopens_own_node_resets_a_fault(bench) -> None:
     bench.witness.state = "OPERATION ENABLED"
     bench.drive.fail(0x3210)
     bench.let_pass(0.05)
-    assert (bench.witness.state, bench.witness.sdo[od.ERROR_CODE].raw) == ("FAULT", 0x3210)
+    assert (bench.witness.state, bench.witness.sdo["Error code"].raw) == ("FAULT", 0x3210)
     assert [error.code for error in bench.witness.emcy.log] == [0x3210]
     bench.witness.TIMEOUT_RESET_FAULT = 0.0  # canopen waits here in vain, see its FIXME
     bench.witness.reset_from_fault()
@@ -100,36 +100,36 @@ def enabled(witness: BaseNode402) -> canopen.sdo.SdoClient:
     """Enable the drive in profile position mode; return its objects."""
     witness.op_mode = "PROFILED POSITION"
     sdo = witness.sdo
-    sdo[od.PROFILE_VELOCITY].raw, sdo[od.PROFILE_ACCELERATION].raw = 20_000, 200_000
-    sdo[od.QUICK_STOP_DECELERATION].raw = 400_000
+    sdo["Profile velocity"].raw, sdo["Profile acceleration"].raw = 20_000, 200_000
+    sdo["Quick stop deceleration"].raw = 400_000
     witness.state = "OPERATION ENABLED"
     return sdo
 
 
 def test_a_set_point_is_taken_at_the_rising_edge_and_acknowledged(bench) -> None:
     sdo = enabled(bench.witness)
-    sdo[od.TARGET_POSITION].raw = 4000
+    sdo["Target position"].raw = 4000
     bench.let_pass(0.1)
     assert not bench.drive.moving  # without the edge nothing moves
-    sdo[od.CONTROLWORD].raw = Control.NEW_SET_POINT
-    assert sdo[od.STATUSWORD].raw & Status.ACKNOWLEDGED
-    assert not sdo[od.STATUSWORD].raw & Status.TARGET_REACHED
-    sdo[od.TARGET_POSITION].raw = -4000
-    sdo[od.CONTROLWORD].raw = Control.NEW_SET_POINT  # no edge: the first target stays
-    sdo[od.CONTROLWORD].raw = Control.ENABLE_OPERATION
-    assert not sdo[od.STATUSWORD].raw & Status.ACKNOWLEDGED
+    sdo["Controlword"].raw = Control.NEW_SET_POINT
+    assert sdo["Statusword"].raw & Status.ACKNOWLEDGED
+    assert not sdo["Statusword"].raw & Status.TARGET_REACHED
+    sdo["Target position"].raw = -4000
+    sdo["Controlword"].raw = Control.NEW_SET_POINT  # no edge: the first target stays
+    sdo["Controlword"].raw = Control.ENABLE_OPERATION
+    assert not sdo["Statusword"].raw & Status.ACKNOWLEDGED
     bench.let_pass(1.0)
-    assert sdo[od.STATUSWORD].raw & Status.TARGET_REACHED
-    assert sdo[od.POSITION].raw == pytest.approx(4000, abs=2)
+    assert sdo["Statusword"].raw & Status.TARGET_REACHED
+    assert sdo["Position actual value"].raw == pytest.approx(4000, abs=2)
 
 
 def test_a_target_beyond_the_software_limit_ends_at_the_limit(bench) -> None:
     sdo = enabled(bench.witness)
-    sdo[od.SOFTWARE_LIMITS][2].raw = 1500
-    sdo[od.TARGET_POSITION].raw = 4000
-    sdo[od.CONTROLWORD].raw = Control.NEW_SET_POINT
+    sdo["Software position limit"][2].raw = 1500
+    sdo["Target position"].raw = 4000
+    sdo["Controlword"].raw = Control.NEW_SET_POINT
     bench.let_pass(1.0)
-    assert sdo[od.POSITION].raw == pytest.approx(1500, abs=2)
+    assert sdo["Position actual value"].raw == pytest.approx(1500, abs=2)
 
 
 @pytest.mark.parametrize("switch", [-1, 1])
@@ -137,25 +137,25 @@ def test_a_limit_switch_stops_the_axis_and_lets_it_out(bench, switch) -> None:
     sdo = enabled(bench.witness)
 
     def go(target: int) -> None:
-        sdo[od.TARGET_POSITION].raw = target
-        sdo[od.CONTROLWORD].raw = Control.NEW_SET_POINT
-        sdo[od.CONTROLWORD].raw = Control.ENABLE_OPERATION
+        sdo["Target position"].raw = target
+        sdo["Controlword"].raw = Control.NEW_SET_POINT
+        sdo["Controlword"].raw = Control.ENABLE_OPERATION
         bench.let_pass(2.0)
 
     go(switch * 20_000)
     assert abs(bench.drive.position - switch * 0.01) < 1e-3
-    assert sdo[od.STATUSWORD].raw & Status.INTERNAL_LIMIT
-    assert not sdo[od.STATUSWORD].raw & Status.TARGET_REACHED
-    assert sdo[od.DIGITAL_INPUTS].raw == {-1: 1, 1: 2}[switch]
+    assert sdo["Statusword"].raw & Status.INTERNAL_LIMIT
+    assert not sdo["Statusword"].raw & Status.TARGET_REACHED
+    assert sdo["Digital inputs"].raw == {-1: 1, 1: 2}[switch]
     go(0)
-    assert sdo[od.STATUSWORD].raw & Status.TARGET_REACHED
+    assert sdo["Statusword"].raw & Status.TARGET_REACHED
     assert bench.drive.position == pytest.approx(2e-3, abs=1e-5)
 
 
 @pytest.mark.parametrize("option", [0, od.STOP_WHEN_HOST_IS_LOST])
 def test_a_node_that_is_stopped_on_its_way_brakes_where_6007h_asks_for_it(bench, option) -> None:
     sdo = enabled(bench.witness)
-    sdo[od.ABORT_CONNECTION].raw = option
+    sdo["Abort connection option code"].raw = option
     bench.witness.nmt.send_command(2)
     braked = option == od.STOP_WHEN_HOST_IS_LOST
     assert (bench.drive.state is State.QUICK_STOP_ACTIVE) is braked
