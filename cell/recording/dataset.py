@@ -1,36 +1,37 @@
-"""Grasp data sets: the format ``grasp-dataset/1``, an npz archive without pickled objects.
+"""Grasp data sets: the format ``grasp-dataset/2``, an npz archive without pickled objects.
 
 ============== =========================== ======================================================
 array          dtype, shape                meaning
 ============== =========================== ======================================================
-format         str                         ``grasp-dataset/1``
+format         str                         ``grasp-dataset/2``
 adc_max        int                         full scale of ``counts``
 pad_shape      int (n_pads, 2)             rows, columns of each pad
 taxel_pad      int (n_taxels,)             pad of each taxel; row-major within a pad
-taxel_xy_mm    float32 (n_taxels, 2)       x along the finger, y across, in mm
+taxel_xy_m     float (n_taxels, 2)         x along the finger, y across, in m
+grasp_offsets  int (n_grasps + 1,)         grasp i has the frames offsets[i] to offsets[i + 1]
 counts         uint16 (n_frames, n_taxels) raw frames of all grasps, one after the other
-aperture_mm    float32 (n_frames,)         opening between the fingers in mm; NaN where unknown
-force_n        float32 (n_frames,)         commanded grip force in N; NaN where unknown; optional
-t_s            float32 (n_frames,)         time since the grasp's first frame in s
-grasp_offsets  int64 (n_grasps + 1,)       grasp i has the frames offsets[i] to offsets[i + 1]
+t_s            float (n_frames,)           time since the grasp's first frame in s
+aperture_m     float (n_frames,)           opening between the fingers in m; NaN where unknown
+force_n        float (n_frames,)           commanded grip force in N; NaN where unknown; optional
 label          str (n_grasps,)             grasped object; empty where unknown
+start_ms       int (n_grasps,)             time of the grasp's first frame
 shape          str (n_grasps,)             class of shape; optional
-start_ms       int64 (n_grasps,)           time of the grasp's first frame
 source         str (n_grasps,)             its origin; optional
 series         str (n_grasps,)             individual or day; optional. Where it is empty, a pause
                                            of an hour begins a new series
-thickness_mm   float32 (n_grasps,)         of the object along the closing axis by its drawing;
+thickness_m    float (n_grasps,)           of the object along the closing axis by its drawing;
                                            NaN where unknown; optional
-pose           float64 (n_grasps, 5)       commanded: ``recognition.grasp.COMMAND_COLUMNS``;
+command        float (n_grasps, 5)         commanded: ``recognition.grasp.COMMAND_COLUMNS``;
                                            a row of NaN where unknown; optional
-self_zero      float64 (n_grasps, 8)       self-zero of the empty fingers before:
+zero           float (n_grasps, 8)         self-zero of the empty fingers before:
                                            ``recognition.grasp.ZERO_COLUMNS``; a row of NaN where
                                            it was not measured; optional
 ============== =========================== ======================================================
+
+Each array of frames or grasps has the name of its field in ``recognition.Grasp``.
 """
 
 import functools
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -42,14 +43,7 @@ from numpy.typing import NDArray
 from cell.errors import DatasetError, raised_as
 from cell.files import read_npz, savez, write_atomically
 from cell.formats import DATASET
-from cell.recording.grasp_limits import (
-    RANGES,
-    beyond_range,
-    openings_too_small,
-    pads_too_small,
-    text_refused,
-    times_refused,
-)
+from cell.recording.grasp_limits import beyond_range, text_refused, times_refused
 from recognition.grasp import (
     COMMAND_COLUMNS,
     ZERO_COLUMNS,
@@ -67,34 +61,31 @@ _ARRAYS = {
     "adc_max": ("iu", ""),
     "pad_shape": ("iu", "pads xy"),
     "taxel_pad": ("iu", "taxels"),
-    "taxel_xy_mm": ("f", "taxels xy"),
-    "counts": ("u", "frames taxels"),
-    "aperture_mm": ("f", "frames"),
-    "t_s": ("f", "frames"),
+    "taxel_xy_m": ("f", "taxels xy"),
     "grasp_offsets": ("iu", "offsets"),
+    "counts": ("u", "frames taxels"),
+    "t_s": ("f", "frames"),
+    "aperture_m": ("f", "frames"),
     "label": ("U", "grasps"),
     "start_ms": ("iu", "grasps"),
     "force_n": ("f", "frames"),
     "shape": ("U", "grasps"),
     "source": ("U", "grasps"),
     "series": ("U", "grasps"),
-    "thickness_mm": ("f", "grasps"),
-    "pose": ("f", "grasps command"),
-    "self_zero": ("f", "grasps zero"),
+    "thickness_m": ("f", "grasps"),
+    "command": ("f", "grasps command"),
+    "zero": ("f", "grasps zero"),
 }
 """Kinds of the numpy type of each array, and its axes; arrays with the same axis have the same
 length along it."""
-_OF_FRAMES = {"t_s": ("t_s", 1.0), "aperture_mm": ("aperture_m", 1e-3), "force_n": ("force_n", 1.0)}
-"""Field of a grasp, and unit, of each array of frames."""
-_TEXTS = ("label", "shape", "source", "series")
-_RECORDS: Mapping[str, tuple[str, tuple[str, ...], Any]] = {
-    "pose": ("command", COMMAND_COLUMNS, GraspCommand),
-    "self_zero": ("zero", ZERO_COLUMNS, SelfZero),
+_OPTIONAL = {"force_n", "shape", "source", "series", "thickness_m", "command", "zero"}
+_RECORDS: Mapping[str, tuple[tuple[str, ...], Any]] = {
+    "command": (COMMAND_COLUMNS, GraspCommand),
+    "zero": (ZERO_COLUMNS, SelfZero),
 }
-"""Field of a grasp, its numbers and its kind, of each array of such rows."""
-_AXES = {"xy": 2, "command": len(COMMAND_COLUMNS), "zero": len(ZERO_COLUMNS)}
+"""Columns and kind of the arrays whose rows are records."""
+_AXES = {"xy": 2, **{name: len(columns) for name, (columns, _) in _RECORDS.items()}}
 """Length of the axes that are the same in all data sets."""
-_OPTIONAL = {"force_n", "shape", "source", "series", "thickness_mm", "pose", "self_zero"}
 
 
 def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) -> tuple[Grasp, ...]:
@@ -120,7 +111,6 @@ def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) ->
         raise DatasetError(f"{path}: unknown arrays {', '.join(map(repr, unknown))}")
     # A signalling NaN, or differences of infinite times; both are refused.
     with raised_as(DatasetError, ValueError, where=str(path)), np.errstate(invalid="ignore"):
-        _check_arrays(arrays)
         return _grasps_of(arrays)
 
 
@@ -147,57 +137,53 @@ def write_dataset(path: Path | str, grasps: Sequence[Grasp]) -> None:
     path = Path(path)
     if not grasps:
         raise DatasetError(f"cannot write data set {path}: there is no grasp to write")
-    arrays = _arrays_of(path, grasps)
     with raised_as(DatasetError, ValueError, where=f"cannot write data set {path}"):
-        _check_arrays(arrays)
+        arrays = _arrays_of(grasps)
         _grasps_of(arrays)
     write_atomically(
         path, lambda file: savez(file, arrays), error=DatasetError, what="grasp data set"
     )
 
 
-def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
+def _arrays_of(grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
     pads = grasps[0].pads
     for i, grasp in enumerate(grasps):
         if grasp.pads is not pads and not grasp.pads.same_as(pads):
-            raise DatasetError(
-                f"cannot write data set {path}: grasp {i} was taken on other pads than grasp 0; "
-                "write one data set for each kind of pads"
+            raise ValueError(
+                f"grasp {i} was taken on other pads than grasp 0; write one data set for each "
+                "kind of pads"
             )
-        for name in _TEXTS:  # an array loses a zero at the end of a text
-            if wrong := text_refused(name, getattr(grasp, name)):
-                raise DatasetError(f"cannot write data set {path}: {name} of grasp {i} {wrong}")
     arrays: dict[str, NDArray[Any]] = {
         "format": np.array(str(DATASET)),
         "adc_max": np.array(pads.adc_max, dtype=np.int64),
         "pad_shape": pads.pad_shape,
         "taxel_pad": pads.taxel_pad,
-        "taxel_xy_mm": (pads.taxel_xy_m * 1e3).astype(np.float32),
-        "counts": np.concatenate([grasp.counts for grasp in grasps]),
-        "grasp_offsets": np.cumsum([0, *(g.n_frames for g in grasps)], dtype=np.int64),
-        "start_ms": np.array([grasp.start_ms for grasp in grasps], dtype=np.int64),
-        "thickness_mm": np.array([grasp.thickness_m * 1e3 for grasp in grasps], dtype=np.float32),
+        "taxel_xy_m": pads.taxel_xy_m,
+        "grasp_offsets": np.cumsum([0, *(grasp.n_frames for grasp in grasps)], dtype=np.int64),
     }
-    for name, (field, unit) in _OF_FRAMES.items():
-        values = np.concatenate([getattr(grasp, field) for grasp in grasps])
-        arrays[name] = (values / unit).astype(np.float32)
-    for name in _TEXTS:
-        arrays[name] = np.array([getattr(grasp, name) for grasp in grasps], dtype=np.str_)
-    for name, (field, columns, _) in _RECORDS.items():
-        rows = [getattr(grasp, field) for grasp in grasps]
-        unknown = (np.nan,) * len(columns)
-        arrays[name] = np.array([row.values if row else unknown for row in rows])
-
-    def known(values: NDArray[Any]) -> bool:
-        return bool(
-            np.any(values != "") if values.dtype.kind == "U" else not np.isnan(values).all()
-        )
-
-    return {name: one for name, one in arrays.items() if name not in _OPTIONAL or known(one)}
+    for name, (kinds, axes) in _ARRAYS.items():
+        if not axes.startswith(("frames", "grasps")):
+            continue
+        values = [getattr(grasp, name) for grasp in grasps]
+        if name in _RECORDS:
+            empty = (math.nan,) * len(_RECORDS[name][0])
+            values = [record.values if record else empty for record in values]
+        if kinds == "U":
+            _check_texts(name, values)  # an array loses a zero at the end of a text
+        array = np.concatenate(values) if axes.startswith("frames") else np.array(values)
+        if name not in _OPTIONAL or not (array == "" if kinds == "U" else np.isnan(array)).all():
+            arrays[name] = array
+    return arrays
 
 
-def _check_arrays(arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Raise ValueError for an array of another type or shape, or with a number beyond its range."""
+def _check_texts(name: str, texts: Sequence[str]) -> None:
+    for i, text in enumerate(texts):
+        if wrong := text_refused(name, text):
+            raise ValueError(f"{name} of grasp {i} {wrong}")
+
+
+def _grasps_of(arrays: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
+    """Return the grasps. Raises ValueError for an array that is refused, or does not fit."""
     lengths: dict[str, int] = dict(_AXES)
     for name, (kinds, axes) in _ARRAYS.items():
         if name not in arrays:
@@ -211,26 +197,14 @@ def _check_arrays(arrays: Mapping[str, NDArray[Any]]) -> None:
                 f"array {name} has the type {array.dtype} and the shape {array.shape}, expected "
                 f"kind {kinds} and shape {expected}"
             )
-        if name in RANGES:
-            _allow(name, beyond_range(name, array[:, :2] if name == "pose" else array))
-
-
-def _allow(name: str, wrong: str | None) -> None:
-    if wrong is not None:
-        raise ValueError(f"array {name} {wrong}")
-
-
-def _grasps_of(arrays: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
-    """Return the grasps. Raises ValueError if the arrays do not fit each other."""
+        if wrong := beyond_range(name, array[:, :2] if name == "command" else array):
+            raise ValueError(f"array {name} {wrong}")
     pads = PadArray(
-        pad_shape=arrays["pad_shape"],
-        taxel_pad=arrays["taxel_pad"],
-        taxel_xy_m=1e-3 * arrays["taxel_xy_mm"].astype(np.float64),
+        **{name: arrays[name] for name in ("pad_shape", "taxel_pad", "taxel_xy_m")},
         adc_max=int(arrays["adc_max"]),
     )
-    _allow("taxel_xy_mm", pads_too_small(pads))
-    offsets = arrays["grasp_offsets"].astype(np.int64)
-    n_frames, n_grasps = len(arrays["counts"]), len(arrays["label"])
+    offsets, n_frames, n_grasps = arrays["grasp_offsets"], lengths["frames"], lengths["grasps"]
+    offsets = offsets.astype(np.int64)
     if (
         (n_grasps < 1 or len(offsets) != n_grasps + 1)
         or (offsets[0] != 0 or offsets[-1] != n_frames)
@@ -240,31 +214,23 @@ def _grasps_of(arrays: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
             f"array grasp_offsets must have {n_grasps + 1} numbers for {n_grasps} grasps, which "
             f"rise from 0 to the {n_frames} frames"
         )
-    of_frames: dict[str, Any] = {"counts": arrays["counts"]}
-    for name, (field, unit) in _OF_FRAMES.items():
-        if name in arrays:
-            of_frames[field] = unit * arrays[name].astype(np.float64)
-    _allow("t_s", times_refused(of_frames["t_s"], offsets))
-    _allow("aperture_mm", openings_too_small(arrays["aperture_mm"]))
-    of_grasps: dict[str, Any] = {"start_ms": arrays["start_ms"].tolist()}
-    if "thickness_mm" in arrays:
-        of_grasps["thickness_m"] = (1e-3 * arrays["thickness_mm"].astype(np.float64)).tolist()
-    for name in [name for name in _TEXTS if name in arrays]:
-        of_grasps[name] = arrays[name].tolist()
-        for i, text in enumerate(of_grasps[name]):
-            _allow(f"{name} of grasp {i}", text_refused(name, text))
-    for name, (field, _, kind) in _RECORDS.items():
-        build = functools.cache(kind.from_values)  # a session shares one self-zero
-        if name in arrays:
-            of_grasps[field] = [
-                None if all(map(math.isnan, row)) else build(tuple(row))
-                for row in arrays[name].tolist()
+    if wrong := times_refused(arrays["t_s"], offsets):
+        raise ValueError(f"array t_s {wrong}")
+    columns: dict[str, list[Any]] = {}
+    for name, array in arrays.items():
+        axes = _ARRAYS[name][1]
+        if axes.startswith("frames"):
+            columns[name] = np.split(array, offsets[1:-1])
+        elif axes.startswith("grasps"):
+            columns[name] = array.tolist()
+        if axes == "grasps" and array.dtype.kind == "U":
+            _check_texts(name, columns[name])
+        if name in _RECORDS:
+            build = functools.cache(_RECORDS[name][1].from_values)  # a session shares a self-zero
+            columns[name] = [
+                None if all(map(math.isnan, row)) else build(tuple(row)) for row in columns[name]
             ]
     return tuple(
-        Grasp(
-            pads=pads,
-            **{name: values[first:last] for name, values in of_frames.items()},
-            **{name: values[i] for name, values in of_grasps.items()},
-        )
-        for i, (first, last) in enumerate(itertools.pairwise(offsets))
+        Grasp(pads=pads, **dict(zip(columns, values, strict=True)))
+        for values in zip(*columns.values(), strict=True)
     )

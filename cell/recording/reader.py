@@ -9,7 +9,7 @@ import sys
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, Self
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-from cell.errors import RecordingError, reason_text
+from cell.errors import RecordingError, raised_as, reason_text
 from cell.files import DAMAGE, open_plain, write_atomically
 from cell.formats import RECORDING
 from cell.recording import schema
@@ -35,11 +35,7 @@ MAX_FILE_BYTES = 1 << 30
 MAX_CHUNK_BYTES = 32 << 20
 """Largest record and unpacked chunk that is read, in bytes. The recorder makes chunks of 64 KiB,
 the tools of MCAP those of 8 MiB."""
-MAX_EXTRA = 8
-"""Most further samples of a taxel in a frame."""
 _DAMAGE = (*DAMAGE, McapError, zstandard.ZstdError, struct.error)
-_TIME_TOLERANCE_S = 1e-5
-"""Difference in s between the times of a grasp and those of its frames: rounding only."""
 
 
 class RecordedMessage(NamedTuple):
@@ -82,24 +78,22 @@ class RecordedMessages:
         self._n_lost += 1
 
     def __iter__(self) -> Iterator[RecordedMessage]:
-        with open_plain(self.path, error=RecordingError, what="recording") as file:
+        with (
+            open_plain(self.path, error=RecordingError, what="recording") as file,
+            raised_as(RecordingError, OSError, where=f"cannot read recording {self.path}"),
+        ):
             if os.fstat(file.fileno()).st_size > MAX_FILE_BYTES:
                 raise RecordingError(
                     f"{self.path}: too long; at most {MAX_FILE_BYTES} bytes are read"
                 )
-            try:
-                self._describe(file)
-                file.seek(0)
-                yield from self._messages(file)
-            except OSError as cause:
-                raise RecordingError(
-                    f"cannot read recording {self.path}: {cause.strerror}"
-                ) from cause
+            self._describe(file)
+            file.seek(0)
+            yield from self._messages(file)
 
     def _describe(self, file: BinaryIO) -> None:
         """Read the metadata, wherever they are in the file."""
         try:
-            found: dict[str, str] = next(
+            metadata: dict[str, str] = next(
                 record.metadata
                 for record in _records(file)
                 if isinstance(record, Metadata) and record.name == schema.METADATA
@@ -109,55 +103,43 @@ class RecordedMessages:
             raise RecordingError(
                 f"{self.path} is not a recording: it has no description, as {RECORDING} has{why}"
             ) from cause
-        RECORDING.check(found.get("format"), self.path, RecordingError)
-        if found.get("crc32") != schema.metadata_crc32(found):
+        RECORDING.check(metadata.get("format"), self.path, RecordingError)
+        if metadata.get("crc32") != schema.metadata_crc32(metadata):
             raise RecordingError(f"{self.path}: its description of clocks and pads is damaged")
-        try:
-            self.pads = PadArray(**from_json(found["pads"]))
-            self.wall_clock_start_ns = int(found["wall_clock_start_ns"])
-            self.monotonic_start_ns = int(found["monotonic_start_ns"])
-            self.metadata = found
-        except _DAMAGE as cause:
-            raise RecordingError(
-                f"{self.path}: its description does not fit {RECORDING} ({reason_text(cause)}); "
-                "another program wrote it"
-            ) from cause
+        with raised_as(RecordingError, *_DAMAGE, where=f"{self.path} does not fit {RECORDING}"):
+            self.pads = PadArray(**from_json(metadata["pads"]))
+            self.wall_clock_start_ns = int(metadata["wall_clock_start_ns"])
+            self.metadata = metadata
 
     def _messages(self, file: BinaryIO) -> Iterator[RecordedMessage]:
         try:
             for record in _records(file, validate_crcs=True):
                 if isinstance(record, DataEnd):
                     return
-                for part in self._parts(record):
-                    if (message := self._message(part)) is not None:
+                for part in self._parts(record) if isinstance(record, Chunk) else [record]:
+                    if isinstance(part, Channel):
+                        topic = part.topic if part.message_encoding == "json" else ""
+                        self._topics.setdefault(part.id, topic)
+                    elif isinstance(part, Message) and (message := self._message(part)):
                         yield message
             self.lose("its end is missing")
         except _DAMAGE as cause:
             self.lose(f"the file is cut off or damaged ({reason_text(cause)})")
 
-    def _parts(self, record: McapRecord) -> list[McapRecord]:
-        """Return the records of a chunk, or the record itself."""
-        if not isinstance(record, Chunk):
-            return [record]
+    def _parts(self, chunk: Chunk) -> list[McapRecord]:
         try:
-            if record.uncompressed_size > MAX_CHUNK_BYTES:
+            if chunk.uncompressed_size > MAX_CHUNK_BYTES:
                 raise ValueError(f"it unpacks to more than {MAX_CHUNK_BYTES} bytes")
-            return breakup_chunk(record, validate_crc=True)
+            return breakup_chunk(chunk, validate_crc=True)
         except _DAMAGE as cause:
             self.lose(f"a chunk is left out: {reason_text(cause)}")
             return []
 
-    def _message(self, record: McapRecord) -> RecordedMessage | None:
+    def _message(self, record: Message) -> RecordedMessage | None:
         """Return a message of a known topic that fits its model; another one is reported."""
-        if isinstance(record, Channel):
-            topic = record.topic if record.message_encoding == "json" else ""
-            self._topics.setdefault(record.id, topic)
-        if not isinstance(record, Message):
-            return None
         if record.channel_id not in self._topics:
             self.lose("a channel is not described")
-            return None
-        topic = self._topics[record.channel_id]
+        topic = self._topics.get(record.channel_id, "")
         if topic not in schema.MODELS:
             return None
         self.n_of[topic] += 1
@@ -178,11 +160,8 @@ class RecordedMessages:
                 f"it has {len(counts)} counts up to {max(counts, default=0)}, expected {n} up to "
                 f"{most}"
             )
-        allowed = (
-            [i * n for i in range(MAX_EXTRA + 1)] if self._n_extra is None else [self._n_extra]
-        )
-        if len(extra) not in allowed:
-            raise ValueError(f"it has {len(extra)} further samples, allowed are {allowed}")
+        if len(extra) % n or self._n_extra not in (None, len(extra)):
+            raise ValueError(f"it has {len(extra)} further samples of {n} taxels")
         self._n_extra = len(extra)
 
 
@@ -212,9 +191,6 @@ class RecordedFrames:
     """(n,) float64: monotonic time in s."""
     number: NDArray[np.int64]
     """(n,) int64: number of the frame in the recording; a gap is a lost chunk."""
-    counter: NDArray[np.int64]
-    status: NDArray[np.int64]
-    """(n,) int64: values of the control unit."""
     counts: NDArray[np.uint16]
     """(n, n_taxels) uint16: raw counts."""
     extra: NDArray[np.uint16]
@@ -248,7 +224,7 @@ class RecordedCycles:
     def between(self, begin_s: float, end_s: float) -> Self:
         """Return the periods of a span of time in s, both ends included."""
         part = slice(*np.searchsorted(self.t_s, [begin_s, np.nextafter(end_s, np.inf)]))
-        return type(self)(**{one.name: getattr(self, one.name)[part] for one in fields(self)})
+        return type(self)(**{name: getattr(self, name)[part] for name in self.__slots__})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -260,8 +236,7 @@ class Recording:
     pads: PadArray
     """Its path, its metadata, the pads of its frames."""
     wall_clock_start_ns: int
-    monotonic_start_ns: int
-    """Both clocks at the start in ns."""
+    """Wall clock at the start in ns."""
     frames: RecordedFrames
     cycles: RecordedCycles
     """As arrays."""
@@ -313,7 +288,7 @@ def read_recording(path: Path | str) -> Recording:
     for topic, content, _ in messages:
         if topic == schema.FRAME:
             times_s.append(content["t_s"])
-            numbers.extend(content[name] for name in ("number", "counter", "status"))
+            numbers.append(content["number"])
             counts.extend(content["counts"])
             extra.extend(content.get("extra", ()))
         elif topic == schema.CYCLE:
@@ -323,40 +298,45 @@ def read_recording(path: Path | str) -> Recording:
             phases.append(sys.intern(content["phase"]))
         else:
             rows[topic].append(content)
-    number, counter, status = _rows(numbers, 3).T
-    known = _rows(cycles, len(_CYCLE_COLUMNS) + 2)
     n_frames, n_taxels = len(times_s), messages.pads.n_taxels
+    columns = _rows(cycles, (-1, len(_CYCLE_COLUMNS) + 2))
     frames = RecordedFrames(
-        t_s=_rows(times_s, 1)[:, 0],
-        number=number,
-        counter=counter,
-        status=status,
-        counts=_rows(counts, n_taxels),
-        extra=_rows(extra, len(extra) // max(1, n_frames) or n_taxels).reshape(
-            n_frames, n_taxels, -1 if n_frames else 0
-        ),
+        t_s=_rows(times_s, n_frames),
+        number=_rows(numbers, n_frames),
+        counts=_rows(counts, (n_frames, n_taxels)),
+        extra=_rows(extra, (n_frames, n_taxels, len(extra) // max(1, len(counts)))),
     )
     grasps = _grasps(rows[schema.GRASP], frames, messages)
     if (
         not messages.lost_reason
         and schema.RECOVERED not in messages.metadata
-        and np.any(number != np.arange(n_frames))
+        and np.any(frames.number != np.arange(n_frames))
     ):
         messages.lose(f"its {n_frames} frames are not all that were recorded")
-    plain: dict[str, Any] = {name: getattr(messages, name) for name in _OF_MESSAGES}
-    plain |= {name: tuple(rows[topic]) for name, topic in _OF_TOPICS.items()}
     return Recording(
-        **plain,
+        path=messages.path,
+        metadata=messages.metadata,
+        pads=messages.pads,
+        wall_clock_start_ns=messages.wall_clock_start_ns,
         frames=frames,
         cycles=RecordedCycles(
-            **dict(zip(_CYCLE_COLUMNS, known.T, strict=False)),
+            **dict(zip(_CYCLE_COLUMNS, columns.T, strict=False)),
             phase=tuple(phases),
-            force_n=known[:, -2:],
+            force_n=columns[:, -2:],
         ),
-        grasps=tuple(grasp for _, grasp, _ in grasps),
-        grasp_numbers=tuple(number for number, _, _ in grasps),
-        grasp_t_s=tuple(begin_s for _, _, begin_s in grasps),
+        poses=tuple(rows[schema.POSE]),
+        events=tuple(rows[schema.EVENT]),
+        results=tuple(rows[schema.RESULT]),
+        states=tuple(rows[schema.STATE]),
+        statistics=tuple(rows[schema.LOOP]),
+        grasps=tuple(grasps.values()),
+        grasp_numbers=tuple(grasps),
+        grasp_t_s=tuple(
+            float(frames.t_s[np.searchsorted(frames.number, rows[schema.GRASP][i]["first_frame"])])
+            for i in grasps
+        ),
         n_broken_grasps=messages.n_of[schema.GRASP] - len(grasps),
+        lost_reason=messages.lost_reason,
     )
 
 
@@ -380,73 +360,53 @@ _CYCLE_COLUMNS = (
     "t_s", "setpoint_n", "goal_current_a", "aperture_m", "current_a", "temperature_c",
 )  # fmt: skip
 """Columns of `RecordedCycles` with one number each."""
-_OF_MESSAGES = (
-    "path", "metadata", "pads", "wall_clock_start_ns", "monotonic_start_ns", "lost_reason",
-)  # fmt: skip
-"""Fields of a `Recording` that its messages have."""
-_OF_TOPICS = {
-    "poses": schema.POSE,
-    "events": schema.EVENT,
-    "results": schema.RESULT,
-    "states": schema.STATE,
-    "statistics": schema.LOOP,
-}
-"""Fields of a `Recording` with all messages of a topic."""
 
 
-def _rows(values: "array[Any]", n: int) -> NDArray[Any]:
-    """Return rows of ``n`` numbers; they take less memory than the messages."""
-    rows = np.asarray(values).reshape(-1, n)
+def _rows(values: "array[Any]", shape: int | tuple[int, ...]) -> NDArray[Any]:
+    """Return an array of a shape; it takes less memory than the messages."""
+    rows = np.asarray(values).reshape(shape)
     rows.setflags(write=False)
     return rows
 
 
 def _grasps(
     rows: list[dict[str, Any]], frames: RecordedFrames, messages: RecordedMessages
-) -> list[tuple[int, Grasp, float]]:
-    """Return number, grasp and time in s of the first frame, for each whole grasp."""
-    grasps, n_used = list[tuple[int, Grasp, float]](), 0
+) -> dict[int, Grasp]:
+    """Return each whole grasp by its number."""
+    grasps, n_used = dict[int, Grasp](), 0
     for number, row in enumerate(rows):
         first_frame, n_frames = row["first_frame"], row["n_frames"]
         first = int(np.searchsorted(frames.number, first_frame))
         part = slice(first, first + n_frames)
         try:
             numbers = frames.number[part]
-            if len(numbers) < n_frames or np.any(numbers != first_frame + np.arange(n_frames)):
+            if not 0 < n_frames == len(numbers) or np.any(
+                np.diff(numbers, prepend=first_frame - 1) != 1
+            ):
                 raise ValueError("frames of it are missing")
             if first_frame < n_used:
                 raise ValueError("its frames belong to other grasps")
             n_used = first_frame + n_frames
-            grasp = _grasp(row, messages.pads, frames, part)
+            grasps[number] = _grasp(row, messages.pads, frames, part)
         except (ValueError, OverflowError) as cause:
             messages.lose(f"grasp {number + 1} is left out: {cause}")
-            continue
-        grasps.append((number, grasp, float(frames.t_s[first])))
     return grasps
 
 
 def _grasp(row: dict[str, Any], pads: PadArray, frames: RecordedFrames, part: slice) -> Grasp:
     """Return a grasp of these frames. Raises ValueError if it is refused."""
-    n_frames = row["n_frames"]
-    if not 0 < n_frames == len(row["frame_t_s"]):
-        raise ValueError(f"it has {len(row['frame_t_s'])} times for {n_frames} frames")
     known = ("label", "shape", "source", "start_ms", "aperture_m", "force_n")
-    grasp = Grasp(
+    t_s = frames.t_s[part] - frames.t_s[part.start]
+    if wrong := times_refused(t_s, np.array([0, len(t_s)])):
+        raise ValueError(f"its times {wrong}")
+    return Grasp(
         pads=pads,
         counts=frames.counts[part].copy(),
-        t_s=row["frame_t_s"],
+        t_s=t_s,
         **{name: row[name] for name in known if name in row},
         command=GraspCommand.from_values(row["asked"]) if "asked" in row else None,
         zero=SelfZero.from_values(row["self_zero"]) if "self_zero" in row else None,
     )
-    if schema.counts_crc32(grasp.counts) != row["counts_crc32"]:
-        raise ValueError("the checksum of its counts is wrong")
-    since_first_s = frames.t_s[part] - frames.t_s[part.start]
-    if np.any(np.abs(since_first_s - grasp.t_s) > _TIME_TOLERANCE_S):
-        raise ValueError("its times differ from those of its frames")
-    if wrong := times_refused(grasp.t_s, np.array([0, n_frames])):
-        raise ValueError(f"its times {wrong}")
-    return grasp
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,7 +2,6 @@
 
 import itertools
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -27,8 +26,6 @@ LONG_BYTES = 256 << 20
 """Size of a file in bytes after which the recording continues in a new file: 2 h of grasping."""
 CHUNK_BYTES = 64 << 10
 """Size of a chunk in bytes before compression: the largest loss of a killed program."""
-_NEWEST_FRAMES = 65536
-"""Most frames of a grasp; 20 minutes at 50 frames a second."""
 
 
 class MessageWriter:
@@ -202,7 +199,6 @@ class Recorder:
         self._background = background
         self._note = note
         self._closed = False
-        self._newest_s: deque[float] = deque(maxlen=_NEWEST_FRAMES)
         self._file = self._new_file(self._first_path)
 
     @property
@@ -232,7 +228,6 @@ class Recorder:
             self._file = self._new_file(self._free_path())
         except (OSError, RecordingError):
             return False
-        self._newest_s.clear()
         if before.fault is None:
             before.close()
         else:
@@ -252,7 +247,6 @@ class Recorder:
             "extra": None if frame.extra is None else frame.extra.ravel(),
         }
         self._put(schema.FRAME, frame.t_s, values)
-        self._newest_s.append(frame.t_s)
 
     def cycle(self, cycle: "Cycle") -> None:
         """Record one period of the force loop."""
@@ -269,8 +263,9 @@ class Recorder:
             **{name: getattr(state, name) for name in names},
         }
         if force is not None:
-            values |= {f"force_{one}": getattr(force, one) for one in ("t_s", "valid")}
-            values["force_n"] = force.force_n
+            values |= {
+                "force_t_s": force.t_s, "force_n": force.force_n, "force_valid": force.valid
+            }  # fmt: skip
         self._put(schema.CYCLE, cycle.t_s, values)
 
     def now(self, topic: str, values: Mapping[str, Any]) -> None:
@@ -280,23 +275,23 @@ class Recorder:
     def grasp(self, grasp: Grasp) -> None:
         """Record that the newest frames belong to this grasp.
 
-        They must be the frames given to `frame` before; else a reader refuses the grasp. A grasp
-        during which the recording stopped is in no file. Raises ValueError for too few frames.
+        They must be the frames given to `frame` before. A grasp during which the recording stopped
+        is in no file. Raises ValueError for too few frames.
         """
-        n_frames, newest_s = grasp.n_frames, self._newest_s
+        first_frame = self._file.n_frames - grasp.n_frames
         if self.fault is not None:
             return
-        if len(newest_s) < n_frames:
-            raise ValueError(f"{len(newest_s)} frames are recorded, the grasp has {n_frames}")
+        if first_frame < 0:
+            raise ValueError(
+                f"{self._file.n_frames} frames are recorded, the grasp has {grasp.n_frames}"
+            )
         names = ("label", "shape", "source", "start_ms", "n_frames", "aperture_m", "force_n")
         values = {name: getattr(grasp, name) for name in names} | {
-            "first_frame": self._file.n_frames - n_frames,
-            "frame_t_s": grasp.t_s,
+            "first_frame": first_frame,
             "asked": grasp.command and grasp.command.values,
             "self_zero": grasp.zero and grasp.zero.values,
-            "counts_crc32": schema.counts_crc32(grasp.counts),
         }
-        self._put(schema.GRASP, newest_s[-n_frames], values)
+        self.now(schema.GRASP, values)
 
     def check(self) -> None:
         """Check the file while nothing is recorded; call it now and then."""

@@ -19,7 +19,6 @@ from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Final, NotRequired
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, with_config
 from typing_extensions import TypedDict
 
@@ -57,9 +56,9 @@ Sample = Annotated[int, Field(ge=0, le=0xFFFF)]
 """A raw count of a taxel."""
 
 
-def _within(name: str, unit: float = 1.0) -> Any:
+def _within(name: str) -> Any:
     low, high, _ = RANGES[name]
-    return Field(ge=unit * low, le=unit * high)
+    return Field(ge=low, le=high)
 
 
 def _text(text: str) -> str:
@@ -234,7 +233,7 @@ class Grasp(TypedDict):
     """A grasp: which frames are its frames, and what is known of it."""
 
     t_s: Time
-    """monotonic time of the grasp's first frame, s"""
+    """monotonic time at which its frames were recorded, s"""
     label: Text
     """what was grasped; empty where unknown"""
     shape: Text
@@ -247,16 +246,12 @@ class Grasp(TypedDict):
     """number of the first frame"""
     n_frames: Natural
     """frames of the grasp, consecutive numbers"""
-    frame_t_s: list[Number]
-    """time of each frame since the first, s"""
-    aperture_m: NotRequired[list[Annotated[float, _within("aperture_mm", 1e-3)]]]
+    aperture_m: NotRequired[list[Annotated[float, _within("aperture_m")]]]
     """opening at each frame, m; left out unless known for each"""
     force_n: NotRequired[list[Annotated[float, _within("force_n")]]]
     """commanded grip force at each frame, N; left out unless known for each"""
     asked: NotRequired[Annotated[list[Number], Field(description=_ASKED)]]
     self_zero: NotRequired[Annotated[list[Number], Field(description=_SELF_ZERO)]]
-    counts_crc32: Natural
-    """CRC-32 over the counts of all frames as uint16, little endian"""
 
 
 @_record
@@ -352,8 +347,8 @@ MODELS: Final[Mapping[str, TypeAdapter[Any]]] = {
 
 def json_schema(topic: str) -> dict[str, Any]:
     """Return the JSON schema of the messages of a topic, without references."""
-    found = MODELS[topic].json_schema()
-    parts = found.pop("$defs", {})
+    schema = MODELS[topic].json_schema()
+    parts = schema.pop("$defs", {})
 
     def inlined(value: Any) -> Any:
         if isinstance(value, list):
@@ -362,10 +357,9 @@ def json_schema(topic: str) -> dict[str, Any]:
             return value
         part = parts.get(value.get("$ref", "").rpartition("/")[2], {})
         left_out = ("$ref", "title")
-        return {key: inlined(one) for key, one in (part | value).items() if key not in left_out}
+        return {key: inlined(item) for key, item in (part | value).items() if key not in left_out}
 
-    plain: dict[str, Any] = inlined(found)
-    return plain | {"title": f"tactile_cell.{found['title']}"}
+    return {**inlined(schema), "title": f"tactile_cell.{schema['title']}"}
 
 
 def to_json(value: Any) -> bytes:
@@ -382,13 +376,13 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist() if value.dtype.kind in "iu" else _plain(value.tolist())
     if isinstance(value, list | tuple):
-        items = [_plain(one) for one in value]
-        return None if None in items else items
+        plain = [_plain(item) for item in value]
+        return None if None in plain else plain
     if is_dataclass(value):
         value = {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, Mapping):
-        known = {name: _plain(one) for name, one in value.items()}
-        return {name: one for name, one in known.items() if one is not None}
+        items = {name: _plain(item) for name, item in value.items()}
+        return {name: item for name, item in items.items() if item is not None}
     return value
 
 
@@ -416,11 +410,6 @@ def estimate_values(drift: "DriftGrid") -> dict[str, float]:
         "drift_unchanged": drift.unchanged,
         "drift_n_grasps": drift.n_followed,
     }
-
-
-def counts_crc32(counts: NDArray[np.uint16]) -> int:
-    """Return the CRC-32 over counts as little-endian uint16, frame after frame."""
-    return zlib.crc32(np.asarray(counts, dtype="<u2").tobytes())
 
 
 def metadata_crc32(entries: Mapping[str, str]) -> str:

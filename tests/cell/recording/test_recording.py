@@ -187,7 +187,7 @@ def test_recording_holds_all_that_happened(whole) -> None:
         },
     )
     assert (recording.metadata["config"], recording.wall_clock_start_ns) == ("abc", 1_700 * 10**9)
-    assert recording.monotonic_start_ns == 100 * 10**9
+    assert recording.metadata["monotonic_start_ns"] == str(100 * 10**9)
     assert recording.pads.same_as(PADS)
     assert not recording.cycles.force_n.flags.writeable
 
@@ -567,7 +567,7 @@ def test_other_files_are_refused_before_a_message_is_read(
         (frame_json(counts="[1,2]"), "2 counts up to 2, expected 1 up to 9"),
         (frame_json(counts="[1.5]"), "counts.0 is 1.5: Input should be a valid integer"),
         (frame_json(extra="[-1]"), "extra.0 is -1: Input should be greater than or"),
-        (frame_json(extra="[1]"), "1 further samples, allowed are [0]"),
+        (frame_json(extra="[1]"), "it has 1 further samples of 1 taxels"),
         (frame_json(number="9223372036854775808"), "number is 9223372036854775808: Input should"),
         (frame_json(t_s='"soon"'), "t_s is 'soon': Input should be a valid number"),
         (frame_json(t_s="NaN"), "t_s is nan: Input should be a finite number"),
@@ -588,13 +588,6 @@ def test_a_message_that_does_not_fit_is_left_out_named_and_not_recovered(
     assert (whole.complete, whole.frames.number.tolist()) == (True, [0, 1])
 
 
-@pytest.mark.parametrize(("n", "says"), [(8, ""), (9, "9 further samples, allowed are [0, 1")])
-def test_further_samples_of_a_taxel_have_a_limit(n: int, says: str, tmp_path: Path) -> None:
-    found = read_recording(foreign(tmp_path / "f.mcap", frame_json(extra=str([7] * n))))
-    assert says in found.lost_reason
-    assert found.frames.extra.shape == ((0, 1, 0) if says else (1, 1, 8))
-
-
 def test_grasps_cannot_share_frames(tmp_path: Path) -> None:
     """A grasp of a few bytes would copy all frames, and the next one again."""
     clock = Clock(now_s=1.0)
@@ -609,16 +602,11 @@ def test_grasps_cannot_share_frames(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"frame_t_s": [math.nan] * 20}, "frame_t_s.0 is nan: Input should be a finite number"),
-        (
-            {"frame_t_s": [-0.02 * i for i in range(20)]},
-            "its times differ from those of its frames",
-        ),
-        ({"frame_t_s": [0.0]}, "it has 1 times for 20 frames"),
+        ({"force_n": [math.nan] * 20}, "force_n.0 is nan: Input should be a finite number"),
+        ({"n_frames": 0}, "frames of it are missing"),
         ({"aperture_m": [30.0] * 20}, "aperture_m.0 is 30.0: Input should be less"),
         ({"force_n": [1e9] * 20}, "force_n.0 is 1000000000.0: Input should"),
         ({"start_ms": 10**18}, "start_ms is 1000000000000000000: Input"),
-        ({"counts_crc32": 0}, "the checksum of its counts is wrong"),
         ({"label": "UNKNOWN"}, "label is 'UNKNOWN': Value error, is UNKNOWN, the answer for"),
         ({"label": "\x1b[2J"}, "not printable"),
         ({"source": "x" * 201}, "longer than 200 characters"),
