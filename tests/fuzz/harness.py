@@ -71,20 +71,6 @@ def pieces(data: bytes, size: int) -> list[bytes]:
     return [data[at : at + size] for at in range(0, len(data), size)]
 
 
-json_values = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.integers(-(10**400), 10**400)
-    | st.floats()
-    | st.text(max_size=6)
-    | st.sampled_from([1e308, -1e308, 1e-320, 1 << 40]),
-    lambda inner: (
-        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
-    ),
-    max_leaves=8,
-)
-
-
 def seed_of_run(usual: int) -> int:
     """Return the seed of a random walk: the usual one, or in a campaign one that is new."""
     return SystemRandom().randrange(1 << 32) if INPUTS else usual
