@@ -33,7 +33,8 @@ from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.errors import PartGripped, SimulatorError
-from simulator.faults.injector import VOCABULARY, check_fault
+from simulator.faults.injector import check_fault
+from simulator.faults.vocabulary import VOCABULARY
 from simulator.realtime.requests import CellRequests
 from simulator.servo.drawn import drawn_gearing
 from simulator.servo.gearing import GEARINGS, Gearing
@@ -244,12 +245,11 @@ def open_can_bus(cell: SimulatedCell, bitrate: int | None = None) -> CanBus:
         return cell.open_can_bus(bitrate)
 
 
-def fault_table() -> list[tuple[str, str, str, str]]:
-    """Return name, kind, value and meaning of each fault that can be injected."""
+def fault_table() -> list[tuple[str, str, str]]:
+    """Return name, value and meaning of each fault that can be injected."""
     return [
         (
             entry.name,
-            entry.kind.value,
             "" if entry.value is None else entry.value.text,
             entry.meaning + (" (a moment, without end)" if entry.moment else ""),
         )

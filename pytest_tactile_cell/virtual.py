@@ -17,7 +17,7 @@ from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
-from simulator.faults.injector import InjectedFault
+from simulator.faults.entry import Fault
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class VirtualCell:
         """True opening between the pads in m."""
         return self.simulated.devices.mechanics.aperture_m
 
-    def inject(self, text: str) -> InjectedFault:
+    def inject(self, text: str) -> Fault:
         """Inject a fault such as ``can.loss=0.05@2s``; tests use `inject_fault`, which clears it.
 
         Raises

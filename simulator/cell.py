@@ -7,7 +7,8 @@ from simulator.can.memory_bus import InMemoryCanBus
 from simulator.clock import VirtualClock
 from simulator.devices import CellDevices
 from simulator.errors import PortUnplugged, SimulatorStateError
-from simulator.faults.injector import FaultInjector, InjectedFault
+from simulator.faults.entry import Fault
+from simulator.faults.injector import FaultInjector
 from simulator.servo.bus import MemoryServoStream
 from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
@@ -78,10 +79,10 @@ class SimulatedCell:
         """The control unit."""
         return self.devices.unit
 
-    def inject(self, text: str) -> InjectedFault:
+    def inject(self, text: str) -> Fault:
         """Inject a fault by its text, for example ``can.loss=0.05@contact+0.5s``.
 
-        Its times count from now. `simulator.faults.injector.VOCABULARY` has all faults.
+        Its times count from now. `simulator.faults.vocabulary.VOCABULARY` has all faults.
 
         Raises
         ------

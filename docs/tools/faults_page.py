@@ -1,7 +1,7 @@
 """The reference of simulated faults, made from the simulator's vocabulary."""
 
 from simulator.faults.entry import FaultEntry, Number
-from simulator.faults.injector import VOCABULARY
+from simulator.faults.vocabulary import VOCABULARY
 
 
 def faults_page() -> str:

@@ -58,6 +58,8 @@ class SimulatedDrive(CanopenDevice):
         """Set-point and mechanism."""
         self.dead = False
         """Fault knob: it receives and sends nothing; its motion goes on."""
+        self.blocked = False
+        """Fault knob: the axis is blocked."""
         self.forced_switch = 0
         """Fault knob: -1 or 1 for a limit switch that is always active."""
         self.slipped = 0.0
@@ -290,7 +292,7 @@ class SimulatedDrive(CanopenDevice):
             self._home(self._homing)
         elif self.state is State.OPERATION_ENABLED:
             self._watch_switches()
-        motion.step(STEP_S)
+        motion.step(STEP_S, blocked=self.blocked)
         if self.state is State.FAULT_REACTION_ACTIVE and self._stands:
             self._switch_off(State.FAULT)
         if self.state is State.OPERATION_ENABLED:

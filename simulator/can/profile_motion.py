@@ -21,8 +21,6 @@ class ProfileMotion:
         self.demand = self.actual = position
         self.speed = self.actual_speed = 0.0
         """Set-point and mechanism: place in increments, velocity in increments/s."""
-        self.blocked = False
-        """Whether the mechanism is blocked."""
         self.braking = 0.0
         """Deceleration in increments/s² of a running stop; 0: no stop."""
         self._goal: float | None = None
@@ -55,8 +53,8 @@ class ProfileMotion:
         """Stop at once at the mechanism's position: the power stage is off."""
         self.demand, self.speed, self._goal, self.braking = self.actual, 0.0, None, 0.0
 
-    def step(self, dt_s: float) -> None:
-        """Move on by ``dt_s`` s."""
+    def step(self, dt_s: float, *, blocked: bool) -> None:
+        """Move on by ``dt_s`` s; a mechanism that is blocked stays where it is."""
         wanted, change = 0.0, self.braking
         if self._goal is not None:
             velocity, change = self._limits
@@ -68,7 +66,7 @@ class ProfileMotion:
         if self._goal is not None and abs(self._goal - self.demand) <= 0.5 + abs(wanted) * dt_s:
             self.demand, self.speed, self._goal = self._goal, 0.0, None
         self.actual_speed = 0.0
-        if not self.blocked:
+        if not blocked:
             share = 1.0 - math.exp(-dt_s / FOLLOWING_TIME_CONSTANT_S)
             way = (self.demand - self.actual) * share
             self.actual += way

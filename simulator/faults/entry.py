@@ -1,27 +1,12 @@
-"""One named fault: its kind, its value, and how it is applied to a simulated cell."""
+"""One named fault: its value, its times, and how it is applied to a simulated cell."""
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Any
 
 from simulator.devices import CellDevices
 from simulator.errors import SimulatorSettingsError
-
-
-class FaultKind(StrEnum):
-    """Effect of a fault on its component."""
-
-    OFF = "off"
-    STUCK = "stuck"
-    GARBAGE = "garbage"
-    WRONG = "wrong"
-    SLOW = "slow"
-    DELAYED = "delayed"
-    INTERMITTENT = "intermittent"
-    REBOOT = "reboot"
-    UNPLUGGED = "unplugged"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,60 +77,67 @@ Undo = Callable[[], object]
 """Undoes a fault."""
 Plug = Callable[[], Undo]
 """Unplugs a cable and returns the function that plugs it in again."""
+_EACH = ("servoN", "axisN")
+"""First parts of names that stand for each servo, and for each axis, of the config."""
 
 
-@dataclass(slots=True, kw_only=True)
-class Target:
-    """Cell, servo and value of a fault."""
+@dataclass(slots=True, kw_only=True, eq=False)
+class Fault:
+    """A fault with its checked value: not injected yet, waiting, active, or over."""
 
-    devices: CellDevices
-    """The simulated cell."""
-    plugs: Mapping[str, Plug]
-    """Its cables by name: ``can`` and ``servos``."""
-    servo: int
-    """Position of the servo or axis in the settings, for its faults."""
-    number: float
-    """The checked value of a fault whose value is a number."""
+    text: str
+    """The whole text."""
+    entry: "FaultEntry"
+    """Entry of the vocabulary."""
+    index: int
+    """Position of its servo or axis in the settings."""
+    value: float
+    """Its value if that is a number, else NaN."""
     setting: tuple[str, int]
-    """The checked value of a fault whose value is a setting."""
-    now_s: float
+    """Its value if that is a name and a number."""
+    event: str
+    """``contact`` or ``moving``; empty: the injection."""
+    start_s: float
+    end_s: float
+    """Start and end in s after the first such event since the injection; end infinity: never."""
+    devices: CellDevices = field(init=False)
+    """The cell, once it is injected."""
+    plugs: Mapping[str, Plug] = field(init=False)
+    """The cables of the cell by name: ``can``, ``servos``, ``board0``, ``board1``."""
+    now_s: float = field(init=False)
+    """Time of the cell in s at the injection, then at its begin."""
+    event_s: float = field(default=math.inf, init=False)
+    """Time of the event in s; infinity before."""
+    began_s: float | None = field(default=None, init=False)
+    """Time of the cell in s at which it began; None before."""
+    over: bool = field(default=False, init=False)
+    """Whether it has ended; a momentary fault ends at once."""
+    undo: Undo = field(default=lambda: None, init=False)
     act: Callable[[float], None] = field(default=lambda _now_s: None, init=False)
-    """Called with the time in s at each step of the world; faults that change over time set it."""
+    """Ends its effect; continues it at each step of the world, with the time in s."""
 
-    @property
-    def adc_max(self) -> int:
-        """Full scale of the taxels in counts."""
-        return self.devices.settings.layout.adc_max
+    def begin(self, now_s: float) -> None:
+        """Apply the fault at ``now_s`` s."""
+        self.now_s = self.began_s = now_s
+        if self.entry.happens is not None:
+            self.entry.happens(self)
+            self.over = True
+        else:
+            self.undo = self.entry.apply(self)
 
+    def clear(self) -> None:
+        """End the fault, or cancel it before its start; a second call has no effect."""
+        if not self.over:
+            self.over = True
+            self.undo()
 
-@dataclass(frozen=True, slots=True)
-class FaultEntry:
-    """One fault of the vocabulary."""
-
-    name: str
-    """``component.fault``; ``servoN`` stands for servo1, servo2, ... in the order of the config,
-    ``axisN`` for its axes."""
-    kind: FaultKind
-    """Effect on the component."""
-    meaning: str
-    """Description, one line."""
-    apply: Callable[[Target], Any]
-    """Begins the fault on a target, and returns its `Undo`; that of a moment is not used."""
-    knob: str = ""
-    """Only one fault of a knob of a device can be injected at a time; empty: any number."""
-    value: Number | Setting | None = None
-    """Value after ``=``; None: no value."""
-    moment: bool = field(default=False, kw_only=True)
-    """Whether the fault is momentary, without an end."""
-    check: Callable[[Target], object] = field(default=lambda _target: None, kw_only=True)
-    """Refuses values that do not fit the cell, with SimulatorSettingsError, before any change."""
-
-
-SHARE = Number("share", 0.0, 1.0, default=0.05)
-"""Share of the traffic, or of the taxels, with the fault."""
-_PARTS = {"can": "can", "unit": "unit", "taxels": "unit", "servos": "servo_wire"}
-_PARTS |= {"board": "boards", "uskin": "boards"}
-"""Field of `simulator.devices.CellFaults` that has the knobs of each component."""
+    def meets(self, other: "Fault") -> bool:
+        """Return whether both use one knob of one device; ``servos`` are each ``servoN``."""
+        names = [fault.entry.name for fault in (self, other)]
+        first, second = (name.partition(".")[0].rstrip("sN") for name in names)
+        apart = self.index != other.index and all(name.startswith(_EACH) for name in names)
+        knob = self.entry.knob
+        return bool(knob) and (first, knob) == (second, other.entry.knob) and not apart
 
 
 def turned(owner: object, name: str, value: object) -> Undo:
@@ -155,42 +147,43 @@ def turned(owner: object, name: str, value: object) -> Undo:
     return lambda: setattr(owner, name, before)
 
 
-def unplugging(plug: str) -> Callable[[Target], Undo]:
-    """Return a fault that unplugs a cable: ``can`` or ``servos``."""
-    return lambda target: target.plugs[plug]()
+@dataclass(frozen=True, slots=True)
+class FaultEntry:
+    """One fault of the vocabulary. Without a function of its own it sets a knob of its owner."""
 
-
-def knob_fault(
-    name: str,
-    kind: FaultKind,
-    meaning: str,
-    knob: str,
-    value: Number | None = None,
-    *,
-    owner: Callable[[Target], object] | None = None,
-    position: Callable[[Target], object] | None = None,
-    check: Callable[[Target], object] | None = None,
-) -> FaultEntry:
-    """Return a fault that sets one knob: to a position, to its number, else to on.
-
-    Parameters
-    ----------
-    owner
-        Returns the object with the knob, or refuses the cell; None for the `CellFaults` of the
-        fault's component.
-    position
-        Returns the position of the knob where it is not the number.
+    name: str
+    """``component.fault``; ``servoN`` stands for servo1, servo2, ... in the order of the config,
+    ``axisN`` for its axes."""
+    meaning: str
+    """Description, one line."""
+    owner: Callable[[Fault], Any]
+    """Returns the object with the knob. Refuses a cell that has none, with SimulatorSettingsError.
     """
-    part = _PARTS.get(name.partition(".")[0], "")
+    knob: str = ""
+    """Name of the knob. Only one fault of a knob of a device can be injected at a time."""
+    value: Number | Setting | None = None
+    """Value after ``=``; None: no value."""
+    position: Callable[[Fault], object] | None = None
+    """Returns the position of the knob; None: the number of the value, else on."""
+    effect: Callable[[Fault], Undo] | None = None
+    """Begins the fault instead of the knob, and returns its `Undo`."""
+    happens: Callable[[Fault], object] | None = None
+    """Carries out a fault that is a moment, without an end."""
+    check: Callable[[Fault], object] | None = None
+    """Refuses values that do not fit the cell, with SimulatorSettingsError, before any change."""
 
-    def apply(target: Target) -> Undo:
-        on: object = True
-        if position is not None:
-            on = position(target)
-        elif value is not None:
-            on = int(target.number) if value.whole else target.number
-        of = getattr(target.devices.faults, part) if owner is None else owner(target)
-        return turned(of, knob, on)
+    @property
+    def moment(self) -> bool:
+        """Whether the fault is momentary, without an end."""
+        return self.happens is not None
 
-    fits = check or owner or (lambda _target: None)
-    return FaultEntry(name, kind, meaning, apply, knob, value, check=fits)
+    def apply(self, fault: Fault) -> Undo:
+        """Begin a fault that has an end."""
+        if self.effect is not None:
+            return self.effect(fault)
+        position: object = True
+        if self.position is not None:
+            position = self.position(fault)
+        elif isinstance(self.value, Number):
+            position = int(fault.value) if self.value.whole else fault.value
+        return turned(self.owner(fault), self.knob, position)

@@ -41,7 +41,7 @@ class CellRequests:
     - ``{"state": true}``: placed object, pressed pad, the names of objects, the offset of their
       poses, forces, opening, half openings, number of servos, kind of the linkage, names of the
       pads, axes, faults
-    - ``{"kinds": true}``: ``{"kinds": [..]}``, the faults that fit the cell: name, kind, meaning,
+    - ``{"kinds": true}``: ``{"kinds": [..]}``, the faults that fit the cell: name, meaning,
       value (null for none), and whether it is a moment, without an end
     - ``{"inject": "can.loss=0.05@2s"}``: the same object; see `simulator.faults.injector`
     - ``{"clear": "can.loss"}``: ``{"cleared": n}``; by the whole text or by the name
@@ -185,7 +185,6 @@ class CellRequests:
             "kinds": [
                 {
                     "name": name,
-                    "kind": entry.kind.value,
                     "meaning": entry.meaning,
                     "value": None if entry.value is None else asdict(entry.value),
                     "moment": entry.moment,

@@ -59,6 +59,23 @@ class SimulatedWrist:
         """Whether it turns."""
         return abs(self._motor.velocity_rad_s) > _MOVING_RAD_S
 
+    @property
+    def dead(self) -> bool:
+        """Fault knob: it receives and answers nothing; its motion goes on."""
+        return bool(self.bus.faults.silent)
+
+    @dead.setter
+    def dead(self, dead: bool) -> None:
+        self.bus.faults.silent = {self.mount.servo_id} if dead else set()
+
+    def fail(self, _code: int) -> None:
+        """Use up the overload budget; a servo has no error code of its own."""
+        self._motor.overload()
+
+    def power_cycle(self) -> None:
+        """Restart: torque off, set-up and turns are lost."""
+        self.servo.core.boot(self._stepped_s)
+
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s."""
         while self._stepped_s + STEP_S <= now_s + 1e-9:

@@ -19,7 +19,7 @@ from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from simulator.cell import SimulatedCell
-from simulator.faults.injector import InjectedFault
+from simulator.faults.entry import Fault
 from simulator.world.world import PhysicalWorld
 
 CONTACT_N = 0.02
@@ -386,7 +386,7 @@ class FrameWitness:
         return Posterior(labels=self.labels, probability=np.array([0.999, 0.001]), unknown=0.001)
 
 
-def spoiling(faults: Sequence[InjectedFault], now_s: float) -> list[str]:
+def spoiling(faults: Sequence[Fault], now_s: float) -> list[str]:
     """Return the faults that have made so many taxels wrong for so long that no label may come."""
     return [
         fault.text

@@ -7,7 +7,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_sta
 
 from cell.control.keeping import Keep
 from simulator.faults.entry import FaultEntry, Number
-from simulator.faults.injector import VOCABULARY
+from simulator.faults.vocabulary import VOCABULARY
 from tests.faults.driver import Driver
 
 PIECES = 10

@@ -152,17 +152,16 @@ def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
 
     acts = {
         "block": lambda: setattr(simulated, "blocked", True),
-        "silent": lambda: simulated.bus.faults.silent.add(7),
-        "overload": simulated.servo.core.plant.overload,
-        "reboot": lambda: simulated.servo.core.boot(bench.clock.monotonic()),
+        "silent": lambda: setattr(simulated, "dead", True),
+        "overload": lambda: simulated.fail(0),
+        "reboot": simulated.power_cycle,
         "jump": lambda: setattr(simulated.servo.core.plant, "encoder_offset_rad", 3.5),
     }
     once(bench.clock, lambda: simulated.moving, acts[fail])
     with pytest.raises(error, match=words):
         bench.move(3.0)
     assert simulated.position < 1.0
-    simulated.blocked = False
-    simulated.bus.faults.silent.clear()
+    simulated.blocked = simulated.dead = False
     bench.clock.sleep(1.0)
     if fail == "jump":
         assert not simulated.servo.core.torque_on  # nobody can hold what nobody can measure

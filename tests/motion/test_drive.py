@@ -106,7 +106,7 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
     simulated = bench.simulated
     acts = {
         "fail": lambda: simulated.fail(0x2310),
-        "block": lambda: setattr(simulated.motion, "blocked", True),
+        "block": lambda: setattr(simulated, "blocked", True),
         "switch": lambda: setattr(simulated, "forced_switch", 1),
         "dead": lambda: setattr(simulated, "dead", True),
         "reboot": simulated.power_cycle,
@@ -133,7 +133,7 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
             bench.move(0.005)
     for take_off in undo:
         take_off()
-    simulated.motion.blocked = simulated.dead = False
+    simulated.blocked = simulated.dead = False
     simulated._live.update(live)
     simulated.forced_switch = 0
     assert bench.move(0.005) == pytest.approx(0.005, abs=NEAR_M)
@@ -227,7 +227,7 @@ def test_what_the_supervision_raises_stops_the_axis(make_drive) -> None:
 def test_a_way_that_takes_too_long_is_stopped(make_drive) -> None:
     bench = make_drive(homing=None, following_error=10**9)
     bench.move(0.0)
-    bench.simulated.motion.blocked = True
+    bench.simulated.blocked = True
     with pytest.raises(PositionNotReached, match=r"x is at 0.0\d mm instead of 10.00 mm"):
         bench.move(0.01)
     assert not bench.simulated.motion.speed
@@ -235,7 +235,7 @@ def test_a_way_that_takes_too_long_is_stopped(make_drive) -> None:
 
 def test_a_home_that_is_not_found_is_given_up(make_drive) -> None:
     bench = make_drive(following_error=10**9)
-    bench.simulated.motion.blocked = True
+    bench.simulated.blocked = True
     with pytest.raises(HomingFailed, match="has not found its home"):
         bench.move(0.0)
     assert bench.simulated.state is State.QUICK_STOP_ACTIVE

@@ -52,8 +52,8 @@ def simulate(
         _be_hands(folder or Path(), ask)
         return
     if list_faults:
-        for name, kind, value, meaning in fault_table():
-            print_line(f"{name:<22} {kind:<13} {meaning}" + (f" [{value}]" if value else ""))
+        for name, value, meaning in fault_table():
+            print_line(f"{name:<22} {meaning}" + (f" [{value}]" if value else ""))
         return
     serve_simulated_cell(
         cell_config(config, seed=seed, faults=faults, simulate=True),

@@ -14,7 +14,7 @@ from cell.interfaces.page import FOLDER
 from cell.runtime.goals import TASKS
 from recognition.shape.answer import UNCLEAR
 from recognition.shape.models import SHAPE_MODELS
-from simulator.faults.injector import VOCABULARY
+from simulator.faults.vocabulary import VOCABULARY
 
 WORDS = {path.stem: json.loads(path.read_text()) for path in FOLDER.glob("??.json")}
 SOURCE = "\n".join(path.read_text() for path in FOLDER.glob("*.js"))
