@@ -1,6 +1,5 @@
 """Findings of checks and of commissioning steps, and the file of the steps."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -31,27 +30,25 @@ class Finding:
     what: str = ""
     """Checked item; empty for a finding of a step."""
     verdict: Verdict = Verdict.PASS
-    found: str
-    """Finding, as text."""
+    text: str
+    """What was read or measured."""
     advice: str = ""
     """Next step; empty without a problem."""
-    step: str = ""
-    """Key of the step to repeat, with all steps that need it; empty without one."""
     corrected: bool = False
     """Whether an error was corrected now; then it has the new setting."""
 
     @property
     def line(self) -> str:
         """Finding and advice as one line for the operator."""
-        return f"{self.found}: {self.advice}" if self.advice else self.found
+        return f"{self.text}: {self.advice}" if self.advice else self.text
 
 
 def check_result(
-    what: str, found: str, advice: str = "", *, ok: bool = False, bad: Verdict = Verdict.WARN
+    what: str, text: str, advice: str = "", *, ok: bool = False, bad: Verdict = Verdict.WARN
 ) -> Finding:
     """Return a finding that passes if ``ok``, and else has the verdict ``bad`` and the advice."""
     verdict = Verdict.PASS if ok else bad
-    return Finding(what=what, verdict=verdict, found=found, advice="" if ok else advice)
+    return Finding(what=what, verdict=verdict, text=text, advice="" if ok else advice)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -69,21 +66,24 @@ class Notes:
 
     def fact(self, line: str, *, corrected: bool = False) -> None:
         """Add a finding without a problem; ``corrected``: an error was corrected now."""
-        self.findings.append(Finding(found=line, corrected=corrected))
+        self.findings.append(Finding(text=line, corrected=corrected))
 
     def warn(self, line: str, *, corrected: bool = False) -> None:
         """Add a warning for the operator; ``corrected`` as for `fact`."""
-        self.findings.append(Finding(verdict=Verdict.WARN, found=line, corrected=corrected))
+        self.findings.append(Finding(verdict=Verdict.WARN, text=line, corrected=corrected))
 
     def fail(self, line: str) -> None:
         """Add an error: the step must run again and sets nothing in the config."""
-        self.findings.append(Finding(verdict=Verdict.FAIL, found=line))
+        self.findings.append(Finding(verdict=Verdict.FAIL, text=line))
 
     @property
     def status(self) -> Verdict:
         """The worst verdict: WARN is usable, after FAIL the step must run again."""
-        found = {finding.verdict for finding in self.findings}
-        return next((one for one in reversed(Verdict) if one in found), Verdict.PASS)
+        return max(
+            (finding.verdict for finding in self.findings),
+            key=[*Verdict].index,
+            default=Verdict.PASS,
+        )
 
     @property
     def failed(self) -> bool:
@@ -98,7 +98,7 @@ class Notes:
     @property
     def corrected(self) -> list[str]:
         """Lines about errors that were corrected; none of a step that failed."""
-        return [one.line for one in self.findings if one.corrected and not self.failed]
+        return [] if self.failed else [item.line for item in self.findings if item.corrected]
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,20 +133,10 @@ _STORE = TypeAdapter(Commissioned)
 
 def read_commissioned(path: Path) -> Commissioned:
     """Return the content of commissioning.json; empty content without a file."""
-    kept = read_json(path, COMMISSIONING, error=CellError)
+    content = read_json(path, COMMISSIONING, error=CellError)
     try:
-        return _STORE.validate_python({"steps": {}, "approved": []} if kept is None else kept)
+        return _STORE.validate_python(content or {"steps": {}, "approved": []})
     except ValidationError as error:
         raise CellError(
             f"this program cannot read {path} ({problem_text(error)}): {COMMISSIONING.remedy}"
         ) from error
-
-
-def kept_values(folder: Path) -> dict[str, Mapping[str, Any]]:
-    """Return the values of the steps in a folder by their keys; empty without a file.
-
-    Raises CellError if commissioning.json cannot be read.
-    """
-    return {
-        key: notes.values for key, notes in read_commissioned(folder / STORE_NAME).steps.items()
-    }

@@ -1,20 +1,23 @@
 """The system check: each finding passes, warns or fails, with a remedy."""
 
-import importlib.metadata
-import platform
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from shlex import quote
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.build import Cell, build_cell
-from cell.checks.findings import Finding, Verdict, check_result, kept_values
+from cell.checks.findings import (
+    STORE_NAME,
+    Finding,
+    Verdict,
+    check_result,
+    read_commissioned,
+)
 from cell.checks.ports import check_port
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration
@@ -22,7 +25,6 @@ from cell.control.self_zero import drive_text, kept_zeros
 from cell.errors import CellError
 from cell.hand.connections import MISSING
 from cell.hand.interface import FORCE_FROM_FRAMES
-from cell.installation import EXTRAS, remedy
 from gripper.dynamixel.control_table import (
     FIRMWARE_VERSION,
     HARDWARE_ERROR_STATUS,
@@ -39,10 +41,6 @@ from motion.errors import AxisMissing, AxisSilent, MotionError
 from tactile.errors import IdentityMismatch, TactileError
 from tactile.source import SourceIdentity
 
-Found = Mapping[str, Mapping[str, Any]]
-"""Values of the findings of the commissioning by the key of the step."""
-Changed = Callable[[str, Sequence[Finding]], list[Finding]]
-"""Changes of a device since the commissioning, with advice, by its name."""
 _AT_START = "the cell sets it at its start"
 """Advice for a register that a start corrects."""
 _TORQUE = "servo torque"
@@ -51,31 +49,69 @@ _PRESSED_SIGMAS = 6.0
 """Distance of a taxel's mean from the rest, in spreads of the counts, that shows pressure."""
 
 
+@dataclass(frozen=True, slots=True)
+class Commissioning:
+    """Findings of a commissioning, for comparison with the hardware of today."""
+
+    values: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Values by the key of the step; empty without a commissioning."""
+    command: str = "tactile-cell commission"
+    """Command that repeats a step."""
+
+    @classmethod
+    def in_folder(cls, folder: Path) -> Self:
+        """Read the findings in a folder. Raises CellError if commissioning.json cannot be read."""
+        steps = read_commissioned(folder / STORE_NAME).steps
+        place = "" if folder == Path() else f" {quote(str(folder))}"
+        return cls({key: notes.values for key, notes in steps.items()}, cls().command + place)
+
+    def changed_unit(self, now: SourceIdentity) -> list[Finding]:
+        """Return the differences of a control unit and its pads."""
+        unit, pads = self.values.get("unit", {}), self.values.get("pads_at_rest", {})
+        serial, revision = unit.get("serial_number", now.serial), unit.get("revision", now.revision)
+        firmware = "firmware of the control unit"
+        changes = self._change("control unit", "unit", serial, now.serial, "serial {}")
+        changes = changes or self._change(
+            firmware, "unit", revision, now.revision, "revision {:#x}"
+        )
+        was = tuple(pads.get("board_serial_numbers", now.boards))
+        if was == now.boards[::-1] != now.boards:
+            both = f"serial {was[0]} on finger 0, {was[1]} on finger 1"
+            return changes + self._change("pads", "pads_at_rest", both, "exchanged")
+        for finger, (before, number) in enumerate(zip(was, now.boards, strict=True)):
+            what = f"pads of finger {finger}"
+            changes += self._change(what, "pads_at_rest", before, number, "serial {}")
+        return changes
+
+    def changed_servos(self, servos: Mapping[int, tuple[str, int]]) -> list[Finding]:
+        """Return the differences of servos; ``servos`` are model and firmware by ID."""
+        changes = []
+        for was in self.values.get("servos", {}).get("servos", ()):
+            before = (was["model"], was["firmware"])
+            now, text = servos.get(was["id"], before), "{0[0]}, firmware {0[1]}"
+            changes += self._change(f"servo {was['id']}", "servos", before, now, text)
+        return changes
+
+    def _change(self, what: str, step: str, was: Any, now: Any, text: str = "{}") -> list[Finding]:
+        """Return the change of one value, which ``text`` formats; ``step`` is to be repeated."""
+        found = f"{text.format(now)}, at commissioning {text.format(was)}"
+        advice = f"`{self.command} --redo {step}` repeats the steps it affects"
+        return [check_result(what, found, advice)] * (was != now)
+
+
 def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Finding]:
-    """Check the machine, then each device of the cell, yielding results as they come.
+    """Check the ports, then each device of the cell, yielding results as they come.
 
     It only reads and verifies: no torque is switched on and nothing moves. The advised commands
     name ``config_file``.
     """
-    yield from _machine()
     for _, key, port in config.serial_ports:
         yield from check_port(key, port)
     named = "" if config_file is None else f" --config {quote(str(config_file))}"
     yield _self_zero(config, named)
     yield _drives(config, named)
-    folder = None if config_file is None else config_file.parent
-    yield from _devices(config, named, folder)
-
-
-def _machine() -> Iterator[Finding]:
-    yield check_result("Python", platform.python_version(), ok=True)
-    needed = [("", one) for one in ("dynamixel-sdk", "canopen", "python-can", "numpy", "scipy")]
-    needed += [(extra, one) for extra in ("report", "mesh") for one in EXTRAS[extra]]
-    for extra, package in needed:
-        try:
-            yield check_result(package, importlib.metadata.version(package), ok=True)
-        except importlib.metadata.PackageNotFoundError:
-            yield check_result(package, "not installed", f"if you need it: {remedy(extra)}")
+    earlier = Commissioning.in_folder(config_file.parent) if config_file else Commissioning()
+    yield from _devices(config, named, earlier)
 
 
 def _self_zero(config: CellConfig, named: str) -> Finding:
@@ -126,13 +162,8 @@ def _drives(config: CellConfig, named: str) -> Finding:
     return check_result("servo drives", "; ".join(texts), advice, ok=not advice)
 
 
-def _devices(config: CellConfig, named: str, folder: Path | None) -> Iterator[Finding]:
-    """Check the devices; ``named`` is the option that names the cell in advised commands.
-
-    They are compared with the commissioning in ``folder``.
-    """
-    kept: Found = {} if folder is None else kept_values(folder)
-    changed = partial(since_commissioning, folder or Path(), kept)
+def _devices(config: CellConfig, named: str, earlier: Commissioning) -> Iterator[Finding]:
+    """Check the devices; ``named`` is the option that names the cell in advised commands."""
     try:
         cell = build_cell(config, mover=lambda _pose: False, ask=str, partial=True)
     except (CellError, GripperError, TactileError) as error:
@@ -142,10 +173,8 @@ def _devices(config: CellConfig, named: str, folder: Path | None) -> Iterator[Fi
     yield from _loop(cell)
     try:
         yield from _guarded(_TORQUE, lambda: _torque(cell, named))
-        yield from _guarded("servos", lambda: _servos(cell, named, kept, changed))
-        yield from _guarded(
-            "control unit", lambda: _control_unit(cell, config, named, kept, changed)
-        )
+        yield from _guarded("servos", lambda: _servos(cell, named, earlier))
+        yield from _guarded("control unit", lambda: _control_unit(cell, config, named, earlier))
         yield from _axes(cell)
     finally:
         cell.close()
@@ -194,7 +223,7 @@ def _torque(cell: Cell, named: str) -> list[Finding]:
     return [check_result(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
 
 
-def _servos(cell: Cell, named: str, kept: Found, changed: Changed) -> list[Finding]:
+def _servos(cell: Cell, named: str, earlier: Commissioning) -> list[Finding]:
     rows = cell.controller.hand.inspect().rows
     read = {(row.servo_id, row.item): row.found for row in rows}
     servos = {
@@ -204,7 +233,7 @@ def _servos(cell: Cell, named: str, kept: Found, changed: Changed) -> list[Findi
         )
         for row in rows
     }
-    findings = changed("servos", changed_servos(kept, servos))
+    findings = earlier.changed_servos(servos)
     for row in rows:
         found = f"{row.found} (expected {row.expected})"
         if row.item == SHUTDOWN.name:
@@ -229,7 +258,7 @@ def _advice(row: VerificationRow, named: str) -> str:
 
 
 def _control_unit(
-    cell: Cell, config: CellConfig, named: str, kept: Found, changed: Changed
+    cell: Cell, config: CellConfig, named: str, earlier: Commissioning
 ) -> list[Finding]:
     hand = cell.controller.hand
     is_unit = config.tactile.sensor.canopen
@@ -254,7 +283,7 @@ def _control_unit(
         number += " and ".join(map(str, identity.boards))
     from_frames = f"{identity.name} sends frames alone; the force comes from them"
     return [
-        *changed("control unit and pads", changed_unit(kept, identity)),
+        *earlier.changed_unit(identity),
         check_result("control unit" if is_unit else "sensor", f"{identity.name}{number}", ok=True),
         check_result(
             "tactile frames",
@@ -319,52 +348,3 @@ def _load(frames: NDArray[np.uint16], config: CellConfig, named: str) -> Finding
         f"`tactile-cell hand release{named} --confirm`",
         ok=max(first_n, second_n) < config.gripper.contact_force_n,
     )
-
-
-def _change(what: str, step: str, was: Any, now: Any, text: str = "{}") -> list[Finding]:
-    """Return the change of one value, which ``text`` formats; ``step`` is the step to repeat."""
-    if was == now:
-        return []
-    found = f"{text.format(now)}, at commissioning {text.format(was)}"
-    return [Finding(what=what, verdict=Verdict.WARN, found=found, step=step)]
-
-
-def changed_unit(found: Found, now: SourceIdentity) -> list[Finding]:
-    """Return the differences of a control unit and its pads from the commissioning."""
-    unit, pads = found.get("unit", {}), found.get("pads_at_rest", {})
-    serial, revision = unit.get("serial_number", now.serial), unit.get("revision", now.revision)
-    firmware = "firmware of the control unit"
-    changes = _change("control unit", "unit", serial, now.serial, "serial {}")
-    changes = changes or _change(firmware, "unit", revision, now.revision, "revision {:#x}")
-    was = tuple(pads.get("board_serial_numbers", now.boards))
-    if was == now.boards[::-1] != now.boards:
-        both = f"serial {was[0]} on finger 0, {was[1]} on finger 1"
-        return changes + _change("pads", "pads_at_rest", both, "exchanged")
-    for finger in (0, 1):
-        what, number = f"pads of finger {finger}", now.boards[finger]
-        changes += _change(what, "pads_at_rest", was[finger], number, "serial {}")
-    return changes
-
-
-def changed_servos(found: Found, servos: Mapping[int, tuple[str, int]]) -> list[Finding]:
-    """Return the differences of servos from the commissioning; ``servos``: model, firmware."""
-    changes = []
-    for was in found.get("servos", {}).get("servos", ()):
-        before = (was["model"], was["firmware"])
-        now = servos.get(was["id"], before)
-        changes += _change(f"servo {was['id']}", "servos", before, now, "{0[0]}, firmware {0[1]}")
-    return changes
-
-
-def since_commissioning(
-    folder: Path, found: Found, what: str, changes: Sequence[Finding]
-) -> list[Finding]:
-    """Return the changes with advice, or one finding without any; empty without ``found``."""
-    if not found:
-        return []
-    place = "" if folder == Path() else f" {quote(str(folder))}"
-    command = f"`tactile-cell commission{place} --redo"
-    return [
-        replace(change, advice=f"{command} {change.step}` repeats the steps it affects")
-        for change in changes
-    ] or [check_result(what, "as at commissioning", ok=True)]

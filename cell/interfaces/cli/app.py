@@ -67,7 +67,7 @@ _PANELS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Set up": {
         "commission": ("commission:commission", "Set up a new cell, until its first grasp."),
         "config": ("", "Config files: init, check."),
-        "doctor": ("doctor:doctor", "Check machine, ports, servos and control unit."),
+        "doctor": ("doctor:doctor", "Check ports, servos and control unit."),
         "simulate": ("simulate:simulate", "Run the simulated cell for other programs."),
     },
     "Operate": {

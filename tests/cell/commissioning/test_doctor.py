@@ -1,9 +1,9 @@
 """The system check: findings that say what to do, and a machine that is left as it was."""
 
 import contextlib
-import importlib.metadata
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,13 +13,14 @@ import pytest
 import cell.commissioning.doctor
 from cell.build import build_cell
 from cell.checks.findings import Finding, Verdict
-from cell.commissioning.doctor import examine
+from cell.commissioning.doctor import Commissioning, examine
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.errors import CellError
 from cell.formats import COMMISSIONING, write_json
 from cell.simulation import simulation_of
+from tactile.source import SourceIdentity
 from tests.cell.conftest import once, small_config
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 
@@ -40,27 +41,61 @@ def test_the_simulated_cell_is_well() -> None:
     assert not [f for f in findings.values() if f.verdict is Verdict.FAIL]
     assert all(f.advice for f in findings.values() if f.verdict is Verdict.WARN)
     assert findings["servo 1 model_number"].verdict is Verdict.PASS
-    assert "serial 1" in findings["control unit"].found
-    assert findings["tactile frames"].found.endswith(" 0 lost or damaged")
-    assert findings["taxels at rest"].found.startswith("0 of 408")
+    assert "serial 1" in findings["control unit"].text
+    assert findings["tactile frames"].text.endswith(" 0 lost or damaged")
+    assert findings["taxels at rest"].text.startswith("0 of 408")
     assert findings["noise of the taxels"].verdict is Verdict.PASS
     assert findings["pads' force"].verdict is Verdict.PASS
-    assert "0.0 N on finger 0, 0.0 N on finger 1" in findings["pads' force"].found
-    assert findings["control unit"].found.endswith("boards of the pads 1 and 2")
+    assert "0.0 N on finger 0, 0.0 N on finger 1" in findings["pads' force"].text
+    assert findings["control unit"].text.endswith("boards of the pads 1 and 2")
     assert "gripper.port" not in findings
 
 
-@pytest.mark.parametrize(
-    ("serial", "verdict", "found"),
-    [(1, Verdict.PASS, "as at commissioning"), (7, Verdict.WARN, "serial 1, at commissioning")],
-)
-def test_a_cell_that_was_commissioned_is_compared_with_it(tmp_path, serial, verdict, found) -> None:
-    store = {"steps": {"unit": {"values": {"serial_number": serial}}}, "approved": []}
+def test_a_cell_that_was_commissioned_is_compared_with_it(tmp_path) -> None:
+    store = {"steps": {"unit": {"values": {"serial_number": 7}}}, "approved": []}
     write_json(tmp_path / "commissioning.json", COMMISSIONING, store, error=CellError)
-    everything = list(examine(CellConfig(), tmp_path / "tactile-cell.yaml"))
-    assert any(f.verdict is verdict and found in f.found for f in everything)
-    if verdict is Verdict.WARN:
-        assert any(f"commission {tmp_path} --redo unit" in f.advice for f in everything)
+    (changed,) = [
+        finding
+        for finding in examine(CellConfig(), tmp_path / "tactile-cell.yaml")
+        if "at commissioning" in finding.text
+    ]
+    assert (changed.what, changed.text) == ("control unit", "serial 1, at commissioning serial 7")
+    assert f"`tactile-cell commission {tmp_path} --redo unit` repeats" in changed.advice
+
+
+EARLIER = Commissioning(
+    {
+        "unit": {"serial_number": 7, "revision": 0x10001},
+        "pads_at_rest": {"board_serial_numbers": [1, 2]},
+        "servos": {
+            "servos": [{"id": n, "model": "XM430-W350", "firmware": 46} for n in (1, 2)],
+        },
+    }
+)
+SOUND = SourceIdentity(name="unit", serial=7, revision=0x10001, boards=(1, 2))
+
+
+@pytest.mark.parametrize(
+    ("changes", "what", "step"),
+    [
+        ({}, "", ""),
+        ({"serial": 8}, "control unit", "unit"),
+        ({"revision": 2}, "firmware of the control unit", "unit"),
+        ({"boards": (1, 9)}, "pads of finger 1", "pads_at_rest"),
+        ({"boards": (2, 1)}, "pads", "pads_at_rest"),
+        ({1: ("XM430-W210", 46)}, "servo 1", "servos"),
+    ],
+)
+def test_what_has_changed_names_the_step_to_repeat(changes, what, step) -> None:
+    def changed(earlier: Commissioning) -> list[Finding]:
+        if 1 in changes:
+            return earlier.changed_servos({2: ("XM430-W350", 46)} | changes)
+        return earlier.changed_unit(replace(SOUND, **changes))
+
+    findings = changed(EARLIER)
+    assert [finding.what for finding in findings] == [what] * bool(what)
+    assert all(f"--redo {step}`" in finding.advice for finding in findings)
+    assert changed(Commissioning()) == []
 
 
 @pytest.mark.parametrize(
@@ -91,7 +126,7 @@ def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
     assert [one for one in findings if one.verdict is Verdict.FAIL] == [finding] * (
         verdict is Verdict.FAIL
     )
-    assert found in finding.found
+    assert found in finding.text
     assert advice in finding.advice
     ((simulated, before_m),) = cells
     assert simulated.devices.mechanics.aperture_m == pytest.approx(before_m, abs=1e-6)
@@ -122,7 +157,7 @@ def test_torque_that_is_left_on_is_named_with_the_way_on(
 
     finding = by_name(altered(alter))["servo torque"]
     assert finding.verdict is verdict
-    assert found in finding.found
+    assert found in finding.text
     assert advice in finding.advice
 
 
@@ -141,15 +176,15 @@ def test_servos_that_withhold_their_answers_are_named_by_the_register(
     for one in (findings[name] for name in named):
         assert one.verdict is Verdict.WARN
         assert one.advice.startswith("the cell sets it at its start")
-        assert whole or "Status Return Level (register 68)" in one.found
+        assert whole or "Status Return Level (register 68)" in one.text
 
 
 def test_boards_without_force_messages_and_numbers_are_well() -> None:
     preset = load_config(Path(__file__).parents[3] / "config" / "flexitac.yaml")
     findings = by_name(examine(preset))
-    assert findings["sensor"].found == "FlexiTac"
+    assert findings["sensor"].text == "FlexiTac"
     assert findings["force messages"].verdict is Verdict.PASS
-    assert findings["force messages"].found.startswith("FlexiTac sends frames alone")
+    assert findings["force messages"].text.startswith("FlexiTac sends frames alone")
 
 
 @pytest.fixture
@@ -182,7 +217,7 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     assert release in findings["servo torque"].advice
     load = findings["pads' force"]
     assert (load.verdict, release in load.advice) == (Verdict.WARN, True)
-    shown_n = [float(number) for number in re.findall(r"([\d.]+) N", load.found)]
+    shown_n = [float(number) for number in re.findall(r"([\d.]+) N", load.text)]
     assert shown_n == pytest.approx(simulated.world.contact_force_n(), rel=0.25)
     simulated.inject("servos.unplugged")
     findings = by_name(list(examine(small_config(), file)))
@@ -209,7 +244,7 @@ def test_lost_frames_are_a_warning(altered) -> None:
 def test_lines_that_cannot_be_opened_are_named() -> None:
     findings = by_name(examine(small_config(**REAL)))
     assert findings["links"].verdict is Verdict.FAIL
-    assert "can-that-is-not-there" in findings["links"].found
+    assert "can-that-is-not-there" in findings["links"].text
 
 
 ON_PORTS = [X_AXIS, ROTATION_AXIS, WRIST | {"port": "/dev/no-wrist"}]
@@ -235,21 +270,7 @@ def test_each_wrong_port_is_named_with_what_to_do(monkeypatch, changes, keys) ->
     findings = examine(changed_config(small_config(**REAL), changes))
     missing = [finding for finding in findings if finding.verdict is Verdict.FAIL]
     assert [finding.what for finding in missing] == ["gripper.port", *keys]
-    assert all("No such file" in one.found and one.what in one.advice for one in missing)
-
-
-def test_a_missing_extra_is_a_warning(monkeypatch) -> None:
-    original = importlib.metadata.version
-
-    def version(name: str) -> str:
-        if name == "matplotlib":
-            raise importlib.metadata.PackageNotFoundError(name)
-        return original(name)
-
-    monkeypatch.setattr(importlib.metadata, "version", version)
-    finding = by_name(list(examine(CellConfig())))["matplotlib"]
-    assert finding.verdict is Verdict.WARN
-    assert finding.advice.startswith("if you need it: install this project with its extra `report`")
+    assert all("No such file" in one.text and one.what in one.advice for one in missing)
 
 
 AXES = changed_config(CellConfig(), CHANGES)
@@ -257,7 +278,7 @@ AXES = changed_config(CellConfig(), CHANGES)
 
 def test_drives_and_servos_of_axes_are_asked_and_not_moved(meddle) -> None:
     findings = by_name(list(examine(AXES)))
-    assert findings["axis x (drive 11)"].found == "SWITCH ON DISABLED, position 0 increments"
+    assert findings["axis x (drive 11)"].text == "SWITCH ON DISABLED, position 0 increments"
     assert findings["axis roll (servo 1)"].verdict is Verdict.PASS
 
     def spoil(made: Any) -> None:
@@ -273,5 +294,5 @@ def test_drives_and_servos_of_axes_are_asked_and_not_moved(meddle) -> None:
         ("axis roll (servo 1)", "hardware error overload"),
     ):
         assert findings[name].verdict is Verdict.FAIL
-        assert found in findings[name].found
+        assert found in findings[name].text
         assert findings[name].advice

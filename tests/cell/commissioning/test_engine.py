@@ -46,7 +46,7 @@ class Asking:
         self.seen.append(dict(bench.settings))
         answer = dialog.ask(Question(key=f"{self.key}.q", text="?", default="yes"))
         verdict = self.verdicts.pop(0) if len(self.verdicts) > 1 else self.verdicts[0]
-        notes.findings.append(Finding(found=f"{self.key}: {answer}", verdict=verdict))
+        notes.findings.append(Finding(text=f"{self.key}: {answer}", verdict=verdict))
         notes.values["answer"] = answer
         notes.settings |= self.settings
         if self.settings:

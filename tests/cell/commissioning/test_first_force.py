@@ -2,14 +2,10 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 from cell.checks.findings import Notes, Verdict
-from cell.commissioning.doctor import changed_servos, changed_unit, since_commissioning
 from cell.commissioning.engine import WizardAborted
 from cell.commissioning.first_force import FIRST_FORCE
 from cell.control.self_zero import kept_zeros
@@ -19,7 +15,6 @@ from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
 from tactile.layout import pinch_layout
-from tactile.source import SourceIdentity
 from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.marks import LONG
 
@@ -138,46 +133,3 @@ def test_fingers_that_find_no_part_fail_the_step(one) -> None:
     assert finding.status is Verdict.FAIL
     assert "The fingers hold nothing (no_contact)" in finding.lines[-1]
     assert one.torques == [0, 0]
-
-
-# -- What has changed since the commissioning, with the step it affects ----------------------------
-
-
-FOUND: dict[str, Any] = {
-    "unit": {"serial_number": 7, "revision": 0x10001},
-    "pads_at_rest": {"board_serial_numbers": [1, 2]},
-    "servos": {
-        "servos": [
-            {"id": 1, "model": "XM430-W350", "firmware": 46},
-            {"id": 2, "model": "XM430-W350", "firmware": 46},
-        ]
-    },
-}
-SOUND = SourceIdentity(name="unit", serial=7, revision=0x10001, boards=(1, 2))
-
-
-def test_the_same_hardware_has_not_changed() -> None:
-    assert changed_unit(FOUND, SOUND) == []
-    assert changed_servos(FOUND, {1: ("XM430-W350", 46), 2: ("XM430-W350", 46)}) == []
-    assert changed_unit({}, SOUND) == changed_servos({}, {1: ("other", 1)}) == []
-
-
-SERVOS = {1: ("XM430-W210", 46), 2: ("XM430-W350", 46)}
-
-
-@pytest.mark.parametrize(
-    ("changes", "what", "step"),
-    [
-        (changed_unit(FOUND, replace(SOUND, serial=8)), "control unit", "unit"),
-        (changed_unit(FOUND, replace(SOUND, revision=2)), "firmware of the control unit", "unit"),
-        (changed_unit(FOUND, replace(SOUND, boards=(1, 9))), "pads of finger 1", "pads_at_rest"),
-        (changed_unit(FOUND, replace(SOUND, boards=(2, 1))), "pads", "pads_at_rest"),
-        (changed_servos(FOUND, SERVOS), "servo 1", "servos"),
-    ],
-)
-def test_what_has_changed_names_the_step_to_repeat(changes, what, step) -> None:
-    (found,) = since_commissioning(Path("box"), FOUND, "all", changes)
-    assert found.what.startswith(what)
-    assert found.step == step
-    assert ", at commissioning " in found.found
-    assert f"commission box --redo {step}`" in found.advice

@@ -162,7 +162,7 @@ def test_each_obstacle_at_a_port_is_named(
     findings = [*check_port("key", str(port))]
     bad = [one for one in findings if one.verdict is not Verdict.PASS]
     assert [(one.what, one.verdict) for one in bad] == [(what, verdict)] * bool(text)
-    assert all(text in one.found and one.advice for one in bad)
+    assert all(text in one.text and one.advice for one in bad)
     if obstacle == "slow":
         assert "echo 1 | sudo tee" in bad[0].advice
         assert 'ATTR{latency_timer}="1"' in bad[0].advice

@@ -235,7 +235,7 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     )
     finding = next(one for one in examine(here) if one.what == "self-zero")
     assert (finding.verdict, finding.advice) == (Verdict.PASS, "")
-    assert "pads meet at" in finding.found
+    assert "pads meet at" in finding.text
     bench, reports = make_bench(small_config()).ready(), []
     bench.simulated.remove()
     goal = checked_goal({"task": "zero"})

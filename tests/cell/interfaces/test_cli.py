@@ -508,7 +508,7 @@ def test_examples_are_the_configs_of_the_repository(tmp_path, fail) -> None:
 
 
 def test_doctor_passes_and_fails(tmp_path, config, fail, monkeypatch) -> None:
-    found = [Finding(what="disk", verdict=Verdict.PASS, found="room", advice="none")]
+    found = [Finding(what="disk", verdict=Verdict.PASS, text="room", advice="none")]
     monkeypatch.setattr("cell.interfaces.cli.commands.doctor.examine", lambda *_: iter(found))
     assert call("doctor", "-c", config, "--json", tmp_path / "d.json") == (
         "pass  disk: room  -> none\n"

@@ -1,4 +1,4 @@
-"""`doctor`: checks machine, ports, servos and control unit."""
+"""`doctor`: checks ports, servos and control unit."""
 
 from pathlib import Path
 from typing import Annotated
@@ -22,7 +22,7 @@ def doctor(
         typer.Option("--plugins", help="Only list the installed plugins, and load each."),
     ] = False,
 ) -> None:
-    """Check machine, ports, servos and control unit; nothing moves.
+    """Check ports, servos and control unit; nothing moves.
 
     A commissioned cell is compared with the record of its commissioning.
 
@@ -37,7 +37,7 @@ def doctor(
         findings.append(finding)
         advice = f"  -> {finding.advice}" if finding.advice else ""
         out.print(f"[{colours[finding.verdict]}]{finding.verdict.value:<5}[/]", end="")
-        print_line(f" {finding.what}: {finding.found}{advice}")
+        print_line(f" {finding.what}: {finding.text}{advice}")
     write_json(json_file, {"findings": findings})
     failed = sum(f.verdict is Verdict.FAIL for f in findings)
     if failed:
