@@ -347,7 +347,7 @@ class PlainPi:
         rises = copysign(1.0, grip.rate_n_s or error_n) > 0.0
         edge_n = setpoint_n + period.friction_n if rises else period.yielding_n(setpoint_n)
         wanted_n = edge_n + self.gain * error_n + self._integral_n
-        grip.balance_n = min(max(wanted_n, -period.friction_n), period.drive_max_n)
+        grip.balance_n = max(wanted_n, -period.friction_n)
         return grip.balance_n
 
 

@@ -6,7 +6,7 @@ from math import inf
 
 from gripper.dynamixel.models import ServoModel
 from gripper.force.estimates.grip import Grip
-from gripper.mechanics.kinematics import Transmission, mean_friction_n
+from gripper.mechanics.kinematics import Transmission, mean_friction_n, transmissions
 from gripper.servos.goal_limits import (
     ServoGoal,
     closing_margin_rad,
@@ -50,15 +50,12 @@ class DriveGoals:
         """Whether the fingers may open farther."""
         return self._stop_rad is None
 
-    def goals(self, state: ServoFeedback, paths: Sequence[Transmission]) -> tuple[ServoGoal, ...]:
-        """Return the goals that make the driving force of the grip.
-
-        Parameters
-        ----------
-        state, paths
-            Feedback, and the transmission of each servo there.
-        """
-        grip, drive_n = self._grip, self._grip.drive_n
+    def goals(self, state: ServoFeedback) -> tuple[ServoGoal, ...]:
+        """Return the goals that make the driving force of the grip."""
+        grip = self._grip
+        paths = transmissions(grip.settings, grip.linkage, state.angles_rad)
+        friction_n = mean_friction_n(paths)
+        self._limit(state, paths, friction_n)
         goals = []
         self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
         if state.aperture_m < self._touch_m:
@@ -66,7 +63,7 @@ class DriveGoals:
         elif self._stop_rad is None:
             self._stop_rad = state.angles_rad
         stop_rad = self._stop_rad or (inf,) * len(paths)
-        balance_n, friction_n = grip.balance_n, mean_friction_n(paths)
+        balance_n, push_n = grip.balance_n, grip.drive_n - grip.balance_n
         for servo, path, settings, contact_rad, deepest_rad, widest_rad, least_rad in zip(
             state.servos,
             paths,
@@ -83,8 +80,8 @@ class DriveGoals:
             held_a = min(held_n / path.n_per_a, grip.settings.current_max_a)
             rest = self._closing(settings.servo_model, held_a, deepest_rad, closed_rad)
             # Each servo drives with the same share of its own friction.
-            own_n = balance_n + (drive_n - balance_n) * path.friction_n / friction_n
-            current_a = min(abs(own_n) / path.n_per_a, grip.settings.current_max_a)
+            own_n = balance_n + push_n * path.friction_n / friction_n
+            current_a = abs(own_n) / path.n_per_a
             # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
             if own_n >= 0.0:
                 goal = self._closing(settings.servo_model, current_a, deepest_rad, closed_rad)
@@ -99,6 +96,26 @@ class DriveGoals:
                 )
             goals.append(replace(goal, rest=rest))
         return tuple(goals)
+
+    def _limit(
+        self, state: ServoFeedback, paths: Sequence[Transmission], friction_n: float
+    ) -> None:
+        """Limit balance and drive of the grip by the caps of current and force.
+
+        The servo that reaches its cap first limits all: else one finger pushes the other aside.
+        """
+        grip, settings = self._grip, self._grip.settings
+        most_a = min(settings.current_max_a, *(servo.limit_a for servo in state.servos))
+        caps_n = [
+            min(most_a, path.pressing_current_a(settings.force_max_n)) * path.n_per_a
+            for path in paths
+        ]
+        push_n = grip.drive_n - grip.balance_n
+        grip.balance_n = balance_n = min(grip.balance_n, *caps_n)
+        for cap_n, path in zip(caps_n, paths, strict=True):
+            share = friction_n / path.friction_n
+            push_n = min(max(push_n, (-cap_n - balance_n) * share), (cap_n - balance_n) * share)
+        grip.drive_n = balance_n + push_n
 
     def _closing(
         self, model: ServoModel, current_a: float, deepest_rad: float, closed_rad: float

@@ -1,6 +1,5 @@
 """Control of the grip force of one grasp: one period, from the set-point to the servos' goals."""
 
-from collections.abc import Sequence
 from math import hypot
 
 from gripper.force.approach.approach import Approach
@@ -9,7 +8,7 @@ from gripper.force.control.law import STIFFNESS_SD, ForceLaw, Period
 from gripper.force.estimates.grip import KNOWN_N, Grip, History
 from gripper.force.loop import Moment
 from gripper.force.supervision.part_watch import PartWatch
-from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n, transmissions
+from gripper.mechanics.kinematics import Linkage, mean_friction_n, transmissions
 from gripper.servos.goal_limits import ServoGoal
 from gripper.values.state import GRAIN_M, ServoFeedback
 
@@ -33,12 +32,7 @@ class GripControl:
     """
 
     def __init__(
-        self,
-        linkage: Linkage,
-        reached: Approach,
-        *,
-        force_n: float,
-        now_s: float,
+        self, linkage: Linkage, reached: Approach, *, force_n: float, now_s: float
     ) -> None:
         settings, state = reached.settings, reached.state
         self._settings = settings
@@ -88,11 +82,7 @@ class GripControl:
         self._law.begin(state.t_s)
 
     def goals(
-        self,
-        moment: Moment,
-        setpoint_n: float,
-        *,
-        arrival_n: float | None = None,
+        self, moment: Moment, setpoint_n: float, *, arrival_n: float | None = None
     ) -> tuple[ServoGoal, ...]:
         """Return the goals of one period.
 
@@ -128,31 +118,12 @@ class GripControl:
             end_n=setpoint_n if arrival_n is None else arrival_n,
             paths=paths,
             friction_n=mean_friction_n(paths),
-            drive_max_n=self._drive_max_n(state, paths),
             may_open=self._goals.may_open,
         )
         grip.drive_n = self._law.step(period)
-        return self._goals.goals(state, paths)
+        return self._goals.goals(state)
 
     def quiet_goals(self, moment: Moment) -> tuple[ServoGoal, ...]:
         """Return the last goals of a grip: without a push."""
         self.grip.drive_n = self.grip.balance_n
-        state = moment.state
-        return self._goals.goals(
-            state, transmissions(self._settings, self._linkage, state.angles_rad)
-        )
-
-    def _drive_max_n(self, state: ServoFeedback, paths: Sequence[Transmission]) -> float:
-        """Return the largest driving force in N that the caps of current and force allow.
-
-        If something pushes the fingers open, the cap of the force also limits the drive.
-        """
-        cap_a = min(self._settings.current_max_a, *(servo.limit_a for servo in state.servos))
-        cap_n = self._settings.force_max_n
-        balance_n, friction_n = self.grip.balance_n, mean_friction_n(paths)
-        return min(
-            balance_n
-            + (min(cap_a, path.pressing_current_a(cap_n)) * path.n_per_a - balance_n)
-            * (friction_n / path.friction_n)
-            for path in paths
-        )
+        return self._goals.goals(moment.state)

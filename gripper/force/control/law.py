@@ -100,8 +100,6 @@ class Period:
     paths: Sequence[Transmission]
     friction_n: float
     """Transmission of each servo, and half the width of the friction band in N."""
-    drive_max_n: float
-    """Largest driving force in N."""
     may_open: bool
     """Whether the fingers may open farther."""
 
@@ -273,7 +271,7 @@ class ForceLaw:
         grip.planned_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
         if sample is not None and sample.by_current:
             grip.force_n = grip.balance_n = sample.grip_n
-            return min(self._edge_n(period), period.drive_max_n)
+            return self._edge_n(period)
         if sample is not None and self._jumps(sample, period):
             sample = None
         frictions_n = self._observe(period, sample)
@@ -284,13 +282,13 @@ class ForceLaw:
         force_n = observer.force_n + observer.stiffness_n_m * way_m
         grip.force_n, grip.balance_n = observer.force_n, force_n + observer.missing_n
         if sample is None:
-            return min(grip.balance_n, period.drive_max_n)
+            return grip.balance_n
         error_n = self.plan.force_n + self.plan.rate_n_s * _ACTS_S - force_n
         if observer.speed_m_s == 0.0:
             push_n = self._starting_n(period, sample, error_n, frictions_n)
         else:
             push_n = self._moving_n(period, sample, error_n, speed_m_s, frictions_n)
-        return min(grip.balance_n + push_n, period.drive_max_n)
+        return grip.balance_n + push_n
 
     def _observe(self, period: Period, sample: ForceSample | None) -> tuple[float, float]:
         """Advance the observer, and return the friction in N of closing and opening fingers."""

@@ -68,7 +68,6 @@ def make_period(
         "usable": sample is not None,
         "end_n": setpoint_n,
         "friction_n": FRICTION_N,
-        "drive_max_n": 40.0,
         "may_open": True,
         "paths": paths,
     }

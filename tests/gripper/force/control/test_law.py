@@ -229,7 +229,7 @@ def standing(angle_rad: float) -> ServoFeedback:
 def first_goal(goals: DriveGoals, drive_n: float, angle_rad: float) -> tuple[float, float]:
     state = standing(angle_rad)
     goals._grip.drive_n = drive_n
-    made = goals.goals(state, transmissions(GripperSettings(), LINKAGE, state.angles_rad))
+    made = goals.goals(state)
     return made[0].angle_rad, made[0].current_a
 
 
@@ -240,7 +240,25 @@ def test_the_side_of_the_goal_is_the_sign_of_the_drive() -> None:
     opening_rad, opening_a = first_goal(goals, -4.0, 0.09)
     assert closing_rad < 0.09 < opening_rad
     assert closing_a == pytest.approx(opening_a)
-    assert first_goal(goals, 100.0, 0.09)[1] == GripperSettings().current_max_a
+    for drive_n in (100.0, -100.0):
+        path = transmissions(GripperSettings(), LINKAGE, (0.09, 0.09))[0]
+        most_a = path.pressing_current_a(GripperSettings().force_max_n)
+        assert first_goal(goals, drive_n, 0.09)[1] == pytest.approx(most_a)
+
+
+def test_no_finger_pushes_the_other_aside_with_a_force_that_the_cap_does_not_allow() -> None:
+    """With another friction each servo has another share of a push; the caps leave them equal."""
+    grip, state = make_grip(), standing(0.09)
+    settings, servo = grip.settings, grip.settings.servos[0]
+    drive = settings.drives.of(servo.servo_id, servo.drive)
+    light = {"coulomb_a": 0.3 * drive.coulomb_a, "breakaway_a": 0.3 * drive.breakaway_a}
+    settings.drives.put(servo.servo_id, replace(drive, **light))
+    goals = DriveGoals(grip, standing(0.1), standing(0.1).aperture_m)
+    grip.balance_n = grip.drive_n = 2.0 * settings.force_max_n
+    first, second = goals.goals(state)
+    assert first.current_a == pytest.approx(second.current_a, rel=0.01)
+    path = transmissions(settings, LINKAGE, state.angles_rad)[0]
+    assert 0.0 < path.n_per_a * first.current_a < 2.0 * settings.force_max_n
 
 
 def test_a_position_that_drifts_open_does_not_take_a_closing_goal_with_it() -> None:
