@@ -27,7 +27,7 @@ class Plugin:
     name: str
     """Name in a config."""
     package: str
-    """Distribution with its version, for example ``tactile-cell 0.1.0``."""
+    """Distribution with its version, for example ``tactile-cell 0.2.0``."""
     problem: str = ""
     """Reason that it cannot be loaded; empty where it can."""
 

@@ -83,7 +83,7 @@ def test_the_page_on_updates_can_be_typed(here) -> None:
 def test_a_wheel_of_the_page_has_the_name_that_a_build_gives_it() -> None:
     names = set(re.findall(r"\S*\.whl", (PAGES / "update.md").read_text()))
     assert {name.strip("'").split("[")[0] for name in names} == {
-        "./tactile_cell-0.2.0-py3-none-any.whl"
+        "./tactile_cell-0.3.0-py3-none-any.whl"
     }
 
 

@@ -12,6 +12,7 @@ from cell.config.gripper import use_servo_models
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.errors import CellError, ConfigError
+from cell.formats import PROGRAM
 from cell.plugins import GROUPS, RECOGNISERS, SENSORS, SERVO_MODELS
 from gripper.dynamixel import models
 from gripper.errors import LimitExceeded
@@ -71,7 +72,7 @@ def test_what_is_built_in_loads_and_no_table_beside_has_other_names() -> None:
         found = list(group.examine())
         assert found
         for one in found:
-            assert (one.problem, one.package) == ("", "tactile-cell 0.1.0")
+            assert (one.problem, one.package) == ("", PROGRAM)
             assert group.built_in(one.name)
     assert set(SERVO_MODELS) == set(models.MODELS)
     assert {name: RECOGNISERS.entry(name).value for name in RECOGNISERS} == RECOGNIZERS
@@ -136,7 +137,7 @@ def test_doctor_lists_each_plugin_with_its_package(installed: Install) -> None:
     installed(sensors={"glove": "Glove"})
     lines = [line.split() for line in call("doctor", "--plugins").splitlines()]
     assert ["sensors", "glove", "some-plugins", "1.0.0", "loads"] in lines
-    assert ["sensors", "uskin", "tactile-cell", "0.1.0", "loads"] in lines
+    assert ["sensors", "uskin", *PROGRAM.split(), "loads"] in lines
     assert len(lines) == sum(len(list(group)) for group in GROUPS)
 
 
