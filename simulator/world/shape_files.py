@@ -10,8 +10,6 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from simulator.errors import SimulatorSettingsError
 from simulator.world.shapes import (
@@ -29,15 +27,9 @@ MAX_FACES = 200_000
 """Most triangles of a file: with more a placement would take seconds."""
 _MAX_BYTES = 300 * MAX_FACES
 """Largest file in bytes: 300 for each triangle as text, 50 as binary."""
-_LARGEST = 1e6
-"""Largest coordinate of a corner in units of the file: a kilometre in mm."""
 _SMALLEST_M, _LONGEST_M = 1e-3, 1.0
 """Smallest and largest length of the longest side in m: from the space between two taxels to the
 largest part of a gripper."""
-_THINNEST_M = 5e-5
-"""Least mean thickness in m: twice the volume over the surface."""
-_MOST_BODIES = 100
-"""Most bodies that are compared with each other."""
 _EDGE_ON_M2 = 1e-18
 """Twice the area in m² below which a triangle is seen edge-on."""
 _ON_EDGE = 1e-9
@@ -129,116 +121,46 @@ def _ranges(
 
 
 def load_mesh(path: Path) -> MeshShape:
-    """Read an STL file, as `read_mesh`; SimulatorSettingsError if it cannot be read."""
-    import trimesh  # noqa: F401, PLC0415 (where it is missing, the file does not matter)
+    """Return the shape in an STL file in mm, binary or text, centred on its bounding box.
 
-    try:
-        if not path.is_file():
-            raise SimulatorSettingsError(f"{path} is not a file; check the path")
-        size = path.stat().st_size
-        if size > _MAX_BYTES:
-            raise SimulatorSettingsError(f"{path} has {size} bytes, at most {_MAX_BYTES} are read")
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise SimulatorSettingsError(f"{path} cannot be read: {error}") from error
-    return read_mesh(data, str(path))
-
-
-def read_mesh(data: bytes, path: str) -> MeshShape:
-    """Return the shape in an STL file, centred on its bounding box.
-
-    Raises SimulatorSettingsError if the file is no STL, too large, no closed surface, or smaller
-    than any part. Raises ModuleNotFoundError if the extra ``mesh`` is not installed.
-
-    Parameters
-    ----------
-    data
-        The STL file, binary or text; its unit is 1 mm.
-    path
-        Name of the file in messages.
+    Raises SimulatorSettingsError if the file cannot be read, is too large, has no closed surface,
+    several bodies, or another unit. Raises ModuleNotFoundError if the extra ``mesh`` is not
+    installed.
     """
     import trimesh  # noqa: PLC0415 (an extra, needed for mesh files only)
 
-    triangles_m = _UNIT_M * _triangles(data, path)
-    mesh = trimesh.Trimesh(
-        vertices=triangles_m.reshape(-1, 3) / _UNIT_M,
-        faces=np.arange(3 * len(triangles_m)).reshape(-1, 3),
-    )
-    # A triangle with a corner given twice has no area, and closes nothing.
-    mesh.update_faces((mesh.faces != np.roll(mesh.faces, 1, axis=1)).all(axis=1))
+    try:
+        if not path.is_file() or path.stat().st_size > _MAX_BYTES:
+            raise ValueError(f"it is not a file of at most {_MAX_BYTES} bytes")
+        with np.errstate(invalid="ignore"):  # what is no number is refused below
+            mesh = trimesh.load_mesh(io.BytesIO(path.read_bytes()), file_type="stl")
+            mesh.merge_vertices()
+            mesh.update_faces(mesh.nondegenerate_faces())
+    except Exception as error:  # whatever its parser raises for damaged data
+        raise SimulatorSettingsError(
+            f"{path} cannot be read as STL: {error}; export it again, as binary STL"
+        ) from error
+    if len(mesh.faces) > MAX_FACES:
+        raise SimulatorSettingsError(
+            f"{path} has {len(mesh.faces)} triangles, must have at most {MAX_FACES}"
+        )
     if not mesh.is_watertight:
         raise SimulatorSettingsError(
             f"{path} has no closed surface; repair the mesh and export it again"
         )
-    corners_m = triangles_m.reshape(-1, 3)
-    size_m = np.ptp(corners_m, axis=0)
-    if not _SMALLEST_M <= size_m.max() <= _LONGEST_M:
-        size_mm = " x ".join(f"{1e3 * side_m:.3g}" for side_m in size_m)
+    if not _SMALLEST_M <= _UNIT_M * mesh.extents.max() <= _LONGEST_M:
+        size_mm = " x ".join(f"{side_mm:.3g}" for side_mm in mesh.extents)
         raise SimulatorSettingsError(
             f"{path} is {size_mm} mm in size, expected {1e3 * _SMALLEST_M:g} to "
             f"{1e3 * _LONGEST_M:g} mm on the longest side. Its unit must be {1e3 * _UNIT_M:g} mm: "
             f"export it in mm"
         )
-    thick_m = _UNIT_M * 2.0 * abs(mesh.volume) / mesh.area
-    if not thick_m >= _THINNEST_M:
+    if mesh.body_count > 1:
         raise SimulatorSettingsError(
-            f"{path} has a mean thickness of {1e3 * thick_m:.3g} mm, expected "
-            f"{1e3 * _THINNEST_M:g} mm or more: check the units of all its sides"
+            f"{path} has {mesh.body_count} bodies or cavities, but a gripper holds one part: "
+            "unite them and export one body"
         )
-    n_bodies = _bodies_apart(mesh.triangles, mesh.face_adjacency)
-    if n_bodies > 1:
-        raise SimulatorSettingsError(
-            f"{path} has {n_bodies} separate bodies, but a gripper holds one part: export one body"
-        )
-    centre_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
-    return MeshShape(triangles_m=triangles_m - centre_m)
-
-
-def _bodies_apart(triangles: NDArray[np.float64], adjacent: NDArray[np.int64]) -> int:
-    """Return the number of bodies with separate bounding boxes; a cavity belongs to its body.
-
-    Parameters
-    ----------
-    triangles
-        (n, 3, 3) float64: corners.
-    adjacent
-        (m, 2) int64: triangles that share an edge.
-    """
-    edges = coo_array((np.ones(len(adjacent)), adjacent.T), shape=(len(triangles),) * 2)
-    n, body = connected_components(edges, directed=False)
-    if not 1 < n <= _MOST_BODIES:
-        return int(n)
-    low, high = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
-    np.minimum.at(low, body, triangles.min(axis=1))
-    np.maximum.at(high, body, triangles.max(axis=1))
-    meet = (low[:, None] <= high[None]).all(axis=2)
-    return int(connected_components(meet & meet.T, directed=False, return_labels=False))
-
-
-def _triangles(data: bytes, path: str) -> NDArray[np.float64]:
-    """Return the corners of an STL file in its units, (n, 3, 3)."""
-    from trimesh.exchange.stl import load_stl  # noqa: PLC0415 (an extra, see `read_mesh`)
-
-    try:
-        with np.errstate(invalid="ignore"):  # what is no number is refused below
-            loaded = load_stl(io.BytesIO(data))
-            solids = loaded.get("geometry", {"": loaded}).values()
-            corners = np.concatenate([np.asarray(one["vertices"])[one["faces"]] for one in solids])
-    except Exception as error:  # whatever its parser raises for damaged data
-        raise SimulatorSettingsError(
-            f"{path} is neither a text STL nor a binary STL ({len(data)} bytes); export it again, "
-            "as binary STL"
-        ) from error
-    if not 1 <= len(corners) <= MAX_FACES:
-        raise SimulatorSettingsError(
-            f"{path} has {len(corners)} triangles, must have 1 to {MAX_FACES}"
-        )
-    largest = float(np.abs(corners).max())
-    if not largest <= _LARGEST:
-        raise SimulatorSettingsError(
-            f"{path} has a corner at {largest:g}, must be finite and at most {_LARGEST:g}"
-        )
-    return corners.astype(np.float64)
+    return MeshShape(triangles_m=_UNIT_M * (mesh.triangles - mesh.bounds.mean(axis=0)))
 
 
 _UNITS_M = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}

@@ -216,37 +216,15 @@ def test_a_mesh_in_another_unit_is_refused_with_its_size(stl, size_mm, shown) ->
         load_mesh(path)
 
 
-@pytest.mark.parametrize(
-    ("right", "wrong", "says"),
-    [
-        ("vertex", "vertex nan", "neither a text STL nor a binary STL"),
-        ("vertex 8.0", "vertex nan", "finite"),
-    ],
-)
-def test_a_text_mesh_with_a_wrong_line_is_refused(stl, right, wrong, says) -> None:
-    with pytest.raises(SimulatorSettingsError, match=says):
-        load_mesh(stl(BOX_TEXT.replace(right, wrong, 1)))
-
-
-def test_a_disc_of_a_few_nanometres_is_refused_however_it_lies_in_its_file(stl) -> None:
-    disc = trimesh.creation.cylinder(radius=5.0, height=1e-2)
-    disc.apply_transform(trimesh.transformations.rotation_matrix(0.7, (1.0, 1.0, 0.0)))
-    with pytest.raises(SimulatorSettingsError, match=r"mean thickness of 0\.00998 mm"):
-        load_mesh(stl(disc))
-
-
-@pytest.mark.parametrize("along_mm", [30.0, 9.0, 0.0])
-def test_a_mesh_of_bodies_that_lie_apart_is_refused(stl, along_mm) -> None:
-    """Bodies that overlap are one part, and so is a body with a cavity."""
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_mesh_of_several_bodies_is_refused(stl, inside) -> None:
     first, second = (trimesh.creation.box(extents=(side,) * 3) for side in (10.0, 8.0))
-    if along_mm == 0.0:
+    if inside:
         second.invert()
-    second.apply_translation((along_mm, 0.0, 0.0))
+    else:
+        second.apply_translation((30.0, 0.0, 0.0))
     path = stl(trimesh.util.concatenate(first, second))
-    if along_mm < 10.0:
-        assert load_mesh(path).triangles_m.shape == (24, 3, 3)
-        return
-    with pytest.raises(SimulatorSettingsError, match="2 separate bodies, but a gripper holds one"):
+    with pytest.raises(SimulatorSettingsError, match="2 bodies or cavities, but a gripper holds"):
         load_mesh(path)
 
 
@@ -255,7 +233,7 @@ def test_meshes_that_are_no_solid_are_refused(stl) -> None:
         load_mesh(stl(trimesh.Trimesh(BOX.vertices, BOX.faces[:-2])))
     path = stl(BOX)
     path.write_bytes(path.read_bytes()[:-7])
-    with pytest.raises(SimulatorSettingsError, match=r"nor a binary STL \(677 bytes"):
+    with pytest.raises(SimulatorSettingsError, match="no closed surface|cannot be read"):
         load_mesh(path)
 
 
