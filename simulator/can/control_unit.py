@@ -106,11 +106,9 @@ class SimulatedControlUnit(CanopenDevice):
 
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s: boot-up, heartbeat."""
-        if now_s < self.next_event_s():
-            self._network.now_s = now_s
-            return
         self._boot(now_s)
-        self._network.run(now_s, mute=self.faults.dead or self.faults.heartbeat_off)
+        if self._network.next_due_s <= now_s:
+            self._network.run(now_s, mute=self.faults.dead or self.faults.heartbeat_off)
         self._network.now_s = now_s
         while self._force_due_s <= now_s:
             self._send_force(self._force_due_s)

@@ -12,6 +12,7 @@ import struct
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
+from gripper.dynamixel.control_table import PROTOCOL_TYPE
 from simulator.clock import ROUNDING_S, VirtualClock
 from simulator.errors import PortUnplugged
 from simulator.servo.device import SimulatedServo
@@ -117,7 +118,7 @@ class ServoBusDevice:
     def _dispatch(self, packet: Packet, now_s: float) -> None:
         if packet.instruction == STATUS:
             return
-        hearing = [s for s in self.servos if self._listens(s, now_s) and not s.speaks_protocol_1]
+        hearing = [servo for servo in self.servos if self._listens(servo, now_s)]
         if not packet.intact:
             self._answer_damaged(packet, hearing, now_s)
             return
@@ -131,16 +132,16 @@ class ServoBusDevice:
     def _answer_protocol_1(self, data: bytes, now_s: float) -> None:
         """Let servos in Protocol 1.0 answer a ping in it; they carry out nothing else here."""
         for servo in self.servos:
-            if not servo.speaks_protocol_1:
-                continue
             body = bytes((servo.servo_id, 2, Instruction.PING))
-            if data == _protocol_1(body) and self._listens(servo, now_s):
+            if data == _protocol_1(body) and self._listens(servo, now_s, old=True):
                 self._reply(servo, _protocol_1(body[:2] + b"\x00"), now_s)
 
-    def _listens(self, servo: SimulatedServo, now_s: float) -> bool:
+    def _listens(self, servo: SimulatedServo, now_s: float, *, old: bool = False) -> bool:
+        """Return whether a servo takes a packet of Protocol 2.0, or of the old 1.0."""
         silent = self.faults.silent
         return (
-            servo.baudrate == self.baudrate
+            (servo.core.table.data[PROTOCOL_TYPE.address] == 1) is old
+            and servo.baudrate == self.baudrate
             and now_s >= servo.core.silent_until_s
             and not (silent and servo.made_as in silent)
         )

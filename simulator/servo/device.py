@@ -22,7 +22,6 @@ from gripper.dynamixel.control_table import (
     POSITION_D_GAIN,
     POSITION_I_GAIN,
     POSITION_P_GAIN,
-    PROTOCOL_TYPE,
     RETURN_DELAY_TIME,
     RETURN_DELAY_UNIT_S,
     SERVO_ID,
@@ -60,8 +59,6 @@ _GAINS_IN_USE = frozenset(
 )
 _ANSWERS_READS, _ANSWERS_ALL = 1, 2
 """Contents of Status Return Level (68)."""
-_PROTOCOL_1 = 1
-"""Content of Protocol Type (13)."""
 _READS = frozenset({Instruction.READ, Instruction.SYNC_READ, Instruction.BULK_READ})
 
 
@@ -111,11 +108,6 @@ class SimulatedServo:
     def return_delay_s(self) -> float:
         """Pause in s between an instruction and the answer, after Return Delay Time (9)."""
         return self.core.table.data[RETURN_DELAY_TIME.address] * RETURN_DELAY_UNIT_S
-
-    @property
-    def speaks_protocol_1(self) -> bool:
-        """Whether Protocol Type (13) is 1: the servo does not understand Protocol 2.0."""
-        return self.core.table.data[PROTOCOL_TYPE.address] == _PROTOCOL_1
 
     def answers(self, instruction: int) -> bool:
         """Return whether Status Return Level (68) lets the servo answer this instruction."""

@@ -243,7 +243,7 @@ class PhysicalWorld:
 
     def advance_to(self, now_s: float) -> None:
         """Step the fingers and the object until ``now_s`` s; a rest below a step waits."""
-        fingers, contact = self._fingers, self._contact
+        fingers, contact = self._fingers, self._press or self._empty
         while self._time_s + STEP_S <= now_s + ROUNDING_S:
             self._time_s += STEP_S
             fingers.step(STEP_S, self._force_n, self._stiffness_n_m)
@@ -263,9 +263,9 @@ class PhysicalWorld:
         if self._fingertip_n is not None:
             force_n += self._fingertip_n
         if max(self._force_n) > 0.0:
-            position_m = self._fingers.finger_position_m
+            position_m, contact = self._fingers.finger_position_m, self._press or self._empty
             for side, taxels in enumerate(self._grip_slices):
-                force_n[taxels] += self._contact.taxel_force_n(side, position_m)
+                force_n[taxels] += contact.taxel_force_n(side, position_m)
         return force_n
 
     def felt_force_n(self) -> NDArray[np.float64]:
@@ -291,11 +291,6 @@ class PhysicalWorld:
     @property
     def _pressed(self) -> bool:
         return max(self._force_n) > 0.0 or self._fingertip_n is not None
-
-    @property
-    def _contact(self) -> Press | PadsMeet:
-        """Contact of the pads: with the object, or with each other."""
-        return self._empty if self._press is None else self._press
 
     def _converted(
         self, force_n: NDArray[np.float64] | None, n: int, rng: np.random.Generator

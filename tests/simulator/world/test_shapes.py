@@ -233,7 +233,7 @@ def test_meshes_that_are_no_solid_are_refused(stl) -> None:
         load_mesh(stl(trimesh.Trimesh(BOX.vertices, BOX.faces[:-2])))
     path = stl(BOX)
     path.write_bytes(path.read_bytes()[:-7])
-    with pytest.raises(SimulatorSettingsError, match="no closed surface|cannot be read"):
+    with pytest.raises(SimulatorSettingsError, match=r"no closed surface|cannot be read"):
         load_mesh(path)
 
 
