@@ -243,7 +243,8 @@ def test_a_client_opens_with_the_commands_of_python_can() -> None:
 
 def test_messages_come_as_lines_when_they_are_through() -> None:
     line = Line(b"O")
-    line.device.send(1.0, 0x185, [bytes(range(8)), b""])
+    line.device.send(1.0, 0x185, [bytes(range(8))])
+    line.device.send(1.0, 0x185, [b""])
     assert line.say(b"", 1.0) == b""
     assert line.adapter.next_event_s() == pytest.approx(1.000115, abs=1e-5)
     assert line.say(b"", 1.00014) == b"t18580001020304050607\r"
