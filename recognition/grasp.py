@@ -200,6 +200,15 @@ class PadArray(ArrayRecord):
             and np.allclose(self.taxel_xy_m, other.taxel_xy_m, atol=_SAME_PLACE_M)
         )
 
+    def check(self, pads: "PadArray") -> None:
+        """Raise ValueError for other pads than these, the taught ones."""
+        if pads is not self and not self.same_as(pads):
+            raise ValueError(
+                f"the grasp was taken on pads {pads.pad_shape.tolist()} with full scale "
+                f"{pads.adc_max}, taught were {self.pad_shape.tolist()} with {self.adc_max}: "
+                "teach on these pads"
+            )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Grasp:

@@ -11,7 +11,7 @@ from benchmarks.paper.reproduction import LABELS, NOISE_SHARES, SEED, TOUCH_N
 from recognition.errors import QuadricError
 from recognition.grasp import Grasp
 from recognition.quadric.eigen import Reading, smallest_eigenvalue
-from recognition.quadric.level import grip_surfaces
+from recognition.quadric.level import MeanFrames
 from recognition.quadric.proofs import (
     SOLVERS,
     column_sums,
@@ -199,7 +199,7 @@ def bands_and_windows(n: int) -> None:
     quiet = LevelCheckTrainer().fit(drawn(0, 0.0, n))
     for index, label in enumerate(quiet.labels):
         still = record(press(label, ObjectPose(), TOUCH_N), np.random.default_rng(SEED), 0.0)
-        swept = sweep(np.array(grip_surfaces(still, quiet.force_n)[:1])).spread[0]
+        swept = sweep(np.array(MeanFrames.of(still, quiet.force_n).surfaces()[:1])).spread[0]
         text = f"taught {quiet.low[index]:.5f} to {quiet.high[index]:.5f}, by the sweep"
         line(f"bands, {label}", f"{text} {swept[0]:.5f} to {swept[1]:.5f}")
     for noise_share in NOISE_SHARES[1:]:

@@ -33,7 +33,7 @@ from cell.report.confusion import TABLE_1_LABELS as LABELS
 from recognition.evaluation.metrics import confusion_matrix, wilson_interval
 from recognition.grasp import Grasp
 from recognition.quadric.eigen import Reading, eigenvalues
-from recognition.quadric.level import grip_surfaces, level_or_none
+from recognition.quadric.level import MeanFrames, level_of
 from recognition.quadric.thresholds import LevelBands, find_thresholds
 from recognition.quadric.trajectory import PAPER_SWEEP, sweep
 from recognition.recognizers import make_trainer
@@ -61,12 +61,8 @@ def one_frame(grasp: Grasp, force_n: float) -> Grasp:
 
 def levels_of(grasp: Grasp) -> list[float]:
     """Return the grasp's level by each of `VIEWS`; NaN where it carries no surface."""
-    found = (
-        level_or_none(one_frame(grasp, COMMON_N)),
-        level_or_none(grasp, COMMON_N),
-        level_or_none(grasp),
-    )
-    return [np.nan if level is None else level for level in found]
+    views = level_of(one_frame(grasp, COMMON_N)), level_of(grasp, COMMON_N), level_of(grasp)
+    return [np.nan if view is None else view[0] for view in views]
 
 
 def lesson(task: tuple[int, float, int]) -> Array:
@@ -171,7 +167,9 @@ def claim(where: str, paper: str, here: str, *, holds: bool, in_part: bool = Fal
 def of_levels(touches: Sequence[Touch]) -> None:
     """Print the claims about the sensor and about figure 3."""
     quiet = np.random.default_rng(SEED)
-    surfaces = np.array([grip_surfaces(record(touch, quiet, 0.0))[0] for touch in touches])
+    surfaces = np.array(
+        [MeanFrames.of(record(touch, quiet, 0.0)).surfaces()[0] for touch in touches]
+    )
     force_n, quoted = np.array(FIGURE_2).T
     kohm, sizes = 1e3 * resistance_mohm(force_n), np.sort(np.abs(eigenvalues(surfaces)), axis=1)
     claim(

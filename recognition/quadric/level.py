@@ -10,13 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
-from recognition.errors import ContactError, QuadricError
+from recognition.errors import ContactError, QuadricError, RecognitionError
 from recognition.grasp import Grasp, PadArray
-from recognition.quadric.contact import estimate_baseline, main_patch, noise_threshold
 from recognition.quadric.eigen import smallest_eigenvalue
 from recognition.quadric.quadric import fit_height_field
 from recognition.quadric.thresholds import LevelBands
+from recognition.ramp.ramp import find_ramp, own_rest
 
 _TOLERANCE = 0.1
 """Largest relative difference of frames near a force or load."""
@@ -26,6 +27,14 @@ with the number of averaged frames. Taxels at the edge of the patch then appear 
 the remaining noise and change the fitted surface."""
 _RIM = 1
 """Rings of unloaded taxels that the fit includes."""
+_LOADED_SIGMAS = 4.0
+"""Threshold of a loaded taxel in standard deviations of the mean."""
+_LEAST_HEIGHT = 0.004
+"""Least height of a loaded taxel as a share of full scale: one count of 255."""
+ROUNDING_COUNTS = 12.0**-0.5
+"""Standard deviation of rounding to whole counts: the least noise of a taxel."""
+_NEIGHBOURS = np.ones((3, 3), dtype=np.int64)
+"""Neighbours, also over a corner, are connected."""
 FULL_SCALE_COUNTS = 255.0
 """Full scale of the fitted heights: counts of the paper's 8-bit converter, for pads of any kind."""
 
@@ -35,38 +44,10 @@ _LEAST_SPREAD = 0.02
 """Least standard deviation of a level's logarithm, also for very similar taught grasps."""
 _DEFAULT_SPREAD = 0.08
 """Pooled spread with one grasp of every object: the noise of the paper's levels."""
-_LEAST_SHARE = 0.05
-"""Least load of a touched second pad, as a share of the first pad's."""
 _DRAWS = 12
 """Number of random disturbances that show the effect of noise on a level."""
 _NOISE_GRASPS = 30
 """About the number of disturbed taught grasps; more would change the result little."""
-
-
-def gripping_pads(load: ArrayLike, pads: PadArray) -> tuple[int, ...]:
-    """Return the one or two pads that hold the object, the most loaded one first.
-
-    The second is the counterpart of the first: the same place in the other half of the list of pads
-    (finger 0, then finger 1). If its shape differs, it is the most loaded other pad. Raises
-    ContactError if no pad is loaded.
-
-    Parameters
-    ----------
-    load : (n_pads,)
-        Load of each pad in counts.
-    """
-    load = np.asarray(load, dtype=np.float64)
-    first = int(np.argmax(load))
-    if not load[first] > 0:
-        raise ContactError(
-            "no pad is loaded: nothing was gripped, or the ramp ended before contact"
-        )
-    if pads.n_pads == 1:
-        return (first,)
-    second = (first + pads.n_pads // 2) % pads.n_pads
-    if pads.n_pads % 2 or not np.array_equal(pads.pad_shape[first], pads.pad_shape[second]):
-        second = int(np.argsort(-load, kind="stable")[1])
-    return (first, second) if load[second] > _LEAST_SHARE * load[first] else (first,)
 
 
 def frames_near_full(grasp: Grasp) -> NDArray[np.int64]:
@@ -91,61 +72,101 @@ def frames_near_full(grasp: Grasp) -> NDArray[np.int64]:
     return np.flatnonzero(distance <= max(_TOLERANCE, float(distance.min())))
 
 
+def main_patch(
+    height: NDArray[np.float64], pads: PadArray, pad: int, threshold: float, *, rim: int = 0
+) -> NDArray[np.int64]:
+    """Return the taxels of the most loaded patch of a pad, indices among all, ascending.
+
+    Raises ContactError if no taxel exceeds the threshold; the message names the largest height.
+
+    Parameters
+    ----------
+    height : (n_taxels,) float64
+        Baseline-corrected counts of all taxels.
+    pads, pad
+        Positions of the taxels, and number of the pad.
+    threshold
+        Taxels above it are loaded; neighbours, also over a corner, make one patch.
+    rim
+        Rings of taxels around each patch that are added with their own heights. They show the end
+        of the contact; without them small contacts have no surface.
+    """
+    taxels = pads.taxels_of(pad)
+    grid = height[taxels].reshape(pads.pad_shape[pad])
+    loaded = grid > threshold
+    label, n_patches = ndimage.label(loaded, structure=_NEIGHBOURS)
+    if not n_patches:
+        raise ContactError(
+            f"it is not touched: largest height {float(grid.max()):.3g} counts, threshold "
+            f"{threshold:.3g}; grip harder or tare again"
+        )
+    patches = []
+    for index in range(1, n_patches + 1):
+        core = label == index
+        wide = ndimage.binary_dilation(core, _NEIGHBOURS, iterations=rim) if rim else core
+        patches.append(taxels[np.flatnonzero((core | (wide & ~loaded)).ravel())])
+    return max(patches, key=lambda patch: float(height[patch].sum()))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeanFrames:
     """The mean of a grasp's frames near the force of its level."""
 
     pads: PadArray
+    touched: dict[int, float]
+    """The touched gripping pads, and the height in counts above which a taxel is loaded."""
     height: NDArray[np.float64]
-    """(n_taxels,) float64: counts above the baseline."""
-    threshold: NDArray[np.float64]
-    """(n_pads,) float64: height in counts above which a taxel is loaded."""
+    """(n_taxels,) float64: counts above rest; 0 on the pads that do not grip."""
     noise: float
-    """Standard deviation of a height in counts of 255: the median over the pads."""
+    """Standard deviation of a height in counts of 255: the mean of the gripping pads."""
 
     @classmethod
-    def of(cls, grasp: Grasp, force_n: float | None) -> "MeanFrames":
-        """Return that mean; arguments and errors as `frames_at`."""
+    def of(cls, grasp: Grasp, force_n: float | None = None) -> "MeanFrames":
+        """Return that mean, near a force in N or near the full one.
+
+        Raises ContactError if the ramp never came near the force, or is too short.
+        """
         frames = frames_at(grasp, force_n)
-        baseline, pads = estimate_baseline(grasp), grasp.pads
-        share = np.sqrt(1.0 / len(frames) + 1.0 / np.maximum(baseline.quiet_frames, 1))
-        noise = float(np.median(baseline.noise_counts * share))
-        threshold = [
-            noise_threshold(float(one), len(frames), pads.adc_max) for one in baseline.noise_counts
-        ]
+        rest = own_rest(grasp)
+        ramp, adc_max = find_ramp(grasp, rest), grasp.pads.adc_max
+        noise = np.maximum(ramp.noise_counts, ROUNDING_COUNTS)
+        noise *= np.sqrt(1.0 / len(frames) + 1.0 / ramp.n_quiet)
+        loaded = np.maximum(_LOADED_SIGMAS * noise, _LEAST_HEIGHT * adc_max).tolist()
+        height, touched = np.zeros(grasp.pads.n_taxels), dict[int, float]()
+        for number, pad in enumerate(rest.gripping):
+            height[grasp.pads.taxels_of(pad)] = ramp.rise[number][frames].mean(axis=0)
+            if ramp.touch[number] < grasp.n_frames:
+                touched[pad] = loaded[number]
         return cls(
-            pads=pads,
-            height=grasp.counts[frames].mean(axis=0) - baseline.counts,
-            threshold=np.array(threshold),
-            noise=noise * FULL_SCALE_COUNTS / pads.adc_max,
+            pads=grasp.pads,
+            touched=touched,
+            height=height,
+            noise=float(noise.mean()) * FULL_SCALE_COUNTS / adc_max,
         )
 
     def surfaces(self, disturbance: ArrayLike = 0.0) -> list[NDArray[np.float64]]:
         """Return the surface of each gripping pad that has one, with disturbed heights.
 
-        Raises ContactError or QuadricError as `grip_level`.
+        Raises QuadricError if there is none.
         """
         pads, height = self.pads, self.height + np.asarray(disturbance)
-        over = np.where(height > self.threshold[pads.taxel_pad], height, 0.0)
-        load = np.bincount(pads.taxel_pad, weights=over, minlength=pads.n_pads)
         to_8_bit = FULL_SCALE_COUNTS / pads.adc_max
-        found, refused = [], []
-        for pad in gripping_pads(load, pads):
+        surfaces, refused = [], []
+        for pad, loaded in self.touched.items():
             least = _PEAK_SHARE * float(height[pads.taxels_of(pad)].max())
-            threshold = max(float(self.threshold[pad]), least)
-            patch = main_patch(height, pads, pad, threshold, rim=_RIM)
             try:
+                patch = main_patch(height, pads, pad, max(loaded, least), rim=_RIM)
                 surface = fit_height_field(pads.taxel_xy_m[patch], to_8_bit * height[patch])
-            except QuadricError as error:
+                if smallest_eigenvalue(surface).degenerate:
+                    raise QuadricError("the matrix is singular to rounding")
+            except RecognitionError as error:
                 refused.append(f"pad {pad}: {error}")
-                continue
-            if smallest_eigenvalue(surface).degenerate:
-                refused.append(f"pad {pad}: the matrix is singular to rounding")
             else:
-                found.append(surface)
-        if not found:
-            raise QuadricError("no pad carries a surface: " + "; ".join(refused))
-        return found
+                surfaces.append(surface)
+        if not surfaces:
+            reasons = "; ".join(refused) or "none is touched"
+            raise QuadricError(f"no pad carries a surface: {reasons}")
+        return surfaces
 
     def level(self, disturbance: ArrayLike = 0.0) -> float:
         """Return the smallest magnitude, the geometric mean of the pads; raises as `surfaces`."""
@@ -155,24 +176,18 @@ class MeanFrames:
         return float(np.exp(np.mean(np.log(smallest))))
 
 
-def grip_surfaces(grasp: Grasp, force_n: float | None = None) -> tuple[NDArray[np.float64], ...]:
-    """Return the surface of each gripping pad that has one, the most loaded pad first.
+def level_of(grasp: Grasp, force_n: float | None = None) -> tuple[float, MeanFrames] | None:
+    """Return the level of a grasp, and the mean that gives it; None if it has no surface.
 
-    Surfaces are property matrices (4, 4), see `recognition.quadric.quadric`. Raises ContactError or
-    QuadricError as `grip_level`.
+    Frames near a force in N, or near the full one, are averaged: the noise filter before the
+    surface. The loaded patch of each gripping pad is fitted in the form (7), and the smallest
+    eigenvalues of the pads are averaged geometrically.
     """
-    return tuple(MeanFrames.of(grasp, force_n).surfaces())
-
-
-def grip_level(grasp: Grasp, force_n: float | None = None) -> float:
-    """Return the smallest eigenvalue of one grasp, at a force in N or near its full one.
-
-    Frames near the force are averaged (the noise filter before the surface). The loaded patch of
-    each gripping pad is fitted in the form (7), and the eigenvalues of the pads are averaged,
-    magnitudes geometrically. Raises ContactError if no pad is touched, or the ramp never came near
-    ``force_n``. Raises QuadricError if no gripping pad has a surface.
-    """
-    return MeanFrames.of(grasp, force_n).level()
+    try:
+        mean = MeanFrames.of(grasp, force_n)
+        return mean.level(), mean
+    except RecognitionError:
+        return None
 
 
 def frames_at(grasp: Grasp, force_n: float | None) -> NDArray[np.int64]:
@@ -205,36 +220,31 @@ def common_force_n(grasps: Sequence[Grasp]) -> float | None:
     return least if np.isfinite(least) and least > 0.0 else None
 
 
-def level_noise_per_count(mean: MeanFrames, rng: np.random.Generator) -> float:
+def noise_per_count(mean: MeanFrames, rng: np.random.Generator) -> float:
     """Return the relative change of the level by noise, for each count of `MeanFrames.noise`.
 
     The mean is disturbed a dozen times by its own amount of noise. Patch and surface are then
-    computed again. Raises ContactError or QuadricError without a surface.
+    computed again. NaN if they are lost.
     """
-    counts = mean.noise * mean.pads.adc_max / FULL_SCALE_COUNTS
-    draws = rng.normal(0.0, counts, (_DRAWS, mean.pads.n_taxels))
-    levels = [mean.level(draw) for draw in draws]
+    pads = mean.pads
+    counts = mean.noise * pads.adc_max / FULL_SCALE_COUNTS
+    try:
+        levels = [mean.level(draw) for draw in rng.normal(0.0, counts, (_DRAWS, pads.n_taxels))]
+    except RecognitionError:
+        return float("nan")
     return float(np.std(levels) / abs(np.mean(levels))) / mean.noise
 
 
-def usual_noise(grasps: Sequence[Grasp], force_n: float | None) -> tuple[float, float]:
-    """Return the median of `MeanFrames.noise` and the root mean square of `level_noise_per_count`.
+def usual_noise(means: Sequence[MeanFrames]) -> tuple[float, float]:
+    """Return the median of `MeanFrames.noise` and the root mean square of `noise_per_count`.
 
-    About `_NOISE_GRASPS` of the grasps, evenly selected, are used. Those without a surface are left
-    out; both values are 0 if no grasp has one.
+    About `_NOISE_GRASPS` of the means, evenly selected, are used.
     """
-    found, rng = [], np.random.default_rng(0)
-    for grasp in grasps[:: -(-len(grasps) // _NOISE_GRASPS)]:
-        try:
-            mean = MeanFrames.of(grasp, force_n)
-            found.append((mean.noise, level_noise_per_count(mean, rng)))
-        except (ContactError, QuadricError):
-            continue  # without a surface there is no level
-    if not found:
-        return 0.0, 0.0
-    counts, per_count = np.array(found).T
+    some, rng = means[:: -(-len(means) // _NOISE_GRASPS)], np.random.default_rng(0)
+    squares = np.square([noise_per_count(mean, rng) for mean in some])
     # A changed patch is rare, but changes the level most: a median would ignore it.
-    return float(np.median(counts)), float(np.sqrt(np.mean(per_count**2)))
+    per_count = np.sqrt(np.mean(squares[np.isfinite(squares)])) if np.isfinite(squares).any() else 0
+    return float(np.median([mean.noise for mean in some])), float(per_count)
 
 
 def log_statistics(
@@ -252,15 +262,6 @@ def log_statistics(
     variance = variance * (1.0 + 1.0 / np.maximum(counts, 1))
     spread = np.sqrt(np.maximum(variance, _LEAST_SPREAD**2))
     return mean, np.where(counts > 0, spread, np.nan)
-
-
-def level_or_none(grasp: Grasp, force_n: float | None = None) -> float | None:
-    """Return the level of a grasp, None if it has no surface."""
-    try:
-        value = grip_level(grasp, force_n)
-    except (ContactError, QuadricError):
-        return None  # the caller answers unknown, or leaves the grasp out of the teaching
-    return value if value != 0.0 else None
 
 
 def level_novelty(levels: LevelBands, value: float) -> float:

@@ -1,12 +1,13 @@
 """Ramp of a grasp: load above rest on the gripping pads, the first touch, and the release."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from recognition.errors import ContactError
 from recognition.grasp import Grasp, PadArray
 from recognition.records import ArrayRecord
 
@@ -68,15 +69,6 @@ class Rest(ArrayRecord):
         if not largest <= self.pads.adc_max:
             raise ValueError(f"untouched pads read {largest:g}, above {self.pads.adc_max}")
 
-    def check(self, pads: PadArray) -> None:
-        """Raise ValueError for pads other than the taught ones."""
-        if pads is not self.pads and not self.pads.same_as(pads):
-            raise ValueError(
-                f"the grasp was taken on pads {pads.pad_shape.tolist()} with full scale "
-                f"{pads.adc_max}, taught were {self.pads.pad_shape.tolist()} with "
-                f"{self.pads.adc_max}: teach on these pads"
-            )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ramp:
@@ -91,6 +83,9 @@ class Ramp:
     """(n_frames, n_gripping) float64: sum of the rise of each pad in counts."""
     touch: NDArray[np.int64]
     """(n_gripping,) int64: first frame of the lasting touch of each pad; n_frames without a touch.
+    """
+    n_quiet: int
+    """int: frames before any touch and any commanded force; at least those that count as untouched.
     """
     smoothing: int
     """int: number of frames that a running mean may span without blurring the ramp."""
@@ -131,7 +126,7 @@ def learn_rest(grasps: Sequence[Grasp], *, most_pads: int | None = None) -> Rest
             raise ValueError("the grasps were taken on different pads: teach pads one by one")
     usual = int(np.median([grasp.n_frames for grasp in grasps]))
     if usual < _LEAST_FRAMES:
-        raise ValueError(
+        raise ContactError(
             f"the grasps have {usual} frames in the median, at least {_LEAST_FRAMES} are needed: "
             "record whole ramps, from rest to load"
         )
@@ -151,14 +146,25 @@ def learn_rest(grasps: Sequence[Grasp], *, most_pads: int | None = None) -> Rest
     return Rest(pads=pads, gripping=tuple(gripping), counts=rest, noise_counts=noise[gripping])
 
 
+def own_rest(grasp: Grasp) -> Rest:
+    """Return the rest of the two gripping pads by one grasp alone: the mean before the touch.
+
+    Raises ContactError for a grasp that is too short.
+    """
+    rest = learn_rest([grasp], most_pads=2)
+    n_quiet = find_ramp(grasp, rest).n_quiet
+    return replace(rest, counts=grasp.counts[:n_quiet].mean(axis=0))
+
+
 def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
     """Return the ramp of a grasp: its rise above rest and the lasting touch of each gripping pad.
 
     The rest is taken from the grasp's own first frames, so it follows a drift. If the pads are
     already loaded there, the taught rest is used. Raises ValueError for other pads.
     """
-    rest.check(grasp.pads)
+    rest.pads.check(grasp.pads)
     n = grasp.n_frames
+    forced = np.flatnonzero(grasp.force_n > 0.0).tolist()
     smoothing = int(np.clip(round(_SMOOTHING_FRACTION * n), 1, _MAX_SMOOTHING_FRAMES))
     rises: list[NDArray[np.float64]] = []
     loads: list[NDArray[np.float64]] = []
@@ -167,7 +173,7 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
         taxels = grasp.pads.taxels_of(pad)
         counts = _without_spikes(grasp.counts[:, taxels].astype(np.float64), rest.pads.adc_max)
         stuck = _stuck_taxels(counts, rest.counts[taxels], float(noise), rest.pads.adc_max)
-        own = _own_rest(counts, rest.counts[taxels], float(noise), stuck)
+        own = _rest_now(counts, rest.counts[taxels], float(noise), stuck)
         rise = _with_stuck_replaced(counts - own, stuck, rest.pads.pad_shape[pad])
         load = rise.sum(axis=1)
         smooth = uniform_filter1d(load, smoothing, mode="nearest")
@@ -187,6 +193,9 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
         noise_counts=rest.noise_counts,
         load=np.stack(loads, axis=1),
         touch=np.array(touch, dtype=np.int64),
+        n_quiet=max(
+            QUIET_FRAMES, min(min(touch) - smoothing, int(forced[0]) if len(forced) else n)
+        ),
         smoothing=smoothing,
     )
 
@@ -220,7 +229,7 @@ def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
     return cut, find_ramp(cut, rest)
 
 
-def _own_rest(
+def _rest_now(
     counts: NDArray[np.float64],
     taught: NDArray[np.float64],
     noise: float,

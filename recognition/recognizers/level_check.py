@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.errors import TrajectoryError
-from recognition.grasp import Grasp, PadArray, keep_array
+from recognition.grasp import Grasp, PadArray, by_label, keep_array
 from recognition.quadric.level import (
-    MeanFrames,
     common_force_n,
     level_novelty,
-    level_or_none,
+    level_of,
     log_statistics,
     usual_noise,
 )
 from recognition.quadric.thresholds import LevelBands, check_level, find_thresholds, with_noise
+from recognition.ramp.ramp import learn_rest
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.records import TaughtRecord
 
@@ -82,35 +82,27 @@ class LevelCheckRecognizer(TaughtRecord):
         bands = list(np.stack([self.low, self.high], axis=1))
         return find_thresholds(bands, margin=self.margin)
 
-    def level(self, grasp: Grasp) -> float | None:
-        """Return the smallest eigenvalue of a grasp, None if it has no surface.
+    def measure(self, grasp: Grasp) -> tuple[float, float] | None:
+        """Return the level of a grasp and its additional noise; None if it has no surface.
 
+        The noise is that over the taught grasps, as a share of the level, a standard deviation.
         Raises ValueError for pads other than the taught ones.
         """
-        if not self.pads.same_as(grasp.pads):
-            raise ValueError(
-                f"the grasp comes from {grasp.pads.n_pads} pads with {grasp.pads.n_taxels} taxels "
-                f"up to {grasp.pads.adc_max}; taught were {self.pads.n_pads} with "
-                f"{self.pads.n_taxels} up to {self.pads.adc_max}, or other positions; teach again"
-            )
-        return level_or_none(grasp, self.force_n)
-
-    def more_noise(self, grasp: Grasp) -> float:
-        """Return the additional noise of a grasp over the taught ones, as a share of its level.
-
-        It is a standard deviation, 0 without additional noise. Raises ContactError if the ramp
-        never came near the force of the levels.
-        """
-        counts = MeanFrames.of(grasp, self.force_n).noise
-        return self.noise_per_count * float(np.sqrt(max(counts**2 - self.noise_counts**2, 0.0)))
+        self.pads.check(grasp.pads)
+        measured = level_of(grasp, self.force_n)
+        if measured is None:
+            return None
+        value, mean = measured
+        more_counts = np.sqrt(max(mean.noise**2 - self.noise_counts**2, 0.0))
+        return value, self.noise_per_count * float(more_counts)
 
     def check(self, grasp: Grasp) -> str:
         """Return the object by the paper's rule under its noise; ``UNKNOWN`` in closed windows."""
-        value = self.level(grasp)
-        adjusted = None if value is None else self._adjusted(self.more_noise(grasp))
-        if value is None or adjusted is None:
+        measured = self.measure(grasp)
+        adjusted = None if measured is None else self._adjusted(measured[1])
+        if measured is None or adjusted is None:
             return UNKNOWN
-        index = check_level(adjusted, value)
+        index = check_level(adjusted, measured[0])
         return UNKNOWN if index is None else self.labels[index]
 
     def posterior(self, grasp: Grasp) -> Posterior:
@@ -120,11 +112,11 @@ class LevelCheckRecognizer(TaughtRecord):
         without a surface, or with too much noise, gives a uniform posterior and unknown 1. In a
         closed window the probability is shared. Additional noise widens spreads and bands.
         """
-        value = self.level(grasp)
-        more = 0.0 if value is None else self.more_noise(grasp)
-        adjusted = self._adjusted(more)
-        if value is None or adjusted is None:
+        measured = self.measure(grasp)
+        adjusted = None if measured is None else self._adjusted(measured[1])
+        if measured is None or adjusted is None:
             return Posterior.uninformed(self.labels)
+        value, more = measured
         spread = np.hypot(self.spread, more)
         z = (np.log(abs(value)) - self.mean) / spread
         log_density = np.where(np.isnan(z), -np.inf, -0.5 * z**2 - np.log(spread))
@@ -175,26 +167,19 @@ class LevelCheckTrainer:
         without grasps, for a grasp without a label, grasps from different pads, or if no grasp has
         a surface.
         """
-        if not grasps:
-            raise ValueError(f"{NAME}: no grasps to learn from")
-        if not all(grasp.label for grasp in grasps):
-            raise ValueError(f"{NAME}: a grasp has no label")
-        pads = grasps[0].pads
-        if not all(pads.same_as(grasp.pads) for grasp in grasps):
-            raise ValueError(f"{NAME}: the grasps were taken on different pads")
-        labels = tuple(sorted({grasp.label for grasp in grasps}))
+        members = by_label(grasps)
+        pads = learn_rest(grasps).pads
         force_n = common_force_n(grasps) if self.force_n is None else self.force_n
-        taught: dict[str, list[float]] = {label: [] for label in labels}
-        for grasp in grasps:
-            value = level_or_none(grasp, force_n)
-            if value is not None:
-                taught[grasp.label].append(value)
-        values = [np.array(taught[label]) for label in labels]
+        measured = [
+            [m for grasp in group if (m := level_of(grasp, force_n)) is not None]
+            for group in members.values()
+        ]
+        values = [np.array([value for value, _ in group]) for group in measured]
         levels = find_thresholds(values, margin=self.margin)
         mean, spread = log_statistics(values)
-        noise_counts, noise_per_count = usual_noise(grasps, force_n)
+        noise_counts, noise_per_count = usual_noise([m for group in measured for _, m in group])
         return LevelCheckRecognizer(
-            labels=labels,
+            labels=tuple(members),
             pads=pads,
             force_n=force_n,
             mean=mean,

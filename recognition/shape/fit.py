@@ -12,9 +12,11 @@ Their priors are divided out, so that several grasps can be multiplied and each 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from recognition.shape.foam import FoamModel
 from recognition.shape.models import ShapeModel
@@ -23,16 +25,10 @@ from recognition.shape.residuals import FOAM, PadUncertainty, ShapeProblem
 
 Array = NDArray[np.float64]
 
-_STEPS, _TRIALS = 18, 6
-"""Most steps of Levenberg-Marquardt, and most dampings in one step."""
-_ENOUGH = 0.05
-"""Largest decrease of the cost, a sum of squares over variances, of a converged fit."""
-_LONGEST = 1.0
-"""Longest step of one parameter, in its unit (logarithms, mm, rad)."""
-_DAMPING, _LEAST_DAMPING = 1e-2, 1e-6
-"""Damping at the start and its least value, as a share of the diagonal of the normal matrix."""
-_LESS, _MORE = 0.2, 8.0
-"""Factors on the damping after a step that lowers the cost, and after one that does not."""
+_STEPS = 40
+"""Most evaluations of a fit."""
+_ENOUGH = 1e-3
+"""Largest relative decrease of the cost, a sum of squares over variances, of a converged fit."""
 
 
 def misfit_of(
@@ -178,32 +174,19 @@ def fit_shape(
 
 def _minimised(problem: ShapeProblem, theta: Array) -> tuple[Array, Array, Array]:
     """Return the likeliest parameters from a start, and residuals and Jacobian there."""
-
-    def cost_of(theta: Array, residuals: Array) -> float:
-        away = (theta - problem.mean) / problem.sd
-        return float(residuals @ residuals + away @ away)
-
-    precision, damping = problem.sd**-2, _DAMPING
-    residuals, jacobian = problem.around(theta)
-    cost = cost_of(theta, residuals)
-    for _ in range(_STEPS):
-        normal = jacobian.T @ jacobian + np.diag(precision)
-        gradient = jacobian.T @ residuals + precision * (theta - problem.mean)
-        gain = 0.0
-        for _ in range(_TRIALS):
-            step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
-            trial = theta + np.clip(step, -_LONGEST, _LONGEST)
-            there = problem.around(trial)
-            new = cost_of(trial, there[0])
-            if new < cost:
-                gain, theta, cost = cost - new, trial, new
-                residuals, jacobian = there
-                damping = max(_LESS * damping, _LEAST_DAMPING)
-                break
-            damping *= _MORE
-        if gain < _ENOUGH:
-            break
-    return theta, residuals, jacobian
+    around = lru_cache(maxsize=2)(lambda at: problem.around(np.frombuffer(at)))
+    prior = np.diag(1.0 / problem.sd)
+    best = least_squares(
+        lambda x: np.append(around(x.tobytes())[0], (x - problem.mean) / problem.sd),
+        theta,
+        jac=lambda x: np.concatenate([around(x.tobytes())[1], prior]),
+        x_scale=problem.sd,
+        ftol=_ENOUGH,
+        xtol=None,
+        gtol=None,
+        max_nfev=_STEPS,
+    ).x
+    return best, *around(best.tobytes())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from recognition.errors import ContactError
 from recognition.grasp import Grasp, PadArray
 from recognition.ramp.levels import LOAD_FRACTIONS, load_levels
-from recognition.ramp.ramp import Ramp, Rest, find_ramp, learn_rest
+from recognition.ramp.ramp import Rest, find_ramp, own_rest
 from recognition.shape.foam import FoamModel, PadBed
 
 LEVELS = (0.3, 0.7, 1.0)
@@ -42,8 +42,6 @@ _PRESSED_SD = 3.0
 """Least reading of a pressed taxel in standard deviations."""
 _SAME_PLACE_M = 1e-4
 """Largest difference in m between positions of facing taxels."""
-_MIN_QUIET = 4
-"""Fewest frames before the touch that correct the rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -101,7 +99,7 @@ def reduce_to_pads(grasp: Grasp, foam: FoamModel) -> PressedPads:
     foam
         For the spread of the pressure.
     """
-    rest = learn_rest([grasp], most_pads=2)
+    rest = own_rest(grasp)
     pads = grasp.pads
     first = _facing_pads(pads, rest)
     levels = load_levels([grasp], rest)
@@ -109,8 +107,8 @@ def reduce_to_pads(grasp: Grasp, foam: FoamModel) -> PressedPads:
         raise ContactError("not both pads were touched; grip harder or tare again")
     chosen = [LOAD_FRACTIONS.index(level) for level in LEVELS]
     maps = np.stack([m[0, chosen] for m in levels.maps])
-    rest_share, rest_sd = _remaining_rest(find_ramp(grasp, rest), pads.adc_max)
-    maps -= rest_share[:, None]
+    ramp = find_ramp(grasp, rest)
+    rest_sd = ramp.noise_counts / (pads.adc_max * np.sqrt(ramp.n_quiet))
     noise = np.hypot(levels.noise[0, chosen], rest_sd)
     totals = maps.sum(axis=2)
     # Both pads carry the same force, so a difference is that of their gains.
@@ -186,18 +184,6 @@ def _whitener(share: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray
     variance = alone + (_LEVEL_SHARE * by_taxel) ** 2
     covariance += variance[:, :, None] * np.eye(len(share))
     return np.linalg.inv(np.linalg.cholesky(covariance))
-
-
-def _remaining_rest(ramp: Ramp, adc_max: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the remaining rest in frames before the touch, and its noise (2,).
-
-    Both are shares of the full scale; the first has the shape (2, n_taxels).
-    """
-    end = int(ramp.touch.min()) - ramp.smoothing
-    if end < _MIN_QUIET:
-        return np.zeros((2, ramp.rise[0].shape[1])), ramp.noise_counts / adc_max
-    left = np.stack([rise[:end].mean(axis=0) for rise in ramp.rise])
-    return left / adc_max, ramp.noise_counts / (adc_max * np.sqrt(end))
 
 
 def _mirrored(maps: NDArray[np.float64], shape: NDArray[np.int64]) -> bool:

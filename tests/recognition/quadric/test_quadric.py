@@ -7,54 +7,14 @@ from hypothesis.extra.numpy import arrays
 
 from recognition.errors import ContactError, QuadricError, TrajectoryError, TransformError
 from recognition.quadric import quadric
-from recognition.quadric.contact import estimate_baseline, main_patch, robust_noise
 from recognition.quadric.eigen import Reading, smallest_eigenvalue
+from recognition.quadric.level import main_patch
 from recognition.quadric.quadric import fit_height_field, height_field_matrix
 from recognition.quadric.thresholds import check_level, find_thresholds, with_noise
 from recognition.quadric.trajectory import PAPER_SWEEP, SweepSettings, sweep
-from tests.recognition.conftest import grasp_of, make_pads
-
-
-def _ramp(pads, rng, *, n_quiet, n_frames=30, offset=0.0, noise=3.0):
-    """A bump on pad 0 that grows after n_quiet frames; pad 1 stays untouched."""
-    bump = np.zeros(pads.n_taxels)
-    bump[: 16 * 4] = 150.0 * np.exp(-np.sum((pads.taxel_xy_m[:64] / 0.006) ** 2, axis=1))
-    load = np.clip((np.arange(n_frames) - n_quiet + 1) / (n_frames - n_quiet), 0, 1)
-    counts = offset + load[:, None] * bump + rng.normal(scale=noise, size=(n_frames, pads.n_taxels))
-    return grasp_of(pads, counts)
-
+from tests.recognition.conftest import make_pads
 
 PADS = make_pads(shapes=((16, 4), (16, 4)), adc_max=255, pitch_m=4e-3)
-
-
-def test_baseline_is_the_mean_of_each_taxel_before_contact():
-    rng = np.random.default_rng(0)
-    offset = rng.uniform(20, 60, PADS.n_taxels)
-    found = estimate_baseline(_ramp(PADS, rng, n_quiet=12, offset=offset))
-    assert 9 <= found.quiet_frames[0] <= 13
-    assert found.quiet_frames[1] == 30
-    # twelve frames of noise 3 leave a standard deviation of 0.9
-    assert np.abs(found.counts - offset).max() < 4.0
-    assert np.abs(found.counts - offset).mean() < 1.0
-    assert found.noise_counts == pytest.approx([3.0, 3.0], rel=0.15)
-
-
-def test_baseline_of_a_grasp_that_begins_in_contact_is_the_pads_median():
-    rng = np.random.default_rng(1)
-    grasp = _ramp(PADS, rng, n_quiet=0, n_frames=12, offset=30.0)
-    found = estimate_baseline(grasp)
-    assert found.quiet_frames.tolist() == [0, 12]
-    assert np.ptp(found.counts[:64]) == 0.0
-    assert found.counts[0] == pytest.approx(30.0, abs=2.0)
-
-
-def test_robust_noise_ignores_outliers_and_never_falls_below_rounding():
-    rng = np.random.default_rng(3)
-    values = rng.normal(scale=5.0, size=5000)
-    values[:200] = 1e4
-    assert robust_noise(values) == pytest.approx(5.0, rel=0.1)
-    assert robust_noise(np.zeros(100)) == pytest.approx(1 / np.sqrt(12), rel=0.01)
-    assert robust_noise([]) == robust_noise(np.zeros(3))
 
 
 def heights(*loaded):
@@ -82,7 +42,7 @@ def test_the_rim_takes_unloaded_neighbours_along_and_leaves_other_patches():
 
 
 def test_an_untouched_pad_is_refused_with_its_largest_height():
-    message = "pad 0 is not touched: largest height 1 counts, threshold 2"
+    message = "it is not touched: largest height 1 counts, threshold 2"
     with pytest.raises(ContactError, match=message):
         main_patch(heights((0, 3, 3, 1.0), (1, 3, 3, 9.0)), PADS, 0, 2.0)
 
