@@ -4,11 +4,11 @@ A person moves the fingers without torque while the screen shows the angles; kno
 the pads convert angles to lengths. Then a motor moves, at the least current that moves it.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import degrees
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -86,21 +86,9 @@ _FIRST_FORCE_N = 0.1
 """Force in N, beyond friction, with which the fingers hold still before the first motion."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BlockMeasurement:
-    """Fingers on a block of known size."""
-
-    angles_rad: tuple[float, ...]
-    """Angle of each servo from the closed fingers, growing while they open."""
-    aperture_m: float
-    """Size of the block in m."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkageFit:
+class LinkageFit(NamedTuple):
     """A linkage fitted to closed fingers and blocks."""
 
-    kind: Kind
     linkage: Linkage
     closed_rad: float
     """Angle of the linkage at which the pads meet."""
@@ -127,19 +115,29 @@ def moved_alone(before: ArrayLike, after: ArrayLike) -> int | None:
     return index if ways[index] >= _MOVED_PULSES and still.all() else None
 
 
-def fit_linkages(measured: Sequence[BlockMeasurement]) -> tuple[LinkageFit, ...]:
-    """Return the linkages that fit closed fingers and blocks, the most probable first.
+def fit_linkages(
+    angles_rad: ArrayLike, aperture_m: ArrayLike
+) -> tuple[dict[Kind, LinkageFit], Kind | None]:
+    """Return the linkage of each kind that fits closed fingers and blocks, and the best kind.
 
-    Closed fingers (opening 0 at angle 0) are a separate measurement. A swinging finger follows the
-    law of a parallelogram at the middle of its pad, with oblique links when closed. It has one more
-    unknown: it needs two blocks, and is preferred only if the simpler ones fail. Raises ValueError
-    if there is no block, or if an angle does not grow with the opening.
+    No kind is the best if a rival is as good within the measuring error. Closed fingers (opening 0
+    at angle 0) are a separate measurement. A swinging finger follows the law of a parallelogram at
+    the middle of its pad, with oblique links when closed. It has one more unknown: it needs two
+    blocks, and is preferred only if the simpler ones fail. Raises ValueError if there is no block,
+    or if an angle does not grow with the opening.
+
+    Parameters
+    ----------
+    angles_rad
+        (n_blocks, n_servos): angle of each servo on a block from the closed fingers, growing while
+        they open.
+    aperture_m
+        (n_blocks,): sizes of the blocks.
     """
-    if not measured or any(sum(one.angles_rad) <= 0.0 for one in measured):
+    angles, sizes_m = np.asarray(angles_rad), np.asarray(aperture_m)
+    if not sizes_m.size or np.any(angles.sum(axis=1) <= 0.0):
         raise ValueError("a linkage needs a block on which the fingers are open")
-    n = len(measured[0].angles_rad)
-    angles = np.array([one.angles_rad for one in measured])
-    sizes_m = np.array([one.aperture_m for one in measured])
+    n_blocks, n = angles.shape
 
     def scale_m(way: NDArray[np.float64]) -> float:
         """Return the length that converts travel of the fingers to openings, by least squares."""
@@ -148,29 +146,19 @@ def fit_linkages(measured: Sequence[BlockMeasurement]) -> tuple[LinkageFit, ...]
 
     rack = RackPinion(pinion_radius_m=scale_m(angles), n_servos=n)
     parallel = ParallelLinkage(link_m=scale_m(np.sin(angles)), n_servos=n)
-    fits = [
-        _fit("parallel", parallel, 0.0, angles, sizes_m),
-        _fit("pinion", rack, 0.0, angles, sizes_m),
-    ]
-    fits.sort(key=lambda fit: fit.residual_m)
-    if len(measured) > 1:
+    fits: dict[Kind, LinkageFit] = {
+        "parallel": LinkageFit(parallel, 0.0, residual_m(parallel, angles, sizes_m)),
+        "pinion": LinkageFit(rack, 0.0, residual_m(rack, angles, sizes_m)),
+    }
+    best, rival = sorted(fits, key=lambda kind: fits[kind].residual_m)
+    if n_blocks > 1:
         swinging = _swinging(angles, sizes_m, parallel.link_m)
-        first = fits[0].residual_m > _GOOD_FIT_M
         if abs(swinging.linkage.aperture_m([0.0] * n)) <= 2.0 * _MOST_OFFSET_M:
-            fits.insert(0 if first else len(fits), swinging)
-    elif fits[0].kind != "parallel":
-        # One block fits both.
-        fits.reverse()
-    return tuple(fits)
-
-
-def decided(fits: Sequence[LinkageFit]) -> bool:
-    """Return whether the first fit is better than the others by more than the measuring error.
-
-    A swinging finger has one more unknown and always fits: it does not compete with a simple one.
-    """
-    rivals = [fit.residual_m for fit in fits[1:] if fit.kind != "swinging"]
-    return min(rivals) - fits[0].residual_m > _GOOD_FIT_M
+            fits["swinging"] = swinging
+            if fits[best].residual_m > _GOOD_FIT_M:  # it always fits: it never beats a good one
+                best, rival = "swinging", best
+    sure = fits[rival].residual_m - fits[best].residual_m > _GOOD_FIT_M
+    return fits, best if sure else None
 
 
 def _swinging(
@@ -185,28 +173,22 @@ def _swinging(
 
     least, most = (5e-3, -1.2), (0.5, 1.2)
     start = (np.clip(start_m, least[0], most[0]), 0.0)
-    found = least_squares(residuals, start, bounds=(least, most), x_scale=(0.01, 0.1))
-    link_m, closed_rad = (float(value) for value in found.x)
+    solution = least_squares(residuals, start, bounds=(least, most), x_scale=(0.01, 0.1))
+    link_m, closed_rad = (float(value) for value in solution.x)
     linkage = ParallelLinkage(
         link_m=link_m,
         offset_m=-link_m * float(np.sin(closed_rad)),
         n_servos=angles.shape[1],
     )
-    return _fit("swinging", linkage, closed_rad, angles, sizes_m)
+    return LinkageFit(linkage, closed_rad, residual_m(linkage, angles + closed_rad, sizes_m))
 
 
-def _fit(
-    kind: Kind,
-    linkage: Linkage,
-    closed_rad: float,
-    angles: NDArray[np.float64],
-    sizes_m: NDArray[np.float64],
-) -> LinkageFit:
-    off_m = [
-        abs(linkage.aperture_m([closed_rad + float(a) for a in row]) - float(size_m))
-        for row, size_m in zip(angles, sizes_m, strict=True)
-    ]
-    return LinkageFit(kind=kind, linkage=linkage, closed_rad=closed_rad, residual_m=max(off_m))
+def residual_m(
+    linkage: Linkage, angles_rad: NDArray[np.float64], sizes_m: NDArray[np.float64]
+) -> float:
+    """Return the largest error in m of a linkage at blocks; ``angles_rad`` are its own angles."""
+    openings_m = np.array([linkage.aperture_m(row) for row in angles_rad.tolist()])
+    return float(np.abs(openings_m - sizes_m).max())
 
 
 def zero_pulse(model: ServoModel, closed_raw: int, direction: int, closed_rad: float) -> int:
@@ -254,9 +236,10 @@ class _Hands:
                 )
         with raised_as(StepFailed, ValueError):
             signs = directions(closed, opened)
-        measured = self._blocks(closed, signs)
-        fits = fit_linkages(measured)
-        fit = self._chosen(fits)
+        on_blocks, sizes_m = self._blocks(closed, signs)
+        fits, best = fit_linkages(on_blocks, sizes_m)
+        kind = self._chosen(fits, best)
+        fit = fits[kind]
         if fit.residual_m > _UNUSABLE_FIT_M:
             raise StepFailed(
                 f"the linkage ({fit.linkage}) misses a measured opening by "
@@ -278,10 +261,23 @@ class _Hands:
         ]
         angles_rad = fit.closed_rad + self._turned(opened, closed, signs)
         widest_m = fit.linkage.aperture_m(angles_rad.tolist())
-        self._judge(fit, widest_m, measured)
+        self._judge(fit, widest_m, on_blocks, sizes_m)
+        linkage = f"linkage: {_linkage_text(fit.linkage)}; residual {fit.residual_m * 1e3:.2f} mm"
+        if len(sizes_m) > (2 if kind == "swinging" else 1):
+            self._notes.fact(linkage)
+        else:
+            self._notes.warn(
+                f"{linkage} (as many blocks as unknowns: check an opening with a ruler)"
+            )
+        self._notes.fact(f"widest opening by hand: {widest_m * 1e3:.1f} mm")
+        if fit.residual_m > _BAD_FIT_M:
+            self._notes.warn(
+                f"the residual is above {_BAD_FIT_M * 1e3:g} mm: measure the blocks again, look "
+                "for play, and run `tactile-cell commission --redo fingers`"
+            )
         self._notes.values |= {
             "residual_mm": round(fit.residual_m * 1e3, 3),
-            "fits": {one.kind: round(one.residual_m * 1e3, 3) for one in fits},
+            "fits": {name: round(other.residual_m * 1e3, 3) for name, other in fits.items()},
         }
         self._first_motion(widest_m)
 
@@ -289,8 +285,8 @@ class _Hands:
 
     def _read(self) -> Pulses:
         """Return Present Position of each servo in pulses, in the order of the fingers."""
-        found = self._bus.sync_read([servo.id for servo in self._servos], PRESENT_BLOCK)
-        return np.array([found[servo.id]["present_position"] for servo in self._servos])
+        blocks = self._bus.sync_read([servo.id for servo in self._servos], PRESENT_BLOCK)
+        return np.array([blocks[servo.id]["present_position"] for servo in self._servos])
 
     def _turned(
         self, raws: Pulses, closed: ArrayLike = 0, signs: ArrayLike = 1
@@ -319,8 +315,8 @@ class _Hands:
             "by hand until their pads touch, in the middle.",
         )
         both = "Open one finger by hand as far as it goes, and leave the other. This one is finger "
-        one = "Open the fingers by hand as far as they go."
-        text = one if len(self._servos) == 1 else f"{both}0 from now on: mark it."
+        alone = "Open the fingers by hand as far as they go."
+        text = alone if len(self._servos) == 1 else f"{both}0 from now on: mark it."
         opened = self._by_hand("open_first", text)
         if (index := moved_alone(closed, opened)) is None:
             names = [f"servo {servo.id} by" for servo in self._servos]
@@ -335,11 +331,13 @@ class _Hands:
         last = self._by_hand("open_second", "Now open the other one as far as it goes.")[1]
         return closed[order], np.array([opened[index], last])
 
-    def _blocks(self, closed: Pulses, signs: Pulses) -> list[BlockMeasurement]:
-        """Return the fingers on two blocks of known size, or on one."""
+    def _blocks(
+        self, closed: Pulses, signs: Pulses
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the angles in rad on two blocks of known size, or on one, and the sizes in m."""
         fingers = [f"finger {number} open by" for number in range(len(signs))]
         self._shown = lambda: _degrees_text(fingers, self._turned(self._read(), closed, signs))
-        measured: list[BlockMeasurement] = []
+        rows, sizes_m = list[NDArray[np.float64]](), list[float]()
         for number, (text, least) in enumerate(_BLOCKS, start=1):
             size_mm = self._dialog.number(
                 f"fingers.block{number}",
@@ -361,35 +359,39 @@ class _Hands:
                     f"{_degrees_text(closer, closer.values())}. Was something between the pads "
                     "there, or a finger pushed past the other one?"
                 )
-            measured.append(
-                BlockMeasurement(angles_rad=tuple(angles_rad), aperture_m=size_mm * 1e-3)
-            )
-        return measured
+            rows.append(angles_rad)
+            sizes_m.append(size_mm * 1e-3)
+        return np.array(rows), np.array(sizes_m)
 
-    def _chosen(self, fits: Sequence[LinkageFit]) -> LinkageFit:
-        """Return the linkage that the person confirms; the fit proposes one if it can."""
-        sure = decided(fits)
-        shown = fits if sure else sorted(fits, key=lambda fit: list(KINDS).index(fit.kind))
-        best = "the first one best." if sure else "more than one kind: look while you move them."
+    def _chosen(self, fits: Mapping[Kind, LinkageFit], best: Kind | None) -> Kind:
+        """Return the kind of linkage that the person confirms; the fit proposes one if it can."""
+        shown = sorted(fits, key=lambda kind: kind != best)
+        why = "the first one best." if best else "more than one kind: look while you move them."
         answer = self._dialog.choose(
             "fingers.kind",
-            f"How do the fingers move? The measurements fit {best}",
+            f"How do the fingers move? The measurements fit {why}",
             {
-                fit.kind: KINDS[fit.kind].replace(
-                    "\n", f" ({fit.linkage}; residual {fit.residual_m * 1e3:.2f} mm)\n", 1
+                kind: KINDS[kind].replace(
+                    "\n",
+                    f" ({fits[kind].linkage}; residual {fits[kind].residual_m * 1e3:.2f} mm)\n",
+                    1,
                 )
-                for fit in shown
+                for kind in shown
             },
-            shown[0].kind if sure else None,
+            best,
         )
-        return next(fit for fit in fits if fit.kind == answer)
+        return next(kind for kind in fits if kind == answer)
 
     # The result
 
     def _judge(
-        self, fit: LinkageFit, widest_m: float, measured: Sequence[BlockMeasurement]
+        self,
+        fit: LinkageFit,
+        widest_m: float,
+        on_blocks: NDArray[np.float64],
+        sizes_m: NDArray[np.float64],
     ) -> None:
-        """Note the measurements by hand and their differences from the config, and set them."""
+        """Set the measurements by hand, and note their differences from the config."""
         notes, drive = self._notes, fit.linkage
         linkage: dict[str, Any] = {"kind": "rack_pinion", "offset_mm": 0.0}
         if isinstance(drive, ParallelLinkage):
@@ -421,7 +423,8 @@ class _Hands:
                     f"{was.zero_pulse} pulses, is now {servo.zero_pulse}"
                 )
         before = linkage_of(self._gripper)
-        if type(before) is not type(drive) or _missed_m(before, measured) > _BAD_FIT_M:
+        own_rad = on_blocks + np.array(before.angles_rad(0.0))
+        if type(before) is not type(drive) or residual_m(before, own_rad, sizes_m) > _BAD_FIT_M:
             corrected.append(
                 f"the linkage was {_linkage_text(before)}; it is now {_linkage_text(drive)}"
             )
@@ -431,17 +434,6 @@ class _Hands:
             corrected.append(f"gripper.aperture_open_mm was {wanted_mm:g}, is now {reach_mm:.2f}")
         for line in corrected:
             notes.fact(line, corrected=True)
-        found = f"linkage: {_linkage_text(drive)}; residual {fit.residual_m * 1e3:.2f} mm"
-        if len(measured) > (2 if fit.kind == "swinging" else 1):
-            notes.fact(found)
-        else:
-            notes.warn(f"{found} (as many blocks as unknowns: check an opening with a ruler)")
-        notes.fact(f"widest opening by hand: {widest_m * 1e3:.1f} mm")
-        if fit.residual_m > _BAD_FIT_M:
-            notes.warn(
-                f"the residual is above {_BAD_FIT_M * 1e3:g} mm: measure the blocks again, look "
-                "for play, and run `tactile-cell commission --redo fingers`"
-            )
 
     def _first_motion(self, widest_m: float) -> None:
         """Open each finger by a little, at the least current, then ask whether it did."""
@@ -563,11 +555,3 @@ def _linkage_text(linkage: Linkage) -> str:
     """Return a linkage in the words of the config."""
     kind = "parallel_linkage" if isinstance(linkage, ParallelLinkage) else "rack_pinion"
     return f"{kind}, {linkage}"
-
-
-def _missed_m(linkage: Linkage, measured: Sequence[BlockMeasurement]) -> float:
-    """Return the largest error in m of a linkage at the blocks, relative to the closed fingers."""
-    closed = linkage.angles_rad(0.0)
-    ways = [[c + a for c, a in zip(closed, one.angles_rad, strict=True)] for one in measured]
-    both = zip(ways, measured, strict=True)
-    return max(abs(linkage.aperture_m(way) - one.aperture_m) for way, one in both)
