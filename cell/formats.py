@@ -52,7 +52,7 @@ COMMISSIONING = Format(
 )
 SERVO_BACKUP = Format(
     "backup of a servo",
-    "tactile-cell-servo-backup/1",
+    "tactile-cell-servo-backup/2",
     "use another copy of it, or the tactile-cell that wrote it",
 )
 SERVO_BENCH = Format(

@@ -36,8 +36,8 @@ def archive_report(answers: Answers, target: str) -> Page:
     for one in answers.objects:
         named = ("-", "-", "-")
         if one.n_parts:
-            shown = "{:.0%} to {:.0%}".format(*one.interval)
-            named = (f"{one.n_right} of {one.n_parts}", shown, f"{one.grasps_per_part:.1f}")
+            interval = "{:.0%} to {:.0%}".format(*one.interval)
+            named = (f"{one.n_right} of {one.n_parts}", interval, f"{one.grasps_per_part:.1f}")
         counts = (f"{n}" for n in (one.n_grasps, one.n_days, one.n_cells))
         objects.append((one.label, *counts, *named, "; ".join(one.reasons)))
     sections: dict[str, dict[str, Any]] = {
@@ -117,11 +117,11 @@ def trend_text(trend: Trend) -> str:
 
 
 def _amount(value: float, unit: str) -> str:
-    shown = _shown(value, unit)
-    return f"{shown:+.0f} %" if unit == "log" else f"{shown:+.2f} {unit}"
+    percent = _in_page_unit(value, unit)
+    return f"{percent:+.0f} %" if unit == "log" else f"{percent:+.2f} {unit}"
 
 
-def _shown(value: float, unit: str) -> float:
+def _in_page_unit(value: float, unit: str) -> float:
     """Return a change as displayed: a change of a logarithm in per cent."""
     return 100.0 * math.expm1(value) if unit == "log" else value
 
@@ -144,7 +144,9 @@ def trends_figure(trends: Sequence[Trend], cells: Sequence[str]) -> "Figure":
         for one in trends:
             days: Any = [date.fromisoformat(day) for day in one.days]
             look: Any = {"color": colour(cells.index(one.cell)), "lw": 2.0 if one.counts else 0.9}
-            axes.plot(days, [_shown(v, unit) for v in one.effect], marker="o", ms=2.6, **look)
+            axes.plot(
+                days, [_in_page_unit(v, unit) for v in one.effect], marker="o", ms=2.6, **look
+            )
         axes.set_ylabel("change / " + ("%" if unit == "log" else unit))
         axes.tick_params(axis="x", labelrotation=30)
     return figure

@@ -170,11 +170,11 @@ class Archive:
                 with self._fs.open(path, "rb") as file, pq.ParquetFile(file) as rows:
                     keys = rows.read(["key"])["key"].to_pylist()
                     fresh = {key: i for i, key in reversed([*enumerate(keys)]) if key not in there}
-                    kept = rows.read() if len(fresh) < len(keys) else None
-                if kept is not None and fresh:
-                    kept = kept.take(sorted(fresh.values()))
+                    table = rows.read() if len(fresh) < len(keys) else None
+                if table is not None and fresh:
+                    table = table.take(sorted(fresh.values()))
                     with self._fs.open(path, "wb") as file:
-                        pq.write_table(kept, file, compression="zstd", row_group_size=GROUP)
+                        pq.write_table(table, file, compression="zstd", row_group_size=GROUP)
                 if fresh:
                     self._fs.makedirs(f"{self._root}/{folder}", exist_ok=True)
                     self._fs.mv(path, f"{self._root}/{folder}/{name}")

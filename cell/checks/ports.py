@@ -27,16 +27,16 @@ def check_port(key: str, port: str) -> Iterator[Finding]:
     key
         Key of the port in the config, which names the check.
     """
-    found, advice = port, ""
+    text, advice = port, ""
     if users := users_of(port):
-        found = f"{port} is in use by {', '.join(users)}"
+        text = f"{port} is in use by {', '.join(users)}"
         advice = "end it (brltty takes such adapters: sudo apt remove brltty)"
     else:
         try:
             SerialStream(port, _BAUD_RATE).close()
         except PortLost as error:
-            found, advice = str(error), f"if {key} names another port, correct it"
-    yield check_result(key, found, advice, ok=not advice, bad=Verdict.FAIL)
+            text, advice = str(error), f"if {key} names another port, correct it"
+    yield check_result(key, text, advice, ok=not advice, bad=Verdict.FAIL)
     timer_ms = latency_timer_ms(port)
     if timer_ms is not None:
         command = f"echo {_LATENCY_MS} | sudo tee {latency_timer_file(port)}"
@@ -62,13 +62,13 @@ def users_of(port: str) -> tuple[str, ...]:
     user of it.
     """
     device = os.path.realpath(port)
-    found = []
+    users = []
     for process, name in () if device.startswith("/dev/pts/") else _processes():
         # It may have ended, or belong to another user.
         with suppress(OSError):
             if device in [os.readlink(handle) for handle in (process / "fd").iterdir()]:
-                found.append(f"{name} (process {process.name})")
-    return tuple(found)
+                users.append(f"{name} (process {process.name})")
+    return tuple(users)
 
 
 def _processes() -> Iterator[tuple[Path, str]]:
@@ -114,17 +114,17 @@ def usb_identity(port: str) -> dict[str, str] | None:
 
     An adapter without a serial number of its own is identified by its USB socket.
     """
-    usb, found = _usb_device(_tty(port))
+    usb, identity = _usb_device(_tty(port))
     if usb is None:
         return None
     ttys = _ROOT.glob("sys/class/tty/*")
-    twins = (other for other, same in map(_usb_device, ttys) if same == found)
-    if "ID_SERIAL_SHORT" in found and {*twins} == {usb}:
-        return found
-    found.pop("ID_SERIAL_SHORT", None)
+    twins = (other for other, same in map(_usb_device, ttys) if same == identity)
+    if "ID_SERIAL_SHORT" in identity and {*twins} == {usb}:
+        return identity
+    identity.pop("ID_SERIAL_SHORT", None)
     # The number of a USB bus may change at a restart, its controller stays.
     bus = next(folder for folder in usb.parents if folder.name.startswith("usb"))
-    return found | {"DEVPATH": f"*/{bus.parent.name}/usb*/*-{usb.name.partition('-')[2]}/*"}
+    return identity | {"DEVPATH": f"*/{bus.parent.name}/usb*/*-{usb.name.partition('-')[2]}/*"}
 
 
 def _tty(port: str) -> Path:
@@ -142,13 +142,13 @@ def _usb_device(tty: Path) -> tuple[Path | None, dict[str, str]]:
     usb = next((one for one in folders if (one / "idVendor").is_file()), None)
     if usb is None:
         return None, {}
-    found = {"ID_VENDOR_ID": read(usb, "idVendor"), "ID_MODEL_ID": read(usb, "idProduct")}
+    identity = {"ID_VENDOR_ID": read(usb, "idVendor"), "ID_MODEL_ID": read(usb, "idProduct")}
     interface = next((one for one in folders if (one / "bInterfaceNumber").is_file()), None)
     if interface is not None:
-        found["ID_USB_INTERFACE_NUM"] = read(interface, "bInterfaceNumber")
+        identity["ID_USB_INTERFACE_NUM"] = read(interface, "bInterfaceNumber")
     if (usb / "serial").is_file():
         # As udev writes it: other characters become underscores.
-        found["ID_SERIAL_SHORT"] = "".join(
+        identity["ID_SERIAL_SHORT"] = "".join(
             sign if sign.isalnum() or sign in "#+-.:=@_" else "_" for sign in read(usb, "serial")
         )
-    return usb, found
+    return usb, identity

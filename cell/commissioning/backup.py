@@ -42,15 +42,15 @@ class Backup(BaseModel, frozen=True):
 
     servo_id: int = Field(ge=0, le=HIGHEST_ID)
     """ID of the servo after its commissioning."""
-    found: dict[str, int]
+    registers: dict[str, int]
     """Raw values by the name of the item, read before the first write."""
 
     @model_validator(mode="after")
     def _usable(self) -> Self:
         """Refuse a missing or impossible value."""
-        if MODEL_NUMBER.name not in self.found:
+        if MODEL_NUMBER.name not in self.registers:
             raise ValueError(f"{MODEL_NUMBER.name} is missing")
-        for name, value in self.found.items():
+        for name, value in self.registers.items():
             low, high = REGISTERS[name].bounds if name in REGISTERS else (value, value)
             if not low <= value <= high:
                 raise ValueError(f"{name} is {value}, must be from {low} to {high}")
@@ -69,15 +69,15 @@ def register_writes(
 
 def read_control_table(bus: ServoBus, servo_id: int) -> dict[str, int]:
     """Return the raw values of all items that a servo has, by name."""
-    found = {}
+    table = {}
     bus.ping(servo_id)  # says which control table it has
     for register in REGISTERS.values():
         try:
-            found[register.name] = bus.read(servo_id, register)
+            table[register.name] = bus.read(servo_id, register)
         except ServoRejected:
             # Not every model has every item.
             continue
-    return found
+    return table
 
 
 def backup_file(folder: Path, servo_id: int) -> Path:
@@ -92,7 +92,7 @@ def keep(bench: Bench, dialog: Dialog, backup: Backup) -> None:
     """
     path = backup_file(bench.folder, backup.servo_id)
     if earlier := _read(path):
-        if earlier.found[MODEL_NUMBER.name] == backup.found[MODEL_NUMBER.name]:
+        if earlier.registers[MODEL_NUMBER.name] == backup.registers[MODEL_NUMBER.name]:
             return
         path.rename(free_name(path))
     bench.folder.mkdir(parents=True, exist_ok=True)
@@ -159,11 +159,11 @@ def since_backup(folder: Path, bus: ServoBus, servo_id: int) -> list[tuple[str, 
 
 def _read(path: Path) -> Backup | None:
     """Return the backup in a file; None without the file."""
-    kept = read_json(path, SERVO_BACKUP, error=CellError)
-    if kept is None:
+    content = read_json(path, SERVO_BACKUP, error=CellError)
+    if content is None:
         return None
     try:
-        backup = Backup.model_validate(kept)
+        backup = Backup.model_validate(content)
         wrong = f"it is of servo {backup.servo_id}"
         if backup_file(path.parent, backup.servo_id) == path:
             return backup
@@ -175,11 +175,11 @@ def _read(path: Path) -> Backup | None:
 def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
     """Return the items of the EEPROM that differ from a backup: present and wanted value."""
     servo_id = backup.servo_id
-    now, found = read_control_table(bus, servo_id), backup.found
-    if now[MODEL_NUMBER.name] != found[MODEL_NUMBER.name]:
+    now, before = read_control_table(bus, servo_id), backup.registers
+    if now[MODEL_NUMBER.name] != before[MODEL_NUMBER.name]:
         raise CellError(
             f"servo {servo_id} has model number {now[MODEL_NUMBER.name]}, its backup has "
-            f"{found[MODEL_NUMBER.name]}: this is another servo, so nothing was written; "
+            f"{before[MODEL_NUMBER.name]}: this is another servo, so nothing was written; "
             "choose the backup of this servo"
         )
     if now[TORQUE_ENABLE.name]:
@@ -187,5 +187,5 @@ def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
             f"servo {servo_id} has its torque on and may hold a part, so nothing was written: "
             "release the part first"
         )
-    items = [r.name for r in REGISTERS.values() if r.eeprom and r.name in now and r.name in found]
-    return {name: (now[name], found[name]) for name in items if now[name] != found[name]}
+    items = [r.name for r in REGISTERS.values() if r.eeprom and r.name in now and r.name in before]
+    return {name: (now[name], before[name]) for name in items if now[name] != before[name]}

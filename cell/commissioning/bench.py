@@ -90,7 +90,7 @@ class Bench:
         self.settings: Mapping[str, Any] = {}
         """Values of the config by dotted key that the steps have found so far, also the running
         one."""
-        self.found: Mapping[str, Mapping[str, Any]] = {}
+        self.values: Mapping[str, Mapping[str, Any]] = {}
         """Values of the findings so far, by the key of the step."""
 
     @property
@@ -116,10 +116,10 @@ class Bench:
         return self._section("tactile", self.base.tactile, changes)
 
     def _section(self, name: str, base: _Section, changes: Mapping[str, Any]) -> _Section:
-        found = {
+        values = {
             k.partition(".")[2]: v for k, v in self.settings.items() if k.startswith(f"{name}.")
         }
-        return changed_config(base, found | dict(changes))
+        return changed_config(base, values | dict(changes))
 
     def ports_beside(self, *used: str) -> list[str]:
         """Return the serial ports without those in use."""

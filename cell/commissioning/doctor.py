@@ -94,9 +94,9 @@ class Commissioning:
 
     def _change(self, what: str, step: str, was: Any, now: Any, text: str = "{}") -> list[Finding]:
         """Return the change of one value, which ``text`` formats; ``step`` is to be repeated."""
-        found = f"{text.format(now)}, at commissioning {text.format(was)}"
+        difference = f"{text.format(now)}, at commissioning {text.format(was)}"
         advice = f"`{self.command} --redo {step}` repeats the steps it affects"
-        return [check_result(what, found, advice)] * (was != now)
+        return [check_result(what, difference, advice)] * (was != now)
 
 
 def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Finding]:
@@ -118,22 +118,22 @@ def _self_zero(config: CellConfig, named: str) -> Finding:
     """Return the date and values of the last self-zero."""
     if not config.gripper.pads_meet or config.self_zero == "never":
         off = config.self_zero == "never"
-        found = "switched off" if off else "none: gripper.pads_meet is false"
-        return check_result("self-zero", found, ok=True)
-    kept = kept_zeros(config, Path(config.recording.directory))
-    at = datetime.fromtimestamp(kept.measured_s)
-    if kept.newest is None:
-        none = f"none of today, the last is of {at.date()}" if kept.measured_s else "not measured"
+        reason = "switched off" if off else "none: gripper.pads_meet is false"
+        return check_result("self-zero", reason, ok=True)
+    zeros = kept_zeros(config, Path(config.recording.directory))
+    at = datetime.fromtimestamp(zeros.measured_s)
+    if zeros.newest is None:
+        none = f"none of today, the last is of {at.date()}" if zeros.measured_s else "not measured"
         return check_result(
             "self-zero",
-            kept.refused or none,
+            zeros.refused or none,
             f"take everything out of the grip, then `tactile-cell hand zero{named}`: at teaching, "
             "at the start of a session and after each change of pads or servos",
         )
-    ratio = float(np.exp(kept.newest.log_gain_ratio))
+    ratio = float(np.exp(zeros.newest.log_gain_ratio))
     return check_result(
         "self-zero",
-        f"of {at:%Y-%m-%d %H:%M}: pads meet at {1e3 * kept.newest.opening_m:+.2f} mm, finger 0 "
+        f"of {at:%Y-%m-%d %H:%M}: pads meet at {1e3 * zeros.newest.opening_m:+.2f} mm, finger 0 "
         f"measures {ratio:.2f} times finger 1",
         ok=True,
     )
@@ -141,14 +141,14 @@ def _self_zero(config: CellConfig, named: str) -> Finding:
 
 def _drives(config: CellConfig, named: str) -> Finding:
     """Return the measured characteristics of the servos' drives, beside the catalogue."""
-    kept = kept_zeros(config, Path(config.recording.directory), new_hand=False)
+    zeros = kept_zeros(config, Path(config.recording.directory), new_hand=False)
     texts, drives, advice = list[str](), list[DriveCharacteristic](), ""
     for servo in config.gripper_settings.servos:
-        if servo.servo_id not in kept.drives:
+        if servo.servo_id not in zeros.drives:
             texts.append(f"servo {servo.servo_id}: not measured, catalogue values within 30 %")
             advice = f"`tactile-cell hand zero{named}` measures them, with nothing in the grip"
             continue
-        drive = DriveCharacteristic(**kept.drives[servo.servo_id]["drive"])
+        drive = DriveCharacteristic(**zeros.drives[servo.servo_id]["drive"])
         at = datetime.fromtimestamp(drive.measured_s)
         where = "" if drive.temperature_c is None else f" at {drive.temperature_c:.0f} C"
         texts.append(f"{drive_text(servo, drive)}, {at:%Y-%m-%d}{where}")
@@ -207,20 +207,20 @@ def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]
 def _torque(cell: Cell, named: str) -> list[Finding]:
     """Check that all servos or no servo has torque; one servo alone may press on a part."""
     conditions = cell.controller.hand.conditions()
-    found = "; ".join(map(str, conditions))
+    texts = "; ".join(map(str, conditions))
     if any(condition.answers_off for condition in conditions):
-        return [check_result(_TORQUE, found, f"{_AT_START}; a part may be in the grip")]
+        return [check_result(_TORQUE, texts, f"{_AT_START}; a part may be in the grip")]
     limp = [condition for condition in conditions if condition.answers and not condition.torque_on]
     clear = f"`tactile-cell hand clear{named} --reboot`"
     if not any(condition.torque_on for condition in conditions):
         ok = not any(condition.shut_down for condition in conditions)
         advice = f"remedy the cause of the error, then {clear}"
-        return [check_result(_TORQUE, found, advice, ok=ok, bad=Verdict.FAIL)]
+        return [check_result(_TORQUE, texts, advice, ok=ok, bad=Verdict.FAIL)]
     release = f"`tactile-cell hand release{named} --confirm`"
     advice = f"a part may be in the grip: release it with {release}"
     if any(condition.shut_down for condition in limp):
         advice += f", then clear the error with {clear}"
-    return [check_result(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
+    return [check_result(_TORQUE, texts, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
 
 
 def _servos(cell: Cell, named: str, earlier: Commissioning) -> list[Finding]:
@@ -235,12 +235,12 @@ def _servos(cell: Cell, named: str, earlier: Commissioning) -> list[Finding]:
     }
     findings = earlier.changed_servos(servos)
     for row in rows:
-        found = f"{row.found} (expected {row.expected})"
+        value = f"{row.found} (expected {row.expected})"
         if row.item == SHUTDOWN.name:
-            found += f", {overload_text(int(row.found))}"
+            value += f", {overload_text(int(row.found))}"
         bad = Verdict.WARN if row.item in CORRECTABLE else Verdict.FAIL
         what = f"servo {row.servo_id} {row.item}"
-        findings.append(check_result(what, found, _advice(row, named), ok=row.ok, bad=bad))
+        findings.append(check_result(what, value, _advice(row, named), ok=row.ok, bad=bad))
     return findings
 
 
@@ -320,13 +320,13 @@ def _axes(cell: Cell) -> Iterator[Finding]:
 
     The first motion after an acknowledgement clears a fault.
     """
-    for name, found in ({} if cell.axes is None else cell.axes.inspect()).items():
-        lost = isinstance(found, MotionError)
-        fault = lost or "FAULT" in str(found) or "hardware error" in str(found)
+    for name, state in ({} if cell.axes is None else cell.axes.inspect()).items():
+        lost = isinstance(state, MotionError)
+        fault = lost or "FAULT" in str(state) or "hardware error" in str(state)
         advice = "remedy the cause; after clear and reset the next motion resets the device"
-        if isinstance(found, AxisMissing | AxisSilent):
+        if isinstance(state, AxisMissing | AxisSilent):
             advice = "check its supply, cable and node-ID or ID"
-        yield check_result(name, str(found), advice, ok=not fault, bad=Verdict.FAIL)
+        yield check_result(name, str(state), advice, ok=not fault, bad=Verdict.FAIL)
 
 
 def _load(frames: NDArray[np.uint16], config: CellConfig, named: str) -> Finding:

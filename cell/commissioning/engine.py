@@ -70,7 +70,7 @@ class Dialog(Protocol):
     def start_step(self, step: "Step", number: int, count: int) -> None:
         """Show the step that begins: its title and purpose, as ``number`` of ``count``."""
 
-    def found(self, step: "Step", notes: Notes) -> None:
+    def show(self, step: "Step", notes: Notes) -> None:
         """Show the findings of a step."""
 
     def say(self, text: str) -> None:
@@ -170,7 +170,7 @@ class _Logged:
     """A dialog that logs approved writes; implements `Dialog`."""
 
     def __init__(self, dialog: Dialog, log: Callable[[Sequence[ProposedChange]], None]) -> None:
-        self.start_step, self.found, self.say = dialog.start_step, dialog.found, dialog.say
+        self.start_step, self.show, self.say = dialog.start_step, dialog.show, dialog.say
         self.live, self.ask = dialog.live, dialog.ask
         self.choose, self.confirm, self.number = dialog.choose, dialog.confirm, dialog.number
         self._approve, self._log = dialog.approve, log
@@ -198,10 +198,10 @@ class Engine:
         self.steps = tuple(steps)
         self.bench = bench
         self.path = bench.folder / STORE_NAME
-        kept = read_commissioned(self.path)
-        self.approved = kept.approved
+        earlier = read_commissioned(self.path)
+        self.approved = earlier.approved
         keys = [step.key for step in self.steps]
-        self.notes = {key: kept.steps[key] for key in keys if key in kept.steps}
+        self.notes = {key: earlier.steps[key] for key in keys if key in earlier.steps}
         self._fill_bench()
 
     def done(self, step: Step) -> bool:
@@ -288,7 +288,7 @@ class Engine:
         notes = carry_out(step, self.bench, _Logged(dialog, log))
         self.notes[step.key] = notes
         self._store()
-        dialog.found(step, notes)
+        dialog.show(step, notes)
 
     def _store(self) -> None:
         content = {"steps": self.notes, "approved": self.approved}
@@ -299,7 +299,7 @@ class Engine:
     def _fill_bench(self) -> None:
         every = self.notes.values()
         self.bench.settings = {k: v for notes in every for k, v in notes.settings.items()}
-        self.bench.found = {key: notes.values for key, notes in self.notes.items()}
+        self.bench.values = {key: notes.values for key, notes in self.notes.items()}
 
 
 def leave(why: str) -> NoReturn:

@@ -219,7 +219,7 @@ class _Hands:
         self._bench, self._dialog, self._bus, self._notes = bench, dialog, bus, notes
         self._gripper = bench.gripper()
         self._servos = list(self._gripper.servos)
-        self._shown: Callable[[], str] = self._pulses
+        self._live_text: Callable[[], str] = self._pulses
 
     @property
     def _models(self) -> list[ServoModel]:
@@ -301,7 +301,7 @@ class _Hands:
 
     def _by_hand(self, key: str, text: str) -> Pulses:
         """Ask for a position by hand and return it in pulses."""
-        self._dialog.confirm(f"fingers.{key}", text, watch=self._shown)
+        self._dialog.confirm(f"fingers.{key}", text, watch=self._live_text)
         return self._read()
 
     def _ends(self) -> tuple[Pulses, Pulses]:
@@ -336,7 +336,7 @@ class _Hands:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the angles in rad on two blocks of known size, or on one, and the sizes in m."""
         fingers = [f"finger {number} open by" for number in range(len(signs))]
-        self._shown = lambda: _degrees_text(fingers, self._turned(self._read(), closed, signs))
+        self._live_text = lambda: _degrees_text(fingers, self._turned(self._read(), closed, signs))
         rows, sizes_m = list[NDArray[np.float64]](), list[float]()
         for number, (text, least) in enumerate(_BLOCKS, start=1):
             size_mm = self._dialog.number(
@@ -365,7 +365,7 @@ class _Hands:
 
     def _chosen(self, fits: Mapping[Kind, LinkageFit], best: Kind | None) -> Kind:
         """Return the kind of linkage that the person confirms; the fit proposes one if it can."""
-        shown = sorted(fits, key=lambda kind: kind != best)
+        order = sorted(fits, key=lambda kind: kind != best)
         why = "the first one best." if best else "more than one kind: look while you move them."
         answer = self._dialog.choose(
             "fingers.kind",
@@ -376,7 +376,7 @@ class _Hands:
                     f" ({fits[kind].linkage}; residual {fits[kind].residual_m * 1e3:.2f} mm)\n",
                     1,
                 )
-                for kind in shown
+                for kind in order
             },
             best,
         )
@@ -454,12 +454,12 @@ class _Hands:
         def opening_m() -> float:
             return linkage.aperture_m(group.read_patiently().angles_rad)
 
-        self._shown = lambda: f"opening {opening_m() * 1e3:.1f} mm"
+        self._live_text = lambda: f"opening {opening_m() * 1e3:.1f} mm"
         least_m, most_m = _LEAST_ROOM_M, widest_m - _LEAST_ROOM_M
         half = "open both fingers by hand to about half way. Keep your hands off then."
         text = f"Take the block out and {half}"
         while True:
-            self._dialog.confirm("fingers.free", text, watch=self._shown)
+            self._dialog.confirm("fingers.free", text, watch=self._live_text)
             if least_m <= (stand_m := opening_m()) <= most_m:
                 break
             text = (

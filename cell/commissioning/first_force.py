@@ -238,7 +238,7 @@ class _Trial:
         folder = None if config.simulated else self.bench.folder / config.recording.directory
         zeros = kept_zeros(config, folder)
         drives, remarks = self.hand.read_drives()
-        if "factor" in self.bench.found.get("pads_law", {}):  # weights have confirmed the pads
+        if "factor" in self.bench.values.get("pads_law", {}):  # weights have confirmed the pads
             drives = {servo_id: weighed(drive) for servo_id, drive in drives.items()}
         zeros.keep_drives(drives, self.motion.homing)
         notes.values["drives"] = {str(number): asdict(drive) for number, drive in drives.items()}

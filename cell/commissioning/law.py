@@ -48,20 +48,20 @@ class Factor(NamedTuple):
     """The same over the largest true force."""
 
 
-def fit_factor(true_n: ArrayLike, shown_n: ArrayLike) -> Factor:
+def fit_factor(true_n: ArrayLike, measured_n: ArrayLike) -> Factor:
     """Return the factor that fits the shown forces best to the true ones.
 
     Both are forces in N, (n,) float64. Raises ValueError without shown forces or loads.
     """
     true = np.asarray(true_n, dtype=np.float64)
-    shown = np.asarray(shown_n, dtype=np.float64)
-    if true.shape != shown.shape or not true.size:
-        raise ValueError(f"{true.size} loads and {shown.size} forces shown")
-    power = float(shown @ shown)
+    measured = np.asarray(measured_n, dtype=np.float64)
+    if true.shape != measured.shape or not true.size:
+        raise ValueError(f"{true.size} loads and {measured.size} forces shown")
+    power = float(measured @ measured)
     if not power > 0.0 or not true.max() > 0.0:
         raise ValueError("the pads show no force under these loads")
-    factor = float(true @ shown) / power
-    residual_n = float(np.sqrt(np.mean((true - factor * shown) ** 2)))
+    factor = float(true @ measured) / power
+    residual_n = float(np.sqrt(np.mean((true - factor * measured) ** 2)))
     return Factor(factor, residual_n, residual_n / float(true.max()))
 
 
@@ -100,13 +100,13 @@ def fit_table(
         raise ValueError("the loads show no counts")
     # Rising slopes are sums of non-negative steps.
     steps = np.cumsum(counted[:, :used][:, ::-1], axis=1)[:, ::-1]
-    found, _ = nnls(steps, loads)
-    slopes = np.cumsum(found)
+    rises, _ = nnls(steps, loads)
+    slopes = np.cumsum(rises)
     if not slopes[0] > 0.0:
         raise ValueError("the loads show no law that rises with the counts")
     nodes = adc_max * np.array(_TABLE_SHARES[: used + 1])
     force_n = np.cumsum(slopes * np.diff(nodes))
-    residual_n = float(np.sqrt(np.mean((steps @ found - loads) ** 2)))
+    residual_n = float(np.sqrt(np.mean((steps @ rises - loads) ** 2)))
     return np.round(nodes[1:], 1).tolist(), np.round(force_n, 5).tolist(), residual_n
 
 

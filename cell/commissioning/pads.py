@@ -328,8 +328,8 @@ def _complaint(
     if patch is None:
         return "No pad shows a fingertip."
     asked, seen = layout.pads[pad], layout.pads[patch.pad]
-    for other, found in patches.items():
-        if found.pad == patch.pad:
+    for other, earlier in patches.items():
+        if earlier.pad == patch.pad:
             return f"The patch is where {layout.pads[other].name} was found: press {asked.name}."
     if (asked.rows, asked.columns) != (seen.rows, seen.columns):
         return f"The patch is on {seen.name}, a pad of another size: press {asked.name}."

@@ -19,7 +19,7 @@ def find_port(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     This user must be allowed to open it, no other program may have it, and its latency must be
     short. Nothing is written, nothing moves.
     """
-    port = str(bench.given.get("gripper.port") or _found(bench, dialog))
+    port = str(bench.given.get("gripper.port") or _port_of_servos(bench, dialog))
     notes.values["port"] = notes.settings["gripper.port"] = port
     notes.fact(f"servo port: {port}")
     if Path(port).exists():
@@ -32,7 +32,7 @@ def find_port(bench: Bench, dialog: Dialog, notes: Notes) -> None:
 PORTS = Step(find_port, "ports", "Ports")
 
 
-def _found(bench: Bench, dialog: Dialog) -> str:
+def _port_of_servos(bench: Bench, dialog: Dialog) -> str:
     """Return the only port, or the port that disappears and comes back with its plug."""
     ports = bench.lines.serial_ports()
     if not ports:

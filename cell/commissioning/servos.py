@@ -85,8 +85,8 @@ def scan_servos(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = 
                 # A single one may be chance.
                 identities, has_damaged = bus.scan_at_once()
             for identity in identities:
-                found = Found(rate, identity)
-                (shared if bus.shares_id(identity.servo_id) else servos).append(found)
+                servo = Found(rate, identity)
+                (shared if bus.shares_id(identity.servo_id) else servos).append(servo)
             if has_damaged:
                 damaged.append(rate)
     return Scan(servos=tuple(servos), shared=tuple(shared), damaged=tuple(damaged))
@@ -121,9 +121,9 @@ def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             f"{len(fingers)} servos answer on {port}, a gripper has one or two: give each servo of "
             "an axis a port of its own"
         )
-    found = [{"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers]
+    configs = [{"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers]
     notes.values["servos"] = [
-        servo | {"firmware": one.firmware} for servo, one in zip(found, fingers, strict=True)
+        servo | {"firmware": one.firmware} for servo, one in zip(configs, fingers, strict=True)
     ]
     volts = set()
     for one in fingers:
@@ -143,7 +143,7 @@ def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         )
     if notes.failed:
         return
-    notes.settings |= {"gripper.baud_rate": rate, "gripper.servos": found}
+    notes.settings |= {"gripper.baud_rate": rate, "gripper.servos": configs}
     with bench.servo_bus(port, rate) as bus:
         _set_up(bench, bus, dialog, fingers, notes)
         for one in fingers:
@@ -162,31 +162,31 @@ SERVOS = Step(find_servos, "servos", "Servos", needs=("ports",))
 
 def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoIdentity]:
     """Return the servos, each with an ID of its own at one baud rate."""
-    found = scan_servos(bench, port, dialog)
+    scan = scan_servos(bench, port, dialog)
     n_wanted = 0
     while True:
-        if found.crowded:
+        if scan.crowded:
             n_wanted = _MOST_FINGER_SERVOS
-            _ask_for_one_alone(dialog, found)
-        elif not found.servos:
+            _ask_for_one_alone(dialog, scan)
+        elif not scan.servos:
             _look_for_protocol_1(bench, port)
             raise StepFailed(
                 "no servo answers at any baud rate: check the supply (12 V; its LED flashes once "
                 "at power-on), the wires to the adapter, and that it is half-duplex (U2D2)"
             )
         else:
-            _demand_answers(bench, dialog, port, found)
-            placed = _placed(bench, dialog, port, rate, found)
-            found = Scan(servos=tuple(Found(rate, one) for one in placed))
+            _demand_answers(bench, dialog, port, scan)
+            placed = _placed(bench, dialog, port, rate, scan)
+            scan = Scan(servos=tuple(Found(rate, one) for one in placed))
             n_wanted = n_wanted or _count(bench, dialog, placed)
             if len(placed) >= n_wanted or not _connected(dialog, placed[-1]):
                 return placed
         bench.clock.sleep(_BOOT_S)
-        seen = {one.baud_rate for one in (*found.servos, *found.shared)}
-        rates = [one for one in SCAN_RATES if one in {rate, 57600, *seen, *found.damaged}]
-        found = scan_servos(bench, port, dialog, rates)
-        if not found.servos and not found.crowded:
-            found = scan_servos(bench, port, dialog)
+        seen = {one.baud_rate for one in (*scan.servos, *scan.shared)}
+        rates = [one for one in SCAN_RATES if one in {rate, 57600, *seen, *scan.damaged}]
+        scan = scan_servos(bench, port, dialog, rates)
+        if not scan.servos and not scan.crowded:
+            scan = scan_servos(bench, port, dialog)
 
 
 def _look_for_protocol_1(bench: Bench, port: str) -> None:
@@ -197,9 +197,9 @@ def _look_for_protocol_1(bench: Bench, port: str) -> None:
                 raise StepFailed(f"{protocol_1_text(ids)} (at {rate} bit/s)")
 
 
-def _demand_answers(bench: Bench, dialog: Dialog, port: str, found: Scan) -> None:
+def _demand_answers(bench: Bench, dialog: Dialog, port: str, scan: Scan) -> None:
     """Set Status Return Level to 2 where it is lower: such a servo confirms no other write."""
-    for servo_id, rate in ((one.identity.servo_id, one.baud_rate) for one in found.servos):
+    for servo_id, rate in ((one.identity.servo_id, one.baud_rate) for one in scan.servos):
         with bench.servo_bus(port, rate) as bus:
             bus.ping(servo_id)  # says which control table it has
             off = bus.answers_off(servo_id)
@@ -218,9 +218,9 @@ def _connected(dialog: Dialog, last: ServoIdentity) -> bool:
     return dialog.choose("servos.connect_next", f"{text} supply on.", answers, "done") == "done"
 
 
-def _ask_for_one_alone(dialog: Dialog, found: Scan) -> None:
-    several = [f"ID {one.identity.servo_id} at {one.baud_rate} bit/s" for one in found.shared]
-    several += [f"damaged bytes at {rate} bit/s" for rate in found.damaged]
+def _ask_for_one_alone(dialog: Dialog, scan: Scan) -> None:
+    several = [f"ID {one.identity.servo_id} at {one.baud_rate} bit/s" for one in scan.shared]
+    several += [f"damaged bytes at {rate} bit/s" for rate in scan.damaged]
     dialog.confirm(
         "servos.connect_one",
         f"Several servos answer: {', '.join(several)}. New servos all have ID 1, and nothing can "
@@ -242,13 +242,13 @@ def _count(bench: Bench, dialog: Dialog, placed: Sequence[ServoIdentity]) -> int
     return int(answer)
 
 
-def _placed(bench: Bench, dialog: Dialog, port: str, rate: int, found: Scan) -> list[ServoIdentity]:
+def _placed(bench: Bench, dialog: Dialog, port: str, rate: int, scan: Scan) -> list[ServoIdentity]:
     """Give each servo a unique ID and the baud rate; return all in the order of their IDs."""
-    at_home = [one.identity for one in found.servos if one.baud_rate == rate]
+    at_home = [one.identity for one in scan.servos if one.baud_rate == rate]
     taken = {one.servo_id for one in at_home}
-    for servo in (one for one in found.servos if one.baud_rate != rate):
+    for servo in (one for one in scan.servos if one.baud_rate != rate):
         identity = servo.identity
-        used = taken | {one.identity.servo_id for one in found.servos if one is not servo}
+        used = taken | {one.identity.servo_id for one in scan.servos if one is not servo}
         new_id = identity.servo_id
         if new_id in used:
             new_id = next(number for number in range(1, 253) if number not in used)
@@ -273,7 +273,7 @@ def _renumber(
         where = f"servo {old_id} at {servo.baud_rate} bit/s"
         undo = "write the old values with the program of the servos' maker"
         dialog.approve(register_writes(where, changes, undo))
-        keep(bench, dialog, Backup(servo_id=new_id, found=table))
+        keep(bench, dialog, Backup(servo_id=new_id, registers=table))
         if new_id != old_id:
             bus.write(old_id, SERVO_ID, new_id)
             bench.clock.sleep(SETTLE_S)
@@ -322,8 +322,8 @@ def _set_up(
         return
     writes = [
         write
-        for servo_id, found in changes.items()
-        for write in register_writes(f"servo {servo_id}", found, _UNDO)
+        for servo_id, values in changes.items()
+        for write in register_writes(f"servo {servo_id}", values, _UNDO)
     ]
     if not writes:
         notes.fact("all registers are as the cell needs them")
@@ -332,12 +332,12 @@ def _set_up(
         torque_off(bus, dialog, servo_id, table[TORQUE_ENABLE.name])
     dialog.approve(writes)
     for servo_id, table in tables.items():
-        keep(bench, dialog, Backup(servo_id=servo_id, found=table))
+        keep(bench, dialog, Backup(servo_id=servo_id, registers=table))
         for name, (_, after) in changes[servo_id].items():
             bus.write(servo_id, REGISTERS[name], after)
-        found = {name: bus.read(servo_id, REGISTERS[name]) for name in table}
+        values = {name: bus.read(servo_id, REGISTERS[name]) for name in table}
         required = _required(models[servo_id], bench)
-        for row in compare(servo_id, required, found, frozenset(changes[servo_id])):
+        for row in compare(servo_id, required, values, frozenset(changes[servo_id])):
             if not row.ok:
                 notes.fail(f"{row}, after it was written")
     notes.fact(f"{len(writes)} registers set and read back")

@@ -208,12 +208,12 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
 
 def _network_interfaces() -> list[str]:
     """Return the names of the system's CAN interfaces."""
-    found = []
+    names = []
     for path in sorted(Path("/sys/class/net").glob("*/type")):
         with suppress(OSError):
             if path.read_text("ascii").strip() == _CAN_INTERFACE:
-                found.append(path.parent.name)
-    return found
+                names.append(path.parent.name)
+    return names
 
 
 def _system_bit_rate(interface: str, channel: str) -> int | None:
@@ -222,8 +222,8 @@ def _system_bit_rate(interface: str, channel: str) -> int | None:
         return None
     command = ["ip", "-details", "-json", "link", "show", channel]
     try:
-        shown = subprocess.run(command, capture_output=True, text=True, check=True, timeout=2.0)
-        info = json.loads(shown.stdout)[0]["linkinfo"]["info_data"]
+        link = subprocess.run(command, capture_output=True, text=True, check=True, timeout=2.0)
+        info = json.loads(link.stdout)[0]["linkinfo"]["info_data"]
         return int(info["bittiming"]["bitrate"])
     except (OSError, subprocess.SubprocessError, ValueError, LookupError, TypeError):
         return None

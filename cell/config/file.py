@@ -152,11 +152,11 @@ def _alternatives(key: FieldInfo, value: object, indent: str) -> Iterator[str]:
             continue
         yield f"{indent}# {'each entry' if entries else 'or'}:"
         for name, inner in kind.model_fields.items():
-            shown = inner.default
-            if shown is PydanticUndefined or next(iter(sections_in(inner)), None):
-                shown = next(iter(_choices(inner)), None)
+            default = inner.default
+            if default is PydanticUndefined or next(iter(sections_in(inner)), None):
+                default = next(iter(_choices(inner)), None)
             yield from _comment(_meaning(inner), f"{indent}#   ")
-            yield f"{indent}#   {name}:{'' if shown is None else f' {_scalar(shown)}'}"
+            yield f"{indent}#   {name}:{'' if default is None else f' {_scalar(default)}'}"
             yield from _alternatives(inner, None, f"{indent}#   ")
 
 
@@ -311,9 +311,9 @@ def _locate(root: Node | None, loc: tuple[int | str, ...]) -> tuple[str, str]:
     place = "1:1" if root is None else _place(root.start_mark)
     for step in loc:
         if isinstance(node, MappingNode):
-            found = [(k, v) for k, v in node.value if k.value == str(step)]
-            if found:
-                place, node = _place(found[0][0].start_mark), found[0][1]
+            entries = [(k, v) for k, v in node.value if k.value == str(step)]
+            if entries:
+                place, node = _place(entries[0][0].start_mark), entries[0][1]
                 key.append(str(step))
             elif step == loc[-1]:
                 key.append(str(step))

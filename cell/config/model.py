@@ -340,24 +340,24 @@ class CellConfig(Section):
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the operator where the cell deviates from its settings."""
-        found: tuple[str, ...] = ()
+        notes: tuple[str, ...] = ()
         if self.sequence.decide_early and not self.decides_early:
-            found += ("force ramps do not end early: sequence.decide_early needs loop.own_process",)
+            notes += ("force ramps do not end early: sequence.decide_early needs loop.own_process",)
         if self.friction_n > _MUCH_FRICTION_N:
-            found += (
+            notes += (
                 f"the servos' friction is {self.friction_n:.0f} N at the pads: when it breaks, the "
                 "force may jump by 1 N or more and stay above its set-point. To avoid this use "
                 "longer links, a larger pinion or servos with less friction",
             )
         most_n = max(self.sequence.forces_n[1], self.sequence.carry_force_n)
         if hot := heat_note(most_n, self.gripper_settings, self.linkage):
-            found += (hot,)
+            notes += (hot,)
         asked_mm_s = self.gripper.approach_speed_mm_s
         speed_mm_s = 1e3 * check_approach(self.gripper_settings, self.linkage)
         if speed_mm_s >= asked_mm_s:
-            return found
+            return notes
         return (
-            *found,
+            *notes,
             f"the fingers approach with as little as {speed_mm_s:.1f} mm/s, not with "
             f"gripper.approach_speed_mm_s = {asked_mm_s:g}: at a higher speed the impact could "
             f"exceed gripper.force_max_n = {self.gripper.force_max_n:g} N. To close faster, lower "

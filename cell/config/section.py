@@ -92,18 +92,18 @@ def setting_of(
     number
         Type of the key if it differs from that of the setting: int for whole ms.
     """
-    found = next(one for one in fields(owner) if one.name == name)
-    default: Any = found.default
-    kind, limits = number or type(default), found.metadata
+    setting = next(one for one in fields(owner) if one.name == name)
+    default: Any = setting.default
+    kind, limits = number or type(default), setting.metadata
 
-    def shown(value: float) -> Any:
+    def in_unit(value: float) -> Any:
         return kind(float(f"{value:.12g}")) if isfinite(value) else None
 
     key = Field(
-        default=shown(default / unit),
-        ge=shown(max(limits["low"] / unit, at_least)),
-        gt=shown(limits["above"] / unit),
-        le=shown(min(limits["high"] / unit, at_most)),
+        default=in_unit(default / unit),
+        ge=in_unit(max(limits["low"] / unit, at_least)),
+        gt=in_unit(limits["above"] / unit),
+        le=in_unit(min(limits["high"] / unit, at_most)),
     )
     key.metadata.append(Declared(owner=owner, name=name, unit=unit))
     return key

@@ -140,7 +140,7 @@ def sensor_section(value: Any, info: ValidationInfo) -> SensorConfig:
         return section.model_validate(value)
     except ValidationError as error:
         # As in a union of sections, a place has the kind in it.
-        found: list[Any] = [
+        items: list[Any] = [
             {**item, "loc": (kind, *item["loc"])} for item in error.errors(include_url=False)
         ]
-        raise ValidationError.from_exception_data(error.title, found) from None
+        raise ValidationError.from_exception_data(error.title, items) from None

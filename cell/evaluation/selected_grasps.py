@@ -23,7 +23,7 @@ def selected_grasps(
 
     ``note`` gets what is left out. Raises CellError where one cannot be read, or none is selected.
     """
-    found: list[Grasp] = []
+    grasps: list[Grasp] = []
     for place in places:
         if is_archive(place):
             with extra("archive", needed_by="an archive"):
@@ -33,10 +33,10 @@ def selected_grasps(
         else:
             every = read_labelled_grasps(Path(place), note)
             here = [grasp for grasp in every if selection.fits(grasp)]
-        found += here
-    if not found:
+        grasps += here
+    if not grasps:
         raise CellError(f"no labelled grasp of {', '.join(places)} is selected")
-    return found
+    return grasps
 
 
 def left_out_in_turn(grasps: Sequence[Grasp], what: str) -> list[TrainTest]:

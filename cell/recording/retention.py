@@ -56,15 +56,15 @@ def recordings(folder: Path) -> list[Entry]:
 
     Raises OSError if the folder is gone.
     """
-    found = []
+    entries = []
     for job in os.scandir(folder):
         if not (_JOB.fullmatch(job.name) and job.is_dir(follow_symlinks=False)):
             continue
         for path in Path(job.path).glob("recording*.mcap"):
             with suppress(FileNotFoundError):
                 stat, marked = path.stat(), _mark_of(path).exists()
-                found.append(Entry(path, stat.st_size, stat.st_mtime, marked))
-    return sorted(found, key=lambda one: (one.written_s, one.path))
+                entries.append(Entry(path, stat.st_size, stat.st_mtime, marked))
+    return sorted(entries, key=lambda one: (one.written_s, one.path))
 
 
 class Retention:

@@ -207,7 +207,7 @@ def free(rig: Rig, _dialog: Dialog) -> Values:
 
 def _breakaway_a(rig: Rig) -> float | None:
     """Return the mean current of the winding in A at which the free horn begins to move."""
-    found = []
+    currents_a = []
     for place in range(_PLACES):
         for sign in (1, -1):
             rig.start(OperatingMode.PWM)
@@ -218,12 +218,12 @@ def _breakaway_a(rig: Rig) -> float | None:
                 last = rig.watch(f"first motion {place}", _COUNT_S, moved)[-1]
                 if moved(last):
                     volts = raw / rig.model.whole_pwm_raw * last.voltage_v
-                    found.append(volts / rig.model.winding_ohm)
+                    currents_a.append(volts / rig.model.winding_ohm)
                     break
         rig.start(OperatingMode.EXTENDED_POSITION)
         rig.position(rig.sample().position_pulses + _PLACE_PULSES)
         rig.watch("next place", 0.5)
-    return sum(found) / len(found) if found else None
+    return sum(currents_a) / len(currents_a) if currents_a else None
 
 
 def _moved(start_pulses: int, row: Reading) -> bool:
@@ -242,7 +242,7 @@ def heat(rig: Rig, dialog: Dialog) -> Values:
 
     Screw the arm on, its screw on the scale. The servo presses on it, gets hot and may trip.
     """
-    found: dict[str, dict[str, float | None]] = {}
+    trips: dict[str, dict[str, float | None]] = {}
     half = 0.5 if rig.model.supply_current else 1.0
     for current_a in (half * share * rig.model.stall_current_a for share in _HOT_SHARES):
         _press(rig, current_a)
@@ -250,13 +250,13 @@ def heat(rig: Rig, dialog: Dialog) -> Values:
         tripped = bool(rig.read("hardware_error_status")) or not rig.read("torque_enable")
         rig.write(torque_enable=0)
         held_s = float(rows.t_s[-1] - rows.t_s[0])
-        found[f"{current_a:.2f}"] = {"trip_s": held_s if tripped else None}
+        trips[f"{current_a:.2f}"] = {"trip_s": held_s if tripped else None}
         if tripped:
             rig.bus.reboot(rig.servo_id)
         for left_s in np.arange(_COOL_S, 0.0, -1.0):
             dialog.live("cooling", f"{left_s:.0f} s")
             rig.clock.sleep(1.0)
-    return {"held": found}
+    return {"held": trips}
 
 
 def watchdog(rig: Rig, dialog: Dialog) -> Values:

@@ -34,10 +34,10 @@ def findings(model: ServoModel, values: Values) -> list[str]:
     )
     lines = []
     for name, of_model, within, consequence in rows:
-        if (found := values.get(name)) is not None:
-            agrees = abs(found - of_model) <= within * of_model
+        if (measured := values.get(name)) is not None:
+            agrees = abs(measured - of_model) <= within * of_model
             verdict = "agrees" if agrees else f"differs: {consequence}"
-            lines.append(f"{name}: model {of_model:.4g}, measured {found:.4g}, {verdict}")
+            lines.append(f"{name}: model {of_model:.4g}, measured {measured:.4g}, {verdict}")
     if (gains := values.get("gains_mode_5")) is not None:
         lines.append(f"gains that mode 5 sets by itself (D, I, P): {gains}")
     if (window_s := values.get("velocity_mean_s")) is not None:
@@ -83,8 +83,8 @@ def run_bench(rig: Rig, dialog: Dialog, folder: Path) -> tuple[Path, ...]:
                 continue
             try:
                 with rig.running(step.key):
-                    found = step.run(rig, dialog)
-                values |= {name: value for name, value in found.items() if value is not None}
+                    results = step.run(rig, dialog)
+                values |= {name: value for name, value in results.items() if value is not None}
                 done.append(step.key)
             except (StepFailed, GripperError) as why:
                 dialog.say(f"{step.title} failed: {why}")

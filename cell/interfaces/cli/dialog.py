@@ -32,7 +32,7 @@ class TerminalDialog(Dialog):
         out.print(f"\n[bold]{number}/{count} {plain_text(step.title)}[/]")
         print_line(step.purpose)
 
-    def found(self, step: Step, notes: Notes) -> None:
+    def show(self, step: Step, notes: Notes) -> None:
         """Print the findings of a step."""
         self._end_line()
         verdict = notes.status

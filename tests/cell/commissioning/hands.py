@@ -48,7 +48,7 @@ class Script(Dialog):
         assert 1 <= number <= count
         self.began.append(step.key)
 
-    def found(self, step: Step, finding: Notes) -> None:
+    def show(self, step: Step, finding: Notes) -> None:
         self.findings[step.key] = finding
 
     def say(self, text: str) -> None:

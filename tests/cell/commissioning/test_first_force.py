@@ -34,7 +34,7 @@ def grasped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stand, N
     settings = SimulatorSettings(layout=pinch_layout(), aperture_m=0.014, noise=noise)
     with SimulatedCell(settings) as cell:
         one = Stand(cell, tmp_path_factory.mktemp("grasped"))
-        one.bench.found["pads_law"] = {"factor": 1.0}
+        one.bench.values["pads_law"] = {"factor": 1.0}
         yield one, one.run(STEP, first_force__most=lambda: None)
 
 

@@ -52,8 +52,8 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
     assert ("baud_rate (8)", "57600 bit/s", "1000000 bit/s") in shown
     for number in (1, 2):
         kept = json.loads((tmp_path / f"backup-servo{number}.json").read_text())
-        assert (kept["found"]["id"], kept["found"]["baud_rate"]) == (1, 1)
-        assert kept["found"]["return_delay_time"] == 250
+        assert (kept["registers"]["id"], kept["registers"]["baud_rate"]) == (1, 1)
+        assert kept["registers"]["return_delay_time"] == 250
 
 
 @pytest.mark.parametrize("level", [0, 1])
@@ -123,16 +123,16 @@ FOUND = {"model_number": 1020, "id": 1, "baud_rate": 1, "homing_offset": 0}
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"found": {"homing_offset": 1 << 31}}, "homing_offset is 2147483648"),
-        ({"found": {"id": "x"}}, "found.id"),
+        ({"registers": {"homing_offset": 1 << 31}}, "homing_offset is 2147483648"),
+        ({"registers": {"id": "x"}}, "registers.id"),
         ({"servo_id": 1}, "it is of servo 1"),
     ],
 )
 def test_no_line_is_opened_for_a_backup_that_is_damaged(one, tmp_path, changes, says) -> None:
     for number in (1, 2):
-        content = {"servo_id": number, "found": FOUND}
+        content = {"servo_id": number, "registers": FOUND}
         if number == 2:
-            content |= changes | {"found": FOUND | changes.get("found", {})}
+            content |= changes | {"registers": FOUND | changes.get("registers", {})}
         write_json(backup_file(tmp_path, number), SERVO_BACKUP, content, error=CellError)
     with pytest.raises(CellError, match=rf"backup-servo2\.json.*{says}"):
         restore(one.bench, Script(), PORT)

@@ -125,7 +125,7 @@ def test_findings_are_printed_with_their_lines(typed, capsys) -> None:
     notes.warn("16 ms [slow]")
     asked.start_step(step, 1, 3)
     asked.live("scan", "57600 bit/s")
-    asked.found(step, notes)
+    asked.show(step, notes)
     shown = capsys.readouterr().out
     assert "1/3 Ports" in shown
     assert "warn Ports" in shown
