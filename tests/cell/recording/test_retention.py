@@ -14,13 +14,8 @@ import pytest
 
 from cell.errors import RecordingError
 from cell.recording import retention, sink as recorder_sink
-from cell.recording.reader import read_recording
 from cell.recording.recorder import Recorder
 from cell.recording.retention import LEAST_FREE_BYTES, Retention, mark, recordings, unmark
-from cell.recording.sink import DirectFile
-from cell.runtime.goals import GripGoal, IdentifyGoal
-from cell.runtime.plugin import TactileCellPlugin
-from recognition.recognizer import UNKNOWN
 from tests.cell.conftest import call
 from tests.cell.recording.test_recording import PADS
 from tests.fuzz.harness import Clock
@@ -116,24 +111,18 @@ def test_the_oldest_recordings_go_while_the_disk_is_short_of_space(keep, disk) -
     assert third.exists()
 
 
-def test_the_open_recording_stays_also_where_files_have_no_locks(keep, monkeypatch) -> None:
-    monkeypatch.setattr(recorder_sink.fcntl, "flock", raising(OSError(errno.ENOLCK, "no locks")))
+def test_the_recordings_that_programs_write_stay(keep, monkeypatch) -> None:
     keeper = keep(keep_bytes=1)
-    other, own = keeper.job(1), keeper.recorder.path
-    os.utime(own, (0, 0))
-    keeper.retention.enforce()
-    assert (other.exists(), own.exists()) == (False, True)
-
-
-def test_the_recording_that_another_program_writes_stays(keep) -> None:
-    keeper = keep(keep_bytes=1)
-    path = keeper.job(1)
+    path, own = keeper.job(1), keeper.recorder.path
     path.unlink()
+    os.utime(own, (0, 0))
     with closing(Recorder(path, keeper.clock, pads=PADS)):
         keeper.retention.enforce()
         assert path.exists()
+    # Without locks only this program's recording is known to be open.
+    monkeypatch.setattr(recorder_sink.fcntl, "flock", raising(OSError(errno.ENOLCK, "no locks")))
     keeper.retention.enforce()
-    assert not path.exists()
+    assert (path.exists(), own.exists()) == (False, True)
 
 
 def test_only_recordings_in_folders_of_jobs_are_managed(keep) -> None:
@@ -146,17 +135,10 @@ def test_only_recordings_in_folders_of_jobs_are_managed(keep) -> None:
     keeper.retention.enforce()
     assert all(path.exists() for path in own)
     assert len(keeper.notes) == 1
-
-
-def test_a_recording_outside_a_folder_of_a_job_deletes_nothing(tmp_path) -> None:
-    keeper = Keeper(tmp_path / "out")
-    path = keeper.job(1)
-    with closing(
-        Recorder(tmp_path / "out" / "recording.mcap", keeper.clock, pads=PADS)
-    ) as recorder:
-        Retention(recorder, tmp_path / "out", keep_bytes=1).enforce()
+    path = keeper.job(2)
+    with closing(Recorder(keeper.folder / "x.mcap", keeper.clock, pads=PADS)) as outside:
+        Retention(outside, keeper.folder, keep_bytes=1).enforce()
     assert path.exists()
-    keeper.recorder.close()
 
 
 def test_a_share_that_disappears_is_noted_once_and_stops_nothing(keep, monkeypatch) -> None:
@@ -182,42 +164,6 @@ def test_a_disk_that_does_not_answer_holds_up_neither_start_nor_end(keep, monkey
     answers.set()
     keeper.retention._thread.join(10.0)
     assert not keeper.retention._thread.is_alive()
-
-
-@pytest.mark.slow
-def test_a_job_on_a_full_disk_has_its_answer_and_the_next_job_records_again(
-    taught, tmp_path, monkeypatch
-) -> None:
-    write, full = DirectFile.write, list[bool]()
-
-    def limited(file: DirectFile, data: bytes) -> int:
-        if full:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return write(file, data)
-
-    monkeypatch.setattr(DirectFile, "write", limited)
-    folder, notes = tmp_path / "serve-20270115-080000", list[str]()
-    folder.mkdir()
-    with TactileCellPlugin(
-        taught.config, model=taught.result.model, folder=folder, note=notes.append
-    ) as plugin:
-        plugin.run(GripGoal(force_n=3.0, present="ball"))
-        plugin.release()
-        full.append(True)
-        path = plugin.recording_path
-        assert plugin.run(IdentifyGoal(present="ball", max_grasps=2)).label in ("ball", UNKNOWN)
-        assert "stopped after" in plugin.status().recording_fault
-        full.clear()
-        second = plugin.run(IdentifyGoal(present="box", max_grasps=1))
-        assert plugin.status().recording_fault == ""
-    stopped, again = read_recording(path), read_recording(plugin.recording_path)
-    assert (len(stopped.grasps), stopped.complete, again.complete) == (1, False, True)
-    assert [row["label"] for row in again.results] == [second.label]
-    assert len(again.grasps) == 1
-    assert "stopped after" in again.events[0]["text"]
-    (note,) = notes
-    assert f"the recording {path} stopped after" in note
-    assert "No space left" in note
 
 
 def test_recordings_are_listed_and_marked_by_commands(keep) -> None:
