@@ -14,7 +14,7 @@ import signal
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from random import SystemRandom
 from typing import Any
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from hypothesis import HealthCheck, Phase, example, given, settings, strategies as st
 
-from recognition.grasp import Grasp
+from recognition.grasp import Grasp, PadArray
 from tests.recognition.conftest import THINGS, make_grasps, make_pads
 
 INPUTS = int(os.environ.get("TACTILE_CELL_INPUTS", "0"))
@@ -194,12 +194,21 @@ def good_grasps() -> tuple[Grasp, ...]:
     )
 
 
-def same_grasps(ours: Sequence[Grasp], others: Sequence[Grasp]) -> bool:
-    """Return whether grasps are equal in every value."""
-    arrays = ("counts", "t_s", "aperture_m", "force_n")
+def same_grasps(
+    ours: Sequence[Grasp], others: Sequence[Grasp], *, but: Sequence[str] = (), atol: float = 0.0
+) -> bool:
+    """Return whether grasps are equal in every field ``but`` some; NaN equals NaN."""
+
+    def same(one: Any, other: Any) -> bool:
+        if isinstance(one, float | np.ndarray):
+            return np.shape(one) == np.shape(other) and np.allclose(
+                one, other, rtol=0.0, atol=atol, equal_nan=True
+            )
+        return bool(one.same_as(other) if isinstance(one, PadArray) else one == other)
+
+    names = [field.name for field in fields(Grasp) if field.name not in but]
     return len(ours) == len(others) and all(
-        (a.label, a.source, a.start_ms) == (b.label, b.source, b.start_ms)
-        and a.pads.same_as(b.pads)
-        and all(np.array_equal(getattr(a, n) + 0.0, getattr(b, n) + 0.0, True) for n in arrays)
+        same(getattr(a, name), getattr(b, name))
         for a, b in zip(ours, others, strict=True)
+        for name in names
     )
