@@ -87,24 +87,15 @@ def test_leaving_keeps_what_was_found_and_the_next_run_goes_on_there(tmp_path: P
     assert third.asked == []
 
 
-def test_what_was_wrong_is_one_list_of_all_steps(tmp_path: Path) -> None:
-    with pytest.raises(WizardAborted):
-        Engine(steps(), Bench(tmp_path)).run(Script(leave_at=["unit.q"]))
+def test_redo_forgets_a_step_and_all_that_need_it_and_what_they_corrected(tmp_path: Path) -> None:
     engine = Engine(steps(), Bench(tmp_path))
     engine.run(Script())
     assert engine.corrected == ["ports was wrong", "servos was wrong"]
-    engine.redo("servos")
-    assert engine.corrected == ["ports was wrong"]
-
-
-@pytest.mark.slow
-def test_redo_forgets_a_step_and_all_that_need_it(tmp_path: Path) -> None:
-    engine = Engine(steps(), Bench(tmp_path))
-    engine.run(Script())
     assert engine.redo("servos") == ("servos", "force")
-    assert list(Engine(steps(), Bench(tmp_path)).notes) == ["ports", "unit"]
-    Engine(steps(), Bench(tmp_path)).run(again := Script())
-    assert again.asked == ["servos.q", "force.q"]
+    again = Engine(steps(), Bench(tmp_path))
+    assert (list(again.notes), again.corrected) == (["ports", "unit"], ["ports was wrong"])
+    again.run(script := Script())
+    assert script.asked == ["servos.q", "force.q"]
     with pytest.raises(CellError, match="the steps are ports, servos, unit, force"):
         engine.redo("wheels")
 

@@ -83,13 +83,6 @@ def test_the_self_test_of_the_watchdog_closes_no_further_than_was_shown(one, wat
     assert 0.0142 - min(opened_m) < 1e-3 * float(shown[1]) < 0.01
 
 
-def test_nothing_moves_that_was_not_shown(one) -> None:
-    before = one.cell.devices.mechanics.aperture_m
-    with pytest.raises(WizardAborted):
-        one.run(STEP, leave_at=["approve"])
-    assert one.cell.devices.mechanics.aperture_m == before
-
-
 @pytest.mark.long
 def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_time(one) -> None:
     with pytest.raises(WizardAborted, match="keep their grip: take hold of the part"):

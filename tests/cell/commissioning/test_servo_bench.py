@@ -109,47 +109,36 @@ def measured(bench: SimulatedBench, folder: Path, *steps: str) -> dict[str, Any]
     return values
 
 
-MODEL_NAMES = ("XM430-W350", "XL330-M288")
-
-
-@pytest.mark.parametrize(
-    ("model", "mean_s", "low_pass_s", "k"),
-    [("XM430-W350", 0.064, 0.016, 128), ("XL330-M288", 0.032, 0.004, 256)],
-)
-def test_registers_and_velocity(
-    tmp_path: Path, model: str, mean_s: float, low_pass_s: float, k: int
-) -> None:
-    bench = SimulatedBench(model)
-    values = measured(bench, tmp_path, "registers", "velocity")
-    assert values["shutdown_raw"] == MODELS[model].shutdown_raw
-    assert (values["velocity_mean_s"], values["velocity_low_pass_s"]) == (mean_s, low_pass_s)
-    assert values["error_per_pwm"] == pytest.approx(k, rel=0.03)
-    assert values["gains_mode_3"][:2] == [0, 0]
-    assert values["gains_mode_5"][2] > 0
-    assert bench.servo.core.registers.get("operating_mode") == 3, "the mode is that of before"
-
-
-@pytest.mark.parametrize(("model", "exponent"), [("XM430-W350", 1.0), ("XL330-M288", 0.5)])
-def test_torque_by_weights(tmp_path: Path, model: str, exponent: float) -> None:
-    bench = SimulatedBench(model)
-    values = measured(bench, tmp_path, "scale")
-    drive = bench.motor.gearing.drive_of(MODELS[model])
-    rising = (1.0 + drive.friction.load[0]) / (1.0 - drive.friction.drive[0]) / drive.kt_nm_a
-    assert values["rising_a_nm"] == pytest.approx(rising, rel=0.1)
-    assert values["winding_ohm"] == pytest.approx(drive.winding_ohm, rel=0.05)
-    assert values["duty_exponent"] == pytest.approx(exponent, abs=0.1)
+def truth(bench: SimulatedBench) -> dict[str, Any]:
+    """Return what the steps should measure of the simulated servo."""
+    model, drive = bench.rig.model, bench.motor.gearing.drive_of(bench.rig.model)
+    supply = model.supply_current
+    free_nm_a = (1.0 - drive.friction.drive[0]) * drive.kt_nm_a
+    rising_a_nm = (1.0 + drive.friction.load[0]) / free_nm_a
+    return {
+        "shutdown_raw": model.shutdown_raw,
+        "velocity_mean_s": 0.032 if supply else 0.064,
+        "velocity_low_pass_s": 0.004 if supply else 0.016,
+        "error_per_pwm": pytest.approx(256 if supply else 128, rel=0.03),
+        "rising_a_nm": pytest.approx(rising_a_nm, rel=0.1),
+        "winding_ohm": pytest.approx(drive.winding_ohm, rel=0.05),
+        "duty_exponent": pytest.approx(0.5 if supply else 1.0, abs=0.1),
+        "coulomb_a": pytest.approx(drive.friction.base_nm[0] / free_nm_a, rel=0.15),
+        "back_emf_v_s": pytest.approx(drive.back_emf_v_s, rel=0.05),
+    }
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", MODEL_NAMES)
-def test_friction_and_back_emf_in_free_motion(tmp_path: Path, model: str) -> None:
+@pytest.mark.parametrize("model", ["XM430-W350", "XL330-M288"])
+def test_the_steps_measure_the_simulated_servo(tmp_path: Path, model: str) -> None:
     bench = SimulatedBench(model)
-    values = measured(bench, tmp_path, "free")
-    drive = bench.motor.gearing.drive_of(MODELS[model])
-    free_nm_a = (1.0 - drive.friction.drive[0]) * drive.kt_nm_a
-    assert values["coulomb_a"] == pytest.approx(drive.friction.base_nm[0] / free_nm_a, rel=0.15)
+    values = measured(bench, tmp_path, "registers", "velocity", "scale", "free")
+    for name, expected in truth(bench).items():
+        assert values[name] == expected, name
+    assert values["gains_mode_3"][:2] == [0, 0]
+    assert values["gains_mode_5"][2] > 0
     assert values["breakaway_a"] >= 0.95 * values["coulomb_a"]
-    assert values["back_emf_v_s"] == pytest.approx(drive.back_emf_v_s, rel=0.05)
+    assert bench.servo.core.registers.get("operating_mode") == 3, "the mode is that of before"
 
 
 def test_silence(tmp_path: Path) -> None:
@@ -207,9 +196,8 @@ def test_limits_stand_beside_the_write() -> None:
 
 def test_a_hot_servo_ends_its_step(tmp_path: Path) -> None:
     bench = SimulatedBench()
-    script = person(bench, "velocity")
     bench.motor.temperature_c = 65.0
-    run_bench(bench.rig, script, tmp_path)
+    run_bench(bench.rig, script := person(bench, "velocity"), tmp_path)
     assert any("let it cool" in line for line in script.said)
     assert not bench.servo.core.torque_on
 

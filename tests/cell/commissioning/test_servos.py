@@ -139,14 +139,6 @@ def test_no_line_is_opened_for_a_backup_that_is_damaged(one, tmp_path, changes, 
     assert one.lines.opened == []
 
 
-def test_nothing_is_written_that_was_refused(new, tmp_path) -> None:
-    before = eeproms(new)
-    with pytest.raises(WizardAborted):
-        new.run(STEP, leave_at=["approve"])
-    assert eeproms(new) == before
-    assert not list(tmp_path.glob("backup*"))
-
-
 def test_wrong_registers_are_shown_then_set_and_read_back(stand) -> None:
     one = stand("servo1.wrong=homing_offset:100", "servo2.wrong=drive_mode:1")
     one.passes(STEP)

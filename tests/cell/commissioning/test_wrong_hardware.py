@@ -1,9 +1,12 @@
 """What is wrong with a cell: the step that finds it names it, moves nothing, sets nothing."""
 
+from typing import Any
+
 import pytest
 
 from cell.checks.findings import Verdict
 from cell.commissioning.engine import Step, WizardAborted
+from cell.commissioning.fingers import FINGERS
 from cell.commissioning.first_force import FIRST_FORCE
 from cell.commissioning.pads import PADS_AT_REST
 from cell.commissioning.servos import SERVOS
@@ -77,6 +80,28 @@ def check(one: Stand, step: Step, status: Verdict, named: str) -> None:
     assert status is WARN or not finding.settings
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("step", "faults"), [(SERVOS, ["servo1.factory"]), (FINGERS, []), (UNIT, []), (FORCE, [])]
+)
+def test_nothing_is_written_or_moved_that_is_refused(stand, step, faults, tmp_path) -> None:
+    one = stand(*faults)
+    one.cell.clock.sleep(1.0)  # the servos have booted
+
+    def state() -> Any:
+        eeproms = [bytes(s.core.table.data[:64]) for s in one.cell.devices.servo_bus.servos]
+        unit = one.cell.unit.dictionary.number(0x1017)
+        return eeproms, unit, one.torques, one.cell.devices.mechanics.aperture_m
+
+    before = state()
+    with pytest.raises(WizardAborted):
+        one.run(step, leave_at=["approve"])
+    *same, aperture_m = state()
+    assert (*same,) == before[:-1]
+    assert step is FINGERS or aperture_m == before[-1]  # those are moved by hand
+    assert not list(tmp_path.glob("backup*"))
+
+
 # -- The control unit: what is found on a bus ------------------------------------------------------
 
 
@@ -104,12 +129,6 @@ def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(one) -> None:
     first, second = (one.run(UNIT) for _ in range(2))
     assert "found by asking each node-ID" in first.lines[0]
     assert "found by listening" in second.lines[0]
-
-
-def test_nothing_is_written_that_is_refused(one) -> None:
-    with pytest.raises(WizardAborted):
-        one.run(UNIT, leave_at=["approve"])
-    assert one.cell.unit.dictionary.number(0x1017) == 0
 
 
 @pytest.mark.parametrize("bitrate", [500_000, 250_000])
