@@ -109,13 +109,13 @@ def bad_input(
     )
 
     def decorate(test: Callable[..., str]) -> Callable[..., None]:
-        found: Counter[str] = Counter()
+        outcomes: Counter[str] = Counter()
 
         @functools.wraps(test)
         def once(**values: Any) -> None:
             with limits(limit_s):
                 outcome = test(**values)
-            found[outcome] += 1
+            outcomes[outcome] += 1
 
         taken = once if sound is None else example(**sound)(once)
         given_inputs = chosen(given(**inputs)(taken))
@@ -127,7 +127,7 @@ def bad_input(
                 given_inputs(**fixtures)
             finally:
                 logging.disable(logging.NOTSET)
-            assert len(found) > 1, f"the same became of all inputs: {dict(found)}"
+            assert len(outcomes) > 1, f"the same became of all inputs: {dict(outcomes)}"
 
         return check
 

@@ -91,10 +91,10 @@ def grasps_of(path: Path, data: bytes) -> tuple[Grasp, ...] | None:
 
 @bad_input(harm=damages(), sound={"harm": []})
 def test_a_damaged_data_set_is_refused_or_unchanged(tmp_path, harm):
-    found = grasps_of(tmp_path / "x.npz", spoilt(good_dataset(), harm))
+    grasps = grasps_of(tmp_path / "x.npz", spoilt(good_dataset(), harm))
     right = grasps_of(tmp_path / "good.npz", good_dataset())
-    assert found is None or same_grasps(found, right)
-    return "refused" if found is None else "unchanged"
+    assert grasps is None or same_grasps(grasps, right)
+    return "refused" if grasps is None else "unchanged"
 
 
 @functools.cache
@@ -120,9 +120,9 @@ def loaded(path: Path, data: bytes, kind: str) -> str:
     except RecognitionError:
         return "refused when asked"
     assert np.all(np.isfinite(probability))
-    found, right = recognizer.to_arrays(), good_model(kind)[1]
-    same = found.keys() == right.keys() and all(
-        np.array_equal(found[n], right[n], equal_nan=right[n].dtype.kind == "f") for n in right
+    arrays, right = recognizer.to_arrays(), good_model(kind)[1]
+    same = arrays.keys() == right.keys() and all(
+        np.array_equal(arrays[n], right[n], equal_nan=right[n].dtype.kind == "f") for n in right
     )
     return "unchanged" if same else "another model"
 

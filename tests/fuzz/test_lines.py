@@ -6,7 +6,6 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
-from types import SimpleNamespace
 
 import can
 import canopen
@@ -34,8 +33,7 @@ from simulator.servo.protocol2 import (
 from tactile.can.bus import BulkSlcanBus
 from tactile.can.sdo_client import MAX_OBJECT_BYTES, ObjectAccess, PolledSdoClient
 from tactile.control_unit import object_dictionary as od
-from tactile.control_unit.node import TactileLink
-from tactile.errors import NodeMissing, TactileError
+from tactile.errors import NodeMissing
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
 from tactile.frames.force_stream import ForceStream
@@ -75,15 +73,15 @@ def test_frames_are_made_of_what_came_and_never_go_back(*, size, first, steps, h
     counters = [first + sum(steps[:n]) for n in range(len(steps) + 1)]
     messages = disturbed([data for counter in counters for data in burst(size, counter)], harm)
     assembler = FrameAssembler(size)
-    found: list[TactileFrame] = []
+    frames: list[TactileFrame] = []
     for number, data in enumerate(messages):
         frame = assembler.push(data[: lengths.get(number)], 0.0)
         if frame is not None:
             assert_came(frame, size, messages)
-            assert not found or 0 < (frame.counter - found[-1].counter) % 0x10000 < 0x8000
-            found.append(frame)
-    assert assembler.counts.complete == len(found)
-    return "whole frames" if found else "dropped"
+            assert not frames or 0 < (frame.counter - frames[-1].counter) % 0x10000 < 0x8000
+            frames.append(frame)
+    assert assembler.counts.complete == len(frames)
+    return "whole frames" if frames else "dropped"
 
 
 newtons = st.floats(-70.0, 70.0)
@@ -95,15 +93,14 @@ forces = st.builds(
     force_n=st.tuples(newtons, newtons),
     centre_taxels=st.none() | st.tuples(st.floats(-9.0, 9.0), st.just(0.0)),
 ).map(force_bytes)
-eight = st.binary(min_size=8, max_size=8)
 
 
 @bad_input(sent=st.lists(forces, min_size=1, max_size=6), harm=damages(at_most=3))
 def test_force_messages_are_those_that_came_each_once(sent, harm):
     messages = disturbed(sent, harm)
     stream = ForceStream(0.003)
-    found = [stream.push(data, 0.003 * n) for n, data in enumerate(messages)]
-    taken = [force_bytes(message) for message in found if message is not None]
+    accepted = [stream.push(data, 0.003 * n) for n, data in enumerate(messages)]
+    taken = [force_bytes(message) for message in accepted if message is not None]
     assert all(data in messages for data in taken)
     assert all(before != after for before, after in pairwise(taken))
     statistics = stream.counts
@@ -130,49 +127,6 @@ def bus() -> Iterator[QuietBus]:
     made = QuietBus()
     yield made
     made.shutdown()
-
-
-def message(can_id: int, data: bytes, kind: str = "data", dlc: int | None = None) -> can.Message:
-    made = can.Message(
-        arbitration_id=can_id,
-        is_extended_id=kind == "extended",
-        is_remote_frame=kind == "remote",
-        is_error_frame=kind == "error",
-        data=data[:8],
-    )
-    made.dlc = made.dlc if dlc is None else dlc
-    return made
-
-
-SERVICES = (0x180, 0x280, 0x380, 0x580, 0x600, 0x700, 0x80)
-
-
-strangers = st.builds(
-    message,
-    st.sampled_from(SERVICES).map(NODE.__add__) | st.integers(0, 0x7FF),
-    eight | st.binary(max_size=8),
-    st.sampled_from(("data",) * 8 + ("extended", "remote", "error")),
-    st.none() | st.integers(0, 15),
-)
-
-
-@bad_input(
-    before=st.lists(strangers, max_size=4), harm=damages(), after=st.lists(strangers, max_size=4)
-)
-def test_a_link_in_operation_gives_frames_that_came_or_its_own_errors(bus, before, harm, after):
-    sent = [message(0x180 + NODE, data) for data in disturbed(burst(PAPER, 9), harm)]
-    messages = [*before, *sent, *after]
-    link = TactileLink(bus, node_id=NODE, layout=paper_layout(), clock=Clock())
-    link._source = SimpleNamespace(drain=lambda: [(0.0, one) for one in messages])
-    link._running = True
-    link._enter_operation()
-    try:
-        frames = link.poll().frames
-    except TactileError:
-        return "refused"
-    for frame in frames:
-        assert_came(frame, PAPER, [bytes(one.data) for one in messages])
-    return "whole frames" if frames else "dropped"
 
 
 def read(bus: QuietBus, index: int, subindex: int, answer: Callable[[bytes], list[bytes]]) -> bytes:
@@ -272,17 +226,19 @@ def terminal() -> Iterator[tuple[int, BulkSlcanBus]]:
 
 def received(master: int, bus: BulkSlcanBus, parts: list[bytes]) -> list[Message]:
     """Return the messages that the driver takes out of bytes that come in these parts."""
-    found = []
+    messages = []
     for part in parts:
         os.write(master, part)
         while (message := bus.recv(0)) is not None:
-            assert len(found) < 1000
+            assert len(messages) < 1000
             if not (message.is_remote_frame or message.is_fd or message.is_error_frame):
                 assert len(message.data) == message.dlc
-                found.append((message.arbitration_id, message.is_extended_id, bytes(message.data)))
+                messages.append(
+                    (message.arbitration_id, message.is_extended_id, bytes(message.data))
+                )
     with contextlib.suppress(BlockingIOError):
         os.read(master, 4096)  # questions for the adapter's flags
-    return found
+    return messages
 
 
 @bad_input(stream=streams, harm=damages(), piece=st.integers(1, 60))
@@ -392,8 +348,8 @@ def test_status_packets_behind_any_bytes_are_found_and_nothing_else(stream, harm
     wire = spoilt(stream, harm) + QUIET + last
     for part in pieces(wire, piece):
         line.arrive(part)
-    found = iter(line.receive, None)
-    bodies = [(s.servo_id, bytes((0x55, s.error | 0x80 * s.alert)) + s.data) for s in found]
+    packets = iter(line.receive, None)
+    bodies = [(s.servo_id, bytes((0x55, s.error | 0x80 * s.alert)) + s.data) for s in packets]
     whole = list(whole_packets(wire))
     assert set(bodies) <= {packet for _, _, packet in whole}
     start = len(wire) - len(last)

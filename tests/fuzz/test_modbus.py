@@ -56,15 +56,15 @@ requests = st.builds(spoilt, good, damages(at_most=2)) | st.binary(max_size=253)
 @bad_input(request=requests, examples=150)
 def test_every_request_gets_an_answer_of_its_function_or_an_exception(request):
     memory = Memory()
-    found = answer(request, memory)
+    reply = answer(request, memory)
     function = request[0] if request else 0
-    assert 2 <= len(found) <= 253
-    if found[0] & 0x80:
-        assert (found[0], len(found)) == (function | 0x80, 2)
-        assert found[1] in (1, 2, 3)
+    assert 2 <= len(reply) <= 253
+    if reply[0] & 0x80:
+        assert (reply[0], len(reply)) == (function | 0x80, 2)
+        assert reply[1] in (1, 2, 3)
         assert memory.written == []
         return "refused"
-    assert found[0] == function
+    assert reply[0] == function
     assert len(memory.written) == (function in (6, 16, 23))
     for address, values in memory.written:
         assert 0 <= address < N
@@ -76,16 +76,16 @@ def test_every_request_gets_an_answer_of_its_function_or_an_exception(request):
 @pytest.mark.parametrize("header", [b"\0\1\0\1\0\6\1", b"\0\1\0\0\0\1\1", b"\0\1\0\0\1\0\1"])
 def test_what_is_no_modbus_is_closed_at_once(header: bytes) -> None:
     async def answered() -> bytes:
-        found = b""
+        reply = b""
         with closing(ModbusServer(ServeConfig(), 0, lambda _host: Memory())) as server:
             served = asyncio.create_task(server.serve())
             reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
             writer.write(header + b"\3\0\0\0\1")
             with suppress(ConnectionResetError):
-                found = await asyncio.wait_for(reader.read(), 10.0)
+                reply = await asyncio.wait_for(reader.read(), 10.0)
             writer.close()
             server.end()
             await served
-        return found
+        return reply
 
     assert asyncio.run(answered()) == b""

@@ -56,14 +56,14 @@ def test_a_damaged_recording_is_refused_unchanged_or_salvaged(tmp_path, harm):
     path, recovered = tmp_path / "x.mcap", tmp_path / "recovered.mcap"
     path.write_bytes(spoilt(data, harm))
     try:
-        found = read_recording(path)
+        recording = read_recording(path)
     except RecordingError:
         return "refused"
-    if found.complete:
-        assert same(found, right)
+    if recording.complete:
+        assert same(recording, right)
         return "unchanged"
-    assert len(found.grasps) <= len(right.grasps)
-    for grasp in found.grasps:
+    assert len(recording.grasps) <= len(right.grasps)
+    for grasp in recording.grasps:
         assert any(same_grasps([grasp], [other]) for other in right.grasps)
     recovered.unlink(missing_ok=True)
     try:
@@ -72,5 +72,5 @@ def test_a_damaged_recording_is_refused_unchanged_or_salvaged(tmp_path, harm):
         return "nothing to salvage"
     whole = read_recording(recovered)
     assert whole.complete
-    assert same_grasps(whole.grasps, found.grasps)
+    assert same_grasps(whole.grasps, recording.grasps)
     return "salvaged"

@@ -103,7 +103,7 @@ def record_fleet(folder: Path, *, n_days: int = 10, n_each: int = 2) -> list[Pat
     Of press 2 each day the opening moves by 0.3 mm, pad 1 loses 5 % and the friction grows by 4 %;
     from the sixth day on it names boxes as balls. Press 1 stays as it is.
     """
-    rng, found = np.random.default_rng(3), []
+    rng, paths = np.random.default_rng(3), list[Path]()
     for day in range(n_days):
         for cell in ("press 1", "press 2"):
             aged = day if cell == "press 2" else 0
@@ -123,7 +123,7 @@ def record_fleet(folder: Path, *, n_days: int = 10, n_each: int = 2) -> list[Pat
                 )
                 wrong = label == "box" and aged >= 5
                 answers.append(None if number % 2 else "ball" if wrong else label)
-            found.append(
+            paths.append(
                 record(
                     folder / f"run-{day:02d}-{cell[-1]}" / "recording.mcap",
                     grasps,
@@ -133,4 +133,4 @@ def record_fleet(folder: Path, *, n_days: int = 10, n_each: int = 2) -> list[Pat
                     hold_a=0.2 + 0.13 * 1.04**aged,
                 )
             )
-    return found
+    return paths

@@ -317,13 +317,13 @@ def test_some_grasps_of_each_object_are_the_same_each_time(archived) -> None:
 
 
 def test_duckdb_reads_the_table(archived) -> None:
-    found = duckdb.sql(
+    rows = duckdb.sql(
         f"select cell, count(*), any_value(counts[30][1]), any_value(zero.opening_m) "
         f"from read_parquet('{archived}/cell=*/*/*.parquet', hive_partitioning=true) "
         "group by cell order by cell"
     ).fetchall()
-    assert [row[:2] for row in found] == [("press 1", 18), ("press 2", 18)]
-    assert all(row[2] > 0 for row in found)
+    assert [row[:2] for row in rows] == [("press 1", 18), ("press 2", 18)]
+    assert all(row[2] > 0 for row in rows)
 
 
 @pytest.mark.slow
@@ -407,8 +407,8 @@ def test_day_effects_are_found_beside_objects_that_are_not_grasped_each_day() ->
     days, objects = rng.normal(size=6), rng.normal(0.0, 10.0, 4)
     n = rng.integers(0, 4, (6, 4)).astype(float)
     n[:, 0] = 1.0
-    found = day_effects(days[:, None] + objects, n)
-    np.testing.assert_allclose(found, days - days.mean(), atol=1e-6)
+    effects = day_effects(days[:, None] + objects, n)
+    np.testing.assert_allclose(effects, days - days.mean(), atol=1e-6)
 
 
 @pytest.mark.slow

@@ -99,7 +99,7 @@ def test_what_has_changed_names_the_step_to_repeat(changes, what, step) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "what", "verdict", "found", "advice"),
+    ("fault", "what", "verdict", "text", "advice"),
     [
         ("unit.stuck", "noise of the taxels", Verdict.WARN, "0 of 408 change at rest", "press"),
         ("unit.off", "control unit", Verdict.FAIL, "did not boot", "check power"),
@@ -113,7 +113,7 @@ def test_what_has_changed_names_the_step_to_repeat(changes, what, step) -> None:
     ],
 )
 def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
-    altered, *, fault, what, verdict, found, advice
+    altered, *, fault, what, verdict, text, advice
 ) -> None:
     cells: list[Any] = []
 
@@ -126,7 +126,7 @@ def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
     assert [one for one in findings if one.verdict is Verdict.FAIL] == [finding] * (
         verdict is Verdict.FAIL
     )
-    assert found in finding.text
+    assert text in finding.text
     assert advice in finding.advice
     ((simulated, before_m),) = cells
     assert simulated.devices.mechanics.aperture_m == pytest.approx(before_m, abs=1e-6)
@@ -134,7 +134,7 @@ def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
 
 
 @pytest.mark.parametrize(
-    ("left", "verdict", "found", "advice"),
+    ("left", "verdict", "text", "advice"),
     [
         (((), ()), Verdict.PASS, "servo 1 has no torque; servo 2 has no torque", ""),
         (((), (0,)), Verdict.FAIL, "servo 1 has no torque (overload)", "clear --reboot"),
@@ -144,7 +144,7 @@ def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
     ],
 )
 def test_torque_that_is_left_on_is_named_with_the_way_on(
-    altered, left, verdict, found, advice
+    altered, left, verdict, text, advice
 ) -> None:
     on, overloaded = left
 
@@ -157,7 +157,7 @@ def test_torque_that_is_left_on_is_named_with_the_way_on(
 
     finding = by_name(altered(alter))["servo torque"]
     assert finding.verdict is verdict
-    assert found in finding.text
+    assert text in finding.text
     assert advice in finding.advice
 
 
@@ -288,11 +288,11 @@ def test_drives_and_servos_of_axes_are_asked_and_not_moved(meddle) -> None:
 
     meddle(spoil)
     findings = by_name(list(examine(AXES)))
-    for name, found in (
+    for name, text in (
         ("axis x (drive 11)", "error 3210h: over-voltage"),
         ("axis rotation (drive 12)", "does not answer"),
         ("axis roll (servo 1)", "hardware error overload"),
     ):
         assert findings[name].verdict is Verdict.FAIL
-        assert found in findings[name].text
+        assert text in findings[name].text
         assert findings[name].advice

@@ -173,10 +173,10 @@ def test_what_users_wrote_into_the_config_stays(tmp_path: Path) -> None:
     again = Engine(steps(), Bench(tmp_path))
     again.redo("servos")
     again.run(Script())
-    found = load_config(path)
-    assert (found.gripper.force_max_n, found.name) == (20.0, "cell 7")
+    config_after = load_config(path)
+    assert (config_after.gripper.force_max_n, config_after.name) == (20.0, "cell 7")
     # What a step has found is as it was found.
-    assert found.gripper.baud_rate == 2000000
+    assert config_after.gripper.baud_rate == 2000000
 
 
 def test_sections_are_there_before_the_config_is_whole(tmp_path: Path) -> None:

@@ -108,10 +108,10 @@ def test_one_servo_with_a_pinion(stand) -> None:
     )
     servos = one.run(SERVOS, servos__count="1").settings
     one.bench.settings = {**one.bench.settings, **servos}
-    found = one.passes(STEP, fingers__kind="pinion")
+    notes = one.passes(STEP, fingers__kind="pinion")
     assert "fingers.open_second" not in one.person.script.asked
-    assert found.settings["gripper.servos"][0]["direction"] == -1
-    linkage = found.settings["gripper.linkage"]
+    assert notes.settings["gripper.servos"][0]["direction"] == -1
+    linkage = notes.settings["gripper.linkage"]
     assert linkage["kind"] == "rack_pinion"
     assert linkage["pinion_radius_mm"] == pytest.approx(20.0, rel=0.02)
 
@@ -120,20 +120,20 @@ def test_one_servo_with_a_pinion(stand) -> None:
 def test_directions_zero_and_linkage_of_badly_mounted_servos(limp) -> None:
     one = limp("servo2.turned", "servo1.horn=164")
     second_first = {"Open one finger": ("open 1", ""), "open the other": ("open 0", "")}
-    found = one.passes(STEP, practice=second_first)
-    first, second = found.settings["gripper.servos"]
+    notes = one.passes(STEP, practice=second_first)
+    first, second = notes.settings["gripper.servos"]
     assert (first["id"], first["direction"]) == (2, -1)
     assert (second["id"], second["direction"]) == (1, 1)
     assert second["zero_pulse"] == pytest.approx(2048 + 164, abs=2)
     assert first["zero_pulse"] == pytest.approx(2048, abs=2)
-    linkage = found.settings["gripper.linkage"]
+    linkage = notes.settings["gripper.linkage"]
     assert linkage["kind"] == "parallel_linkage"
     assert linkage["link_mm"] == pytest.approx(60.0, rel=0.02)
-    assert found.values["residual_mm"] < 0.3
-    inverted, mounted = found.corrected
+    assert notes.values["residual_mm"] < 0.3
+    inverted, mounted = notes.corrected
     assert inverted == "servo 2 turns the other way: its direction was +1, is now -1"
     assert "servo 1: its horn sits +14.5 deg off: its zero was 2048 pulses, is now 221" in mounted
-    assert "opened by" in "\n".join(found.lines)
+    assert "opened by" in "\n".join(notes.lines)
     assert one.torques == [0, 0]
     assert one.person.script.watched
 
@@ -189,18 +189,18 @@ def test_a_finger_that_does_not_open_is_named_and_limp(one, happens, named) -> N
         one.does("empty", "half")()
         happens(one)
 
-    found = one.run(STEP, fingers__free=free)
-    assert found.status is Verdict.FAIL
-    assert named in found.lines[-1]
-    assert found.settings == {}
+    notes = one.run(STEP, fingers__free=free)
+    assert notes.status is Verdict.FAIL
+    assert named in notes.lines[-1]
+    assert notes.settings == {}
     assert one.torques == [0, 0]
 
 
 @pytest.mark.slow
 def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(one) -> None:
-    found = one.run(STEP, fingers__opened="no")
-    assert found.status is Verdict.FAIL
-    assert found.settings == {}
+    notes = one.run(STEP, fingers__opened="no")
+    assert notes.status is Verdict.FAIL
+    assert notes.settings == {}
     assert one.torques == [0, 0]
 
 
@@ -218,9 +218,9 @@ def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(one) -> No
 def test_fingers_that_were_not_closed_or_opened_as_asked_fail_the_step(one, replies, named) -> None:
     answers = {f"fingers.{key}": one.does(*filter(None, words.split("; "))) for key, words in
                replies.items()}  # fmt: skip
-    found = one.run(STEP, **answers)
-    assert found.status is Verdict.FAIL
-    assert re.search(named, found.lines[-1])
+    notes = one.run(STEP, **answers)
+    assert notes.status is Verdict.FAIL
+    assert re.search(named, notes.lines[-1])
     assert one.person.script.writes == []
     one.passes(STEP)
 
@@ -242,21 +242,21 @@ def test_a_thickness_that_was_typed_wrong_is_found(one) -> None:
         "fingers.on_block2": one.does("block 30"),
         "fingers.kind": "parallel",
     }
-    found = one.run(STEP, fingers__block2=50.0, **replies)
-    assert found.status is Verdict.FAIL
-    assert "was a thickness typed wrong" in found.lines[0]
+    notes = one.run(STEP, fingers__block2=50.0, **replies)
+    assert notes.status is Verdict.FAIL
+    assert "was a thickness typed wrong" in notes.lines[0]
     assert "fingers.free" not in one.person.script.asked
     # A smaller error warns.
-    found = one.run(STEP, fingers__block2=33.0, **replies)
-    assert found.status is Verdict.WARN
-    assert "the residual is above 0.5 mm: measure the blocks again" in "\n".join(found.lines)
+    notes = one.run(STEP, fingers__block2=33.0, **replies)
+    assert notes.status is Verdict.WARN
+    assert "the residual is above 0.5 mm: measure the blocks again" in "\n".join(notes.lines)
 
 
 @pytest.mark.slow
 def test_one_block_is_enough_and_worth_a_word(limp) -> None:
-    found = limp().run(STEP, fingers__block2=0.0)
-    assert found.status is Verdict.WARN
-    assert found.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.05)
+    notes = limp().run(STEP, fingers__block2=0.0)
+    assert notes.status is Verdict.WARN
+    assert notes.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.05)
 
 
 @pytest.mark.slow

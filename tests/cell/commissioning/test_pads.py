@@ -66,8 +66,8 @@ def test_pads_that_sit_otherwise_are_found_named_and_set(stand, mounts, named) -
     finding = stand(mounts=mounts).run(PRESSED)
     assert finding.status is Verdict.WARN
     assert named in "\n".join(finding.lines)
-    found = [PadMount(**one) for one in finding.settings["tactile.mounting"]]
-    assert found == mounts
+    set_mounts = [PadMount(**one) for one in finding.settings["tactile.mounting"]]
+    assert set_mounts == mounts
 
 
 def test_a_dead_pad_is_named_and_fails_the_step(one) -> None:
@@ -130,8 +130,8 @@ def test_places_and_mounts_of_patches() -> None:
     patch = pressed_at(layout, force_n)
     assert (patch.pad, patch.force_n) == (2, 1.0)
     assert (patch.along, patch.across) == pytest.approx((-15 / 16, -1 / 2))
-    found = mounts_of(layout, {2: patch, 0: Patch(pad=0, along=0.8, across=0.4, force_n=1.0)})
-    assert found == (PadMount(pad=2, sent_as=2, rows_mirrored=True, columns_mirrored=True),)
+    mounts = mounts_of(layout, {2: patch, 0: Patch(pad=0, along=0.8, across=0.4, force_n=1.0)})
+    assert mounts == (PadMount(pad=2, sent_as=2, rows_mirrored=True, columns_mirrored=True),)
 
 
 # -- The law from counts to newtons: loads on both pads, and the factor that is set ----------------
@@ -178,8 +178,8 @@ def test_a_linear_law_is_set_by_its_force_of_a_count(stand: MakeStand) -> None:
     one.knows(tactile__tare_frames=60, tactile__calibration=law)
     finding = one.run(LAW)
     assert finding.status is Verdict.WARN, finding.lines
-    found = finding.settings["tactile.calibration.force_per_count_n"]
-    assert found == pytest.approx(0.0012, rel=0.05)
+    force_per_count_n = finding.settings["tactile.calibration.force_per_count_n"]
+    assert force_per_count_n == pytest.approx(0.0012, rel=0.05)
 
 
 def test_without_a_scale_the_forces_are_unchecked(stand: MakeStand) -> None:
@@ -237,9 +237,9 @@ def test_loads_that_bend_make_a_table() -> None:
     judge_law(tactile, loads, finding := Notes(), 255)
     law = finding.settings["tactile.calibration"]
     assert law["kind"] == "table"
-    found = TableCalibration(tuple(law["counts"]), tuple(law["force_n"]), 255)
+    table = TableCalibration(tuple(law["counts"]), tuple(law["force_n"]), 255)
     counts = np.array([40.0, 80.0, 110.0])
-    assert found.force_n(counts) == pytest.approx(TRUE.force_n(counts), rel=0.15)
+    assert table.force_n(counts) == pytest.approx(TRUE.force_n(counts), rel=0.15)
     assert finding.values["table_residual_n"] < 0.1
     # The same loads under the table are right.
     shown = [[(load[0], load[0], *load[2:]) for load in one] for one in loads]

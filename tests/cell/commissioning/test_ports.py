@@ -26,8 +26,8 @@ def lines() -> SimulatedLines:
 
 def test_the_only_port_is_taken_unasked(tmp_path) -> None:
     bench = Bench(tmp_path, SimulatedLines(SimulatedCell()))
-    found = carry_out(PORTS, bench, script := Script())
-    assert found.settings == {"gripper.port": "/dev/ttyUSB0"}
+    notes = carry_out(PORTS, bench, script := Script())
+    assert notes.settings == {"gripper.port": "/dev/ttyUSB0"}
     assert script.asked == []
 
 
@@ -43,17 +43,17 @@ def test_a_port_is_found_by_pulling_and_putting_back_its_plug(tmp_path, lines) -
         script = Script({"ports.unplug": lambda: without(*gone), "ports.plug_back": back})
         return carry_out(PORTS, Bench(tmp_path, lines), script), script
 
-    found, _ = run("/dev/ttyUSB1")
-    assert found.settings == {"gripper.port": "/dev/ttyUSB2"}
-    found, script = run("/dev/ttyUSB0", "/dev/ttyACM0")
-    assert "2 ports disappeared and 0 came back" in found.lines[0]
+    notes, _ = run("/dev/ttyUSB1")
+    assert notes.settings == {"gripper.port": "/dev/ttyUSB2"}
+    notes, script = run("/dev/ttyUSB0", "/dev/ttyACM0")
+    assert "2 ports disappeared and 0 came back" in notes.lines[0]
     assert script.asked == ["ports.unplug", "ports.plug_back"]
 
 
 def test_a_cell_without_any_port_asks_for_the_plug(tmp_path, lines) -> None:
     lines.ports = ()
-    found = carry_out(PORTS, Bench(tmp_path, lines), Script())
-    assert "plug in that of the servos" in found.lines[0]
+    notes = carry_out(PORTS, Bench(tmp_path, lines), Script())
+    assert "plug in that of the servos" in notes.lines[0]
 
 
 def test_a_port_that_is_taken_or_gone_is_named(tmp_path, lines) -> None:
@@ -62,9 +62,9 @@ def test_a_port_that_is_taken_or_gone_is_named(tmp_path, lines) -> None:
             raise PortLost(f"serial port {port} is used by another program")
 
     bench = Bench(tmp_path, Taken(lines.cell))
-    found = carry_out(PORTS, bench, Script())
-    assert found.status is Verdict.FAIL
-    assert "used by another program" in found.lines[-1]
+    notes = carry_out(PORTS, bench, Script())
+    assert notes.status is Verdict.FAIL
+    assert "used by another program" in notes.lines[-1]
 
 
 def test_programs_that_have_a_port_open_are_named(tmp_path) -> None:
@@ -76,8 +76,8 @@ def test_programs_that_have_a_port_open_are_named(tmp_path) -> None:
         [sys.executable, "-c", waits, str(device)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as other:
         other.stdout.readline()
-        (found,) = users_of(str(device))
-        assert found.endswith(f"(process {other.pid})")
+        (user,) = users_of(str(device))
+        assert user.endswith(f"(process {other.pid})")
     assert os.path.exists(device)
 
 
@@ -129,8 +129,8 @@ def test_an_adapter_is_named_by_its_own_serial_number_or_else_by_its_socket(
 ) -> None:
     dev = machine / "dev"
     common = {"ID_VENDOR_ID": "0403", "ID_MODEL_ID": "6010", "ID_USB_INTERFACE_NUM": number}
-    found = usb_identity(str(dev / port))
-    assert found == (None if identity is None else common | identity)
+    properties = usb_identity(str(dev / port))
+    assert properties == (None if identity is None else common | identity)
     assert lasting_name(str(dev / port)) == str(dev / name)
 
 

@@ -32,14 +32,14 @@ def eeproms(one: Stand) -> list[bytes]:
 
 @pytest.mark.slow
 def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
-    found = new.passes(STEP)
+    notes = new.passes(STEP)
     script = new.person.script
     assert script.asked == ["servos.connect_one", "servos.connect_next"]
-    assert "servo 2: id was 1, is now 2" in found.corrected
-    assert "servo 1: baud_rate was 57600 bit/s, is now 1000000 bit/s" in found.corrected
-    assert len(found.corrected) == 7  # operating_mode and return_delay_time of both
+    assert "servo 2: id was 1, is now 2" in notes.corrected
+    assert "servo 1: baud_rate was 57600 bit/s, is now 1000000 bit/s" in notes.corrected
+    assert len(notes.corrected) == 7  # operating_mode and return_delay_time of both
     # What the hands of the first run have set right stays on the list of a second one.
-    assert new.passes(STEP).corrected == found.corrected
+    assert new.passes(STEP).corrected == notes.corrected
     for name, values in {
         "id": [1, 2],
         "baud_rate": [3, 3],
@@ -51,9 +51,9 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
     assert ("id (7)", "1", "2") in shown
     assert ("baud_rate (8)", "57600 bit/s", "1000000 bit/s") in shown
     for number in (1, 2):
-        kept = json.loads((tmp_path / f"backup-servo{number}.json").read_text())
-        assert (kept["registers"]["id"], kept["registers"]["baud_rate"]) == (1, 1)
-        assert kept["registers"]["return_delay_time"] == 250
+        backup = json.loads((tmp_path / f"backup-servo{number}.json").read_text())
+        assert (backup["registers"]["id"], backup["registers"]["baud_rate"]) == (1, 1)
+        assert backup["registers"]["return_delay_time"] == 250
 
 
 @pytest.mark.parametrize("level", [0, 1])

@@ -14,39 +14,12 @@ from cell.config.model import CellConfig
 from cell.simulation import simulator_settings
 from docs.tools.transcript import TRANSCRIPT, transcript
 from simulator.cell import SimulatedCell
-from simulator.settings import SimulatorSettings
-from simulator.world.taxels import NoiseModel
-from tactile.layout import PadMount, pinch_layout
-from tests.cell.commissioning.hands import Person, Script, SimulatedLines
+from tactile.layout import PadMount
+from tests.cell.commissioning.hands import Person, SimulatedLines
 
 pytestmark = pytest.mark.long
 
 EXCHANGED = (PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0))
-
-
-def brought_up(folder: Path) -> Script:
-    """Run the wizard until it is finished, as the command does; returns what was said and found."""
-    settings = SimulatorSettings(
-        layout=pinch_layout(),
-        noise=NoiseModel(level=0.4),
-        aperture_m=0.03,
-    )
-    with SimulatedCell(settings) as cell:
-        person = Person(cell)
-        given = {"tactile.interface": "socketcan", "tactile.channel": "can0"}
-        engine = Engine(all_steps(), Bench(folder, SimulatedLines(cell), given=given))
-        engine.run(person.script)
-        torque = [s.core.registers.get("torque_enable") for s in cell.devices.servo_bus.servos]
-        assert torque == [0, 0]
-    return person.script
-
-
-def test_a_sound_cell_is_brought_up_without_a_warning(tmp_path) -> None:
-    found = brought_up(tmp_path).findings
-    assert {key: one.lines for key, one in found.items() if one.status is not Verdict.PASS} == {}
-    config = load_config(tmp_path / CONFIG_NAME)
-    assert config.tactile.mounting == ()
-    assert config.tactile.board_serial_numbers == (1, 2)
 
 
 CONFIGS = Path(__file__).parents[3] / "config"
@@ -86,19 +59,19 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, m
         Engine(all_steps(), bench).run(person.script)
         (servo,) = cell.devices.servo_bus.servos
         assert servo.core.registers.get("torque_enable") == 0
-    found = person.script.findings
-    assert {key: one.lines for key, one in found.items() if one.status is Verdict.FAIL} == {}
+    findings = person.script.findings
+    assert {key: one.lines for key, one in findings.items() if one.status is Verdict.FAIL} == {}
     config = load_config(tmp_path / CONFIG_NAME)
     (wanted,), (now,) = base.gripper.servos, config.gripper.servos
     assert (now.model, now.direction) == (wanted.model, wanted.direction)
     if boards:
-        said = "\n".join(line for one in found.values() for line in one.lines)
+        said = "\n".join(line for one in findings.values() for line in one.lines)
         mounts = tuple(PadMount(**mount.model_dump()) for mount in config.tactile.mounting)
         assert mounts == EXCHANGED
     if sensor == "flexitac":
         assert "named by their USB sockets: leave them" in said
         assert config.tactile.serial_ports == (by_path(1), by_path(0))
-    four = found["first_force"].values["asked_held_peak_n"][-1]
+    four = findings["first_force"].values["asked_held_peak_n"][-1]
     assert person.pressed_n == pytest.approx(four[1], abs=1.0)
 
 

@@ -214,22 +214,19 @@ def test_dates_and_a_last_line_without_a_break_are_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("encoding", "line"), [("latin-1", 2), ("utf-16", 1), ("utf-16-le", 2), ("cp1252", 2)]
+    ("content", "says"),
+    [
+        ("seed: 3\nname: Prüfzelle\n".encode("latin-1"), "cell.yaml:2:.* save the file as UTF-8"),
+        ("seed: 3\n".encode("utf-16"), "cell.yaml:1:.* save the file as UTF-8"),
+        (b"#" * (MAX_BYTES + 1), "at most"),
+        (None, "cannot read config .*check the path"),
+    ],
 )
-def test_another_encoding_is_named_with_its_line(encoding, line, tmp_path):
-    path = tmp_path / "cell.yaml"
-    path.write_bytes("seed: 3\nname: Prüfzelle\n".encode(encoding))
-    with pytest.raises(ConfigError, match=rf"cell.yaml:{line}:.* save the file as UTF-8"):
-        load_config(path)
-
-
-def test_missing_unreadable_and_oversized_files_are_refused(tmp_path) -> None:
-    with pytest.raises(ConfigError, match=r"cannot read config .*check the path"):
-        load_config(tmp_path / "none.yaml")
-    large = tmp_path / "large.yaml"
-    large.write_text("#" * (MAX_BYTES + 1))
-    with pytest.raises(ConfigError, match="at most"):
-        load_config(large)
+def test_files_that_are_no_text_or_too_large_are_refused(content, says, tmp_path):
+    if content is not None:
+        (tmp_path / "cell.yaml").write_bytes(content)
+    with pytest.raises(ConfigError, match=says):
+        load_config(tmp_path / "cell.yaml")
 
 
 def test_what_is_no_plain_file_is_refused_and_not_waited_for(tmp_path) -> None:

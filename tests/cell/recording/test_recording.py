@@ -130,8 +130,8 @@ def record(path: Path, n_grasps: int = 6) -> list[Grasp]:
         likely = Posterior(
             labels=("object 0", "object 1"), probability=np.array([0.003, 0.997]), unknown=0.01
         )
-        found = make_identification(likely, shape=BAR, shapes=(BAR, None))
-        journal.result(found)
+        answer = make_identification(likely, shape=BAR, shapes=(BAR, None))
+        journal.result(answer)
     return grasps
 
 
@@ -157,12 +157,12 @@ def test_recording_holds_all_that_happened(whole) -> None:
     np.testing.assert_allclose(recording.cycles.t_s[:3], [100.0, 100.005, 100.01], atol=1e-9)
     assert [pose["rotation_rad"] for pose in recording.poses] == [0.3] * 6
     assert recording.events[0] == {"t_s": 100.0, "kind": "state", "text": "EXECUTE"}
-    felt = recording.results[0]["shape"]
-    assert (felt["kind"], felt["probability"], felt["n_grasps"]) == ("flat", 0.75, 3)
-    assert (felt["size_m"], felt["low_m"], felt["high_m"]) == (0.0159, 0.0155, 0.0163)
-    assert [t["size_m"] for t in felt["thicknesses"]] == [0.01, 0.0159]
-    assert felt["dimensions_m"] == {"height": 0.0159}
-    assert recording.results[0]["grasp_shapes"] == [felt, {}]
+    shape = recording.results[0]["shape"]
+    assert (shape["kind"], shape["probability"], shape["n_grasps"]) == ("flat", 0.75, 3)
+    assert (shape["size_m"], shape["low_m"], shape["high_m"]) == (0.0159, 0.0155, 0.0163)
+    assert [t["size_m"] for t in shape["thicknesses"]] == [0.01, 0.0159]
+    assert shape["dimensions_m"] == {"height": 0.0159}
+    assert recording.results[0]["grasp_shapes"] == [shape, {}]
     assert recording.states == (
         {
             "t_s": 100.0,
@@ -301,10 +301,10 @@ def test_a_full_disk_leaves_what_was_whole_before(room, background, tmp_path, mo
         with pytest.raises(RecordingError, match=r"has no description|not an MCAP file"):
             read_recording(path)
         return
-    found = read_recording(path)
-    assert not found.complete
-    assert same_grasps(grasps[: len(found.grasps)], found.grasps, atol=2e-9)
-    assert bool(found.grasps) == (room > 9_000)
+    recording = read_recording(path)
+    assert not recording.complete
+    assert same_grasps(grasps[: len(recording.grasps)], recording.grasps, atol=2e-9)
+    assert bool(recording.grasps) == (room > 9_000)
 
 
 @pytest.mark.parametrize("background", [False, True])
@@ -551,9 +551,9 @@ def test_a_message_that_does_not_fit_is_left_out_named_and_not_recovered(
     assert recording.lost_reason.startswith("message 2 of /tactile/frame is left out: ")
     assert says in recording.lost_reason
     assert recording.frames.number.tolist() == [0, 1]
-    found = recover_recording(path, tmp_path / "new.mcap")
-    assert (found.n_frames, found.lost_reason) == (2, recording.lost_reason)
-    whole = read_recording(found.recording)
+    recovered = recover_recording(path, tmp_path / "new.mcap")
+    assert (recovered.n_frames, recovered.lost_reason) == (2, recording.lost_reason)
+    whole = read_recording(recovered.recording)
     assert (whole.complete, whole.frames.number.tolist()) == (True, [0, 1])
 
 
@@ -660,10 +660,10 @@ def test_each_legal_file_is_read_and_recovered_whole(
     assert (after.results, after.events) == (before.results, before.events)
     assert same_grasps(before.grasps, after.grasps)
     assert len(after.grasps) == 3
-    found = recover_recording(again, tmp_path / "new.mcap")
-    assert (found.lost_reason, found.n_grasps) == ("", 3)
-    recovered = read_recording(found.recording)
-    assert (recovered.complete, RECOVERED in recovered.metadata) == (True, False)
+    recovered = recover_recording(again, tmp_path / "new.mcap")
+    assert (recovered.lost_reason, recovered.n_grasps) == ("", 3)
+    new_recording = read_recording(recovered.recording)
+    assert (new_recording.complete, RECOVERED in new_recording.metadata) == (True, False)
 
 
 def test_a_damaged_file_without_chunks_is_not_complete(three: Path, tmp_path: Path) -> None:
@@ -697,10 +697,10 @@ def test_a_recording_that_lacks_frames_is_not_complete(
         )
 
     again = written_again(three, tmp_path / "a.mcap", leave_out=leave_out)
-    found = read_recording(again)
-    assert says in found.lost_reason
-    assert not found.complete
-    assert (len(found.grasps), found.n_broken_grasps) == (n_grasps, bool(n_grasps))
+    recording = read_recording(again)
+    assert says in recording.lost_reason
+    assert not recording.complete
+    assert (len(recording.grasps), recording.n_broken_grasps) == (n_grasps, bool(n_grasps))
     with pytest.raises(RecordingError, match="not complete"):
         recording_grasps(again)
     assert recover_recording(again, tmp_path / "new.mcap").n_grasps == n_grasps

@@ -61,8 +61,8 @@ def keep(tmp_path: Path) -> Iterator[Any]:
 def disk(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Return the free bytes of the disk, to be changed."""
     free = [100 << 30]
-    found = lambda _folder: SimpleNamespace(f_bavail=free[0], f_frsize=1)  # noqa: E731
-    monkeypatch.setattr(recorder_sink.os, "statvfs", found)
+    space = lambda _folder: SimpleNamespace(f_bavail=free[0], f_frsize=1)  # noqa: E731
+    monkeypatch.setattr(recorder_sink.os, "statvfs", space)
     return free
 
 
