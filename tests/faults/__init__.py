@@ -1,4 +1,4 @@
-"""The fault campaign: each variant of 45 kinds of fault on the simulated cell, and random ones.
+"""The fault campaign: each variant of each kind of fault on the simulated cell, and random ones.
 
 ``table`` has the rows as data, ``campaign`` the cell that they run on, ``scenarios`` those faults
 that need code, ``invariants`` what may never happen, ``state_machine`` and ``driver`` the random

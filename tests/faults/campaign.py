@@ -48,10 +48,10 @@ class Observed:
 
 @dataclass(frozen=True, slots=True)
 class FaultRow:
-    """One variant of one of the 45 kinds of fault."""
+    """One variant of a kind of fault."""
 
     row: int
-    """Kind of fault, 1 to 45."""
+    """Number of its kind."""
     variant: str
     """What makes it differ from the other variants of this kind; may be empty."""
     fault: str

@@ -1,4 +1,4 @@
-"""The rows of the fault campaign as data: 45 kinds of fault in their variants.
+"""The rows of the fault campaign as data: kinds of fault in their variants.
 
 A record is: kind, variant, fault in plain words, what is injected, required reaction, limit in s
 until it is detected (None where no time applies); then, where the text of the simulator's
@@ -6,7 +6,7 @@ vocabulary and one grasp do not do, the scenario, and changes of the config.
 """
 
 import signal
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from tests.faults.campaign import (
     carry_with_fault,
     grasp_with_fault,
 )
-from tests.faults.scenarios import axes, can, files, host, processes, servo
+from tests.faults.scenarios import axes, can, host, processes, servo
 
 REACTIONS = {
     "REJECT": "the start, command or file is refused, cause and remedy are named",
@@ -575,18 +575,6 @@ HOST_PROGRAM = (
              f"each period takes 10 ms too long; {OVERRUNS_MAX} in a row are the limit",
              "a sink that sleeps, each time", "HOLD", (OVERRUNS_MAX + 2) * (0.010 + LOOP_S),
              partial(host.loop_held_up, stall_s=0.010, times=1000)),
-    FaultRow(31, "interpreter lock hogged",
-             f"a thread of the host program holds Python's lock for {processes.HOG_S:g} s and "
-             "collects garbage, four times",
-             "sum() over a long range and gc.collect() beside a grasp, real time", "NOTHING", None,
-             processes.interpreter_lock_hogged, real_time=True),
-    FaultRow(32, "callback", "the callback that is told of each grasp raises",
-             "an exception", "NOTE", LOOP_S,
-             partial(host.error_between_grasps, recognizer=host.SureRecognizer(),
-                     on_grasp=host.broken_callback)),
-    FaultRow(32, "recogniser", "the recogniser raises", "an exception", "NOTE", LOOP_S,
-             partial(host.error_between_grasps,
-                     recognizer=host.SureRecognizer(ValueError("no such feature")))),
     FaultRow(32, "sink", "what collects the periods of the loop raises",
              "an exception", "HOLD", LOOP_S, host.error_in_the_loop),
     FaultRow(32, "mover", "the host's callback that moves the robot raises",
@@ -604,74 +592,12 @@ HOST_PROGRAM = (
              "a host program ends by an error of its own mid-job and closes nothing",
              "an exception in the main thread, real time", "HOLD", SIGNAL_S,
              processes.host_ends_by_an_error, real_time=True),
-    FaultRow(34, "host program killed",
-             "the program is killed in the ramp; its force loop is left",
-             "SIGKILL, real time", "HOLD", SIGNAL_S, processes.host_killed, real_time=True),
-    FaultRow(35, "silent host",
-             "the host that has loaded the plugin makes no call any more, mid-job",
-             f"no call for {host.HOST_TIMEOUT_S:g} s (host_timeout_s)", "HOLD",
-             2.0 * host.HOST_TIMEOUT_S, host.host_is_silent,
-             {"host_timeout_s": host.HOST_TIMEOUT_S}, real_time=True),
     *(FaultRow(40, variant, "the wall clock jumps in the ramp", f"{step_s:+g} s", "NOTHING", None,
                partial(host.wall_clock_jumps, step_s=step_s))
       for variant, step_s in (
           ("an hour on", HOUR_S), ("an hour back", -HOUR_S), ("NTP step", -0.4))),
 )
 
-DISK_AND_PORTS = (
-    # From the first write that is refused; of a slow disk, until 64 KiB wait for it.
-    FaultRow(36, "full disk", "the disk is full from the contact on, when_lost: finish",
-             "ENOSPC", "NOTE", 2 * LOOP_S, files.disk_refuses, {"recording.when_lost": "finish"}),
-    FaultRow(36, "full disk and hold", "the disk is full from the contact on, when_lost: hold",
-             "ENOSPC", "HOLD", 2 * LOOP_S, files.disk_refuses, {"recording.when_lost": "hold"}),
-    FaultRow(36, "slow disk", "the disk stands still from then on",
-             "a write that waits", "NOTE", 10.0, partial(files.disk_refuses, slow=True),
-             {"recording.when_lost": "finish"}, long=True),
-    FaultRow(36, "read-only", "the folder of the recording cannot be written",
-             "a folder below /proc", "REJECT", None, files.folder_is_read_only),
-    FaultRow(37, "truncated", "the recording is truncated", "bytes of the file", "REJECT", None,
-             partial(files.damaged_recording, damage=files.cut)),
-    FaultRow(37, "bit-flipped", "the recording is bit-flipped", "bytes of the file", "REJECT", None,
-             partial(files.damaged_recording, damage=files.flipped)),
-    FaultRow(41, "the servo port", "a second program opens the servo port",
-             "the same pseudo-terminal again", "REJECT", None, files.servo_port_opened_twice),
-    FaultRow(41, "the CAN adapter's port", "a second program opens the CAN adapter's port",
-             "the same pseudo-terminal again", "REJECT", None, files.can_port_opened_twice),
-)
-
-BAD_CONFIGS = (
-    # Variant, text of the file, word of the cause in the refusal.
-    ("corrupt", "gripper: {force_max_n: [\n", "not YAML"),
-    ("NaN", "gripper:\n  force_max_n: .nan\n", "gripper.force_max_n"),
-    ("out of range", "gripper:\n  force_max_n: 51.0\n", "gripper.force_max_n"),
-    ("misspelt", "gripper:\n  forc_max_n: 5.0\n", "did you mean force_max_n"),
-    ("nothing stops below the cap", "gripper:\n  force_max_n: 2.0\n"
-     "sequence:\n  force_n: [1.8, 1.8]\n  carry_force_n: 1.0\n", "Raise force_max_n"),
-)
-BAD_MODELS: tuple[tuple[str, Callable[[Path], bytes]], ...] = (
-    ("corrupt", lambda _marker: files.flipped(files.model_file(), 0x01)),
-    ("pickle", files.evil_pickle),
-)
-CONFIGS_AND_MODELS = (
-    *(FaultRow(38, variant, f"config: {variant}", f"`{text.strip().splitlines()[-1].strip()}`",
-               "REJECT", None, partial(files.bad_config, text=text, word=word))
-      for variant, text, word in BAD_CONFIGS),
-    *(FaultRow(39, variant, f"model: {variant}", "bytes of the file", "REJECT", None,
-               partial(files.bad_model, content=content))
-      for variant, content in BAD_MODELS),
-)
-
-COMMANDS = (
-    *(FaultRow(42, variant, f"`{command}` while the cell is {state}", command, "REJECT", LOOP_S,
-               scenario)
-      for variant, command, state, scenario in (
-          ("start while moving", "start", "EXECUTE", host.refused_while_moving),
-          ("release while moving", "release", "EXECUTE", host.refused_while_moving))),
-    FaultRow(42, "cancel during start", "the start is cancelled while the fingers open",
-             "cancel", "HOLD", 2 * LOOP_S, host.start_cancelled),
-    FaultRow(42, "cancel twice", "a grasp is cancelled twice in the ramp",
-             "cancel", "HOLD", 2 * LOOP_S, host.grasp_cancelled_twice),
-)
 AXES = (
     *(FaultRow(43, variant, fault, text, "HOLD", limit_s, axes.axis_fails, number=number,
                long=variant != "drive fault")
@@ -704,9 +630,6 @@ GROUPS = {
     "RH-P12-RN(A) with FlexiTac": RH_P12,
     "grip": GRIP,
     "host program": HOST_PROGRAM,
-    "disk, recordings, ports": DISK_AND_PORTS,
-    "configs and models": CONFIGS_AND_MODELS,
-    "commands out of order": COMMANDS,
     "axes": AXES,
 }
 """The rows by what fails."""

@@ -20,6 +20,7 @@ gripper:
   watchdog_ms: 500.0
 """
 """Half the rate and some patience: other tests may take turns on the same processor."""
+SEQUENCE = "sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}\n"
 
 
 def first(pid: int) -> None:

@@ -13,11 +13,9 @@ from cell.recording.reader import read_recording
 from cell.runtime.plugin import TactileCellPlugin
 from gripper.errors import ServoFault
 from pytest_tactile_cell.process import CellProcess
-from tests.hil.program import CONFIG, LIMIT_S, end, first, run, running
+from tests.hil.program import CONFIG, LIMIT_S, SEQUENCE, end, first, run, running
 
 pytestmark = pytest.mark.real_time
-
-SEQUENCE = "sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}\n"
 
 
 @pytest.fixture

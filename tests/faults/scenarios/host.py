@@ -1,37 +1,29 @@
-"""Faults of the host program: a slow loop, errors in its code, silence, the clock, its commands."""
+"""Faults of the host program: a slow loop, errors in its code, the wall clock."""
 
-import re
-import threading
 import time
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 from unittest import mock
 
 import numpy as np
 
-from cell.control.plan import GraspStep, Pose
+from cell.control.plan import Pose
 from cell.control.records import GraspCollector, GraspRecord
 from cell.control.states import CellState
-from cell.errors import CellStateError, CellStopped
+from cell.errors import CellStateError
 from cell.runtime.goals import TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import JobFailed
 from gripper.values.state import GripperPhase
-from recognition.recognizer import Posterior
 from tests.faults.campaign import (
     CampaignCell,
     FaultRow,
     Observed,
     campaign_cell,
     campaign_config,
-    grasp_job,
     observe,
 )
-from tests.values import command_of
 
-HOST_TIMEOUT_S = 0.3
-"""`host_timeout_s` of the row of a silent host."""
 _RATE_N_S = 10.0
 """Rate of the campaign's ramp."""
 _BEYOND_N = 0.5
@@ -103,44 +95,6 @@ def loop_held_up(row: FaultRow, *, stall_s: float, times: int = 1) -> Observed:
 # -- 32: errors in the host's code -----------------------------------------------------------
 
 
-class SureRecognizer:
-    """A recogniser that is sure of its first label, or raises an error."""
-
-    name, labels, uses_aperture = "sure", ("ball", "box"), False
-
-    def __init__(self, error: Exception | None = None) -> None:
-        self._error = error
-
-    def posterior(self, grasp: Any) -> Posterior:
-        if self._error is not None:
-            raise self._error
-        return Posterior(labels=self.labels, probability=np.array([1.0 - 1e-9, 1e-9]), unknown=0.01)
-
-
-def broken_callback(*_given: object) -> None:
-    raise ValueError("window closed")
-
-
-def error_between_grasps(
-    row: FaultRow, *, recognizer: SureRecognizer, on_grasp: Any = None
-) -> Observed:
-    """Identify with a recogniser or a callback that raises; both run between two grasps."""
-    with campaign_cell(row.changes) as cell:
-        cell.start()
-        try:
-            step = GraspStep(pose=Pose(), force_n=3.0)
-            found = cell.controller.identify(recognizer, [step], on_grasp=on_grasp)
-            end = f"{found.complaints[0]}; the answer is {found.label}"
-        except ValueError as error:
-            end = f"the job fails with {type(error).__name__}: {error}; no label"
-        state = cell.controller.life.state
-        unharmed = state is CellState.IDLE and cell.controller.life.fault is None
-        cell.grasp()
-        return Observed(
-            "NOTE" if unharmed else "HOLD", 0.0, f"{end}; {state.value}, the next grasp works"
-        )
-
-
 def error_in_the_loop(row: FaultRow) -> Observed:
     """Let what collects the periods of the loop raise in the ramp."""
 
@@ -180,25 +134,6 @@ def error_in_the_mover(row: FaultRow) -> Observed:
             "HOLD" if latched else "NOTHING",
             0.0,
             f"{end}; {status.state}, the fingers are open and empty",
-        )
-
-
-# -- 35: the host is silent ------------------------------------------------------------------
-
-
-def host_is_silent(row: FaultRow) -> Observed:
-    """Start a job through the plugin and make no call any more for a while."""
-    with TactileCellPlugin(campaign_config(row.changes)) as plugin:
-        job = plugin.start(TeachGoal(label="ball", grasps=1000))
-        threading.Event().wait(3.0 * HOST_TIMEOUT_S)
-        status, state = plugin.feedback(job), plugin.status().state
-        if state == CellState.HELD:
-            plugin.release()
-        silent = re.search(r"host' was silent for ([0-9.]+) s", status.error)
-        return Observed(
-            "HOLD" if silent is not None else status.outcome.value,
-            None if silent is None else float(silent[1]),
-            f"{state}, job {status.outcome.value}, readable later: {status.error[:90]}",
         )
 
 
@@ -246,65 +181,3 @@ def _grasp_with_clock(step_s: float) -> tuple[GraspRecord, float]:
         record = cell.grasp()
         assert jumped
         return record, cell.now_s
-
-
-# -- 42: commands out of order ---------------------------------------------------------------
-
-
-def refused_while_moving(row: FaultRow) -> Observed:
-    with campaign_cell(row.changes) as cell:
-        refusals: list[Observed] = []
-
-        def refuse() -> None:
-            refusals.append(_refusal(cell, row.injected))
-
-        cell.once_in(GripperPhase.RAMPING, refuse, after_s=0.1)
-        grasp_job(cell)
-        return refusals[0]
-
-
-def _refusal(cell: CampaignCell, command: str) -> Observed:
-    def seen() -> tuple[Any, ...]:
-        hand = cell.controller.hand
-        return (cell.controller.life.state, hand.phase, repr(hand.statistics.servo_bus), cell.now_s)
-
-    before = seen()
-    try:
-        command_of(cell.controller, command)()
-    except CellStateError as error:
-        same = seen() == before
-        return Observed("REJECT" if same else "CHANGED", 0.0, f"{error}; nothing was sent")
-    return Observed("NOTHING", None, "it was carried out")
-
-
-def start_cancelled(row: FaultRow) -> Observed:
-    with campaign_cell(row.changes) as cell:
-        began = cell.once_in(GripperPhase.OPENING, cell.controller.life.cancel)
-        return _stopped(cell, began, cell.controller.start)
-
-
-def grasp_cancelled_twice(row: FaultRow) -> Observed:
-    with campaign_cell(row.changes) as cell:
-
-        def cancel() -> None:
-            cell.controller.life.cancel()
-            cell.controller.life.cancel()
-
-        began = cell.once_in(GripperPhase.RAMPING, cancel, after_s=0.1)
-        return _stopped(cell, began, lambda: grasp_job(cell))
-
-
-def _stopped(cell: CampaignCell, began: list[float], job: Callable[[], object]) -> Observed:
-    try:
-        job()
-    except CellStopped as stop:
-        after_s = cell.now_s - began[0]
-        state = cell.controller.life.state
-        cell.idle(0.5)
-        settled = state in (CellState.HELD, CellState.STOPPED)
-        return Observed(
-            "HOLD" if settled else state.value,
-            after_s,
-            f"{stop}; {state.value} ({cell.grip_n:.1f} N)",
-        )
-    return Observed("NOTHING", None, "it went on")

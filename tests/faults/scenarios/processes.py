@@ -1,11 +1,10 @@
-"""Faults between processes: signals, kills, a host that holds the interpreter's lock.
+"""Faults between processes: signals, and the end of a parent or host.
 
 All but `signal_in_the_ramp` run the program and the simulated cell as processes, in real time.
 """
 
 import atexit
 import contextlib
-import gc
 import os
 import signal
 import subprocess
@@ -13,45 +12,31 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from cell.build import build_cell
-from cell.config.file import load_config
-from cell.config.model import CellConfig
-from cell.control.plan import GraspStep, Pose
+from cell.config.file import load_config, parse_config
 from cell.errors import CellError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.session import running_cell
 from cell.recording.reader import read_recording
 from cell.runtime.goals import TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
-from gripper.errors import GripperError
 from pytest_tactile_cell.process import CellProcess
 from tests.cell.conftest import once
 from tests.faults.campaign import FaultRow, Observed, campaign_config
+from tests.hil.program import CONFIG, SEQUENCE, first
+from tests.waiting import LIMIT_S
 
-HOG_S = 0.5
-"""Time in s for which a thread of the host holds the interpreter's lock."""
-HOGS = 4
-"""How often it does so."""
-_SUMS_PER_S = 4e7
-"""Numbers that sum() adds in a second, about: it holds the lock meanwhile."""
-_LIMIT_S = 30.0
-"""Patience in s with everything that is waited for."""
 _GRIPPED_N = 1.0
 """Force in N at which a part counts as gripped."""
 _KEPT_N = 0.6
 """Force in N with which a part counts as still held."""
-_LET_GO_ATTEMPTS = 5
-_PRIORITY = 60
-"""Of the simulated cell: above the force loop, as devices answer whatever the host does."""
 _INTERRUPTED = 1
 """Exit code after one signal or several, also where closing took too long and was cut off."""
-_STEP = GraspStep(pose=Pose(), force_n=4.0)
 _PROGRAM = (
     sys.executable,
     "-P",
@@ -72,47 +57,6 @@ raise RuntimeError("the host's own error")
 """
 """A host program that ends by an error of its own while a job runs, and closes nothing. Its main
 module, which stands without `if __name__ == "__main__"`, is not run in the process of the loop."""
-
-# -- 31: a thread of the host holds the interpreter's lock -------------------------------------
-
-
-def interpreter_lock_hogged(_row: FaultRow) -> Observed:
-    """Hold the interpreter's lock of the host program again and again while it grasps."""
-    cell = build_cell(_client_config())
-    try:
-        cell.controller.start()
-        cell.controller.moves.present("box")
-        over = threading.Event()
-
-        def hog() -> None:
-            for _ in range(HOGS):
-                if over.is_set():
-                    return
-                sum(range(int(HOG_S * _SUMS_PER_S)))
-                gc.collect()
-
-        thread = threading.Thread(target=hog)
-        before = cell.health()["loop"]
-        thread.start()
-        try:
-            record = cell.controller.grasp(_STEP)
-        finally:
-            over.set()
-            thread.join()
-        loop = cell.health()["loop"]
-        gap_s = max(
-            after.t_s - cycle.t_s
-            for cycle, after in zip(record.cycles, record.cycles[1:], strict=False)
-        )
-        return Observed(
-            "NOTHING",
-            None,
-            f"the loop has its own process: {len(record.cycles)} periods, all delivered, "
-            f"longest {1e3 * gap_s:.0f} ms, {loop['late'] - before['late']} late",
-        )
-    finally:
-        cell.close()
-
 
 # -- 33: signals -----------------------------------------------------------------------------
 
@@ -206,29 +150,22 @@ def parent_dies(_row: FaultRow) -> Observed:
 
 
 def host_ends_by_an_error(_row: FaultRow) -> Observed:
+    """End a host program; the process of its force loop is left, and ends by itself."""
     with _gripping(host=True) as client:
-
-        def ends() -> None:
-            client.process.stdin.close()
-            _wait_for_end(client.pid)
-
-        return _loop_left_alone(
-            client,
-            ends,
-            "nothing was closed; the process of the force loop freezes the goals and ends",
-        )
-
-
-# -- 34: SIGKILL -----------------------------------------------------------------------------
-
-
-def host_killed(_row: FaultRow) -> Observed:
-    """Kill the program; the process of its force loop is left."""
-    with _gripping() as client:
-        return _loop_left_alone(
-            client,
-            lambda: os.kill(client.pid, signal.SIGKILL),
-            "the process of the force loop freezes the goals, disarms the watchdog and ends",
+        loop = _child_of(client.pid)
+        os.kill(loop, signal.SIGINT)  # the business of the program, as Ctrl-C goes to both
+        threading.Event().wait(0.1)
+        if not _alive(loop):
+            return Observed("LOST", None, "the process of the force loop ends by SIGINT")
+        client.process.stdin.close()
+        began_s = _wait_for_end(client.pid)
+        after_s = _wait_for_end(loop) - began_s
+        grip_n = _simulator().grip_n()
+        return Observed(
+            "HOLD" if grip_n > _KEPT_N else "LOST",
+            after_s,
+            "nothing was closed; the process of the force loop freezes the goals and ends; the "
+            f"grip is kept ({grip_n:.1f} N)",
         )
 
 
@@ -238,32 +175,10 @@ def host_killed(_row: FaultRow) -> Observed:
 @cache
 def _simulator() -> CellProcess:
     """Return the simulated cell of all rows: its process ends with this one."""
-    config = campaign_config(
-        {
-            "gripper.aperture_open_mm": 16.0,
-            "gripper.loop_rate_hz": 100.0,
-            "gripper.approach_speed_mm_s": 30.0,
-            "gripper.watchdog_ms": 500.0,
-            "gripper.force_stale_ms": 400.0,
-            "gripper.bus_loss_ms": 500.0,
-            "tactile.layout": "paper",
-            "tactile.sync_period_ms": 50.0,
-            "tactile.force_period_ms": 10,
-            "sequence.x_mm": [0, 0],
-            "sequence.y_mm": [0, 0],
-            "sequence.force_n": [4, 5],
-        }
-    )
-    process = CellProcess(config)
-    for task in Path(f"/proc/{process.pid}/task").iterdir():
-        with contextlib.suppress(PermissionError, ProcessLookupError):
-            os.sched_setscheduler(int(task.name), os.SCHED_RR, os.sched_param(_PRIORITY))
+    process = CellProcess(parse_config(CONFIG + SEQUENCE, source="campaign"))
+    first(process.pid)
     atexit.register(process.end)
     return process
-
-
-def _client_config() -> CellConfig:
-    return load_config(_simulator().config_path)
 
 
 @dataclass(kw_only=True)
@@ -307,7 +222,7 @@ def _gripping(*, middle: bool = False, host: bool = False) -> Iterator[_Client]:
         )
         pid = process.pid
         try:
-            _wait_for_grip(process)
+            cell.wait_for_grip(_GRIPPED_N, timeout_s=LIMIT_S)
             pid = _child_of(process.pid) if middle else process.pid
             yield _Client(process=process, pid=pid, folder=folder)
         finally:
@@ -322,44 +237,9 @@ def _gripping(*, middle: bool = False, host: bool = False) -> Iterator[_Client]:
 
 
 def _let_go() -> None:
-    """Bring the cell back to open fingers, as an operator would; a busy machine may need more."""
-    for attempt in range(_LET_GO_ATTEMPTS):
-        cell = build_cell(_client_config())
-        try:
-            cell.controller.release_held()
-            return
-        except GripperError:
-            if attempt + 1 == _LET_GO_ATTEMPTS:
-                raise
-        finally:
-            cell.close()
-
-
-def _loop_left_alone(client: _Client, ends: Callable[[], Any], outcome: str) -> Observed:
-    """End a program; the process of its force loop is left, and ends by itself."""
-    loop = _child_of(client.pid)
-    os.kill(loop, signal.SIGINT)  # the business of the program, as Ctrl-C goes to both
-    threading.Event().wait(0.1)
-    if not _alive(loop):
-        return Observed("LOST", None, "the process of the force loop ends by SIGINT")
-    ends()
-    began_s = time.monotonic()
-    after_s = _wait_for_end(loop) - began_s
-    grip_n = _simulator().grip_n()
-    return Observed(
-        "HOLD" if grip_n > _KEPT_N else "LOST",
-        after_s,
-        f"{outcome}; the grip is kept ({grip_n:.1f} N)",
-    )
-
-
-def _wait_for_grip(process: "subprocess.Popen[bytes]") -> None:
-    end_s = time.monotonic() + _LIMIT_S
-    while _simulator().grip_n() < _GRIPPED_N:
-        if process.poll() is not None or time.monotonic() > end_s:
-            process.kill()
-            raise CellError(f"nothing was gripped: {process.stderr.read().decode()[-300:]}")
-        threading.Event().wait(0.02)
+    """Bring the cell back to open fingers, as an operator would."""
+    with contextlib.closing(build_cell(load_config(_simulator().config_path))) as cell:
+        cell.controller.release_held()
 
 
 def _child_of(pid: int) -> int:
@@ -369,7 +249,7 @@ def _child_of(pid: int) -> int:
 
 def _wait_for_end(pid: int) -> float:
     """Wait until a process has ended and return the monotonic time of it in s."""
-    end_s = time.monotonic() + _LIMIT_S
+    end_s = time.monotonic() + LIMIT_S
     while _alive(pid):
         if time.monotonic() > end_s:
             raise CellError(f"process {pid} does not end")
