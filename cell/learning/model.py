@@ -7,11 +7,11 @@ format, its pads or the version of its features differ from this program.
 import hashlib
 import importlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self, TypeVar, cast
+from typing import Any, Self, cast
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
@@ -69,16 +69,8 @@ MODEL_LIMIT_BYTES = 256 << 20
 Arrays = Mapping[str, NDArray[Any]]
 """Plain arrays by name."""
 
-_T = TypeVar("_T")
 _UNSUITABLE = (*DAMAGE, AttributeError, RuntimeWarning)
 """Errors of arrays with other shapes, types or values than a recogniser expects."""
-_LARGEST = np.float64(1e12)
-"""Largest number of a model, far beyond any training result: its square is finite, too."""
-_UNKNOWN_ALLOWED = (".drawn_m", ".mean", ".spread", ".low", ".high")
-"""Ends of the names of arrays that have NaN for some objects: an object without a drawing, or one
-whose grasps have no level (`recognition.recognizers.level_check`)."""
-_FARTHEST_M = 10.0
-"""Largest accepted coordinate of a taxel in m: far beyond any gripper."""
 _HEADER = "model"
 _PREFIX = "learnt."
 _PADS = "pads."
@@ -156,7 +148,6 @@ def save_model(
         "format": str(MODEL),
         "trainer": trainer_name,
         "class": kind.__name__,
-        "labels": list(recognizer.labels),
         "sha256": _digest(arrays),
     }
     arrays = {_HEADER: np.array(json.dumps(header)), **arrays}
@@ -172,47 +163,40 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
     path = Path(path)
     arrays = read_npz(path, error=ModelError, what="model", limit_bytes=MODEL_LIMIT_BYTES)
     header = _header(path, arrays)
-    _check_numbers(path, arrays)
-    pads = _pads(path, arrays)
-    if expected_pads is not None:
-        _check_same(path, pads, expected_pads)
     trainer_name = str(header.get("trainer"))
     kind = _class_of(path, trainer_name, str(header.get("class")))
-    learnt = _section(arrays, _PREFIX)
-
-    def rehearsed() -> Recognizer:
-        recognizer = kind.from_arrays(learnt)
-        for label in recognizer.labels:
-            if wrong := text_refused("label", label):
-                raise ValueError(f"a label {wrong}")
-        _rehearse(recognizer, _made_up_grasp(pads))
-        return recognizer
-
-    recognizer = _built(path, rehearsed)
-    if list(recognizer.labels) != header.get("labels"):
+    try:
+        with np.errstate(divide="raise", over="raise", invalid="raise"), catch_warnings():
+            simplefilter("error", RuntimeWarning)
+            pads = PadArray.from_arrays(arrays, _PADS)
+            recognizer = kind.from_arrays(_section(arrays, _PREFIX))
+            for label in recognizer.labels:
+                if wrong := text_refused("label", label):
+                    raise ValueError(f"a label {wrong}")
+            _rehearse(recognizer, _made_up_grasp(pads))
+    except _UNSUITABLE as cause:
         raise ModelError(
-            f"{path} names other labels in its header than in its arrays; train it again"
-        )
-    return LoadedModel(
+            f"{path} does not fit {PROGRAM} ({reason_text(cause)}); {MODEL.remedy}"
+        ) from cause
+    model = LoadedModel(
         recognizer=recognizer,
         trainer_name=trainer_name,
         pads=pads,
         path=path,
         training_set=_section(arrays, _TRAINING),
     )
+    check_pads(model, pads if expected_pads is None else expected_pads)
+    return model
 
 
 def check_pads(model: LoadedModel, pads: PadArray) -> None:
     """Raise ModelError for a model that was trained on other pads."""
-    _check_same(model.path, model.pads, pads)
-
-
-def _check_same(path: Path, taught: PadArray, pads: PadArray) -> None:
+    taught = model.pads
     if not taught.same_as(pads):
         raise ModelError(
-            f"{path} was taught on {taught.n_taxels} taxels in {taught.n_pads} pads, these are "
-            f"{pads.n_taxels} in {pads.n_pads}{what_differs(taught, pads)}; teach again on these "
-            "pads, or name the right layout in the config"
+            f"{model.path} was taught on {taught.n_taxels} taxels in {taught.n_pads} pads, these "
+            f"are {pads.n_taxels} in {pads.n_pads}{what_differs(taught, pads)}; teach again on "
+            "these pads, or name the right layout in the config"
         )
 
 
@@ -231,18 +215,6 @@ def _section(arrays: Arrays, prefix: str) -> dict[str, NDArray[Any]]:
         for name, array in arrays.items()
         if name.startswith(prefix)
     }
-
-
-def _built(path: Path, build: Callable[[], _T]) -> _T:
-    """Return the result of ``build`` for a file's arrays. Raises ModelError if they do not fit."""
-    try:
-        with np.errstate(divide="raise", over="raise", invalid="raise"), catch_warnings():
-            simplefilter("error", RuntimeWarning)
-            return build()
-    except _UNSUITABLE as cause:
-        raise ModelError(
-            f"{path} does not fit {PROGRAM} ({reason_text(cause)}); {MODEL.remedy}"
-        ) from cause
 
 
 def _header(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
@@ -274,37 +246,13 @@ def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
     return digest.hexdigest()
 
 
-def _check_numbers(path: Path, arrays: Arrays) -> None:
-    for name, array in arrays.items():
-        if array.dtype.kind != "f":
-            continue
-        known = ~np.isnan(array) if name.endswith(_UNKNOWN_ALLOWED) else ...
-        if not np.all(np.abs(array[known]) <= _LARGEST):
-            raise ModelError(
-                f"{path}: {name} has a value beyond the limit {_LARGEST:g}; train it again"
-            )
-
-
-def _pads(path: Path, arrays: Mapping[str, NDArray[Any]]) -> PadArray:
-    try:
-        places_m = arrays[f"{_PADS}taxel_xy_m"]
-        if places_m.dtype.kind != "f" or not np.all(np.abs(places_m) <= _FARTHEST_M):
-            raise ValueError(f"a coordinate is beyond the limit {_FARTHEST_M:g} m")
-        with np.errstate(invalid="raise"):
-            return PadArray.from_arrays(arrays, _PADS)
-    except (KeyError, ValueError, TypeError, IndexError, ArithmeticError, MemoryError) as cause:
-        raise ModelError(
-            f"{path}: its pads cannot be read ({reason_text(cause)}); {MODEL.remedy}"
-        ) from cause
-
-
 def _class_of(path: Path, trainer_name: str, class_name: str) -> type[Recognizer]:
     """Return a recogniser's class; a file can only name the classes of this program."""
     try:
         module = importlib.import_module(RECOGNISERS.entry(trainer_name).module)
     except (ConfigError, ImportError) as error:
         raise ModelError(f"{path} is of the kind {trainer_name!r}: {error}") from error
-    found = getattr(module, class_name, None)
-    if not isinstance(found, type) or not hasattr(found, "from_arrays"):
+    kind = getattr(module, class_name, None)
+    if not isinstance(kind, type) or not hasattr(kind, "from_arrays"):
         raise ModelError(f"{path}: {trainer_name} has no recogniser named {class_name!r}")
-    return cast("type[Recognizer]", found)
+    return cast("type[Recognizer]", kind)

@@ -164,7 +164,6 @@ def test_no_pickle_is_loaded(tmp_path, read, data):
         (["force_ramp"], "learnt.rest_counts", np.full(80, 1e300)),
         (["force_ramp"], "learnt.touch_temperature", np.array(-1.0)),
         (["force_ramp"], "learnt.touch_limit", np.zeros(0)),
-        (["force_ramp"], "learnt.touch_limit", np.array([0.0, np.nan])),
         (["force_ramp"], "learnt.both_model_sizes_unit_mm", np.zeros(2)),
         (["force_ramp"], "learnt.drawn_m", np.array(["x", "y"])),
         (["force_ramp"], "learnt.rest_gripping", np.zeros(0, dtype=np.int64)),
