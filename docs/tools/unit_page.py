@@ -44,7 +44,7 @@ def objects_page() -> str:
     """Return the unit's own objects as a table."""
     dictionary: Any = od.of_node(_NODE)
     rows = ["| object | name | type | the host may | value in the EDS |", "|" + " --- |" * 5]
-    for index in sorted(index for index in dictionary if index >= od.LAYOUT):
+    for index in sorted(index for index in dictionary if index >= 0x2100):
         entry = dictionary[index]
         plain = isinstance(entry, canopen.objectdictionary.ODVariable)
         for sub in (0,) if plain else range(1, len(entry)):

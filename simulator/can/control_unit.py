@@ -40,11 +40,11 @@ _MAX_HISTORY = 8
 """Most error codes in object 0x1003: its sub-indices in the EDS."""
 _FORCE_OBJECTS = frozenset(
     (
-        od.FORCE_MESSAGE,
+        "Force message",
         od.FORCE_TABLE,
         od.FORCE_ZERO,
-        od.TPDO2_PARAMETER,
-        od.TPDO2_MAPPING,
+        "TPDO2 communication parameter",
+        "TPDO2 mapping parameter",
     )
 )
 """Objects added in minor revision 1 of the unit."""
@@ -187,7 +187,7 @@ class SimulatedControlUnit(CanopenDevice):
         """Apply the values of the dictionary, after each SDO request and change of state."""
         dictionary = self.dictionary
         self._sync_id = dictionary.sync_cob_id
-        self._window_s = 1e-6 * dictionary.number(od.SYNC_WINDOW_US)
+        self._window_s = 1e-6 * dictionary.number("Synchronous window length")
         self._frame_id = dictionary.pdo_cob_id(1)
         self._force_id = dictionary.pdo_cob_id(2) if self.settings.force_messages else None
 
@@ -196,7 +196,7 @@ class SimulatedControlUnit(CanopenDevice):
         self._take_settings()
         period_s = 0.0
         if self.settings.force_messages and self.state == _OPERATIONAL:
-            period_s = 1e-3 * self.dictionary.number(od.TPDO2_PARAMETER, od.PDO_EVENT_TIMER)
+            period_s = 1e-3 * self.dictionary.number(od.FORCES_TIMER)
         if period_s != self._force_period_s:
             self._force_period_s = period_s
             self._force_due_s = self._network.now_s + period_s if period_s else math.inf

@@ -36,15 +36,12 @@ _LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x181, 0x57F
 """Range of PDO identifiers in the pre-defined connection set."""
 _COMMUNICATION_PROFILE = range(0x1000, 0x2000)
 """Objects that a reset of the communication sets to their defaults (CiA 301)."""
-_TPDO_PARAMETERS = (unit_od.TPDO1_PARAMETER, unit_od.TPDO2_PARAMETER)
-_TPDO_MAPPINGS = (unit_od.TPDO1_MAPPING, unit_od.TPDO2_MAPPING)
-"""Communication and mapping parameters of TPDO1 and TPDO2."""
-_FIXED_VALUES = {
-    (unit_od.ERROR_HISTORY, 0): 0,
-    (unit_od.TPDO1_PARAMETER, unit_od.PDO_TRANSMISSION): unit_od.PDO_OF_MANUFACTURER,
-    (unit_od.TPDO2_PARAMETER, unit_od.PDO_TRANSMISSION): unit_od.PDO_OF_MANUFACTURER,
-}
-"""The only value that the host may write to an object: 0 clears the history of errors."""
+_COB_IDS = (unit_od.FRAMES_COB_ID, unit_od.FORCES_COB_ID)
+_SYNC_COB_ID = "COB-ID SYNC message"
+_ERRORS = "Pre-defined error field"
+_FIXED_VALUES = {f"{_ERRORS}.Number of errors": 0}
+"""The only value that the host may write to an object, besides the transmission type of a PDO: 0
+clears the history of errors."""
 
 
 class UnitDictionary:
@@ -70,7 +67,7 @@ class UnitDictionary:
         *,
         serial_number: int,
         boards: Callable[[], tuple[int, int]] = lambda: (0, 0),
-        missing: frozenset[int] = frozenset(),
+        missing: frozenset[str] = frozenset(),
     ) -> None:
         self._node: Any = node
         self._scanner = scanner
@@ -81,38 +78,37 @@ class UnitDictionary:
         """Object 0x1001."""
         form = scanner.format
         shapes = bytes(size for pad in layout.pads for size in (pad.rows, pad.columns))
-        self._constants: dict[tuple[int, int], int | str | bytes] = {
-            (unit_od.LAYOUT, unit_od.LAYOUT_PADS): layout.n_pads,
-            (unit_od.LAYOUT, unit_od.LAYOUT_TAXELS): layout.n_taxels,
-            (unit_od.LAYOUT, unit_od.LAYOUT_HASH): layout.layout_hash,
-            (unit_od.LAYOUT, unit_od.LAYOUT_ADC_MAX): layout.adc_max,
-            (unit_od.FORMAT, unit_od.FORMAT_SAMPLE_BITS): layout.sample_bits,
-            (unit_od.FORMAT, unit_od.FORMAT_SAMPLE_BYTES): form.sample_bytes,
-            (unit_od.FORMAT, unit_od.FORMAT_MESSAGES): form.n_messages,
-            (unit_od.FORMAT, unit_od.FORMAT_HEADER_BYTES): form.header_bytes,
-            (unit_od.PAD_SHAPES, 0): shapes,
-            (unit_od.IDENTITY, unit_od.IDENTITY_SERIAL): serial_number,
+        self._constants: dict[str, int | str | bytes] = {
+            "Taxel layout.Number of pads": layout.n_pads,
+            "Taxel layout.Number of taxels": layout.n_taxels,
+            "Taxel layout.Layout hash": layout.layout_hash,
+            "Taxel layout.Full scale of the counts": layout.adc_max,
+            "Frame format.Sample bits": layout.sample_bits,
+            "Frame format.Sample bytes": form.sample_bytes,
+            "Frame format.Messages per frame": form.n_messages,
+            "Frame format.Header bytes": form.header_bytes,
+            "Rows and columns of each pad": shapes,
+            "Identity object.Serial number": serial_number,
         }
-        self._live: dict[int, Callable[[int], int | bytes | None]] = {
-            unit_od.ERROR_REGISTER: lambda _subindex: self.error_register,
-            unit_od.ERROR_HISTORY: self._read_history,
-            unit_od.LAST_FRAME: self._read_frame,
-            unit_od.LAST_FRAME_COUNTER: lambda _subindex: scanner.read_counter,
-            unit_od.BOARDS: lambda subindex: boards()[subindex - 1] if subindex else None,
+        self._live: dict[str, Callable[[int], int | bytes | None]] = {
+            "Error register": lambda _subindex: self.error_register,
+            _ERRORS: self._read_history,
+            "Last frame": self._read_frame,
+            "Counter of the last frame read": lambda _subindex: scanner.read_counter,
+            "Serial numbers of the boards": lambda sub: boards()[sub - 1] if sub else None,
         }
         node.add_read_callback(self._read)
         node.add_write_callback(self._check)
         node.add_write_callback(self._act)
 
-    def pretend(
-        self, index: int, subindex: int, value: int | str | bytes | None
-    ) -> int | str | bytes | None:
-        """Replace the value of a constant; returns the previous value, None: that of the EDS."""
-        before = self._constants.get((index, subindex))
-        if value is None:
-            self._constants.pop((index, subindex), None)
-        else:
-            self._constants[index, subindex] = value
+    def pretend(self, name: str, value: int | str | bytes | None) -> int | str | bytes | None:
+        """Replace the value of a constant, by its name in the EDS; returns the previous one.
+
+        None is the value of the EDS.
+        """
+        before = self._constants.pop(name, None)
+        if value is not None:
+            self._constants[name] = value
         return before
 
     def reset(self, *, everything: bool) -> None:
@@ -123,30 +119,32 @@ class UnitDictionary:
         self.errors.clear()
         self.error_register = 0
 
-    def number(self, index: int, subindex: int = 0) -> int:
+    def number(self, name: str) -> int:
         """Return the value of an unsigned object."""
-        return int.from_bytes(self._node.get_data(index, subindex), "little")
+        variable = self._node.object_dictionary[name]
+        return int.from_bytes(self._node.get_data(variable.index, variable.subindex), "little")
 
     @property
     def sync_cob_id(self) -> int:
         """Identifier of SYNC, object 0x1005."""
-        return self.number(unit_od.SYNC_COB_ID) & _COB_ID_BITS
+        return self.number(_SYNC_COB_ID) & _COB_ID_BITS
 
     def pdo_cob_id(self, pdo: int) -> int | None:
         """Return the identifier of TPDO ``pdo`` (1, 2); None while it is off."""
-        value = self.number(_TPDO_PARAMETERS[pdo - 1], 1)
+        value = self.number(_COB_IDS[pdo - 1])
         return None if value & unit_od.PDO_INVALID else value & _COB_ID_BITS
 
     def _read(self, *, index: int, subindex: int, od: ODVariable) -> int | str | bytes | None:
-        self._check_there(index, subindex, od)
-        constant = self._constants.get((index, subindex))
+        del index
+        self._check_there(subindex, od)
+        constant = self._constants.get(od.qualname)
         if constant is not None:
             return constant
-        read = self._live.get(index)
+        read = self._live.get(_object_name(od))
         return None if read is None else read(subindex)
 
-    def _check_there(self, index: int, subindex: int, od: ODVariable) -> None:
-        if index in self._missing:
+    def _check_there(self, subindex: int, od: ODVariable) -> None:
+        if _object_name(od) in self._missing:
             raise canopen.SdoAbortedError(NO_OBJECT)
         if subindex != od.subindex:
             raise canopen.SdoAbortedError(NO_SUBINDEX)
@@ -163,21 +161,23 @@ class UnitDictionary:
         return frame
 
     def _check(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
-        self._check_there(index, subindex, od)
-        value = int.from_bytes(data, "little")
+        del index
+        self._check_there(subindex, od)
+        value, name = int.from_bytes(data, "little"), od.qualname
         if od.max is not None and value > od.max:
             raise canopen.SdoAbortedError(VALUE_HIGH)
         if od.min is not None and value < od.min:
             raise canopen.SdoAbortedError(VALUE_LOW)
         cob_id = value & _FRAME_BIT_AND_COB_ID
-        if index == unit_od.SYNC_COB_ID and not 1 <= cob_id <= _COB_ID_BITS:
+        if name == _SYNC_COB_ID and not 1 <= cob_id <= _COB_ID_BITS:
             raise canopen.SdoAbortedError(VALUE_RANGE)
-        fixed_value = _FIXED_VALUES.get((index, subindex))
-        if fixed_value is not None and value != fixed_value:
+        fixed = od.default if od.name.startswith("Transmission type") else _FIXED_VALUES.get(name)
+        if fixed is not None and value != fixed:
             raise canopen.SdoAbortedError(VALUE_RANGE)
-        if index in _TPDO_PARAMETERS and subindex == 1:
-            self._check_cob_id(self.number(index, 1), value)
-        if index in _TPDO_MAPPINGS and value != od.default and (subindex or value):
+        if name in _COB_IDS:
+            self._check_cob_id(self.number(name), value)
+        mapping = _object_name(od).endswith("mapping parameter")
+        if mapping and value != od.default and (subindex or value):
             raise canopen.SdoAbortedError(NOT_MAPPABLE)
 
     def _check_cob_id(self, present: int, value: int) -> None:
@@ -188,19 +188,25 @@ class UnitDictionary:
             raise canopen.SdoAbortedError(VALUE_RANGE)
 
     def _act(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
-        del od
-        if index == unit_od.ERROR_HISTORY:
+        del index, subindex
+        if _object_name(od) == _ERRORS:
             self.errors.clear()
         take = {
             unit_od.FORCE_TABLE: self._scanner.forces.take_table,
             unit_od.FORCE_ZERO: self._scanner.forces.take_zero,
-        }.get(index)
+        }.get(od.qualname)
         if take is not None:
             try:
                 take(bytes(data))
             except DamagedObject as error:
                 raise canopen.SdoAbortedError(VALUE_RANGE) from error
         # The simulated unit takes no zero of its own, so it can only be told to have none.
-        tare = (index, subindex) == (unit_od.TARE, unit_od.TARE_COMMAND)
+        tare = od.qualname == "Tare.Command"
         if tare and int.from_bytes(data, "little") != unit_od.TARE_CLEAR_SIGNATURE:
             raise canopen.SdoAbortedError(NOT_STORED)
+
+
+def _object_name(od: ODVariable) -> str:
+    """Return the name of a variable's object in the EDS, without that of the sub-index."""
+    name: str = od.qualname.partition(".")[0]
+    return name

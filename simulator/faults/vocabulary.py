@@ -19,7 +19,6 @@ from simulator.servo.firmware import ServoCore, WatchdogStop
 from simulator.servo.motor import ServoMotor
 from simulator.servo.wrist import SimulatedWrist
 from simulator.world.world import PhysicalWorld
-from tactile.control_unit import object_dictionary
 
 SHARE = Number("share", 0.0, 1.0, default=0.05)
 """Share of the traffic, or of the taxels, with the fault."""
@@ -28,14 +27,14 @@ _FINGER = Number("finger", 0, 1, default=0, whole=True)
 _PAD = Number("pad", 0, 1000, default=0, whole=True)
 """Number of a pad in the layout."""
 _IDENTITY = {
-    "vendor": (object_dictionary.IDENTITY, object_dictionary.IDENTITY_VENDOR),
-    "product": (object_dictionary.IDENTITY, object_dictionary.IDENTITY_PRODUCT),
-    "revision": (object_dictionary.IDENTITY, object_dictionary.IDENTITY_REVISION),
-    "serial": (object_dictionary.IDENTITY, object_dictionary.IDENTITY_SERIAL),
-    "taxels": (object_dictionary.LAYOUT, object_dictionary.LAYOUT_TAXELS),
-    "pads": (object_dictionary.LAYOUT, object_dictionary.LAYOUT_PADS),
+    "vendor": "Identity object.Vendor-ID",
+    "product": "Identity object.Product code",
+    "revision": "Identity object.Revision number",
+    "serial": "Identity object.Serial number",
+    "taxels": "Taxel layout.Number of taxels",
+    "pads": "Taxel layout.Number of pads",
 }
-"""Names for ``unit.wrong``, and the object of each name."""
+"""Names for ``unit.wrong``, and the name of each object in the unit's EDS."""
 _TAXELS = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
 """One taxel or a range of them, first and last."""
 _REPORT = "reported_offset_raw"
@@ -122,8 +121,8 @@ def _check_identity(fault: Fault) -> None:
 def _pretending(fault: Fault) -> Undo:
     """Replace the value of an object of the unit's dictionary."""
     dictionary, (name, number) = fault.devices.unit.dictionary, fault.setting
-    before = dictionary.pretend(*_IDENTITY[name], number)
-    return lambda: dictionary.pretend(*_IDENTITY[name], before)
+    before = dictionary.pretend(_IDENTITY[name], number)
+    return lambda: dictionary.pretend(_IDENTITY[name], before)
 
 
 def _stuck_taxels(fault: Fault, taxels: Iterable[int], counts: int) -> dict[int, int]:

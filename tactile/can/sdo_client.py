@@ -151,50 +151,63 @@ class PolledSdoClient(SdoClient):
 
 
 class ObjectAccess:
-    """Reads and writes objects by index; repeats lost transfers; errors name object and unit."""
+    """Reads and writes objects by their names in the EDS, as ``Identity object.Vendor-ID``.
+
+    Lost transfers are repeated; errors name object and unit.
+    """
 
     def __init__(self, client: PolledSdoClient, *, name: str) -> None:
         self._client = client
+        self.dictionary: Any = client.od
         self.name = name
 
-    def read(self, index: int, subindex: int = 0) -> bytes:
+    def label(self, name: str) -> str:
+        """Return the name of an object for people: ``Vendor-ID (1018h:01)``."""
+        variable = self.dictionary[name]
+        return f"{variable.name} ({variable.index:04X}h:{variable.subindex:02X})"
+
+    def defaults(self, record: str) -> dict[str, int]:
+        """Return the values that the EDS has for the objects of a record, by their names."""
+        return {one.qualname: one.default for one in self.dictionary[record].values()}
+
+    def read(self, name: str) -> bytes:
         """Return the bytes of an object."""
-        data: bytes = self._transfer(self._client.upload, "read", index, subindex)
+        data: bytes = self._transfer(self._client.upload, "read", name)
         return data
 
-    def read_unsigned(self, index: int, subindex: int = 0) -> int:
+    def read_unsigned(self, name: str) -> int:
         """Return an unsigned integer."""
-        return int.from_bytes(self.read(index, subindex), "little")
+        return int.from_bytes(self.read(name), "little")
 
-    def read_text(self, index: int, subindex: int = 0) -> str:
+    def read_text(self, name: str) -> str:
         """Return a visible string."""
-        return self.read(index, subindex).rstrip(b"\0").decode("ascii", errors="replace")
+        return self.read(name).rstrip(b"\0").decode("ascii", errors="replace")
 
-    def find(self, index: int) -> bytes | None:
+    def find(self, name: str) -> bytes | None:
         """Return the bytes of an object, None if the unit does not have it."""
         try:
-            return self.read(index)
+            return self.read(name)
         except ObjectRefused as error:
             if error.__cause__ != SdoAbortedError(_NO_OBJECT):
                 raise
             return None
 
-    def write(self, index: int, subindex: int, data: bytes) -> None:
+    def write(self, name: str, data: bytes) -> None:
         """Write the bytes of an object."""
-        self._transfer(self._client.download, "write", index, subindex, data)
+        self._transfer(self._client.download, "write", name, data)
 
-    def write_unsigned(self, index: int, subindex: int, value: int, n_bytes: int) -> None:
-        """Write an unsigned integer of ``n_bytes`` bytes."""
-        self.write(index, subindex, value.to_bytes(n_bytes, "little"))
+    def write_unsigned(self, name: str, value: int) -> None:
+        """Write an unsigned integer."""
+        self.write(name, self.dictionary[name].encode_raw(value))
 
-    def _transfer(
-        self, transfer: Callable[..., Any], verb: str, index: int, subindex: int, *data: bytes
-    ) -> Any:
-        what = f"{verb} of object 0x{index:04X}:{subindex:02X} of {self.name}"
+    def _transfer(self, transfer: Callable[..., Any], verb: str, name: str, *data: bytes) -> Any:
+        variable = self.dictionary[name]
+        place = variable.index, variable.subindex
+        what = f"{verb} of object 0x{place[0]:04X}:{place[1]:02X} of {self.name}"
         failure: Exception | None = None
         for _ in range(_ATTEMPTS):
             try:
-                return transfer(index, subindex, *data)
+                return transfer(*place, *data)
             except SdoCommunicationError as error:
                 failure = error
             except SdoAbortedError as error:

@@ -294,7 +294,7 @@ class TactileLink:
         sent = encode_zero(touch_counts, zero.offset_counts[order], zero.bad[order], adc_max)
 
         def write() -> None:
-            self.objects.write(od.FORCE_ZERO, 0, sent)
+            self.objects.write(od.FORCE_ZERO, sent)
             self._take_forces()
             found = self.objects.read(od.FORCE_ZERO)
             old = [one for one in self._take_forces() if not one.status & ForceStatus.ZEROED]

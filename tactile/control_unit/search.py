@@ -23,8 +23,8 @@ from tactile.layout import TaxelLayout, paper_layout
 
 _NODES = range(1, 128)
 """Node-IDs that there are (CiA 301, 7.1.1)."""
-_READ_DEVICE_TYPE = bytes((0x40, od.DEVICE_TYPE & 0xFF, od.DEVICE_TYPE >> 8, 0, 0, 0, 0, 0))
-"""SDO request for object 0x1000, which each CANopen node has."""
+_READ_DEVICE_TYPE = bytes.fromhex("40 00 10 00 00 00 00 00")
+"""SDO request for object 1000h, the device type, which each CANopen node has."""
 _ANSWER_S = 0.1
 """Time in s that the last node has for its answer."""
 _POLL_S = 0.005
@@ -132,16 +132,16 @@ class FoundUnit:
         return self.layout_hash == layout.layout_hash
 
 
-_WRITTEN = (
-    ("SYNC period (1006h) in us", od.SYNC_PERIOD_US, 0),
-    ("SYNC window (1007h) in us", od.SYNC_WINDOW_US, 0),
-    ("heartbeat (1017h) in ms", od.HEARTBEAT_MS, 0),
-)
-"""Objects that each start of the link writes: name, index, sub-index."""
-_WRITTEN_FORCES = (
-    ("COB-ID of frames (1800h:1)", od.TPDO1_PARAMETER, od.PDO_COB_ID),
-    ("period of force messages (1801h:5) in ms", od.TPDO2_PARAMETER, od.PDO_EVENT_TIMER),
-)
+_WRITTEN = {
+    "SYNC period (1006h) in us": "Communication cycle period",
+    "SYNC window (1007h) in us": "Synchronous window length",
+    "heartbeat (1017h) in ms": "Producer heartbeat time",
+}
+"""Objects that each start of the link writes: text, and name in the EDS."""
+_WRITTEN_FORCES = {
+    "COB-ID of frames (1800h:1)": od.FRAMES_COB_ID,
+    "period of force messages (1801h:5) in ms": od.FORCES_TIMER,
+}
 """The same where the unit has force messages."""
 
 
@@ -153,24 +153,24 @@ def read_unit(bus: can.BusABC, node_id: int) -> FoundUnit:
     """
     with _objects_of(bus, node_id) as objects:
         identity = read_identity(objects)
-        n_taxels = objects.read_unsigned(od.LAYOUT, od.LAYOUT_TAXELS)
-        shapes = objects.read(od.PAD_SHAPES)
+        n_taxels = objects.read_unsigned("Taxel layout.Number of taxels")
+        shapes = objects.read("Rows and columns of each pad")
         if len(shapes) % 2:
             raise NodeMissing(
                 f"object 2102h of node {node_id} has {len(shapes)} bytes, two for each pad are "
                 "expected: the unit's firmware does not fit this software's EDS"
             )
         sends_forces = objects.find(od.FORCE_MESSAGE) is not None
-        written = _WRITTEN + (_WRITTEN_FORCES if sends_forces else ())
+        written = _WRITTEN | (_WRITTEN_FORCES if sends_forces else {})
         return FoundUnit(
             node_id=node_id,
             identity=identity,
-            layout_hash=objects.read_text(od.LAYOUT, od.LAYOUT_HASH),
+            layout_hash=objects.read_text("Taxel layout.Layout hash"),
             n_taxels=n_taxels,
-            adc_max=objects.read_unsigned(od.LAYOUT, od.LAYOUT_ADC_MAX),
+            adc_max=objects.read_unsigned("Taxel layout.Full scale of the counts"),
             pad_shapes=tuple(zip(shapes[::2], shapes[1::2], strict=True)),
             sends_forces=sends_forces,
-            registers=tuple((name, objects.read_unsigned(i, sub)) for name, i, sub in written),
+            registers=tuple((text, objects.read_unsigned(name)) for text, name in written.items()),
         )
 
 
@@ -180,10 +180,9 @@ def read_vendor(bus: can.BusABC, node_id: int) -> tuple[int, int]:
     Raises NodeMissing if the node does not answer.
     """
     with _objects_of(bus, node_id) as objects:
-        return (
-            objects.read_unsigned(od.IDENTITY, od.IDENTITY_VENDOR),
-            objects.read_unsigned(od.IDENTITY, od.IDENTITY_PRODUCT),
-        )
+        names = "Vendor-ID", "Product code"
+        vendor_id, product_code = (objects.read_unsigned(f"Identity object.{n}") for n in names)
+        return vendor_id, product_code
 
 
 def _objects_of(bus: can.BusABC, node_id: int) -> AbstractContextManager[ObjectAccess]:

@@ -1,6 +1,6 @@
 """Setup of the control unit: checks of its identity and taxels, then its periods and its table."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from tactile.can.sdo_client import ObjectAccess
@@ -12,6 +12,11 @@ from tactile.layout import TaxelLayout
 
 _COB_ID_MASK = 0xFFFF_FFFF & ~(1 << 30)
 """Compared bits of a PDO's COB-ID entry: bit 30 only forbids RTR (CiA 301, 7.5.2.37)."""
+_COB_IDS = (od.FRAMES_COB_ID, od.FORCES_COB_ID)
+_FRAMES_TYPE = (
+    "TPDO1 communication parameter.Transmission type (manufacturer-specific: burst after SYNC)"
+)
+_SYNC_OVERFLOW = "Synchronous counter overflow value"
 _CHECK_CONFIG = (
     "Check which unit is plugged in, and the node-ID, serial number and layout in the configuration"
 )
@@ -35,28 +40,16 @@ class Check:
         return self.expected is None or self.expected == self.found
 
 
-_Row = tuple[str, int, int, int]
-"""Name of an unsigned object, its index and sub-index, and its expected value."""
-
-
 def read_identity(objects: ObjectAccess) -> NodeIdentity:
     """Read the identity object, the device name and the boards of the pads."""
-    vendor_id, product_code, revision, serial = (
-        objects.read_unsigned(od.IDENTITY, sub)
-        for sub in (
-            od.IDENTITY_VENDOR,
-            od.IDENTITY_PRODUCT,
-            od.IDENTITY_REVISION,
-            od.IDENTITY_SERIAL,
-        )
-    )
+    number, boards = objects.read_unsigned, "Serial numbers of the boards.Board of finger"
     return NodeIdentity(
-        vendor_id=vendor_id,
-        product_code=product_code,
-        revision=revision,
-        serial=serial,
-        name=objects.read_text(od.DEVICE_NAME),
-        boards=(objects.read_unsigned(od.BOARDS, 1), objects.read_unsigned(od.BOARDS, 2)),
+        vendor_id=number("Identity object.Vendor-ID"),
+        product_code=number("Identity object.Product code"),
+        revision=number("Identity object.Revision number"),
+        serial=number("Identity object.Serial number"),
+        name=objects.read_text("Manufacturer device name"),
+        boards=(number(f"{boards} 0"), number(f"{boards} 1")),
     )
 
 
@@ -93,42 +86,37 @@ def refuse_other_unit(
     other = f"{objects.name} is not the configured unit"
     refuse_mismatch(identity_checks(identity, expected), other)
     form = FrameFormat.of(layout)
-    rows = (
-        ("taxels", od.LAYOUT, od.LAYOUT_TAXELS, layout.n_taxels),
-        ("full scale", od.LAYOUT, od.LAYOUT_ADC_MAX, layout.adc_max),
-        ("sample bytes", od.FORMAT, od.FORMAT_SAMPLE_BYTES, layout.sample_bytes),
-        ("messages per frame", od.FORMAT, od.FORMAT_MESSAGES, form.n_messages),
-        ("header bytes", od.FORMAT, od.FORMAT_HEADER_BYTES, form.header_bytes),
-        ("TPDO1 entries", od.TPDO1_MAPPING, 0, len(od.TPDO1_ENTRIES)),
-        *_mapping("TPDO1", od.TPDO1_MAPPING, od.TPDO1_ENTRIES),
-    )
-    found_hash = objects.read_text(od.LAYOUT, od.LAYOUT_HASH)
-    checks = [Check("layout hash", layout.layout_hash, found_hash), *_read_rows(objects, rows)]
-    checks.append(_cob_id_check(objects, "TPDO1", od.TPDO1_PARAMETER, od.COB_TPDO1 + node_id))
-    refuse_mismatch(checks, other)
-    overflow = int.from_bytes(objects.find(od.SYNC_OVERFLOW) or b"", "little")
-    kind = od.PDO_OF_MANUFACTURER
-    row = ("TPDO1 transmission type (1800h:02)", od.TPDO1_PARAMETER, od.PDO_TRANSMISSION, kind)
-    stored = [*_read_rows(objects, [row]), Check("SYNC counter overflow (1019h)", 0, overflow)]
+    expected_numbers = {
+        "Taxel layout.Number of taxels": layout.n_taxels,
+        "Taxel layout.Full scale of the counts": layout.adc_max,
+        "Frame format.Sample bytes": layout.sample_bytes,
+        "Frame format.Messages per frame": form.n_messages,
+        "Frame format.Header bytes": form.header_bytes,
+        od.FRAMES_COB_ID: od.COB_TPDO1 + node_id,
+        **objects.defaults("TPDO1 mapping parameter"),
+    }
+    unit_hash = objects.read_text("Taxel layout.Layout hash")
+    layout_check = Check("Layout hash", layout.layout_hash, unit_hash)
+    refuse_mismatch([layout_check, *_checks(objects, expected_numbers)], other)
+    overflow = int.from_bytes(objects.find(_SYNC_OVERFLOW) or b"", "little")
+    stored = [
+        *_checks(objects, {_FRAMES_TYPE: objects.dictionary[_FRAMES_TYPE].default}),
+        Check(objects.label(_SYNC_OVERFLOW), 0, overflow),
+    ]
     refuse_mismatch(stored, f"{objects.name} has stored values that do not fit", _CHECK_STORED)
     return identity
 
 
-def _read_rows(objects: ObjectAccess, rows: Iterable[_Row]) -> list[Check]:
+def _checks(objects: ObjectAccess, expected: Mapping[str, int]) -> list[Check]:
     """Read unsigned objects, and return them with their expected values."""
     return [
-        Check(what, expected, objects.read_unsigned(index, sub))
-        for what, index, sub, expected in rows
+        Check(
+            objects.label(name),
+            number,
+            objects.read_unsigned(name) & (_COB_ID_MASK if name in _COB_IDS else -1),
+        )
+        for name, number in expected.items()
     ]
-
-
-def _cob_id_check(objects: ObjectAccess, name: str, parameter: int, cob_id: int) -> Check:
-    found = objects.read_unsigned(parameter, od.PDO_COB_ID) & _COB_ID_MASK
-    return Check(f"{name} COB-ID", cob_id, found)
-
-
-def _mapping(name: str, index: int, entries: Sequence[int]) -> list[_Row]:
-    return [(f"{name} entry {sub}", index, sub, one) for sub, one in enumerate(entries, start=1)]
 
 
 def _shown(value: int | str | None) -> str:
@@ -152,20 +140,17 @@ def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
     The samples stay raw. The host applies the zero, because a zero in the unit clips noise at zero
     counts and so biases it.
     """
-    # name, index, value, bytes of the object
-    writes = (
-        ("SYNC COB-ID", od.SYNC_COB_ID, od.COB_SYNC, 4),
-        ("SYNC window in us", od.SYNC_WINDOW_US, round(settings.window_s * 1e6), 4),
-        ("SYNC period in us", od.SYNC_PERIOD_US, round(settings.sync_period_s * 1e6), 4),
-        ("heartbeat in ms", od.HEARTBEAT_MS, round(settings.heartbeat_s * 1e3), 2),
-    )
-    checks = []
-    for what, index, value, n_bytes in writes:
-        objects.write_unsigned(index, 0, value, n_bytes)
-        checks += _read_rows(objects, [(what, index, 0, value)])
-    refuse_mismatch(checks, "the control unit did not keep its set-up")
-    if objects.read_unsigned(od.TARE, od.TARE_RESULT) == od.TARE_DONE:
-        objects.write_unsigned(od.TARE, od.TARE_COMMAND, od.TARE_CLEAR_SIGNATURE, 4)
+    numbers = {
+        "COB-ID SYNC message": od.COB_SYNC,
+        "Synchronous window length": round(settings.window_s * 1e6),
+        "Communication cycle period": round(settings.sync_period_s * 1e6),
+        "Producer heartbeat time": round(settings.heartbeat_s * 1e3),
+    }
+    for name, number in numbers.items():
+        objects.write_unsigned(name, number)
+    refuse_mismatch(_checks(objects, numbers), "the control unit did not keep its set-up")
+    if objects.read_unsigned("Tare.Result") == od.TARE_DONE:
+        objects.write_unsigned("Tare.Command", od.TARE_CLEAR_SIGNATURE)
 
 
 def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, table: bytes) -> int:
@@ -179,22 +164,20 @@ def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, t
     table
         Object 0x2141, see `tactile.frames.force_message.encode_table`.
     """
-    objects.write(od.FORCE_TABLE, 0, table)
-    frame_id = od.COB_TPDO3 + node_id
-    frames, forces, timer = od.TPDO1_PARAMETER, od.TPDO2_PARAMETER, od.PDO_EVENT_TIMER
+    objects.write(od.FORCE_TABLE, table)
+    numbers = {
+        od.FRAMES_COB_ID: od.COB_TPDO3 + node_id,
+        od.FORCES_COB_ID: od.COB_TPDO2 + node_id,
+        od.FORCES_TIMER: round(1e3 * settings.force_period_s),
+        **objects.defaults("TPDO2 mapping parameter"),
+    }
+    frame_id = numbers[od.FRAMES_COB_ID]
     # A PDO's identifier may be changed only while the PDO is off (CiA 301, 7.5.2.37).
-    objects.write_unsigned(frames, od.PDO_COB_ID, od.PDO_INVALID | frame_id, 4)
-    objects.write_unsigned(frames, od.PDO_COB_ID, frame_id, 4)
-    period_ms = round(1e3 * settings.force_period_s)
-    objects.write_unsigned(forces, timer, period_ms, 2)
-    found = objects.read(od.FORCE_TABLE)
-    shown = found[-2:].hex() if found == table else f"{len(found)} bytes of another table"
-    rows = [("TPDO2 event timer in ms", forces, timer, period_ms)]
-    checks = [
-        Check("table of counts to force", table[-2:].hex(), shown),
-        _cob_id_check(objects, "TPDO1", frames, frame_id),
-        _cob_id_check(objects, "TPDO2", forces, od.COB_TPDO2 + node_id),
-        *_read_rows(objects, rows + _mapping("TPDO2", od.TPDO2_MAPPING, od.TPDO2_ENTRIES)),
-    ]
+    objects.write_unsigned(od.FRAMES_COB_ID, od.PDO_INVALID | frame_id)
+    objects.write_unsigned(od.FRAMES_COB_ID, frame_id)
+    objects.write_unsigned(od.FORCES_TIMER, numbers[od.FORCES_TIMER])
+    stored = objects.read(od.FORCE_TABLE)
+    text = stored[-2:].hex() if stored == table else f"{len(stored)} bytes of another table"
+    checks = [Check(od.FORCE_TABLE, table[-2:].hex(), text), *_checks(objects, numbers)]
     refuse_mismatch(checks, "the control unit did not keep the set-up of its force messages")
     return frame_id

@@ -246,8 +246,8 @@ def test_without_sync_no_frame_comes(unit) -> None:
 def test_the_last_frame_can_be_read_by_sdo_too(unit) -> None:
     unit.link.start()
     frames = unit.frames(0.1)
-    samples = unit.link.objects.read(od.LAST_FRAME)
-    counter = unit.link.objects.read_unsigned(od.LAST_FRAME_COUNTER)
+    samples = unit.link.objects.read("Last frame")
+    counter = unit.link.objects.read_unsigned("Counter of the last frame read")
     frames += unit.frames(0.1)
     (same,) = [frame for frame in frames if frame.counter == counter]
     assert same.counts.astype(f"<u{unit.link.layout.sample_bytes}").tobytes() == samples
@@ -256,14 +256,14 @@ def test_the_last_frame_can_be_read_by_sdo_too(unit) -> None:
 def test_a_reset_is_told_by_a_boot_up_and_ends_pre_operational(unit) -> None:
     unit.send(0, bytes((1, unit.node_id)))
     unit.reset()  # fails without a boot-up
-    answer = unit.sdo(request(WRITE_2, od.HEARTBEAT_MS, 0, 50))
+    answer = unit.sdo(request(WRITE_2, 0x1017, 0, 50))
     assert answer[0] == WRITTEN
     assert unit.receive(0x700 + unit.node_id)[1] == bytes([PRE_OPERATIONAL])
 
 
 def test_the_heartbeat_comes_as_often_as_it_is_set(unit) -> None:
     node, period_s = unit.node_id, 0.1
-    answer = unit.sdo(request(WRITE_2, od.HEARTBEAT_MS, 0, round(1000 * period_s)))
+    answer = unit.sdo(request(WRITE_2, 0x1017, 0, round(1000 * period_s)))
     assert answer[0] == WRITTEN
     beats = [unit.receive(0x700 + node, 2.0) for _ in range(6)]
     assert all(beat is not None for beat in beats)
@@ -280,9 +280,9 @@ def test_the_heartbeat_comes_as_often_as_it_is_set(unit) -> None:
     ("asked", "code"),
     [
         (request(READ_OBJECT, 0x5FFF, 0), NO_SUCH_OBJECT),
-        (request(READ_OBJECT, od.IDENTITY, 9), NO_SUCH_SUBINDEX),
-        (request(WRITE_4, od.IDENTITY, od.IDENTITY_VENDOR, 1), READ_ONLY),
-        (request(0xE0, od.IDENTITY, 1), UNKNOWN_COMMAND),
+        (request(READ_OBJECT, 0x1018, 9), NO_SUCH_SUBINDEX),
+        (request(WRITE_4, 0x1018, 1, 1), READ_ONLY),
+        (request(0xE0, 0x1018, 1), UNKNOWN_COMMAND),
     ],
     ids=["no object", "no sub-index", "read only", "no command"],
 )
@@ -292,12 +292,12 @@ def test_what_cannot_be_done_is_aborted_with_its_code(unit, asked: bytes, code: 
     assert answer[1:4] == asked[1:4]
     assert int.from_bytes(answer[4:], "little") == code
     # and the server still serves
-    vendor = unit.sdo(request(READ_OBJECT, od.IDENTITY, od.IDENTITY_VENDOR))
+    vendor = unit.sdo(request(READ_OBJECT, 0x1018, 1))
     assert int.from_bytes(vendor[4:], "little") == od.VENDOR_ID
 
 
 def test_a_stray_write_takes_no_zero(unit) -> None:
-    answer = unit.sdo(request(WRITE_4, od.TARE, od.TARE_COMMAND, 1))
+    answer = unit.sdo(request(WRITE_4, 0x2130, 1, 1))
     assert answer[0] == ABORT
 
 

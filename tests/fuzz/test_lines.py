@@ -129,8 +129,8 @@ def bus() -> Iterator[QuietBus]:
     made.shutdown()
 
 
-def read(bus: QuietBus, index: int, subindex: int, answer: Callable[[bytes], list[bytes]]) -> bytes:
-    """Return an object as our client reads it; `answer` gives the responses to a request."""
+def read(bus: QuietBus, answer: Callable[[bytes], list[bytes]]) -> bytes:
+    """Return the device name as our client reads it; `answer` gives the responses to a request."""
     clock = Clock()
     client = PolledSdoClient(
         node_id=NODE,
@@ -151,24 +151,19 @@ def read(bus: QuietBus, index: int, subindex: int, answer: Callable[[bytes], lis
             client.on_response(0x580 + NODE, data, 0.0)
 
     bus.on_send = respond
-    return ObjectAccess(client, name="the unit").read(index, subindex)
+    return ObjectAccess(client, name="the unit").read("Manufacturer device name")
 
 
 def test_an_object_without_an_end_is_given_up(bus: QuietBus) -> None:
-    head = b"\x41" + od.DEVICE_NAME.to_bytes(2, "little") + bytes(5)
+    head = b"\x41\x08\x10" + bytes(5)
     with pytest.raises(NodeMissing, match=f"more than {MAX_OBJECT_BYTES} bytes"):
-        read(
-            bus,
-            od.DEVICE_NAME,
-            0,
-            lambda r: [head if r[0] == 0x40 else bytes((r[0] & 0x10, *bytes(7)))],
-        )
+        read(bus, lambda r: [head if r[0] == 0x40 else bytes((r[0] & 0x10, *bytes(7)))])
 
 
 def test_an_object_shorter_than_announced_is_refused(bus: QuietBus) -> None:
     answers = iter([b"\x41\x08\x10\0\x14\0\0\0", b"\x0da" + bytes(6)] * 3)
     with pytest.raises(NodeMissing, match="1 bytes came, 20 were announced"):
-        read(bus, od.DEVICE_NAME, 0, lambda _: [next(answers)])
+        read(bus, lambda _: [next(answers)])
 
 
 _DATA = re.compile(

@@ -136,7 +136,7 @@ def line() -> Line:
 
 
 def test_services_follow_the_nmt_state(line) -> None:
-    upload = struct.pack("<BHB4x", 0x40, od.DEVICE_TYPE, 0)
+    upload = struct.pack("<BHB4x", 0x40, 0x1000, 0)
     assert line.tell(SYNC) == []
     assert len(line.tell(SDO_IN, upload)) == 1
     line.start()
@@ -159,8 +159,8 @@ def test_nmt_commands_that_are_not_meant_change_nothing(line, command) -> None:
 
 @pytest.mark.parametrize("command", [RESET_NODE, RESET_COMMUNICATION])
 def test_a_reset_brings_one_boot_up_and_the_defaults_back(line, command) -> None:
-    line.write(od.HEARTBEAT_MS, 0, 50, 2)
-    line.write(od.THRESHOLDS, od.THRESHOLD_TOUCH, 77, 2)
+    line.write(0x1017, 0, 50, 2)
+    line.write(0x2120, 1, 77, 2)
     line.start()
     line.frame()
     assert line.tell(NMT, bytes((command, 5))) == []
@@ -169,9 +169,9 @@ def test_a_reset_brings_one_boot_up_and_the_defaults_back(line, command) -> None
     line.wait(1.0)
     assert line.take() == [(HEARTBEAT, b"\x00")]
     assert line.unit.state == "PRE-OPERATIONAL"
-    assert line.number(od.HEARTBEAT_MS) == 0
+    assert line.number(0x1017) == 0
     kept = command == RESET_COMMUNICATION
-    assert line.number(od.THRESHOLDS, od.THRESHOLD_TOUCH) == (77 if kept else 30)
+    assert line.number(0x2120, 1) == (77 if kept else 30)
     line.start()
     assert line.frame().counter == (1 if kept else 0)
 
@@ -188,7 +188,7 @@ def forces(line: Line, seconds: float) -> list[ForceMessage]:
 
 
 def test_a_force_message_waits_for_the_one_before_and_says_so(line) -> None:
-    timer = (od.TPDO2_PARAMETER, od.PDO_EVENT_TIMER)
+    timer = (0x1801, 5)
     assert line.write(*timer, 2, 2) == 0
     line.start()
     line.message_s = 0.005
@@ -199,11 +199,11 @@ def test_a_force_message_waits_for_the_one_before_and_says_so(line) -> None:
 
 def test_table_and_zero_need_a_right_checksum_and_can_be_read_back(line) -> None:
     table = force_table(line.layout, FoamCalibration(255))
-    assert line.write(od.FORCE_TABLE, 0, table) == 0
-    assert line.read(od.FORCE_TABLE) == table
+    assert line.write(0x2141, 0, table) == 0
+    assert line.read(0x2141) == table
     damaged = bytes((table[0] ^ 1,)) + table[1:]
-    assert line.write(od.FORCE_TABLE, 0, damaged) == 0x0609_0030
-    assert line.read(od.FORCE_TABLE) == table
+    assert line.write(0x2141, 0, damaged) == 0x0609_0030
+    assert line.read(0x2141) == table
 
 
 def test_an_emergency_is_sent_and_remembered(line) -> None:
@@ -211,21 +211,21 @@ def test_an_emergency_is_sent_and_remembered(line) -> None:
     assert line.take() == [(EMCY, bytes.fromhex("00 50 01 00 00 00 00 00"))]
     line.unit.emergency(0x8110, register=0x10)
     assert line.take() == [(EMCY, bytes.fromhex("10 81 11 00 00 00 00 00"))]
-    assert line.number(od.ERROR_HISTORY) == 2
-    assert line.number(od.ERROR_HISTORY, 1) == 0x8110
-    assert line.number(od.ERROR_HISTORY, 2) == 0x5000
-    assert line.number(od.ERROR_REGISTER) == 0x11
+    assert line.number(0x1003) == 2
+    assert line.number(0x1003, 1) == 0x8110
+    assert line.number(0x1003, 2) == 0x5000
+    assert line.number(0x1001) == 0x11
     with pytest.raises(canopen.SdoAbortedError, match="08000024"):
-        line.read(od.ERROR_HISTORY, 3)
+        line.read(0x1003, 3)
     line.unit.emergency(0)
     assert line.take() == [(EMCY, bytes(8))]
-    assert line.number(od.ERROR_REGISTER) == 0
+    assert line.number(0x1001) == 0
     for code in range(0xFF10, 0xFF30):
         line.unit.emergency(code)
     line.take()
-    assert line.number(od.ERROR_HISTORY) == 8
-    assert line.write(od.ERROR_HISTORY, 0, 0, 1) == 0
-    assert line.number(od.ERROR_HISTORY) == 0
+    assert line.number(0x1003) == 8
+    assert line.write(0x1003, 0, 0, 1) == 0
+    assert line.number(0x1003) == 0
 
 
 def test_a_sync_during_a_burst_is_passed_over_and_told(line) -> None:
@@ -244,14 +244,14 @@ def test_a_sync_during_a_burst_is_passed_over_and_told(line) -> None:
 
 
 def test_a_burst_that_does_not_fit_the_window_is_cut_short_and_told(line) -> None:
-    line.write(od.SYNC_WINDOW_US, 0, 3000, 4)
+    line.write(0x1007, 0, 3000, 4)
     line.start()
     heard = line.tell(SYNC)
     assert heard[0][0] == EMCY
     assert struct.unpack_from("<H", heard[0][1]) == (EMCY_WINDOW,)
     assert 20 < len(heard) - 1 < 30
     line.wait(0.02)
-    line.write(od.SYNC_WINDOW_US, 0, 0, 4)
+    line.write(0x1007, 0, 0, 4)
     assert line.frame().status == FrameStatus.OVERRUN
 
 
@@ -275,8 +275,8 @@ def test_writes_that_are_not_allowed_are_refused(index, sub, value, size, code) 
 
 
 def test_the_mapping_can_be_written_again(line) -> None:
-    for sub, value, size in ((0, 0, 1), (1, od.TPDO1_ENTRIES[0], 4), (0, 2, 1)):
-        assert line.write(od.TPDO1_MAPPING, sub, value, size) == 0
+    for sub, value, size in ((0, 0, 1), (1, 0x2110_0108, 4), (0, 2, 1)):
+        assert line.write(0x1A00, sub, value, size) == 0
     line.start()
     assert len(line.tell(SYNC)) == 59
 
@@ -295,8 +295,8 @@ def test_wrong_sdo_requests_are_aborted_and_leave_the_server_working(line, reque
     for request in before:
         assert line.sdo(bytes.fromhex(request))[0] != 0x80
     assert abort_code(line.sdo(bytes.fromhex(last))) == code
-    assert line.read(od.DEVICE_NAME) == b"Tactile control unit"
-    assert line.write(od.HEARTBEAT_MS, 0, 100, 2) == 0
+    assert line.read(0x1008) == b"Tactile control unit"
+    assert line.write(0x1017, 0, 100, 2) == 0
 
 
 def test_a_unit_that_is_on_no_bus_says_so() -> None:

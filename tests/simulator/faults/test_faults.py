@@ -130,8 +130,8 @@ def _knobs(cell: SimulatedCell) -> Any:
     devices = cell.devices
     world = devices.physical
     identity = []
-    identity.append(devices.unit.dictionary.pretend(0x1018, 4, 1))
-    devices.unit.dictionary.pretend(0x1018, 4, identity[-1])
+    identity.append(devices.unit.dictionary.pretend("Identity object.Serial number", 1))
+    devices.unit.dictionary.pretend("Identity object.Serial number", identity[-1])
     servos = [
         (
             servo.core.watchdog_stop,

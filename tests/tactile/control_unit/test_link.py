@@ -44,6 +44,10 @@ from tactile.layout import paper_layout, pinch_layout
 
 NODE = 5
 FRAMES = 0x180 + NODE
+OVERFLOW = "Synchronous counter overflow value"
+FRAMES_TYPE = (
+    "TPDO1 communication parameter.Transmission type (manufacturer-specific: burst after SYNC)"
+)
 FOREIGN = ({"is_extended_id": True}, {"is_remote_frame": True})
 """Frames that CANopen does not use."""
 
@@ -60,10 +64,10 @@ def test_start_checks_configures_and_starts_the_unit(idle) -> None:
     idle.run(0.001, 0.001)
     assert [data[0] for _, can_id, data in idle.traffic if can_id == 0] == [130, 1]
     assert written(idle) == {
-        (od.SYNC_COB_ID, 0): 0x80,
-        (od.SYNC_WINDOW_US, 0): 17_000,
-        (od.SYNC_PERIOD_US, 0): 20_000,
-        (od.HEARTBEAT_MS, 0): 100,
+        (0x1005, 0): 0x80,
+        (0x1007, 0): 17_000,
+        (0x1006, 0): 20_000,
+        (0x1017, 0): 100,
     }
     first = [(can_id, data) for _, can_id, data in idle.traffic if can_id in (0, 0x605)][:2]
     assert first == [(0, bytes([130, 5])), (0x605, bytes.fromhex("40 18 10 01 00 00 00 00"))]
@@ -181,7 +185,9 @@ def boot_late(bench) -> None:
     [
         boot_late,
         lambda bench: copy(bench, 0x580 + NODE, 2, times=1),
-        lambda bench: setattr(bench.unit.dictionary, "_missing", {od.SYNC_OVERFLOW}),
+        lambda bench: setattr(
+            bench.unit.dictionary, "_missing", {"Synchronous counter overflow value"}
+        ),
     ],
     ids=["late boot", "one SDO answer twice", "no object 1019h"],
 )
@@ -193,30 +199,38 @@ def test_a_unit_that_differs_a_little_is_started(idle, change) -> None:
 @pytest.mark.parametrize(
     ("entry", "value", "says"),
     [
-        ((od.IDENTITY, 1), 1, r"vendor-ID: expected 21571 \(0x5443\), found 1"),
-        ((od.IDENTITY, 2), 2, "product code: expected 1032"),
-        ((od.IDENTITY, 3), 0x2_0000, r"major revision: expected 1 \(0x1\), found 2"),
-        ((od.IDENTITY, 4), 4712, "serial number: expected 4711"),
-        ((od.LAYOUT, 3), "0123456789abcdef", "layout hash: expected 48.*, found 0123456789abc"),
-        ((od.LAYOUT, 2), 156, "taxels: expected 408 .*found 156"),
-        ((od.LAYOUT, 4), 4095, "full scale: expected 255 .*found 4095"),
-        ((od.FORMAT, 2), 2, "sample bytes"),
-        ((od.FORMAT, 3), 51, "messages per frame: expected 59 .*found 51"),
-        ((od.FORMAT, 4), 2, "header bytes"),
-        ((od.TPDO1_MAPPING, 0), 0, "TPDO1 entries"),
-        ((od.TPDO1_MAPPING, 2), 0x2100_0040, "TPDO1 entry 2"),
-        ((od.TPDO1_PARAMETER, 1), 0x8000_0185, "TPDO1 COB-ID"),
-        ((od.TPDO1_PARAMETER, 1), 0x2000_0185, "TPDO1 COB-ID: expected 389 .*0x20000185"),
-        ((od.TPDO1_PARAMETER, 2), 1, r"transmission type \(1800h:02\): expected 254 .*, store"),
-        ((od.SYNC_OVERFLOW, 0), 10, r"overflow \(1019h\): expected 0 .*found 10 .*1006h is 0"),
-        ((od.HEARTBEAT_MS, 0), 50, r"heartbeat in ms: expected 100 .*found 50"),
+        ("Identity object.Vendor-ID", 1, r"vendor-ID: expected 21571 \(0x5443\), found 1"),
+        ("Identity object.Product code", 2, "product code: expected 1032"),
+        (
+            "Identity object.Revision number",
+            0x2_0000,
+            r"major revision: expected 1 .*found 2",
+        ),
+        ("Identity object.Serial number", 4712, "serial number: expected 4711"),
+        (
+            "Taxel layout.Layout hash",
+            "0123456789abcdef",
+            "expected 48.*found 0123456789abc",
+        ),
+        ("Taxel layout.Number of taxels", 156, "expected 408 .*found 156"),
+        ("Taxel layout.Full scale of the counts", 4095, "expected 255 .*found 4095"),
+        ("Frame format.Sample bytes", 2, "Sample bytes"),
+        ("Frame format.Messages per frame", 51, r"per frame \(2101h:03\): expected 59 .*51"),
+        ("Frame format.Header bytes", 2, "Header bytes"),
+        ("TPDO1 mapping parameter.Highest sub-index supported", 0, r"\(1A00h:00\)"),
+        ("TPDO1 mapping parameter.Mapped object 2", 0x2100_0040, r"object 2 \(1A00h:02\)"),
+        (od.FRAMES_COB_ID, 0x8000_0185, "COB-ID used by TPDO1"),
+        (od.FRAMES_COB_ID, 0x2000_0185, r"\(1800h:01\): expected 389 .*0x20000185"),
+        (FRAMES_TYPE, 1, r"\(1800h:02\): expected 254 .*, store"),
+        (OVERFLOW, 10, r"expected 0 .*found 10 .*1006h is 0"),
+        ("Producer heartbeat time", 50, r"\(1017h:00\): expected 100 .*found 50"),
     ],
 )
 def test_another_unit_is_refused_with_expected_and_found(make_bench, entry, value, says) -> None:
     bench = make_bench(
         unit=ControlUnitSettings(serial_number=4711), identity=ExpectedIdentity(serial=4711)
     )
-    bench.unit.dictionary.pretend(*entry, value)
+    bench.unit.dictionary.pretend(entry, value)
     with pytest.raises(IdentityMismatch, match=says):
         bench.link.start()
     assert (bench.unit.state, bench.link.statistics.requests) == ("PRE-OPERATIONAL", 0)
@@ -239,7 +253,7 @@ def test_exchanged_pads_are_refused_by_the_serial_numbers_of_their_boards(make_b
     ],
 )
 def test_an_object_that_the_unit_refuses_is_named_with_the_abort_in_words(idle, code, says) -> None:
-    abort = struct.pack("<BHBL", 0x80, od.IDENTITY, 1, code)
+    abort = struct.pack("<BHBL", 0x80, 0x1018, 1, code)
     idle.alter(0x580 + NODE, lambda _burst: [abort])
     with pytest.raises(ObjectRefused, match=rf"0x1018:01 .*refused \(Code 0x{code:08X}, {says}"):
         idle.link.start()
@@ -256,9 +270,9 @@ def test_lost_sdo_responses_are_asked_for_again_and_hide_no_second_unit(idle) ->
 
 
 def test_a_zero_held_by_the_unit_is_cleared(idle) -> None:
-    idle.unit.dictionary.pretend(od.TARE, od.TARE_RESULT, od.TARE_DONE)
+    idle.unit.dictionary.pretend("Tare.Result", od.TARE_DONE)
     idle.link.start()
-    assert written(idle)[od.TARE, od.TARE_COMMAND] == od.TARE_CLEAR_SIGNATURE
+    assert written(idle)[0x2130, 1] == od.TARE_CLEAR_SIGNATURE
 
 
 @pytest.mark.parametrize(("kind", "nodes"), [({}, (6,)), (FOREIGN[0], ()), (FOREIGN[1], ())])
@@ -470,14 +484,14 @@ def test_the_defaults_of_the_eds_are_those_of_the_papers_layout() -> None:
     form = FrameFormat.of(layout)
     found = [
         [dictionary[index][sub].default for sub in (1, 2, 3, 4)]
-        for index in (od.IDENTITY, od.LAYOUT, od.FORMAT)
+        for index in (0x1018, 0x2100, 0x2101)
     ]
     assert found == [
         [od.VENDOR_ID, od.PRODUCT_CODE, od.REVISION, 1],
         [layout.n_pads, layout.n_taxels, layout.layout_hash, layout.adc_max],
         [layout.sample_bits, layout.sample_bytes, form.n_messages, form.header_bytes],
     ]
-    assert dictionary[od.EMCY_COB_ID].default == 0x85
+    assert dictionary[0x1014].default == 0x85
 
 
 QUIET = LinkSettings(force_period_s=0.0, heartbeat_s=10.0)
