@@ -66,7 +66,7 @@ def test_the_quick_start_does_what_its_comments_say(tmp_path: Path) -> None:
     assert "wrote tactile-cell.yaml" in init
     for part in ("ball", "box", "cylinder"):
         assert f"6 of 6 grasps of {part} added" in teach
-    assert "virtual grasps of pin added to parts.npz (18 were there)" in draw
+    assert "virtual grasps of pin added to parts.npz (18 before)" in draw
     assert "4 objects taught" in train
     assert "answer: ball" in identify
     assert "20 parts sorted" in sort

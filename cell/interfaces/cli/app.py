@@ -33,12 +33,12 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "hand": {
         "zero": ("hand:zero", "Close the empty fingers on each other; measure zero and gains."),
-        "release": ("hand:release", "Let go of a part of an earlier run; it may fall."),
+        "release": ("hand:release", "Release a part that an earlier run left in the grip."),
         "clear": ("hand:clear", "Show errors of servos and axes, and clear them."),
         "bench": ("commission:bench", "Measure one servo on a bench."),
     },
     "service": {
-        "install": ("service:install", "Print udev rules, user and systemd unit of the service."),
+        "install": ("service:install", "Print udev rules, system user and systemd unit."),
         "support": ("service:support", "Pack files for remote support."),
     },
     "recording": {
@@ -51,7 +51,7 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "recover": ("recording:recover", "Save the undamaged data of a damaged recording."),
     },
     "archive": {
-        "add": ("archive:add", "Add recordings and data sets; what is there is left out."),
+        "add": ("archive:add", "Add recordings and data sets, each grasp once."),
         "report": ("archive:report", "Write the page of an archive: confusions, drift, ageing."),
     },
 }
@@ -61,11 +61,11 @@ _PANELS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "run": ("run:run", "Teach objects and identify each of them: the main job."),
         "teach": ("teach:teach", "Grasp a known object, or a drawing of it, for a data set."),
         "model": ("", "Models of taught objects: train, calibrate, evaluate."),
-        "identify": ("identify:identify", "Identify the part in the grip, or recorded parts."),
+        "identify": ("identify:identify", "Grasp a part and name it, or name recorded grasps."),
         "sort": ("sort:sort", "Identify parts and release each at its place."),
     },
     "Set up": {
-        "commission": ("commission:commission", "Set up a new cell, until its first grasp."),
+        "commission": ("commission:commission", "Set up a new cell, up to its first force."),
         "config": ("", "Config files: init, check."),
         "doctor": ("doctor:doctor", "Check ports, servos and control unit."),
         "simulate": ("simulate:simulate", "Run the simulated cell for other programs."),
@@ -142,7 +142,7 @@ class Group(TyperGroup):
 app = typer.Typer(
     name="tactile-cell",
     cls=Group,
-    help="Find out by touch what the gripper holds.",
+    help="Identify parts by touch.",
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -162,7 +162,7 @@ def options(
         typer.Option("--version", help="Print the version and end.", callback=_print_version),
     ] = False,
 ) -> None:
-    """Find out by touch what the gripper holds."""
+    """Identify parts by touch."""
 
 
 def main() -> None:

@@ -43,7 +43,7 @@ Config = Annotated[
     ),
 ]
 Json = Annotated[
-    Path | None, typer.Option("--json", help="Also write what is printed to this file, as JSON.")
+    Path | None, typer.Option("--json", help="Also write the result to this file, as JSON.")
 ]
 Out = Annotated[
     Path | None,
@@ -78,7 +78,7 @@ Faults = Annotated[
     typer.Option(
         "--fault",
         metavar="FAULT",
-        help="Fault of the simulated cell, as can.loss=0.05@2s; repeat for several "
+        help="Fault of the simulated cell, for example can.loss=0.05@2s; repeat for several "
         "(simulate --list-faults).",
     ),
 ]
@@ -87,7 +87,9 @@ Cells = Annotated[
 ]
 Days = Annotated[
     str | None,
-    typer.Option("--days", help="Only grasps of a day or of FIRST..LAST, as 2027-01-15 (UTC)."),
+    typer.Option(
+        "--days", help="Only grasps of a day, for example 2027-01-15, or of FIRST..LAST (UTC)."
+    ),
 ]
 Objects = Annotated[
     list[str] | None,
@@ -107,7 +109,7 @@ Recognizer = Annotated[
     str,
     typer.Option(
         "--recognizer",
-        help="Its kind, as doctor lists them with --plugins.",
+        help="Kind of recogniser; `doctor --plugins` lists them.",
         callback=lambda name: known_recognizers([name]) and name,
     ),
 ]

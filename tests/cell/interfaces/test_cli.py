@@ -190,7 +190,7 @@ def test_teach_extends_a_data_set_with_other_poses(quick, tmp_path) -> None:
     assert len(read_recording(data["recording"]).grasps) == 2
     text = call("teach", "part_7", "--object", "box", "-n", 1, "-o", path, "-c", quick)
     assert "1 grasps of part_7 added" in text
-    assert "2 were there" in text
+    assert "(2 before)" in text
     grasps = read_dataset(path)
     assert [grasp.label for grasp in grasps] == ["ball", "ball", "part_7"]
 

@@ -26,7 +26,7 @@ def add(
     ] = 1,
     json_file: options.Json = None,
 ) -> None:
-    """Add recordings and data sets to an archive; what is in it already is not added again.
+    """Add recordings and data sets to an archive, each grasp once.
 
     Needs the extra `archive`.
     """
@@ -56,7 +56,7 @@ def report(
     objects: options.Objects = None,
     json_file: options.Json = None,
 ) -> None:
-    """Answer what is confused, drifts, ages or needs grasps: a page with plots, and JSON.
+    """Report confused objects, drifting cells, ageing pads and objects with few grasps.
 
     Needs the extras `archive` and `report`.
     """

@@ -29,14 +29,14 @@ def commission(
     ] = Path(),
     servo_port: Annotated[
         str | None,
-        typer.Option("--servo-port", help="Serial port of the servos [default: found]."),
+        typer.Option("--servo-port", help="Serial port of the servos [default: detected]."),
     ] = None,
     can: Annotated[
         str | None,
         typer.Option(
             "--can",
             help="CAN interface of the control unit as INTERFACE:CHANNEL, for example "
-            "socketcan:can0 or slcan:/dev/ttyACM0 [default: found].",
+            "socketcan:can0 or slcan:/dev/ttyACM0 [default: detected].",
             callback=_can,
         ),
     ] = None,
@@ -58,7 +58,8 @@ def commission(
     restore: Annotated[
         bool,
         typer.Option(
-            "--restore", help="Restore the servos' registers, but ID and baud rate, and end."
+            "--restore",
+            help="Write the servos' original registers back, except ID and baud rate, and end.",
         ),
     ] = False,
 ) -> None:
@@ -112,8 +113,8 @@ def bench(
 ) -> None:
     """Measure one servo in an hour: torque, friction, velocity register, heat, watchdog.
 
-    The servo is alone on its line and no part of a gripper. Each step says what it moves, asks
-    first, and can be left out. Writes all readings (CSV) and the values (JSON), for `measured` of
+    The servo is alone on its line and no part of a gripper. Each step shows what it moves and
+    asks first. You can skip it. Writes all readings (CSV) and the values (JSON), for `measured` of
     a servo in the config.
     """
     dialog = TerminalDialog()

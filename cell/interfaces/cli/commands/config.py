@@ -46,7 +46,7 @@ def init(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     short: Annotated[
-        bool, typer.Option("--short", help="Write the keys alone that most users set.")
+        bool, typer.Option("--short", help="Write only the keys that most users set.")
     ] = False,
 ) -> None:
     """Write a config file with explained keys, and its schema."""

@@ -26,7 +26,7 @@ def doctor(
 
     A commissioned cell is compared with the record of its commissioning.
 
-    If one of the two lines is missing, the other line is still checked.
+    If the servo line or the sensor line does not answer, the other one is still checked.
     """
     if plugins:
         _list_plugins(json_file)

@@ -53,11 +53,11 @@ def release(
         bool, typer.Option("--confirm", help="Confirm that the part may fall; required.")
     ] = False,
 ) -> None:
-    """Let go of a part in the grip of an earlier run; it may fall.
+    """Release a part that an earlier run left in the grip; it may fall.
 
     Only the servos are needed, not the control unit. If the servo of a finger is silent or off, a
     message names that finger and the other finger opens. Always name the config file, even if the
-    folder has one: so the part falls in the intended cell.
+    folder has one. It selects the cell whose part falls.
     """
     if config is None or not confirm:
         example = options.FOLDER_CONFIG if options.FOLDER_CONFIG.exists() else Path("FILE")

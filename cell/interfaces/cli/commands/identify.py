@@ -51,7 +51,7 @@ def identify(
     faults: options.Faults = None,
     json_file: options.Json = None,
 ) -> None:
-    """Identify the part in the grip, or the parts of recorded grasps; with shape and size."""
+    """Grasp a part and name it, or name recorded grasps; with shape and size."""
     if (model := model_of_folder(model)) is None:
         raise ConfigError("--model is missing; `tactile-cell model train` makes one")
     checked = cell_config(config, seed=seed, faults=faults)

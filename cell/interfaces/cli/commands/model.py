@@ -215,7 +215,7 @@ def evaluate(
 ) -> None:
     """Measure recognisers on recorded grasps: accuracy, fusion, unknown objects.
 
-    With 95 % intervals. Unknown objects are left out of teaching.
+    With 95 % intervals. For unknown objects, groups of objects are left out of training in turn.
     """
     names = recognizers or trainer_names()
     selection = parse_selection(cells, days, objects)

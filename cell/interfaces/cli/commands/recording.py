@@ -135,7 +135,7 @@ ReplayConfigOption = Annotated[
 def replay(
     source: Annotated[Path, typer.Argument(help="Data set or recording.")],
     limit: Annotated[
-        int | None, typer.Option("--limit", min=1, help="Replay at most so many [default: all].")
+        int | None, typer.Option("--limit", min=1, help="Largest number of grasps [default: all].")
     ] = None,
     config: ReplayConfigOption = None,
     json_file: options.Json = None,

@@ -24,7 +24,7 @@ def install(
         "/"
     ),
 ) -> None:
-    """Print udev rules, user and systemd unit of the service. Nothing is written without --apply.
+    """Print udev rules, system user and systemd unit. Nothing is written without --apply.
 
     The service is `tactile-cell serve` with this config and model. It starts with the machine and
     restarts when it was killed; a held part stays held.

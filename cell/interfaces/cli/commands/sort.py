@@ -24,7 +24,9 @@ TALLY_KEYS = (
 
 def sort(
     config: options.Config = None,
-    parts: Annotated[int, typer.Option("--parts", min=1, max=1_000_000, help="Parts.")] = 20,
+    parts: Annotated[
+        int, typer.Option("--parts", min=1, max=1_000_000, help="Number of parts.")
+    ] = 20,
     teach_grasps: Annotated[
         int,
         typer.Option(

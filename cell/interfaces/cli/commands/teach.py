@@ -38,7 +38,7 @@ def teach(
             "-n",
             min=1,
             max=1000,
-            help=f"[default: {_GRASPS}, of a drawing {_VIRTUAL_GRASPS}]",
+            help=f"Number of grasps [default: {_GRASPS}, of a drawing {_VIRTUAL_GRASPS}].",
         ),
     ] = None,
     shape: Annotated[
@@ -81,7 +81,7 @@ def teach(
         raise ConfigError(f"--series {wrong}")
     if recorded is not None:
         added, before = name_recorded(recorded, label, dataset, series)
-        line = f"{added} grasps of {recorded} added to {dataset} as {label} ({before} were there)"
+        line = f"{added} grasps of {recorded} added to {dataset} as {label} ({before} before)"
         values = {"label": label, "n_grasps": added, "dataset": dataset, "source": recorded}
         show([line], values, json_file)
         return
@@ -126,7 +126,7 @@ def _teach_grasps(
                 missed = f" ({shown['missed']} found no part)" if shown["missed"] else ""
                 print_line(
                     f"{len(taken)} of {goal.grasps} grasps of {goal.label}{missed} added to "
-                    f"{dataset} ({len(before)} were there)"
+                    f"{dataset} ({len(before)} before)"
                 )
                 if shown["short"]:
                     print_line(shown["short"])
@@ -160,7 +160,7 @@ def _teach_drawing(
     append_to_dataset(dataset, before, grasps)
     noise = config.simulator
     lines = [
-        f"{len(grasps)} virtual grasps of {label} added to {dataset} ({len(before)} were there)",
+        f"{len(grasps)} virtual grasps of {label} added to {dataset} ({len(before)} before)",
         f"noise of the config (simulator.noise: {noise.noise}, level {noise.noise_level:g}); if "
         "the sensor has more, taught objects become unknown",
     ]
