@@ -112,7 +112,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     gripper.WatchdogUnproven: Fault(113, "Servo bus watchdog failed its self-test",
         "Firmware without a working bus watchdog.", "Update the firmware or exchange the servo.",
         UNMOVED, START),
-    gripper.MechanicsContradicted: Fault(114, "Fingers do not move as the config says",
+    gripper.MechanicsContradicted: Fault(114, "Fingers do not move as in the config",
         "Wrong `gripper.servos[].direction`, `zero_pulse` or `gripper.linkage`; a blocked finger.",
         "Look where the fingers stand, correct the key, clear and reset.", LIMP, START),
     gripper.AnswersOff: Fault(115, "A servo answers pings only or confirms no write",

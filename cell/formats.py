@@ -31,10 +31,10 @@ class Format(NamedTuple):
     def __str__(self) -> str:
         return self.text
 
-    def check(self, found: object, source: object, error: type[CellError]) -> None:
+    def check(self, text: object, source: object, error: type[CellError]) -> None:
         """Raise ``error`` if a file names another format or version, or none."""
-        if found != self.text:
-            named = "it names no format" if found is None else f"its format is {str(found)!a:.60}"
+        if text != self.text:
+            named = "it names no format" if text is None else f"its format is {str(text)!a:.60}"
             raise error(f"{source}: {named}, but {PROGRAM} reads {self}; {self.remedy}")
 
 

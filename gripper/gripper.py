@@ -336,7 +336,7 @@ class Gripper:
     def hold(self, duration_s: float, observer: Observer | None = None) -> ServoFeedback:
         """Control the force at its last set-point for a time in s.
 
-        The drive is in the middle of the friction band: its current is that of the force.
+        The driving force stays in the middle of the friction band: the current needs no friction.
 
         Raises
         ------
@@ -398,8 +398,8 @@ class Gripper:
         held_n = control.grip.setpoint_n
         if not held_n < ramp.final_n:
             raise LimitExceeded(
-                f"a further ramp to {ramp.final_n} N is not above the held {held_n} N: carry it "
-                f"with less force first"
+                f"the further ramp ends at {ramp.final_n} N, it must end above the held {held_n} "
+                f"N: ask for more force, or carry the part with less force first"
             )
         self._carried = None
         with self._life.command("squeeze", observer):

@@ -52,8 +52,8 @@ COMMANDS: Mapping[str, Command] = {
     "squeeze": Command(_HELD, GripperPhase.RAMPING, GripperPhase.HOLDING),
     "release": Command(frozenset(), GripperPhase.RELEASING, GripperPhase.IDLE),
 }
-"""Commands by name. A fault goes from each phase to HELD_AFTER_FAULT; a stop goes where
-`Lifecycle.rest` says."""
+"""Commands by name. A fault goes from each phase to HELD_AFTER_FAULT; a stop goes to
+the phase of `Lifecycle.rest`."""
 
 
 class FingersLeft(StrEnum):

@@ -34,7 +34,7 @@ _SERVO = ServoState(
 
 def command_of(controller: CellController, command: str) -> Any:
     """Return a command without arguments, of the controller or one of its parts."""
-    owners = (controller, controller.life, controller.kept)
+    owners = (controller, controller.life, controller.kept_part)
     return next(getattr(one, command) for one in owners if hasattr(one, command))
 
 

@@ -225,7 +225,7 @@ def _torque(cell: Cell, named: str) -> list[Finding]:
 
 def _servos(cell: Cell, named: str, earlier: Commissioning) -> list[Finding]:
     rows = cell.controller.hand.inspect().rows
-    read = {(row.servo_id, row.item): row.found for row in rows}
+    read = {(row.servo_id, row.item): row.actual for row in rows}
     servos = {
         row.servo_id: (
             model_name(int(read[row.servo_id, MODEL_NUMBER.name])),
@@ -235,9 +235,9 @@ def _servos(cell: Cell, named: str, earlier: Commissioning) -> list[Finding]:
     }
     findings = earlier.changed_servos(servos)
     for row in rows:
-        value = f"{row.found} (expected {row.expected})"
+        value = f"{row.actual} (expected {row.expected})"
         if row.item == SHUTDOWN.name:
-            value += f", {overload_text(int(row.found))}"
+            value += f", {overload_text(int(row.actual))}"
         bad = Verdict.WARN if row.item in CORRECTABLE else Verdict.FAIL
         what = f"servo {row.servo_id} {row.item}"
         findings.append(check_result(what, value, _advice(row, named), ok=row.ok, bad=bad))

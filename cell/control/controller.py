@@ -52,7 +52,7 @@ class CellController:
     """Runs the sequences of one cell: gripper, tactile sensor and positioner, from one thread.
 
     Its parts have the other commands: `life` those of a fault and a stop, `moves` those of the
-    positioner, `zeroing` the self-zero, `kept` the check of a kept part. Only `release`,
+    positioner, `zeroing` the self-zero, `kept_part` the check of a kept part. Only `release`,
     `release_held`, `put_down` and the end of each grasp of a sequence let the part go. A fault, a
     stop and `shutdown` never do.
     """
@@ -84,7 +84,7 @@ class CellController:
         """The newest self-zero, and when the next one is due."""
         self.zeroing = Zeroing(config, hand, life, journal, watch, self.zeros)
         """Takes the zeros of taxels and fingers, and measures the drives of the servos."""
-        self.kept = KeptPart(hand, life, journal, watch, config.sequence.carry_force_n)
+        self.kept_part = KeptPart(hand, life, journal, watch, config.sequence.carry_force_n)
         """The part that stays in the grip."""
         self._grasper = Grasper(
             config=config,
@@ -94,7 +94,7 @@ class CellController:
             watch=watch,
             moves=self.moves,
             zeroing=self.zeroing,
-            kept=self.kept,
+            kept_part=self.kept_part,
         )
 
     @property

@@ -53,7 +53,7 @@ class Grasper:
     moves: Moves
     zeroing: Zeroing
     """Opens the fingers before a grasp; each grasp includes its newest self-zero."""
-    kept: KeptPart
+    kept_part: KeptPart
 
     def __post_init__(self) -> None:
         self._gripper, self._sequence = self.config.gripper, self.config.sequence
@@ -125,7 +125,7 @@ class Grasper:
         if record.outcome.result in NOTHING_HELD:
             self.hand.release(self.watch.motion)
         else:
-            self.kept.measure(open_counts(record.grasp))
+            self.kept_part.measure(open_counts(record.grasp))
         return record
 
     def _close(
@@ -173,9 +173,9 @@ class Grasper:
         first, zero = record, open_counts(record.grasp)
         while True:
             if judge.keeps:
-                self.kept.measure(zero)
+                self.kept_part.measure(zero)
             else:
-                self.kept.hold()
+                self.kept_part.hold()
             verdict = judge.decide()
             self.life.check_cancelled()
             if verdict.further is None:
@@ -185,7 +185,7 @@ class Grasper:
 
     def _squeeze(self, first: GraspRecord, step: GraspStep) -> GraspRecord:
         """Back off and follow a further ramp in the same grip; return its record."""
-        from_n = min(BACK_OFF_SHARE * step.force_n, self.kept.force_n)
+        from_n = min(BACK_OFF_SHARE * step.force_n, self.kept_part.force_n)
         from_n = max(from_n, LEAST_CONTACTS * self._gripper.contact_force_n)
         self.hand.hold_at(from_n, 0.0, self.watch.motion)
         collector, watch = self.watch.collecting(self.zeroing.zeros.newest)

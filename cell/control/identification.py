@@ -50,7 +50,7 @@ class Identification:
     """Shape and size by all grasps together."""
     drift: DriftGrid | None = None
     """The sensor drift that the answer assumes; None if drift is not followed."""
-    kept: bool = False
+    in_grip: bool = False
     """Whether the part stays in the grip."""
 
     @property
@@ -142,7 +142,7 @@ class SequenceAnswers:
                 self.complain(f"after grasp {number}", error)
         self._decision = decide(self.posteriors, self.rule)
 
-    def identification(self, *, kept: bool) -> Identification:
+    def identification(self, *, in_grip: bool) -> Identification:
         """Return the answer of the sequence."""
         shape = self._fused_shape()
         return Identification(
@@ -155,7 +155,7 @@ class SequenceAnswers:
             complaints=tuple(self._complaints),
             shapes=tuple(self._shapes),
             shape=shape,
-            kept=kept,
+            in_grip=in_grip,
         )
 
     def complain(self, when: str, error: Exception) -> None:
@@ -225,13 +225,13 @@ def grasp_and_classify(
     judge = Judge(
         start_answer=answers.start_answer, decide=decide, holds=keeps or not regrasps, keeps=keeps
     )
-    kept = False
+    in_grip = False
     while not (answers.records and answers.over):
         early_checks = EarlyDecider(recognizer, answers.posteriors, rule) if early else None
-        _, kept = grasp(next(steps), early_checks, judge)
+        _, in_grip = grasp(next(steps), early_checks, judge)
         if not judge.holds:
             answers.add()
         if early_checks is not None and early_checks.error is not None:
             ramp = f"early checks of the ramp of grasp {len(answers.records)}"
             answers.complain(ramp, early_checks.error)
-    return answers.identification(kept=kept)
+    return answers.identification(in_grip=in_grip)

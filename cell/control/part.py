@@ -45,7 +45,7 @@ class Part(BaseModel):
     """Number of grasps."""
     n_ended_early: int = 0
     """Number of grasps whose ramp ended early because the answer was sure enough."""
-    kept: bool = False
+    in_grip: bool = False
     """Whether the part is still in the grip; the host releases it."""
     shape: ShapeAnswer | None = None
     """Shape and size by all grasps together, also of an untaught object; None if the pads do not

@@ -326,7 +326,7 @@ def _mm(opening_m: float) -> str:
 
 def homing_offsets(report: VerificationReport) -> dict[int, int]:
     """Return the homing offset of each servo, by its ID, from the report of a start."""
-    return {row.servo_id: int(row.found) for row in report.rows if row.item == "homing_offset"}
+    return {row.servo_id: int(row.actual) for row in report.rows if row.item == "homing_offset"}
 
 
 def drive_text(servo: ServoSettings, drive: DriveCharacteristic) -> str:

@@ -42,7 +42,7 @@ HAND_COMMANDS = {
 class HandRequest:
     """A command of `Hand` that the process carries out; its answer has the number.
 
-    ValueError for a name that is none of `HAND_COMMANDS`.
+    ValueError for a name that is not in `HAND_COMMANDS`.
     """
 
     number: int

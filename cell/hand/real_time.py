@@ -17,9 +17,9 @@ _STACK_BYTES = 512 << 10
 
 
 def enter_real_time(config: LoopConfig) -> tuple[str, ...]:
-    """Ask for scheduling, memory and processor as the config wants; return what was refused.
+    """Ask for scheduling, memory and processor as in the config; return what was refused.
 
-    Call it before threads are started: they inherit the scheduling, so that none of them holds
+    Call it before threads are started: they inherit the scheduling, so that no thread holds
     the interpreter's lock while it waits for a processor. Each note names the consequence and
     the remedy.
     """

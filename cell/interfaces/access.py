@@ -102,7 +102,7 @@ def read_secret(path: str) -> str:
 def view_token(token: str) -> str:
     """Return the view-only token, a one-way hash of the token that commands.
 
-    It is valid as long as that token.
+    It is valid as long as the token.
     """
     return hmac.new(token.encode(), b"view only", "sha256").hexdigest()[:32]
 

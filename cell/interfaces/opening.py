@@ -49,7 +49,7 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
     Raises CellError if an interface cannot be opened, and ConfigError if an extra is missing.
     """
     config = service.config.serve
-    found: dict[str, Any] = {"listen": config.listen}
+    opened: dict[str, Any] = {"listen": config.listen}
     interfaces: dict[str, Any] = {}
     for name in (config.tls_certificate, config.tls_key):
         if name and Path(name).exists() and not Path(name).is_file():
@@ -72,11 +72,11 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
                     f"cannot be opened: {error}{remedy}"
                 ) from error
             undo.callback(interface.close)
-            interfaces[key], found[key] = interface, interface.port
+            interfaces[key], opened[key] = interface, interface.port
             if key == "http_port":
-                found |= {"token": interface.token, "view_token": interface.view_token}
+                opened |= {"token": interface.token, "view_token": interface.view_token}
         undo.enter_context(running(service, interfaces))
-        yield found
+        yield opened
 
 
 @contextmanager
@@ -91,9 +91,11 @@ def running(service: Service, interfaces: Mapping[str, Any]) -> Iterator[None]:
             ended.add(key)
 
     async def serve_all() -> None:
-        for found in await asyncio.gather(*map(serve, interfaces), return_exceptions=True):
-            if found is not None:
-                loop.call_exception_handler({"message": "an interface failed", "exception": found})
+        for failure in await asyncio.gather(*map(serve, interfaces), return_exceptions=True):
+            if failure is not None:
+                loop.call_exception_handler(
+                    {"message": "an interface failed", "exception": failure}
+                )
 
     def run() -> None:
         with runner:

@@ -28,29 +28,31 @@ def own_address(config: ServeConfig) -> str:
     for network in map(ip_network, config.allow):
         with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as link:
             link.connect((str(network[network.num_addresses // 2]), 9))
-            found = str(link.getsockname()[0])
-            if not ip_address(found).is_loopback:
-                return found
+            address = str(link.getsockname()[0])
+            if not ip_address(address).is_loopback:
+                return address
     return ""
 
 
-def page_address(found: Mapping[str, Any], config: ServeConfig, token: str = "token") -> str | None:
+def page_address(
+    interfaces: Mapping[str, Any], config: ServeConfig, token: str = "token"
+) -> str | None:
     """Return the address of the page, with a token, for a browser; None without HTTP.
 
     Parameters
     ----------
-    found
+    interfaces
         The interfaces, as `cell.interfaces.opening.open_interfaces` yields them.
     token
-        Key of the token in ``found``; ``view_token``: view only.
+        Key of the token in ``interfaces``; ``view_token``: view only.
     """
-    if "http_port" not in found:
+    if "http_port" not in interfaces:
         return None
     anywhere = ip_address(config.listen).is_unspecified
     host = own_address(config) or (socket.gethostname() if anywhere else config.listen)
     host = f"[{host}]" if ":" in host else host
     scheme = "https" if config.tls_certificate else "http"
-    return f"{scheme}://{host}:{found['http_port']}/#token={found[token]}"
+    return f"{scheme}://{host}:{interfaces['http_port']}/#token={interfaces[token]}"
 
 
 def view_note(config: ServeConfig) -> str:

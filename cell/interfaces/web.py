@@ -356,13 +356,13 @@ class WebInterface(HttpServer):
 
     def authorize(
         self,
-        found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())],
+        bearer: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())],
         request: Request,
     ) -> None:
         """Raise HTTPException or NotInCommand if the token does not permit the request."""
-        if not self._may_read(found.credentials):
+        if not self._may_read(bearer.credentials):
             raise HTTPException(401, "wrong token")
-        request.state.commands = same_secret(found.credentials, self.token)
+        request.state.commands = same_secret(bearer.credentials, self.token)
         if request.method != "GET" and not request.state.commands:
             raise NotInCommand(
                 "this token is view only: open the page with the address that `serve` prints "
@@ -432,7 +432,7 @@ class WebInterface(HttpServer):
             return  # the client is gone, or takes nothing
 
     def healthz(self) -> JSONResponse:
-        """Whether the service works; needs no token. 503: its ``problem`` says why.
+        """Whether the service works; needs no token. 503: its ``problem`` has the reason.
 
         With a fault the answer is 200 with the number of the fault: a restart does not help.
         """
@@ -448,11 +448,11 @@ class WebInterface(HttpServer):
 
     def metrics(
         self,
-        found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())],
+        bearer: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())],
         request: Request,
     ) -> Response:
         """Metrics for Prometheus; the token is the bearer."""
-        self.authorize(found, request)
+        self.authorize(bearer, request)
         return Response(metrics_text(self._service), media_type=CONTENT_TYPE)
 
     def info(self) -> dict[str, Any]:
@@ -500,10 +500,10 @@ class WebInterface(HttpServer):
     def job(self, number: int) -> dict[str, Any]:
         """One job: outcome, progress, answer."""
         try:
-            found: dict[str, Any] = plain_data(self._plugin.job(number))
+            values: dict[str, Any] = plain_data(self._plugin.job(number))
         except RequestRefused as error:
             raise NotThere(str(error), "job") from error
-        return found
+        return values
 
     def taught(self) -> list[dict[str, Any]]:
         """List the taught objects: stored grasps, shape and size in mm."""
@@ -571,9 +571,9 @@ class WebInterface(HttpServer):
 
     def simulated_part(self) -> dict[str, Any]:
         """Return the chosen part and its pose, the part between the fingers, and all objects."""
-        found = self._plugin.simulate({"state": True})
-        pose = {name: found["offset"][name] for name in asdict(Pose())}
-        shown = {name: found[name] for name in ("placed", "objects")}
+        state = self._plugin.simulate({"state": True})
+        pose = {name: state["offset"][name] for name in asdict(Pose())}
+        shown = {name: state[name] for name in ("placed", "objects")}
         return {"part": self._service.chosen_part, "pose": pose} | shown
 
     def choose_part(self, body: PartBody) -> dict[str, Any]:

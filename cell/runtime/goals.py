@@ -81,7 +81,7 @@ class IdentifyGoal(_Goal):
     force_n: float | None = Field(default=None, gt=0.0, le=50.0)
     """Force at the end of each ramp in N, up to 50, or None for the forces of the plan."""
     whole_ramps: bool = False
-    """Whether no ramp ends early, whatever the config says."""
+    """Whether no ramp ends early, also against the config."""
 
 
 class GripGoal(_Goal):

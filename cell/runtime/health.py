@@ -48,12 +48,12 @@ def _servos(config: CellConfig, cell: Cell) -> dict[str, Any]:
     }
 
 
-def _drive(found: DriveCharacteristic | None) -> dict[str, Any] | None:
+def _drive(drive: DriveCharacteristic | None) -> dict[str, Any] | None:
     """Return the measured values of a servo; None without a measurement."""
-    if found is None:
+    if drive is None:
         return None
     names = ("breakaway_a", "rising_a_nm", "falling_a_nm", "kt_nm_a", "measured_s")
-    return {name: getattr(found, name) for name in names}
+    return {name: getattr(drive, name) for name in names}
 
 
 def _can(config: CellConfig, cell: Cell) -> dict[str, Any]:

@@ -116,7 +116,7 @@ def teach_and_identify(
     progress("train", 2, 2)
     parts: list[Part] = []
     trials: list[Identification] = []
-    plugin.watch_parts(lambda _, found: trials.append(found) if found else None)
+    plugin.watch_parts(lambda _, named: trials.append(named) if named else None)
     firsts: list[dict[str, Posterior]] = []
     for number, label in enumerate(labels):
         for repeat in range(n_trials):

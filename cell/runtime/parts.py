@@ -56,25 +56,25 @@ class PartLog:
         """Begin a job that finds parts."""
         self._job, self._since_s = (job, task), self.controller.clock.monotonic()
 
-    def add(self, found: Identification | None, remark: str = "", **fate: Any) -> Part:
+    def add(self, identification: Identification | None, remark: str = "", **fate: Any) -> Part:
         """Return the part of an identification; ``fate`` has what became of it.
 
         None: a turn without a part, which is a `Part` without a label.
         """
         before_s, self._since_s = self._since_s, self.controller.clock.monotonic()
         fields: dict[str, Any] = {}
-        if found is not None:
-            shorts = (record.outcome.short for record in found.records)
+        if identification is not None:
+            shorts = (record.outcome.short for record in identification.records)
             self._n_parts += 1
             fields = fate | {
                 "number": self._n_parts,
-                "label": found.label,
-                "label_id": self.label_id(found.label),
-                "probabilities": found.fused.probabilities,
-                "n_grasps": len(found.records),
-                "n_ended_early": found.n_ended_early,
-                "shape": found.shape,
-                "drift": found.drift,
+                "label": identification.label,
+                "label_id": self.label_id(identification.label),
+                "probabilities": identification.fused.probabilities,
+                "n_grasps": len(identification.records),
+                "n_ended_early": identification.n_ended_early,
+                "shape": identification.shape,
+                "drift": identification.drift,
                 "remark": remark or next(filter(None, shorts), ""),
             }
         part = Part(
@@ -86,7 +86,7 @@ class PartLog:
             **fields,
         )
         for on_part in self.listeners:
-            on_part(part, found)
+            on_part(part, identification)
         return part
 
 

@@ -65,11 +65,11 @@ def serve_simulated_cell(
         place.mkdir(parents=True, exist_ok=True)
         undo.enter_context(_alone_in(place))
 
-        def announce_with_config(found: dict[str, Any]) -> None:
+        def announce_with_config(announced: dict[str, Any]) -> None:
             path = place / "cell.yaml"
-            text = config_text(client_config(config, found), comments=False)
+            text = config_text(client_config(config, announced), comments=False)
             write_text(path, text.removeprefix(SCHEMA_LINE), error=CellError, what="config")
-            announce(found | {"config": str(path)})
+            announce(announced | {"config": str(path)})
 
         # The loop of a client may have real-time priority: devices that wait for a processor while
         # it does not would seem to be silent.
@@ -108,7 +108,7 @@ def _alone_in(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
+def client_config(config: CellConfig, announced: dict[str, Any]) -> CellConfig:
     """Return the config with which another process reaches the simulated cell.
 
     ``found``: announced values of the cell; see `simulator.realtime.process.serve`.
@@ -119,31 +119,34 @@ def client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
     }
     ports = {
         "name": f"{config.name} on pseudo-terminals"[:80],
-        "gripper.port": found["servo_port"],
-        "tactile.interface": found["can_interface"],
-        "tactile.channel": found["can_channel"],
+        "gripper.port": announced["servo_port"],
+        "tactile.interface": announced["can_interface"],
+        "tactile.channel": announced["can_channel"],
         "simulator.faults": [],
-        "positioner": _client_positioner(config.positioner, found),
+        "positioner": _client_positioner(config.positioner, announced),
     }
     if config.tactile.serial_ports:
         ports["tactile.sensor"] = config.tactile.sensor.model_dump() | {
-            "ports": found["board_ports"]
+            "ports": announced["board_ports"]
         }
     return changed_config(config, ports | timeouts)
 
 
-def _client_positioner(config: PositionerConfig, found: dict[str, Any]) -> dict[str, Any]:
+def _client_positioner(config: PositionerConfig, announced: dict[str, Any]) -> dict[str, Any]:
     """Return the positioner for a client: the axes of the config, else the simulated cell."""
-    socket = {"socket": found["positioner_socket"]}
+    socket = {"socket": announced["positioner_socket"]}
     if config.kind != "axes":
         return {"kind": "simulated"} | socket
     values = config.model_dump(mode="json") | socket
     if config.drives:
         loss_ms = max(config.can.heartbeat_loss_ms, _LEAST_AXIS_LOSS_MS)
-        channel = {"interface": found["can_interface"], "channel": found["axes_can_channel"]}
+        channel = {
+            "interface": announced["can_interface"],
+            "channel": announced["axes_can_channel"],
+        }
         values["can"] |= channel | {"heartbeat_loss_ms": loss_ms}
     for axis in values["axes"]:
-        if axis["moves"] in found["axes_ports"]:
-            axis["port"] = found["axes_ports"][axis["moves"]]
+        if axis["moves"] in announced["axes_ports"]:
+            axis["port"] = announced["axes_ports"][axis["moves"]]
             axis["bus_loss_ms"] = max(axis["bus_loss_ms"], _LEAST_AXIS_LOSS_MS)
     return values

@@ -283,7 +283,9 @@ class Tasks:
             self.parts.add(None)
             raise
         rejected = found.label == UNKNOWN
-        part = self.parts.last = self.parts.add(found, remark, kept=found.kept, rejected=rejected)
+        part = self.parts.last = self.parts.add(
+            found, remark, in_grip=found.in_grip, rejected=rejected
+        )
         return part
 
     @one_blas_thread()
@@ -319,7 +321,7 @@ class Tasks:
         Raises as `CellController.grip`.
         """
         controller = self.controller
-        carry_n = controller.kept.wanted_force_n
+        carry_n = controller.kept_part.wanted_force_n
         gripped = {"task": "grip", "force_n": goal.force_n, "held_with_n": carry_n}
         report(gripped)
         controller.moves.present(goal.present)
@@ -334,7 +336,7 @@ class Tasks:
         Raises as `cell.control.kept_part.KeptPart.verify`.
         """
         report({"task": "verify"})
-        return self.controller.kept.verify()
+        return self.controller.kept_part.verify()
 
     def sort(self, goal: SortGoal, report: Report) -> SortAnswer:
         """Name parts, keep each, bring it to its place, verify it there, and let it go.
@@ -393,7 +395,7 @@ class Tasks:
         """Bring the kept part to its place and let it go; return what became of it."""
         controller, destination = self.controller, places.of(label)
         controller.moves.carry_to(destination)
-        check = controller.kept.verify()
+        check = controller.kept_part.verify()
         if not check.same and destination.place != places.reject.place:
             destination = places.reject
             controller.moves.carry_to(destination)

@@ -211,7 +211,7 @@ class Service:
         self.history.start()
         plugin.watch_parts(self._count)
         self.plugin = plugin
-        """The cell, for what it alone knows; its jobs are started by the service."""
+        """The cell, for its values; its jobs are started by the service."""
         self._poses = PoseHandshake() if poses is None else poses
         self._clock = clock
         self._lock = threading.RLock()
@@ -241,7 +241,7 @@ class Service:
             job, status = self.plugin.job(), self.plugin.status()
             seq, pose = self._poses.awaited
             last = status.last_answer
-            named = last is not None and last.kept and last.job >= self._gripped_by
+            named = last is not None and last.in_grip and last.job >= self._gripped_by
             return Snapshot(
                 status=status,
                 job=job,
@@ -258,17 +258,17 @@ class Service:
 
         None: the task or command is allowed.
         """
-        found: dict[str, CellError | None] = {}
+        refusals: dict[str, CellError | None] = {}
         with self._lock:
             for task in (*TASKS, *_COMMANDS):
                 try:
                     self._check_stopped(task)
                     if task != Command.CLEAR or not self._gone:
                         self.plugin.check(task)
-                    found[task] = None
+                    refusals[task] = None
                 except CellError as error:
-                    found[task] = error
-        return found
+                    refusals[task] = error
+        return refusals
 
     @property
     def problem(self) -> str:
@@ -314,10 +314,10 @@ class Service:
         checked, in_turn = self._with_part(checked_goal(goal))
         given = checked.model_dump(exclude_defaults=True)
         start = partial(self.plugin.start, checked)
-        found = self.begin(lease, checked.task, start, number=number, given=given)
-        if in_turn and found != self._in_turn:  # a refused or repeated request takes no turn
-            self._in_turn, self._n_in_turn = found, self._n_in_turn + 1
-        return found
+        job = self.begin(lease, checked.task, start, number=number, given=given)
+        if in_turn and job != self._in_turn:  # a refused or repeated request takes no turn
+            self._in_turn, self._n_in_turn = job, self._n_in_turn + 1
+        return job
 
     def _with_part(self, goal: Goal) -> tuple[Goal, bool]:
         """Return a goal with the chosen part, or the next one, for the simulated cell.
@@ -517,7 +517,7 @@ class Service:
                 last = (newest.number, newest.task, self._newest_lease)
                 if (number, task, lease) == last:
                     return number
-                raise RequestRefused(f"job {number} is another request; the next is {next_}")
+                raise RequestRefused(f"job {number} belongs to another request; use {next_}")
             if number > next_:
                 raise RequestRefused(f"job {number} is not the next job; the next is {next_}")
             values = "".join(f", {field} {value}" for field, value in (given or {}).items())
@@ -563,10 +563,13 @@ class Service:
         self.history.close()
         self.plugin.close(timeout_s)
 
-    def _count(self, part: Part, found: Identification | None) -> None:
-        self.totals.add(part, found)
+    def _count(self, part: Part, identification: Identification | None) -> None:
+        self.totals.add(part, identification)
         self.shift.add(
-            part, None if found is None else self.plugin.newtons.curves(found.records[-1])
+            part,
+            None
+            if identification is None
+            else self.plugin.newtons.curves(identification.records[-1]),
         )
         self.history.add(part)
 

@@ -161,7 +161,7 @@ class Sum:
 
 
 class Totals:
-    """Growing totals; one thread adds, any thread reads."""
+    """Totals since the start of the program; one thread adds, any thread reads."""
 
     def __init__(self) -> None:
         self.parts: Counter[tuple[str, str]] = Counter()
@@ -172,7 +172,7 @@ class Totals:
         self.force_errors_n = Sum()
         """Distance in N between force and set-point at the end of each grasp of a part."""
 
-    def add(self, part: Part, found: Identification | None) -> None:
+    def add(self, part: Part, identification: Identification | None) -> None:
         """Count a part with its grasps, or a turn without a part."""
         if not part.label:
             self.parts["", "missed"] += 1
@@ -180,6 +180,6 @@ class Totals:
         named = "rejected" if part.rejected else "named"
         self.parts[part.label, "unknown" if part.label == UNKNOWN else named] += 1
         self.cycles_s.add(part.seconds)
-        for record in () if found is None else found.records:
+        for record in () if identification is None else identification.records:
             wanted_n = record.cycles[-1].setpoint_n
             self.force_errors_n.add(abs(record.outcome.final_force_n - wanted_n))

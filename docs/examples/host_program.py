@@ -22,7 +22,7 @@ def main() -> None:
         answer = cell.result(job, timeout_s=1)
         print(f"{answer.label}, {answer.probability:.0%} after {answer.n_grasps} grasp(s)")
         print(f"it feels like: {answer.shape}")  # also where the label is UNKNOWN
-        print(f"  robot: to the bin of {answer.label}, the part in the grip: {answer.kept}")
+        print(f"  robot: to the bin of {answer.label}, the part in the grip: {answer.in_grip}")
         cell.release()  # there; only this lets go
 
 

@@ -334,7 +334,7 @@ def add_model(model: ServoModel) -> None:
     for other in _MODELS.values():
         if other != model and (other.name == model.name or other.number == model.number):
             raise LimitExceeded(
-                f"servo model {model.name} with number {model.number} is there with other values "
+                f"servo model {model.name} with number {model.number} exists with other values "
                 f"({other.name}, {other.number}): give it a name and number of its own"
             )
     _MODELS[model.name] = model

@@ -20,7 +20,7 @@ PING_SIZE = 3
 _CRC_REFUSED = 3
 """Error number of a servo that received a damaged request (e-Manual, "Error": CRC)."""
 _HEARD_BYTES = 16
-"""Bytes of what was heard on a line that an error shows: a header and what follows it."""
+"""Received bytes that an error shows: a header and what follows it."""
 _PRINTABLE = frozenset(range(0x20, 0x7F)) | {0x0A, 0x0D}
 """Bytes of a text line: a device that sends text, as a GPS receiver, is known by its words."""
 
@@ -74,7 +74,7 @@ class Heard:
             parts.append(
                 f"{self._bytes} bytes that are no packet, the first are {self._head.hex(' ')}{text}"
             )
-        return f"heard were {' and '.join(parts) or 'no bytes'}"
+        return f"received were {' and '.join(parts) or 'no bytes'}"
 
     def add(self, dropped: bytes) -> None:
         """Add bytes that are no packet."""

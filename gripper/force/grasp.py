@@ -339,7 +339,7 @@ class GripStep:
         return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
 
     def outcome(self, final: ServoFeedback) -> GraspOutcome:
-        """Return the outcome of the ramp, of which ``final`` is the last feedback."""
+        """Return the outcome of the ramp; ``final`` is its last feedback."""
         contact = self._contact
         final_n = 0.0 if self.control is None else self.control.force_n
         requested_n, ended_n = self._time.requested_n, self._time.ramp.final_n

@@ -83,7 +83,7 @@ class Moment:
 
 @dataclass(slots=True, kw_only=True)
 class Running:
-    """Running steps of control."""
+    """State of the control step that runs now."""
 
     step: Callable[[Moment], Action]
     needs_force: bool
@@ -146,7 +146,7 @@ class LoopRunner:
         Raises
         ------
         BusTimeout, BusCorrupt
-            When there was no feedback for ``bus_loss_s``, or none of one servo for three periods.
+            When no servo answered for ``bus_loss_s``, or one servo for three periods.
         BusUnreliable
             When too many periods had no feedback.
         """

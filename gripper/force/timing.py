@@ -34,7 +34,7 @@ class Histogram:
         self._max_s = 0.0
 
     def add(self, duration_s: float) -> None:
-        """Count one duration in s; what is below 1 us, or negative, counts as that."""
+        """Count one duration in s; less than 1 us, or below 0, counts as 1 us."""
         within = min(max(duration_s / _FIRST_S, 1.0), _MOST)
         self._counts[int(_PER_DECADE * log10(within)) + (within > 1.0)] += 1
         self._max_s = max(self._max_s, duration_s)

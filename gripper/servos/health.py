@@ -117,7 +117,7 @@ class ServoHealth:
                 servo_id=servo_id,
                 item="ping",
                 expected=f"an answer at {self._bus.baudrate} baud",
-                found=("no right answer" if servo_id in silent else "an answer")
+                actual=("no right answer" if servo_id in silent else "an answer")
                 + (f"; other IDs that answer: {listed}" if listed else ""),
                 ok=servo_id not in silent,
             )
@@ -160,7 +160,7 @@ class ServoHealth:
                 raise VerificationFailed(report, [str(row) for row in report.failed])
             raise ServoFault(
                 errors[0].servo_id,
-                int(errors[0].found),
+                int(errors[0].actual),
                 "it reports a hardware error from before the start and nothing has moved; remedy "
                 "its cause, then clear it with a reboot",
                 torque_lost=True,

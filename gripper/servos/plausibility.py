@@ -36,7 +36,7 @@ _KEPT = (
     "then clear the fault and release"
 )
 _ADVICE = (
-    "where the finger is, is unknown, so the torque is switched off and a held part possibly "
+    "the position of the finger is unknown. The torque is switched off, and a held part may have "
     "dropped. Check encoder, horn and linkage before clearing the fault"
 )
 _COMPARED_S, _UNSEEN_RAD = 0.1, 0.01
@@ -211,12 +211,12 @@ class FeedbackCheck:
                 continue
             self._check_range(index, servo, last_rad, loaded=loaded)
             motor.push(servo, now_s, loaded=loaded)
-            if motor.unseen_rad > _UNSEEN_RAD:
+            if (apart_rad := motor.unseen_rad) > _UNSEEN_RAD:
                 motor.forget()
                 raise PositionContradicted(
-                    f"servo {servo.servo_id}: its position and its motor, by voltage and current, "
-                    f"have moved apart by more than {_UNSEEN_RAD} rad: the encoder, or what "
-                    f"measures the current, is stuck or drifts. {_KEPT}"
+                    f"servo {servo.servo_id}: the travels by its encoder and by voltage and "
+                    f"current of its motor differ by {apart_rad:.3f} rad, at most {_UNSEEN_RAD} "
+                    f"rad are possible: one of them is stuck or drifts. {_KEPT}"
                 )
 
     def _check_turn(self, servo: ServoState) -> None:

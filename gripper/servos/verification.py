@@ -134,7 +134,7 @@ def compare(
             servo_id=servo_id,
             item=requirement.item,
             expected=requirement.expected,
-            found=str(raws[requirement.item]),
+            actual=str(raws[requirement.item]),
             ok=requirement.met_by(raws[requirement.item]),
             corrected=requirement.item in corrected,
         )

@@ -75,7 +75,7 @@ class VerificationRow:
     item: str
     """Name of the register."""
     expected: str
-    found: str
+    actual: str
     """As text, in raw units of the register."""
     ok: bool
     """True when they agree, or were made to agree."""
@@ -83,7 +83,7 @@ class VerificationRow:
     """True when the register was rewritten to agree."""
 
     def __str__(self) -> str:
-        return f"servo {self.servo_id} {self.item}: expected {self.expected}, found {self.found}"
+        return f"servo {self.servo_id} {self.item}: expected {self.expected}, found {self.actual}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -198,7 +198,7 @@ class StubPlugin:
         if isinstance(goal, IdentifyGoal):
             label, keeps = self.finds or goal.present or "ball", goal.keep != "never"
             found = {UNKNOWN: 0.1, label: 0.9}
-            value = Part(label=label, probabilities=found, n_grasps=1, kept=keeps, shape=ROUND)
+            value = Part(label=label, probabilities=found, n_grasps=1, in_grip=keeps, shape=ROUND)
         elif isinstance(goal, GripGoal | VerifyGoal):
             command, value, keeps = Command(goal.task), FOUND, True
         end = CellState.COMPLETE if keeps else CellState.IDLE

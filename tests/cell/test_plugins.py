@@ -148,7 +148,7 @@ def test_a_servo_of_another_package_is_known_to_the_gripper(installed: Install) 
     config = changed_config(CellConfig().gripper, changes)
     assert config.servos[0].model == "XL330-M077"
     assert models.model_name(1190) == "XL330-M077"
-    with pytest.raises(LimitExceeded, match="XL330-M288 with number 1200 is there with other"):
+    with pytest.raises(LimitExceeded, match="XL330-M288 with number 1200 exists with other"):
         use_servo_models(["XL330-again"])
 
 

@@ -186,7 +186,7 @@ def carry_job(cell: CampaignCell) -> None:
     cell.start()
     cell.controller.grip(3.0, Pose())
     cell.idle(CARRY_S)
-    cell.controller.kept.verify()
+    cell.controller.kept_part.verify()
 
 
 def carry_with_fault(row: FaultRow) -> Observed:

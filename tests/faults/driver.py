@@ -117,7 +117,7 @@ class Driver:
         return self.command(f"grip {force_n} N", lambda: self.controller.grip(force_n, Pose()))
 
     def verify(self) -> bool:
-        return self.command("verify", self.controller.kept.verify)
+        return self.command("verify", self.controller.kept_part.verify)
 
     def identify(self, force_n: float, keep: Keep = Keep.NEVER) -> bool:
         step = GraspStep(pose=Pose(), force_n=force_n)

@@ -178,15 +178,15 @@ def _two(value: float, unit: float) -> int:
     return max(-0x7FFF, min(0x7FFF, round(value / unit))) & 0xFFFF
 
 
-def _word(value: Value, found: Any) -> int:
+def _word(value: Value, value_si: Any) -> int:
     """Return a value as register; numbers wrap around after 65535."""
     if value.kind is int:
-        return (found or 0) & 0xFFFF
+        return (value_si or 0) & 0xFFFF
     if ".live." not in value.source:
-        return _two(found or 0.0, value.unit)
+        return _two(value_si or 0.0, value.unit)
     if value.source.endswith("age_s"):
-        return OLDEST_MS if found is None else min(OLDEST_MS, round(found / value.unit))
-    return NOT_MEASURED if found is None else _two(found, value.unit)
+        return OLDEST_MS if value_si is None else min(OLDEST_MS, round(value_si / value.unit))
+    return NOT_MEASURED if value_si is None else _two(value_si, value.unit)
 
 
 def _text(text: str, n_registers: int = N_LONG_TEXT) -> list[int]:
@@ -206,7 +206,7 @@ def input_registers(
     flags = (
         (ANSWERED, answer.number > 0),
         (ANSWER_UNKNOWN, answer.label == UNKNOWN),
-        (ANSWER_KEPT, answer.kept),
+        (ANSWER_KEPT, answer.in_grip),
     )
     bits = (
         (READY, status.state == CellState.IDLE),
@@ -228,11 +228,11 @@ def input_registers(
     )
     words = [0] * N_INPUT
     for value in VALUES:
-        found = value.of(now)
+        value_si = value.of(now)
         if value.kind is str:
-            words[value.register : value.register + N_TEXT] = _text(found or "", N_TEXT)
+            words[value.register : value.register + N_TEXT] = _text(value_si or "", N_TEXT)
         else:
-            words[value.register] = _word(value, found)
+            words[value.register] = _word(value, value_si)
     words[:3] = SIGNATURE, life, sum(bit for bit, on in bits if on)
     words[5:8] = seq, result, status.fault_number or job.fault_number
     words[17:21] = (

@@ -51,7 +51,7 @@ class SortingStation:
         sure = found.decision.probability >= self.least_probability
         place = self.bins.get(found.label, MANUAL) if sure else MANUAL
         self.controller.moves.carry_to(Destination(label=found.label, place=place))
-        if not self.controller.kept.verify().same:
+        if not self.controller.kept_part.verify().same:
             # It has turned or slipped in the grip: a person looks at it.
             place = MANUAL
             self.controller.moves.carry_to(Destination(label=found.label, place=place))

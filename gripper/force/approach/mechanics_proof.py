@@ -111,7 +111,7 @@ def standing_rows(
                 servo_id=servo.servo_id,
                 item=POSITION_ITEM,
                 expected="a finger on its own side of the middle",
-                found=f"{where}, opening {opening_m * 1e3:.1f} mm, by the position {raw} and "
+                actual=f"{where}, opening {opening_m * 1e3:.1f} mm, by the position {raw} and "
                 f"gripper.servos[{index}].direction {servo.direction}, zero_pulse "
                 f"{servo.zero_raw}, gripper.linkage {linkage}"
                 if wrong

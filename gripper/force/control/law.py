@@ -182,7 +182,7 @@ class Pushes:
         self._from_n = self.growth_n = 0.0
         """Force in N before the last push, and its expected growth by it."""
 
-    def has_shown(self, sample: ForceSample) -> bool:
+    def shows_push(self, sample: ForceSample) -> bool:
         """Return whether a sample shows the effect of the last push."""
         return sample.measured_s > self._pushed_s + _SHOWS_S
 
@@ -363,7 +363,7 @@ class ForceLaw:
         least_n = max(_HOLD_N if rate_n_s == 0.0 else _RAMP_N, self.observer.force_sd_n)
         if sign * rate_n_s < 0.0 or (sign < 0.0 and rate_n_s == 0.0):
             least_n += _FALL_N
-        may_start = self._pushes.has_shown(sample) and (sign > 0.0 or period.may_open)
+        may_start = self._pushes.shows_push(sample) and (sign > 0.0 or period.may_open)
         if abs(error_n) <= least_n or not may_start or period.moment.dt_s <= 0.0:
             return 0.0
         self._started_m = period.state.aperture_m
@@ -377,7 +377,7 @@ class ForceLaw:
         speed_m_s: float,
         frictions_n: tuple[float, float],
     ) -> float:
-        """Return the push in N on moving fingers, of which ``speed_m_s`` is the next speed."""
+        """Return the push in N on moving fingers; ``speed_m_s`` is their next speed."""
         observer, plan = self.observer, self.plan
         sign, mass_kg, stiffness = (
             copysign(1.0, observer.speed_m_s),

@@ -80,7 +80,7 @@ class GripObserver:
         self._p[0, 0] += _START_SD_N**2
 
     def break_loose(self, speed_m_s: float) -> None:
-        """Assume that a push starts locked fingers, or does not.
+        """Set the speed after a push on locked fingers; 0 if they stay locked.
 
         ``speed_m_s``: speed that they then have at the end of its period.
         """

@@ -133,7 +133,7 @@ class EmptyGrip:
             raise GripContradicted(
                 f"the grasp has ended without a part at an opening of "
                 f"{1e3 * opening_m:.1f} mm, but the force samples show "
-                f"{means_n[0]:.2f} and {means_n[1]:.2f} N, {frames}from {self._loaded_n:.2f} N on "
-                f"both pads something may be held. {advice}"
+                f"{means_n[0]:.2f} and {means_n[1]:.2f} N, {frames}more than "
+                f"{self._loaded_n:.2f} N on both pads: something may be held. {advice}"
             )
         return Action(done=True)

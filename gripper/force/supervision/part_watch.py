@@ -66,7 +66,7 @@ _SUDDEN_SIGMAS = 3.0
 _PAD_NOISE = sqrt(2.0)
 """Noise of one pad over that of the grip force, the mean of both. [statistics]"""
 ADVICE = (
-    "A part that one of them still shows is not let go: the goals are frozen and the grip kept. "
+    "One of them still shows a part: the goals are frozen and the grip is kept. "
     "Look at the part, check control unit, pads and cable, then clear the fault and release"
 )
 

@@ -97,7 +97,7 @@ def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(
     assert (record.outcome.result is GraspResult.FORCE_REACHED) is reached
     assert bool(record.ended) is not reached
     bench.idle(0.5)
-    assert bench.controller.kept.verify().same
+    assert bench.controller.kept_part.verify().same
     bench.controller.release()
     # The cell goes on, and takes closed fingers for empty as before.
     bench.once_in(APPROACHING, bench.simulated.remove)

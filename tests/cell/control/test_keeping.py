@@ -98,7 +98,7 @@ def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None
 def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, kept: bool) -> None:
     found = identify(bench, Scripted(STRANGE), keep)
     assert found.label == UNKNOWN
-    assert found.kept is kept
+    assert found.in_grip is kept
     assert (bench.grip_n > 0.0) is kept
     assert bench.life.state is (CellState.COMPLETE if kept else CellState.IDLE)
 
@@ -147,8 +147,8 @@ def test_a_hand_in_a_process_of_its_own_moves_on_while_the_answer_is_computed(
     recognizer = Scripted(SURE, look=reached)
     found = identify(bench, recognizer, keep)
     assert recognizer.seen == [True]
-    assert (found.label, found.kept) == ("ball", keep is Keep.ALWAYS)
-    assert (bench.grip_n > 1.0) is found.kept
+    assert (found.label, found.in_grip) == ("ball", keep is Keep.ALWAYS)
+    assert (bench.grip_n > 1.0) is found.in_grip
 
 
 @pytest.mark.slow
@@ -232,7 +232,7 @@ def test_a_look_at_a_kept_part_finds_it_unchanged(make_bench: MakeBench, tmp_pat
     bench = make_bench(folder=tmp_path).ready()
     bench.controller.grip(6.0, Pose())
     bench.idle(1.0)
-    check = bench.controller.kept.verify()
+    check = bench.controller.kept_part.verify()
     assert (check.held, check.same, check.reasons) == (True, True, ())
     assert check.force_n == pytest.approx(CARRY_N, abs=TOLERANCE_N)
     assert bench.life.state is CellState.COMPLETE
@@ -262,7 +262,7 @@ def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
     bench.controller.grip(4.0, Pose())
     # Between two looks of the slip detector: what is seen is where the part is now.
     bench.simulated.devices.physical.slide(2.5e-3)
-    check = bench.controller.kept.verify()
+    check = bench.controller.kept_part.verify()
     assert (check.held, check.same) == (True, False)
     assert any("similarity to the kept footprint" in reason for reason in check.reasons)
     assert bench.life.state is CellState.COMPLETE
@@ -275,7 +275,7 @@ def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
     for step in range(1, 41):
         bench.simulated.devices.physical.swell(step * 2e-5)
         bench.idle(0.05)
-    check = bench.controller.kept.verify()
+    check = bench.controller.kept_part.verify()
     assert check.same is False
     assert any("mm is allowed" in reason for reason in check.reasons)
 

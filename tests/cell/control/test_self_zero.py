@@ -121,7 +121,7 @@ def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, when, 
     assert bench.life.state is CellState.ABORTED
     assert bench.life.holding
     assert bench.controller.zeros.newest is None
-    assert 0.3 < bench.grip_n < bench.controller.kept.wanted_force_n + 0.5
+    assert 0.3 < bench.grip_n < bench.controller.kept_part.wanted_force_n + 0.5
 
 
 @pytest.mark.slow
@@ -134,7 +134,7 @@ def test_a_daily_start_opens_again_on_a_part_and_goes_on(make_bench, tmp_path) -
     bench.clock.on_advance.append(lambda _now_s: pressed_n.append(bench.grip_n))
     bench.controller.start()
     # Less than any grasp presses it, not with the 10 N of a self-zero.
-    assert 0.3 < max(pressed_n) < bench.controller.kept.wanted_force_n
+    assert 0.3 < max(pressed_n) < bench.controller.kept_part.wanted_force_n
     assert (bench.grip_n, bench.life.state) == (0.0, CellState.IDLE)
     assert not bench.life.holding
     note = bench.controller.zeroing.note

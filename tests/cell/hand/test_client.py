@@ -458,7 +458,7 @@ ERRORS = [
     ServoFault(1, 32, "it has switched its torque off"),
     VerificationFailed(
         VerificationReport(
-            rows=(VerificationRow(servo_id=1, item="x", expected="1", found="2", ok=False),)
+            rows=(VerificationRow(servo_id=1, item="x", expected="1", actual="2", ok=False),)
         ),
         ["servo 1 x: expected 1, found 2"],
     ),

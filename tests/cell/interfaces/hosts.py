@@ -230,7 +230,7 @@ SHOWN = {
     "probability": Place(
         "probability last_answer", "11", "last_answer.probability", 1e-4),
     "size_mm": Place("part_size part", "15", "last_answer.size_mm", 0.01),
-    "kept": Place("", "25.2", "last_answer.kept"),
+    "in_grip": Place("", "25.2", "last_answer.in_grip"),
     "part": Place("part", "96", "part.number"),
     "part_label_id": Place("part_label_id part", "97", "part.label_id"),
     "pose_seq": Place("pose_seq", "16", "pose_seq"),

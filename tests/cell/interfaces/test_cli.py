@@ -218,7 +218,7 @@ def test_identify_on_the_cell(config, model, tmp_path, monkeypatch) -> None:
     )
     data = read_json(tmp_path / "i.json")
     assert "(it was box)" in text
-    assert (data["label"], data["presented"], data["kept"]) == ("box", "box", True)
+    assert (data["label"], data["presented"], data["in_grip"]) == ("box", "box", True)
     assert "the part was kept until the simulated cell ended" in text
     assert set(data["probabilities"]) == {"ball", "box", UNKNOWN}
     assert f"answer: box {percent(data['probabilities']['box'])}" in text

@@ -73,7 +73,7 @@ def test_a_part_is_identified_verified_and_let_go_with_its_key_alone(connect: Co
     (goal,) = served.plugin.asked
     assert (goal.force_n, goal.max_grasps, goal.keep) == (6.0, 2, "always")
     named = {"label": "ball", "label_id": 1, "probability": 0.9, "size_mm": 9.5}
-    answer = named | {"answer_job": 1, "kept": True, "part": 1, "part_label_id": 1}
+    answer = named | {"answer_job": 1, "in_grip": True, "part": 1, "part_label_id": 1}
     check_shown(host, state=COMPLETE, holding=True, job=1, outcome=SUCCEEDED, n_grasps=1, **answer)
     check_shown(host, force_n=3.25, setpoint_n=3.25, opening_mm=9.5, temperature_c=31.0)
     check_shown(host, force_age_s=0.005, frame_age_s=0.02)

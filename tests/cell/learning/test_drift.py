@@ -414,8 +414,8 @@ def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(make_
     (record,) = found.records
     carry_n = bench.config.sequence.carry_force_n
     assert record.outcome.final_force_n < 0.8 * carry_n
-    assert found.kept
-    check = bench.controller.kept.verify()
+    assert found.in_grip
+    check = bench.controller.kept_part.verify()
     assert (check.same, check.force_n) == (True, pytest.approx(carry_n, rel=0.1))
     assert bench.grip_n == pytest.approx(carry_n, rel=0.2)
 

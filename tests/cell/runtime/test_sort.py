@@ -118,14 +118,14 @@ def test_a_place_that_is_refused_ends_the_sort_with_the_part_kept(sorter: Sorter
 
 @pytest.mark.slow
 def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
-    verify = sorter.controller.kept.verify
+    verify = sorter.controller.kept_part.verify
 
     def then_cancel() -> Any:
         check = verify()
         sorter.controller.life.cancel()
         return check
 
-    sorter.controller.kept.verify = then_cancel
+    sorter.controller.kept_part.verify = then_cancel
     with pytest.raises(CellStopped, match="before it was let go"):
         sorter.sort("ball", "box")
     assert sorter.controller.life.state is CellState.COMPLETE

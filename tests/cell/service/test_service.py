@@ -184,7 +184,7 @@ def test_jobs_of_a_simulated_cell_are_recorded_with_who_asked(serve: Any, tmp_pa
     served = serve(cell={"folder": tmp_path})
     service, lease = served.service, served.service.lease.acquire("first")
     service.start(lease, KEEP)
-    assert served.ended(1).part.kept
+    assert served.ended(1).part.in_grip
     service.command(lease, Command.RELEASE, key=RELEASE_KEY)
     assert served.ended(2).outcome == "SUCCEEDED"
     served.plugin.cell.simulated.inject("unit.off@contact+50ms")
@@ -231,7 +231,7 @@ def test_a_repeated_request_is_not_done_twice(served) -> None:
     served.ended()
     assert served.service.start(lease, KEEP, number=1) == 1
     assert served.plugin.job().number == 1
-    with pytest.raises(RequestRefused, match="job 1 is another request; the next is 2"):
+    with pytest.raises(RequestRefused, match="job 1 belongs to another request; use 2"):
         served.service.command(lease, Command.RELEASE, key=RELEASE_KEY, number=1)
     with pytest.raises(RequestRefused, match="job 3 is not the next job; the next is 2"):
         served.service.start(lease, KEEP, number=3)

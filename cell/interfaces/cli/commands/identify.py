@@ -78,33 +78,36 @@ def identify(
         json_file=json_file,
         model=model,
     ) as cell:
-        cell.plugin.watch_parts(lambda _, found: trials.append(found) if found else None)
+        cell.plugin.watch_parts(lambda _, named: trials.append(named) if named else None)
         part = cell.run(goal)
-    (found,) = trials
+    (identification,) = trials
     lines: list[str] = []
     for number, (record, posterior, shape) in enumerate(
-        zip_longest(found.records, found.posteriors, found.shapes), start=1
+        zip_longest(identification.records, identification.posteriors, identification.shapes),
+        start=1,
     ):
         alone = fuse([posterior])
         lines.append(
             f"grasp {number}: {alone.name} {percent(alone.name_probability)}"
             + (f" (nearest: {alone.best})" if alone.name == UNKNOWN else "")
-            + (f"; {shape or NO_SHAPE}" if found.shapes else "")
+            + (f"; {shape or NO_SHAPE}" if identification.shapes else "")
             + (f"; {record.ended}" if record.ended else "")
         )
     was = f" (it was {part.presented})" if part.presented else ""
-    if part.remark not in ("", *(record.ended for record in found.records)):
+    if part.remark not in ("", *(record.ended for record in identification.records)):
         lines.append(part.remark)
     felt = beside(part.label, part.shape)
-    lines.append(f"answer: {part.label} {percent(found.fused.name_probability)}{felt}{was}")
-    if part.kept and config is not None and not checked.simulated:
+    lines.append(
+        f"answer: {part.label} {percent(identification.fused.name_probability)}{felt}{was}"
+    )
+    if part.in_grip and config is not None and not checked.simulated:
         lines.append(f"the part is kept; to release it: {release_command(config)}")
-    elif part.kept:
+    elif part.in_grip:
         lines.append("the part was kept until the simulated cell ended with this command")
     values = {
         "probabilities": part.probabilities,
-        "shapes": [shape and shape.as_dict() for shape in found.shapes],
-        "ramps": [record.ramp_as_json() for record in found.records],
+        "shapes": [shape and shape.as_dict() for shape in identification.shapes],
+        "ramps": [record.ramp_as_json() for record in identification.records],
         "drift": part.drift and part.drift.values,
     }
     cell.finish(lines, part.model_dump() | values)
@@ -120,9 +123,9 @@ def _identify_recorded(
     json_file: Path | None,
 ) -> None:
 
-    found = load_model(model).with_caution(config.recognition.caution)
+    loaded = load_model(model).with_caution(config.recognition.caution)
     recorded = read_grasps(dataset)
-    answers = identify_recorded(found, recorded, follow=follow, read_shape=read_shape)
+    answers = identify_recorded(loaded, recorded, follow=follow, read_shape=read_shape)
     lines, shown = list[str](), []
     for number, (grasp, answer) in enumerate(zip(recorded, answers, strict=True)):
         posterior, shape, drift = answer

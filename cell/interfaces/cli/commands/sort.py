@@ -64,7 +64,9 @@ def sort(
                 )
                 teach_objects(cell.plugin, checked, objects, teach_grasps, cell.progress)
                 cell.plugin.train()
-            cell.plugin.watch_parts(lambda part, found: each.append(part) if found else None)
+            cell.plugin.watch_parts(
+                lambda part, identification: each.append(part) if identification else None
+            )
             cell.run(goal, lambda job: tally.update(job.progress))
     finally:
         show(tally_lines(tally))
