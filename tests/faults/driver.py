@@ -23,6 +23,7 @@ from tests.faults.invariants import (
     recording_faults,
     spoiling,
 )
+from tests.values import command_of
 
 COMMAND_BOUND_S = 20.0
 """Every command has to be over within so many s of simulated time."""
@@ -104,8 +105,10 @@ class Driver:
         self._end()
         return done
 
-    def start(self) -> bool:
-        return self.command("start", self.controller.start)
+    def do(self, name: str) -> bool:
+        """Run a command without arguments; `release_held` lets go of what an earlier host left."""
+        command = command_of(self.controller, name)
+        return self.command(name, command, release=name.startswith("release"))
 
     def grasp(self, x_mm: float, force_n: float, turn_rad: float) -> bool:
         step = GraspStep(pose=Pose(x_m=1e-3 * x_mm, rotation_rad=turn_rad), force_n=force_n)
@@ -115,9 +118,6 @@ class Driver:
 
     def grip(self, force_n: float) -> bool:
         return self.command(f"grip {force_n} N", lambda: self.controller.grip(force_n, Pose()))
-
-    def verify(self) -> bool:
-        return self.command("verify", self.controller.kept_part.verify)
 
     def identify(self, force_n: float, keep: Keep = Keep.NEVER) -> bool:
         step = GraspStep(pose=Pose(), force_n=force_n)
@@ -129,10 +129,6 @@ class Driver:
             f"identify {force_n} N, keep {keep}",
             lambda: self.controller.identify(witness, [step], early=True, keep=keep),
         )
-
-    def cancel(self) -> None:
-        """Ask for a stop while nothing runs: it is for the next command."""
-        self.command("cancel", self.controller.life.cancel)
 
     def cancel_soon(self, after_s: float) -> None:
         """Let another thread ask for a stop in so many s."""
@@ -148,23 +144,17 @@ class Driver:
         self.simulated.clock.on_advance.append(look)
         self._end()
 
-    def release(self) -> bool:
-        return self.command("release", self.controller.release, release=True)
+    def carry(self, force_n: float, text: str, seconds: float) -> None:
+        """Grip, bring a fault about while the part is carried, and look at it."""
+        if self.grip(force_n):
+            self.inject(text)
+            self.wait(seconds)
+            self.do("verify")
 
-    def release_held(self) -> bool:
-        """Let go of what an earlier host or a cleared fault has left."""
-        return self.command("release_held", self.controller.release_held, release=True)
-
-    def clear(self, *, reboot: bool) -> bool:
+    def clear(self, reboot: bool) -> bool:
         """Acknowledge the fault. A servo that is rebooted lets go: it was asked for."""
         name = f"clear reboot={reboot}"
         return self.command(name, lambda: self.controller.life.clear(reboot=reboot), reboot=reboot)
-
-    def reset(self) -> bool:
-        return self.command("reset", self.controller.life.reset)
-
-    def shutdown(self) -> bool:
-        return self.command("shutdown", self.controller.shutdown)
 
     def wait(self, seconds: float) -> None:
 
@@ -254,30 +244,29 @@ class Driver:
             self.controller.moves.present(label)
         self._end()
 
-    def recover(self) -> bool:
+    def recover(self) -> None:
         """Do what a person does after a fault, until the cell is started again."""
         self.heal()
         if self.controller.life.fault is not None:
             self.clear(reboot=True)
         self.wait(0.5)
-        if self.controller.life.state.value == "RESETTING":
-            self.release_held()
-        if self.controller.life.state.value == "RESETTING":
-            self.reset()
-        if self.controller.life.state.value in {"COMPLETE", "HELD", "IDLE"}:
-            self.release()
+        for states, name in (
+            ({"RESETTING"}, "release_held"),
+            ({"RESETTING"}, "reset"),
+            ({"COMPLETE", "HELD", "IDLE"}, "release"),
+        ):
+            if self.controller.life.state.value in states:
+                self.do(name)
         if self.simulated.devices.physical.placed is None:
             self.place("ball")
         self._untrusted = False
-        return self.start() if self.controller.life.state.value == "STOPPED" else True
+        if self.controller.life.state.value == "STOPPED":
+            self.do("start")
 
     def make_ready(self, how: str) -> None:
         """Do what may be needed before a grasp: nothing, a start, or all that a person does."""
-        if self.controller.life.state.value != "IDLE":
-            if how == "start":
-                self.start()
-            elif how.startswith("recover"):
-                self.recover()
+        if self.controller.life.state.value != "IDLE" and how:
+            self.do("start") if how == "start" else self.recover()
 
     def close(self) -> None:
         self.monitor.close()

@@ -1,6 +1,7 @@
 """Random commands and random faults for a cell, and what must hold after each step."""
 
 import logging
+from typing import Any
 
 from hypothesis import HealthCheck, Phase, seed, settings, strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
@@ -108,10 +109,27 @@ def fault_texts() -> st.SearchStrategy[str]:
 _FAULTS = fault_texts()
 _FORCE = st.sampled_from((0.7, 1.0, 3.0, 3.0, 5.0, 8.0, 14.2, 14.9, 40.0))
 _TURN_RAD = st.sampled_from((0.0, 0.7, 1.57))
-_READY = st.sampled_from(("as it is", "start", "recover", "recover "))
-_WAIT_MS = st.sampled_from((5, 20, 100, 400))
-_KEEP = st.sampled_from(Keep)
+_READY = st.sampled_from(("", "start", "recover", "recover "))
+_WAIT_S = st.sampled_from((0.005, 0.02, 0.1, 0.4))
 _X_MM = st.sampled_from((0.0, 1.0, -2.0, 4.0, 40.0))
+_JOBS = st.one_of(
+    st.tuples(st.just("grasp"), _X_MM, _FORCE, _TURN_RAD),
+    st.tuples(st.just("identify"), _FORCE, st.sampled_from(Keep)),
+    st.tuples(st.just("grip"), _FORCE),
+    st.tuples(st.just("carry"), _FORCE, _FAULTS, _WAIT_S),
+)
+"""Methods of `Driver` that move the fingers, with their arguments."""
+_PLAIN = ("start", "verify", "cancel", "release", "release_held", "reset", "shutdown")
+_OTHERS = st.one_of(
+    st.tuples(st.just("do"), st.sampled_from(_PLAIN)),
+    st.tuples(st.just("clear"), st.booleans()),
+    st.tuples(st.just("wait"), _WAIT_S),
+    st.tuples(st.just("kill"), st.sampled_from((0.0, 0.05, 0.3))),
+    st.tuples(st.just("inject"), _FAULTS),
+    st.tuples(st.just("place"), st.sampled_from(("ball", "box"))),
+    st.tuples(st.sampled_from(("restart", "heal", "recover"))),
+)
+"""Its other methods."""
 
 
 class CellMachine(RuleBasedStateMachine):
@@ -123,109 +141,31 @@ class CellMachine(RuleBasedStateMachine):
     def begin(self, self_test: bool, fast: bool, started: bool) -> None:
         self.driver = Driver(self_test=self_test, fast=fast)
         if started:
-            self.driver.start()
+            self.driver.do("start")
 
-    @rule()
-    def start(self) -> None:
-        self.driver.start()
-
-    @rule(ready=_READY, x_mm=_X_MM, force_n=_FORCE, turn_rad=_TURN_RAD)
-    def grasp(self, ready: str, x_mm: float, force_n: float, turn_rad: float) -> None:
+    @rule(
+        ready=_READY,
+        faults=st.lists(_FAULTS, max_size=2),
+        cancel_s=st.none() | st.floats(0.0, 0.9),
+        job=_JOBS,
+    )
+    def job(self, ready: str, faults: list[str], cancel_s: float | None, job: Any) -> None:
+        """Run a job, with faults, or with a stop that another thread asks for."""
         self.driver.make_ready(ready)
-        self.driver.grasp(x_mm, force_n, turn_rad)
-
-    @rule(ready=_READY, force_n=_FORCE, keep=_KEEP)
-    def identify(self, ready: str, force_n: float, keep: Keep) -> None:
-        self.driver.make_ready(ready)
-        self.driver.identify(force_n, keep)
-
-    @rule(ready=_READY, force_n=_FORCE)
-    def grip(self, ready: str, force_n: float) -> None:
-        self.driver.make_ready(ready)
-        self.driver.grip(force_n)
-
-    @rule(ready=_READY, text=_FAULTS, force_n=_FORCE, ms=_WAIT_MS)
-    def carry_with_a_fault(self, ready: str, text: str, force_n: float, ms: int) -> None:
-        self.driver.make_ready(ready)
-        if self.driver.grip(force_n):
+        for text in faults:
             self.driver.inject(text)
-            self.driver.wait(1e-3 * ms)
-            self.driver.verify()
+        if cancel_s is not None:
+            self.driver.cancel_soon(cancel_s)
+        self._do(job)
 
-    @rule()
-    def verify(self) -> None:
-        self.driver.verify()
+    @rule(commands=st.lists(_OTHERS, min_size=1, max_size=4))
+    def others(self, commands: list[Any]) -> None:
+        for command in commands:
+            self._do(command)
 
-    @rule(ready=_READY, text=_FAULTS, force_n=_FORCE)
-    def grasp_with_a_fault(self, ready: str, text: str, force_n: float) -> None:
-        self.driver.make_ready(ready)
-        self.driver.inject(text)
-        self.driver.identify(force_n)
-
-    @rule(ready=_READY, first=_FAULTS, second=_FAULTS, force_n=_FORCE)
-    def grasp_with_two_faults(self, ready: str, first: str, second: str, force_n: float) -> None:
-        self.driver.make_ready(ready)
-        self.driver.inject(first)
-        self.driver.inject(second)
-        self.driver.grasp(0.0, force_n, 0.0)
-
-    @rule(ready=_READY, after_ms=st.integers(0, 900), force_n=_FORCE)
-    def grasp_and_cancel(self, ready: str, after_ms: int, force_n: float) -> None:
-        self.driver.make_ready(ready)
-        self.driver.cancel_soon(1e-3 * after_ms)
-        self.driver.grasp(0.0, force_n, 0.0)
-
-    @rule()
-    def cancel(self) -> None:
-        self.driver.cancel()
-
-    @rule()
-    def release(self) -> None:
-        self.driver.release()
-
-    @rule()
-    def release_held(self) -> None:
-        self.driver.release_held()
-
-    @rule(reboot=st.booleans())
-    def clear(self, reboot: bool) -> None:
-        self.driver.clear(reboot=reboot)
-
-    @rule()
-    def reset(self) -> None:
-        self.driver.reset()
-
-    @rule()
-    def shutdown(self) -> None:
-        self.driver.shutdown()
-
-    @rule(ms=_WAIT_MS)
-    def wait(self, ms: int) -> None:
-        self.driver.wait(1e-3 * ms)
-
-    @rule()
-    def restart(self) -> None:
-        self.driver.restart()
-
-    @rule(dead_ms=st.sampled_from((0, 50, 300)))
-    def kill(self, dead_ms: int) -> None:
-        self.driver.kill(1e-3 * dead_ms)
-
-    @rule(text=_FAULTS)
-    def inject(self, text: str) -> None:
-        self.driver.inject(text)
-
-    @rule()
-    def heal(self) -> None:
-        self.driver.heal()
-
-    @rule(label=st.sampled_from(("ball", "box")))
-    def place(self, label: str) -> None:
-        self.driver.place(label)
-
-    @rule()
-    def recover(self) -> None:
-        self.driver.recover()
+    def _do(self, command: Any) -> None:
+        name, *arguments = command
+        getattr(self.driver, name)(*arguments)
 
     def teardown(self) -> None:
         if hasattr(self, "driver"):

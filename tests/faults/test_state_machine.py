@@ -52,7 +52,7 @@ def drive(*, fault: str = CAN_OFF) -> None:
     """Fail in a grasp, clear it, and go on."""
     cell = Driver(self_test=False)
     try:
-        cell.start()
+        cell.do("start")
         cell.inject(fault)
         cell.grasp(0.0, 3.0, 0.0)
         cell.wait(0.1)
@@ -117,7 +117,7 @@ def test_a_part_that_the_cell_lets_go_by_itself_is_found(monkeypatch: pytest.Mon
 def test_fingers_that_a_cancel_does_not_stop_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def letting_go() -> None:
         cell = Driver(self_test=False)
-        cell.start()
+        cell.do("start")
 
         def fast() -> bool:
             wide = cell.simulated.devices.mechanics.aperture_m > 0.008
@@ -140,7 +140,7 @@ def test_fingers_that_a_cancel_does_not_stop_are_found(monkeypatch: pytest.Monke
 def cell() -> Iterator[Driver]:
     """A driver that was started; what it has found broken counts no more at its end."""
     made = Driver(self_test=False)
-    made.start()
+    made.do("start")
     yield made
     made.monitor.broken.clear()
     made.close()
