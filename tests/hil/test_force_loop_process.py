@@ -23,23 +23,17 @@ from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
 from pytest_tactile_cell.process import CellProcess
-from tests.hil.program import first
+from tests.hil.program import CONFIG, SEQUENCE, first
 from tests.waiting import until
 
 pytestmark = pytest.mark.real_time
 
-CONFIG = """
-self_zero: on_demand
-tactile: {tare_frames: 25, sync_period_ms: 30.0, force_period_ms: 10}
-gripper: {loop_rate_hz: 100.0, approach_speed_mm_s: 20.0}
-sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}
-"""
 STEP = GraspStep(pose=Pose(), force_n=6.0)
 
 
 @pytest.fixture(scope="module")
 def simulator(free_machine: None) -> Iterator[CellProcess]:
-    one = CellProcess(parse_config(CONFIG, source="test"))
+    one = CellProcess(parse_config(CONFIG + SEQUENCE, source="test"))
     first(one.pid)
     yield one
     one.end()
@@ -150,34 +144,6 @@ def test_a_job_a_stop_and_the_release(make_cell, simulator) -> None:
     assert kept.complete
     assert (len(kept.grasps), len(kept.statistics)) == (1, 3)
     assert kept.statistics[-1]["cycles"] == loop["cycles"]
-
-
-def test_a_carried_part_outlasts_its_loop(make_cell, simulator) -> None:
-    cell = make_cell()
-    controller = cell.controller
-    controller.start()
-    controller.moves.present("box")
-    controller.grip(5.0, Pose())
-    assert controller.life.state is CellState.COMPLETE
-    # What is shown of it changes without a command, and is young.
-    shown: set[float | None] = set()
-
-    def measured() -> bool:
-        controller.life.tick()
-        shown.add(controller.live.force_n)
-        return len(shown) > 20
-
-    until(measured)
-    assert controller.live.force_n == pytest.approx(4.0, abs=1.0)
-    assert controller.live.force_age_s < 0.5
-    os.kill(hand_of(cell).pid, signal.SIGKILL)
-    # Twice the bus watchdog of the servos, which is disarmed.
-    threading.Event().wait(1.0)
-    assert simulator.grip_n() == pytest.approx(4.0, abs=1.0)
-    with pytest.raises(HandLost, match="ended by SIGKILL"):
-        controller.life.tick()
-    assert controller.life.state is CellState.ABORTED
-    assert str(controller.life.fault).endswith(" s after the grip")
 
 
 def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(make_cell, simulator) -> None:
