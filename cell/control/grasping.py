@@ -16,9 +16,9 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.records import GraspRecord
 from cell.control.watch import MotionWatch
 from cell.control.zeroing import BORNE_SHARE, Zeroing
-from cell.errors import NoPartFound, PlanRefused
+from cell.errors import NoPartFound, PlanRefused, raised_as
 from cell.hand.interface import Hand
-from cell.recording.grasp_limits import text_refused
+from cell.recording.grasp_limits import check_text
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle
@@ -71,8 +71,8 @@ class Grasper:
             )
         if not isinstance(label, str):
             raise PlanRefused(f"{label!r} is not a label; give a text")
-        if wrong := text_refused("label", label):
-            raise PlanRefused(f"the label {wrong}")
+        with raised_as(PlanRefused, ValueError):
+            check_text("label", label)
         self.hand.check_ramp(self._ramp(self._borne(step)))
 
     def _ramp(self, step: GraspStep) -> ForceRamp:

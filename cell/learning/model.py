@@ -21,7 +21,7 @@ from cell.errors import ConfigError, ModelError, reason_text
 from cell.files import DAMAGE, read_npz, savez, write_atomically
 from cell.formats import MODEL, PROGRAM
 from cell.plugins import RECOGNISERS
-from cell.recording.grasp_limits import text_refused
+from cell.recording.grasp_limits import check_text
 from recognition.drift.grid import DriftFollowing
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray
@@ -171,8 +171,7 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
             pads = PadArray.from_arrays(arrays, _PADS)
             recognizer = kind.from_arrays(_section(arrays, _PREFIX))
             for label in recognizer.labels:
-                if wrong := text_refused("label", label):
-                    raise ValueError(f"a label {wrong}")
+                check_text("label", label)
             _rehearse(recognizer, _made_up_grasp(pads))
     except _UNSUITABLE as cause:
         raise ModelError(

@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 from cell.errors import DatasetError, raised_as
 from cell.files import read_npz, savez, write_atomically
 from cell.formats import DATASET
-from cell.recording.grasp_limits import beyond_range, text_refused, times_refused
+from cell.recording.grasp_limits import RANGES, check_range, check_text, check_times
 from recognition.grasp import (
     COMMAND_COLUMNS,
     ZERO_COLUMNS,
@@ -169,17 +169,12 @@ def _arrays_of(grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
             empty = (math.nan,) * len(_RECORDS[name][0])
             values = [record.values if record else empty for record in values]
         if kinds == "U":
-            _check_texts(name, values)  # an array loses a zero at the end of a text
+            for text in values:  # an array loses a zero at the end
+                check_text(name, text)
         array = np.concatenate(values) if axes.startswith("frames") else np.array(values)
         if name not in _OPTIONAL or not (array == "" if kinds == "U" else np.isnan(array)).all():
             arrays[name] = array
     return arrays
-
-
-def _check_texts(name: str, texts: Sequence[str]) -> None:
-    for i, text in enumerate(texts):
-        if wrong := text_refused(name, text):
-            raise ValueError(f"{name} of grasp {i} {wrong}")
 
 
 def _grasps_of(arrays: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
@@ -197,8 +192,8 @@ def _grasps_of(arrays: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
                 f"array {name} has the type {array.dtype} and the shape {array.shape}, expected "
                 f"kind {kinds} and shape {expected}"
             )
-        if wrong := beyond_range(name, array[:, :2] if name == "command" else array):
-            raise ValueError(f"array {name} {wrong}")
+        if name in RANGES:
+            check_range(name, array[:, :2] if name == "command" else array)
     pads = PadArray(
         **{name: arrays[name] for name in ("pad_shape", "taxel_pad", "taxel_xy_m")},
         adc_max=int(arrays["adc_max"]),
@@ -214,8 +209,7 @@ def _grasps_of(arrays: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
             f"array grasp_offsets must have {n_grasps + 1} numbers for {n_grasps} grasps, which "
             f"rise from 0 to the {n_frames} frames"
         )
-    if wrong := times_refused(arrays["t_s"], offsets):
-        raise ValueError(f"array t_s {wrong}")
+    check_times(arrays["t_s"], offsets)
     columns: dict[str, list[Any]] = {}
     for name, array in arrays.items():
         axes = _ARRAYS[name][1]
@@ -224,7 +218,8 @@ def _grasps_of(arrays: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
         elif axes.startswith("grasps"):
             columns[name] = array.tolist()
         if axes == "grasps" and array.dtype.kind == "U":
-            _check_texts(name, columns[name])
+            for text in columns[name]:
+                check_text(name, text)
         if name in _RECORDS:
             build = functools.cache(_RECORDS[name][1].from_values)  # a session shares a self-zero
             columns[name] = [

@@ -27,46 +27,47 @@ FRAME_PERIOD_S = (1e-5, 2.0)
 """Shortest and longest mean period of a grasp's frames."""
 
 
-def beyond_range(name: str, values: NDArray[Any]) -> str | None:
-    """Return which number of an array is beyond its range, or None; NaN is allowed."""
-    if name not in RANGES:
-        return None
+def check_range(name: str, values: NDArray[Any]) -> None:
+    """Raise ValueError for a number of an array beyond its range; NaN is allowed."""
     low, high, unit = RANGES[name]
     flat = values.ravel()
     beyond = np.flatnonzero((flat < low) | (flat > high))
-    if not beyond.size:
-        return None
-    where = int(beyond[0])
-    return f"is {flat[where]:g} at {where}, must be from {low:g} to {high:g}: {unit}"
+    if beyond.size:
+        where = int(beyond[0])
+        raise ValueError(
+            f"{name} is {flat[where]:g} at {where}, must be from {low:g} to {high:g}: {unit}"
+        )
 
 
-def text_refused(name: str, text: str) -> str | None:
-    """Return why a text of a grasp, e.g. its label, is refused, or None."""
+def check_text(name: str, text: str) -> None:
+    """Raise ValueError for a text of a grasp, e.g. its label, that no file may have."""
     if not text.isprintable() or len(text) > MAX_TEXT:
-        return f"is {text!a:.60}: not printable, or longer than {MAX_TEXT} characters"
+        raise ValueError(
+            f"{name} is {text!a:.60}: not printable, or longer than {MAX_TEXT} characters"
+        )
     if name == "label" and text == UNKNOWN:
-        return f"is {UNKNOWN}, the answer for untaught objects: write a name, or leave it empty"
-    return None
+        raise ValueError(
+            f"label is {UNKNOWN}, the answer for untaught objects: write a name, or leave it empty"
+        )
 
 
-def times_refused(t_s: NDArray[np.float64], offsets: NDArray[np.int64]) -> str | None:
-    """Return why the times of frames are refused, or None.
+def check_times(t_s: NDArray[np.float64], offsets: NDArray[np.int64]) -> None:
+    """Raise ValueError for times of frames that no grasp has.
 
     Times (n_frames,) in s count from the first frame of each grasp; offsets (n_grasps + 1,) are the
     number of that frame, and the end.
     """
     falls = np.flatnonzero(~(np.diff(t_s) >= 0)) + 1  # NaN counts as a fall
     if np.any(t_s[offsets[:-1]] != 0) or not np.all(np.isin(falls, offsets)):
-        return "must start at 0 in each grasp and never fall within one"
+        raise ValueError("t_s must start at 0 in each grasp and never fall within one")
     steps = np.diff(offsets) - 1
     several = np.flatnonzero(steps > 0)
     period_s = t_s[offsets[1:] - 1][several] / steps[several]
     shortest_s, longest_s = FRAME_PERIOD_S
     ill = np.flatnonzero((period_s < shortest_s) | (period_s > longest_s))
-    if not ill.size:
-        return None
-    grasp, mean_s = int(several[ill[0]]), float(period_s[ill[0]])
-    return (
-        f"has a frame each {mean_s:g} s in the mean of grasp {grasp}, expected {shortest_s:g} to "
-        f"{longest_s:g} s: times stand in s since the grasp's first frame"
-    )
+    if ill.size:
+        raise ValueError(
+            f"t_s has a frame each {period_s[ill[0]]:g} s in the mean of grasp {several[ill[0]]}, "
+            f"expected {shortest_s:g} to {longest_s:g} s: times stand in s since the grasp's first "
+            "frame"
+        )

@@ -26,7 +26,7 @@ from cell.errors import RecordingError, raised_as, reason_text
 from cell.files import DAMAGE, open_plain, write_atomically
 from cell.formats import RECORDING
 from cell.recording import schema
-from cell.recording.grasp_limits import times_refused
+from cell.recording.grasp_limits import check_times
 from cell.recording.recorder import MessageWriter
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 
@@ -397,8 +397,7 @@ def _grasp(row: dict[str, Any], pads: PadArray, frames: RecordedFrames, part: sl
     """Return a grasp of these frames. Raises ValueError if it is refused."""
     known = ("label", "shape", "source", "start_ms", "aperture_m", "force_n")
     t_s = frames.t_s[part] - frames.t_s[part.start]
-    if wrong := times_refused(t_s, np.array([0, len(t_s)])):
-        raise ValueError(f"its times {wrong}")
+    check_times(t_s, np.array([0, len(t_s)]))
     return Grasp(
         pads=pads,
         counts=frames.counts[part].copy(),

@@ -22,7 +22,7 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, with_config
 from typing_extensions import TypedDict
 
-from cell.recording.grasp_limits import RANGES, text_refused
+from cell.recording.grasp_limits import RANGES, check_text
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS
 
 if TYPE_CHECKING:
@@ -62,8 +62,7 @@ def _within(name: str) -> Any:
 
 
 def _text(text: str) -> str:
-    if wrong := text_refused("label", text):
-        raise ValueError(wrong)
+    check_text("label", text)
     return text
 
 

@@ -14,7 +14,7 @@ from cell.interfaces.cli.terminal import print_line, progress_bar, show
 from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend, name_recorded
 from cell.learning.teach_from_drawing import teach_drawing
 from cell.recording.dataset import read_dataset
-from cell.recording.grasp_limits import text_refused
+from cell.recording.grasp_limits import check_text
 from cell.runtime.goals import TeachGoal
 from cell.simulation import drawn_shape
 
@@ -77,8 +77,7 @@ def teach(
     """Grasp a known object, or a drawing of it, for a data set."""
     with raised_as(ConfigError, ValueError):
         checked_label(label)
-    if wrong := text_refused("series", series):
-        raise ConfigError(f"--series {wrong}")
+        check_text("series", series)
     if recorded is not None:
         added, before = name_recorded(recorded, label, dataset, series)
         line = f"{added} grasps of {recorded} added to {dataset} as {label} ({before} before)"
