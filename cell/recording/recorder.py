@@ -3,7 +3,6 @@
 import itertools
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -94,7 +93,8 @@ class RecordingFile:
                 f"cannot record to {path}: {cause.strerror}; check folder and rights"
             ) from cause
         self._writer = MessageWriter(self.sink)
-        self._guarded(lambda: self._writer.start(entries))
+        self._writer.start(entries)
+        self.check()
 
     def add(self, topic: str, t_s: float, values: Mapping[str, Any]) -> None:
         """Add a message of a monotonic time in s; does nothing after a fault.
@@ -103,38 +103,31 @@ class RecordingFile:
         """
         if self.fault is not None:
             return
-        data = schema.to_json({"t_s": t_s, **values})
+        self._writer.add(topic, t_s, schema.to_json({"t_s": t_s, **values}))
         self.n_frames += topic == schema.FRAME
-        self._guarded(lambda: self._writer.add(topic, t_s, data))
-        if self.fault is None and self.sink.nearly_full:
+        if self.sink.nearly_full and self.sink.error is None:
             fault = self._stopped("the disk is nearly full")
-            note = schema.to_json({"t_s": t_s, "kind": "note", "text": str(fault)})
-            self._guarded(lambda: self._writer.add(schema.EVENT, t_s, note))
-            self._guarded(self._writer.finish)
-            self._stop(fault)
+            note = {"t_s": t_s, "kind": "note", "text": str(fault)}
+            self._writer.add(schema.EVENT, t_s, schema.to_json(note))
+            self._writer.finish()
+            if self.sink.error is None:
+                self._stop(fault)
+        self.check()
 
     def check(self) -> None:
         """Check whether the disk has failed since the last message."""
-        self._guarded(self.sink.check)
+        error = self.sink.error
+        if self.fault is None and error is not None:
+            fault = self._stopped(error.strerror or str(error))
+            fault.__cause__ = error
+            self._stop(fault)
 
     def close(self) -> None:
         """Finish the file, as far as its disk allows; wait for the disk."""
-        self._guarded(self._writer.finish)
         if self.fault is None:
-            self._guarded(self.sink.close)
-        else:
-            with suppress(OSError):  # the fault is already known
-                self.sink.close()
-
-    def _guarded(self, act: Callable[[], object]) -> None:
-        if self.fault is not None:
-            return
-        try:
-            act()
-        except OSError as cause:
-            fault = self._stopped(cause.strerror or str(cause))
-            fault.__cause__ = cause
-            self._stop(fault)
+            self._writer.finish()
+        self.sink.close()
+        self.check()
 
     def _stopped(self, reason: str) -> RecordingError:
         return RecordingError(
@@ -143,10 +136,9 @@ class RecordingFile:
         )
 
     def _stop(self, fault: RecordingError) -> None:
-        if self.fault is None:
-            self.fault = fault
-            self._note(str(fault))
-            self.sink.end()
+        self.fault = fault
+        self._note(str(fault))
+        self.sink.end()
 
 
 class Recorder:

@@ -4,7 +4,8 @@ import errno
 import fcntl
 import os
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -45,7 +46,7 @@ def in_use(path: Path) -> bool:
 class DirectFile:
     """File of the MCAP writer: writes whole records in the caller's thread.
 
-    A failed write leaves no half record behind.
+    A failed write leaves no half record behind; it is in `error`, never raised.
 
     Raises FileExistsError if the file exists: no recording is ever overwritten.
     """
@@ -58,10 +59,19 @@ class DirectFile:
             fcntl.flock(self._handle, fcntl.LOCK_EX)
         self._length = 0
         self._open = True
+        self.error: OSError | None = None
+        """Why the file takes no more bytes; None while it does."""
         self.nearly_full = False
         """Whether the last write left less than the end of the file needs."""
 
     def write(self, data: bytes, /) -> int:
+        """Write all bytes, or none and note the error; after an error do nothing."""
+        if self.error is None:
+            with self._noted():
+                self.write_whole(data)
+        return len(data)
+
+    def write_whole(self, data: bytes) -> None:
         """Write all bytes, or none and raise OSError."""
         rest = memoryview(data)
         try:
@@ -73,7 +83,6 @@ class DirectFile:
             raise
         self._length += len(data)
         self.nearly_full = free < LEFT_BYTES + self._length // _END_SHARE
-        return len(data)
 
     @property
     def busy(self) -> bool:
@@ -87,34 +96,40 @@ class DirectFile:
     def flush(self) -> None:
         """Do nothing: nothing is buffered."""
 
-    def check(self) -> None:
-        """Raise the OSError of a write that failed since the last call."""
-
     def end(self) -> None:
-        """Close the file without waiting for a blocked disk, and without an error."""
-        with suppress(OSError):
-            self.close()
+        """Close the file without waiting for a blocked disk."""
+        self.close()
 
     def close(self) -> None:
         """Write the file to the disk and close it; a second call does nothing.
 
-        Raises OSError if the write fails, or if the file was moved or removed.
+        A write that fails, or a file that was moved or removed, is an `error`.
         """
         if not self._open:
             return
         self._open = False
+        with self._noted():
+            try:
+                os.fsync(self._handle)
+                if os.fstat(self._handle).st_nlink == 0:
+                    text = "the file was removed while it was written"
+                    raise FileNotFoundError(errno.ENOENT, text)
+            finally:
+                os.close(self._handle)
+
+    @contextmanager
+    def _noted(self) -> Iterator[None]:
+        """Note the first OSError."""
         try:
-            os.fsync(self._handle)
-            if os.fstat(self._handle).st_nlink == 0:
-                raise FileNotFoundError(errno.ENOENT, "the file was removed while it was written")
-        finally:
-            os.close(self._handle)
+            yield
+        except OSError as error:
+            self.error = self.error or error
 
 
 class BackgroundFile(DirectFile):
     """Passes the bytes to one writing thread, so that a slow disk never delays the force loop.
 
-    Raises OSError if more than ``max_waiting_bytes`` wait, because the disk is too slow, or if
+    It is an `error` if more than ``max_waiting_bytes`` wait, because the disk is too slow, or if
     `close` waits for more than ``close_timeout_s`` s.
     """
 
@@ -131,7 +146,6 @@ class BackgroundFile(DirectFile):
         self._queue: SimpleQueue[bytes | None] = SimpleQueue()
         self._taken_bytes = 0
         self._ended = False
-        self._error: OSError | None = None
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 
@@ -141,22 +155,17 @@ class BackgroundFile(DirectFile):
         return self._thread.is_alive() and (self._ended or self._taken_bytes > self._length)
 
     def write(self, data: bytes, /) -> int:
-        """Queue the bytes. Raises OSError if the disk has failed, or is too slow."""
-        self.check()
+        """Queue the bytes; after an error do nothing."""
         waiting_bytes = self._taken_bytes - self._length
-        if waiting_bytes + len(data) > self._max_waiting_bytes:
-            raise OSError(
+        if self.error is None and waiting_bytes + len(data) > self._max_waiting_bytes:
+            self.error = OSError(
                 f"the disk is too slow: {waiting_bytes} bytes wait to be written, the limit is "
                 f"{self._max_waiting_bytes}"
             )
-        self._taken_bytes += len(data)
-        self._queue.put(bytes(data))
+        if self.error is None:
+            self._taken_bytes += len(data)
+            self._queue.put(bytes(data))
         return len(data)
-
-    def check(self) -> None:
-        """Raise the OSError with which the thread has ended, if it has."""
-        if self._error is not None:
-            raise self._error
 
     def tell(self) -> int:
         """Return the number of bytes taken."""
@@ -168,22 +177,20 @@ class BackgroundFile(DirectFile):
         self._queue.put(None)
 
     def close(self) -> None:
-        """Wait until all is written, then close; OSError on failure or after the time-out."""
+        """Wait until all is written and the file is closed, at most for the time-out."""
         self.end()
         self._thread.join(self._close_timeout_s)
         if self._thread.is_alive():
-            raise OSError(f"the disk did not take the rest within {self._close_timeout_s} s")
-        self.check()
+            text = f"the disk did not take the rest within {self._close_timeout_s} s"
+            self.error = self.error or OSError(text)
 
     def _run(self) -> None:
-        try:
-            while (data := self._queue.get()) is not None:
-                super().write(data)
-        except OSError as error:
-            self._error = error
-        except Exception as error:
-            self._error = OSError(f"the recording's thread ended: {error_text(error)}")
-        try:
-            super().close()
-        except OSError as error:
-            self._error = self._error or error
+        with self._noted():
+            try:
+                while (data := self._queue.get()) is not None:
+                    self.write_whole(data)
+            except OSError:
+                raise
+            except Exception as error:
+                raise OSError(f"the recording's thread ended: {error_text(error)}") from error
+        super().close()

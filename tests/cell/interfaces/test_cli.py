@@ -41,10 +41,10 @@ from cell.interfaces.cli.terminal import (
     show,
 )
 from cell.learning.model import load_model
+from cell.recording import sink
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.recording.reader import read_recording
 from cell.recording.recorder import Recorder
-from cell.recording.sink import DirectFile
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckTrainer
 from simulator.faults.vocabulary import VOCABULARY
@@ -238,7 +238,7 @@ def test_identify_on_the_cell(config, model, tmp_path, monkeypatch) -> None:
 def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
     *, config, model, tmp_path, command, answer, monkeypatch
 ) -> None:
-    monkeypatch.setattr(DirectFile, "close", raising(OSError(28, "No space left on device")))
+    monkeypatch.setattr(sink.os, "fsync", raising(OSError(28, "No space left on device")))
     found = tmp_path / "found.json"
     arguments = [*command.format(model).split(), "-c", str(config), "--json", str(found)]
     result = RUNNER.invoke(app, arguments)

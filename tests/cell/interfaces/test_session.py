@@ -24,13 +24,13 @@ PRESSED_N = 1.0
 def test_a_disk_that_is_full_in_a_grasp_loses_neither_the_grip_nor_the_grasp_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write = DirectFile.write
+    write = DirectFile.write_whole
     progress: dict[str, Any] = {"grasps": 0}
 
-    def take_one_grasp(file: DirectFile, data: bytes) -> int:
+    def take_one_grasp(file: DirectFile, data: bytes) -> None:
         if progress["grasps"] and grip_n() > PRESSED_N:
             raise OSError(28, "No space left on device")
-        return write(file, data)
+        write(file, data)
 
     def show(job: Job) -> None:
         progress.update(job.progress)
@@ -39,7 +39,7 @@ def test_a_disk_that_is_full_in_a_grasp_loses_neither_the_grip_nor_the_grasp_bef
         return min(cell.plugin.cell.simulated.world.contact_force_n())
 
     monkeypatch.setattr(recorder, "CHUNK_BYTES", 1 << 12)
-    monkeypatch.setattr(DirectFile, "write", take_one_grasp)
+    monkeypatch.setattr(DirectFile, "write_whole", take_one_grasp)
     config, found = quick_config(recording__when_lost="hold"), tmp_path / "found.json"
     with (
         pytest.raises(
