@@ -33,13 +33,13 @@ def archive_report(answers: Answers, target: str) -> Page:
     table = confusion_table(answers)
     days = sorted({day for some in answers.cells.values() for day in some})
     objects: list[tuple[str, ...]] = [_OBJECT]
-    for one in answers.objects:
+    for need in answers.objects:
         named = ("-", "-", "-")
-        if one.n_parts:
-            interval = "{:.0%} to {:.0%}".format(*one.interval)
-            named = (f"{one.n_right} of {one.n_parts}", interval, f"{one.grasps_per_part:.1f}")
-        counts = (f"{n}" for n in (one.n_grasps, one.n_days, one.n_cells))
-        objects.append((one.label, *counts, *named, "; ".join(one.reasons)))
+        if need.n_parts:
+            interval = "{:.0%} to {:.0%}".format(*need.interval)
+            named = (f"{need.n_right} of {need.n_parts}", interval, f"{need.grasps_per_part:.1f}")
+        counts = (f"{n}" for n in (need.n_grasps, need.n_days, need.n_cells))
+        objects.append((need.label, *counts, *named, "; ".join(need.reasons)))
     sections: dict[str, dict[str, Any]] = {
         "confusions": {
             "title": "Which object is confused with which, and since when",
@@ -57,7 +57,7 @@ def archive_report(answers: Answers, target: str) -> Page:
                 signal.title: picture(trends_figure(some, [*answers.cells]), signal.title)
                 for name, signal in SIGNALS.items()
                 if signal.question == question
-                and (some := [one for one in answers.trends if one.signal == name])
+                and (some := [trend for trend in answers.trends if trend.signal == name])
             },
         }
     sections["objects"] = {"title": "Which object needs more grasps", "rows": objects}
@@ -79,9 +79,9 @@ def lines(answers: Answers) -> list[str]:
     texts = _confusion_lines(answers)
     for question in _QUESTIONS:
         texts += _trend_lines(answers, question)
-    needs = [f"{one.label}: {'; '.join(one.reasons)}" for one in answers.objects if one.reasons]
+    needs = [f"{need.label}: {'; '.join(need.reasons)}" for need in answers.objects if need.reasons]
     return texts + (
-        [f"needs more grasps: {one}" for one in needs] or ["No object needs more grasps."]
+        [f"needs more grasps: {need}" for need in needs] or ["No object needs more grasps."]
     )
 
 
@@ -90,16 +90,16 @@ def confusion_table(answers: Answers) -> ConfusionTable | None:
     asked = [(label, answer, n) for (label, answer), n in answers.parts.items() if label and answer]
     if not asked:
         return None
-    labels = sorted({name for one in asked for name in one[:2]} - {UNKNOWN})
-    truths, given = zip(*(one[:2] for one in asked for _ in range(one[2])), strict=True)
+    labels = sorted({name for row in asked for name in row[:2]} - {UNKNOWN})
+    truths, given = zip(*(row[:2] for row in asked for _ in range(row[2])), strict=True)
     return score("All identifications of named parts", truths, given, labels)
 
 
 def _trend_lines(answers: Answers, question: str) -> list[str]:
     """Return the trends that answer a question, and the cells with too few days for one."""
-    judged = {one.cell for one in answers.trends if one.question == question}
+    judged = {trend.cell for trend in answers.trends if trend.question == question}
     few = ", ".join(cell for cell in answers.cells if cell not in judged)
-    texts = [trend_text(one) for one in answers.counted(question)]
+    texts = [trend_text(trend) for trend in answers.counted(question)]
     if judged and not texts:
         texts = [_QUESTIONS[question][1]]
     days = f"fewer than {LEAST_DAYS} days of the same objects"
@@ -128,10 +128,12 @@ def _in_page_unit(value: float, unit: str) -> float:
 
 def _confusion_lines(answers: Answers) -> list[str]:
     texts = []
-    for one in answers.confusions[:_MOST_CONFUSIONS]:
-        cells = ", ".join(f"{cell} {k}" for cell, k in one.cells.items())
-        days = f"{one.first} to {one.last}"
-        texts.append(f"{one.n} x {one.label} as {one.answer} (of {one.n_parts}), {days}: {cells}")
+    for pair in answers.confusions[:_MOST_CONFUSIONS]:
+        cells = ", ".join(f"{cell} {k}" for cell, k in pair.cells.items())
+        days = f"{pair.first} to {pair.last}"
+        texts.append(
+            f"{pair.n} x {pair.label} as {pair.answer} (of {pair.n_parts}), {days}: {cells}"
+        )
     return texts or ["No object was confused with another one."]
 
 
@@ -141,11 +143,14 @@ def trends_figure(trends: Sequence[Trend], cells: Sequence[str]) -> "Figure":
     with drawing():
         figure = new_figure(6.4, 3.0)
         axes = figure.subplots()
-        for one in trends:
-            days: Any = [date.fromisoformat(day) for day in one.days]
-            look: Any = {"color": colour(cells.index(one.cell)), "lw": 2.0 if one.counts else 0.9}
+        for trend in trends:
+            days: Any = [date.fromisoformat(day) for day in trend.days]
+            look: Any = {
+                "color": colour(cells.index(trend.cell)),
+                "lw": 2.0 if trend.counts else 0.9,
+            }
             axes.plot(
-                days, [_in_page_unit(v, unit) for v in one.effect], marker="o", ms=2.6, **look
+                days, [_in_page_unit(v, unit) for v in trend.effect], marker="o", ms=2.6, **look
             )
         axes.set_ylabel("change / " + ("%" if unit == "log" else unit))
         axes.tick_params(axis="x", labelrotation=30)

@@ -267,31 +267,31 @@ def _confusions(parts: Sequence[Row], asked: Mapping[tuple[str, str], int]) -> I
 def _needs(rows: pa.Table, parts: Sequence[Row]) -> list[ObjectNeed]:
     needs = []
     counted = [([], "count_all"), ("day", "count_distinct"), ("cell", "count_distinct")]
-    for one in _grouped(rows, ["label"], counted):
-        if not (label := one["label"]):
+    for row in _grouped(rows, ["label"], counted):
+        if not (label := row["label"]):
             continue
-        here = [row for row in parts if row["label"] == label]
-        n_parts = sum(row["count_all"] for row in here)
-        n_right = sum(row["count_all"] for row in here if row["answer"] == label)
+        here = [part for part in parts if part["label"] == label]
+        n_parts = sum(part["count_all"] for part in here)
+        n_right = sum(part["count_all"] for part in here if part["answer"] == label)
         low, high = wilson_interval(n_right, n_parts)
         reasons = []
-        if one["count_all"] < _FEW_GRASPS:
-            reasons.append(f"{one['count_all']} grasps, {_FEW_GRASPS} are needed")
+        if row["count_all"] < _FEW_GRASPS:
+            reasons.append(f"{row['count_all']} grasps, {_FEW_GRASPS} are needed")
         if high < _ENOUGH_RIGHT:
             reasons.append(f"named rightly {n_right} of {n_parts} times")
         needs.append(
             ObjectNeed(
                 label=label,
-                n_grasps=one["count_all"],
-                n_days=one["day_count_distinct"],
-                n_cells=one["cell_count_distinct"],
+                n_grasps=row["count_all"],
+                n_days=row["day_count_distinct"],
+                n_cells=row["cell_count_distinct"],
                 n_parts=n_parts,
                 n_right=n_right,
                 interval=(low, high),
-                grasps_per_part=sum(row["part_grasps_sum"] for row in here) / n_parts
+                grasps_per_part=sum(part["part_grasps_sum"] for part in here) / n_parts
                 if n_parts
                 else float("nan"),
                 reasons=tuple(reasons),
             )
         )
-    return sorted(needs, key=lambda one: (not one.reasons, one.interval[1], one.n_grasps))
+    return sorted(needs, key=lambda need: (not need.reasons, need.interval[1], need.n_grasps))

@@ -121,20 +121,24 @@ def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             f"{len(fingers)} servos answer on {port}, a gripper has one or two: give each servo of "
             "an axis a port of its own"
         )
-    configs = [{"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers]
+    configs = [
+        {"id": identity.servo_id, "model": model_name(identity.model_number)}
+        for identity in fingers
+    ]
     notes.values["servos"] = [
-        servo | {"firmware": one.firmware} for servo, one in zip(configs, fingers, strict=True)
+        servo | {"firmware": identity.firmware}
+        for servo, identity in zip(configs, fingers, strict=True)
     ]
     volts = set()
-    for one in fingers:
-        name = model_name(one.model_number)
-        notes.fact(f"servo {one.servo_id}: {name}, firmware {one.firmware}")
+    for identity in fingers:
+        name = model_name(identity.model_number)
+        notes.fact(f"servo {identity.servo_id}: {name}, firmware {identity.firmware}")
         if name in MODELS:
             volts.add(MODELS[name].nominal_voltage_v)
         else:
             notes.fail(
-                f"servo {one.servo_id} is {name}, whose grip force cannot be bounded here. Use one "
-                f"of {', '.join(MODELS)}"
+                f"servo {identity.servo_id} is {name}, whose grip force cannot be bounded here. "
+                f"Use one of {', '.join(MODELS)}"
             )
     if len(volts) > 1:
         notes.fail(
@@ -146,11 +150,13 @@ def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     notes.settings |= {"gripper.baud_rate": rate, "gripper.servos": configs}
     with bench.servo_bus(port, rate) as bus:
         _set_up(bench, bus, dialog, fingers, notes)
-        for one in fingers:
-            for name, was, now in since_backup(bench.folder, bus, one.servo_id):
-                notes.fact(f"servo {one.servo_id}: {name} was {was}, is now {now}", corrected=True)
+        for identity in fingers:
+            for name, was, now in since_backup(bench.folder, bus, identity.servo_id):
+                notes.fact(
+                    f"servo {identity.servo_id}: {name} was {was}, is now {now}", corrected=True
+                )
         period_s = 1.0 / bench.gripper().loop_rate_hz
-        median_s = check_link(bus, [one.servo_id for one in fingers], period_s)
+        median_s = check_link(bus, [identity.servo_id for identity in fingers], period_s)
         notes.fact(f"round trip of a ping: {1e3 * median_s:.2f} ms (median)")
 
 
@@ -177,13 +183,13 @@ def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoI
         else:
             _demand_answers(bench, dialog, port, scan)
             placed = _placed(bench, dialog, port, rate, scan)
-            scan = Scan(servos=tuple(Found(rate, one) for one in placed))
+            scan = Scan(servos=tuple(Found(rate, servo) for servo in placed))
             n_wanted = n_wanted or _count(bench, dialog, placed)
             if len(placed) >= n_wanted or not _connected(dialog, placed[-1]):
                 return placed
         bench.clock.sleep(_BOOT_S)
-        seen = {one.baud_rate for one in (*scan.servos, *scan.shared)}
-        rates = [one for one in SCAN_RATES if one in {rate, 57600, *seen, *scan.damaged}]
+        seen = {servo.baud_rate for servo in (*scan.servos, *scan.shared)}
+        rates = [servo for servo in SCAN_RATES if servo in {rate, 57600, *seen, *scan.damaged}]
         scan = scan_servos(bench, port, dialog, rates)
         if not scan.servos and not scan.crowded:
             scan = scan_servos(bench, port, dialog)
@@ -199,7 +205,7 @@ def _look_for_protocol_1(bench: Bench, port: str) -> None:
 
 def _demand_answers(bench: Bench, dialog: Dialog, port: str, scan: Scan) -> None:
     """Set Status Return Level to 2 where it is lower: such a servo confirms no other write."""
-    for servo_id, rate in ((one.identity.servo_id, one.baud_rate) for one in scan.servos):
+    for servo_id, rate in ((servo.identity.servo_id, servo.baud_rate) for servo in scan.servos):
         with bench.servo_bus(port, rate) as bus:
             bus.ping(servo_id)  # says which control table it has
             off = bus.answers_off(servo_id)
@@ -219,7 +225,7 @@ def _connected(dialog: Dialog, last: ServoIdentity) -> bool:
 
 
 def _ask_for_one_alone(dialog: Dialog, scan: Scan) -> None:
-    several = [f"ID {one.identity.servo_id} at {one.baud_rate} bit/s" for one in scan.shared]
+    several = [f"ID {servo.identity.servo_id} at {servo.baud_rate} bit/s" for servo in scan.shared]
     several += [f"damaged bytes at {rate} bit/s" for rate in scan.damaged]
     dialog.confirm(
         "servos.connect_one",
@@ -244,18 +250,18 @@ def _count(bench: Bench, dialog: Dialog, placed: Sequence[ServoIdentity]) -> int
 
 def _placed(bench: Bench, dialog: Dialog, port: str, rate: int, scan: Scan) -> list[ServoIdentity]:
     """Give each servo a unique ID and the baud rate; return all in the order of their IDs."""
-    at_home = [one.identity for one in scan.servos if one.baud_rate == rate]
-    taken = {one.servo_id for one in at_home}
-    for servo in (one for one in scan.servos if one.baud_rate != rate):
+    at_home = [servo.identity for servo in scan.servos if servo.baud_rate == rate]
+    taken = {servo.servo_id for servo in at_home}
+    for servo in (other for other in scan.servos if other.baud_rate != rate):
         identity = servo.identity
-        used = taken | {one.identity.servo_id for one in scan.servos if one is not servo}
+        used = taken | {other.identity.servo_id for other in scan.servos if other is not servo}
         new_id = identity.servo_id
         if new_id in used:
             new_id = next(number for number in range(1, 253) if number not in used)
         _renumber(bench, dialog, port, servo, new_id=new_id, rate=rate)
         taken.add(new_id)
         at_home.append(replace(identity, servo_id=new_id))
-    return sorted(at_home, key=lambda one: one.servo_id)
+    return sorted(at_home, key=lambda servo: servo.servo_id)
 
 
 def _renumber(
@@ -306,8 +312,8 @@ def _set_up(
 
     Nothing is set while a supply is too low or an error is latched.
     """
-    tables = {one.servo_id: read_control_table(bus, one.servo_id) for one in fingers}
-    models = {one.servo_id: MODELS[model_name(one.model_number)] for one in fingers}
+    tables = {identity.servo_id: read_control_table(bus, identity.servo_id) for identity in fingers}
+    models = {identity.servo_id: MODELS[model_name(identity.model_number)] for identity in fingers}
     changes = {}
     for servo_id, table in tables.items():
         check_supply(servo_id, models[servo_id], table, notes)

@@ -94,7 +94,9 @@ def _lines(
     """Return the lines of a section."""
     for name, key in type(section).model_fields.items():
         # The rest of each path within the key; empty: all of it.
-        inner_keys = [one.partition(".")[2] for one in keys if one.partition(".")[0] in ("", name)]
+        inner_keys = [
+            entry.partition(".")[2] for entry in keys if entry.partition(".")[0] in ("", name)
+        ]
         if not inner_keys:
             continue
         value = getattr(section, name)
@@ -103,14 +105,14 @@ def _lines(
         if isinstance(value, BaseModel):
             yield f"{indent}{name}:"
             yield from _lines(value, indent + "  ", comments=comments, keys=inner_keys)
-        elif isinstance(value, tuple) and any(isinstance(one, BaseModel) for one in value):
+        elif isinstance(value, tuple) and any(isinstance(entry, BaseModel) for entry in value):
             yield f"{indent}{name}:"
-            for one in value:
-                first, *rest = _lines(one, "", comments=False)
+            for entry in value:
+                first, *rest = _lines(entry, "", comments=False)
                 yield f"{indent}  - {first}"
                 yield from (f"{indent}    {line}" for line in rest)
             for inner, inner_key in type(value[0]).model_fields.items() if comments else ():
-                if all(getattr(one, inner) is None for one in value):
+                if all(getattr(entry, inner) is None for entry in value):
                     yield from _comment(_meaning(inner_key), f"{indent}    ")
                     yield f"{indent}    # {inner}:"
         elif value is not None:

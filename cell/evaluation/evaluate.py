@@ -47,9 +47,12 @@ class EvaluationResult:
         names = ("split", "n_train", "n_test", "labels", "seconds", "default", "left_out")
         return {name: getattr(self, name) for name in names} | {
             "recognizers": {
-                name: _figures(one.full)
-                | {"without_aperture": one.without_aperture and _figures(one.without_aperture)}
-                for name, one in self.recognizers.items()
+                name: _figures(figures.full)
+                | {
+                    "without_aperture": figures.without_aperture
+                    and _figures(figures.without_aperture)
+                }
+                for name, figures in self.recognizers.items()
             },
         }
 

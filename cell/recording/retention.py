@@ -64,7 +64,7 @@ def recordings(folder: Path) -> list[Entry]:
             with suppress(FileNotFoundError):
                 stat, marked = path.stat(), _mark_of(path).exists()
                 entries.append(Entry(path, stat.st_size, stat.st_mtime, marked))
-    return sorted(entries, key=lambda one: (one.written_s, one.path))
+    return sorted(entries, key=lambda entry: (entry.written_s, entry.path))
 
 
 class Retention:
@@ -126,17 +126,17 @@ class Retention:
         own, entries = self._recorder.path, list[Entry]()
         if _JOB.fullmatch(own.parent.name):
             entries = recordings(self._folder)
-        free, total, n_deleted = free_bytes(own.parent), sum(one.n_bytes for one in entries), 0
-        for one in entries:
+        free, total, n_deleted = free_bytes(own.parent), sum(entry.n_bytes for entry in entries), 0
+        for entry in entries:
             if total <= self._keep_bytes and free >= LEAST_FREE_BYTES:
                 break
             with suppress(FileNotFoundError):  # another program deletes, too
-                if one.marked or one.path.resolve() == own.resolve() or in_use(one.path):
+                if entry.marked or entry.path.resolve() == own.resolve() or in_use(entry.path):
                     continue
-                one.path.unlink()
-                total, free, n_deleted = total - one.n_bytes, free + one.n_bytes, n_deleted + 1
+                entry.path.unlink()
+                total, free, n_deleted = total - entry.n_bytes, free + entry.n_bytes, n_deleted + 1
             with suppress(OSError):  # a report or a model is beside it
-                one.path.parent.rmdir()
+                entry.path.parent.rmdir()
         if n_deleted:
             self._note(
                 f"{n_deleted} of the oldest recordings are deleted, because of recording.keep_gb "
