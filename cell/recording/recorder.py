@@ -6,7 +6,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+import numpy as np
 from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
 
 from cell.errors import RecordingError
 from cell.formats import RECORDING
@@ -191,6 +193,7 @@ class Recorder:
         self._background = background
         self._note = note
         self._closed = False
+        self._newest_counts: NDArray[np.uint16] = np.zeros(0, dtype=np.uint16)
         self._file = self._new_file(self._first_path)
 
     @property
@@ -239,6 +242,7 @@ class Recorder:
             "extra": None if frame.extra is None else frame.extra.ravel(),
         }
         self._put(schema.FRAME, frame.t_s, values)
+        self._newest_counts = counts
 
     def cycle(self, cycle: "Cycle") -> None:
         """Record one period of the force loop."""
@@ -267,15 +271,15 @@ class Recorder:
     def grasp(self, grasp: Grasp) -> None:
         """Record that the newest frames belong to this grasp.
 
-        They must be the frames given to `frame` before. A grasp during which the recording stopped
-        is in no file. Raises ValueError for too few frames.
+        A grasp during which the recording stopped is in no file. Raises ValueError if its frames
+        are not those given to `frame` before.
         """
         first_frame = self._file.n_frames - grasp.n_frames
         if self.fault is not None:
             return
-        if first_frame < 0:
+        if first_frame < 0 or not np.array_equal(self._newest_counts, grasp.counts[-1]):
             raise ValueError(
-                f"{self._file.n_frames} frames are recorded, the grasp has {grasp.n_frames}"
+                f"{self._file.n_frames} frames are recorded, the grasp has {grasp.n_frames} others"
             )
         names = ("label", "shape", "source", "start_ms", "n_frames", "aperture_m", "force_n")
         values = {name: getattr(grasp, name) for name in names} | {

@@ -440,6 +440,9 @@ def test_recorder_refuses_what_is_not_in_order(tmp_path) -> None:
         recorder.grasp(Grasp(pads=PADS, counts=np.zeros((1, 24)), t_s=[0.0]))
     with pytest.raises(ValueError, match="the pads have 24"):
         recorder.frame(make_frame(1.0, rng, n_taxels=23))
+    recorder.frame(make_frame(1.0, rng))
+    with pytest.raises(ValueError, match="1 frames are recorded, the grasp has 1 others"):
+        recorder.grasp(Grasp(pads=PADS, counts=np.zeros((1, 24)), t_s=[0.0]))
     for t_s in (float("nan"), -1.0):
         with pytest.raises(ValueError, match="not a monotonic time"):
             recorder.cycle(make_cycle(t_s))
