@@ -3,9 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-_ROUNDS = 50
-"""Rounds in which effects of objects and days are found in turn."""
-
 
 def day_effects(mean: NDArray[np.float64], n: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the effect of each of D days, (D,) float64 with the mean 0, by least squares.
@@ -17,10 +14,8 @@ def day_effects(mean: NDArray[np.float64], n: NDArray[np.float64]) -> NDArray[np
     n : (D, L)
         Number of values; each day has some.
     """
-    effect = np.zeros(len(mean))
-    per_object = np.maximum(n.sum(axis=0), 1.0)
-    for _ in range(_ROUNDS):
-        objects = (n * (mean - effect[:, None])).sum(axis=0) / per_object
-        effect = (n * (mean - objects)).sum(axis=1) / n.sum(axis=1)
-        effect -= effect.mean()
-    return np.asarray(effect, dtype=np.float64)
+    day, label = np.nonzero(n)
+    weight = np.sqrt(n[day, label])
+    design = np.concatenate([np.eye(len(n))[day], np.eye(n.shape[1])[label]], axis=1)
+    effects = np.linalg.lstsq(design * weight[:, None], mean[day, label] * weight)[0][: len(n)]
+    return np.asarray(effects - effects.mean(), dtype=np.float64)

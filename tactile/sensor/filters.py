@@ -3,7 +3,6 @@
 All of them take and return one value for each taxel in counts, shape (n_taxels,).
 """
 
-from collections import deque
 from typing import Any
 
 import numpy as np
@@ -89,37 +88,6 @@ def fill_bad(hood: Neighbourhood, values: Values, bad: Mask) -> Values:
     weighted = hood.weighted(np.where(bad, 0.0, values))[bad]
     filled[bad] = np.divide(weighted, total, out=np.zeros(len(total)), where=total > 0.0)
     return filled
-
-
-class MovingMean:
-    """Mean over the last n frames: settles completely after n frames.
-
-    Parameters
-    ----------
-    n_frames
-        Length of the window, at least 1.
-    """
-
-    def __init__(self, n_frames: int) -> None:
-        if n_frames < 1:
-            raise ValueError(f"a window of {n_frames} frames, must be at least 1")
-        self._frames: deque[Values] = deque(maxlen=n_frames)
-
-    def reset(self) -> None:
-        """Discard all frames."""
-        self._frames.clear()
-
-    @property
-    def full(self) -> bool:
-        """Whether the window is full."""
-        return len(self._frames) == self._frames.maxlen
-
-    def step(self, values: Values) -> Values:
-        """Take a frame and return the mean over the window."""
-        self._frames.append(values)
-        # With an array for each frame, summing is faster than np.mean over the queue.
-        total: Values = sum(self._frames, np.zeros_like(values))
-        return total / len(self._frames)
 
 
 def smoothing_gain(hood: Neighbourhood, passes: int) -> Values:

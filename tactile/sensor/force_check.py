@@ -7,16 +7,19 @@ scan, so a changing force causes no difference. The mean of more frames shows sm
 """
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import inf, isinf, sqrt
+from itertools import takewhile
+from math import inf, isinf
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tactile.errors import ForceContradicted
 from tactile.layout import TaxelLayout
 from tactile.source import ForceMessage, mean_centre_taxels
+
+Array = NDArray[np.float64]
 
 _BEFORE_S, _AFTER_S = 0.0065, 0.0055
 """Times in s before and after the first message of a frame's burst: messages received between them
@@ -54,7 +57,7 @@ that is more. With less force a frame may show a few random taxels of a pad."""
 _SPREAD_TAXELS = 4.0
 """Distance in pitches of the centre of the force below the threshold from that of the whole force:
 for a spread load, frames and messages leave out different taxels."""
-_KEPT = 64
+_STORED = 64
 """Number of stored messages: 0.13 s at 500 a second, more than a burst takes."""
 _ADVICE = (
     "table, zero or pads are wrong, so neither is used; the grip is kept. Look at the pads and the "
@@ -69,7 +72,7 @@ class ForceCentres:
         self._taxels = tuple(np.flatnonzero(layout.taxel_pad == p) for p in layout.gripping_pads)
         self._xy_m = tuple(layout.position_m[taxels, :2] for taxels in self._taxels)
 
-    def of(self, force_n: NDArray[np.float64]) -> tuple[float, float] | None:
+    def of(self, force_n: Array) -> tuple[float, float] | None:
         """Return the centre in the grip frame in m; None if a pad has no force.
 
         Parameters
@@ -86,10 +89,8 @@ class ForceCentres:
             centre_m += 0.5 * (weights @ xy_m) / total_n
         return float(centre_m[0]), float(centre_m[1])
 
-    def noise_m(
-        self, force_n: NDArray[np.float64], noise_n: NDArray[np.float64]
-    ) -> tuple[float, float]:
-        """Return the standard deviation of that centre along and across the fingers in m.
+    def noise_m(self, force_n: Array, noise_n: Array) -> Array:
+        """Return the standard deviation of that centre along and across the fingers in m, (2,).
 
         Parameters
         ----------
@@ -103,33 +104,33 @@ class ForceCentres:
             total_n = float(force_n[taxels].sum())
             lever_m = xy_m - force_n[taxels] @ xy_m / total_n
             variance_m2 += 0.25 * (noise_n[taxels] ** 2 @ lever_m**2) / total_n**2
-        return float(np.sqrt(variance_m2[0])), float(np.sqrt(variance_m2[1]))
+        return np.sqrt(variance_m2)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameForces:
-    """Force in one frame."""
+    """Force in one frame. Pairs are of finger 0 and finger 1, or along and across the fingers."""
 
     scanned_s: float
     """Monotonic time of its scan in s."""
-    force_n: tuple[float, float]
-    """Force on finger 0 and finger 1 in N."""
-    centre_taxels: tuple[float, float] | None
-    """Centre of both pads along and across the fingers in pitches; None without a touch."""
+    force_n: ArrayLike
+    """Force on each finger in N."""
+    centre_taxels: ArrayLike | None
+    """Centre of both pads in pitches; None without a touch."""
     noise_n: float
     """Standard deviation of each force in N."""
-    centre_noise_taxels: tuple[float, float] = (0.0, 0.0)
+    centre_noise_taxels: ArrayLike = (0.0, 0.0)
     """Standard deviation of the centre by the noise of the taxels, in pitches."""
-    whole_n: tuple[float, float] = (0.0, 0.0)
-    """Force on all taxels of finger 0 and finger 1 in N. With a load spread over a pad each taxel
-    may be below the threshold."""
+    whole_n: ArrayLike = (0.0, 0.0)
+    """Force on all taxels of each finger in N. With a load spread over a pad each taxel may be
+    below the threshold."""
 
 
 class ForceCheck:
     """Comparison of messages and frames: each frame, and the mean of the last ones."""
 
     def __init__(self) -> None:
-        self._messages: deque[ForceMessage] = deque(maxlen=_KEPT)
+        self._messages: deque[ForceMessage] = deque(maxlen=_STORED)
         self._pairs: deque[_Pair] = deque(maxlen=_WINDOWS[-1])
         self._taxel_noise_n = 0.0
 
@@ -153,74 +154,76 @@ class ForceCheck:
         while self._messages and self._messages[0].t_s < first_s:
             self._messages.popleft()
         within = [message for message in self._messages if message.t_s <= last_s]
-        if not within:
-            return
-        self._pairs.appendleft(_Pair.of(within, frame, self._taxel_noise_n))
-        for finger in (0, 1):
-            self._check_force(finger)
-        self._check_centre()
+        if within:
+            self._pairs.appendleft(_Pair.of(within, frame, self._taxel_noise_n))
+            self._check_force(list(self._pairs))
+            self._check_centre(list(takewhile(lambda pair: pair.has_centre, self._pairs)))
 
-    def _check_force(self, finger: int) -> None:
+    def _check_force(self, pairs: "list[_Pair]") -> None:
         """Raise ForceContradicted if the mean of the last frames differs from the messages'."""
-        apart_n = above_n = below_n = noise_n = 0.0
-        for n, pair in enumerate(self._pairs, 1):
-            apart_n += pair.apart_n[finger]
-            above_n += pair.above_n[finger]
-            below_n += pair.below_n[finger]
-            noise_n += pair.noise_n
-            least_n = above_n if apart_n > 0.0 else below_n
-            allowed_n = (least_n + _SIGMAS * noise_n / sqrt(n)) / n
-            if n in _WINDOWS and abs(apart_n) / n > allowed_n:
-                last = list(self._pairs)[:n]
-                raise ForceContradicted(
-                    f"the force messages show {_mean(p.message_n[finger] for p in last):.2f} N on "
-                    f"finger {finger}, {n} frames of the same time "
-                    f"{_mean(p.frame_n[finger] for p in last):.2f} N; a difference of "
-                    f"{allowed_n:.2f} N is allowed: {_ADVICE}"
-                )
+        n = np.arange(1.0, len(pairs) + 1.0)[:, None]
+        apart_n = np.cumsum([pair.apart_n for pair in pairs], axis=0)
+        above_n = np.cumsum([pair.above_n for pair in pairs], axis=0)
+        below_n = np.cumsum([pair.below_n for pair in pairs], axis=0)
+        noise_n = np.cumsum([pair.noise_n for pair in pairs])[:, None]
+        least_n = np.where(apart_n > 0.0, above_n, below_n)
+        allowed_n = (least_n + _SIGMAS * noise_n / np.sqrt(n)) / n
+        for last, finger in _beyond(np.abs(apart_n) / n, allowed_n):
+            message_n = np.mean([pair.message_n[finger] for pair in pairs[: last + 1]])
+            frame_n = np.mean([pair.frame_n[finger] for pair in pairs[: last + 1]])
+            raise ForceContradicted(
+                f"the force messages show {message_n:.2f} N on finger {finger}, {last + 1} frames "
+                f"of the same time {frame_n:.2f} N; a difference of "
+                f"{allowed_n[last, finger]:.2f} N is allowed: {_ADVICE}"
+            )
 
-    def _check_centre(self) -> None:
+    def _check_centre(self, pairs: "list[_Pair]") -> None:
         """Raise ForceContradicted if the last frames have another centre than the messages."""
-        apart = noise2 = np.zeros(2)
-        below, force_n = 0.0, inf
-        for n, pair in enumerate(self._pairs, 1):
-            if pair.apart_taxels is None:
-                return
-            apart = apart + pair.apart_taxels
-            noise2 = noise2 + np.square(pair.centre_noise_taxels)
-            below += pair.below_share
-            force_n = min(force_n, sum(pair.frame_n) / 2.0)
-            noise = np.maximum(_CENTRE_N_TAXELS / force_n, _CENTRE_BOTH * np.sqrt(noise2 / n))
-            allowed = _CENTRE_TAXELS + _SIGMAS * noise / sqrt(n)
-            allowed += _SPREAD_TAXELS * max(below, 0.0) / n
-            worst = int(np.argmax(np.abs(apart) / n - allowed))
-            if n in _WINDOWS and abs(apart[worst]) / n > allowed[worst]:
-                where = f"is {abs(apart[worst]) / n:.2f} pitches of the taxels away from that in"
-                if isinf(apart[worst]):
-                    where = "is missing, though there is one in"
-                raise ForceContradicted(
-                    f"the centre of the force in the messages {where} {n} frames of the same time, "
-                    f"{allowed[worst]:.2f} pitches are allowed: {_ADVICE}"
-                )
+        if not pairs:
+            return
+        n = np.arange(1.0, len(pairs) + 1.0)[:, None]
+        apart = np.abs(np.cumsum([pair.apart_taxels for pair in pairs], axis=0)) / n
+        noise2 = np.cumsum(np.square([pair.centre_noise_taxels for pair in pairs]), axis=0)
+        below = np.cumsum([pair.below_share for pair in pairs])[:, None]
+        force_n = np.minimum.accumulate([pair.frame_n.mean() for pair in pairs])[:, None]
+        noise = np.maximum(_CENTRE_N_TAXELS / force_n, _CENTRE_BOTH * np.sqrt(noise2 / n))
+        allowed = _CENTRE_TAXELS + _SIGMAS * noise / np.sqrt(n)
+        allowed += _SPREAD_TAXELS * np.maximum(below, 0.0) / n
+        for last, axis in _beyond(apart, allowed):
+            where = f"is {apart[last, axis]:.2f} pitches of the taxels away from that in"
+            if isinf(apart[last, axis]):
+                where = "is missing, though there is one in"
+            raise ForceContradicted(
+                f"the centre of the force in the messages {where} {last + 1} frames of the same "
+                f"time, {allowed[last, axis]:.2f} pitches are allowed: {_ADVICE}"
+            )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+def _beyond(apart: Array, allowed: Array) -> Iterator[tuple[int, int]]:
+    """Yield rows and columns beyond their limits, of the rows that end a window."""
+    for n in _WINDOWS:
+        for column in np.flatnonzero(apart[n - 1 : n] > allowed[n - 1 : n]):
+            yield n - 1, int(column)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Pair:
-    """Frame and messages of one scan, and their difference.
+    """Frame and messages of one scan, and their difference; arrays are (2,).
 
     ``apart_n`` is the force in the frame less that in the messages; ``above_n`` and ``below_n`` are
     its limits without noise. ``below_share`` is the share of the force on taxels of the frame that
     are below their threshold, with its noise.
     """
 
-    frame_n: tuple[float, float]
-    message_n: tuple[float, float]
-    apart_n: tuple[float, float]
-    above_n: tuple[float, float]
-    below_n: tuple[float, float]
+    frame_n: Array
+    message_n: Array
+    apart_n: Array
+    above_n: Array
+    below_n: Array
     noise_n: float
-    apart_taxels: tuple[float, float] | None
-    centre_noise_taxels: tuple[float, float]
+    has_centre: bool
+    apart_taxels: Array
+    centre_noise_taxels: Array
     below_share: float
 
     @classmethod
@@ -228,52 +231,30 @@ class _Pair:
         cls, messages: Sequence[ForceMessage], frame: FrameForces, taxel_noise_n: float
     ) -> "_Pair":
         """Return the pair of a frame and the messages around its scan."""
-        first_n = _mean(message.force_n[0] for message in messages)
-        second_n = _mean(message.force_n[1] for message in messages)
-        grip_n = 0.5 * (first_n + second_n)
-        most_n = _OUTLIER_SIGMAS * frame.noise_n
+        message_n = np.mean([message.force_n for message in messages], axis=0)
+        active_n, whole_n = np.asarray(frame.force_n), np.asarray(frame.whole_n)
+        frame_n = np.maximum(active_n, np.minimum(whole_n, message_n))
+        above_n = _LEAST_N + _LEAST_SHARE * np.maximum(frame_n, message_n)
+        below_n = above_n + _BELOW_SIGMAS * taxel_noise_n
         unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
-        least_n = max(_CENTRE_LEAST_N, _CENTRE_LEAST_SIGMAS * taxel_noise_n)
-        apart_n, above_n, below_n = [], [], []
-        for active_n, whole_n, message_n in zip(
-            frame.force_n, frame.whole_n, (first_n, second_n), strict=True
-        ):
-            frame_n = max(active_n, min(whole_n, message_n))
-            above = _LEAST_N + _LEAST_SHARE * max(frame_n, message_n)
-            below = above + _BELOW_SIGMAS * taxel_noise_n
-            if frame_n == 0.0:
-                below = max(below, unseen_n)
-            apart_n.append(min(max(frame_n - message_n, -below - most_n), above + most_n))
-            above_n.append(above)
-            below_n.append(below)
+        below_n = np.where(frame_n == 0.0, np.maximum(below_n, unseen_n), below_n)
+        most_n = _OUTLIER_SIGMAS * frame.noise_n
+        grip_n, least_n = message_n.mean(), _CENTRE_LEAST_SIGMAS * taxel_noise_n
+        heavy = min(active_n.mean(), grip_n) >= max(_CENTRE_LEAST_N, least_n)
+        has_centre, apart_taxels = False, np.zeros(2)
+        if heavy and frame.centre_taxels is not None:
+            # Messages without a centre, and a frame with one: the largest possible error.
+            centre = mean_centre_taxels(messages) or (inf, inf)
+            has_centre, apart_taxels = True, np.subtract(centre, frame.centre_taxels)
         return cls(
-            frame_n=frame.force_n,
-            message_n=(first_n, second_n),
-            apart_n=(apart_n[0], apart_n[1]),
-            above_n=(above_n[0], above_n[1]),
-            below_n=(below_n[0], below_n[1]),
+            frame_n=active_n,
+            message_n=message_n,
+            apart_n=np.clip(frame_n - message_n, -below_n - most_n, above_n + most_n),
+            above_n=above_n,
+            below_n=below_n,
             noise_n=frame.noise_n,
-            apart_taxels=_centres_apart(messages, frame, grip_n, least_n),
-            centre_noise_taxels=frame.centre_noise_taxels,
-            below_share=(0.5 * (sum(frame.whole_n) - sum(frame.force_n)))
-            / max(grip_n, _CENTRE_LEAST_N),
+            has_centre=has_centre,
+            apart_taxels=apart_taxels,
+            centre_noise_taxels=np.asarray(frame.centre_noise_taxels),
+            below_share=float((whole_n - active_n).mean() / max(grip_n, _CENTRE_LEAST_N)),
         )
-
-
-def _centres_apart(
-    messages: Sequence[ForceMessage], frame: FrameForces, message_n: float, least_n: float
-) -> tuple[float, float] | None:
-    """Return the distance of the centres in pitches; None if the force is too small."""
-    light = min(sum(frame.force_n) / 2.0, message_n) < least_n
-    if light or frame.centre_taxels is None:
-        return None
-    centre = mean_centre_taxels(messages)
-    if centre is None:
-        # Messages without a centre, and a frame with one: the largest possible error.
-        return inf, inf
-    return centre[0] - frame.centre_taxels[0], centre[1] - frame.centre_taxels[1]
-
-
-def _mean(values: Iterable[float]) -> float:
-    found = tuple(values)
-    return sum(found) / len(found)

@@ -19,7 +19,6 @@ from tactile.errors import (
 from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import (
     ActiveTaxels,
-    MovingMean,
     Neighbourhood,
     Values,
     fill_bad,
@@ -163,14 +162,14 @@ class TactileSensor:
         self._force_check = ForceCheck()
         self._centres = ForceCentres(layout)
         self._hood = Neighbourhood(layout)
-        self._mean = MovingMean(self._settings.mean_frames)
+        self._frames = deque[Values](maxlen=self._settings.mean_frames)
         self._quality = QualityWatch(self._hood, self._settings.quality, self._settings.mean_frames)
         self._pad_starts = [layout.taxels_of(pad).start for pad in range(layout.n_pads)]
         self._grips = tuple(layout.taxels_of(pad) for pad in layout.gripping_pads)
         self._reset()
 
     def _reset(self) -> None:
-        self._mean.reset()
+        self._frames.clear()
         self.tare_result: TareResult | None = None
         """The zero in use, None before the first tare after a start."""
         self._tare_status = 0
@@ -303,7 +302,7 @@ class TactileSensor:
         result = compute_tare(
             self._hood, counts, self._settings.tare_limits, frames[n_frames - 1].t_s
         )
-        self._mean.reset()
+        self._frames.clear()
         self.tare_result = result
         self._tare_status = frames[n_frames - 1].status
         self._touch = self._new_touch(result)
@@ -356,7 +355,7 @@ class TactileSensor:
         """
         if self.tare_result is not None and self._force_bad is not None and not self.has_forces:
             self._write_zero(self.tare_result)
-        if self.latest is not None and self._mean.full:
+        if self.latest is not None and self._mean_full:
             latest = self.latest
             drift = self._quality.drift_anywhere(latest.tared_counts, latest.bad | latest.saturated)
             if drift:
@@ -386,20 +385,21 @@ class TactileSensor:
         if tare is not None:
             counts -= tare.offset_counts
         counts = fill_bad(self._hood, counts, bad)
-        tared = self._mean.step(counts)
+        self._frames.append(counts)
+        # With an array for each frame, summing is faster than np.mean over the queue.
+        tared = sum(self._frames, np.zeros_like(counts)) / len(self._frames)
         active = np.zeros_like(bad) if self._touch is None else self._touch.step(tared)
         force_n = np.where(active, self.calibration.force_n(tared), 0.0)
         pad_force_n = np.add.reduceat(force_n, self._pad_starts)
         all_n = self.calibration.force_n(counts)
         scan_n = np.where(active, all_n, 0.0)
-        first_n, second_n = (float(scan_n[taxels].sum()) for taxels in self._grips)
         reason = self._objection(frame, saturated & ~bad, bad, tared)
         if not reason and self.has_forces:
             self._compare(frame, counts, active, scan_n, all_n)
         for array in (tared, active, force_n, pad_force_n, saturated, bad):
             array.setflags(write=False)
         self._saturated_frames += bool((saturated & ~bad).any())
-        self._void_frames += bool(reason) and self._mean.full and self.tare_result is not None
+        self._void_frames += bool(reason) and self._mean_full and self.tare_result is not None
         first, second = self.layout.gripping_pads
         return TactileReading(
             frame=frame,
@@ -407,7 +407,7 @@ class TactileSensor:
             force_n=force_n,
             pad_force_n=pad_force_n,
             finger_force_n=(float(pad_force_n[first]), float(pad_force_n[second])),
-            scan_force_n=(first_n, second_n),
+            scan_force_n=self._on_fingers(scan_n),
             active=active,
             saturated=saturated,
             bad=bad,
@@ -425,28 +425,37 @@ class TactileSensor:
         all_n: Values,
     ) -> None:
         pad = self.layout.pads[self.layout.gripping_pads[0]]
-        centre_m = self._centres.of(scan_n)
-        centre, centre_noise = None, (0.0, 0.0)
-        noise_n = self._shown_noise_n(counts, active)
+        pitches_m = np.array([pad.pitch_x_m, pad.pitch_y_m])
+        noise_n, centre_m = self._touched_noise_n(counts, active), self._centres.of(scan_n)
+        centre, centre_noise = None, np.zeros(2)
         if centre_m is not None:
-            noise_m = self._centres.noise_m(scan_n, noise_n)
-            centre = (centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m)
-            centre_noise = (noise_m[0] / pad.pitch_x_m, noise_m[1] / pad.pitch_y_m)
-        shown = FrameForces(
+            centre = centre_m / pitches_m
+            centre_noise = self._centres.noise_m(scan_n, noise_n) / pitches_m
+        forces = FrameForces(
             scanned_s=frame.scanned_s,
-            force_n=(float(scan_n[self._grips[0]].sum()), float(scan_n[self._grips[1]].sum())),
+            force_n=self._on_fingers(scan_n),
             centre_taxels=centre,
             noise_n=self._frame_noise_n(noise_n),
             centre_noise_taxels=centre_noise,
-            whole_n=(float(all_n[self._grips[0]].sum()), float(all_n[self._grips[1]].sum())),
+            whole_n=self._on_fingers(all_n),
         )
         try:
-            self._force_check.compare(shown)
+            self._force_check.compare(forces)
         except ForceContradicted as fault:
             self._failed = fault
             raise
 
-    def _shown_noise_n(self, counts: Values, active: NDArray[np.bool_]) -> Values:
+    @property
+    def _mean_full(self) -> bool:
+        """Whether the mean is over all its frames."""
+        return len(self._frames) == self._frames.maxlen
+
+    def _on_fingers(self, taxels_n: Values) -> tuple[float, float]:
+        """Return the sum over the gripping pad of each finger."""
+        first_n, second_n = (float(taxels_n[taxels].sum()) for taxels in self._grips)
+        return first_n, second_n
+
+    def _touched_noise_n(self, counts: Values, active: NDArray[np.bool_]) -> Values:
         """Return the noise in N of each taxel of a gripping pad in one frame; 0 if not touched."""
         # A count is more force on a loaded taxel than on an empty one.
         slope = self.calibration.force_n(counts + 1.0) - self.calibration.force_n(counts)
@@ -458,13 +467,12 @@ class TactileSensor:
     def _frame_noise_n(self, noise_n: Values) -> float:
         """Return the noise in N of one finger's force in one frame, the larger one of both."""
         least = (_LEAST_TOUCHED * taxel_n**2 for taxel_n in self._taxel_noise_n)
-        shown = (float(noise_n[taxels] @ noise_n[taxels]) for taxels in self._grips)
-        return sqrt(_EDGE * max(*least, *shown))
+        return sqrt(_EDGE * max(*least, *self._on_fingers(noise_n**2)))
 
     def _watch_changes(self, frame: TactileFrame) -> None:
         last_s, self._last_s = self._last_s, frame.t_s
         if last_s is not None and frame.t_s - last_s > _GAP_S:
-            self._mean.reset()
+            self._frames.clear()
         latest = self.latest
         try:
             self._quality.step(frame, touched=latest is not None and bool(latest.active.any()))
@@ -485,7 +493,7 @@ class TactileSensor:
             return "the unit's converter failed its self-test"
         if (frame.status ^ self._tare_status) & FrameStatus.TARED:
             return "the unit has taken or dropped a zero of its own since the tare"
-        if not self._mean.full:
+        if not self._mean_full:
             return "too few frames since the tare or the last gap"
         grip = self._full_scale(saturated) or self._too_many_bad(bad)
         return grip or self._quality.drift_beside(tared, bad | saturated)

@@ -11,7 +11,6 @@ from tactile.layout import paper_layout
 from tactile.sensor.calibration import FoamCalibration, LinearCalibration, TableCalibration
 from tactile.sensor.filters import (
     ActiveTaxels,
-    MovingMean,
     Neighbourhood,
     fill_bad,
     smoothing_gain,
@@ -96,7 +95,6 @@ def test_smoothing_gain_is_what_noise_shrinks_by(passes: int) -> None:
 @pytest.mark.parametrize(
     ("make", "error", "says"),
     [
-        (lambda: MovingMean(0), ValueError, "0 frames"),
         (lambda: ActiveTaxels(HOOD, np.zeros(N)), ValueError, "above 0"),
         *(
             (partial(law, *values), CalibrationError, "gains")
