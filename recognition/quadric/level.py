@@ -27,6 +27,8 @@ with the number of averaged frames. Taxels at the edge of the patch then appear 
 the remaining noise and change the fitted surface."""
 _RIM = 1
 """Rings of unloaded taxels that the fit includes."""
+_LEAST_SHARE = 0.05
+"""Least load of a touched second pad, as a share of the first pad's."""
 _LOADED_SIGMAS = 4.0
 """Threshold of a loaded taxel in standard deviations of the mean."""
 _LEAST_HEIGHT = 0.004
@@ -129,14 +131,18 @@ class MeanFrames:
         frames = frames_at(grasp, force_n)
         rest = own_rest(grasp)
         ramp, adc_max = find_ramp(grasp, rest), grasp.pads.adc_max
-        noise = np.maximum(ramp.noise_counts, ROUNDING_COUNTS)
-        noise *= np.sqrt(1.0 / len(frames) + 1.0 / ramp.n_quiet)
+        noise = np.maximum(ramp.noise_counts, ROUNDING_COUNTS) / np.sqrt(len(frames))
         loaded = np.maximum(_LOADED_SIGMAS * noise, _LEAST_HEIGHT * adc_max).tolist()
-        height, touched = np.zeros(grasp.pads.n_taxels), dict[int, float]()
-        for number, pad in enumerate(rest.gripping):
-            height[grasp.pads.taxels_of(pad)] = ramp.rise[number][frames].mean(axis=0)
-            if ramp.touch[number] < grasp.n_frames:
-                touched[pad] = loaded[number]
+        noise *= np.sqrt(1.0 + len(frames) / ramp.n_quiet)
+        height, loads = np.zeros(grasp.pads.n_taxels), []
+        for pad, rise, least in zip(rest.gripping, ramp.rise, loaded, strict=True):
+            height[grasp.pads.taxels_of(pad)] = mean = rise[frames].mean(axis=0)
+            loads.append(float(mean[mean > least].sum()))
+        touched = {
+            pad: least
+            for pad, least, load in zip(rest.gripping, loaded, loads, strict=True)
+            if load > _LEAST_SHARE * max(loads)
+        }
         return cls(
             pads=grasp.pads,
             touched=touched,
