@@ -111,9 +111,9 @@ def keep_array(
 def _keep(
     record: object, name: str, values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...]
 ) -> None:
-    found = keep_array(record, name, values, dtype).shape
-    if found != shape:
-        raise ValueError(f"{name} has shape {found}, expected {shape}")
+    actual = keep_array(record, name, values, dtype).shape
+    if actual != shape:
+        raise ValueError(f"{name} has shape {actual}, expected {shape}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -313,12 +313,12 @@ def by_label(grasps: Sequence[Grasp]) -> dict[str, list[Grasp]]:
 
     Raises ValueError if a grasp has no label.
     """
-    found: defaultdict[str, list[Grasp]] = defaultdict(list)
+    members: defaultdict[str, list[Grasp]] = defaultdict(list)
     for number, grasp in enumerate(grasps):
         if not grasp.label:
             raise ValueError(f"grasp {number} has no label: label it to teach or to test")
-        found[grasp.label].append(grasp)
-    return {label: sorted(found[label], key=lambda g: g.start_ms) for label in sorted(found)}
+        members[grasp.label].append(grasp)
+    return {label: sorted(members[label], key=lambda g: g.start_ms) for label in sorted(members)}
 
 
 def series_of(grasps: Sequence[Grasp]) -> list[list[Grasp]]:
@@ -326,11 +326,11 @@ def series_of(grasps: Sequence[Grasp]) -> list[list[Grasp]]:
 
     Without a name, a pause of an hour begins a new series.
     """
-    found: list[list[Grasp]] = []
+    series: list[list[Grasp]] = []
     for grasp in sorted(grasps, key=lambda g: (g.series, g.start_ms)):
-        last = found[-1][-1] if found else grasp
+        last = series[-1][-1] if series else grasp
         paused = not grasp.series and grasp.start_ms - last.start_ms > SERIES_PAUSE_MS
-        if not found or paused or grasp.series != last.series:
-            found.append([])
-        found[-1].append(grasp)
-    return found
+        if not series or paused or grasp.series != last.series:
+            series.append([])
+        series[-1].append(grasp)
+    return series

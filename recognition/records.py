@@ -34,14 +34,14 @@ class ArrayRecord:
 
     def to_arrays(self, prefix: str = "") -> dict[str, NDArray[Any]]:
         """Return the fields under names that begin with the prefix; None is left out."""
-        found: dict[str, NDArray[Any]] = {}
+        arrays: dict[str, NDArray[Any]] = {}
         for one in fields(self):
             name, value = prefix + one.name, getattr(self, one.name)
             if isinstance(value, ArrayRecord):
-                found |= value.to_arrays(f"{name}_")
+                arrays |= value.to_arrays(f"{name}_")
             elif value is not None:
-                found[name] = np.asarray(value.values if isinstance(value, Numbers) else value)
-        return found
+                arrays[name] = np.asarray(value.values if isinstance(value, Numbers) else value)
+        return arrays
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, prefix: str = "") -> Self:

@@ -52,13 +52,13 @@ def read_labelled_grasps(path: Path, note: Callable[[str], None]) -> tuple[Grasp
 def duplicate_grasps(grasps: Sequence[Grasp]) -> list[Grasp]:
     """Return the grasps that repeat an earlier one: same time, same frames."""
     seen: dict[int, list[Grasp]] = {}
-    found = []
+    repeated = []
     for grasp in grasps:
         others = seen.setdefault(grasp.start_ms, [])
         if any(np.array_equal(grasp.counts, other.counts) for other in others):
-            found.append(grasp)
+            repeated.append(grasp)
         others.append(grasp)
-    return found
+    return repeated
 
 
 def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:

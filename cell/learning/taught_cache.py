@@ -57,8 +57,8 @@ def keep_model(config: CellConfig, write: Callable[[Path], object]) -> Path:
         write(Path(new))
         shutil.rmtree(folder, ignore_errors=True)
         Path(new).rename(folder)
-    kept = sorted(folder.parent.glob("taught-*"), key=lambda one: one.stat().st_mtime)
-    for old in kept[:-_KEPT_MAX]:
+    models = sorted(folder.parent.glob("taught-*"), key=lambda one: one.stat().st_mtime)
+    for old in models[:-_KEPT_MAX]:
         shutil.rmtree(old, ignore_errors=True)
     return folder / MODEL_FILE
 

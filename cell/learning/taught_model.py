@@ -253,10 +253,10 @@ class TaughtModel:
         not accumulate. Raises as `check_gauge` and `gauged`; nothing changes then.
         """
         taught = self.check_gauge(label)
-        found = gauged(taught.without_gauges(), label, grasps)
-        self._trained = replace(self.check_taught(), recognizer=found)
+        recognizer = gauged(taught.without_gauges(), label, grasps)
+        self._trained = replace(self.check_taught(), recognizer=recognizer)
         self._drift_remarked = False
-        return taught.grid.drift, found.grid.drift
+        return taught.grid.drift, recognizer.grid.drift
 
     def forget_drift(self) -> None:
         """Reset the followed drift, e.g. after work on the sensors."""
@@ -332,8 +332,8 @@ class TaughtModel:
         recognizer, training_set = trained.recognizer, trained.training_set
         if grasps := self.training_set:
             if self._written[0] is not grasps or self._written[1].parent != path.parent:
-                write_dataset(beside := training_set_file(path), grasps)
-                self._written = (grasps, beside)
+                write_dataset(dataset := training_set_file(path), grasps)
+                self._written = (grasps, dataset)
             training_set = training_section(*self._written)
         if followed and isinstance(recognizer, DriftFollowing):
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_kept())

@@ -106,7 +106,7 @@ def told_apart(grasps: Sequence[Grasp], label: str, trainer: Trainer) -> ToldApa
     names = sorted({grasp.label for grasp in grasps})
     none = ToldApart(nearest=None, mistaken_share=None)
     folds = blocked_folds(np.array([names.index(grasp.label) for grasp in grasps]), _FOLDS)
-    found: list[Posterior] = []
+    answers: list[Posterior] = []
     for held_out in folds if len(names) > 1 else ():
         taught = [grasp for grasp, out in zip(grasps, held_out, strict=True) if not out]
         tested = [g for g, out in zip(grasps, held_out, strict=True) if out and g.label == label]
@@ -114,15 +114,15 @@ def told_apart(grasps: Sequence[Grasp], label: str, trainer: Trainer) -> ToldApa
             recognizer = trainer.fit(taught)
         except ValueError:  # too few grasps remain
             return none
-        found += [recognizer.posterior(grasp) for grasp in tested]
-    others = [name for name in found[0].labels if name != label] if found else []
+        answers += [recognizer.posterior(grasp) for grasp in tested]
+    others = [name for name in answers[0].labels if name != label] if answers else []
     if not others:
         return none
 
     def likeness(name: str) -> float:
-        return sum(float(one.probability[one.labels.index(name)]) for one in found)
+        return sum(float(one.probability[one.labels.index(name)]) for one in answers)
 
     return ToldApart(
         nearest=max(others, key=likeness),
-        mistaken_share=sum(one.best != label for one in found) / len(found),
+        mistaken_share=sum(one.best != label for one in answers) / len(answers),
     )

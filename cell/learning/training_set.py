@@ -42,12 +42,12 @@ def check_training_set(model: LoadedModel, grasps: Sequence[Grasp]) -> None:
         return
     labels = {grasp.label for grasp in grasps}
     section = model.training_set
-    kept, count = section.get("sha256"), str(section.get("grasps", len(grasps)))
+    checksum, count = section.get("sha256"), str(section.get("grasps", len(grasps)))
     n_trained = int(count) if count.isdecimal() and len(count) < 10 else len(grasps)
     if (
         not labels.issuperset(model.labels)
         or not grasps[0].pads.same_as(model.pads)
-        or (kept is not None and str(kept) != _checksum(grasps[:n_trained]))
+        or (checksum is not None and str(checksum) != _checksum(grasps[:n_trained]))
     ):
         raise ModelError(
             f"{model.path} ({', '.join(model.labels)}) was trained with another training set than "

@@ -316,9 +316,9 @@ class VirtualPads:
             gains = rng.lognormal(0.0, course.pad_gain_sd) * np.exp(
                 rng.normal(0.0, course.taxel_gain_sd, len(bed.taxels))
             )
-            felt_n = pressed.taxel_force_n(depth_m)
-            felt_n += lag * (_slowly(felt_n, _SLOW_S / course.period_s) - felt_n)
-            counts[:, bed.taxels] += self.pads.adc_max * foam.response(felt_n * gains) ** bend
+            taxels_n = pressed.taxel_force_n(depth_m)
+            taxels_n += lag * (_slowly(taxels_n, _SLOW_S / course.period_s) - taxels_n)
+            counts[:, bed.taxels] += self.pads.adc_max * foam.response(taxels_n * gains) ** bend
         return counts, depth_sum_m
 
     def _approach(

@@ -133,9 +133,9 @@ def _within(
 
 def _uint16(what: str, values: object, shape: tuple[int, ...]) -> None:
     if isinstance(values, np.ndarray):
-        found = f"{values.dtype} {values.shape}"
+        actual = f"{values.dtype} {values.shape}"
         if values.dtype == np.uint16 and values.shape == shape:
             return
     else:
-        found = f"of type {type(values).__name__}"
-    raise ValueError(f"{what} is {found}, must be uint16 {shape}")
+        actual = f"of type {type(values).__name__}"
+    raise ValueError(f"{what} is {actual}, must be uint16 {shape}")

@@ -1,7 +1,7 @@
 """Grid of drifts: hypotheses of gain and opening since teaching, each with its weight.
 
 A self-zero gives the prior. A gauge multiplies the weights by the likelihood of its known object,
-blurred by the placing of objects. A grasp of an unnamed object multiplies them by its likelihood
+likelihood by the placing of objects. A grasp of an unnamed object multiplies them by its likelihood
 under any taught object or a new one, to a power, because grasps share errors. An answer is the sum
 over the grid.
 """
@@ -125,16 +125,16 @@ class DriftGrid(ArrayRecord):
             Standard deviation of the opening on one object between placings in mm.
         """
         shape = (len(self.log_gains), len(self.offsets_mm))
-        found = np.broadcast_to(log_likelihood, shape)
+        total = np.broadcast_to(log_likelihood, shape)
         for axis, values, sd in (
             (0, self.log_gains, _PLACING_LOG_GAIN),
             (1, self.offsets_mm, max(placing_mm, 0.5 * _OFFSET_STEP_MM)),
         ):
             blur = -0.5 * ((values[:, None] - values) / sd) ** 2
             blur = blur - logsumexp(blur, axis=1, keepdims=True)
-            found = logsumexp(np.expand_dims(np.moveaxis(found, axis, -1), -2) + blur, axis=-1)
-            found = np.moveaxis(found, -1, axis)
-        return replace(self, gauged=self.gauged + found - found.max(), n_gauged=self.n_gauged + 1)
+            total = logsumexp(np.expand_dims(np.moveaxis(total, axis, -1), -2) + blur, axis=-1)
+            total = np.moveaxis(total, -1, axis)
+        return replace(self, gauged=self.gauged + total - total.max(), n_gauged=self.n_gauged + 1)
 
     def with_unnamed(self, log_likelihood: NDArray[np.float64]) -> Self:
         """Return the grid after an unnamed grasp; (G, O) or (G, 1), as `with_gauge`."""

@@ -135,15 +135,15 @@ def measure_zero(
     both = np.stack([e.sum(axis=1) for e in evened]).mean(axis=0)
     log_scale, log_scale_sd = _scale(both, pads_n[pressing])
     top = both >= _TOP_SHARE * both.max()
-    shown = np.maximum(middle[top].mean() + xy_m @ gradient * 1e3, 0.0)
+    planes = np.maximum(middle[top].mean() + xy_m @ gradient * 1e3, 0.0)
     spread = footprint[top].mean(axis=0)
     noise = np.concatenate([b.std(axis=0) for b in before]).mean() / np.sqrt(top.sum())
-    unexplained = max(float(((spread - shown) ** 2).mean()) - noise**2, 0.0)
+    unexplained = max(float(((spread - planes) ** 2).mean()) - noise**2, 0.0)
     dead = [
         int(taxel)
-        for t, felt in zip(taxels, evened, strict=True)
-        if len(t) == len(shown)
-        for taxel, one, expected in zip(t, felt[top].mean(axis=0), shown, strict=True)
+        for t, evened_pad in zip(taxels, evened, strict=True)
+        if len(t) == len(planes)
+        for taxel, one, expected in zip(t, evened_pad[top].mean(axis=0), planes, strict=True)
         if one < _DEAD_SHARE * expected and expected > _DEAD_SIGMAS * noise
     ]
     per_mm = np.exp(met.log_counts_mm)
@@ -165,7 +165,7 @@ def measure_zero(
 
 
 def anchored(
-    found: ZeroMeasurement, n_a: float, log_gain: float, log_gain_sd: float
+    measured: ZeroMeasurement, n_a: float, log_gain: float, log_gain_sd: float
 ) -> ZeroMeasurement:
     """Return a measurement whose scale does not depend on the law of the pads.
 
@@ -177,10 +177,10 @@ def anchored(
         Logarithm of the force by the law over that by the motor constants, and its standard
         deviation.
     """
-    zero = found.zero
+    zero = measured.zero
     log_scale = zero.log_scale + log_gain + float(np.log(n_a))
     sd = min(float(np.hypot(zero.log_scale_sd, log_gain_sd)), _UNKNOWN_SD)
-    return replace(found, zero=replace(zero, log_scale=log_scale, log_scale_sd=sd))
+    return replace(measured, zero=replace(zero, log_scale=log_scale, log_scale_sd=sd))
 
 
 def drawn_zero(opening_m: float = 0.0, opening_sd_m: float = _DRAWN_SD_M) -> SelfZero:
@@ -226,12 +226,12 @@ def shows_part(grasp: Grasp, gripping: tuple[int, int]) -> bool:
         return False
     xy_m = grasp.pads.taxel_xy_m[grasp.pads.taxels_of(gripping[0])]
     gradient, middle = _gradient(spread, xy_m * 1e3)
-    shown = np.maximum(middle + xy_m @ gradient * 1e3, 0.0)
+    plane = np.maximum(middle + xy_m @ gradient * 1e3, 0.0)
     # Noise of the mean, and the random variation of its square over all taxels.
     n_pads = 2 if alike else 1
     noise = float(np.concatenate([b.var(axis=0) for b in before]).mean()) / (n_pads * len(newest))
     chance = noise * (1.0 + _SURE_SIGMAS * np.sqrt(2.0 / spread.size))
-    unexplained = float(((spread - shown) ** 2).mean() - chance)
+    unexplained = float(((spread - plane) ** 2).mean() - chance)
     return unexplained > (1.0 - _LEAST_FIT) * float((spread**2).mean())
 
 
@@ -292,8 +292,8 @@ def foam_change(taught: SelfZero, today: SelfZero) -> float | None:
     """Return the stiffness of the foam over that of teaching; None without a clear change."""
     by_force, force_var, by_way, way_var = _shown(taught, today)
     log_ratio = by_way - by_force
-    shown = log_ratio**2 > _SHOWN_SIGMAS**2 * (force_var + way_var)
-    return float(np.exp(log_ratio)) if shown else None
+    clear = log_ratio**2 > _SHOWN_SIGMAS**2 * (force_var + way_var)
+    return float(np.exp(log_ratio)) if clear else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -427,11 +427,11 @@ def _meeting(
     least = np.ptp(middle) / (np.ptp(opening_mm) + 2.0 * step_mm)
     log_k = np.log(max(least, 1e-6)) + np.linspace(-0.5, 1.0, _STIFFNESSES)
     # The zero of each frame for each stiffness, known to one step of the encoders.
-    shown_mm = opening_mm + middle / np.exp(log_k)[:, None]
-    zero_mm = np.linspace(shown_mm.mean(axis=1).min(), shown_mm.mean(axis=1).max(), _ZEROS)
+    zeros_mm = opening_mm + middle / np.exp(log_k)[:, None]
+    zero_mm = np.linspace(zeros_mm.mean(axis=1).min(), zeros_mm.mean(axis=1).max(), _ZEROS)
     log_weight = np.zeros((_STIFFNESSES, _ZEROS))
     for finger in np.unique(alone):
-        off_mm = shown_mm[:, None, alone == finger] - zero_mm[:, None]
+        off_mm = zeros_mm[:, None, alone == finger] - zero_mm[:, None]
         one_mm = 0.25 * step_mm
         errors_mm = [0.0] if finger < 0 else np.linspace(-one_mm, one_mm, _ERRORS)
         box_mm = 0.5 * step_mm if finger < 0 else one_mm

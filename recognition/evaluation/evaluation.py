@@ -170,8 +170,8 @@ def evaluate(
             new = answers(recognizer, untaught, mapper)
             scored.append(
                 tuple(
-                    [(p.unknown, g.label) for p, g in zip(found, grasps, strict=True)]
-                    for found, grasps in ((answered, here), (new, untaught))
+                    [(p.unknown, g.label) for p, g in zip(some, grasps, strict=True)]
+                    for some, grasps in ((answered, here), (new, untaught))
                 )
             )
         if len(parts) == 1:

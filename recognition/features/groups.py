@@ -25,7 +25,7 @@ from recognition.features.footprint import (
 from recognition.ramp.levels import Levels
 from recognition.ramp.ramp import Rest
 
-FEATURE_VERSION = 12
+FEATURE_VERSION = 13
 """Version of the features and of their use in a model. Models of another version are refused."""
 
 

@@ -91,7 +91,7 @@ def sweep(D: NDArray[np.float64], settings: SweepSettings = PAPER_SWEEP) -> Traj
     begin = 0
     for factor in settings.scale:
         M_inv = (scaling(1.0 / factor) @ turned @ back).reshape(-1, 4, 4)
-        found = smallest_eigenvalue(by_inverse(D[:, None], M_inv), settings.reading)
-        value[:, begin : begin + len(M_inv)] = found.value
+        smallest = smallest_eigenvalue(by_inverse(D[:, None], M_inv), settings.reading)
+        value[:, begin : begin + len(M_inv)] = smallest.value
         begin += len(M_inv)
     return Trajectory(value=value, settings=settings)

@@ -347,10 +347,10 @@ def _with_stuck_replaced(
     replaced = rise.copy()
     for taxel in np.flatnonzero(stuck):
         row, column = divmod(int(taxel), columns)
-        beside = [
+        neighbours = [
             r * columns + c
             for r, c in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1))
             if 0 <= r < rows and 0 <= c < columns and not stuck[r * columns + c]
         ]
-        replaced[:, taxel] = rise[:, beside].mean(axis=1) if beside else 0.0
+        replaced[:, taxel] = rise[:, neighbours].mean(axis=1) if neighbours else 0.0
     return replaced

@@ -239,18 +239,18 @@ class KindEvidence:
 def evidence_of(fit: ShapeFit, scale: float, log_prior: float = 0.0) -> KindEvidence:
     """Return the evidence of a fit, with ``scale`` times the variances of its data."""
     n = len(fit.theta)
-    kept = np.r_[0, n - fit.n_shared : n]
-    gone = np.setdiff1d(np.arange(n), kept)
+    shared = np.r_[0, n - fit.n_shared : n]
+    integrated = np.setdiff1d(np.arange(n), shared)
     precision = fit.normal / scale + np.diag(fit.prior_sd**-2)
-    cross = precision[np.ix_(gone, kept)]
-    inner = precision[np.ix_(gone, gone)]
-    left = precision[np.ix_(kept, kept)] - cross.T @ np.linalg.solve(inner, cross)
-    at, mean, weight = fit.theta[kept], fit.prior_mean[kept], fit.prior_sd[kept] ** -2
+    cross = precision[np.ix_(integrated, shared)]
+    inner = precision[np.ix_(integrated, integrated)]
+    left = precision[np.ix_(shared, shared)] - cross.T @ np.linalg.solve(inner, cross)
+    at, mean, weight = fit.theta[shared], fit.prior_mean[shared], fit.prior_sd[shared] ** -2
     away = (fit.theta - fit.prior_mean) / fit.prior_sd
     _, volume = np.linalg.slogdet(inner)
     peak = (
         -0.5 * (fit.chi2 / scale + away @ away + volume)
-        - np.log(np.delete(fit.prior_sd, kept)).sum()
+        - np.log(np.delete(fit.prior_sd, shared)).sum()
     )
     return KindEvidence(
         kind=fit.model.kind,
@@ -258,7 +258,7 @@ def evidence_of(fit: ShapeFit, scale: float, log_prior: float = 0.0) -> KindEvid
         eta=left @ at - weight * mean,
         precision=left - np.diag(weight),
         prior_mean=mean,
-        prior_sd=fit.prior_sd[kept],
+        prior_sd=fit.prior_sd[shared],
         log_prior=log_prior,
         log_half_mm=float(at[0]),
         dimensions_m=fit.dimensions_m(),

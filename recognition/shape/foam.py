@@ -141,10 +141,10 @@ class FoamModel:
 
     def response(self, force_n: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the reading of taxels under ``force_n`` N as a share of the full scale."""
-        felt_n = self.gain * force_n
+        taxel_n = self.gain * force_n
         if self.nodes is not None:
-            return np.interp(felt_n, *self.nodes)
-        return -np.expm1(-DECAY_PER_N * felt_n)
+            return np.interp(taxel_n, *self.nodes)
+        return -np.expm1(-DECAY_PER_N * taxel_n)
 
 
 class PadBed:

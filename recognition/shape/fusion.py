@@ -131,22 +131,22 @@ def _joint(items: Sequence[KindEvidence], faces: Faces) -> tuple[float, Array, A
     precision, eta = np.diag(sd**-2), mean / sd**2
     level = -0.5 * float((mean / sd) @ (mean / sd)) - float(np.log(sd).sum())
     for number, face in enumerate(faces):
-        kept = np.r_[number, n_faces:n]
+        places = np.r_[number, n_faces:n]
         for i in face:
-            precision[np.ix_(kept, kept)] += items[i].precision
-            eta[kept] += items[i].eta
+            precision[np.ix_(places, places)] += items[i].precision
+            eta[places] += items[i].eta
             level += items[i].level
     covariance = np.linalg.inv(precision)
-    found = covariance @ eta
+    means = covariance @ eta
     _, volume = np.linalg.slogdet(precision)
-    log_evidence = level + 0.5 * float(eta @ found) - 0.5 * float(volume)
-    return log_evidence, found[:n_faces], np.sqrt(np.diag(covariance)[:n_faces])
+    log_evidence = level + 0.5 * float(eta @ means) - 0.5 * float(volume)
+    return log_evidence, means[:n_faces], np.sqrt(np.diag(covariance)[:n_faces])
 
 
 def _dimensions_m(of_face: Sequence[KindEvidence], size_m: float) -> dict[str, float]:
     """Return the median of all dimensions, except the thickness, which is known better."""
     names = list(of_face[0].dimensions_m)
-    found = {
+    medians = {
         name: float(np.median([item.dimensions_m[name] for item in of_face])) for name in names
     }
-    return found | {names[0]: size_m}
+    return medians | {names[0]: size_m}

@@ -80,10 +80,10 @@ class PressedPads:
 
         Residuals are ordered by taxel, then by level; others follow.
         """
-        found = np.ones(n_data, dtype=bool)
+        informative = np.ones(n_data, dtype=bool)
         levels = np.repeat(self.pressed, len(self.share))
-        found[: len(levels)] = levels
-        return found
+        informative[: len(levels)] = levels
+        return informative
 
 
 def reduce_to_pads(grasp: Grasp, foam: FoamModel) -> PressedPads:

@@ -197,16 +197,16 @@ class ShapeProblem:
         """
         data, uncertainty = self.data, self.uncertainty
         force_n = self.forces_n(theta) if force_n is None else force_n
-        felt_n = np.maximum(force_n, 1e-9) * np.exp(theta[:, self.rest + 1])[:, None, None]
-        share = self.foam.response(felt_n)
+        taxel_n = np.maximum(force_n, 1e-9) * np.exp(theta[:, self.rest + 1])[:, None, None]
+        share = self.foam.response(taxel_n)
         share = share ** np.exp(theta[:, self.rest + 4])[:, None, None]
         away = (share - data.share).transpose(0, 2, 1)[..., None]
         parts = [(data.whitener @ away).reshape(len(theta), -1)]
         if self._has_aperture:
             depth_m = 1e-3 * theta[:, self.depth : self.rest]
             thick_m = 2e-3 * np.exp(theta[:, :1])
-            shown_m = thick_m - 2.0 * depth_m + 1e-3 * theta[:, -1:]
-            parts.append((shown_m - data.aperture_m) / uncertainty.aperture_jitter_m)
+            opening_m = thick_m - 2.0 * depth_m + 1e-3 * theta[:, -1:]
+            parts.append((opening_m - data.aperture_m) / uncertainty.aperture_jitter_m)
         if self._has_force:
             total_n = force_n[:, -1].sum(axis=1, keepdims=True)
             parts.append(

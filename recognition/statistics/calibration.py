@@ -51,8 +51,8 @@ def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.int64]) -> 
     grid = np.linspace(*_LOG_TEMPERATURES, _N_TEMPERATURES)
     best = float(grid[int(np.argmin([loss(float(t)) for t in grid]))])
     step = float(grid[1] - grid[0])
-    found = minimize_scalar(loss, bounds=(best - step, best + step), method="bounded")
-    return float(np.exp(found.x))
+    refined = minimize_scalar(loss, bounds=(best - step, best + step), method="bounded")
+    return float(np.exp(refined.x))
 
 
 def check_temperature(temperature: float) -> None:

@@ -50,15 +50,15 @@ class TaughtSizes(ArrayRecord):
 
         ``slack_mm`` (O,) adds to the units. ``objects`` (n, G, O) are those compared with.
         """
-        found = np.zeros(objects.shape)
+        squared = np.zeros(objects.shape)
         unit_mm2 = self.unit_mm**2 + slack_mm[:, None, None] ** 2
         for c in np.unique(objects):
             rows = np.flatnonzero((objects == c).any(axis=(1, 2)))
             own = slice(*np.searchsorted(self.classes, (c, c + 1)))
             off_mm = sizes_mm[rows, :, None] - self.mm[own]
             nearest = (off_mm**2 / unit_mm2).sum(axis=-1).min(axis=-1)
-            found[rows] = np.where(objects[rows] == c, nearest[:, None], found[rows])
-        return found
+            squared[rows] = np.where(objects[rows] == c, nearest[:, None], squared[rows])
+        return squared
 
 
 def fit_sizes(sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]) -> TaughtSizes:
@@ -75,8 +75,8 @@ def fit_sizes(sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]) -> Taug
     total_mm2 = _PRIOR_GRASPS * np.array(_PRIOR_MM[: sizes_mm.shape[1]]) ** 2
     total_mm2 = total_mm2 + _WITHOUT_LARGEST * np.concatenate(usual_mm2).sum(axis=0)
     unit_mm = np.sqrt(total_mm2 / (_PRIOR_GRASPS + sum(map(len, usual_mm2))))
-    kept = np.concatenate([_inner(sizes_mm / unit_mm, classes == c) for c in np.unique(classes)])
-    return TaughtSizes(mm=sizes_mm[kept], classes=classes[kept], unit_mm=unit_mm)
+    inner = np.concatenate([_inner(sizes_mm / unit_mm, classes == c) for c in np.unique(classes)])
+    return TaughtSizes(mm=sizes_mm[inner], classes=classes[inner], unit_mm=unit_mm)
 
 
 def _inner(sizes: NDArray[np.float64], members: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -296,13 +296,13 @@ class TactileLink:
         def write() -> None:
             self.objects.write(od.FORCE_ZERO, sent)
             self._take_forces()
-            found = self.objects.read(od.FORCE_ZERO)
+            stored = self.objects.read(od.FORCE_ZERO)
             old = [one for one in self._take_forces() if not one.status & ForceStatus.ZEROED]
             late_s = len(old) * self.settings.force_period_s
             if late_s > self.settings.force_late_s:
                 raise flow.too_late(late_s)
             refuse_mismatch(
-                [Check("zero of the force", sent.hex(), found.hex())],
+                [Check("zero of the force", sent.hex(), stored.hex())],
                 f"{self._name} did not keep its zero",
             )
             self._take_forces()
@@ -397,9 +397,9 @@ class TactileLink:
             left_s = deadline_s - self._clock.monotonic()
             if left_s <= 0.0:
                 heard = ", ".join(str(node) for node in sorted(self._network.scanner.nodes))
-                found = f"node-IDs heard: {heard}" if heard else "no node is heard on this bus"
+                nodes = f"node-IDs heard: {heard}" if heard else "no node is heard on this bus"
                 raise NodeMissing(
-                    f"{self._name} {failure} within {timeout_s:g} s; {found}. Check the unit's "
+                    f"{self._name} {failure} within {timeout_s:g} s; {nodes}. Check the unit's "
                     "supply, node-ID, bit rate, CAN cable and termination"
                 )
             self._source.wait(left_s)

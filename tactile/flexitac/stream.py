@@ -134,9 +134,9 @@ class FrameStream:
 
 def _offsets(data: bytearray, size: int, n_frames: int) -> list[int]:
     """Return each offset below ``size`` with a header in all of ``n_frames`` frames."""
-    found, offset = [], data.find(HEADER)
+    offsets, offset = [], data.find(HEADER)
     while 0 <= offset < size:
         if all(data.startswith(HEADER, offset + n * size) for n in range(1, n_frames)):
-            found.append(offset)
+            offsets.append(offset)
         offset = data.find(HEADER, offset + 1)
-    return found
+    return offsets

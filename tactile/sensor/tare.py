@@ -183,16 +183,16 @@ def _refuse_touch(hood: Neighbourhood, offset: Values, limits: TareLimits) -> No
 
 def _refuse_pressed_pad(hood: Neighbourhood, offset: Values, limits: TareLimits) -> None:
     layout = hood.layout
-    beside = [
+    others = [
         np.median(offset[layout.taxels_of(pad)])
         for pad in range(layout.n_pads)
         if pad not in layout.gripping_pads
     ]
-    if not beside:
+    if not others:
         return
     limit = limits.pad_share * layout.adc_max
     for pad in layout.gripping_pads:
-        excess = float(np.median(offset[layout.taxels_of(pad)])) - float(np.median(beside))
+        excess = float(np.median(offset[layout.taxels_of(pad)])) - float(np.median(others))
         if excess > limit:
             raise TareRefused(
                 f"pad {layout.pads[pad].name} reads {excess:.1f} counts more than the pads that "

@@ -69,8 +69,8 @@ class _Board(Board):
             self._begun_s = t_s
         self._xyz[place] = xyz
         if len(self._xyz) == len(self._place):
-            found = np.array([self._xyz[n] for n in range(len(self._place))], dtype=np.uint16)
-            self.waiting = (self._begun_s, t_s, found)
+            cycle = np.array([self._xyz[n] for n in range(len(self._place))], dtype=np.uint16)
+            self.waiting = (self._begun_s, t_s, cycle)
             self._ends_s.append(t_s)
             self.saw(t_s)
             self._xyz.clear()
@@ -174,11 +174,11 @@ class UskinSource(PolledBoards[_Board]):
             if board is None or of_another_kind(message):
                 self._foreign += 1
                 continue
-            found = samples(message.data)
-            if found is None:
+            xyz = samples(message.data)
+            if xyz is None:
                 self._malformed += 1
                 continue
-            self._frames.torn += board.take(message.arbitration_id, found, t_s)
+            self._frames.torn += board.take(message.arbitration_id, xyz, t_s)
             if all(board.waiting is not None for board in self._boards):
                 frames.append(self._newest())
         for board in self._boards:
@@ -190,12 +190,12 @@ class UskinSource(PolledBoards[_Board]):
         return frames
 
     def _newest(self) -> TactileFrame:
-        found = [board.waiting for board in self._boards if board.waiting is not None]
-        xyz = np.concatenate([found[pad.finger][2] for pad in self.layout.pads])
+        cycles = [board.waiting for board in self._boards if board.waiting is not None]
+        xyz = np.concatenate([cycles[pad.finger][2] for pad in self.layout.pads])
         z = (FULL_SCALE - xyz[:, 2]).astype(np.uint16) if self._falling else xyz[:, 2]
         for board in self._boards:
             board.waiting = None
-        begun_s, end_s = min(one[0] for one in found), max(one[1] for one in found)
+        begun_s, end_s = min(one[0] for one in cycles), max(one[1] for one in cycles)
         return self._frame(z, begun_s, end_s, xyz[:, :2])
 
     def close(self) -> None:

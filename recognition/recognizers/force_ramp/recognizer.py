@@ -115,7 +115,7 @@ class ForceRampRecognizer(TaughtRecord):
         of_each = logsumexp(joint, axis=(0, 1))
         probability[evidence.classes] = np.exp(of_each - logsumexp(of_each))
         any_day = grid.offset_sd_mm(np.exp(log_weight)) / DriftPrior().offset_sd_mm
-        even = max(UNIFORM_SHARE, evidence.view.doubt * min(1.0, any_day**2))
+        even = max(UNIFORM_SHARE, evidence.view.even_share * min(1.0, any_day**2))
         probability = (1.0 - even) * probability + even / len(self.labels)
         probability /= probability.sum()
         log_share = log_weight + evidence.of_any(_NEW_IN_ANSWER * self.caution)
@@ -176,11 +176,11 @@ class ForceRampRecognizer(TaughtRecord):
             )
         number = self.labels.index(label)
         every = [self.evidence(grasp, also=number) for grasp in grasps]
-        found = [e for e in every if e is not None]
-        if not found:
+        touched = [e for e in every if e is not None]
+        if not touched:
             raise ValueError("no gauge grasp touched both pads: grasp the gauge object again")
-        view = found[0].view
-        each = [e.log_likelihood[..., e.classes == number] for e in found if e.view is view]
+        view = touched[0].view
+        each = [e.log_likelihood[..., e.classes == number] for e in touched if e.view is view]
         total = np.sum(each, axis=0)[..., 0]
         return self.with_grid(self.grid_at(grasps[0]).with_gauge(total, view.placing_mm))
 
@@ -193,10 +193,10 @@ class ForceRampRecognizer(TaughtRecord):
 
         A missed grasp changes nothing. Raises ValueError for pads other than the taught ones.
         """
-        found = self.evidence(grasp)
-        if found is None:
+        evidence = self.evidence(grasp)
+        if evidence is None:
             return self
-        return self.with_grid(self.grid_at(grasp).with_unnamed(found.of_any()))
+        return self.with_grid(self.grid_at(grasp).with_unnamed(evidence.of_any()))
 
     def grid_at(self, grasp: Grasp) -> DriftGrid:
         """Return the drift at a grasp: a new self-zero gives a new prior."""

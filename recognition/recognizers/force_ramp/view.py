@@ -123,13 +123,13 @@ class ClassModel(ArrayRecord):
         z = parts[0][:, :, None] + parts[1][:, None]
         shape, rank = z.shape[:3], z.shape[3]
         unit = np.ones(shape)
-        n_beside = len(model.mean) - rank
-        if n_beside:
+        n_outside = len(model.mean) - rank
+        if n_outside:
             a, b = touch @ model.whitening[:n_touch], opening @ model.whitening[n_touch:]
             every = (a**2).sum(-1)[:, :, None] + (b**2).sum(-1)[:, None]
             every = every + 2.0 * (a @ b.transpose(0, 2, 1))
-            beside = np.maximum(every - (z**2).sum(-1), 0.0) / n_beside
-            unit = (1.0 + beside) ** (SETTINGS.beside_power * rank / (rank + SETTINGS.beside_axes))
+            outside = np.maximum(every - (z**2).sum(-1), 0.0) / n_outside
+            unit = (1.0 + outside) ** (SETTINGS.beside_power * rank / (rank + SETTINGS.beside_axes))
         lengths = (z**2).sum(axis=-1)
         distances = _squared_distances(parts, lengths, model.centres)
         classes, taught = np.arange(len(model.centres)), self.taught
@@ -188,7 +188,7 @@ class View(ArrayRecord):
     """Log likelihood of a grasp of a new object."""
     placing_mm: float
     """Standard deviation of the opening on one object between placings in mm."""
-    doubt: float
+    even_share: float
     """Share of even probabilities in an answer if the opening's zero is unknown. It limits the
     wrong names under simulated drifts of other days."""
 
@@ -202,7 +202,7 @@ class View(ArrayRecord):
 
         These are log likelihoods (n, G, O, K), and the probability of a new object (n, G, O).
         """
-        found = self.model.score(features, likely=SETTINGS.likely, also=also)
+        scored = self.model.score(features, likely=SETTINGS.likely, also=also)
         used = 1 + bool(features.sizes_mm.size)
-        odds = SETTINGS.novelty_slope * (found.novelty - self.limit)[..., :used].max(axis=-1)
-        return found.classes, found.scores / self.temperature, expit(odds)
+        odds = SETTINGS.novelty_slope * (scored.novelty - self.limit)[..., :used].max(axis=-1)
+        return scored.classes, scored.scores / self.temperature, expit(odds)

@@ -59,7 +59,7 @@ class ViewSettings:
     # Novelty
     novelty_slope: float = 2.0
     """Log odds of a new object for each unit of the novelty [taught part]."""
-    kept: float = 0.97
+    known_share: float = 0.97
     """Share of held-out grasps below the limit of novelty [6]."""
     usual_novelty: float = 3.0
     """Expected mean novelty of held-out grasps, without the size [6]."""
@@ -74,9 +74,9 @@ class ViewSettings:
     """Spread of the opening between placings of other days, over that of a series [taught part]."""
     least_placing_mm: float = 0.3
     """Least spread of the opening between placings in mm [taught part]."""
-    doubt_grasps: int = 150
+    even_grasps: int = 150
     """About the number of held-out grasps for the certainty of names on other days [time]."""
-    doubt_days: int = 8
+    even_days: int = 8
     """Simulated days of each of them [time]."""
     wrong: float = 0.03
     """Largest share of wrong names among them; below 5 %, because the foam is the same [6]."""

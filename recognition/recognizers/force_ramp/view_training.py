@@ -1,4 +1,4 @@
-"""Teaching of a view: its discriminant, and on held-out grasps temperature, limits and doubt."""
+"""Teaching of a view: its discriminant; temperature, limits and even share on held-out grasps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -54,7 +54,7 @@ def fit_view(
         limit=_limit(novelty, whole.taught.shape[1]),
         log_new=float(np.quantile(known, SETTINGS.new_quantile)),
         placing_mm=_placing_mm(levels, classes) if opening else 0.0,
-        doubt=_doubt(teaching, held, temperature) if opening else 0.0,
+        even_share=_even_share(teaching, held, temperature) if opening else 0.0,
     )
 
 
@@ -79,11 +79,11 @@ class _Teaching:
     @cached_property
     def every(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Features (n, F) and sizes in mm (n, k) of all grasps, without any drift."""
-        n, found = len(self.levels), []
+        n, parts = len(self.levels), []
         for rows in np.array_split(np.arange(n), -(-n // _AT_A_TIME)):
             some = self.undone(self.levels.take(rows), np.zeros(len(self.unit)))
-            found.append((_rows(some), some.sizes_mm[:, 0].copy()))
-        features, sizes_mm = map(np.concatenate, zip(*found, strict=True))
+            parts.append((_rows(some), some.sizes_mm[:, 0].copy()))
+        features, sizes_mm = map(np.concatenate, zip(*parts, strict=True))
         return features, sizes_mm
 
     def undone(self, levels: Levels, drift: NDArray[np.float64]) -> Features:
@@ -129,11 +129,11 @@ class _Teaching:
         spread = None
         if not self.opening and len(names) > 1:
             spread = fit_class_spread(z, numbers, discriminant.centres)
-        kept = even_in_time(numbers, SETTINGS.taught)
+        rows_kept = even_in_time(numbers, SETTINGS.taught)
         return ClassModel(
             discriminant=discriminant,
-            taught=z[kept].astype(np.float32),
-            taught_classes=numbers[kept],
+            taught=z[rows_kept].astype(np.float32),
+            taught_classes=numbers[rows_kept],
             sizes=fit_sizes(sizes_mm, numbers),
             spread=spread,
         )
@@ -143,18 +143,18 @@ class _Teaching:
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
         """Return rows (n,), scores (n, C) and novelty (n, 2) of held-out grasps that drifted."""
         rng, most = np.random.default_rng(0), SETTINGS.held_grasps // len(held)
-        found = []
+        parts = []
         for block, model in held:
-            shown = rng.permutation(np.flatnonzero(block))[:most]
-            for part in np.array_split(shown, SETTINGS.parts):
+            drawn = rng.permutation(np.flatnonzero(block))[:most]
+            for part in np.array_split(drawn, SETTINGS.parts):
                 if not len(part):
                     continue
                 drift = SETTINGS.made_up * self.unit * rng.standard_normal(len(self.unit))
                 drifted = self.undone(self.levels.take(part), drift)
                 sizes_mm = self.every[1][part, None]
                 _, scores, novelty = model.score(replace(drifted, sizes_mm=sizes_mm))
-                found.append((part, scores[:, 0, 0], novelty[:, 0, 0]))
-        rows, all_scores, all_novelty = map(np.concatenate, zip(*found, strict=True))
+                parts.append((part, scores[:, 0, 0], novelty[:, 0, 0]))
+        rows, all_scores, all_novelty = map(np.concatenate, zip(*parts, strict=True))
         return rows, all_scores, all_novelty
 
 
@@ -171,7 +171,7 @@ def _rows(features: Features) -> NDArray[np.float64]:
     return np.concatenate([features.touch[:, 0], features.opening[:, 0]], axis=1)
 
 
-def _doubt(teaching: _Teaching, held: HeldOut, temperature: float) -> float:
+def _even_share(teaching: _Teaching, held: HeldOut, temperature: float) -> float:
     """Return the share of even probabilities that names of other days need.
 
     If the zero of the opening is unknown, touch alone separates objects of different sizes. The
@@ -180,7 +180,7 @@ def _doubt(teaching: _Teaching, held: HeldOut, temperature: float) -> float:
     levels, grids, classes = teaching.levels, teaching.grids, teaching.classes
     grid, prior = DriftGrid(), DriftPrior()
     rng = np.random.default_rng(0)
-    step = max(1, sum(int(block.sum()) for block, _ in held) // SETTINGS.doubt_grasps)
+    step = max(1, sum(int(block.sum()) for block, _ in held) // SETTINGS.even_grasps)
     best, wrong = [], []
     for block, model in held:
         for row in np.flatnonzero(block)[::step]:
@@ -196,7 +196,7 @@ def _doubt(teaching: _Teaching, held: HeldOut, temperature: float) -> float:
             likely, scores, _ = model.score(features, likely=SETTINGS.likely)
             scores = scores[0] / temperature
             # A drift of the grasp moves the prior relative to the grasp.
-            for log_gain, offset in rng.standard_normal((SETTINGS.doubt_days, 2)):
+            for log_gain, offset in rng.standard_normal((SETTINGS.even_days, 2)):
                 of_gain = -0.5 * (grid.log_gains / prior.log_gain_sd - log_gain) ** 2
                 of_offset = -0.5 * (grid.offsets_mm / prior.offset_sd_mm - offset) ** 2
                 joint = scores + (of_gain[:, None] + of_offset)[..., None]
@@ -222,7 +222,7 @@ def _limit(novelty: NDArray[np.float64], n_axes: int) -> NDArray[np.float64]:
     share = len(novelty) / (len(novelty) + SETTINGS.prior_grasps)
     mean = share * novelty[:, 0].mean() + (1.0 - share) * SETTINGS.usual_novelty
     usual = mean + np.sqrt(2.0 / (1 + n_axes)) + np.array(SETTINGS.usual_beyond)
-    held = np.quantile(novelty, SETTINGS.kept, axis=0)
+    held = np.quantile(novelty, SETTINGS.known_share, axis=0)
     return np.asarray(share * held + (1.0 - share) * usual)
 
 
