@@ -140,8 +140,7 @@ def simulator_settings(
             objects=simulated_objects(config),
             aperture_m=opening_m,
             grasps=tuple(
-                RecordedGrasp(counts=grasp.counts, aperture_m=grasp.aperture_m, label=grasp.label)
-                for grasp in grasps
+                RecordedGrasp(counts=grasp.counts, aperture_m=grasp.aperture_m) for grasp in grasps
             ),
             axes=_mounts(config.positioner),
             axes_can_bitrate=config.positioner.can.bitrate,

@@ -60,8 +60,6 @@ class RecordedGrasp:
     """(n, n_taxels) uint16: frames in the order of time."""
     aperture_m: NDArray[np.float64]
     """(n,) float64: opening between the fingers in m; NaN where unknown."""
-    label: str = ""
-    """Name of the grasped object."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,12 +16,6 @@ Handler = Callable[[dict[str, Any]], dict[str, Any]]
 """Carries out one request and returns the reply; a SimulatorError becomes an error reply."""
 
 
-class _Client:
-    def __init__(self, connection: socket.socket) -> None:
-        self.connection = connection
-        self.received = bytearray()
-
-
 class PositionerServer:
     """Serves requests of other processes on this machine.
 
@@ -37,7 +31,8 @@ class PositionerServer:
     def __init__(self, path: Path, handle: Handler) -> None:
         self.path = path
         self._handle = handle
-        self._clients: dict[int, _Client] = {}
+        self._clients: dict[int, tuple[socket.socket, bytearray]] = {}
+        """Connection and incomplete line of each client by its descriptor."""
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
         try:
             if path.is_socket():
@@ -59,12 +54,12 @@ class PositionerServer:
             if descriptor == self._listener.fileno():
                 self._accept()
             elif descriptor in self._clients:
-                self._serve(self._clients[descriptor])
+                self._serve(*self._clients[descriptor])
 
     def close(self) -> None:
         """Disconnect all clients and remove the socket; a second call has no effect."""
-        for client in list(self._clients.values()):
-            self._drop(client)
+        for connection, _ in list(self._clients.values()):
+            self._drop(connection)
         if self._listener.fileno() >= 0:
             self._listener.close()
             self.path.unlink(missing_ok=True)
@@ -75,26 +70,25 @@ class PositionerServer:
         except BlockingIOError:
             return
         connection.setblocking(False)
-        self._clients[connection.fileno()] = _Client(connection)
+        self._clients[connection.fileno()] = (connection, bytearray())
 
-    def _serve(self, client: _Client) -> None:
+    def _serve(self, connection: socket.socket, received: bytearray) -> None:
         try:
-            data = client.connection.recv(_READ_BYTES)
+            data = connection.recv(_READ_BYTES)
         except BlockingIOError:
             return
         except OSError:
             data = b""
         if not data:
-            self._drop(client)
+            self._drop(connection)
             return
-        client.received += data
-        *lines, rest = client.received.split(b"\n")
-        client.received = rest
+        received += data
+        *lines, received[:] = received.split(b"\n")
         replies = b"".join(self._answer(bytes(line)) for line in lines if line.strip())
         try:
-            client.connection.sendall(replies)
+            connection.sendall(replies)
         except OSError:
-            self._drop(client)  # a client that does not take its replies is gone
+            self._drop(connection)  # a client that does not take its replies is gone
 
     def _answer(self, line: bytes) -> bytes:
         try:
@@ -108,9 +102,9 @@ class PositionerServer:
         except SimulatorError as error:
             return _line({"error": str(error)})
 
-    def _drop(self, client: _Client) -> None:
-        self._clients.pop(client.connection.fileno(), None)
-        client.connection.close()
+    def _drop(self, connection: socket.socket) -> None:
+        self._clients.pop(connection.fileno(), None)
+        connection.close()
 
 
 def _line(reply: dict[str, Any]) -> bytes:

@@ -27,13 +27,15 @@ from simulator.servo.protocol2 import (
     PacketParser,
     StatusError,
     encode_status,
-    words,
 )
 
 BITS_PER_BYTE = 10
 """Bits on the line for one byte: start bit, 8 data bits, stop bit."""
-_BULK_READ = struct.Struct("<BHH")
-"""One servo in a Bulk Read: ID, address, size."""
+_PLACE = struct.Struct("<HH")
+"""Address and size in a group instruction."""
+_GROUP_READS = frozenset({Instruction.SYNC_READ, Instruction.BULK_READ})
+_GROUP_WRITES = frozenset({Instruction.SYNC_WRITE, Instruction.BULK_WRITE})
+"""Instructions to several servos."""
 
 
 class ServoBusDevice:
@@ -177,14 +179,10 @@ class ServoBusDevice:
                 answers = [servo.execute(instruction, b"", now_s) for servo in same_id]
                 packets = [encode_status(same_id[0].servo_id, *answer) for answer in answers]
                 self._reply(same_id[0], _at_once(packets), now_s)
-        elif instruction in {Instruction.SYNC_READ, Instruction.BULK_READ}:
-            sync = instruction == Instruction.SYNC_READ
-            requests = _sync_reads(parameters) if sync else _bulk_reads(parameters)
-            self._chain(instruction, requests, hearing, now_s)
-        elif instruction in {Instruction.SYNC_WRITE, Instruction.BULK_WRITE}:
-            sync = instruction == Instruction.SYNC_WRITE
-            writes = _sync_writes(parameters) if sync else _bulk_writes(parameters)
-            for servo_id, address, data in writes:
+        elif instruction in _GROUP_READS:
+            self._chain(instruction, _entries(instruction, parameters), hearing, now_s)
+        elif instruction in _GROUP_WRITES:
+            for servo_id, address, _, data in _entries(instruction, parameters):
                 for servo in hearing:
                     if servo_id == servo.servo_id:
                         servo.write(address, data, now_s)
@@ -195,13 +193,13 @@ class ServoBusDevice:
     def _chain(
         self,
         instruction: int,
-        requests: Sequence[tuple[int, int, int]],
+        requests: Sequence[tuple[int, int, int, bytes]],
         hearing: Iterable[SimulatedServo],
         now_s: float,
     ) -> None:
         """Let servos answer in sequence; the first silent servo ends the chain."""
         by_id = {servo.servo_id: servo for servo in hearing}
-        for servo_id, address, size in requests:
+        for servo_id, address, size, _ in requests:
             servo = by_id.get(servo_id)
             if servo is None or not servo.answers(instruction):
                 break
@@ -267,45 +265,29 @@ def _protocol_1(body: bytes) -> bytes:
     return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
-def _sync_reads(parameters: bytes) -> list[tuple[int, int, int]]:
-    """Return (ID, address, size) of each servo in a sync read; none when it is cut off."""
-    if len(parameters) < 5:
+def _entries(instruction: int, parameters: bytes) -> list[tuple[int, int, int, bytes]]:
+    """Return ID, address, size and data for each servo of a group instruction.
+
+    One that is cut off has none.
+    """
+    sync = instruction in {Instruction.SYNC_READ, Instruction.SYNC_WRITE}
+    entries, at, end = [], 4 if sync else 0, len(parameters)
+    try:
+        address, size = _PLACE.unpack_from(parameters) if sync else (0, 0)
+        while at < end:
+            servo_id = parameters[at]
+            if not sync:
+                address, size = _PLACE.unpack_from(parameters, at + 1)
+                at += 4
+            at += 1
+            data = parameters[at : at + size] if instruction in _GROUP_WRITES else b""
+            if instruction in _GROUP_WRITES and not len(data) == size > 0:
+                return []
+            at += len(data)
+            entries.append((servo_id, address, size, data))
+    except struct.error:
         return []
-    address, size = words(parameters[:4])
-    return [(servo_id, address, size) for servo_id in parameters[4:]]
-
-
-def _bulk_reads(parameters: bytes) -> list[tuple[int, int, int]]:
-    """Return (ID, address, size) of each servo in a bulk read; none when it is cut off."""
-    whole = len(parameters) % _BULK_READ.size == 0
-    return list(_BULK_READ.iter_unpack(parameters)) if whole else []
-
-
-def _sync_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
-    """Return (ID, address, data) of each servo in a sync write; none when it is cut off."""
-    if len(parameters) < 6:
-        return []
-    address, size = words(parameters[:4])
-    rest = parameters[4:]
-    if size == 0 or len(rest) % (size + 1):
-        return []
-    return [(rest[i], address, rest[i + 1 : i + 1 + size]) for i in range(0, len(rest), size + 1)]
-
-
-def _bulk_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
-    """Return (ID, address, data) of each servo in a bulk write; none when it is cut off."""
-    writes = []
-    at = 0
-    while at < len(parameters):
-        if len(parameters) < at + 5:
-            return []
-        address, size = words(parameters[at + 1 : at + 5])
-        data = parameters[at + 5 : at + 5 + size]
-        if size == 0 or len(data) != size:
-            return []
-        writes.append((parameters[at], address, data))
-        at += 5 + size
-    return writes
+    return entries
 
 
 class SerialDevice(Protocol):

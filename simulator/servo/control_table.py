@@ -102,6 +102,9 @@ def is_x330(model: ServoModel) -> bool:
 
 @cache
 def _items(model: ServoModel) -> Mapping[int, Item]:
+    """Return the items of a model by their address on the wire."""
+    if model.number == rh_p12.NUMBER:
+        return {row.address: _rh_p12_item(row) for row in rh_p12.ROWS}
     ranges = dict(_RANGES)
     ranges["current_limit"] = (0, model.current_limit_raw)
     ranges["velocity_limit"] = (0, 2047 if is_x330(model) else 1023)
@@ -109,43 +112,32 @@ def _items(model: ServoModel) -> Mapping[int, Item]:
         ranges[name] = (model.min_voltage_raw, model.max_voltage_raw)
     if is_x330(model):
         ranges["baud_rate"], ranges["protocol_type"] = (0, 6), (2, 2)
-    items = {}
-    for register in REGISTERS.values():
-        if register.name in model.absent:
-            continue
-        low, high = ranges.get(register.name, register.bounds)
-        items[register.address] = Item(
-            **asdict(register),
-            minimum=low,
-            maximum=high,
-            only=_MODES if register.name == "operating_mode" else None,
-            wire=register.address,
+    return {
+        register.address: _item(
+            register, register.address, ranges.get(register.name, register.bounds), _MODES
         )
-    return items
+        for register in REGISTERS.values()
+        if register.name not in model.absent
+    }
 
 
-@cache
-def _rh_p12_items() -> Mapping[int, Item]:
-    items = {}
-    for row in rh_p12.ROWS:
-        alike = REGISTERS.get(row.name)
-        register = Register(
-            name=row.name,
-            address=rh_p12.OTHER_PLACES[row.name] if alike is None else alike.address,
-            size=row.size,
-            signed=row.name in rh_p12.SIGNED,
-            writable=row.access == "RW",
-            eeprom=row.address < rh_p12.EEPROM_END,
-        )
-        low, high = register.bounds
-        items[row.address] = Item(
-            **asdict(register),
-            minimum=low if row.low is None else row.low,
-            maximum=high if row.high is None else row.high,
-            only=rh_p12.MODES if row.name == "operating_mode" else None,
-            wire=row.address,
-        )
-    return items
+def _rh_p12_item(row: rh_p12.Row) -> Item:
+    alike = REGISTERS.get(row.name)
+    register = Register(
+        name=row.name,
+        address=rh_p12.OTHER_PLACES[row.name] if alike is None else alike.address,
+        size=row.size,
+        signed=row.name in rh_p12.SIGNED,
+        writable=row.access == "RW",
+        eeprom=row.address < rh_p12.EEPROM_END,
+    )
+    bounds = register.bounds if row.low is None or row.high is None else (row.low, row.high)
+    return _item(register, row.address, bounds, rh_p12.MODES)
+
+
+def _item(register: Register, wire: int, bounds: tuple[int, int], modes: frozenset[int]) -> Item:
+    only = modes if register.name == "operating_mode" else None
+    return Item(**asdict(register), minimum=bounds[0], maximum=bounds[1], only=only, wire=wire)
 
 
 class ControlTable:
@@ -154,7 +146,7 @@ class ControlTable:
     def __init__(self, model: ServoModel) -> None:
         self.data = bytearray(TABLE_SIZE)
         other = model.number == rh_p12.NUMBER
-        self._items = _rh_p12_items() if other else _items(model)
+        self._items = _items(model)
         self._size = rh_p12.TABLE_SIZE if other else TABLE_SIZE
         self._defined = bytearray(self._size)
         self._place: dict[int, int] | None = {} if other else None

@@ -1,30 +1,14 @@
 """A world that plays recorded grasps: real frames over the simulated links."""
 
 import math
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from simulator.clock import ROUNDING_S
 from simulator.errors import SimulatorSettingsError
-from simulator.world.world import STEP_S
+from simulator.world.world import STEP_S, Fingers
 from tactile.layout import TaxelLayout
-
-
-class DrivenFingers(Protocol):
-    """Mechanics for a recorded world."""
-
-    def drive_to(self, aperture_m: float) -> None:
-        """Put both fingers at the recorded aperture in m."""
-
-    def step(
-        self,
-        dt_s: float,
-        contact_force_n: tuple[float, float],
-        contact_stiffness_n_m: tuple[float, float],
-    ) -> None:
-        """Move on by ``dt_s`` s."""
 
 
 class RecordedWorld:
@@ -42,9 +26,7 @@ class RecordedWorld:
         The mechanics that follow the recorded aperture.
     """
 
-    def __init__(
-        self, layout: TaxelLayout, fingers: DrivenFingers, *, start_s: float = 0.0
-    ) -> None:
+    def __init__(self, layout: TaxelLayout, fingers: Fingers, *, start_s: float = 0.0) -> None:
         self._layout = layout
         self._gripping = np.isin(layout.taxel_pad, layout.gripping_pads)
         self._fingers = fingers
@@ -59,40 +41,24 @@ class RecordedWorld:
         """Number of frames of the loaded grasp that no scan has taken yet."""
         return len(self._counts) - self._next
 
-    def load(self, counts: ArrayLike, aperture_m: ArrayLike) -> None:
+    def load(self, counts: NDArray[np.uint16], aperture_m: NDArray[np.float64]) -> None:
         """Load a grasp to play from its first frame; the fingers move to its first aperture.
 
-        Raises SimulatorSettingsError if shapes or values do not fit the layout.
+        Raises SimulatorSettingsError if the frames are not of this layout.
 
         Parameters
         ----------
-        counts : (n, n_taxels) unsigned
-            Frames in the order of time.
-        aperture_m : (n,) float
-            Opening between the fingers in m; NaN leaves the fingers where they are.
+        counts
+            (n, n_taxels): frames in the order of time.
+        aperture_m
+            (n,): opening between the fingers in m; NaN leaves the fingers where they are.
         """
-        frames = np.array(counts)
-        openings_m = np.array(aperture_m, dtype=np.float64)
-        n_taxels, adc_max = self._layout.n_taxels, self._layout.adc_max
-        if frames.ndim != 2 or frames.shape[1] != n_taxels or len(frames) == 0:
+        if counts.shape[1:] != (self._layout.n_taxels,):
             raise SimulatorSettingsError(
-                f"counts have shape {frames.shape}, layout {self._layout.name} needs "
-                f"(n, {n_taxels}) with n of at least 1"
+                f"counts have shape {counts.shape}, layout {self._layout.name} needs "
+                f"(n, {self._layout.n_taxels})"
             )
-        if openings_m.shape != (len(frames),):
-            raise SimulatorSettingsError(
-                f"aperture_m has shape {openings_m.shape}, expected ({len(frames)},)"
-            )
-        if not np.issubdtype(frames.dtype, np.integer):
-            raise SimulatorSettingsError(f"counts are {frames.dtype}, expected integers")
-        if int(frames.min()) < 0 or int(frames.max()) > adc_max:
-            raise SimulatorSettingsError(
-                f"counts span {frames.min()} to {frames.max()}, "
-                f"layout {self._layout.name} allows 0 to {adc_max}"
-            )
-        self._counts = frames.astype(np.uint16)
-        self._aperture_m = openings_m.tolist()
-        self._next = 0
+        self._counts, self._aperture_m, self._next = counts, aperture_m.tolist(), 0
         self._drive()
 
     def advance_to(self, now_s: float) -> None:
