@@ -5,9 +5,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
-from cell.config.file import problem_text
 from cell.errors import CellError
 from cell.formats import COMMISSIONING, read_json
 
@@ -128,15 +127,10 @@ class Commissioned:
     """Approved writes and motions; kept also if their step was left or repeated."""
 
 
-_STORE = TypeAdapter(Commissioned)
-
-
 def read_commissioned(path: Path) -> Commissioned:
-    """Return the content of commissioning.json; empty content without a file."""
-    content = read_json(path, COMMISSIONING, error=CellError)
-    try:
-        return _STORE.validate_python(content or {"steps": {}, "approved": []})
-    except ValidationError as error:
-        raise CellError(
-            f"this program cannot read {path} ({problem_text(error)}): {COMMISSIONING.remedy}"
-        ) from error
+    """Return the content of commissioning.json; empty content without a file.
+
+    Raises CellError if it is damaged or of another format.
+    """
+    content = read_json(path, COMMISSIONING, error=CellError) or {"steps": {}, "approved": []}
+    return TypeAdapter(Commissioned).validate_python(content)

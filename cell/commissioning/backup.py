@@ -5,15 +5,12 @@ The first backup stays: it has the original state of the servo.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Self
-
-from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from cell.checks.findings import ProposedChange
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog
-from cell.config.file import problem_text
 from cell.errors import CellError
 from cell.files import free_name
 from cell.formats import SERVO_BACKUP, read_json, write_json
@@ -37,24 +34,14 @@ SETTLE_S = 0.1
 """Time in s between a change of ID or baud rate and the next request."""
 
 
-class Backup(BaseModel, frozen=True):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Backup:
     """Original control table of a servo."""
 
-    servo_id: int = Field(ge=0, le=HIGHEST_ID)
+    servo_id: int
     """ID of the servo after its commissioning."""
     registers: dict[str, int]
     """Raw values by the name of the item, read before the first write."""
-
-    @model_validator(mode="after")
-    def _usable(self) -> Self:
-        """Refuse a missing or impossible value."""
-        if MODEL_NUMBER.name not in self.registers:
-            raise ValueError(f"{MODEL_NUMBER.name} is missing")
-        for name, value in self.registers.items():
-            low, high = REGISTERS[name].bounds if name in REGISTERS else (value, value)
-            if not low <= value <= high:
-                raise ValueError(f"{name} is {value}, must be from {low} to {high}")
-        return self
 
 
 def register_writes(
@@ -96,7 +83,7 @@ def keep(bench: Bench, dialog: Dialog, backup: Backup) -> None:
             return
         path.rename(free_name(path))
     bench.folder.mkdir(parents=True, exist_ok=True)
-    write_json(path, SERVO_BACKUP, backup.model_dump(), error=CellError)
+    write_json(path, SERVO_BACKUP, asdict(backup), error=CellError)
     dialog.say(f"backup of servo {backup.servo_id}: {path}")
 
 
@@ -162,14 +149,12 @@ def _read(path: Path) -> Backup | None:
     content = read_json(path, SERVO_BACKUP, error=CellError)
     if content is None:
         return None
-    try:
-        backup = Backup.model_validate(content)
-        wrong = f"it is of servo {backup.servo_id}"
-        if backup_file(path.parent, backup.servo_id) == path:
-            return backup
-    except ValidationError as error:
-        wrong = problem_text(error)
-    raise CellError(f"{path} is damaged, nothing was written: {wrong}; {SERVO_BACKUP.remedy}")
+    backup = Backup(**content)
+    if backup_file(path.parent, backup.servo_id) != path:
+        raise CellError(
+            f"{path} is of servo {backup.servo_id}, nothing was written; {SERVO_BACKUP.remedy}"
+        )
+    return backup
 
 
 def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
