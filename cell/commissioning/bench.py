@@ -101,7 +101,7 @@ class Bench:
     @property
     def config(self) -> CellConfig:
         """The whole config so far. Raises ConfigError while it is incomplete."""
-        changes: dict[str, Any] = {"simulator.faults": []}
+        changes: dict[str, Any] = {}
         positioner = self.base.positioner
         if positioner.kind == "simulated" and not positioner.socket:
             changes["positioner"] = {"kind": "operator"}

@@ -51,15 +51,11 @@ def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
     try:
         return type(config).model_validate_json(json.dumps(values))
     except ValidationError as error:
-        raise ConfigError(f"the changed config is not valid: {problem_text(error)}") from error
-
-
-def problem_text(error: ValidationError) -> str:
-    """Return one line with the keys of invalid values and the reasons."""
-    return "; ".join(
-        f"{'.'.join(map(str, item['loc'])) or 'config'}: {item['msg']}"
-        for item in error.errors(include_url=False)
-    )
+        problems = "; ".join(
+            f"{'.'.join(map(str, item['loc'])) or 'config'}: {item['msg']}"
+            for item in error.errors(include_url=False)
+        )
+        raise ConfigError(f"the changed config is not valid: {problems}") from error
 
 
 SCHEMA_LINE = "# yaml-language-server: $schema=tactile-cell.schema.json\n"

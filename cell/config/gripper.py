@@ -31,7 +31,6 @@ from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.settings import (
     GripperSettings,
     ServoSettings,
-    largest_setpoint_n,
 )
 
 _SCALE_SD, _FRICTION_SD = 0.05, 0.1
@@ -205,11 +204,6 @@ class GripperConfig(Section):
     servo_care: ServoCareConfig = ServoCareConfig()
     """Heat of the servos, and registers that a start may rewrite."""
 
-    @property
-    def ramp_force_max_n(self) -> float:
-        """Largest force of a ramp in N: with its overshoot it stays below the cap."""
-        return largest_setpoint_n(self.force_max_n)
-
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for servo in self.servos:
@@ -222,12 +216,6 @@ class GripperConfig(Section):
             raise ValueError(
                 f"aperture_min_mm {self.aperture_min_mm:g} must be below "
                 f"aperture_open_mm {self.aperture_open_mm:g}"
-            )
-        if self.contact_force_n > self.ramp_force_max_n:
-            raise ValueError(
-                f"contact_force_n {self.contact_force_n:g} must be at most "
-                f"{self.ramp_force_max_n:.2f}, the largest force of a ramp with "
-                f"force_max_n {self.force_max_n:g}"
             )
         with raised_as(ValueError, LimitExceeded):
             gripper_settings(self, overruns_max=1)

@@ -132,14 +132,7 @@ class CellConfig(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         least_n, most_n = self.sequence.forces_n
-        allowed_n, contact_n = self.gripper.ramp_force_max_n, self.gripper.contact_force_n
-        carry_n = self.sequence.carry_force_n
-        cap = f"gripper.force_max_n = {self.gripper.force_max_n:g} N"
-        if most_n > allowed_n:
-            raise ValueError(
-                f"sequence asks for {most_n:g} N, but {cap} allows ramps up to {allowed_n:.2f} N; "
-                "lower the force, or raise the cap after a risk assessment"
-            )
+        contact_n, carry_n = self.gripper.contact_force_n, self.sequence.carry_force_n
         ramps, why = (1.0, "to hold a part")
         if self.sequence.regrasp == "none":
             ramps, why = (3.0, "times 3 for a further ramp: sequence.regrasp is none")
@@ -148,11 +141,10 @@ class CellConfig(Section):
                 f"sequence asks for {least_n:g} N; it needs at least gripper.contact_force_n = "
                 f"{contact_n:g} N {why}"
             )
-        if not contact_n <= carry_n <= allowed_n:
+        if carry_n < contact_n:
             raise ValueError(
                 f"sequence.carry_force_n is {carry_n:g} N; it must be at least "
-                f"gripper.contact_force_n = {contact_n:g} N and, with {cap}, at most "
-                f"{allowed_n:.2f} N"
+                f"gripper.contact_force_n = {contact_n:g} N"
             )
         with raised_as(ValueError, ConfigError):
             layout = layout_from_config(self.tactile)
@@ -170,11 +162,6 @@ class CellConfig(Section):
             keys.setdefault(port, []).append(key)
             if len(keys[port]) > 1:
                 raise ValueError(f"{' and '.join(keys[port])} are {port}: write another port")
-        if self.simulator.faults and not self.simulated:
-            raise ValueError(
-                "simulator.faults are for the simulated cell, but this cell has real ports: "
-                "remove them"
-            )
         on_can = self.tactile.sensor.on_can
         if not self.simulated and on_can and self.tactile.channel == "":
             raise ValueError("tactile.channel is empty; name the channel of the CAN interface")
