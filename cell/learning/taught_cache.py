@@ -1,13 +1,12 @@
 """The taught model of the built-in simulated cell, kept for the next start in the user's cache.
 
-A model is found only with the same config, version and code.
+A model is found only with the same config and version of the program.
 """
 
 import hashlib
 import os
 import shutil
 from collections.abc import Callable
-from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,10 +19,6 @@ MODEL_FILE = "model.npz"
 """Name of the model in its folder; its training set is beside it."""
 _NOT_OF_THE_MODEL = {"serve", "recording"}
 """Sections of a config that do not affect the taught model."""
-_CODE = ("cell", "gripper", "recognition", "simulator", "tactile")
-"""Packages whose code affects the taught model: a checkout changes without its version."""
-_KEPT_MAX = 4
-"""Most models that are kept; the oldest are removed."""
 
 
 def cached_model(config: CellConfig) -> Path | None:
@@ -57,9 +52,6 @@ def keep_model(config: CellConfig, write: Callable[[Path], object]) -> Path:
         write(Path(new))
         shutil.rmtree(folder, ignore_errors=True)
         Path(new).rename(folder)
-    models = sorted(folder.parent.glob("taught-*"), key=lambda one: one.stat().st_mtime)
-    for old in models[:-_KEPT_MAX]:
-        shutil.rmtree(old, ignore_errors=True)
     return folder / MODEL_FILE
 
 
@@ -68,12 +60,4 @@ def _folder(config: CellConfig) -> Path:
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     cache = named if named.is_absolute() else Path.home() / ".cache"
     key = hashlib.sha256(config.model_dump_json(exclude=_NOT_OF_THE_MODEL).encode())
-    for file in _code():
-        key.update(file.read_bytes())
     return cache / "tactile-cell" / f"taught-{version('tactile-cell')}-{key.hexdigest()[:16]}"
-
-
-def _code() -> list[Path]:
-    """Return the files of the packages that affect the taught model."""
-    folders = [folder for name in _CODE for folder in import_module(name).__path__]
-    return sorted(file for folder in folders for file in Path(folder).rglob("*.py"))

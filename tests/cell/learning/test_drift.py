@@ -24,7 +24,6 @@ from cell.recording.reader import read_recording
 from cell.runtime import tasks
 from cell.runtime.goals import IdentifyGoal, TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
-from cell.runtime.tasks import Collection
 from cell.runtime.worker import Report
 from gripper.errors import ServoFault
 from gripper.values.outcome import GraspResult
@@ -32,8 +31,8 @@ from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid
 from recognition.errors import ContactError
 from recognition.grasp import Grasp
-from recognition.recognizer import UNKNOWN, Posterior
-from recognition.statistics.fusion import Decision, DecisionKind, StopRule, fuse
+from recognition.recognizer import Posterior
+from recognition.statistics.fusion import Decision, DecisionKind, StopRule
 from tests.cell.conftest import REAL, UNSURE, Scripted, plain_grasp, quick_config, small_config
 from tests.fuzz.harness import Clock
 from tests.values import raising
@@ -369,13 +368,6 @@ def test_earlier_grasps_count_and_each_share_is_checked_once() -> None:
     assert not against.suffices(0.8, lambda: grasp)
 
 
-def test_the_last_grasp_is_no_reason_to_end_a_ramp() -> None:
-    rule = StopRule(error_rate=0.02, max_grasps=1)
-    assert not rule.suffices(posterior(0.9))
-    assert rule.suffices(fuse([posterior(0.9), posterior(0.95)]))
-    assert not rule.suffices(posterior(0.999, unknown=0.99))
-
-
 @pytest.mark.slow
 def test_a_check_that_fails_is_a_complaint_and_the_ramp_goes_on(bench) -> None:
     bench.ready()
@@ -428,26 +420,6 @@ def test_a_stop_comes_before_the_end_of_the_ramp(bench) -> None:
         bench.controller.identify(recogniser, [STEP], early=True)
     assert bench.controller.life.state is CellState.HELD
     assert bench.grip_n > 0.5
-
-
-@pytest.mark.long
-def test_objects_are_named_in_less_time_and_none_wrongly(make_bench, taught) -> None:
-    bench = make_bench(taught.config).ready()
-    model = TaughtModel.load(taught.config, taught.result.model)
-    grasp_s: dict[bool, list[float]] = {True: [], False: []}
-    for whole, times_s in grasp_s.items():
-        ended = 0
-        for number, label in enumerate(["ball", "box"] * 2):
-            goal = {"present": label, "seed": 20 + number, "whole_ramps": whole}
-            found, _ = named(bench.controller, model, **goal)
-            assert found.label in (label, UNKNOWN)
-            times_s += [record.duration_s for record in found.records]
-            ended += sum(record.early is not None for record in found.records)
-        assert ended == 0 if whole else ended >= 1
-    assert np.mean(grasp_s[False]) < np.mean(grasp_s[True])
-    more = Collection(label="ball", n_planned=1)
-    more.fill(bench.controller, model.config.sequence, seed=30, on_grasp=lambda _: None)
-    assert all(one.cycles[-1].setpoint_n == one.step.force_n for one in more.records)
 
 
 @pytest.mark.slow

@@ -84,17 +84,6 @@ def test_a_hand_of_five_fingers_of_which_an_object_presses_two(factory):
     assert accuracy(recognizer, grasps(4, seed=6)) == 1.0
 
 
-def test_gain_of_a_pad_may_drift(taught, fresh):
-    def louder(grasp):
-        counts = grasp.counts.astype(float)
-        counts[:, :60] *= 1.2
-        return dataclasses.replace(
-            grasp, counts=np.minimum(np.round(counts), 4095).astype(np.uint16)
-        )
-
-    assert accuracy(taught, [louder(g) for g in fresh]) >= 0.9
-
-
 def test_a_grasp_without_contact_is_unknown(taught, fresh):
     empty = dataclasses.replace(fresh[0], counts=np.zeros_like(fresh[0].counts))
     assert taught.posterior(empty).unknown == 1.0
@@ -164,12 +153,6 @@ def test_one_object_alone_is_told_from_all_others(teach, fresh):
         answers[grasp.label == "pin"].append(posterior.unknown > 0.5)
     assert np.mean(answers[True]) <= 0.25
     assert np.mean(answers[False]) >= 0.75
-
-
-@pytest.mark.slow
-def test_two_objects_suffice(teach, fresh):
-    tested = [g for g in fresh if g.label in ("bar", "egg")]
-    assert accuracy(teach("force_ramp", "bar", "egg"), tested) == 1.0
 
 
 @pytest.mark.slow
