@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple, NoReturn, Protocol
+from typing import NoReturn, Protocol
 
 from cell.checks.findings import STORE_NAME, Notes, ProposedChange, read_commissioned
 from cell.commissioning.bench import CONFIG_NAME, Bench
@@ -40,15 +40,6 @@ class WizardAborted(CellError):
     """The person left the wizard, or refused a write; earlier findings are kept."""
 
 
-class NumberRange(NamedTuple):
-    """Range of a number that a person types."""
-
-    lowest: float
-    highest: float
-    unit: str
-    """Smallest and largest accepted value, in this unit."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
     """Question to a person: choices, a number, or a free text without either."""
@@ -59,7 +50,8 @@ class Question:
     choices: Mapping[str, str] | None = None
     """Text of each choice by the key that `Dialog.ask` returns; a picture may follow in further
     lines."""
-    number: NumberRange | None = None
+    number: tuple[float, float, str] | None = None
+    """Smallest and largest accepted value, and their unit."""
     default: str | float | None = None
     """Answer on a plain confirmation, or None."""
 
@@ -110,8 +102,8 @@ class Dialog(Protocol):
         watch: Callable[[], str] | None = None,
     ) -> float:
         """Ask for a number from the least to the largest value, in a unit; return it."""
-        asked = Question(key=key, text=text, number=NumberRange(*number), default=default)
-        return float(self.ask(asked, watch=watch))
+        question = Question(key=key, text=text, number=number, default=default)
+        return float(self.ask(question, watch=watch))
 
     def confirm(
         self, key: str, text: str, done: str = "done", watch: Callable[[], str] | None = None

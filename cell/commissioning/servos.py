@@ -48,8 +48,8 @@ _VOLTAGE_MARGIN = 1.05
 """Supply voltage that gets a warning, relative to the least of the model."""
 
 
-class Found(NamedTuple):
-    """A servo that a scan found."""
+class ServoAnswer(NamedTuple):
+    """A servo that answered a scan."""
 
     baud_rate: int
     identity: ServoIdentity
@@ -59,9 +59,9 @@ class Found(NamedTuple):
 class Scan:
     """Answers on a line, at all baud rates."""
 
-    servos: tuple[Found, ...] = ()
+    servos: tuple[ServoAnswer, ...] = ()
     """Servos with a unique ID."""
-    shared: tuple[Found, ...] = ()
+    shared: tuple[ServoAnswer, ...] = ()
     """IDs that several servos share."""
     damaged: tuple[int, ...] = ()
     """Baud rates in bit/s at which damaged bytes came."""
@@ -74,8 +74,8 @@ class Scan:
 
 def scan_servos(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = SCAN_RATES) -> Scan:
     """Ping all IDs at each baud rate; takes about 12 s for all of them."""
-    servos: list[Found] = []
-    shared: list[Found] = []
+    servos: list[ServoAnswer] = []
+    shared: list[ServoAnswer] = []
     damaged: list[int] = []
     for rate in rates:
         dialog.live("scan", f"{rate} bit/s")
@@ -85,7 +85,7 @@ def scan_servos(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = 
                 # A single one may be chance.
                 identities, has_damaged = bus.scan_at_once()
             for identity in identities:
-                servo = Found(rate, identity)
+                servo = ServoAnswer(rate, identity)
                 (shared if bus.shares_id(identity.servo_id) else servos).append(servo)
             if has_damaged:
                 damaged.append(rate)
@@ -183,7 +183,7 @@ def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoI
         else:
             _demand_answers(bench, dialog, port, scan)
             placed = _placed(bench, dialog, port, rate, scan)
-            scan = Scan(servos=tuple(Found(rate, servo) for servo in placed))
+            scan = Scan(servos=tuple(ServoAnswer(rate, servo) for servo in placed))
             n_wanted = n_wanted or _count(bench, dialog, placed)
             if len(placed) >= n_wanted or not _connected(dialog, placed[-1]):
                 return placed
@@ -265,7 +265,7 @@ def _placed(bench: Bench, dialog: Dialog, port: str, rate: int, scan: Scan) -> l
 
 
 def _renumber(
-    bench: Bench, dialog: Dialog, port: str, servo: Found, *, new_id: int, rate: int
+    bench: Bench, dialog: Dialog, port: str, servo: ServoAnswer, *, new_id: int, rate: int
 ) -> None:
     """Write ID and baud rate of one servo, after its backup and an approval; read them back."""
     old_id = servo.identity.servo_id

@@ -87,7 +87,7 @@ class TerminalDialog(Dialog):
         print_line(f"commissioned: {', '.join(map(str, files))}")
 
     def _line(self, question: Question, watch: Callable[[], str] | None) -> str:
-        unit = f" in {question.number.unit}" if question.number is not None else ""
+        unit = f" in {question.number[2]}" if question.number is not None else ""
         default = "" if question.default is None or question.choices else f" [{question.default}]"
         return self._typed(f"{_LEAVE} leaves{unit}{default}> ", watch)
 
@@ -122,14 +122,14 @@ class TerminalDialog(Dialog):
             return answer
         if question.number is None:
             return typed or None
-        low, high = question.number.lowest, question.number.highest
+        low, high, unit = question.number
         try:
             value = float(typed.replace(",", "."))
         except ValueError:
             value = float("nan")
         if low <= value <= high:
             return value
-        print_line(f"type a number from {low:g} to {high:g} {question.number.unit}")
+        print_line(f"type a number from {low:g} to {high:g} {unit}")
         return None
 
     def _end_line(self) -> None:

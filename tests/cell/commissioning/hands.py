@@ -83,7 +83,7 @@ class Script(Dialog):
         if question.choices is not None:
             assert answer in question.choices, question
         if question.number is not None:
-            assert question.number.lowest <= float(answer) <= question.number.highest, question
+            assert question.number[0] <= float(answer) <= question.number[1], question
         return answer
 
     def approve(self, writes: Sequence[ProposedChange]) -> None:

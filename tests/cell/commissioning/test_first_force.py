@@ -43,7 +43,7 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> N
     one, finding = grasped
     assert finding.status is Verdict.PASS, finding.lines
     most = next(q for q in one.person.script.questions if q.key == "first_force.most")
-    assert 4.0 < most.default < most.number.highest <= largest_setpoint_n(15.0)
+    assert 4.0 < most.default < most.number[1] <= largest_setpoint_n(15.0)
     (first, last) = finding.values["asked_held_peak_n"]
     assert first[:2] == pytest.approx([1.0, 1.0], abs=0.1)
     assert last == pytest.approx(3 * [most.default], rel=0.1)

@@ -15,7 +15,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from cell.checks.findings import Notes, ProposedChange
-from cell.commissioning.engine import NumberRange, Question, WizardAborted, leave
+from cell.commissioning.engine import Question, WizardAborted, leave
 from cell.commissioning.ports import PORTS
 from cell.control.positioner import PatientCaller
 from cell.control.states import CellState
@@ -52,7 +52,7 @@ def test_choices_are_taken_by_number_name_or_enter(typed, lines, answer, capsys)
     assert "  1  the first (Enter)\n  | |\n  2  the second" in capsys.readouterr().out
 
 
-MILLIMETRES = {"number": NumberRange(1, 100, "mm")}
+MILLIMETRES = {"number": (1, 100, "mm")}
 
 
 @pytest.mark.parametrize(
