@@ -386,24 +386,8 @@ def _grasp(row: dict[str, Any], pads: PadArray, frames: RecordedFrames, part: sl
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Recovered:
-    """Result of a recovery."""
-
-    recording: Path
-    """The new recording."""
-    n_frames: int
-    n_cycles: int
-    n_grasps: int
-    """Number of whole frames, periods of the loop, and grasps in it."""
-    n_broken_grasps: int
-    """Number of omitted grasps with missing or damaged frames."""
-    lost_reason: str
-    """Why the old recording is not complete, or empty."""
-
-
-def recover_recording(path: Path | str, target: Path | str) -> Recovered:
-    """Write all valid data of a recording to a new one; the old one does not change.
+def recover_recording(path: Path | str, target: Path | str) -> Recording:
+    """Write all valid data of a recording to a new one; return what the old one has.
 
     Raises RecordingError if the old file is not a recording or has lost every message, or if the
     new file exists or cannot be written.
@@ -415,14 +399,7 @@ def recover_recording(path: Path | str, target: Path | str) -> Recovered:
     write_atomically(
         target, lambda file: _write(file, recording), error=RecordingError, what="recording"
     )
-    return Recovered(
-        recording=target,
-        n_frames=len(recording.frames),
-        n_cycles=len(recording.cycles),
-        n_grasps=len(recording.grasps),
-        n_broken_grasps=recording.n_broken_grasps,
-        lost_reason=recording.lost_reason,
-    )
+    return recording
 
 
 def _write(file: BinaryIO, recording: Recording) -> None:

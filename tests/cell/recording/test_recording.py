@@ -550,9 +550,8 @@ def test_a_message_that_does_not_fit_is_left_out_named_and_not_recovered(
     assert recording.lost_reason.startswith("message 2 of /tactile/frame is left out: ")
     assert says in recording.lost_reason
     assert recording.frames.number.tolist() == [0, 1]
-    recovered = recover_recording(path, tmp_path / "new.mcap")
-    assert (recovered.n_frames, recovered.lost_reason) == (2, recording.lost_reason)
-    whole = read_recording(recovered.recording)
+    recover_recording(path, tmp_path / "new.mcap")
+    whole = read_recording(tmp_path / "new.mcap")
     assert (whole.complete, whole.frames.number.tolist()) == (True, [0, 1])
 
 
@@ -578,7 +577,8 @@ def test_a_grasp_with_values_that_none_has_is_left_out_and_named(
     assert says in recording.lost_reason
     with pytest.raises(RecordingError, match="not complete"):
         recording_grasps(path)
-    assert recover_recording(path, tmp_path / "new.mcap").n_grasps == 0
+    recover_recording(path, tmp_path / "new.mcap")
+    assert read_recording(tmp_path / "new.mcap").grasps == ()
 
 
 @pytest.fixture(scope="module")
@@ -648,9 +648,9 @@ def test_each_legal_file_is_read_and_recovered_whole(
     assert (after.results, after.events) == (before.results, before.events)
     assert same_grasps(before.grasps, after.grasps)
     assert len(after.grasps) == 3
-    recovered = recover_recording(again, tmp_path / "new.mcap")
-    assert (recovered.lost_reason, recovered.n_grasps) == ("", 3)
-    new_recording = read_recording(recovered.recording)
+    recover_recording(again, tmp_path / "new.mcap")
+    new_recording = read_recording(tmp_path / "new.mcap")
+    assert same_grasps(before.grasps, new_recording.grasps)
     assert (new_recording.complete, RECOVERED in new_recording.metadata) == (True, False)
 
 
@@ -680,7 +680,7 @@ def test_a_recording_that_lacks_frames_of_a_grasp_is_not_complete(
     assert (len(recording.grasps), recording.n_broken_grasps) == (2, 1)
     with pytest.raises(RecordingError, match="not complete"):
         recording_grasps(again)
-    assert recover_recording(again, tmp_path / "new.mcap").n_grasps == 2
+    recover_recording(again, tmp_path / "new.mcap")
     whole = read_recording(tmp_path / "new.mcap")
     assert (whole.complete, len(whole.grasps)) == (True, 2)
 

@@ -115,13 +115,21 @@ def recover(
 ) -> None:
     """Save the undamaged data of a damaged recording to a new file."""
     target = output or recording.with_name(f"{recording.stem}-recovered.mcap")
-    found = recover_recording(recording, target)
+    old = recover_recording(recording, target)
+    values = {
+        "recording": target,
+        "n_frames": len(old.frames),
+        "n_cycles": len(old.cycles),
+        "n_grasps": len(old.grasps),
+        "n_broken_grasps": old.n_broken_grasps,
+        "lost_reason": old.lost_reason,
+    }
     lines = (
-        f"{recording}: {found.lost_reason or 'complete, nothing is lost'}",
-        f"{found.recording}: {found.n_frames} frames, {found.n_cycles} periods of the loop, "
-        f"{found.n_grasps} whole grasps; {found.n_broken_grasps} broken grasps are left out",
+        f"{recording}: {old.lost_reason or 'complete, nothing is lost'}",
+        f"{target}: {len(old.frames)} frames, {len(old.cycles)} periods of the loop, "
+        f"{len(old.grasps)} whole grasps; {old.n_broken_grasps} broken grasps are left out",
     )
-    show(lines, found, json_file)
+    show(lines, values, json_file)
 
 
 ReplayConfigOption = Annotated[
