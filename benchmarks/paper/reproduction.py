@@ -107,7 +107,7 @@ def classify(taught: Sequence[Array], tested: Sequence[Array]) -> Outcome:
     n = len(LABELS)
     counts = np.zeros((n, n + 1), dtype=np.int64)
     for taught_one, tested_one in zip(taught, tested, strict=True):
-        levels = find_thresholds(list(taught_one), margin=PAPER_NOISE)
+        levels = find_thresholds(list(taught_one))
         for held, values in enumerate(tested_one):
             names = name_by_threshold(levels, values)
             counts[held] += np.bincount(np.where(names < 0, n, names), minlength=n + 1)

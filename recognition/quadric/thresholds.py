@@ -58,21 +58,17 @@ class LevelBands:
         )
 
 
-def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE) -> LevelBands:
+def find_thresholds(values: Sequence[ArrayLike]) -> LevelBands:
     """Turn the values of each object into bands, thresholds and windows.
 
-    Raises TrajectoryError if no object has a level, or the margin is out of range.
+    Raises TrajectoryError if no object has a level.
 
     Parameters
     ----------
     values
         Any number of values for each object; NaN is left out. An object without values has no level
         and is never named.
-    margin
-        See `LevelBands`.
     """
-    if not 0.0 <= margin < 1.0:
-        raise TrajectoryError(f"margin is {margin}, must be from 0 below 1")
     low = np.full(len(values), np.nan)
     high = np.full(len(values), np.nan)
     for index, one in enumerate(values):
@@ -87,7 +83,7 @@ def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE)
             f"no object of {len(values)} has a level: no grasp pressed enough neighbouring taxels "
             "for a surface, which needs pads of at least 3 x 3"
         )
-    return _levels(low, high, order, margin)
+    return _levels(low, high, order, NOISE_SHARE)
 
 
 def _levels(

@@ -11,7 +11,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.errors import TrajectoryError
 from recognition.grasp import Grasp, PadArray, by_label, keep_array
 from recognition.quadric.level import (
     common_force_n,
@@ -42,7 +41,8 @@ class LevelCheckRecognizer(TaughtRecord):
     pads: PadArray
     """The pads of the teaching."""
     force_n: float | None
-    """Grip force in N of the levels; None: near the full force of each ramp."""
+    """Grip force in N of the levels: the largest that each taught grasp reached, because levels
+    compare at equal force only. None without recorded forces: near the full load of each ramp."""
     mean: NDArray[np.float64]
     spread: NDArray[np.float64]
     """(n_labels,) float64: mean and standard deviation of the natural logarithm of the level's
@@ -50,8 +50,6 @@ class LevelCheckRecognizer(TaughtRecord):
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     """(n_labels,) float64: least and largest taught level; NaN likewise."""
-    margin: float
-    """Share of its edge by which a level's band is extended into open space."""
     noise_counts: float
     """Noise of the taught grasps, see `recognition.quadric.level.MeanFrames`."""
     noise_per_count: float
@@ -69,18 +67,16 @@ class LevelCheckRecognizer(TaughtRecord):
             and np.isfinite(numbers).all()
             and (numbers[1] > 0).all()
             and (self.low[usable] <= self.high[usable]).all()
-            and 0.0 < self.margin < 1.0
             and 0.0 <= self.noise_counts < np.inf
             and 0.0 <= self.noise_per_count < np.inf
         )
         if not sound:
-            raise ValueError(f"{NAME}: mean, spread, low, high, margin and noise make no levels")
+            raise ValueError(f"{NAME}: mean, spread, low, high and noise make no levels")
 
     @property
     def levels(self) -> LevelBands:
         """Bands, thresholds and windows of the taught objects."""
-        bands = list(np.stack([self.low, self.high], axis=1))
-        return find_thresholds(bands, margin=self.margin)
+        return find_thresholds(list(np.stack([self.low, self.high], axis=1)))
 
     def measure(self, grasp: Grasp) -> tuple[float, float] | None:
         """Return the level of a grasp and its additional noise; None if it has no surface.
@@ -140,20 +136,10 @@ class LevelCheckRecognizer(TaughtRecord):
 class LevelCheckTrainer:
     """Teaches the levels."""
 
-    force_n: float | None = None
-    """Grip force in N of the levels. The default is the largest one that every taught grasp
-    reached, because levels compare at equal force only. Without recorded forces the level is taken
-    near the full load."""
-    margin: float = 0.08
-    """Share of its edge by which a level's band is extended into open space, above 0, below 1."""
     name: ClassVar[str] = NAME
     use_aperture: bool = False
     """Accepted like by every trainer of this package. The paper's method does not use the opening,
     so both values teach the same and `uses_aperture` is always False."""
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.margin < 1.0:
-            raise TrajectoryError(f"margin is {self.margin}, must be above 0 and below 1")
 
     @property
     def uses_aperture(self) -> bool:
@@ -169,13 +155,13 @@ class LevelCheckTrainer:
         """
         members = by_label(grasps)
         pads = learn_rest(grasps).pads
-        force_n = common_force_n(grasps) if self.force_n is None else self.force_n
+        force_n = common_force_n(grasps)
         measured = [
             [m for grasp in group if (m := level_of(grasp, force_n)) is not None]
             for group in members.values()
         ]
         values = [np.array([value for value, _ in group]) for group in measured]
-        levels = find_thresholds(values, margin=self.margin)
+        levels = find_thresholds(values)
         mean, spread = log_statistics(values)
         noise_counts, noise_per_count = usual_noise([m for group in measured for _, m in group])
         return LevelCheckRecognizer(
@@ -186,7 +172,6 @@ class LevelCheckTrainer:
             spread=spread,
             low=levels.low,
             high=levels.high,
-            margin=self.margin,
             noise_counts=noise_counts,
             noise_per_count=noise_per_count,
         )

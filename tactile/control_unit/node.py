@@ -95,10 +95,8 @@ class Mounting:
         one centre for both."""
         self._signs = (-1 if first.rows_mirrored else 1, -1 if first.columns_mirrored else 1)
         own = np.concatenate([np.arange(layout.n_taxels)[layout.taxels_of(p)] for p in gripping])
-        self.zero_order = np.arange(len(own))
+        self.zero_order = np.searchsorted(own, np.argsort(self.order)[own])
         """(n,) int64: for each taxel that the unit sums its place on the layout's gripping pads."""
-        if self.unit_can_sum:
-            self.zero_order[np.searchsorted(own, self.order[own])] = np.arange(len(own))
 
     def force(self, message: ForceMessage) -> ForceMessage:
         """Return a force message of the unit with the forces of the layout's fingers."""

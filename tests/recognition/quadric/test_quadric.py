@@ -259,13 +259,13 @@ def test_refusals_name_the_cause(call, error, message):
 
 
 def test_thresholds_are_the_middles_between_neighbouring_bands():
-    levels = find_thresholds([[5.0, 6.0], [1.0, 2.0], [8.0, 9.0]], margin=0.2)
+    levels = find_thresholds([[5.0, 6.0], [1.0, 2.0], [8.0, 9.0]])
     assert levels.order.tolist() == [1, 0, 2]
     assert levels.threshold == pytest.approx([3.5, 7.0])
     assert levels.window == pytest.approx([3.0, 2.0])
     assert levels.closed == ()
     # inside the bands, on either side of the threshold 7, beyond the reach of every band
-    expected = {1.5: 1, 5.5: 0, 8.5: 2, 6.9: 0, 7.1: 2, 7.0: None, 3.5: None, 2.3: 1, 11.0: None}
+    expected = {1.5: 1, 5.5: 0, 8.5: 2, 6.4: 0, 7.5: 2, 7.0: None, 3.5: None, 2.1: 1, 11.0: None}
     assert {value: check_level(levels, value) for value in expected} == expected
 
 
@@ -283,8 +283,6 @@ def test_an_object_without_a_level_is_never_named():
     assert check_level(levels, 100.0) is None
     with pytest.raises(TrajectoryError, match="no object of 2"):
         find_thresholds([[np.nan], []])
-    with pytest.raises(TrajectoryError, match="margin is 1"):
-        find_thresholds([[1.0]], margin=1.0)
 
 
 @settings(max_examples=80)

@@ -316,35 +316,31 @@ def test_fuse_refuses_what_does_not_belong_together():
         fuse([posterior(1, 1)], dependence=1.5)
 
 
-def test_a_sure_grasp_decides_at_once():
-    decision = decide([posterior(1.0, 1e-5, 1e-5)], StopRule(error_rate=0.02))
-    assert (decision.kind, decision.label) == (DecisionKind.DECIDED, "a")
-    assert decision.probability > 0.98
+SURE, UNSURE, EVEN = posterior(1.0, 1e-5, 1e-5), posterior(0.6, 0.4), posterior(1, 1, 1, 1)
+STRANGE = posterior(0.9, 0.1, unknown=0.9)
+MAYBE_NEW = posterior(1.0, 1e-6, unknown=2.0 * MAX_UNKNOWN)
 
 
-def test_an_unsure_grasp_calls_for_another_until_the_last():
-    rule, p = StopRule(error_rate=0.01, max_grasps=3), posterior(0.6, 0.4)
-    assert decide([p], rule).kind is DecisionKind.CONTINUE
-    assert decide([p, p], rule).kind is DecisionKind.CONTINUE
-    last = decide([p, p, p], rule)
-    assert last.kind is DecisionKind.DECIDED
-    assert 0.6 < last.probability < 0.99
-
-
-def test_an_untaught_object_ends_the_search():
-    strange = posterior(0.9, 0.1, unknown=0.9)
-    rule = StopRule(max_grasps=4)
-    assert decide([strange], rule).kind is DecisionKind.CONTINUE
-    found = decide([strange] * 3, rule)
-    assert (found.kind, found.label) == (DecisionKind.UNKNOWN, UNKNOWN)
-    assert found.probability >= 0.95
-
-
-def test_after_the_last_grasp_an_unlikely_label_is_unknown():
-    even = posterior(1, 1, 1, 1)
-    decision = decide([even], StopRule(max_grasps=1))
-    assert decision.kind is DecisionKind.UNKNOWN
-    assert decision.probability == pytest.approx(1.0 - 0.95 * 0.25)
+@pytest.mark.parametrize(
+    ("grasps", "rule", "answer", "between"),
+    [
+        ([SURE], StopRule(error_rate=0.02), (DecisionKind.DECIDED, "a"), (0.98, 1.0)),
+        ([UNSURE], StopRule(max_grasps=3), (DecisionKind.CONTINUE, "a"), (0.59, 0.61)),
+        ([UNSURE] * 2, StopRule(max_grasps=3), (DecisionKind.CONTINUE, "a"), (0.6, 0.99)),
+        ([UNSURE] * 3, StopRule(max_grasps=3), (DecisionKind.DECIDED, "a"), (0.6, 0.99)),
+        ([STRANGE], StopRule(max_grasps=4), (DecisionKind.CONTINUE, "a"), (0.89, 0.91)),
+        ([STRANGE] * 3, StopRule(max_grasps=4), (DecisionKind.UNKNOWN, UNKNOWN), (0.95, 1.0)),
+        ([EVEN], StopRule(max_grasps=1), (DecisionKind.UNKNOWN, UNKNOWN), (0.762, 0.763)),
+        ([MAYBE_NEW], StopRule(max_grasps=2), (DecisionKind.CONTINUE, "a"), (0.99, 1.0)),
+        ([MAYBE_NEW] * 2, StopRule(max_grasps=2), (DecisionKind.DECIDED, "a"), (0.99, 1.0)),
+    ],
+)
+def test_a_sequence_ends_with_a_sure_name_a_new_object_or_its_last_grasp(
+    grasps, rule, answer, between
+):
+    decision = decide(grasps, rule)
+    assert (decision.kind, decision.label) == answer
+    assert between[0] < decision.probability <= between[1]
 
 
 @pytest.mark.parametrize("share", [0.4, 0.6, 0.9, 1.0])
@@ -356,12 +352,6 @@ def test_a_name_needs_its_probability_and_its_novelty(share, unknown):
     assert posterior(1, 1, 1, unknown=unknown).name == UNKNOWN
     assert one.name_probability == pytest.approx(1.0 - named if one.name == UNKNOWN else named)
     assert decide([one], StopRule(max_grasps=1)).label == fuse([one]).name
-
-
-def test_a_sure_name_of_what_may_be_new_calls_for_another_grasp():
-    sure, rule = posterior(1.0, 1e-6, unknown=2.0 * MAX_UNKNOWN), StopRule(max_grasps=2)
-    assert decide([sure], rule).kind is DecisionKind.CONTINUE
-    assert decide([sure, sure], rule).label == "a"
 
 
 @pytest.mark.parametrize("wrong", [{"error_rate": 0.0}, {"error_rate": 1.0}, {"max_grasps": 0}])
