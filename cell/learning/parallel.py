@@ -10,9 +10,6 @@ import joblib
 from cell.errors import CellError
 from recognition.evaluation.evaluation import Mapper, one_by_one
 
-_MOST_DEATHS = 3
-"""How often a process may end before any work is done."""
-
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
@@ -20,25 +17,15 @@ _Result = TypeVar("_Result")
 def spread(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> Iterable[_Result]:
     """Do the work through joblib, by the backend of the surrounding `workers`; a `Mapper`.
 
-    Results come as they are done, in order. Work that a worker held when it died is done again;
-    raises CellError where workers die again and again.
+    Results come as they are done, in order. Raises CellError where a process ends at its work.
     """
-    n_done = deaths = 0
-    while n_done < len(items):
-        left = items[n_done:]
-        try:
-            for result in joblib.Parallel(return_as="generator")(
-                joblib.delayed(work)(item) for item in left
-            ):
-                n_done, deaths = n_done + 1, 0
-                yield result
-        except BrokenProcessPool as error:
-            deaths += 1
-            if deaths == _MOST_DEATHS:
-                raise CellError(
-                    f"{deaths} processes ended at the same work, probably by lack of memory: use "
-                    "fewer --jobs; finished work is kept"
-                ) from error
+    tasks = (joblib.delayed(work)(item) for item in items)
+    try:
+        yield from joblib.Parallel(return_as="generator")(tasks)
+    except BrokenProcessPool as error:
+        raise CellError(
+            "a process ended at its work, probably by lack of memory: use fewer --jobs"
+        ) from error
 
 
 @contextmanager
