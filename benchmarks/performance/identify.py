@@ -15,7 +15,7 @@ from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
-from cell.control.keeping import Keep
+from cell.control.plan import Keep
 from cell.learning.taught_model import TaughtModel
 from cell.runtime.goals import IdentifyGoal, SortGoal, TeachGoal
 from cell.runtime.sort import simulated_feed

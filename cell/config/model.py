@@ -162,6 +162,8 @@ class CellConfig(Section):
             keys.setdefault(port, []).append(key)
             if len(keys[port]) > 1:
                 raise ValueError(f"{' and '.join(keys[port])} are {port}: write another port")
+        if self.simulator.faults and not self.simulated:
+            raise ValueError("simulator.faults are not for a cell with real ports: remove them")
         on_can = self.tactile.sensor.on_can
         if not self.simulated and on_can and self.tactile.channel == "":
             raise ValueError("tactile.channel is empty; name the channel of the CAN interface")
@@ -192,7 +194,7 @@ class CellConfig(Section):
                 raise ValueError(
                     f"gripper.{name} is beyond gripper.linkage, its lengths and offset_mm: {error}"
                 ) from error
-        with raised_as(ValueError, LimitExceeded, where="gripper"):
+        with raised_as(ValueError, LimitExceeded, where="sequence"):
             ramp = ramp_from_config(self.sequence.ramp, most_n)
             check_ramp(ramp, self.gripper_settings, self.linkage)
         gripper, tactile = self.gripper, self.tactile

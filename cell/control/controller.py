@@ -8,17 +8,17 @@ from cell.control.early_end import EarlyDecider
 from cell.control.grasping import NOTHING_HELD, Grasper
 from cell.control.identification import (
     Identification,
+    Judge,
     OnGrasp,
     ReadShape,
     grasp_and_classify,
 )
 from cell.control.journal import Journal
-from cell.control.keeping import Judge, Keep
 from cell.control.kept_part import KeptPart
 from cell.control.lifecycle import UNTIL_RELEASED, CellLifecycle
 from cell.control.live import LiveValues, live_values
 from cell.control.moves import Moves
-from cell.control.plan import GraspStep, Pose
+from cell.control.plan import GraspStep, Keep, Pose
 from cell.control.positioner import PatientCaller, Positioner, in_thread
 from cell.control.records import GraspRecord, pad_array
 from cell.control.self_zero import SelfZeros, homing_offsets

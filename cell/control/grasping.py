@@ -4,12 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
 
+import numpy as np
+
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
 from cell.control.early_end import EarlyDecider
+from cell.control.identification import Judge
 from cell.control.journal import Journal
-from cell.control.keeping import Judge, open_counts, spliced
-from cell.control.kept_part import KeptPart
+from cell.control.kept_part import KeptPart, open_counts
 from cell.control.lifecycle import CellLifecycle
 from cell.control.moves import Moves
 from cell.control.plan import GraspStep, Pose
@@ -22,6 +24,7 @@ from cell.recording.grasp_limits import check_text
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle
+from recognition.grasp import Grasp
 from tactile.source import TactileFrame
 
 NOTHING_HELD = {
@@ -202,3 +205,26 @@ class Grasper:
             cycles=tuple(collector.cycles),
             same_grip=True,
         )
+
+
+def spliced(approach: Grasp, further: Grasp, from_n: float) -> Grasp:
+    """Return a grasp made of the first approach and a further ramp in the same grip.
+
+    A recogniser compares each taxel with its rest before the touch, but a further ramp begins with
+    a loaded part. The frames of the first ramp below ``from_n``, the set-point in N at which the
+    further ramp begins, are therefore put before it.
+    """
+    n = int(np.argmax(np.asarray(approach.force_n) >= from_n))
+    gap_s = float(np.median(np.diff(further.t_s))) if further.n_frames > 1 else 0.0
+    later_s = float(approach.t_s[n - 1]) + gap_s if n else 0.0
+    return Grasp(
+        pads=further.pads,
+        counts=np.concatenate([approach.counts[:n], further.counts]),
+        t_s=np.concatenate([approach.t_s[:n], further.t_s + later_s]),
+        aperture_m=np.concatenate([approach.aperture_m[:n], further.aperture_m]),
+        force_n=np.concatenate([approach.force_n[:n], further.force_n]),
+        label=further.label,
+        source=further.source,
+        start_ms=further.start_ms,
+        command=further.command,
+    )

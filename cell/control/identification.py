@@ -4,8 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from cell.control.early_end import EarlyDecider
-from cell.control.keeping import Judge, Keep, PartDecision
-from cell.control.plan import GraspStep
+from cell.control.plan import GraspStep, Keep
 from cell.control.records import GraspRecord
 from cell.fault_catalogue import error_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
@@ -23,6 +22,31 @@ noise; 0.2 at the usual noise)."""
 
 ReadShape = Callable[[Grasp], ShapeAnswer | None]
 """Function from a grasp to its shape and size; None if the pads do not show them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartDecision:
+    """Decision about a part that is held while its grasp is classified."""
+
+    keep: bool = False
+    """Whether it stays in the grip for the host."""
+    further: GraspStep | None = None
+    """Step whose force is the end of a further ramp in the same grip; None for no further ramp."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judge:
+    """Computes the answer to a grasp, and decides what to do with its part."""
+
+    start_answer: Callable[[GraspRecord], None]
+    """Called at the end of a ramp. If the force loop has its own process, the answer is computed
+    during the motion that follows."""
+    decide: Callable[[], PartDecision]
+    """Waits for the answer and decides; called while the part is held."""
+    holds: bool
+    """Whether the part is held until the decision; else it is released while it is classified."""
+    keeps: bool
+    """Whether it may be kept; it is then measured for a later comparison."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,12 +3,14 @@
 import itertools
 import math
 from dataclasses import asdict, dataclass
+from enum import StrEnum
 from typing import Self
 
 import numpy as np
 
 from cell.config.sequence import SequenceConfig
 from recognition.grasp import GraspCommand
+from recognition.recognizer import UNKNOWN
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,3 +122,15 @@ def _step(
     x_mm: float, y_mm: float, rotation_deg: float, roll_deg: float, force_n: float
 ) -> GraspStep:
     return GraspStep(pose=Pose.of_mm(x_mm, y_mm, rotation_deg, roll_deg), force_n=force_n)
+
+
+class Keep(StrEnum):
+    """When an identification keeps the part in the grip."""
+
+    NEVER = "never"
+    WHEN_NAMED = "when_named"
+    ALWAYS = "always"
+
+    def keeps(self, label: str) -> bool:
+        """Return whether a part with this answer stays in the grip."""
+        return self is Keep.ALWAYS or (self is Keep.WHEN_NAMED and label != UNKNOWN)

@@ -10,9 +10,8 @@ from typing import Any
 from cell.config.sequence import SequenceConfig
 from cell.control.controller import CellController
 from cell.control.identification import Identification, OnGrasp
-from cell.control.keeping import Keep
 from cell.control.part import Part, Verification
-from cell.control.plan import Pose, plan
+from cell.control.plan import Keep, Pose, plan
 from cell.control.records import GraspRecord
 from cell.control.self_zero import zero_text
 from cell.errors import CellError, ModelError, NoPartFound, raised_as

@@ -9,8 +9,7 @@ from typing import Any
 
 from cell.build import Cell, build_cell
 from cell.control.controller import CellController
-from cell.control.keeping import Keep
-from cell.control.plan import GraspStep, Pose
+from cell.control.plan import GraspStep, Keep, Pose
 from cell.simulation import simulation_of
 from simulator.errors import SimulatorError
 from tests.cell.conftest import COARSE_PADS

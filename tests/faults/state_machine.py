@@ -6,7 +6,7 @@ from typing import Any
 from hypothesis import HealthCheck, Phase, seed, settings, strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
-from cell.control.keeping import Keep
+from cell.control.plan import Keep
 from simulator.faults.entry import FaultEntry, Number
 from simulator.faults.vocabulary import VOCABULARY
 from tests.faults.driver import Driver

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 
 from cell.config.sequence import SequenceConfig
 from cell.control.controller import CellController
-from cell.control.keeping import Keep
-from cell.control.plan import Pose, plan
+from cell.control.plan import Keep, Pose, plan
 from cell.control.positioner import Destination
 from recognition.recognizer import Recognizer
 

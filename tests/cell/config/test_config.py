@@ -157,6 +157,7 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
         ("gripper: {port: /dev/ttyUSB0}\n", ["must all be `simulated` or all be real"]),
         (PORT + "tactile: {interface: socketcan}\n", ["tactile.channel is empty"]),
         (CAN, ["positioner.kind is simulated but the cell is not"]),
+        (CAN + "simulator: {faults: [can.off]}\n", ["faults are not for a cell with real ports"]),
         ("simulator: {objects: [{label: a, shape: s}, {label: a, shape: s}]}\n", ["repeat"]),
         ("gripper:\n  baud_rate: 1\nseed: -1\n", ["baud_rate", "\n", "cell.yaml:3:1: seed"]),
         ("gripper:\n  forc_max_n: 3\n", ["yaml:2:3: gripper.forc_max_n: unknown key; did "]),

@@ -17,8 +17,7 @@ from cell.config.sequence import (
 )
 from cell.control.controller import CellController
 from cell.control.grasping import Grasper
-from cell.control.identification import Identification, grasp_and_classify
-from cell.control.keeping import Judge
+from cell.control.identification import Identification, Judge, grasp_and_classify
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import GraspRecord
 from cell.errors import CellError, NoPartFound

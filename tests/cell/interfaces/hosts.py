@@ -11,7 +11,7 @@ from xmlrpc.client import ServerProxy
 from pymodbus.client import ModbusTcpClient
 from websockets.sync.client import connect as open_socket
 
-from cell.control.keeping import Keep
+from cell.control.plan import Keep
 from cell.interfaces.modbus.registers import COMMAND, COMMAND_SEQ, HOLD, LIFE, REBOOT
 from tests.cell.interfaces.modbus.structured_text import FunctionBlock
 from tests.waiting import LIMIT_S, until

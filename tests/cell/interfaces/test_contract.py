@@ -10,9 +10,8 @@ from xmlrpc.client import ServerProxy
 import numpy as np
 import pytest
 
-from cell.control.keeping import Keep
 from cell.control.part import Part
-from cell.control.plan import Pose
+from cell.control.plan import Keep, Pose
 from cell.control.states import Command
 from cell.interfaces.modbus.registers import COMMANDS, VALUES
 from cell.interfaces.xml_rpc import METHODS, ur_pose

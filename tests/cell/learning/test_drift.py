@@ -12,8 +12,7 @@ from typer.testing import CliRunner
 
 from cell.control.early_end import EarlyDecider
 from cell.control.identification import Identification
-from cell.control.keeping import Keep
-from cell.control.plan import GraspStep, Pose
+from cell.control.plan import GraspStep, Keep, Pose
 from cell.control.states import CellState
 from cell.errors import CellError, CellStopped, ConfigError, ModelError
 from cell.interfaces.cli.app import app
