@@ -64,7 +64,7 @@ SELF_ZERO = Format(
     "self-zero", "tactile-cell-self-zero/2", "`tactile-cell hand zero` measures it anew"
 )
 ARCHIVE = Format(
-    "archive", "tactile-cell-archive/2", "archive the recordings again, to a new place"
+    "archive", "tactile-cell-archive/3", "archive the recordings again, to a new place"
 )
 
 

@@ -61,14 +61,14 @@ _COLUMNS: tuple[tuple[str, Any, str], ...] = (
     ("unknown", _NUMBER, "probability by this grasp that the object was never taught"),
     ("series", _TEXT, "individual or day; empty where it was not named"),
     ("shape", _TEXT, "class of shape that was asked for"),
-    ("felt_kind", _TEXT, "kind of shape by this grasp"),
+    ("shape_kind", _TEXT, "kind of shape by this grasp"),
     ("size_m", _NUMBER, "thickness along the closing axis by this grasp, m"),
     ("size_low_m", _NUMBER, "lower end of its interval of 90 %, m"),
     ("size_high_m", _NUMBER, "upper end, m"),
     ("thickness_m", _NUMBER, "thickness by the drawing, m"),
     ("drift_gain", _NUMBER, "gain of the pads since teaching that the answer rests on"),
     ("drift_aperture_m", _NUMBER, "offset of the opening that it rests on, m"),
-    ("asked", pa.struct([(name, _NUMBER) for name in COMMAND_COLUMNS]), "commanded pose and force"),
+    ("command", pa.struct([(name, _NUMBER) for name in COMMAND_COLUMNS]), "pose and force"),
     ("zero", pa.struct([(name, _NUMBER) for name in ZERO_COLUMNS]), "self-zero before the grasp"),
     ("closing_current_a", _NUMBER, "median current of the closing, empty fingers, A: friction"),
     ("hold_current_a", _NUMBER, "mean current in the last tenth of the ramp, A"),
@@ -137,7 +137,7 @@ _OF_RESULT = {
     "drift_aperture_m": "drift_aperture_m",
 }
 _OF_SHAPE = {
-    "felt_kind": "kind", "size_m": "size_m", "size_low_m": "low_m", "size_high_m": "high_m",
+    "shape_kind": "kind", "size_m": "size_m", "size_low_m": "low_m", "size_high_m": "high_m",
 }  # fmt: skip
 """Columns by their names in a recorded answer, and in its shape."""
 
@@ -225,7 +225,7 @@ def _plain(grasp: Grasp) -> dict[str, Any]:
         "thickness_m": grasp.thickness_m,
         "counts": list(grasp.counts),
         **{name: getattr(grasp, name) for name in (*_PLAIN, *_OF_FRAMES)},
-        "asked": grasp.command and asdict(grasp.command),
+        "command": grasp.command and asdict(grasp.command),
         "zero": grasp.zero and asdict(grasp.zero),
     }
 
@@ -269,7 +269,7 @@ def _pads(text: str) -> PadArray:
 
 def grasps_of(batch: pa.RecordBatch) -> Iterator[Grasp]:
     """Yield the grasps of rows, as they were archived."""
-    single = [*_PLAIN, "thickness_m", "asked", "zero", "pads"]
+    single = [*_PLAIN, "thickness_m", "command", "zero", "pads"]
     for i, row in enumerate(batch.select(single).to_pylist()):
         pads = _pads(row["pads"])
         lists = {name: batch[name].slice(i, 1).flatten() for name in (*_OF_FRAMES, "counts")}
@@ -279,6 +279,6 @@ def grasps_of(batch: pa.RecordBatch) -> Iterator[Grasp]:
             **{name: values.to_numpy() for name, values in lists.items()},
             **{name: row[name] for name in _PLAIN},
             thickness_m=np.nan if row["thickness_m"] is None else row["thickness_m"],
-            command=row["asked"] and GraspCommand(**row["asked"]),
+            command=row["command"] and GraspCommand(**row["command"]),
             zero=row["zero"] and SelfZero(**row["zero"]),
         )

@@ -381,8 +381,8 @@ def _grasp(row: dict[str, Any], pads: PadArray, frames: RecordedFrames, part: sl
         counts=frames.counts[part].copy(),
         t_s=t_s,
         **{name: row[name] for name in known if name in row},
-        command=GraspCommand.from_values(row["asked"]) if "asked" in row else None,
-        zero=SelfZero.from_values(row["self_zero"]) if "self_zero" in row else None,
+        command=GraspCommand.from_values(row["command"]) if "command" in row else None,
+        zero=SelfZero.from_values(row["zero"]) if "zero" in row else None,
     )
 
 

@@ -284,8 +284,8 @@ class Recorder:
         names = ("label", "shape", "source", "start_ms", "n_frames", "aperture_m", "force_n")
         values = {name: getattr(grasp, name) for name in names} | {
             "first_frame": first_frame,
-            "asked": grasp.command and grasp.command.values,
-            "self_zero": grasp.zero and grasp.zero.values,
+            "command": grasp.command and grasp.command.values,
+            "zero": grasp.zero and grasp.zero.values,
         }
         self.now(schema.GRASP, values)
 

@@ -68,8 +68,8 @@ def _text(text: str) -> str:
 
 Text = Annotated[str, AfterValidator(_text)]
 """A text of a grasp."""
-_ASKED = "pose and force asked for: " + ", ".join(COMMAND_COLUMNS)
-_SELF_ZERO = "what the empty fingers showed before: " + ", ".join(ZERO_COLUMNS)
+_COMMAND = "commanded pose and force: " + ", ".join(COMMAND_COLUMNS)
+_ZERO = "self-zero of the empty fingers before: " + ", ".join(ZERO_COLUMNS)
 
 _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 _record = with_config(
@@ -249,8 +249,8 @@ class Grasp(TypedDict):
     """opening at each frame, m; left out unless known for each"""
     force_n: NotRequired[list[Annotated[float, _within("force_n")]]]
     """commanded grip force at each frame, N; left out unless known for each"""
-    asked: NotRequired[Annotated[list[Number], Field(description=_ASKED)]]
-    self_zero: NotRequired[Annotated[list[Number], Field(description=_SELF_ZERO)]]
+    command: NotRequired[Annotated[list[Number], Field(description=_COMMAND)]]
+    zero: NotRequired[Annotated[list[Number], Field(description=_ZERO)]]
 
 
 @_record
