@@ -60,18 +60,6 @@ class LevelCheckRecognizer(TaughtRecord):
             array = keep_array(self, name, getattr(self, name), np.float64)
             if array.shape != (len(self.labels),):
                 raise ValueError(f"{name} has shape {array.shape}, labels are {len(self.labels)}")
-        usable = np.isfinite(self.low)
-        numbers = np.stack([self.mean, self.spread, self.high])[:, usable]
-        sound = (
-            usable.any()
-            and np.isfinite(numbers).all()
-            and (numbers[1] > 0).all()
-            and (self.low[usable] <= self.high[usable]).all()
-            and 0.0 <= self.noise_counts < np.inf
-            and 0.0 <= self.noise_per_count < np.inf
-        )
-        if not sound:
-            raise ValueError(f"{NAME}: mean, spread, low, high and noise make no levels")
 
     @property
     def levels(self) -> LevelBands:

@@ -114,12 +114,8 @@ def test_arrays_hold_all_that_was_learnt(rng):
         LevelCheckRecognizer.from_arrays({k: v for k, v in arrays.items() if k != "mean"})
     with pytest.raises(ValueError, match="version 99"):
         LevelCheckRecognizer.from_arrays({**arrays, "version": np.array(99)})
-    for name, bad in (
-        *(("spread", -arrays["spread"]), ("low", arrays["high"] + 1), ("mean", [1.0])),
-        ("noise_counts", np.nan),
-    ):
-        with pytest.raises(ValueError, match=r"make no levels|mean has shape"):
-            LevelCheckRecognizer.from_arrays({**arrays, name: np.array(bad)})
+    with pytest.raises(ValueError, match="mean has shape"):
+        LevelCheckRecognizer.from_arrays({**arrays, "mean": np.array([1.0])})
 
 
 def test_other_pads_are_refused(rng):
