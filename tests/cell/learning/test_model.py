@@ -20,9 +20,10 @@ from recognition.evaluation.splits import a_day_later
 from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray
 from recognition.recognizer import Posterior
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
-from tests.cell.conftest import plain_grasp, plain_pads
+from tests.cell.conftest import plain_grasp
+from tests.recognition.conftest import THINGS, make_grasps, make_pads
 
-PADS = plain_pads((8, 5), (8, 5), adc_max=255)
+PADS = make_pads(shapes=((8, 5), (8, 5)), adc_max=255)
 
 
 class Bomb:
@@ -32,29 +33,9 @@ class Bomb:
         return setattr, (Bomb, "exploded", True)
 
 
-def press(label: str, *, height: float, width_m: float, seed: int = 0) -> Grasp:
-    """Press a round thing in the middle of both pads, ever harder."""
-    rng = np.random.default_rng(seed)
-    away_m = np.linalg.norm(PADS.taxel_xy_m - PADS.taxel_xy_m.mean(axis=0), axis=1)
-    share = np.concatenate([np.zeros(6), np.linspace(0, 1, 30)])
-    print_ = np.maximum(0.0, 1 - (away_m / width_m) ** 2)
-    counts = height * share[:, None] * print_ + rng.integers(1, 4, (36, 80))
-    return Grasp(
-        pads=PADS,
-        counts=counts.astype(np.uint16),
-        t_s=np.arange(36) / 30,
-        aperture_m=np.linspace(0.03, 0.02, 36),
-        force_n=share * 8,
-        label=label,
-    )
-
-
 @pytest.fixture(scope="module")
 def learnt() -> LevelCheckRecognizer:
-    return LevelCheckTrainer().fit(
-        [press("ball", height=90, width_m=8e-3, seed=s) for s in range(4)]
-        + [press("box", height=200, width_m=11e-3, seed=s) for s in range(4, 8)]
-    )
+    return LevelCheckTrainer().fit(make_grasps(4, seed=1, pads=PADS, things=THINGS[:2]))
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +47,9 @@ def good(learnt: LevelCheckRecognizer, tmp_path_factory: pytest.TempPathFactory)
 
 def test_loaded_model_answers_like_the_taught_one(learnt, good) -> None:
     loaded = load_model(good, PADS)
-    assert (loaded.labels, loaded.trainer_name) == (("ball", "box"), "level_check")
+    assert (loaded.labels, loaded.trainer_name) == (("bar", "block"), "level_check")
     assert loaded.pads.same_as(PADS)
-    for seed in range(20, 24):
-        grasp = press("?", height=90 + 20 * (seed - 20), width_m=9e-3, seed=seed)
+    for grasp in make_grasps(1, seed=2, pads=PADS):
         was, now = learnt.posterior(grasp), loaded.recognizer.posterior(grasp)
         np.testing.assert_array_equal(now.probability, was.probability)
         assert now.unknown == was.unknown
@@ -143,8 +123,8 @@ def test_changed_model_is_refused(change, says, good, tmp_path) -> None:
         {"version": np.array(99)},
         {"mean": None},
         {"mean": np.array("x")},
-        {"labels": np.array(["ball", "UNKNOWN"])},
-        {"labels": np.array(["ball", "\x1b[2J"])},
+        {"labels": np.array(["bar", "UNKNOWN"])},
+        {"labels": np.array(["bar", "\x1b[2J"])},
     ],
 )
 def test_model_of_another_version_is_refused(change, learnt, tmp_path, monkeypatch) -> None:
@@ -201,21 +181,8 @@ def test_recogniser_of_unknown_kind_is_not_written(learnt, tmp_path) -> None:
 # -- What a teaching does not show is named, and what a taught model shows of its objects ----------
 
 
-ONE_TAXEL = PadArray(
-    pad_shape=np.array([[1, 1]]), taxel_pad=np.zeros(1), taxel_xy_m=np.zeros((1, 2)), adc_max=255
-)
-
-
 def grasp(label: str, number: int) -> Grasp:
-    return Grasp(
-        pads=ONE_TAXEL,
-        counts=np.zeros((2, 1), dtype=np.uint16),
-        t_s=np.array([0.0, 2.0]),
-        aperture_m=np.full(2, 0.03),
-        force_n=np.zeros(2),
-        label=label,
-        start_ms=10_000 * number,
-    )
+    return plain_grasp(label, start_ms=10_000 * number)
 
 
 def test_one_series_of_each_object_is_said_to_miss_what_another_day_brings() -> None:
