@@ -130,10 +130,10 @@ def transformed(n: int) -> None:
         )
         right = np.mean(off.max(axis=1) < 1e-12)
         line("eq. (8)", f"{kind}: column sums are M^-1 P for {right:.0%} of {len(M_inv)}")
-        kept = [abs(sdp_bound(*substituted(Q, one)) / lowest - 1.0) for one in M_inv[:30]]
+        infima = [abs(sdp_bound(*substituted(Q, one)) / lowest - 1.0) for one in M_inv[:30]]
         moved = [abs(np.linalg.eigvalsh(by_inverse(Q, one))[0] / lowest - 1.0) for one in M_inv]
         text = (
-            f"infimum of (9) moves by {max(kept):.0e}, eigenvalue of Q' by up to {max(moved):.0%}"
+            f"infimum of (9) moves by {max(infima):.0e}, eigenvalue of Q' by up to {max(moved):.0%}"
         )
         line("eq. (9), (10)", f"{kind}: {text}")
     try:
@@ -210,12 +210,12 @@ def bands_and_windows(n: int) -> None:
             "the same, windows adjusted to the noise": quiet,
             "taught again at this noise": LevelCheckTrainer().fit(loud),
         }
-        for name, rule in rules.items():
+        for teaching, rule in rules.items():
             named = [(grasp.label, rule.check(grasp)) for grasp in tested]
-            right = sum(label == found for label, found in named)
-            none = sum(found == UNKNOWN for _, found in named)
+            right = sum(label == name for label, name in named)
+            none = sum(name == UNKNOWN for _, name in named)
             text = f"{right} right, {len(named) - right - none} wrong, {none} without a name"
-            line(f"noise {noise_share:.0%}", f"{name}: {text}")
+            line(f"noise {noise_share:.0%}", f"{teaching}: {text}")
 
 
 def main(effort: float = 1.0) -> None:

@@ -193,15 +193,15 @@ class Comparator(ClassifierMixin, BaseEstimator):
         steps = (SimpleImputer(keep_empty_features=True), scaler, self.classifier)
         model = Pipeline(list(zip(("filler", "scaler", "model"), steps, strict=True)))
         grid = {f"model__{name}": values for name, values in self.grid.items()}
-        found = {}
+        searches = {}
         with warnings.catch_warnings():
             # A network is not trained to its end: that prevents overfitting.
             warnings.simplefilter("ignore", ConvergenceWarning)
             for outline in self.outlines:
-                found[outline] = GridSearchCV(model, grid, cv=folds, error_score="raise")
-                found[outline].fit(self._rows(ordered, outline), names)
-        self.outline_ = max(found, key=lambda outline: found[outline].best_score_)
-        self.search_ = found[self.outline_]
+                searches[outline] = GridSearchCV(model, grid, cv=folds, error_score="raise")
+                searches[outline].fit(self._rows(ordered, outline), names)
+        self.outline_ = max(searches, key=lambda outline: searches[outline].best_score_)
+        self.search_ = searches[self.outline_]
         return self
 
     def predict(self, grasps: Sequence[Grasp]) -> NDArray[np.str_]:
@@ -213,12 +213,12 @@ class Comparator(ClassifierMixin, BaseEstimator):
         levels, rest = load_levels(grasps, self.rest_), self.rest_
         if self.of_patch is None:
             return features_of(levels, rest, opening=self.opening)
-        found = []
+        of_pads = []
         for column, pad in enumerate(rest.gripping):
             patches = pressed(levels.maps[column][:, -1], levels.noise[:, -1, column])
             grid = pad_grid(rest.pads, pad)
-            found.append([self.of_patch(patch, grid, outline) for patch in patches])
-        return np.concatenate(found, axis=1)
+            of_pads.append([self.of_patch(patch, grid, outline) for patch in patches])
+        return np.concatenate(of_pads, axis=1)
 
 
 _NETWORK = MLPClassifier((32,), solver="lbfgs", random_state=0)

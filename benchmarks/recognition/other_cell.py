@@ -116,12 +116,12 @@ def main(effort: float = 1.0) -> None:
     there = partial(_drawn_grasps, taught_objects | new_objects, max(n // 4, 2))
     drawn = []
     with ProcessPoolExecutor() as workers:
-        for seed, found in zip(seeds, workers.map(there, seeds), strict=True):
+        for seed, grasps in zip(seeds, workers.map(there, seeds), strict=True):
             what = f"  drawn cell, {1e-3 * drawn_cell(seed)['foam'].modulus_pa:.0f} kPa"
-            if isinstance(found, str):
-                line(what, f"ended with a fault: {found}")
+            if isinstance(grasps, str):
+                line(what, f"ended with a fault: {grasps}")
                 continue
-            drawn += (answers := asked(taught, [a_day_later(grasp) for grasp in found]))
+            drawn += (answers := asked(taught, [a_day_later(grasp) for grasp in grasps]))
             line(what, figures(answers))
     line("  drawn cells, all together", figures(drawn))
     rates(taught_objects, n)

@@ -72,9 +72,9 @@ def row(case: str, effort: float) -> str:
         tasks = Tasks(controller, ModelFile(model, None))
         for turn in range(repeats(_N_NAMED, effort) * len(labels)):
             label, start_s = labels[turn % len(labels)], clock.monotonic()
-            found, _ = tasks.named(IdentifyGoal(present=label, seed=1000 + turn))
+            answer, _ = tasks.named(IdentifyGoal(present=label, seed=1000 + turn))
             took_s.append(clock.monotonic() - start_s)
-            names[{label: "right", UNKNOWN: UNKNOWN}.get(found.label, "wrong")] += 1
+            names[{label: "right", UNKNOWN: UNKNOWN}.get(answer.label, "wrong")] += 1
         frames = controller.hand.statistics.source.frames
     return (
         f"{names['right']} | {names['wrong']} | {names[UNKNOWN]} | "

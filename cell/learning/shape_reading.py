@@ -59,7 +59,7 @@ def in_words(shape: ShapeAnswer) -> str:
     return f"{_NOUNS.get(shape.kind, shape.kind)} of {sizes}"
 
 
-def beside(label: str, shape: ShapeAnswer | None) -> str:
+def after_label(label: str, shape: ShapeAnswer | None) -> str:
     """Return shape and size as text after a label; empty without a shape."""
     if shape is None:
         return ""

@@ -81,8 +81,8 @@ def reaches_m(
                 roll_rad=resting_roll_rad(drawing, pose.roll_rad),
             )
         if not np.isfinite(heights_m[side]).any():
-            beside = abs(pose.x_m) > np.abs(bed.x_m).max() or abs(pose.y_m) > np.abs(bed.y_m).max()
-            why = "lies beside the pads" if beside else "is too narrow for the pads"
+            off = abs(pose.x_m) > np.abs(bed.x_m).max() or abs(pose.y_m) > np.abs(bed.y_m).max()
+            why = "lies beside the pads" if off else "is too narrow for the pads"
             raise ValueError(f"the object {why} at {pose}")
         if aslant_rad is None:
             both.append(heights_m[side])

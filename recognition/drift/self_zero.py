@@ -290,7 +290,7 @@ def foam_odds(taught: SelfZero, today: SelfZero) -> float:
 
 def foam_change(taught: SelfZero, today: SelfZero) -> float | None:
     """Return the stiffness of the foam over that of teaching; None without a clear change."""
-    by_force, force_var, by_way, way_var = _shown(taught, today)
+    by_force, force_var, by_way, way_var = _changes(taught, today)
     log_ratio = by_way - by_force
     clear = log_ratio**2 > _SHOWN_SIGMAS**2 * (force_var + way_var)
     return float(np.exp(log_ratio)) if clear else None
@@ -308,7 +308,7 @@ class _Common:
     """Probability of another foam."""
 
 
-def _shown(taught: SelfZero, today: SelfZero) -> tuple[float, float, float, float]:
+def _changes(taught: SelfZero, today: SelfZero) -> tuple[float, float, float, float]:
     """Return the changes since teaching of counts for force and of counts for travel.
 
     Each is a logarithm with its variance.
@@ -326,7 +326,7 @@ def _common(taught: SelfZero, today: SelfZero) -> _Common:
     times the counts. So counts are compared by travel, not by force. Counts for force give the
     gain, except for the motor constants. Counts for travel give the product of gain and stiffness.
     """
-    by_force, force_var, by_way, way_var = _shown(taught, today)
+    by_force, force_var, by_way, way_var = _changes(taught, today)
     foam_var = np.array([_FOAM_SD, _OTHER_FOAM_SD]) ** 2
     apart_var = way_var + force_var + foam_var
     other = _OTHER_FOAM if way_var < 1.0 else 1e-9  # the foam is unknown without travel

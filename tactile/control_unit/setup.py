@@ -32,12 +32,12 @@ class Check:
 
     what: str
     expected: int | str | None
-    found: int | str
+    actual: int | str
 
     @property
     def ok(self) -> bool:
         """Whether the found value is accepted."""
-        return self.expected is None or self.expected == self.found
+        return self.expected is None or self.expected == self.actual
 
 
 def read_identity(objects: ObjectAccess) -> NodeIdentity:
@@ -119,7 +119,7 @@ def _checks(objects: ObjectAccess, expected: Mapping[str, int]) -> list[Check]:
     ]
 
 
-def _shown(value: int | str | None) -> str:
+def _value_text(value: int | str | None) -> str:
     return f"{value} (0x{value:X})" if isinstance(value, int) else str(value)
 
 
@@ -128,7 +128,7 @@ def refuse_mismatch(checks: list[Check], problem: str, advice: str = _CHECK_CONF
     failed = [check for check in checks if not check.ok]
     if failed:
         rows = "; ".join(
-            f"{check.what}: expected {_shown(check.expected)}, found {_shown(check.found)}"
+            f"{check.what}: expected {_value_text(check.expected)}, found {_value_text(check.actual)}"
             for check in failed
         )
         raise IdentityMismatch(f"{problem}: {rows}. {advice}")

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from cell.control.part import Part
 from cell.learning.blas import one_blas_thread
-from cell.learning.shape_reading import beside, in_words
+from cell.learning.shape_reading import after_label, in_words
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
 from cell.runtime.goals import IdentifyGoal
@@ -37,9 +37,9 @@ def shape(kind: str, *thicknesses: Thickness) -> ShapeAnswer:
 
 def test_what_has_no_name_is_described() -> None:
     pin = shape("cylinder", THIN)
-    assert beside(UNKNOWN, pin) == ": a cylinder of 10.0 mm (9.6 to 10.4)"
-    assert beside("pin", pin) == "; cylinder, 10.0 mm (9.6 to 10.4)"
-    assert beside(UNKNOWN, None) == ""
+    assert after_label(UNKNOWN, pin) == ": a cylinder of 10.0 mm (9.6 to 10.4)"
+    assert after_label("pin", pin) == "; cylinder, 10.0 mm (9.6 to 10.4)"
+    assert after_label(UNKNOWN, None) == ""
     assert in_words(shape(UNCLEAR, THIN)) == "an unclear shape of 10.0 mm (9.6 to 10.4)"
 
 

@@ -19,7 +19,7 @@ from cell.interfaces.cli.session import (
 )
 from cell.interfaces.cli.terminal import percent, show
 from cell.learning.model import load_model
-from cell.learning.shape_reading import NO_SHAPE, beside, shape_reader
+from cell.learning.shape_reading import NO_SHAPE, after_label, shape_reader
 from cell.learning.training import identify_recorded
 from cell.recording.dataset import read_grasps
 from cell.runtime.goals import IdentifyGoal
@@ -96,9 +96,9 @@ def identify(
     was = f" (it was {part.presented})" if part.presented else ""
     if part.remark not in ("", *(record.ended for record in identification.records)):
         lines.append(part.remark)
-    felt = beside(part.label, part.shape)
+    shape_text = after_label(part.label, part.shape)
     lines.append(
-        f"answer: {part.label} {percent(identification.fused.name_probability)}{felt}{was}"
+        f"answer: {part.label} {percent(identification.fused.name_probability)}{shape_text}{was}"
     )
     if part.in_grip and config is not None and not checked.simulated:
         lines.append(f"the part is kept; to release it: {release_command(config)}")
