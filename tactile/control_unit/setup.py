@@ -119,7 +119,7 @@ def _checks(objects: ObjectAccess, expected: Mapping[str, int]) -> list[Check]:
     ]
 
 
-def _value_text(value: int | str | None) -> str:
+def _in_words(value: int | str | None) -> str:
     return f"{value} (0x{value:X})" if isinstance(value, int) else str(value)
 
 
@@ -128,7 +128,7 @@ def refuse_mismatch(checks: list[Check], problem: str, advice: str = _CHECK_CONF
     failed = [check for check in checks if not check.ok]
     if failed:
         rows = "; ".join(
-            f"{check.what}: expected {_value_text(check.expected)}, found {_value_text(check.actual)}"
+            f"{check.what}: expected {_in_words(check.expected)}, found {_in_words(check.actual)}"
             for check in failed
         )
         raise IdentityMismatch(f"{problem}: {rows}. {advice}")
