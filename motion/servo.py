@@ -97,14 +97,14 @@ class ServoAxis:
         """
         self._loss_s = self._settings.loss_s
         try:
-            found = self._ask(lambda: self._bus.ping(self._id))
+            answer = self._ask(lambda: self._bus.ping(self._id))
             drive_mode = self._ask(lambda: self._bus.read(self._id, DRIVE_MODE))
         except AxisSilent as silence:
             raise AxisMissing(f"{silence}; are ID and baud rate right?") from silence
         model = self._settings.model
-        if found.model_number != model.number:
+        if answer.model_number != model.number:
             raise AxisMissing(
-                f"{self.name} has model number {found.model_number}, a {model.name} has "
+                f"{self.name} has model number {answer.model_number}, a {model.name} has "
                 f"{model.number}: correct ID or model"
             )
         if drive_mode & ~_REVERSE_BIT:

@@ -52,14 +52,14 @@ class ResistivePads:
         self._world, self._layout, self._faults = world, layout, faults
         self._law = law or ResistiveLaw()
         self._rng = np.random.default_rng([seed, 2])
-        self._felt_n = np.zeros(layout.n_taxels)
+        self._lagging_n = np.zeros(layout.n_taxels)
         self._rest = self._rng.uniform(*self._law.rest_counts, layout.n_taxels)
 
     def scan(self) -> Counts:
         """Return the counts of all taxels at this moment, (n_taxels,) uint16 up to 255."""
-        law, force_n = self._law, self._world.felt_force_n()
-        self._felt_n = np.clip(self._felt_n, force_n, (1.0 + law.hysteresis) * force_n)
-        conductance = (self._felt_n / law.half_n) ** law.exponent
+        law, force_n = self._law, self._world.measured_force_n()
+        self._lagging_n = np.clip(self._lagging_n, force_n, (1.0 + law.hysteresis) * force_n)
+        conductance = (self._lagging_n / law.half_n) ** law.exponent
         for pad, taxels in ((n, self._layout.taxels_of(n)) for n in range(self._layout.n_pads)):
             matrix = conductance[taxels].reshape(self._layout.pad_shape[pad])
             sneak = law.row_share * matrix.mean(axis=1, keepdims=True)

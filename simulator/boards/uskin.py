@@ -71,7 +71,7 @@ class SimulatedUskin:
         self._drift = self._rng.uniform(0.5, 1.5, 2) * settings.drift_counts_s
         self._drifted = np.zeros(site.layout.n_taxels)
         self._rest = _REST[2] + self._rng.normal(0.0, _SPREAD_COUNTS, site.layout.n_taxels)
-        self._felt_n = np.zeros(site.layout.n_taxels)
+        self._lagging_n = np.zeros(site.layout.n_taxels)
         self._now_s = site.start_s
 
     def connect(self, send: SendBurst) -> None:
@@ -111,24 +111,24 @@ class SimulatedUskin:
             z = self._scan(finger)[taxels]
             shear = np.rint(_REST[0] + self._rng.normal(0.0, 12.0, (len(z), 2)))
             ids = self._settings.boards[finger].taxel_ids
-            for can_id, (x, y), one in zip(ids, shear.tolist(), z.tolist(), strict=True):
-                self._send(now_s, can_id, [struct.pack(">BHHH", 0, int(x), int(y), one)])
+            for can_id, (x, y), sample in zip(ids, shear.tolist(), z.tolist(), strict=True):
+                self._send(now_s, can_id, [struct.pack(">BHHH", 0, int(x), int(y), sample)])
 
     def _scan(self, finger: int) -> NDArray[np.uint16]:
         """Return z of all taxels (n_taxels,); each scan advances the drift of its board."""
         law, pad = self._settings, self._layout.gripping_pads[finger]
         taxels = self._layout.taxels_of(pad)
         self._drifted[taxels] += (self._drift[finger] + self._faults.drift_counts_s) * _PERIOD_S
-        force_n = self._world.felt_force_n()
-        self._felt_n = np.clip(self._felt_n, force_n, (1.0 + law.hysteresis) * force_n)
-        shown_n = law.limit_n * np.tanh(self._felt_n / law.limit_n)
+        force_n = self._world.measured_force_n()
+        self._lagging_n = np.clip(self._lagging_n, force_n, (1.0 + law.hysteresis) * force_n)
+        compressed_n = law.limit_n * np.tanh(self._lagging_n / law.limit_n)
         for number in range(self._layout.n_pads):
-            one = self._layout.taxels_of(number)
-            matrix = shown_n[one].reshape(self._layout.pad_shape[number])
+            taxels = self._layout.taxels_of(number)
+            matrix = compressed_n[taxels].reshape(self._layout.pad_shape[number])
             padded = np.pad(matrix, 1)
-            beside = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
-            shown_n[one] = (matrix + law.crosstalk * beside).ravel()
-        pull = law.counts_per_n * shown_n
+            neighbours = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
+            compressed_n[taxels] = (matrix + law.crosstalk * neighbours).ravel()
+        pull = law.counts_per_n * compressed_n
         z = self._rest + self._drifted + (-pull if law.falling else pull)
         z += self._rng.normal(0.0, law.noise_counts, z.shape)
         counts = np.clip(np.rint(z), 0, 0xFFFF).astype(np.uint16)

@@ -322,7 +322,7 @@ class SimulatedDrive(CanopenDevice):
         """Continue homing: to the switch, then slowly back; home is where the switch opens."""
         motion = self.motion
         if method == HomingMethod.HERE or self._braking_at_home:
-            self._found_home()
+            self._finish_homing()
             return
         negative, positive = motion.switches(self.forced_switch)
         direction = -1.0 if method == HomingMethod.NEGATIVE_SWITCH else 1.0
@@ -338,9 +338,9 @@ class SimulatedDrive(CanopenDevice):
             slow = self._number("Homing speeds.Speed during search for zero")
             motion.go(motion.demand - direction * 1e9, slow, acceleration)
         else:
-            self._found_home()
+            self._finish_homing()
 
-    def _found_home(self) -> None:
+    def _finish_homing(self) -> None:
         if self._braking_at_home:
             if self.motion.resting:
                 self._homing = None

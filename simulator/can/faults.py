@@ -49,7 +49,7 @@ class CanLinkFaults:
         return any(_DISTURBING(self))
 
 
-_RATES = tuple(one.name for one in fields(CanLinkFaults) if one.name.endswith("_rate"))
+_RATES = tuple(knob.name for knob in fields(CanLinkFaults) if knob.name.endswith("_rate"))
 _DISTURBING = attrgetter("drop_next", "delay_s", "bus_off", *_RATES)
 """Knobs that change messages one by one; those of ``_RATES`` are probabilities."""
 
@@ -115,8 +115,8 @@ class ControlUnitFaults:
             self._empty_pads.append(message)
         if self.pads_empty and self._empty_pads:
             self._empty_pads.rotate(-1)
-            shown = self._empty_pads[0]
-            return replace(message, force_n=shown.force_n, centre_taxels=shown.centre_taxels)
+            empty = self._empty_pads[0]
+            return replace(message, force_n=empty.force_n, centre_taxels=empty.centre_taxels)
         first_n, second_n = (self.force_gain * n + self.force_offset_n for n in message.force_n)
         force_n, centre = (first_n, second_n), message.centre_taxels
         if self.centres_stuck:

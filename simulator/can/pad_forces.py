@@ -39,10 +39,10 @@ _NODES = np.arange(TABLE_NODES)
 
 def _smoothing(rows: int, columns: int) -> NDArray[np.float64]:
     """Return the matrix (n, n) that sums each taxel's 3 x 3 neighbours on its pad."""
-    near, beside = _KERNEL
+    centre, neighbour = _KERNEL
 
     def band(n: int) -> NDArray[np.float64]:
-        return near * np.eye(n) + beside * (np.eye(n, k=1) + np.eye(n, k=-1))
+        return centre * np.eye(n) + neighbour * (np.eye(n, k=1) + np.eye(n, k=-1))
 
     return np.asarray(np.kron(band(rows), band(columns)), dtype=np.float64)
 

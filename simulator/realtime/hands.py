@@ -72,7 +72,7 @@ class Hands:
 
         Raises SimulatorSettingsError for an unknown command, and errors of the requests.
         """
-        word, *values = [one for one in text.split() if one not in _FILLERS] or ["help"]
+        word, *values = [part for part in text.split() if part not in _FILLERS] or ["help"]
         if word == "help":
             state = self._state
             return f"{HELP}\nHere: fingers on {state['linkage']}; pads {', '.join(state['pads'])}"

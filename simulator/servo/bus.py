@@ -348,9 +348,9 @@ class MemoryServoStream:
             now_s = self.clock.monotonic()
             self._input += self._device.transmit(now_s)
             if self._input or now_s >= deadline_s:
-                found = bytes(self._input[:size])
+                data = bytes(self._input[:size])
                 del self._input[:size]
-                return found
+                return data
             due_s = self._device.next_event_s()
             until_s = deadline_s if due_s is None else min(due_s, deadline_s)
             self.clock.sleep(max(until_s - now_s, ROUNDING_S))

@@ -147,10 +147,10 @@ class SimulatedServo:
         place = core.table.place(address)
         if place < PRESENT_END and place + size > PRESENT_START:
             core.refresh(now_s)
-        found = core.table.read(address, size)
-        if isinstance(found, StatusError):
-            return self.status(found)
-        return self.status(StatusError.NONE, found)
+        content = core.table.read(address, size)
+        if isinstance(content, StatusError):
+            return self.status(content)
+        return self.status(StatusError.NONE, content)
 
     def write(self, address: int, data: bytes, now_s: float) -> StatusError:
         """Write one or more whole items; nothing is written when one of them is refused."""

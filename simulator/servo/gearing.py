@@ -57,17 +57,17 @@ class Friction:
         """
         (base, base_s), (drive, drive_s), (load, load_s) = self.base_nm, self.drive, self.load
         drive_quadratic, load_quadratic = self.drive_quadratic_per_nm, self.load_quadratic_per_nm
-        found_nm = base_factor * base + abs(load * load_nm - drive * driving_nm)
+        friction_nm = base_factor * base + abs(load * load_nm - drive * driving_nm)
         if not (base_s or drive_s or load_s or drive_quadratic or load_quadratic):
-            return found_nm
+            return friction_nm
         share = self.fading(speed_rad_s)
-        found_nm += share * (base_factor * base_s + abs(load_s * load_nm - drive_s * driving_nm))
+        friction_nm += share * (base_factor * base_s + abs(load_s * load_nm - drive_s * driving_nm))
         if load_nm * driving_nm < 0.0:
             if abs(load_nm) < abs(driving_nm):
-                found_nm += share * load_quadratic * load_nm * load_nm
+                friction_nm += share * load_quadratic * load_nm * load_nm
             else:
-                found_nm += share * drive_quadratic * driving_nm * driving_nm
-        return found_nm
+                friction_nm += share * drive_quadratic * driving_nm * driving_nm
+        return friction_nm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -187,8 +187,8 @@ class FingerMechanics:
 
     def _position_m(self, axis: int) -> float:
         direction, zero_rad = self._axes[axis]
-        found_m = self._linkage.half_opening_m(direction * (self.motors[axis].angle_rad - zero_rad))
-        return found_m if found_m > self._lower_m else self._lower_m
+        half_m = self._linkage.half_opening_m(direction * (self.motors[axis].angle_rad - zero_rad))
+        return half_m if half_m > self._lower_m else self._lower_m
 
     @property
     def aperture_m(self) -> float:

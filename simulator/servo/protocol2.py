@@ -145,11 +145,11 @@ class PacketParser:
         packets: list[Packet] = []
         start, size = 0, len(buffer)
         while True:
-            found = self._next_header(buffer, start)
-            if found < 0:
+            header = self._next_header(buffer, start)
+            if header < 0:
                 start = max(start, size - 2)
                 break
-            start = found
+            start = header
             if size < start + _OVERHEAD:
                 break
             _, length = _ID_AND_LENGTH.unpack_from(buffer, start + len(_START))

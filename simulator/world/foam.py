@@ -125,5 +125,5 @@ class ForceTable:
         depth_m = i * TABLE_STEP_M
         pressed = np.searchsorted(self._lag_m, depth_m, side="right")
         pressure_pa = self._foam.pressure_pa(depth_m - self._lag_m[:pressed])
-        found_n = self._force_n[i] = float(pressure_pa.sum() * self._cell_area_m2)
-        return found_n
+        force_n = self._force_n[i] = float(pressure_pa.sum() * self._cell_area_m2)
+        return force_n

@@ -92,8 +92,8 @@ def _near(
     per_m = (n_stripes - 1) / max(last_m - first_m, _SMALLEST_M)
 
     def stripe(y_m: NDArray[np.float64]) -> NDArray[np.intp]:
-        found: NDArray[np.intp] = ((y_m - first_m) * per_m).clip(0, n_stripes - 1).astype(np.intp)
-        return found
+        numbers: NDArray[np.intp] = ((y_m - first_m) * per_m).clip(0, n_stripes - 1).astype(np.intp)
+        return numbers
 
     longest_m = 4.0 * max(np.abs(points_m[:, 0]).max(), np.abs(corners_m[:, :, 0]).max(initial=0.0))
     place_m = longest_m * stripe(points_m[:, 1]) + points_m[:, 0]

@@ -50,7 +50,7 @@ class ObjectPose:
 
     def __add__(self, offset: "ObjectPose") -> "ObjectPose":
         """Return this pose moved and turned by another one, each coordinate by itself."""
-        names = [one.name for one in fields(self)]
+        names = [entry.name for entry in fields(self)]
         return ObjectPose(**{name: getattr(self, name) + getattr(offset, name) for name in names})
 
 

@@ -49,8 +49,8 @@ class Stage:
         self._axes = dict(axes)
         self._carried: tuple[str, ObjectPose] | None = None
         # Positions of the axes at the present pose of the object.
-        self._shown: dict[str, float] = {}
-        self._beside = False
+        self._positions: dict[str, float] = {}
+        self._off_pads = False
 
     @property
     def empty(self) -> bool:
@@ -71,10 +71,10 @@ class Stage:
             return wanted
         self._world.shape(label)
         try:
-            rested, self._beside = self._world.place(label, wanted), False
+            rested, self._off_pads = self._world.place(label, wanted), False
         except SimulatorSettingsError:
             self._world.remove()
-            rested, self._beside = wanted, True
+            rested, self._off_pads = wanted, True
         self._carried = (label, pose)
         return rested
 
@@ -83,7 +83,7 @@ class Stage:
         if self._carried is None:
             return
         label, pose = self._carried
-        if self._world.placed is None and not self._beside:
+        if self._world.placed is None and not self._off_pads:
             # The object was removed.
             self._carried = None
             return
@@ -91,7 +91,7 @@ class Stage:
         if any(axis.moving for axis in self._axes.values()):
             step = _MOVING_STEP
         if all(
-            abs(axis.position - self._shown[name]) <= step * _PER_M[name]
+            abs(axis.position - self._positions[name]) <= step * _PER_M[name]
             for name, axis in self._axes.items()
         ):
             return
@@ -99,9 +99,9 @@ class Stage:
             # It goes with the fingers that hold it, and stays where they let go.
             self._carried = None
         else:
-            self._beside = not self._world.carry(label, self._at(pose))
+            self._off_pads = not self._world.carry(label, self._at(pose))
 
     def _at(self, pose: ObjectPose) -> ObjectPose:
         """Return a pose at the present positions of the axes, and remember these."""
-        self._shown = {name: axis.position for name, axis in self._axes.items()}
-        return replace(pose, **{FIELDS[name]: place for name, place in self._shown.items()})
+        self._positions = {name: axis.position for name, axis in self._axes.items()}
+        return replace(pose, **{FIELDS[name]: place for name, place in self._positions.items()})

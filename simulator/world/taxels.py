@@ -85,12 +85,12 @@ def ideal_counts(
     force_n: NDArray[np.float64], adc_max: int, law: SensorLaw = EQUATION_11
 ) -> NDArray[np.float64]:
     """Return the counts under ``force_n`` N, before noise, limits and rounding."""
-    felt_n = law.gain * force_n
+    measured_n = law.gain * force_n
     if law.full_scale_n is not None:
-        return adc_max * (felt_n / law.full_scale_n)
+        return adc_max * (measured_n / law.full_scale_n)
     if law.nodes is not None:
-        return np.interp(felt_n, *law.nodes)
-    return adc_max * (1.0 - resistance_mohm(felt_n) / RESISTANCE_AT_REST_MOHM)
+        return np.interp(measured_n, *law.nodes)
+    return adc_max * (1.0 - resistance_mohm(measured_n) / RESISTANCE_AT_REST_MOHM)
 
 
 class PressureGrid:

@@ -97,7 +97,7 @@ class PhysicalWorld:
         pads = self._settings.pads
         self._foams = pads.foams(self._settings.foam)
         self._empty = PadsMeet(self._grids, self._foams, pads)
-        self._felt = np.array([pads.gains[pad.finger] for pad in layout.pads])[layout.taxel_pad]
+        self._gains = np.array([pads.gains[pad.finger] for pad in layout.pads])[layout.taxel_pad]
         self._rng = np.random.default_rng(self._settings.seed)
         self._fast_rng = np.random.default_rng([self._settings.seed, 1])
         self._gripping = np.flatnonzero(np.isin(layout.taxel_pad, layout.gripping_pads))
@@ -271,13 +271,13 @@ class PhysicalWorld:
                 force_n[taxels] += contact.taxel_force_n(side, position_m)
         return force_n
 
-    def felt_force_n(self) -> NDArray[np.float64]:
+    def measured_force_n(self) -> NDArray[np.float64]:
         """Return the measured force in N of each taxel, (n_taxels,), with the gains of the pads."""
-        return self.force_gain * self._felt * self.taxel_force_n()
+        return self.force_gain * self._gains * self.taxel_force_n()
 
     def scan(self) -> NDArray[np.uint16]:
         """Convert all taxels: the sensor's law, new noise, rounding; counts (n_taxels,)."""
-        force_n = self.felt_force_n() if self._pressed else None
+        force_n = self.measured_force_n() if self._pressed else None
         return self._converted(force_n, self._layout.n_taxels, self._rng)
 
     def scan_gripping(self) -> NDArray[np.uint16]:
@@ -287,7 +287,7 @@ class PhysicalWorld:
         """
         counts = np.zeros(self._layout.n_taxels, dtype=np.uint16)
         gripping = self._gripping
-        force_n = self.felt_force_n()[gripping] if self._pressed else None
+        force_n = self.measured_force_n()[gripping] if self._pressed else None
         counts[gripping] = self._converted(force_n, len(gripping), self._fast_rng)
         return counts
 

@@ -75,7 +75,7 @@ class Pressed:
     def __init__(self) -> None:
         self.force_n = np.zeros(LAYOUT.n_taxels)
 
-    def felt_force_n(self) -> Any:
+    def measured_force_n(self) -> Any:
         return self.force_n
 
 
