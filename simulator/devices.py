@@ -109,8 +109,8 @@ class CellDevices:
         drives = [axis for axis in self.axes.values() if isinstance(axis, SimulatedDrive)]
         self.axes_can_devices = CanDevices(*drives) if drives else None
         """The drives on their own bus; None without drives."""
-        self.stage = Stage(self.world, self.axes) if isinstance(self.world, PhysicalWorld) else None
-        """Carrier of the object; None in a cell that plays recorded grasps."""
+        self.stage = Stage(self.physical, self.axes) if self.axes and not settings.grasps else None
+        """Carrier of the object; None without axes, or in a cell that plays recorded grasps."""
         self.offset = ObjectPose()
         """Offset of each object from its requested pose."""
 
@@ -166,9 +166,7 @@ class CellDevices:
         See `PhysicalWorld.place` and `Stage.place`.
         """
         world, pose = self.physical, (pose or ObjectPose()) + self.offset
-        if self.stage is None or self.stage.empty:
-            return world.place(label, pose)
-        return self.stage.place(label, pose)
+        return (self.stage or world).place(label, pose)
 
     def advance_to(self, now_s: float) -> None:
         """Advance axes, fingers, object and servos to ``now_s`` s."""

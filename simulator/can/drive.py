@@ -23,7 +23,7 @@ STEP_S = 1e-3
 _REGISTER_GENERIC, _REGISTER_COMMUNICATION = 0x01, 0x11
 """Bits of the error register 1001h (CiA 301, 7.5.2.2)."""
 _SWITCHED_ON_BIT, _VOLTAGE_BIT, _NO_QUICK_STOP_BIT, _ENABLE_BIT = 0x1, 0x2, 0x4, 0x8
-_START_BIT, _HALT_BIT, _RESET_BIT = 0x10, 0x100, 0x80
+_START_BIT, _RESET_BIT = 0x10, 0x80
 """Bits of the controlword (CiA 402-2)."""
 _STANDING = 100.0
 """Largest speed in increments/s of a mechanism that counts as standing."""

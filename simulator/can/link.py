@@ -77,8 +77,6 @@ class CanLink:
         self.capture: list[Capture] = []
         """Called with each message on the wire in order, also with lost messages."""
         self.faults = faults or CanLinkFaults()
-        self.lost = 0
-        """Number of messages lost because the adapter's memory was full."""
         self._device = device
         self._wire = CanWire(bitrate)
         self._disturber = Disturber(self.faults, np.random.default_rng(seed))
@@ -139,10 +137,9 @@ class CanLink:
     def _deliver(self, ready_s: float, can_id: int, burst: list[bytes]) -> float:
         """Queue the device's messages for the wire; returns the end time of the last one in s.
 
-        Later messages with a higher priority may still delay it.
+        Later messages with a higher priority may still delay it. With a full memory they are lost.
         """
         if len(self._inbox) + self._wire.n_waiting > _INBOX_LIMIT:
-            self.lost += len(burst)
             return ready_s
         self._wire.put(Burst(ready_s, can_id, burst, False, _Sender.DEVICE))
         return self._wire.end_s(ready_s, can_id)

@@ -107,10 +107,6 @@ class InMemoryCanBus(can.BusABC):
             return []
         return messages if self._filters is None else list(filter(self._matches_filters, messages))
 
-    def flush(self) -> None:
-        """Send all waiting messages, for captures; the host drops them."""
-        self._link.clear()
-
     def shutdown(self) -> None:
         """Leave the bus; a second call changes nothing."""
         if not self._is_shutdown:

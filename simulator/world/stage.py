@@ -52,11 +52,6 @@ class Stage:
         self._positions: dict[str, float] = {}
         self._off_pads = False
 
-    @property
-    def empty(self) -> bool:
-        """Whether there is no axis: objects stay where they are placed."""
-        return not self._axes
-
     def place(self, label: str, pose: ObjectPose) -> ObjectPose:
         """Put an object on the stage; the positions of the axes replace their parts of ``pose``.
 

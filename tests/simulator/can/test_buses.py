@@ -198,14 +198,12 @@ def test_messages_can_come_late_with_one_bit_turned_or_cut_off() -> None:
 
 
 @pytest.mark.slow
-def test_an_adapter_that_nobody_reads_loses_messages_and_counts_them() -> None:
+def test_an_adapter_that_nobody_reads_loses_messages() -> None:
     echo = Echo()
     link = CanLink(echo, bitrate=1_000_000)
     for _ in range(11):
-        echo.send(0.0, 0x185, [bytes(8)] * 10_000)
-    assert link.lost == 0
-    echo.send(0.0, 0x185, [bytes(8)] * 7)
-    assert link.lost == 7
+        assert echo.send(0.0, 0x185, [bytes(8)] * 10_000) > 0.0
+    assert echo.send(0.0, 0x185, [bytes(8)] * 7) == 0.0
     link.clear()
     assert link.next_event_s() == math.inf
 
