@@ -126,7 +126,6 @@ def sensor_settings(config: TactileConfig, friction_n: float = 0.0) -> SensorSet
     tare = TareLimits(bad_share=config.bad_taxels_max_share)
     return SensorSettings(
         noise_floor_share=usual.noise_floor_share if rest.noise_share is None else rest.noise_share,
-        bad_share=config.bad_taxels_max_share,
         quality=replace(
             limits,
             force_step_n=max(limits.force_step_n, _HELD_SHARE * friction_n),

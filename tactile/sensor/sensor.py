@@ -65,10 +65,8 @@ class SensorSettings:
     """Least noise of a taxel as a share of the full scale."""
     quality: QualityLimits = field(default_factory=QualityLimits)
     """Limits of valid samples."""
-    bad_share: float = 0.05
-    """Largest share of bad taxels on a gripping pad with valid forces."""
     tare_limits: TareLimits = field(default_factory=TareLimits)
-    """Limits of a zero."""
+    """Limits of a zero; its share of bad taxels also limits those with valid forces."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -507,6 +505,7 @@ class TactileSensor:
     def _too_many_bad(self, bad: NDArray[np.bool_]) -> str:
         for finger, taxels in enumerate(self._grips):
             n_bad = int(np.count_nonzero(bad[taxels]))
-            if too_many_bad(n_bad, taxels.stop - taxels.start, self._settings.bad_share):
-                return f"{np.count_nonzero(bad[taxels])} taxels of finger {finger} bad"
+            share = self._settings.tare_limits.bad_share
+            if too_many_bad(n_bad, taxels.stop - taxels.start, share):
+                return f"{n_bad} taxels of finger {finger} bad"
         return ""
