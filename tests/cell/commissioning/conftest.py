@@ -86,7 +86,7 @@ MakeStand = Callable[..., Stand]
 
 
 @pytest.fixture
-def stand(tmp_path: Path) -> Iterator[MakeStand]:
+def make_stand(tmp_path: Path) -> Iterator[MakeStand]:
     """Return what makes a stand of a cell with some faults and settings; closed at the end."""
     with ExitStack() as undo:
 
@@ -99,5 +99,5 @@ def stand(tmp_path: Path) -> Iterator[MakeStand]:
 
 
 @pytest.fixture
-def one(stand: MakeStand) -> Stand:
-    return stand()
+def stand(make_stand: MakeStand) -> Stand:
+    return make_stand()

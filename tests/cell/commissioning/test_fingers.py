@@ -85,31 +85,31 @@ def test_directions_and_zero_follow_from_the_hands() -> None:
 
 
 @pytest.fixture
-def limp(stand: MakeStand) -> MakeStand:
+def limp(make_stand: MakeStand) -> MakeStand:
     """Return what makes a cell whose servos are set up."""
 
     def make(*faults: str) -> Stand:
-        one = stand(*faults, aperture_m=0.03)
-        one.passes(SERVOS)
-        return one
+        stand = make_stand(*faults, aperture_m=0.03)
+        stand.passes(SERVOS)
+        return stand
 
     return make
 
 
 @pytest.fixture
-def one(limp: MakeStand) -> Stand:
+def stand(limp: MakeStand) -> Stand:
     return limp()
 
 
-def test_one_servo_with_a_pinion(stand) -> None:
-    one = stand(
+def test_one_servo_with_a_pinion(make_stand) -> None:
+    stand = make_stand(
         servos=(SimulatedServoSettings(servo_id=1, mount=ServoMount(direction=-1)),),
         linkage=RackLinkage(pinion_radius_m=0.02),
     )
-    servos = one.run(SERVOS, servos__count="1").settings
-    one.bench.settings = {**one.bench.settings, **servos}
-    notes = one.passes(STEP, fingers__kind="pinion")
-    assert "fingers.open_second" not in one.person.script.asked
+    servos = stand.run(SERVOS, servos__count="1").settings
+    stand.bench.settings = {**stand.bench.settings, **servos}
+    notes = stand.passes(STEP, fingers__kind="pinion")
+    assert "fingers.open_second" not in stand.person.script.asked
     assert notes.settings["gripper.servos"][0]["direction"] == -1
     linkage = notes.settings["gripper.linkage"]
     assert linkage["kind"] == "rack_pinion"
@@ -118,9 +118,9 @@ def test_one_servo_with_a_pinion(stand) -> None:
 
 @pytest.mark.slow
 def test_directions_zero_and_linkage_of_badly_mounted_servos(limp) -> None:
-    one = limp("servo2.turned", "servo1.horn=164")
+    stand = limp("servo2.turned", "servo1.horn=164")
     second_first = {"Open one finger": ("open 1", ""), "open the other": ("open 0", "")}
-    notes = one.passes(STEP, practice=second_first)
+    notes = stand.passes(STEP, practice=second_first)
     first, second = notes.settings["gripper.servos"]
     assert (first["id"], first["direction"]) == (2, -1)
     assert (second["id"], second["direction"]) == (1, 1)
@@ -134,20 +134,20 @@ def test_directions_zero_and_linkage_of_badly_mounted_servos(limp) -> None:
     assert inverted == "servo 2 turns the other way: its direction was +1, is now -1"
     assert "servo 1: its horn sits +14.5 deg off: its zero was 2048 pulses, is now 221" in mounted
     assert "opened by" in "\n".join(notes.lines)
-    assert one.torques == [0, 0]
-    assert one.person.script.watched
+    assert stand.torques == [0, 0]
+    assert stand.person.script.watched
 
 
 @pytest.mark.slow
-def test_a_wrong_linkage_and_opening_of_the_config_are_named(one) -> None:
+def test_a_wrong_linkage_and_opening_of_the_config_are_named(stand) -> None:
     wrong = {
         "gripper.linkage": {"kind": "rack_pinion", "pinion_radius_mm": 40.0},
         "gripper.aperture_open_mm": 150.0,
         "gripper.contact_timeout_s": 11.0,
     }
-    one.bench.base = changed_config(one.bench.base, wrong)
-    one.bench.settings = {k: v for k, v in one.bench.settings.items() if "aperture" not in k}
-    linkage, opening = one.passes(STEP).corrected
+    stand.bench.base = changed_config(stand.bench.base, wrong)
+    stand.bench.settings = {k: v for k, v in stand.bench.settings.items() if "aperture" not in k}
+    linkage, opening = stand.passes(STEP).corrected
     assert "the linkage was rack_pinion, pinion_radius_mm 40" in linkage
     assert "is now parallel_linkage, link_mm 60." in linkage
     assert opening.startswith("gripper.aperture_open_mm was 150, is now 11")
@@ -155,24 +155,24 @@ def test_a_wrong_linkage_and_opening_of_the_config_are_named(one) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tight", ["close", LONG("open")])
-def test_a_first_motion_begins_with_room_on_both_sides(one, tight) -> None:
-    one.passes(STEP, fingers__free=[one.does("empty", tight), one.does("half")])
-    assert one.person.script.asked.count("fingers.free") == 2
+def test_a_first_motion_begins_with_room_on_both_sides(stand, tight) -> None:
+    stand.passes(STEP, fingers__free=[stand.does("empty", tight), stand.does("half")])
+    assert stand.person.script.asked.count("fingers.free") == 2
 
 
 @pytest.mark.long
-def test_stiff_servos_pass_the_first_motion(one) -> None:
-    for motor in one.cell.devices.mechanics.motors:
+def test_stiff_servos_pass_the_first_motion(stand) -> None:
+    for motor in stand.cell.devices.mechanics.motors:
         motor.friction_factor = 3.0
-    one.passes(STEP)
+    stand.passes(STEP)
 
 
-def pinched(one: Stand) -> None:
-    one.cell.devices.mechanics.motors[1].friction_factor = 22.0
+def pinched(stand: Stand) -> None:
+    stand.cell.devices.mechanics.motors[1].friction_factor = 22.0
 
 
-def drifting(one: Stand) -> None:
-    one.cell.inject("servo1.drift=-0.2")
+def drifting(stand: Stand) -> None:
+    stand.cell.inject("servo1.drift=-0.2")
 
 
 @pytest.mark.slow
@@ -183,25 +183,25 @@ def drifting(one: Stand) -> None:
         (drifting, "finger 0 (servo 1): closed instead of opening"),
     ],
 )
-def test_a_finger_that_does_not_open_is_named_and_limp(one, happens, named) -> None:
+def test_a_finger_that_does_not_open_is_named_and_limp(stand, happens, named) -> None:
 
     def free() -> None:
-        one.does("empty", "half")()
-        happens(one)
+        stand.does("empty", "half")()
+        happens(stand)
 
-    notes = one.run(STEP, fingers__free=free)
+    notes = stand.run(STEP, fingers__free=free)
     assert notes.status is Verdict.FAIL
     assert named in notes.lines[-1]
     assert notes.settings == {}
-    assert one.torques == [0, 0]
+    assert stand.torques == [0, 0]
 
 
 @pytest.mark.slow
-def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(one) -> None:
-    notes = one.run(STEP, fingers__opened="no")
+def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(stand) -> None:
+    notes = stand.run(STEP, fingers__opened="no")
     assert notes.status is Verdict.FAIL
     assert notes.settings == {}
-    assert one.torques == [0, 0]
+    assert stand.torques == [0, 0]
 
 
 @pytest.mark.slow
@@ -215,21 +215,25 @@ def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(one) -> No
         ({"close": "block 20"}, r"finger 0 by 4\.[6-9] deg, finger 1 by 4\.[6-9] deg"),
     ],
 )
-def test_fingers_that_were_not_closed_or_opened_as_asked_fail_the_step(one, replies, named) -> None:
-    answers = {f"fingers.{key}": one.does(*filter(None, words.split("; "))) for key, words in
+def test_fingers_that_were_not_closed_or_opened_as_asked_fail_the_step(
+    stand, replies, named
+) -> None:
+    answers = {f"fingers.{key}": stand.does(*filter(None, words.split("; "))) for key, words in
                replies.items()}  # fmt: skip
-    notes = one.run(STEP, **answers)
+    notes = stand.run(STEP, **answers)
     assert notes.status is Verdict.FAIL
     assert re.search(named, notes.lines[-1])
-    assert one.person.script.writes == []
-    one.passes(STEP)
+    assert stand.person.script.writes == []
+    stand.passes(STEP)
 
 
 def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(limp) -> None:
-    one = limp()
+    stand = limp()
     with pytest.raises(AssertionError, match="no reply"):
-        one.run(STEP, practice={"How do the fingers move": ("", "")})
-    (question,) = [one for one in one.person.script.questions if one.key == "fingers.kind"]
+        stand.run(STEP, practice={"How do the fingers move": ("", "")})
+    (question,) = [
+        question for question in stand.person.script.questions if question.key == "fingers.kind"
+    ]
     assert question.default is None
     assert list(question.choices) == list(KINDS)
     for kind, text in question.choices.items():
@@ -237,17 +241,17 @@ def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(limp) -> None
 
 
 @pytest.mark.slow
-def test_a_thickness_that_was_typed_wrong_is_found(one) -> None:
+def test_a_thickness_that_was_typed_wrong_is_found(stand) -> None:
     replies: dict[str, Any] = {
-        "fingers.on_block2": one.does("block 30"),
+        "fingers.on_block2": stand.does("block 30"),
         "fingers.kind": "parallel",
     }
-    notes = one.run(STEP, fingers__block2=50.0, **replies)
+    notes = stand.run(STEP, fingers__block2=50.0, **replies)
     assert notes.status is Verdict.FAIL
     assert "was a thickness typed wrong" in notes.lines[0]
-    assert "fingers.free" not in one.person.script.asked
+    assert "fingers.free" not in stand.person.script.asked
     # A smaller error warns.
-    notes = one.run(STEP, fingers__block2=33.0, **replies)
+    notes = stand.run(STEP, fingers__block2=33.0, **replies)
     assert notes.status is Verdict.WARN
     assert "the residual is above 0.5 mm: measure the blocks again" in "\n".join(notes.lines)
 
@@ -260,25 +264,25 @@ def test_one_block_is_enough_and_worth_a_word(limp) -> None:
 
 
 @pytest.mark.slow
-def test_leaving_at_each_question_leaves_no_torque(one) -> None:
-    one.run(STEP)
-    for place in [*one.person.script.asked, "approve"]:
+def test_leaving_at_each_question_leaves_no_torque(stand) -> None:
+    stand.run(STEP)
+    for place in [*stand.person.script.asked, "approve"]:
         with pytest.raises(WizardAborted):
-            one.run(STEP, leave_at=[place])
-        assert one.torques == [0, 0], place
+            stand.run(STEP, leave_at=[place])
+        assert stand.torques == [0, 0], place
 
 
-def test_an_interruption_of_the_first_motion_leaves_the_fingers_limp(one, monkeypatch) -> None:
+def test_an_interruption_of_the_first_motion_leaves_the_fingers_limp(stand, monkeypatch) -> None:
     write, seen = GoalWriter.write, []
 
     def interrupted(writer: GoalWriter, goals: Any, state: Any) -> None:
-        seen.append(one.torques)
+        seen.append(stand.torques)
         if len(seen) > 20:
             raise KeyboardInterrupt
         write(writer, goals, state)
 
     monkeypatch.setattr(GoalWriter, "write", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        one.run(STEP)
+        stand.run(STEP)
     assert seen[-1] == [1, 1]
-    assert one.torques == [0, 0]
+    assert stand.torques == [0, 0]

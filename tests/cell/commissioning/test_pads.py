@@ -30,16 +30,16 @@ REST, PRESSED = PADS_AT_REST, PADS_PRESSED
 
 
 @pytest.mark.parametrize("layout", [pinch_layout(), paper_layout()])
-def test_sound_pads_at_rest_pass_without_a_word(stand, layout) -> None:
-    one = stand(layout=layout)
-    one.knows(tactile__layout=layout.name)
-    finding = one.passes(REST)
+def test_sound_pads_at_rest_pass_without_a_word(make_stand, layout) -> None:
+    stand = make_stand(layout=layout)
+    stand.knows(tactile__layout=layout.name)
+    finding = stand.passes(REST)
     assert len(finding.lines) == 1
     assert finding.settings == {"tactile.board_serial_numbers": [1, 2]}
 
 
-def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(stand) -> None:
-    finding = stand(unit=ControlUnitSettings(boards=(0, 0))).run(REST)
+def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(make_stand) -> None:
+    finding = make_stand(unit=ControlUnitSettings(boards=(0, 0))).run(REST)
     assert finding.status is Verdict.WARN
     assert "press each pad after every work" in "\n".join(finding.lines)
     assert finding.settings == {"tactile.board_serial_numbers": None}
@@ -47,7 +47,7 @@ def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(stand) -> N
 
 TURNED = [PadMount(pad=p, sent_as=p, rows_mirrored=True, columns_mirrored=True) for p in (0, 1)]
 EXCHANGED = [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
-BOTH = [replace(one, rows_mirrored=True, columns_mirrored=True) for one in EXCHANGED]
+BOTH = [replace(pad, rows_mirrored=True, columns_mirrored=True) for pad in EXCHANGED]
 ROWS = [PadMount(pad=1, sent_as=1, rows_mirrored=True)]
 COLUMNS = [PadMount(pad=0, sent_as=0, columns_mirrored=True)]
 
@@ -62,36 +62,36 @@ COLUMNS = [PadMount(pad=0, sent_as=0, columns_mirrored=True)]
         (COLUMNS, "The columns of finger0.inner run the other way"),
     ],
 )
-def test_pads_that_sit_otherwise_are_found_named_and_set(stand, mounts, named) -> None:
-    finding = stand(mounts=mounts).run(PRESSED)
+def test_pads_that_sit_otherwise_are_found_named_and_set(make_stand, mounts, named) -> None:
+    finding = make_stand(mounts=mounts).run(PRESSED)
     assert finding.status is Verdict.WARN
     assert named in "\n".join(finding.lines)
-    set_mounts = [PadMount(**one) for one in finding.settings["tactile.mounting"]]
+    set_mounts = [PadMount(**mount) for mount in finding.settings["tactile.mounting"]]
     assert set_mounts == mounts
 
 
-def test_a_dead_pad_is_named_and_fails_the_step(one) -> None:
-    finding = one.run(PRESSED, pads_pressed__press=[one.does("lift"), "skip", None])
+def test_a_dead_pad_is_named_and_fails_the_step(stand) -> None:
+    finding = stand.run(PRESSED, pads_pressed__press=[stand.does("lift"), "skip", None])
     assert finding.status is Verdict.FAIL
     assert "finger0.inner was not found" in finding.lines[-1]
-    assert "No pad shows a fingertip" in one.person.script.text
+    assert "No pad shows a fingertip" in stand.person.script.text
     assert finding.settings == {}
 
 
-def test_the_wrong_pad_or_its_middle_is_asked_for_again(one) -> None:
-    wrong = [one.does(f"press finger{number}.inner") for number in (0, 1)]
-    one.passes(PRESSED, pads_pressed__press=[None, *wrong, None])
-    assert one.person.script.asked == ["pads_pressed.press"] * 4
-    assert "The patch is where finger0.inner was found" in one.person.script.text
-    assert "in the middle of the pad" in one.person.script.text
+def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand) -> None:
+    wrong = [stand.does(f"press finger{number}.inner") for number in (0, 1)]
+    stand.passes(PRESSED, pads_pressed__press=[None, *wrong, None])
+    assert stand.person.script.asked == ["pads_pressed.press"] * 4
+    assert "The patch is where finger0.inner was found" in stand.person.script.text
+    assert "in the middle of the pad" in stand.person.script.text
 
 
 @pytest.mark.parametrize("layout", [pinch_layout(), paper_layout()])
-def test_each_pad_is_found_by_who_follows_the_words(stand, layout) -> None:
-    one = stand(layout=layout)
-    one.knows(tactile__layout=layout.name)
-    assert one.passes(PRESSED).settings == {"tactile.mounting": []}
-    assert one.person.script.asked == ["pads_pressed.press"] * layout.n_pads
+def test_each_pad_is_found_by_who_follows_the_words(make_stand, layout) -> None:
+    stand = make_stand(layout=layout)
+    stand.knows(tactile__layout=layout.name)
+    assert stand.passes(PRESSED).settings == {"tactile.mounting": []}
+    assert stand.person.script.asked == ["pads_pressed.press"] * layout.n_pads
 
 
 def test_corners_are_named_as_a_person_sees_them() -> None:
@@ -141,13 +141,13 @@ LOADS_N = (2.0, 5.0, 8.0)
 
 
 @pytest.fixture
-def paper(stand: MakeStand) -> MakeStand:
+def paper(make_stand: MakeStand) -> MakeStand:
     """Return what makes a cell with the pads of the paper, whose law is that of foam."""
 
     def make(*faults: str) -> Stand:
-        one = stand(*faults, layout=paper_layout())
-        one.knows(tactile__layout="paper", tactile__tare_frames=60)
-        return one
+        stand = make_stand(*faults, layout=paper_layout())
+        stand.knows(tactile__layout="paper", tactile__tare_frames=60)
+        return stand
 
     return make
 
@@ -172,18 +172,18 @@ def test_a_law_that_is_off_is_named_and_set_right(paper: MakeStand, felt: float)
 
 
 @pytest.mark.slow
-def test_a_linear_law_is_set_by_its_force_of_a_count(stand: MakeStand) -> None:
-    one = stand(law=SensorLaw(full_scale_n=0.0012 * 4095))
+def test_a_linear_law_is_set_by_its_force_of_a_count(make_stand: MakeStand) -> None:
+    stand = make_stand(law=SensorLaw(full_scale_n=0.0012 * 4095))
     law = {"kind": "linear", "force_per_count_n": 0.001}
-    one.knows(tactile__tare_frames=60, tactile__calibration=law)
-    finding = one.run(LAW)
+    stand.knows(tactile__tare_frames=60, tactile__calibration=law)
+    finding = stand.run(LAW)
     assert finding.status is Verdict.WARN, finding.lines
     force_per_count_n = finding.settings["tactile.calibration.force_per_count_n"]
     assert force_per_count_n == pytest.approx(0.0012, rel=0.05)
 
 
-def test_without_a_scale_the_forces_are_unchecked(stand: MakeStand) -> None:
-    finding = stand().run(LAW, pads_law__with="skip")
+def test_without_a_scale_the_forces_are_unchecked(make_stand: MakeStand) -> None:
+    finding = make_stand().run(LAW, pads_law__with="skip")
     assert finding.status is Verdict.WARN
     assert "not checked" in finding.lines[0]
 
@@ -203,8 +203,8 @@ def test_loads_that_are_no_law_fail(loads, named: str) -> None:
 
 
 def test_pads_that_differ_are_a_word_to_the_operator() -> None:
-    one, other = [[(n, factor * n) for n in LOADS_N] for factor in (1.1, 0.92)]
-    judge_law(TactileConfig(), [one, other], finding := Notes())
+    stand, other = [[(n, factor * n) for n in LOADS_N] for factor in (1.1, 0.92)]
+    judge_law(TactileConfig(), [stand, other], finding := Notes())
     assert finding.status is Verdict.WARN
     assert "The pads differ: factor 0.91 on finger 0, 1.09 on finger 1" in finding.lines[1]
     assert finding.settings["tactile.pad_gains"] == pytest.approx([0.9255, 1.1065], abs=0.001)
@@ -242,7 +242,7 @@ def test_loads_that_bend_make_a_table() -> None:
     assert table.force_n(counts) == pytest.approx(TRUE.force_n(counts), rel=0.15)
     assert finding.values["table_residual_n"] < 0.1
     # The same loads under the table are right.
-    shown = [[(load[0], load[0], *load[2:]) for load in one] for one in loads]
+    shown = [[(load[0], load[0], *load[2:]) for load in finger] for finger in loads]
     judge_law(tactile, shown, again := Notes(), 255)
     assert not again.settings
 

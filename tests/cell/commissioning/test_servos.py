@@ -19,15 +19,15 @@ PORT = "/dev/ttyUSB0"
 
 
 @pytest.fixture
-def new(stand: MakeStand) -> Stand:
+def new(make_stand: MakeStand) -> Stand:
     """A cell with two servos from the box: both have ID 1."""
-    one = stand("servo1.factory", "servo2.factory")
-    one.cell.clock.sleep(1.0)  # they have booted
-    return one
+    stand = make_stand("servo1.factory", "servo2.factory")
+    stand.cell.clock.sleep(1.0)  # they have booted
+    return stand
 
 
-def eeproms(one: Stand) -> list[bytes]:
-    return [bytes(s.core.table.data[:64]) for s in one.cell.devices.servo_bus.servos]
+def eeproms(stand: Stand) -> list[bytes]:
+    return [bytes(s.core.table.data[:64]) for s in stand.cell.devices.servo_bus.servos]
 
 
 @pytest.mark.slow
@@ -57,38 +57,38 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_a_servo_that_confirms_no_write_is_set_to_confirm_with_an_approval(one, level) -> None:
-    for servo in one.cell.devices.servo_bus.servos:
+def test_a_servo_that_confirms_no_write_is_set_to_confirm_with_an_approval(stand, level) -> None:
+    for servo in stand.cell.devices.servo_bus.servos:
         servo.core.registers.put("status_return_level", level)
-    one.passes(STEP)
-    assert one.registers("status_return_level") == [2, 2]
-    shown = [(w.where, w.what, w.before, w.after) for w in one.person.script.writes]
+    stand.passes(STEP)
+    assert stand.registers("status_return_level") == [2, 2]
+    shown = [(w.where, w.what, w.before, w.after) for w in stand.person.script.writes]
     assert shown[:2] == [
         (f"servo {n}", "status_return_level (68)", str(level), "2") for n in (1, 2)
     ]
 
 
-def test_a_servo_at_the_fastest_baud_rate_is_found(one) -> None:
-    servo = one.cell.devices.servo_bus.servos[1]
+def test_a_servo_at_the_fastest_baud_rate_is_found(stand) -> None:
+    servo = stand.cell.devices.servo_bus.servos[1]
     servo.core.registers.put("baud_rate", 7)
-    one.passes(STEP)
-    assert one.registers("baud_rate") == [3, 3]
-    shown = [(w.where, w.before, w.after) for w in one.person.script.writes]
+    stand.passes(STEP)
+    assert stand.registers("baud_rate") == [3, 3]
+    shown = [(w.where, w.before, w.after) for w in stand.person.script.writes]
     assert ("servo 2 at 4500000 bit/s", "4500000 bit/s", "1000000 bit/s") in shown
 
 
 @pytest.mark.parametrize("rate", [1, 3])
-def test_servos_in_protocol_1_are_named_with_the_register(one, rate: int) -> None:
-    for servo in one.cell.devices.servo_bus.servos:
+def test_servos_in_protocol_1_are_named_with_the_register(stand, rate: int) -> None:
+    for servo in stand.cell.devices.servo_bus.servos:
         servo.core.registers.put("protocol_type", 1)
         servo.core.registers.put("baud_rate", rate)
-    finding = one.run(STEP)
+    finding = stand.run(STEP)
     assert any("Protocol 1.0 come from servo 1, 2" in line for line in finding.lines)
 
 
 def test_a_second_servo_that_is_not_there_after_all_is_not_waited_for(new) -> None:
-    one = new.run(STEP, servos__connect_next="none")
-    assert [servo["id"] for servo in one.settings["gripper.servos"]] == [1]
+    stand = new.run(STEP, servos__connect_next="none")
+    assert [servo["id"] for servo in stand.settings["gripper.servos"]] == [1]
 
 
 @pytest.mark.slow
@@ -117,32 +117,32 @@ def test_nothing_is_restored_where_a_servo_is_not_there(new) -> None:
     assert eeproms(new) == before
 
 
-def test_no_line_is_opened_for_a_backup_of_another_servo(one, tmp_path) -> None:
+def test_no_line_is_opened_for_a_backup_of_another_servo(stand, tmp_path) -> None:
     for number in (1, 2):
         content = {"servo_id": 1, "registers": {"model_number": 1020, "homing_offset": 0}}
         write_json(backup_file(tmp_path, number), SERVO_BACKUP, content, error=CellError)
     with pytest.raises(CellError, match=r"backup-servo2\.json is of servo 1, nothing was written"):
-        restore(one.bench, Script(), PORT)
-    assert one.lines.opened == []
+        restore(stand.bench, Script(), PORT)
+    assert stand.lines.opened == []
 
 
-def test_wrong_registers_are_shown_then_set_and_read_back(stand) -> None:
-    one = stand("servo1.wrong=homing_offset:100", "servo2.wrong=drive_mode:1")
-    one.passes(STEP)
-    shown = {(w.where, w.what, w.before, w.after) for w in one.person.script.writes}
+def test_wrong_registers_are_shown_then_set_and_read_back(make_stand) -> None:
+    stand = make_stand("servo1.wrong=homing_offset:100", "servo2.wrong=drive_mode:1")
+    stand.passes(STEP)
+    shown = {(w.where, w.what, w.before, w.after) for w in stand.person.script.writes}
     assert ("servo 1", "homing_offset (20)", "100", "0") in shown
     assert ("servo 2", "drive_mode (10)", "1", "0") in shown
-    assert one.registers("homing_offset") == one.registers("drive_mode") == [0, 0]
+    assert stand.registers("homing_offset") == stand.registers("drive_mode") == [0, 0]
 
 
 @pytest.mark.slow
-def test_torque_that_holds_a_part_is_not_switched_off_unasked(stand) -> None:
-    one = stand("servo1.wrong=homing_offset:100")
-    for servo in one.cell.devices.servo_bus.servos:
+def test_torque_that_holds_a_part_is_not_switched_off_unasked(make_stand) -> None:
+    stand = make_stand("servo1.wrong=homing_offset:100")
+    for servo in stand.cell.devices.servo_bus.servos:
         servo.core.set_torque(on=True)
     with pytest.raises(WizardAborted):
-        one.run(STEP, leave_at=["approve"])
-    assert "it may hold a part" in one.person.script.said[-1]
-    assert one.torques == [1, 1]
-    one.run(STEP)
-    assert one.torques == [0, 0]
+        stand.run(STEP, leave_at=["approve"])
+    assert "it may hold a part" in stand.person.script.said[-1]
+    assert stand.torques == [1, 1]
+    stand.run(STEP)
+    assert stand.torques == [0, 0]

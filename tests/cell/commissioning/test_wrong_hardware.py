@@ -55,10 +55,10 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (FORCE, "servo2.turned", FAIL, "on its own side"),
     ],
 )
-def test_what_is_wrong_is_named(stand, step, fault, status, named) -> None:
-    one = stand(noise=NoiseModel(level=0.3)) if step is FORCE else stand()
-    one.cell.inject(fault)
-    check(one, step, status, named)
+def test_what_is_wrong_is_named(make_stand, step, fault, status, named) -> None:
+    stand = make_stand(noise=NoiseModel(level=0.3)) if step is FORCE else make_stand()
+    stand.cell.inject(fault)
+    check(stand, step, status, named)
 
 
 @pytest.mark.parametrize(
@@ -68,15 +68,15 @@ def test_what_is_wrong_is_named(stand, step, fault, status, named) -> None:
         (UNIT, {"unit": ControlUnitSettings(bitrate=125_000)}, FAIL, "too long for a grip"),
     ],
 )
-def test_hardware_that_does_not_do_is_named(stand, step, hardware, status, named) -> None:
-    check(stand(**hardware), step, status, named)
+def test_hardware_that_does_not_do_is_named(make_stand, step, hardware, status, named) -> None:
+    check(make_stand(**hardware), step, status, named)
 
 
-def check(one: Stand, step: Step, status: Verdict, named: str) -> None:
+def check(stand: Stand, step: Step, status: Verdict, named: str) -> None:
     """Carry out a step that finds what is wrong, and check that it moves and sets nothing."""
-    finding = one.run(step)
+    finding = stand.run(step)
     assert (finding.status, named in "\n".join(finding.lines)) == (status, True), finding.lines
-    assert one.torques == [0, 0]
+    assert stand.torques == [0, 0]
     assert status is WARN or not finding.settings
 
 
@@ -84,18 +84,18 @@ def check(one: Stand, step: Step, status: Verdict, named: str) -> None:
 @pytest.mark.parametrize(
     ("step", "faults"), [(SERVOS, ["servo1.factory"]), (FINGERS, []), (UNIT, []), (FORCE, [])]
 )
-def test_nothing_is_written_or_moved_that_is_refused(stand, step, faults, tmp_path) -> None:
-    one = stand(*faults)
-    one.cell.clock.sleep(1.0)  # the servos have booted
+def test_nothing_is_written_or_moved_that_is_refused(make_stand, step, faults, tmp_path) -> None:
+    stand = make_stand(*faults)
+    stand.cell.clock.sleep(1.0)  # the servos have booted
 
     def state() -> Any:
-        eeproms = [bytes(s.core.table.data[:64]) for s in one.cell.devices.servo_bus.servos]
-        unit = one.cell.unit.dictionary.number(0x1017)
-        return eeproms, unit, one.torques, one.cell.devices.mechanics.aperture_m
+        eeproms = [bytes(s.core.table.data[:64]) for s in stand.cell.devices.servo_bus.servos]
+        unit = stand.cell.unit.dictionary.number(0x1017)
+        return eeproms, unit, stand.torques, stand.cell.devices.mechanics.aperture_m
 
     before = state()
     with pytest.raises(WizardAborted):
-        one.run(step, leave_at=["approve"])
+        stand.run(step, leave_at=["approve"])
     *same, aperture_m = state()
     assert (*same,) == before[:-1]
     assert step is FINGERS or aperture_m == before[-1]  # those are moved by hand
@@ -105,9 +105,9 @@ def test_nothing_is_written_or_moved_that_is_refused(stand, step, faults, tmp_pa
 # -- The control unit: what is found on a bus ------------------------------------------------------
 
 
-def test_a_unit_is_found_and_set_up_and_named(stand: MakeStand) -> None:
-    one = stand(unit=ControlUnitSettings(node_id=17, serial_number=4711))
-    finding, script = one.passes(UNIT), one.person.script
+def test_a_unit_is_found_and_set_up_and_named(make_stand: MakeStand) -> None:
+    stand = make_stand(unit=ControlUnitSettings(node_id=17, serial_number=4711))
+    finding, script = stand.passes(UNIT), stand.person.script
     assert finding.settings == {
         "tactile.interface": "socketcan",
         "tactile.channel": "can0",
@@ -124,22 +124,24 @@ def test_a_unit_is_found_and_set_up_and_named(stand: MakeStand) -> None:
     assert "force messages" in finding.lines[-1]
 
 
-def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(one) -> None:
-    one.cell.clock.sleep(0.1)  # it has booted
-    first, second = (one.run(UNIT) for _ in range(2))
+def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(stand) -> None:
+    stand.cell.clock.sleep(0.1)  # it has booted
+    first, second = (stand.run(UNIT) for _ in range(2))
     assert "found by asking each node-ID" in first.lines[0]
     assert "found by listening" in second.lines[0]
 
 
 @pytest.mark.parametrize("bitrate", [500_000, 250_000])
-def test_another_bit_rate_is_found_and_the_period_fits_it(stand: MakeStand, bitrate: int) -> None:
-    finding = stand(unit=ControlUnitSettings(bitrate=bitrate)).passes(UNIT)
+def test_another_bit_rate_is_found_and_the_period_fits_it(
+    make_stand: MakeStand, bitrate: int
+) -> None:
+    finding = make_stand(unit=ControlUnitSettings(bitrate=bitrate)).passes(UNIT)
     assert finding.settings["tactile.bitrate"] == bitrate
     assert f"{bitrate:,} bit/s" in finding.lines[0]
     assert ("tactile.sync_period_ms" in finding.settings) == (bitrate == 250_000)
 
 
-def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(stand: MakeStand) -> None:
+def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(make_stand: MakeStand) -> None:
     class Adapter(SimulatedLines):
         rates = (500_000,)
 
@@ -148,27 +150,27 @@ def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(stand: MakeSta
                 raise BusNotOpened(f"invalid bit rate {bitrate}")
             return super().open_can(interface, channel, bitrate)
 
-    one = stand(unit=ControlUnitSettings(bitrate=500_000))
-    one.bench.lines = lines = Adapter(one.cell)
-    assert one.run(UNIT).settings["tactile.bitrate"] == 500_000
+    stand = make_stand(unit=ControlUnitSettings(bitrate=500_000))
+    stand.bench.lines = lines = Adapter(stand.cell)
+    assert stand.run(UNIT).settings["tactile.bitrate"] == 500_000
     lines.rates = ()
-    assert one.run(UNIT).lines == ["invalid bit rate 1000000"]
+    assert stand.run(UNIT).lines == ["invalid bit rate 1000000"]
 
 
-def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(one) -> None:
+def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(stand) -> None:
     mount = DriveMount(node_id=3, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
-    one.cell.devices.can_devices.add(SimulatedDrive(mount))
-    finding = one.passes(UNIT)
+    stand.cell.devices.can_devices.add(SimulatedDrive(mount))
+    finding = stand.passes(UNIT)
     assert finding.settings["tactile.node_id"] == 5
     assert "Beside it, node 3 is another device" in "\n".join(finding.lines)
 
 
-def test_the_interface_is_asked_for_only_where_there_are_several(one) -> None:
-    one.bench.settings = {"gripper.port": "/dev/ttyUSB0"}
-    one.lines.ports += ("/dev/ttyACM0", "/dev/ttyACM1")
-    finding = one.run(UNIT, unit__interface="slcan /dev/ttyACM1")
+def test_the_interface_is_asked_for_only_where_there_are_several(stand) -> None:
+    stand.bench.settings = {"gripper.port": "/dev/ttyUSB0"}
+    stand.lines.ports += ("/dev/ttyACM0", "/dev/ttyACM1")
+    finding = stand.run(UNIT, unit__interface="slcan /dev/ttyACM1")
     assert finding.settings["tactile.channel"] == "/dev/ttyACM1"
-    one.lines.ports = one.lines.ports[:1]
-    finding = one.run(UNIT)
+    stand.lines.ports = stand.lines.ports[:1]
+    finding = stand.run(UNIT)
     assert finding.status is Verdict.FAIL
     assert "No CAN interface was found" in finding.lines[0]
