@@ -119,8 +119,9 @@ class PadZero:
 
     offset_counts: NDArray[np.float64]
     """(n,) float64: counts of each taxel without load."""
-    noise_counts: NDArray[np.float64]
-    """(n,) float64: standard deviation of one sample of each taxel."""
+    touch_counts: float
+    """Threshold of a taxel's mean over 3 x 3 taxels and 4 scans: below it the source leaves the
+    taxel out."""
     bad: NDArray[np.bool_]
     """(n,) bool: taxels that do not measure."""
 

@@ -8,7 +8,6 @@ and unknown states, which some units send.
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from math import sqrt
 from typing import TypeVar
 
 import can
@@ -60,13 +59,6 @@ _LEAST_GAP = 0.9
 """Least pause after a late SYNC in periods, so that the next one does not cut into the burst."""
 _SYNC_EARLY_S = 1e-6
 """Tolerance in s for a caller that polls in step with SYNC, because of rounding errors."""
-_TOUCH_SIGMAS = 5.0
-"""The unit's threshold of touched taxels, in standard deviations of its mean."""
-_UNIT_GAIN = 6.0 / 16.0 * sqrt(1.0 / 7.0)
-"""Factor of the unit's mean on independent noise: binomial over 3 x 3 taxels, running over 4 scans.
-"""
-_TOUCH_SHARE = 0.012
-"""Least threshold as a share of the full scale: above the allowed drift of a zero."""
 
 
 class Mounting:
@@ -286,10 +278,8 @@ class TactileLink:
         flow = self._force_flow
         if flow is None:
             return
-        noise_counts, adc_max = float(np.median(zero.noise_counts)), self.layout.adc_max
-        touch_counts = max(_TOUCH_SIGMAS * noise_counts * _UNIT_GAIN, _TOUCH_SHARE * adc_max)
-        order = self._mounting.zero_order
-        sent = encode_zero(touch_counts, zero.offset_counts[order], zero.bad[order], adc_max)
+        order, adc_max = self._mounting.zero_order, self.layout.adc_max
+        sent = encode_zero(zero.touch_counts, zero.offset_counts[order], zero.bad[order], adc_max)
 
         def write() -> None:
             self.objects.write(od.FORCE_ZERO, sent)

@@ -121,6 +121,9 @@ class FrameForces:
     """Standard deviation of each force in N."""
     centre_noise_taxels: ArrayLike = (0.0, 0.0)
     """Standard deviation of the centre by the noise of the taxels, in pitches."""
+    hidden_n: ArrayLike = (0.0, 0.0)
+    """Part of it in N that the messages may leave out: all of a finger without a taxel above the
+    threshold of the source."""
     whole_n: ArrayLike = (0.0, 0.0)
     """Force on all taxels of each finger in N. With a load spread over a pad each taxel may be
     below the threshold."""
@@ -236,6 +239,7 @@ class _Pair:
         frame_n = np.maximum(active_n, np.minimum(whole_n, message_n))
         above_n = _LEAST_N + _LEAST_SHARE * np.maximum(frame_n, message_n)
         below_n = above_n + _BELOW_SIGMAS * taxel_noise_n
+        above_n = np.maximum(above_n, frame.hidden_n)
         unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
         below_n = np.where(frame_n == 0.0, np.maximum(below_n, unseen_n), below_n)
         most_n = _OUTLIER_SIGMAS * frame.noise_n

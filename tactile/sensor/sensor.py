@@ -44,6 +44,14 @@ _POLL_S = 0.001
 """Pause between two polls during a wait in s."""
 _ROUNDING_COUNTS = 12.0**-0.5
 """Standard deviation of the rounding to whole counts."""
+_TOUCH_SIGMAS = 5.0
+"""A source's threshold of touched taxels, in standard deviations of its mean."""
+_BINOMIAL = 16.0
+"""Sum of the weights of that mean over 3 x 3 taxels, also at a border."""
+_SOURCE_GAIN = 6.0 / _BINOMIAL * sqrt(1.0 / 7.0)
+"""Factor of that mean on independent noise: binomial over 3 x 3 taxels, running over 4 scans."""
+_TOUCH_SHARE = 0.012
+"""Least threshold as a share of the full scale: above the allowed drift of a zero."""
 _LEAST_TOUCHED = 9
 """Least number of touched taxels of a pad: one and its neighbours."""
 _EDGE = 1.7
@@ -320,11 +328,13 @@ class TactileSensor:
         if not self.source.sends_forces:
             return
         grip = np.concatenate([np.arange(one.start, one.stop) for one in self._grips])
-        bad = self._quality.bad
+        bad, noise = self._quality.bad, float(np.median(tare.noise_counts[grip]))
+        least_counts = _TOUCH_SHARE * self.layout.adc_max
+        self._touch_counts = max(_TOUCH_SIGMAS * _SOURCE_GAIN * noise, least_counts)
         self.source.set_zero(
             PadZero(
                 offset_counts=tare.offset_counts[grip],
-                noise_counts=tare.noise_counts[grip],
+                touch_counts=self._touch_counts,
                 bad=bad[grip],
             )
         )
@@ -429,9 +439,14 @@ class TactileSensor:
         if centre_m is not None:
             centre = centre_m / pitches_m
             centre_noise = self._centres.noise_m(scan_n, noise_n) / pitches_m
+        # A finger without a taxel above the source's threshold may show nothing in the messages.
+        mean = self._hood.weighted(counts) / _BINOMIAL
+        light = [float(mean[one].max()) <= self._touch_counts for one in self._grips]
+        force_n = self._on_fingers(scan_n)
         forces = FrameForces(
             scanned_s=frame.scanned_s,
-            force_n=self._on_fingers(scan_n),
+            force_n=force_n,
+            hidden_n=np.where(light, force_n, 0.0),
             centre_taxels=centre,
             noise_n=self._frame_noise_n(noise_n),
             centre_noise_taxels=centre_noise,

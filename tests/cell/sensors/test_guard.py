@@ -26,7 +26,7 @@ from tests.fuzz.harness import Clock
 LAYOUT = pinch_layout()
 N = LAYOUT.n_taxels
 START_S, NOW_S = 10.0, 20.0
-ZERO = PadZero(offset_counts=np.zeros(N), noise_counts=np.ones(N), bad=np.zeros(N, dtype=bool))
+ZERO = PadZero(offset_counts=np.zeros(N), touch_counts=3.0, bad=np.zeros(N, dtype=bool))
 FRAME = TactileFrame(
     t_s=15.0, begun_s=14.98, counter=1, status=0, counts=np.ones(N, dtype=np.uint16)
 )

@@ -24,9 +24,7 @@ from tests.tactile.conftest import Bench
 
 LAYOUT = paper_layout()
 TABLE = force_table(LAYOUT, FoamCalibration(255))
-ZERO = PadZero(
-    offset_counts=np.zeros(128), noise_counts=np.full(128, 5.6), bad=np.zeros(128, dtype=np.bool_)
-)
+ZERO = PadZero(offset_counts=np.zeros(128), touch_counts=4.0, bad=np.zeros(128, dtype=np.bool_))
 
 
 @pytest.fixture
