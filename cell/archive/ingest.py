@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, ZipFile
 
+from cell.archive.selection import of_cell
 from cell.archive.store import Archive
-from cell.archive.table import Row, batches, dataset_rows, recording_rows
+from cell.archive.table import Row, batches, recording_rows
 from cell.errors import ArchiveError, CellError, reason_text
 from cell.learning.blas import one_blas_thread
 from cell.recording.dataset import read_dataset
@@ -150,7 +151,7 @@ def _batches(path: Path, cell: str, sha256: str) -> Iterator[Any]:
 
 def _rows(path: Path, cell: str) -> list[Row]:
     if path.suffix != ".mcap":
-        return dataset_rows(read_dataset(path), cell)
+        return [(of_cell(grasp, cell), {"grasp": i}) for i, grasp in enumerate(read_dataset(path))]
     recording = read_recording(path)
     if not recording.complete:
         raise CellError(

@@ -99,21 +99,16 @@ def _trend_lines(answers: Answers, question: str) -> list[str]:
     """Return the trends that answer a question, and the cells with too few days for one."""
     judged = {trend.cell for trend in answers.trends if trend.question == question}
     few = ", ".join(cell for cell in answers.cells if cell not in judged)
-    texts = [trend_text(trend) for trend in answers.counted(question)]
+    texts = []
+    for trend in answers.counted(question):
+        change, low, high = (_amount(v, trend.unit) for v in (trend.change, *trend.interval))
+        span = f"from {trend.days[0]} to {trend.days[-1]}"
+        texts.append(f"{trend.cell}: {trend.signal} {change} ({low} to {high}) {span}")
     if judged and not texts:
         texts = [_QUESTIONS[question][1]]
     days = f"fewer than {LEAST_DAYS} days of the same objects"
     missing = f"No answer about {question}: {days} in {few}."
     return texts + ([missing] if few else [])
-
-
-def trend_text(trend: Trend) -> str:
-    """Return a trend as a sentence."""
-    low, high = (_amount(value, trend.unit) for value in trend.interval)
-    return (
-        f"{trend.cell}: {trend.signal} {_amount(trend.change, trend.unit)} ({low} to {high}) from "
-        f"{trend.days[0]} to {trend.days[-1]}"
-    )
 
 
 def _amount(value: float, unit: str) -> str:

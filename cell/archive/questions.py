@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from cell.archive.selection import EVERYTHING, Selection
-from cell.archive.store import Archive, nothing_selected
+from cell.archive.store import Archive
+from cell.errors import ArchiveError
 from recognition.evaluation.metrics import wilson_interval
 from recognition.recognizer import UNKNOWN
 from recognition.statistics.day_effects import day_effects
@@ -169,7 +170,9 @@ def ask(target: str, selection: Selection = EVERYTHING) -> Answers:
     """
     rows = Archive(target).table(_COLUMNS, selection)
     if not rows.num_rows:
-        raise nothing_selected(target)
+        raise ArchiveError(
+            f"no grasp of {target} is selected: look at its folders for cells and days"
+        )
     keys = {name: rows[name] for name in ("cell", "day", "label")}
     signals = {name: pa.array(one, from_pandas=True) for name, one in _signals(rows).items()}
     means = _grouped(

@@ -32,14 +32,13 @@ class Selection:
     objects: frozenset[str] = frozenset()
     """Labels."""
 
-    def has(self, cell: str, day: str) -> bool:
-        """Return whether the grasps of a cell and day are selected."""
-        return (not self.cells or cell in self.cells) and self.first_day <= day <= self.last_day
-
     def fits(self, grasp: Grasp) -> bool:
         """Return whether a grasp of a file is selected."""
-        known = not self.objects or grasp.label in self.objects
-        return known and self.has(cell_of(grasp), day_of(grasp.start_ms))
+        return (
+            (not self.objects or grasp.label in self.objects)
+            and (not self.cells or cell_of(grasp) in self.cells)
+            and self.first_day <= day_of(grasp.start_ms) <= self.last_day
+        )
 
 
 EVERYTHING = Selection()

@@ -123,11 +123,10 @@ class Archive:
     def _sample(self, selection: Selection, most: int) -> set[str]:
         """Return the smallest keys of each label."""
         rows, n, chosen = self.table(["key", "label"], selection), Counter[str](), set[str]()
-        for row in rows.filter(pc.field("label") != "").sort_by("key").to_reader():
-            for key, label in zip(*(column.to_pylist() for column in row.columns), strict=True):
-                n[label] += 1
-                if n[label] <= most:
-                    chosen.add(key)
+        for row in rows.sort_by("key").to_pylist():
+            n[row["label"]] += 1
+            if row["label"] and n[row["label"]] <= most:
+                chosen.add(row["key"])
         return chosen
 
     # Writing
@@ -201,11 +200,6 @@ class Archive:
             with _readable(path), self._fs.open(path, "rb") as file, pq.ParquetFile(file) as rows:
                 keys.update(rows.read(["key"])["key"].to_pylist())
         return keys
-
-
-def nothing_selected(target: str) -> ArchiveError:
-    """Return the error for a selection without grasps."""
-    return ArchiveError(f"no grasp of {target} is selected: look at its folders for cells and days")
 
 
 def _filter(selection: Selection) -> Any:

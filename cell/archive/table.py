@@ -108,11 +108,6 @@ Row = tuple[Grasp, dict[str, Any]]
 """A grasp and the further columns of its row."""
 
 
-def dataset_rows(grasps: Sequence[Grasp], cell: str) -> list[Row]:
-    """Return the rows of a data set; ``cell`` is the cell of grasps that name no cell."""
-    return [(of_cell(grasp, cell), {"grasp": i}) for i, grasp in enumerate(grasps)]
-
-
 def recording_rows(recording: Recording, cell: str = "") -> list[Row]:
     """Return the rows of a recording, each with its answer and the values of the servos."""
     cell = recording.metadata.get("cell", "") or cell

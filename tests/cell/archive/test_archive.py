@@ -298,8 +298,9 @@ def test_a_selection_reads_only_its_cells_days_and_objects(archived) -> None:
     grasps = list(Archive(archived).grasps(chosen))
     assert len(grasps) == 4
     assert all(chosen.fits(grasp) for grasp in grasps)
-    assert parse_selection([], "2027-01-05", []).has("any", "2027-01-05")
-    assert not parse_selection([], "2027-01-05", []).has("any", "2027-01-06")
+    assert parse_selection([], "2027-01-05", []) == Selection(
+        first_day="2027-01-05", last_day="2027-01-05"
+    )
     assert len(list(Archive(archived).grasps(Selection(first_day="2027-01-07")))) == 0
     with pytest.raises(ConfigError, match=r"2027-01-01\.\."):
         parse_selection([], "January", [])
