@@ -403,21 +403,23 @@ def test_a_blocked_disk_holds_up_no_beginning(tmp_path, monkeypatch, go_on) -> N
     recorder.close()
 
 
-@pytest.mark.parametrize("background", [False, True])
+FAILURES: list[tuple[Any, str, Exception]] = [
+    (recorder_sink.os, "fsync", OSError(errno.EIO, "Input/output error")),
+    (DirectFile, "write_whole", OSError(errno.ENOSPC, "full")),
+    (None, "", FileNotFoundError("removed while it was written")),
+]
+
+
 @pytest.mark.parametrize(
-    ("owner", "name", "error"),
+    ("owner", "name", "error", "background"),
     [
-        (recorder_sink.os, "fsync", OSError(errno.EIO, "Input/output error")),
-        (DirectFile, "write_whole", OSError(errno.ENOSPC, "full")),
-        (DirectFile, "write_whole", RuntimeError("bug")),
-        (None, "", FileNotFoundError("removed while it was written")),
+        *((*failure, background) for failure in FAILURES for background in (False, True)),
+        (DirectFile, "write_whole", RuntimeError("bug"), True),
     ],
 )
 def test_a_disk_that_fails_at_the_end_or_in_the_thread_is_a_fault(
     tmp_path, monkeypatch, *, owner, name, error, background
 ) -> None:
-    if isinstance(error, RuntimeError) and not background:
-        pytest.skip("a defect of the program is raised as it is where it happens")
     if owner is None:
         recorder = Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS, background=background)
         (tmp_path / "r.mcap").unlink()
