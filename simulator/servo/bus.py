@@ -142,7 +142,7 @@ class ServoBusDevice:
         """Return whether a servo takes a packet of Protocol 2.0, or of the old 1.0."""
         silent = self.faults.silent
         return (
-            (servo.core.table.data[PROTOCOL_TYPE.address] == 1) is old
+            (servo.core.registers.data[PROTOCOL_TYPE.address] == 1) is old
             and servo.baudrate == self.baudrate
             and now_s >= servo.core.silent_until_s
             and not (silent and servo.made_as in silent)

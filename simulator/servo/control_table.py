@@ -140,39 +140,54 @@ def _item(register: Register, wire: int, bounds: tuple[int, int], modes: frozens
     return Item(**asdict(register), minimum=bounds[0], maximum=bounds[1], only=only, wire=wire)
 
 
-class ControlTable:
-    """Bytes of one servo with the access rules of its items."""
+def in_range(item: Item, value: int) -> bool:
+    """Return whether an item accepts a raw value, without limits in other items."""
+    if item.only is not None:
+        return value in item.only
+    return item.minimum <= value <= item.maximum
 
-    def __init__(self, model: ServoModel) -> None:
+
+class ServoRegisters:
+    """Control table of one servo: bytes, access rules, and values by the names of the items.
+
+    Parameters
+    ----------
+    settings
+        Raw values of EEPROM items by register name, over the factory's; SimulatorSettingsError for
+        an unknown name or a value out of range.
+    """
+
+    def __init__(self, model: ServoModel, settings: Mapping[str, int]) -> None:
+        self.model = model
         self.data = bytearray(TABLE_SIZE)
-        other = model.number == rh_p12.NUMBER
+        self.keeps_limits = model.number == rh_p12.NUMBER
+        """Whether position limits and Goal Velocity act in current-based position mode."""
         self._items = _items(model)
-        self._size = rh_p12.TABLE_SIZE if other else TABLE_SIZE
+        self._size = rh_p12.TABLE_SIZE if self.keeps_limits else TABLE_SIZE
         self._defined = bytearray(self._size)
-        self._place: dict[int, int] | None = {} if other else None
+        self._place: dict[int, int] | None = {} if self.keeps_limits else None
         for wire, item in self._items.items():
             self._defined[wire : wire + item.size] = b"\x01" * item.size
             if self._place is not None:
                 self._place |= {wire + n: item.address + n for n in range(item.size)}
         self._plans: dict[tuple[int, int], WritePlan | StatusError] = {}
+        firmware = _RECENT_FIRMWARE_X330 if is_x330(model) else _RECENT_FIRMWARE
+        gains = zip(GAINS, _FACTORY_GAINS.get(model.name, _X430_GAINS), strict=False)
+        self._factory = {**model.factory_defaults, **dict(gains), "firmware_version": firmware}
+        if self.keeps_limits:
+            self._factory = {row.name: row.initial for row in rh_p12.ROWS}
+        self.load_factory()
+        for name, value in settings.items():
+            self.configure(name, value)
 
     @property
     def items(self) -> tuple[Item, ...]:
-        """All items in the order of their addresses."""
-        return tuple(self._items[address] for address in sorted(self._items))
+        """All items."""
+        return tuple(self._items.values())
 
     def place(self, wire: int) -> int:
         """Return where in the memory a byte is; -1 where the servo has none."""
         return wire if self._place is None else self._place.get(wire, -1)
-
-    def get(self, address: int, size: int, *, signed: bool = False) -> int:
-        """Return the raw value of ``size`` bytes at ``address``."""
-        return int.from_bytes(self.data[address : address + size], "little", signed=signed)
-
-    def set(self, address: int, size: int, value: int) -> None:
-        """Set ``size`` bytes at ``address`` without any check; wraps to the size."""
-        value &= (1 << 8 * size) - 1
-        self.data[address : address + size] = value.to_bytes(size, "little")
 
     def read(self, address: int, size: int) -> bytes | StatusError:
         """Return ``size`` bytes from ``address`` as a Read instruction does.
@@ -214,47 +229,15 @@ class ControlTable:
         layout = struct.Struct("<" + "".join(item.code for item in items))
         return WritePlan(tuple(items), layout)
 
-
-def in_range(item: Item, value: int) -> bool:
-    """Return whether an item accepts a raw value, without limits in other items."""
-    if item.only is not None:
-        return value in item.only
-    return item.minimum <= value <= item.maximum
-
-
-class ServoRegisters:
-    """Control table of one servo by the names of its items, with factory values.
-
-    Parameters
-    ----------
-    settings
-        Raw values of EEPROM items by register name, over the factory's; SimulatorSettingsError for
-        an unknown name or a value out of range.
-    """
-
-    def __init__(self, model: ServoModel, settings: Mapping[str, int]) -> None:
-        self.model = model
-        self.table = ControlTable(model)
-        firmware = _RECENT_FIRMWARE_X330 if is_x330(model) else _RECENT_FIRMWARE
-        gains = zip(GAINS, _FACTORY_GAINS.get(model.name, _X430_GAINS), strict=False)
-        self._factory = {**model.factory_defaults, **dict(gains), "firmware_version": firmware}
-        self.keeps_limits = model.number == rh_p12.NUMBER
-        """Whether position limits and Goal Velocity act in current-based position mode."""
-        if self.keeps_limits:
-            self._factory = {row.name: row.initial for row in rh_p12.ROWS}
-        self.load_factory()
-        for name, value in settings.items():
-            self.configure(name, value)
-
     def configure(self, name: str, value: int) -> None:
         """Set an EEPROM item; SimulatorSettingsError for another item or a value out of range."""
         register = REGISTERS.get(name)
         if register is None or not register.eeprom:
             raise SimulatorSettingsError(f"{name!r} is not an EEPROM item of the control table")
-        plan = self.table.plan(register.address, register.size)
+        plan = self.plan(register.address, register.size)
         if isinstance(plan, StatusError) or not in_range(plan.items[0], value):
             raise SimulatorSettingsError(f"{name} = {value} is outside the range of the item")
-        self.table.set(register.address, register.size, value)
+        self.put(name, value)
 
     @property
     def limits_current(self) -> bool:
@@ -264,19 +247,23 @@ class ServoRegisters:
     def get(self, name: str) -> int:
         """Return the raw value of an item by its name."""
         register = REGISTERS[name]
-        return self.table.get(register.address, register.size, signed=register.signed)
+        content = self.data[register.address : register.end]
+        return int.from_bytes(content, "little", signed=register.signed)
 
     def put(self, name: str, value: int) -> None:
-        """Set an item by its name, without access rules or side effects."""
-        register = REGISTERS[name]
-        self.table.set(register.address, register.size, value)
+        """Set an item by its name, without access rules or side effects; wraps to its size."""
+        self._set(REGISTERS[name], value)
+
+    def _set(self, register: Register, value: int) -> None:
+        value &= (1 << 8 * register.size) - 1
+        self.data[register.address : register.end] = value.to_bytes(register.size, "little")
 
     def load_factory(self) -> None:
         """Set the EEPROM to the factory's values."""
-        self.table.data[0:EEPROM_END] = bytes(EEPROM_END)
-        for item in self.table.items:
+        self.data[0:EEPROM_END] = bytes(EEPROM_END)
+        for item in self.items:
             if item.address < EEPROM_END:
-                self.table.set(item.address, item.size, self._factory.get(item.name, 0))
+                self._set(item, self._factory.get(item.name, 0))
 
     def load_gains(self) -> None:
         """Set the gains to the defaults of the model and the mode."""
@@ -287,7 +274,7 @@ class ServoRegisters:
 
     def load_ram(self) -> None:
         """Set the RAM to its values after a boot."""
-        self.table.data[EEPROM_END:RAM_END] = bytes(RAM_END - EEPROM_END)
+        self.data[EEPROM_END:RAM_END] = bytes(RAM_END - EEPROM_END)
         self.put("status_return_level", self._factory["status_return_level"])
         self.put("goal_pwm", self.get("pwm_limit"))
         self.put("goal_current", self.get("current_limit"))

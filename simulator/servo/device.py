@@ -97,28 +97,28 @@ class SimulatedServo:
     @property
     def servo_id(self) -> int:
         """Content of ID (7)."""
-        return self.core.table.data[SERVO_ID.address]
+        return self.core.registers.data[SERVO_ID.address]
 
     @property
     def baudrate(self) -> int:
         """Line rate in baud after Baud Rate (8)."""
-        return BAUD_RATES[self.core.table.data[BAUD_RATE.address]]
+        return BAUD_RATES[self.core.registers.data[BAUD_RATE.address]]
 
     @property
     def return_delay_s(self) -> float:
         """Pause in s between an instruction and the answer, after Return Delay Time (9)."""
-        return self.core.table.data[RETURN_DELAY_TIME.address] * RETURN_DELAY_UNIT_S
+        return self.core.registers.data[RETURN_DELAY_TIME.address] * RETURN_DELAY_UNIT_S
 
     def answers(self, instruction: int) -> bool:
         """Return whether Status Return Level (68) lets the servo answer this instruction."""
-        level = self.core.table.data[STATUS_RETURN_LEVEL.address]
+        level = self.core.registers.data[STATUS_RETURN_LEVEL.address]
         if instruction == Instruction.PING or level >= _ANSWERS_ALL:
             return True
         return level == _ANSWERS_READS and instruction in _READS
 
     def status(self, error: int, data: bytes = b"") -> StatusBody:
         """Return an answer with the Alert bit as Hardware Error Status (70) asks for it."""
-        alert = self.core.table.data[HARDWARE_ERROR_STATUS.address]
+        alert = self.core.registers.data[HARDWARE_ERROR_STATUS.address]
         return StatusBody(error | ALERT if alert else error, data)
 
     def execute(self, instruction: int, parameters: bytes, now_s: float) -> StatusBody:
@@ -130,7 +130,7 @@ class SimulatedServo:
             (address,) = words(parameters[:2])
             return self.status(self.write(address, parameters[2:], now_s))
         if instruction == Instruction.PING:
-            version = self.core.table.data[FIRMWARE_VERSION.address]
+            version = self.core.registers.data[FIRMWARE_VERSION.address]
             number = self.core.registers.get("model_number").to_bytes(2, "little")
             return self.status(StatusError.NONE, number + bytes((version,)))
         if instruction == Instruction.REBOOT:
@@ -144,17 +144,17 @@ class SimulatedServo:
     def read(self, address: int, size: int, now_s: float) -> StatusBody:
         """Return ``size`` bytes from ``address``, present values brought up to date."""
         core = self.core
-        place = core.table.place(address)
+        place = core.registers.place(address)
         if place < PRESENT_END and place + size > PRESENT_START:
             core.refresh(now_s)
-        content = core.table.read(address, size)
+        content = core.registers.read(address, size)
         if isinstance(content, StatusError):
             return self.status(content)
         return self.status(StatusError.NONE, content)
 
     def write(self, address: int, data: bytes, now_s: float) -> StatusError:
         """Write one or more whole items; nothing is written when one of them is refused."""
-        plan = self.core.table.plan(address, len(data))
+        plan = self.core.registers.plan(address, len(data))
         if isinstance(plan, StatusError):
             return plan
         values = list(zip(plan.items, plan.layout.unpack(data), strict=True))
@@ -163,7 +163,7 @@ class SimulatedServo:
             if refused is not StatusError.NONE:
                 return refused
         goals = profile = False
-        table, at = self.core.table.data, 0
+        table, at = self.core.registers.data, 0
         for item, raw in values:
             at += item.size
             if item.address == TORQUE_ENABLE.address:
@@ -190,7 +190,7 @@ class SimulatedServo:
             return StatusError.DATA_RANGE
         if item.address == TORQUE_ENABLE.address and raw and core.latched:
             return StatusError.RESULT_FAIL
-        registers, data = core.registers, core.table.data
+        registers, data = core.registers, core.registers.data
         lower, upper, refusal = item.minimum, item.maximum, StatusError.DATA_RANGE
         limit = _LIMITED_BY.get(item.address)
         if limit is not None:

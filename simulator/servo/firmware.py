@@ -96,7 +96,7 @@ class ServoPosition:
     @property
     def sign(self) -> int:
         """-1 in reverse mode (Drive Mode bit 0), else 1."""
-        return -1 if self._registers.table.data[_DRIVE] & REVERSE_MODE else 1
+        return -1 if self._registers.data[_DRIVE] & REVERSE_MODE else 1
 
     def present_raw(self) -> int:
         """Return Present Position: sensed angle in counts, folded."""
@@ -124,7 +124,7 @@ class ServoPosition:
             Whether the motor follows Goal Position.
         """
         plant, sign, offset = self._plant, self.sign, self._turn_offset
-        data = self._registers.table.data
+        data = self._registers.data
         velocity_raw = sign * plant.sensed_velocity_raw
         position_raw = sign * plant.sensed_count + offset
         trajectory_raw = sign * self._counts(plant.reference_rad) + offset
@@ -156,7 +156,7 @@ class ServoPosition:
 
 def goal_command(registers: ServoRegisters, position: ServoPosition) -> DriveCommand:
     """Return the command to the motor by Operating Mode, goals, limits and gains."""
-    data, model = registers.table.data, registers.model
+    data, model = registers.data, registers.model
     mode, sign = data[_MODE], position.sign
     pwm, current, velocity, acceleration, profile, goal = _GOALS.unpack_from(data, GOAL_START)
     # A limit that was lowered after the write of the goal still applies.
@@ -211,7 +211,7 @@ def hold_command(registers: ServoRegisters, angle_rad: float) -> DriveCommand:
         duty=abs(registers.get("goal_pwm")) / registers.model.whole_pwm_raw,
         p_gain=registers.get("position_p_gain"),
         d_gain=registers.get("position_d_gain"),
-        slope_raw=registers.table.data[PWM_SLOPE.address],
+        slope_raw=registers.data[PWM_SLOPE.address],
     )
 
 
@@ -243,9 +243,8 @@ class ServoCore:
         settings: Mapping[str, int] | None = None,
     ) -> None:
         self.registers = ServoRegisters(model, {**(settings or {}), "id": servo_id})
-        self.table = self.registers.table
         self.position = ServoPosition(self.registers, plant)
-        """The servo's registers, their control table, and counts."""
+        """The servo's registers, and its counts."""
         self.plant = plant
         self.watchdog_stop = WatchdogStop.HOLD
         """Effect of a tripped bus watchdog on the motor."""
@@ -267,17 +266,17 @@ class ServoCore:
     @property
     def torque_on(self) -> bool:
         """Whether Torque Enable is 1."""
-        return self.table.data[_TORQUE] != 0
+        return self.registers.data[_TORQUE] != 0
 
     @property
     def watchdog_tripped(self) -> bool:
         """Whether Bus Watchdog reads -1."""
-        return self.table.data[BUS_WATCHDOG.address] == WATCHDOG_TRIPPED_RAW & 0xFF
+        return self.registers.data[BUS_WATCHDOG.address] == WATCHDOG_TRIPPED_RAW & 0xFF
 
     @property
     def latched(self) -> bool:
         """Whether a hardware error keeps the torque off until a reboot."""
-        return bool(self.table.data[_HARDWARE_ERROR] & self.table.data[SHUTDOWN.address])
+        return bool(self.registers.data[_HARDWARE_ERROR] & self.registers.data[SHUTDOWN.address])
 
     def boot(self, now_s: float, *, blackout_s: float = REBOOT_S) -> None:
         """Restart the firmware: RAM at its defaults, one turn, torque off."""
@@ -290,12 +289,12 @@ class ServoCore:
         self.plant.load_excess_s = 0.0
         self.position.fold_turns()
         self.registers.put("goal_position", self.position.present_raw())
-        self.table.data[_TORQUE] = 0
+        self.registers.data[_TORQUE] = 0
         self.apply_goals()
 
     def refresh(self, now_s: float) -> None:
         """Bring registers 120 to 146 up to date."""
-        follows = self.table.data[_MODE] in _FOLLOWS_POSITION
+        follows = self.registers.data[_MODE] in _FOLLOWS_POSITION
         following = self.torque_on and not self._stopped and follows
         self.position.refresh(now_s - self._booted_s, following=following)
 
@@ -314,15 +313,15 @@ class ServoCore:
     def change_mode(self) -> None:
         """Carry out the side effects of writing Operating Mode."""
         self.registers.change_mode()
-        if self.table.data[_MODE] == OperatingMode.POSITION:
+        if self.registers.data[_MODE] == OperatingMode.POSITION:
             self.position.fold_turns()
 
     def set_torque(self, *, on: bool) -> None:
         """Switch the torque; switching it on in position mode reduces the position to one turn."""
-        one_turn = self.table.data[_MODE] == OperatingMode.POSITION
+        one_turn = self.registers.data[_MODE] == OperatingMode.POSITION
         if on and not self.torque_on and one_turn:
             self.position.fold_turns()
-        self.table.data[_TORQUE] = 1 if on else 0
+        self.registers.data[_TORQUE] = 1 if on else 0
         self._stopped = self._stopped and on
         self.apply_goals()
 
@@ -337,7 +336,7 @@ class ServoCore:
 
     def supervise(self, now_s: float) -> None:
         """Run watchdog and protections; call it at least once for each motor step."""
-        data = self.table.data
+        data = self.registers.data
         if data[_TORQUE] == 0:
             self._fed_s = now_s
         elif now_s - self._fed_s > self._watchdog_s:

@@ -181,7 +181,7 @@ class InvariantMonitor:
         """Return what changes when a servo switches its torque off by itself."""
         return tuple(
             [
-                (s.core.table.data[_ERROR], s.core.silent_until_s)
+                (s.core.registers.data[_ERROR], s.core.silent_until_s)
                 for s in self._simulated.devices.servo_bus.servos
             ]
         )

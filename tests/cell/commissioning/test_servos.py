@@ -27,7 +27,7 @@ def new(make_stand: MakeStand) -> Stand:
 
 
 def eeproms(stand: Stand) -> list[bytes]:
-    return [bytes(s.core.table.data[:64]) for s in stand.cell.devices.servo_bus.servos]
+    return [bytes(s.core.registers.data[:64]) for s in stand.cell.devices.servo_bus.servos]
 
 
 @pytest.mark.slow

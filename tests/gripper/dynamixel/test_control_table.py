@@ -14,7 +14,7 @@ from gripper.errors import LimitExceeded, ServoRejected
 from gripper.servos.verification import requirements
 from gripper.values.servo_checks import hardware_error_names
 from simulator.servo import rh_p12
-from simulator.servo.control_table import ControlTable
+from simulator.servo.control_table import ServoRegisters
 
 
 def test_units_and_signs_are_those_of_the_manual() -> None:
@@ -94,7 +94,7 @@ def test_driver_and_simulator_agree_on_the_addresses_that_each_has_written_down(
         shift = MODEL.ram_shift if register.address >= table.RAM_START else 0
         assert (row.address, row.size) == (register.address + shift, register.size)
         assert (row.access == "RW") == register.writable
-    assert not [r for r in ControlTable(MODEL).items if r.wire >= 512 and r.eeprom]
+    assert not [r for r in ServoRegisters(MODEL, {}).items if r.wire >= 512 and r.eeprom]
 
 
 def test_the_bus_learns_the_table_from_a_ping() -> None:

@@ -46,9 +46,9 @@ def test_factory_values(model):
     ],
 )
 def test_what_a_write_is_answered(bench, address: int, size: int, value: int, error: int):
-    before = bench.servos[0].core.table.data[:120]
+    before = bench.servos[0].core.registers.data[:120]
     assert bench.write(1, address, size, value) == error
-    after = bench.servos[0].core.table.data[:120]
+    after = bench.servos[0].core.registers.data[:120]
     if error:
         assert after == before
     else:
@@ -275,9 +275,9 @@ def test_each_answer_comes_again_later(bench):
 
 def test_a_lagging_answer_is_that_to_the_request_of_its_kind_before(bench):
     bench.device.faults.lag = True
-    bench.servos[0].core.table.data[65] = 1
+    bench.servos[0].core.registers.data[65] = 1
     assert bench.exchange(read(65, 1))[9] == 1
-    bench.servos[0].core.table.data[65] = 2
+    bench.servos[0].core.registers.data[65] = 2
     assert bench.exchange(PING) == PONG
     assert bench.exchange(read(65, 1))[9] == 1
     assert bench.exchange(read(65, 1))[9] == 2
