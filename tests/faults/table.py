@@ -37,6 +37,8 @@ REACTIONS = {
 
 LOOP_S = 1.0 / campaign_config().gripper.loop_rate_hz
 """Period of the force loop: what was received is looked at so late at most."""
+READ_S = 0.001
+"""Reading of both servos, after which the pads are looked at."""
 SYNC_S = 0.02
 """Period of SYNC."""
 BURST_S = 0.0075
@@ -176,7 +178,8 @@ CAN_BUS = (
 
 CONTROL_UNIT = (
     FaultRow(9, "", "the unit reboots in the ramp; the limit counts its boot of 20 ms",
-             "unit.reboot@contact+0.1s", "HOLD", BOOT_S + LOOP_S, changes=WIDE, number=308),
+             "unit.reboot@contact+0.1s", "HOLD", BOOT_S + LOOP_S + READ_S, changes=WIDE,
+             number=308),
     FaultRow(10, "heartbeat lost", "the heartbeat stops",
              "unit.heartbeat_off@contact+0.1s", "HOLD", 0.25 + LOOP_S, number=305),
     FaultRow(10, "never appears", "the unit is not there at the start",
@@ -448,7 +451,8 @@ SERVOS = (
     FaultRow(22, "electrical shock", "the shock protection of a servo latches in the ramp",
              "servo2.error=16@contact+0.2s", "ABORT", CYCLE_S, number=109),
     FaultRow(23, "hot", "a servo is warmer than temperature_max_c, below its own limit",
-             "servo1.overheat=74@contact+0.2s", "HOLD", 1.0, number=200),
+             "servo1.overheat=74@contact+0.1s", "HOLD", 1.0,
+             changes={"sequence.ramp.rate_n_s": 5.0}, number=200),
     FaultRow(23, "latched", "a servo switches its torque off for heat",
              "servo1.overheat=90@contact+0.2s", "ABORT", CYCLE_S, number=(109, 200)),
     FaultRow(24, "dip", "the supply of a servo falls to 9 V in the ramp",
