@@ -3,6 +3,7 @@
 No checksum or value in the file is trusted: what does not fit is left out and named.
 """
 
+import os
 import struct
 import sys
 from array import array
@@ -29,9 +30,11 @@ from cell.recording.grasp_limits import check_times
 from cell.recording.recorder import MessageWriter
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 
+MAX_FILE_BYTES = 1 << 30
+"""Largest recording that is read, in bytes: 8 hours of grasping."""
 MAX_CHUNK_BYTES = 32 << 20
-"""Largest record that is read, in bytes. The recorder makes chunks of 64 KiB, the tools of MCAP
-those of 8 MiB."""
+"""Largest record and unpacked chunk that is read, in bytes. The recorder makes chunks of 64 KiB,
+the tools of MCAP those of 8 MiB."""
 _DAMAGE = (*DAMAGE, McapError, zstandard.ZstdError, struct.error)
 
 
@@ -48,7 +51,8 @@ class RecordedMessage(NamedTuple):
 class RecordedMessages:
     """Yields the messages of a recording in the order of the file; iterate once.
 
-    Raises RecordingError if the file cannot be read, or is not a recording of this package.
+    Raises RecordingError if the file cannot be read, is too large, or is not a recording of this
+    package.
     """
 
     metadata: dict[str, str]
@@ -78,6 +82,10 @@ class RecordedMessages:
             open_plain(self.path, error=RecordingError, what="recording") as file,
             raised_as(RecordingError, OSError, where=f"cannot read recording {self.path}"),
         ):
+            if os.fstat(file.fileno()).st_size > MAX_FILE_BYTES:
+                raise RecordingError(
+                    f"{self.path}: too long; at most {MAX_FILE_BYTES} bytes are read"
+                )
             self._describe(file)
             file.seek(0)
             yield from self._messages(file)
@@ -120,6 +128,8 @@ class RecordedMessages:
 
     def _parts(self, chunk: Chunk) -> list[McapRecord]:
         try:
+            if chunk.uncompressed_size > MAX_CHUNK_BYTES:
+                raise ValueError(f"it unpacks to more than {MAX_CHUNK_BYTES} bytes")
             return breakup_chunk(chunk, validate_crc=True)
         except _DAMAGE as cause:
             self.lose(f"a chunk is left out: {reason_text(cause)}")
@@ -144,9 +154,12 @@ class RecordedMessages:
 
     def _check_frame(self, counts: list[int], extra: list[int]) -> None:
         """Raise ValueError if a frame does not fit the pads, or the frames before it."""
-        n = self.pads.n_taxels
-        if len(counts) != n:
-            raise ValueError(f"it has {len(counts)} counts, the pads have {n} taxels")
+        n, most = self.pads.n_taxels, self.pads.adc_max
+        if len(counts) != n or max(counts) > most:
+            raise ValueError(
+                f"it has {len(counts)} counts up to {max(counts, default=0)}, expected {n} up to "
+                f"{most}"
+            )
         if len(extra) % n or self._n_extra not in (None, len(extra)):
             raise ValueError(f"it has {len(extra)} further samples of {n} taxels")
         self._n_extra = len(extra)
@@ -294,6 +307,12 @@ def read_recording(path: Path | str) -> Recording:
         extra=_rows(extra, (n_frames, n_taxels, len(extra) // max(1, len(counts)))),
     )
     grasps = _grasps(rows[schema.GRASP], frames, messages)
+    if (
+        not messages.lost_reason
+        and schema.RECOVERED not in messages.metadata
+        and np.any(frames.number != np.arange(n_frames))
+    ):
+        messages.lose(f"its {n_frames} frames are not all that were recorded")
     return Recording(
         path=messages.path,
         metadata=messages.metadata,
@@ -354,7 +373,7 @@ def _grasps(
     rows: list[dict[str, Any]], frames: RecordedFrames, messages: RecordedMessages
 ) -> dict[int, Grasp]:
     """Return each whole grasp by its number."""
-    grasps = dict[int, Grasp]()
+    grasps, n_used = dict[int, Grasp](), 0
     for number, row in enumerate(rows):
         first_frame, n_frames = row["first_frame"], row["n_frames"]
         first = int(np.searchsorted(frames.number, first_frame))
@@ -365,6 +384,9 @@ def _grasps(
                 np.diff(numbers, prepend=first_frame - 1) != 1
             ):
                 raise ValueError("frames of it are missing")
+            if first_frame < n_used:
+                raise ValueError("its frames belong to other grasps")
+            n_used = first_frame + n_frames
             grasps[number] = _grasp(row, messages.pads, frames, part)
         except (ValueError, OverflowError) as cause:
             messages.lose(f"grasp {number + 1} is left out: {cause}")

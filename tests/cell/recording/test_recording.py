@@ -526,6 +526,9 @@ def test_other_files_are_refused_before_a_message_is_read(
     ):
         with pytest.raises(RecordingError, match=why):
             read_recording(tmp_path / name)
+    monkeypatch.setattr(recording_reader, "MAX_FILE_BYTES", 4)
+    with pytest.raises(RecordingError, match="at most 4 bytes"):
+        read_recording(tmp_path / "text")
 
 
 @pytest.mark.parametrize(
@@ -534,7 +537,7 @@ def test_other_files_are_refused_before_a_message_is_read(
         (b"{", "EOF while parsing"),
         (b"[1]", "it is [1]: Input should be an object"),
         (b"{}", "t_s: Field required"),
-        (frame_json(counts="[1,2]"), "it has 2 counts, the pads have 1 taxels"),
+        (frame_json(counts="[1,2]"), "2 counts up to 2, expected 1 up to 9"),
         (frame_json(counts="[1.5]"), "counts.0 is 1.5: Input should be a valid integer"),
         (frame_json(extra="[-1]"), "extra.0 is -1: Input should be greater than or"),
         (frame_json(extra="[1]"), "it has 1 further samples of 1 taxels"),
@@ -555,6 +558,17 @@ def test_a_message_that_does_not_fit_is_left_out_named_and_not_recovered(
     recover_recording(path, tmp_path / "new.mcap")
     whole = read_recording(tmp_path / "new.mcap")
     assert (whole.complete, whole.frames.number.tolist()) == (True, [0, 1])
+
+
+def test_grasps_cannot_share_frames(tmp_path: Path) -> None:
+    """A grasp of a few bytes would copy all frames, and the next one again."""
+    clock = Clock(now_s=1.0)
+    with closing(Recorder(tmp_path / "r.mcap", clock, pads=PADS)) as recorder:
+        grasp = record_grasp(recorder, clock, "ball")
+        recorder.grasp(replace(grasp, label="box"))
+    recording = read_recording(tmp_path / "r.mcap")
+    assert [grasp.label for grasp in recording.grasps] == ["ball"]
+    assert "grasp 2 is left out: its frames belong to other grasps" in recording.lost_reason
 
 
 @pytest.mark.parametrize(
@@ -669,22 +683,33 @@ def test_a_damaged_file_without_chunks_is_not_complete(three: Path, tmp_path: Pa
     assert "crc validation failed in DataEnd" in read_recording(again).lost_reason
 
 
-@pytest.mark.parametrize(("frames", "grasp"), [((45,), 3), (tuple(range(41, 61)), 3), ((1, 2), 1)])
-def test_a_recording_that_lacks_frames_of_a_grasp_is_not_complete(
-    frames: tuple[int, ...], grasp: int, three: Path, tmp_path: Path
+@pytest.mark.parametrize(
+    ("frames", "says", "n_grasps"),
+    [
+        ((45,), "grasp 3 is left out: frames of it are missing", 2),
+        (tuple(range(41, 61)), "grasp 3 is left out: frames of it are missing", 2),
+        ((1, 2), "grasp 1 is left out: frames of it are missing", 2),
+        ((30,), "its 59 frames are not all that were recorded", 0),
+    ],
+)
+def test_a_recording_that_lacks_frames_is_not_complete(
+    frames: tuple[int, ...], says: str, n_grasps: int, three: Path, tmp_path: Path
 ) -> None:
     def leave_out(topic: str, number: int) -> bool:
-        return topic == recording_schema.FRAME and number in frames
+        return (topic == recording_schema.FRAME and number in frames) or (
+            topic == recording_schema.GRASP and not n_grasps
+        )
 
     again = written_again(three, tmp_path / "a.mcap", leave_out=leave_out)
     recording = read_recording(again)
-    assert recording.lost_reason == f"grasp {grasp} is left out: frames of it are missing"
-    assert (len(recording.grasps), recording.n_broken_grasps) == (2, 1)
+    assert says in recording.lost_reason
+    assert not recording.complete
+    assert (len(recording.grasps), recording.n_broken_grasps) == (n_grasps, bool(n_grasps))
     with pytest.raises(RecordingError, match="not complete"):
         recording_grasps(again)
     recover_recording(again, tmp_path / "new.mcap")
     whole = read_recording(tmp_path / "new.mcap")
-    assert (whole.complete, len(whole.grasps)) == (True, 2)
+    assert (whole.complete, len(whole.grasps)) == (True, n_grasps)
 
 
 @pytest.mark.parametrize(
