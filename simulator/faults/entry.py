@@ -113,8 +113,9 @@ class Fault:
     over: bool = field(default=False, init=False)
     """Whether it has ended; a momentary fault ends at once."""
     undo: Undo = field(default=lambda: None, init=False)
+    """Ends its effect."""
     act: Callable[[float], None] = field(default=lambda _now_s: None, init=False)
-    """Ends its effect; continues it at each step of the world, with the time in s."""
+    """Continues its effect at each step of the world, with the time in s."""
 
     def begin(self, now_s: float) -> None:
         """Apply the fault at ``now_s`` s."""
