@@ -98,7 +98,7 @@ class ServoAxis:
         self._loss_s = self._settings.loss_s
         try:
             answer = self._ask(lambda: self._bus.ping(self._id))
-            drive_mode = self._ask(lambda: self._bus.read(self._id, DRIVE_MODE))
+            drive_mode = self._read(DRIVE_MODE)
         except AxisSilent as silence:
             raise AxisMissing(f"{silence}; are ID and baud rate right?") from silence
         model = self._settings.model
@@ -112,9 +112,9 @@ class ServoAxis:
                 f"{self.name} has Drive Mode {drive_mode}: time-based profiles and torque by goal "
                 "must be off; correct it with the vendor's wizard"
             )
-        torque = "on" if self._read_torque() else "off"
-        error = self._read_error()
-        at = self._ask(lambda: self._bus.read(self._id, PRESENT_POSITION))
+        torque = "on" if self._read(TORQUE_ENABLE) else "off"
+        error = self._read(HARDWARE_ERROR_STATUS)
+        at = self._read(PRESENT_POSITION)
         words = f"torque {torque}, Present Position {at} pulses"
         return words + (f", hardware error {_names(error)}" if error else "")
 
@@ -127,10 +127,10 @@ class ServoAxis:
         self.clear_fault(reboot=reset)
         mode = OperatingMode.EXTENDED_POSITION
         self._write(BUS_WATCHDOG, 0)
-        if self._ask(lambda: self._bus.read(self._id, OPERATING_MODE)) != mode:
+        if self._read(OPERATING_MODE) != mode:
             self._write(TORQUE_ENABLE, 0)
             self._write(OPERATING_MODE, mode)
-        at = self._ask(lambda: self._bus.read(self._id, PRESENT_POSITION))
+        at = self._read(PRESENT_POSITION)
         low, high, reserve = self._settings.low, self._settings.high, self._settings.window
         # The turn of the present position is the one within the limits.
         middle = (low + high) // 2
@@ -152,11 +152,11 @@ class ServoAxis:
         """
         self._ask(lambda: self._bus.demand_answers((self._id,)))
         self.identify()
-        error = self._read_error()
+        error = self._read(HARDWARE_ERROR_STATUS)
         if error and reboot:
             self._ask(lambda: self._bus.reboot(self._id))
             self._watch.pause(_REBOOT_S)
-            error = self._read_error()
+            error = self._read(HARDWARE_ERROR_STATUS)
         if error:
             raise AxisFault(self._fault_text(error))
 
@@ -231,8 +231,8 @@ class ServoAxis:
         return self._ask(lambda: self._bus.sync_read(ids, PRESENT_BLOCK))[self._id]
 
     def _check(self) -> None:
-        torque = self._read_torque()
-        if self._bus.alert(self._id) and (error := self._read_error()):
+        torque = self._read(TORQUE_ENABLE)
+        if self._bus.alert(self._id) and (error := self._read(HARDWARE_ERROR_STATUS)):
             raise AxisFault(self._fault_text(error))
         if not torque:
             raise AxisRestarted(
@@ -256,11 +256,8 @@ class ServoAxis:
                 "start again"
             )
 
-    def _read_torque(self) -> bool:
-        return bool(self._ask(lambda: self._bus.read(self._id, TORQUE_ENABLE)))
-
-    def _read_error(self) -> int:
-        return self._ask(lambda: self._bus.read(self._id, HARDWARE_ERROR_STATUS))
+    def _read(self, register: Register) -> int:
+        return self._ask(lambda: self._bus.read(self._id, register))
 
     def _write(self, register: Register, raw: int) -> None:
         self._ask(lambda: self._bus.write(self._id, register, raw))
