@@ -91,8 +91,10 @@ def verdict(mutant: dict[str, Any], tests: list[str], limit_s: float, copy: Path
             except subprocess.TimeoutExpired:
                 return f"survived {limit_s:.0f} s"
             if ran.returncode != 0:
-                failed = [one for one in ran.stdout.splitlines() if one.startswith("FAILED")]
-                return f"killed: {(failed or ran.stdout.splitlines())[-1][:150]}"
+                # A module that cannot be imported ends pytest with text on the other stream.
+                lines = (ran.stderr + ran.stdout).splitlines() or [f"exit status {ran.returncode}"]
+                failed = [one for one in lines if one.startswith("FAILED")]
+                return f"killed: {(failed or lines)[-1][:150]}"
     finally:
         target.write_text(whole, encoding="utf-8")
     return "survived"
