@@ -20,7 +20,7 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, example, given, settings, strategies as st
 
 from recognition.grasp import Grasp, PadArray
-from tests.recognition.conftest import THINGS, make_grasps, make_pads
+from tests.recognition.conftest import OBJECTS, make_grasps, make_pads
 
 INPUTS = int(os.environ.get("TACTILE_CELL_INPUTS", "0"))
 """New inputs that each property meets in a campaign; 0 for the few of every run."""
@@ -147,9 +147,9 @@ class Clock:
 @functools.cache
 def good_grasps() -> tuple[Grasp, ...]:
     """Return twelve grasps of two objects, six frames each, by two pads of 8 x 5 taxels."""
-    things = [replace(THINGS[2], label="ball"), replace(THINGS[1], label="box")]
+    both = [replace(OBJECTS[2], label="ball"), replace(OBJECTS[1], label="box")]
     pads = make_pads(shapes=((8, 5), (8, 5)), adc_max=255)
-    made = make_grasps(6, seed=3, pads=pads, things=things, n_before=1, n_ramp=5, noise_counts=4.0)
+    made = make_grasps(6, seed=3, pads=pads, objects=both, n_before=1, n_ramp=5, noise_counts=4.0)
     more = {"force_n": np.linspace(0.0, 8.0, 6), "source": "made"}
     return tuple(
         replace(grasp, **more, start_ms=1_700_000_000_000 + i) for i, grasp in enumerate(made)

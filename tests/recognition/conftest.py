@@ -13,7 +13,7 @@ from recognition.recognizers import make_trainer
 
 
 @dataclass(frozen=True)
-class Thing:
+class MadeObject:
     label: str
     width_mm: float
     length_mm: float
@@ -22,12 +22,12 @@ class Thing:
     softness_mm: float
 
 
-THINGS = (
-    Thing("bar", 2.5, 9.0, 2.0, 12.0, 0.2),
-    Thing("block", 5.0, 6.0, 6.0, 30.0, 0.1),
-    Thing("disc", 4.5, 4.5, 4.0, 20.0, 0.3),
-    Thing("egg", 4.0, 6.0, 1.0, 45.0, 0.6),
-    Thing("pin", 2.0, 2.5, 2.0, 6.0, 0.1),
+OBJECTS = (
+    MadeObject("bar", 2.5, 9.0, 2.0, 12.0, 0.2),
+    MadeObject("block", 5.0, 6.0, 6.0, 30.0, 0.1),
+    MadeObject("disc", 4.5, 4.5, 4.0, 20.0, 0.3),
+    MadeObject("egg", 4.0, 6.0, 1.0, 45.0, 0.6),
+    MadeObject("pin", 2.0, 2.5, 2.0, 6.0, 0.1),
 )
 
 
@@ -51,7 +51,7 @@ def make_pads(
 
 
 def make_grasp(
-    thing: Thing,
+    made: MadeObject,
     rng: np.random.Generator,
     *,
     pads: PadArray,
@@ -71,15 +71,15 @@ def make_grasp(
     for pad in gripping:
         taxels = pads.taxels_of(pad)
         dx, dy = (pads.taxel_xy_m[taxels] * 1e3 - centre).T
-        u = (np.cos(angle) * dx + np.sin(angle) * dy) / thing.length_mm
-        v = (np.cos(angle) * dy - np.sin(angle) * dx) / thing.width_mm
+        u = (np.cos(angle) * dx + np.sin(angle) * dy) / made.length_mm
+        v = (np.cos(angle) * dy - np.sin(angle) * dx) / made.width_mm
         grown = np.sqrt(0.4 + 0.6 * progress)[:, None]
-        patch = np.exp(-(((u * u + v * v) / grown**2) ** (thing.sharpness / 2)))
+        patch = np.exp(-(((u * u + v * v) / grown**2) ** (made.sharpness / 2)))
         values[:, taxels] = load * progress[:, None] * patch * float(rng.uniform(0.95, 1.05))
     counts = values * pads.adc_max
     if noise_counts:
         counts += np.clip(np.abs(rng.normal(0.0, noise_counts / 2, counts.shape)), 1, noise_counts)
-    opening_mm = thing.opening_mm + float(rng.normal(0.0, 0.3)) - thing.softness_mm * progress
+    opening_mm = made.opening_mm + float(rng.normal(0.0, 0.3)) - made.softness_mm * progress
     opening_mm[:n_before] += np.linspace(20.0, 1.0, n_before)
     return Grasp(
         pads=pads,
@@ -87,18 +87,18 @@ def make_grasp(
         t_s=np.arange(n) / 30.0,
         aperture_m=opening_mm * 1e-3,
         force_n=np.full(n, np.nan),
-        label=thing.label,
+        label=made.label,
         start_ms=start_ms,
     )
 
 
 def make_grasps(
-    n: int, *, seed: int, pads: PadArray, things: Sequence[Thing] = THINGS, **options
+    n: int, *, seed: int, pads: PadArray, objects: Sequence[MadeObject] = OBJECTS, **options
 ) -> list[Grasp]:
     rng = np.random.default_rng(seed)
     return [
-        make_grasp(thing, rng, pads=pads, start_ms=1000 * i, **options)
-        for thing in things
+        make_grasp(made, rng, pads=pads, start_ms=1000 * i, **options)
+        for made in objects
         for i in range(n)
     ]
 
@@ -129,7 +129,7 @@ def accuracy(recognizer, grasps: Sequence[Grasp]) -> float:
 class GraspFactory:
     """What tests make grasps with."""
 
-    things = THINGS
+    objects = OBJECTS
     pads = staticmethod(make_pads)
     one = staticmethod(make_grasp)
     many = staticmethod(make_grasps)

@@ -76,12 +76,12 @@ class Bench:
 
     def forces(self, seconds: float) -> list[ForceMessage]:
         """Run for so long and return the force messages that came."""
-        found: list[ForceMessage] = []
+        messages: list[ForceMessage] = []
         end_s = self.clock.monotonic() + seconds
         while self.clock.monotonic() < end_s:
             self.clock.sleep(0.001)
-            found += self.link.poll().forces
-        return found
+            messages += self.link.poll().forces
+        return messages
 
     def put(self, cob_id: int, data: bytes, **options: object) -> None:
         """Let the host receive a message now, past wire and unit."""
@@ -104,11 +104,11 @@ class Bench:
 
 def run(cell: SimulatedCell, source: FrameSource, seconds: float) -> list[TactileFrame]:
     """Poll the source of boards at the rate of a force loop and return the frames."""
-    found: list[TactileFrame] = []
+    frames: list[TactileFrame] = []
     for _ in range(round(seconds / 0.005)):
         cell.clock.sleep(0.005)
-        found += source.poll().frames
-    return found
+        frames += source.poll().frames
+    return frames
 
 
 def assert_latches(

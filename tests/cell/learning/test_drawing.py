@@ -98,9 +98,9 @@ def test_drawings_alone_name_what_the_cell_grasps(taught, tmp_path) -> None:
     assert len({g.command for g in read_dataset(drawings)}) == 30
     call("model", "train", drawings, "-o", model)
     write_dataset(own, taught.grasps)
-    found = tmp_path / "found.json"
-    printed = call("identify", own, "--model", model, "--json", found)
-    answers = json.loads(found.read_text())["answers"]
+    answers_file = tmp_path / "found.json"
+    printed = call("identify", own, "--model", model, "--json", answers_file)
+    answers = json.loads(answers_file.read_text())["answers"]
     # Drawings do not show the zero of the cell's opening: a weak grasp may get no name.
     named = [a["label"] == g.label for a, g in zip(answers, taught.grasps, strict=True)]
     assert sum(named) + sum(a["label"] == UNKNOWN for a in answers) == len(named)

@@ -315,10 +315,10 @@ def posterior(share: float, unknown: float = 0.01) -> Posterior:
 def test_a_ramp_ends_where_it_suffices_with_the_answer_of_that_moment(make_bench, tmp_path) -> None:
     bench = make_bench(folder=tmp_path).ready()
     recogniser = Scripted(UNSURE, LIKELY, UNLIKELY)
-    found = bench.controller.identify(recogniser, [STEP], early=True)
-    (record,) = found.records
+    answer = bench.controller.identify(recogniser, [STEP], early=True)
+    (record,) = answer.records
     assert record.outcome.ended_early
-    assert (found.label, found.posteriors) == ("ball", (record.early,))
+    assert (answer.label, answer.posteriors) == ("ball", (record.early,))
     first, last = recogniser.grasps
     assert first.n_frames < last.n_frames <= record.grasp.n_frames
     assert first.contact_frame == last.contact_frame == record.grasp.contact_frame
@@ -360,8 +360,8 @@ def test_earlier_grasps_count_and_each_share_is_checked_once() -> None:
     for earlier, n_checks in (((), 2), ((posterior(0.95), posterior(0.95)), 1)):
         recogniser = Scripted((0.95, 0.01))
         decider = EarlyDecider(recogniser, earlier, rule)
-        found = [decider.suffices(share, lambda: grasp) for share in (0.49, 0.5, 0.6, 0.9, 0.95)]
-        assert found == [False, n_checks == 1, False, False, False]
+        suffices = [decider.suffices(share, lambda: grasp) for share in (0.49, 0.5, 0.6, 0.9, 0.95)]
+        assert suffices == [False, n_checks == 1, False, False, False]
         assert len(recogniser.grasps) == n_checks
     against = EarlyDecider(Scripted((0.95, 0.01)), (posterior(0.02),), rule)
     assert not against.suffices(0.8, lambda: grasp)
@@ -376,11 +376,11 @@ def test_a_check_that_fails_is_a_complaint_and_the_ramp_goes_on(bench) -> None:
         return next(looks)()
 
     recogniser = Scripted((0.9, 0.01), look=look)
-    found = bench.controller.identify(recogniser, [STEP], early=True)
-    (record,) = found.records
-    assert (found.label, record.early, record.outcome.ended_early) == ("ball", None, False)
+    answer = bench.controller.identify(recogniser, [STEP], early=True)
+    (record,) = answer.records
+    assert (answer.label, record.early, record.outcome.ended_early) == ("ball", None, False)
     assert record.cycles[-1].setpoint_n == 6.0
-    assert found.complaints == ("early checks of the ramp of grasp 1: a broken model",)
+    assert answer.complaints == ("early checks of the ramp of grasp 1: a broken model",)
     assert len(recogniser.grasps) == 3
     assert bench.controller.life.fault is None
 
@@ -401,11 +401,11 @@ def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench) -> None:
 def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(make_bench) -> None:
     bench = make_bench(quick_config()).ready()
     step = GraspStep(pose=Pose(), force_n=5.0)
-    found = bench.controller.identify(Scripted(LIKELY), [step], early=True, keep=Keep.ALWAYS)
-    (record,) = found.records
+    answer = bench.controller.identify(Scripted(LIKELY), [step], early=True, keep=Keep.ALWAYS)
+    (record,) = answer.records
     carry_n = bench.config.sequence.carry_force_n
     assert record.outcome.final_force_n < 0.8 * carry_n
-    assert found.in_grip
+    assert answer.in_grip
     check = bench.controller.kept_part.verify()
     assert (check.same, check.force_n) == (True, pytest.approx(carry_n, rel=0.1))
     assert bench.grip_n == pytest.approx(carry_n, rel=0.2)

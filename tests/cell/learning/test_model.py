@@ -21,7 +21,7 @@ from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray
 from recognition.recognizer import Posterior
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
 from tests.cell.conftest import plain_grasp
-from tests.recognition.conftest import THINGS, make_grasps, make_pads
+from tests.recognition.conftest import OBJECTS, make_grasps, make_pads
 
 PADS = make_pads(shapes=((8, 5), (8, 5)), adc_max=255)
 
@@ -35,7 +35,7 @@ class Bomb:
 
 @pytest.fixture(scope="module")
 def learnt() -> LevelCheckRecognizer:
-    return LevelCheckTrainer().fit(make_grasps(4, seed=1, pads=PADS, things=THINGS[:2]))
+    return LevelCheckTrainer().fit(make_grasps(4, seed=1, pads=PADS, objects=OBJECTS[:2]))
 
 
 @pytest.fixture(scope="module")

@@ -52,8 +52,8 @@ def test_all_thicknesses_are_told() -> None:
 def test_a_host_gets_millimetres() -> None:
     part = Part(shape=shape("flat", THIN, THICK))
     assert part.size_mm == pytest.approx(15.9)
-    shown = part.model_dump()
-    assert (shown["shape"], shown["interval_mm"]) == ("flat", pytest.approx((15.5, 16.3)))
+    fields = part.model_dump()
+    assert (fields["shape"], fields["interval_mm"]) == ("flat", pytest.approx((15.5, 16.3)))
 
 
 HOST_THREADS = 2

@@ -15,7 +15,7 @@ from tests.values import raising
 
 
 @pytest.fixture
-def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
+def cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
     """A model in a cache of its own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
@@ -26,17 +26,17 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
     return keep_model(taught.config, write)
 
 
-def test_a_kept_model_is_found_and_replaced(kept, taught, tmp_path) -> None:
-    assert cached_model(taught.config) == kept
-    assert kept.is_relative_to(tmp_path / "tactile-cell")
+def test_a_kept_model_is_found_and_replaced(cached, taught, tmp_path) -> None:
+    assert cached_model(taught.config) == cached
+    assert cached.is_relative_to(tmp_path / "tactile-cell")
     keep_model(taught.config, lambda folder: (folder / "other").touch())
-    assert [path.name for path in kept.parent.iterdir()] == ["other"]
-    assert len(list(kept.parent.parent.iterdir())) == 1
+    assert [path.name for path in cached.parent.iterdir()] == ["other"]
+    assert len(list(cached.parent.parent.iterdir())) == 1
 
 
-def test_a_model_of_another_config_or_version_is_not_found(kept, taught, monkeypatch) -> None:
+def test_a_model_of_another_config_or_version_is_not_found(cached, taught, monkeypatch) -> None:
     same = small_config(seed=taught.config.seed, serve__http_port=0, recording__directory="there")
-    assert cached_model(same) == kept
+    assert cached_model(same) == cached
     assert cached_model(small_config(simulator__noise_level=1.5)) is None
     monkeypatch.setattr(taught_cache, "version", lambda _name: "99")
     assert cached_model(taught.config) is None
@@ -46,22 +46,22 @@ def test_a_model_of_another_config_or_version_is_not_found(kept, taught, monkeyp
     ("broken", "left"), [(MODEL_FILE, 1000), ("model.grasps.npz", 1000), ("model.grasps.npz", 0)]
 )
 def test_a_model_that_is_broken_or_cannot_be_extended_is_removed(
-    kept, taught, broken, left
+    cached, taught, broken, left
 ) -> None:
-    path = kept.with_name(broken)
+    path = cached.with_name(broken)
     data = path.read_bytes()[:left]
     path.unlink()
     if data:
         path.write_bytes(data)
     assert cached_model(taught.config) is None
-    assert not kept.parent.exists()
+    assert not cached.parent.exists()
 
 
-def test_a_model_that_is_not_written_whole_changes_nothing(kept, taught) -> None:
+def test_a_model_that_is_not_written_whole_changes_nothing(cached, taught) -> None:
     with pytest.raises(OSError, match="disk full"):
         keep_model(taught.config, raising(OSError("disk full")))
-    assert cached_model(taught.config) == kept
-    assert len(list(kept.parent.parent.iterdir())) == 1
+    assert cached_model(taught.config) == cached
+    assert len(list(cached.parent.parent.iterdir())) == 1
 
 
 def test_without_a_usable_variable_the_cache_is_that_of_the_home(

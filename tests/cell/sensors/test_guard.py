@@ -93,9 +93,9 @@ def frames(*times_s: float) -> Arrivals:
 
 
 def test_sound_values_come_through(guard: GuardedSource, source: Source) -> None:
-    found = guard.poll()
-    assert found == Arrivals((FRAME,), (FORCE,))
-    assert not found.frames[0].counts.flags.writeable
+    arrivals = guard.poll()
+    assert arrivals == Arrivals((FRAME,), (FORCE,))
+    assert not arrivals.frames[0].counts.flags.writeable
     assert guard.sends_forces
     assert guard.statistics.frames.complete == 7
     source.then = lambda: frames(15.1, 15.1, 15.2)

@@ -70,11 +70,11 @@ def test_a_narrow_prior_has_few_hypotheses_about_its_mean():
 
 def test_a_gauge_counts_less_than_its_grasps_by_how_objects_are_placed():
     grid = DriftGrid()
-    found = evidence(grid, np.log(0.7), -4.0, (0.02, 0.2))
-    sharp, blurred = grid.with_gauge(found, 0.1), grid.with_gauge(found, 2.0)
+    likelihood = evidence(grid, np.log(0.7), -4.0, (0.02, 0.2))
+    sharp, blurred = grid.with_gauge(likelihood, 0.1), grid.with_gauge(likelihood, 2.0)
     assert sharp.drift.aperture_offset_m == pytest.approx(-4e-3, abs=0.3e-3)
     assert blurred.offset_sd_m > 2.0 * sharp.offset_sd_m
-    assert blurred.with_gauge(found, 2.0).offset_sd_m < blurred.offset_sd_m
+    assert blurred.with_gauge(likelihood, 2.0).offset_sd_m < blurred.offset_sd_m
 
 
 def test_unnamed_grasps_show_a_drift_together_and_are_forgotten_in_time():
@@ -190,11 +190,11 @@ def test_a_drift_that_was_not_gauged_costs_little(taught, fresh):
 def test_a_gauge_object_shows_the_drift_and_the_rest_is_as_before(taught, fresh):
     gauge = [DRIFT.apply(g) for g in fresh if g.label == "egg"][:3]
     corrected = taught.gauge("egg", gauge)
-    found = corrected.grid
-    assert found.drift.gain == pytest.approx(0.7, rel=0.25)
-    assert found.drift.aperture_offset_m == pytest.approx(-4e-3, abs=2.0 * found.offset_sd_m)
+    grid = corrected.grid
+    assert grid.drift.gain == pytest.approx(0.7, rel=0.25)
+    assert grid.drift.aperture_offset_m == pytest.approx(-4e-3, abs=2.0 * grid.offset_sd_m)
     both = corrected.gauge("pin", [DRIFT.apply(g) for g in fresh if g.label == "pin"][:3])
-    assert both.grid.offset_sd_m < found.offset_sd_m
+    assert both.grid.offset_sd_m < grid.offset_sd_m
     drifted = [a_day_later(DRIFT.apply(g)) for g in fresh]
     assert accuracy(both, drifted) >= 0.96
     assert accuracy(both, drifted) >= accuracy(taught, drifted)
@@ -215,8 +215,8 @@ def test_grasps_that_nobody_named_show_the_drift(taught, fresh):
     assert followed.grid.n_followed == len(drifted[::2])
     assert followed.grid.drift.aperture_offset_m == pytest.approx(-4e-3, abs=1e-3)
     assert accuracy(followed, drifted[1::2]) >= 0.96
-    kept = followed.with_grid(followed.grid.with_unnamed_kept())
-    again = type(taught).from_arrays(kept.to_arrays())
+    saved = followed.with_grid(followed.grid.with_unnamed_kept())
+    again = type(taught).from_arrays(saved.to_arrays())
     assert again.grid.drift == followed.grid.drift
     assert type(taught).from_arrays(followed.to_arrays()).grid.drift == taught.grid.drift
     assert not followed.grid.without_unnamed().likely
@@ -232,9 +232,9 @@ def test_grasps_without_a_drift_show_none(taught, fresh):
 
 def test_touch_alone_is_gauged_too(teach, fresh):
     touch = teach("force_ramp", use_aperture=False)
-    found = touch.gauge("egg", [DRIFT.apply(g) for g in fresh if g.label == "egg"][:3]).grid
-    assert found.drift.gain == pytest.approx(0.7, rel=0.3)
-    assert found.drift.aperture_offset_m == pytest.approx(0.0, abs=1e-6)
+    grid = touch.gauge("egg", [DRIFT.apply(g) for g in fresh if g.label == "egg"][:3]).grid
+    assert grid.drift.gain == pytest.approx(0.7, rel=0.3)
+    assert grid.drift.aperture_offset_m == pytest.approx(0.0, abs=1e-6)
 
 
 def test_what_cannot_gauge_says_why(taught, fresh):
@@ -310,15 +310,15 @@ def measured(**changes: Any) -> ZeroMeasurement:
     ],
 )
 def test_zero_ratio_and_stiffness_are_found_whatever_the_tilt(hand: dict[str, Any]) -> None:
-    found = measured(**hand)
-    zero = found.zero
+    measurement = measured(**hand)
+    zero = measurement.zero
     assert zero.opening_m * 1e3 == pytest.approx(hand.get("zero_mm", 0.0), abs=0.08)
     assert math.exp(zero.log_gain_ratio) == pytest.approx(hand.get("ratio", 1.0), rel=0.03)
     per_mm = hand.get("per_mm", 300.0) * len(XY_MM)
     assert abs(zero.log_stiffness - math.log(per_mm)) < 3.0 * zero.log_stiffness_sd
-    assert found.tilt_rad == pytest.approx(hand.get("tilt", (0.0, 0.0)), abs=0.006)
-    assert found.pads_met
-    assert found.dead == ()
+    assert measurement.tilt_rad == pytest.approx(hand.get("tilt", (0.0, 0.0)), abs=0.006)
+    assert measurement.pads_met
+    assert measurement.dead == ()
 
 
 @pytest.mark.parametrize("stands_mm", [-0.04, 0.0, 0.03])
@@ -397,12 +397,12 @@ def test_a_gain_that_the_law_of_the_pads_hides_comes_from_the_motor_constants() 
         measured().zero.log_scale + math.log(0.8), abs=0.01
     )
     by_law = replace(today, zero=measured().zero)
-    found = anchored(by_law, 30.0, math.log(0.8), 0.07).zero
-    assert found.log_scale == pytest.approx(by_law.zero.log_scale + math.log(0.8 * 30.0))
-    assert found.log_scale_sd == pytest.approx(math.hypot(by_law.zero.log_scale_sd, 0.07))
+    tied = anchored(by_law, 30.0, math.log(0.8), 0.07).zero
+    assert tied.log_scale == pytest.approx(by_law.zero.log_scale + math.log(0.8 * 30.0))
+    assert tied.log_scale_sd == pytest.approx(math.hypot(by_law.zero.log_scale_sd, 0.07))
     unknown = anchored(by_law, 30.0, 0.0, math.inf).zero
     assert unknown.log_scale_sd == 100.0
-    assert foam_change(found, replace(unknown, log_stiffness=9.0 + found.log_stiffness)) is None
+    assert foam_change(tied, replace(unknown, log_stiffness=9.0 + tied.log_stiffness)) is None
 
 
 def test_another_foam_is_told_from_another_gain_and_makes_objects_look_newer() -> None:

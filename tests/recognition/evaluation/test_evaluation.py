@@ -70,9 +70,9 @@ def test_named_series_count_without_a_pause_and_across_one(train):
     bars = [g for g in train if g.label == "bar"]
     named = [dataclasses.replace(g, series="ab"[i % 2]) for i, g in enumerate(bars)]
     later = [a_day_later(g) for g in named if g.series == "a"]
-    found = series_of([*bars, *named, *later])
-    assert [{g.series for g in one} for one in found] == [{""}, {"a"}, {"b"}]
-    assert len(found[1]) == 2 * len(later)
+    series = series_of([*bars, *named, *later])
+    assert [{g.series for g in one} for one in series] == [{""}, {"a"}, {"b"}]
+    assert len(series[1]) == 2 * len(later)
 
 
 def test_a_grasp_without_label_is_refused(train):
@@ -132,23 +132,23 @@ def test_each_group_is_left_out_in_turn_without_what_nothing_else_teaches():
 
 
 @pytest.fixture(scope="module")
-def found(train, fresh):
+def score(train, fresh):
     return evaluate([(train, fresh)], make_trainer("force_ramp"), unknown_groups=5)
 
 
 @pytest.mark.slow
-def test_figures_fit_each_other(found, fresh):
-    assert found.n == len(fresh)
-    assert (found.n_untaught, found.confusion.sum()) == (0, found.n)
-    assert np.trace(found.confusion) / found.n == pytest.approx(found.single_accuracy)
-    low, high = found.interval
-    assert low <= found.single_accuracy <= high
-    assert set(found.fused_accuracy) == {1, 2, 3, 5}
-    assert found.fused_accuracy[1] == pytest.approx(found.single_accuracy)
-    assert 0.5 <= found.auroc_interval[0] <= found.unknown_auroc <= found.auroc_interval[1] <= 1.0
-    assert sum(n for _, _, n, _ in found.unknown_reliability) == 5 * found.n
-    assert sum(new for *_, new in found.unknown_reliability) == found.n
-    assert found.trainer == "force_ramp"
+def test_figures_fit_each_other(score, fresh):
+    assert score.n == len(fresh)
+    assert (score.n_untaught, score.confusion.sum()) == (0, score.n)
+    assert np.trace(score.confusion) / score.n == pytest.approx(score.single_accuracy)
+    low, high = score.interval
+    assert low <= score.single_accuracy <= high
+    assert set(score.fused_accuracy) == {1, 2, 3, 5}
+    assert score.fused_accuracy[1] == pytest.approx(score.single_accuracy)
+    assert 0.5 <= score.auroc_interval[0] <= score.unknown_auroc <= score.auroc_interval[1] <= 1.0
+    assert sum(n for _, _, n, _ in score.unknown_reliability) == 5 * score.n
+    assert sum(new for *_, new in score.unknown_reliability) == score.n
+    assert score.trainer == "force_ramp"
 
 
 def test_more_grasps_than_there_are_give_no_figure(train, fresh):
@@ -160,18 +160,18 @@ def test_more_grasps_than_there_are_give_no_figure(train, fresh):
 
 def test_untaught_objects_count_in_no_accuracy(train, fresh):
     some = [g for g in train if g.label != "egg"]
-    found = evaluate([(some, fresh)], make_trainer("force_ramp"), unknown_groups=0)
-    assert found.n_untaught == 5
-    assert found.n == len(fresh) - 5
-    assert found.unknown_auroc > 0.9
+    score = evaluate([(some, fresh)], make_trainer("force_ramp"), unknown_groups=0)
+    assert score.n_untaught == 5
+    assert score.n == len(fresh) - 5
+    assert score.unknown_auroc > 0.9
 
 
 def test_few_labels_are_not_left_out(train, fresh):
     def pair(grasps):
         return [g for g in grasps if g.label in ("bar", "egg")]
 
-    found = evaluate([(pair(train), pair(fresh))], make_trainer("level_check"))
-    assert np.isnan(found.unknown_auroc)
+    score = evaluate([(pair(train), pair(fresh))], make_trainer("level_check"))
+    assert np.isnan(score.unknown_auroc)
 
 
 @pytest.mark.slow
@@ -201,7 +201,7 @@ def test_recorded_grasps_are_named():
     recorded = read_dataset(Path(os.environ["TACTILE_CELL_DATA"]) / "pinch36.npz")
     earlier, _ = chronological_split(recorded, 0.6)
     train, test = chronological_split(earlier, 0.7)
-    found = evaluate([(train, test)], make_trainer("force_ramp"), unknown_groups=2)
-    assert found.single_accuracy > 0.94
-    assert found.fused_accuracy[3] > 0.95
-    assert found.unknown_auroc > 0.93
+    score = evaluate([(train, test)], make_trainer("force_ramp"), unknown_groups=2)
+    assert score.single_accuracy > 0.94
+    assert score.fused_accuracy[3] > 0.95
+    assert score.unknown_auroc > 0.93

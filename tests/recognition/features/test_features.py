@@ -31,9 +31,9 @@ def test_counts_of_one_pad_alone_are_refused_with_the_pads_that_they_lack() -> N
         Grasp(pads=PADS, counts=np.zeros((3, 4)), t_s=np.arange(3.0))
 
 
-@pytest.mark.parametrize(("value", "kept"), [(0, 0), (-0.4, 0), (6.7, 7), (4095.4, 4095)])
-def test_counts_are_rounded(value: float, kept: int) -> None:
-    assert set(counts_of(value).ravel().tolist()) == {kept}
+@pytest.mark.parametrize(("value", "rounded"), [(0, 0), (-0.4, 0), (6.7, 7), (4095.4, 4095)])
+def test_counts_are_rounded(value: float, rounded: int) -> None:
+    assert set(counts_of(value).ravel().tolist()) == {rounded}
 
 
 @pytest.mark.parametrize("value", [-5.7, -1, 4095.6, 65531, 65536 + 7, np.nan, np.inf])
@@ -102,8 +102,8 @@ def test_pitch_comes_from_the_positions(factory):
 
 
 def test_axes_are_the_widths_of_the_patch(grid):
-    found = describe_footprint(patch(grid), QUIET, grid).log_axes[0, -1]
-    assert np.exp(found[:2]) == pytest.approx([64 + 2.25, 25 + 2.25], rel=0.05)
+    log_axes = describe_footprint(patch(grid), QUIET, grid).log_axes[0, -1]
+    assert np.exp(log_axes[:2]) == pytest.approx([64 + 2.25, 25 + 2.25], rel=0.05)
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.4, np.pi / 2])
@@ -143,7 +143,7 @@ def test_noise_below_three_sigma_is_not_a_patch():
 def test_harmonics_are_the_answers_of_the_plain_formula(factory):
     pad = pad_grid(factory.pads(shapes=((7, 5),)), 0)
     maps = np.random.default_rng(3).uniform(0.05, 0.6, (1, K, 35))
-    found = harmonic_features([describe_footprint(maps, QUIET, pad)]).reshape(2, 3, 6, 2)
+    harmonics = harmonic_features([describe_footprint(maps, QUIET, pad)]).reshape(2, 3, 6, 2)
     area = float(np.prod(pad.pitch_mm))
     root = np.sqrt(maps[0, 4] / (maps[0, 4].sum() * area))
     for w, width in enumerate((2.0, 3.4, 5.4)):
@@ -156,8 +156,8 @@ def test_harmonics_are_the_answers_of_the_plain_formula(factory):
                 answers.append([abs(np.sum(root * window * wave)) for wave in waves])
         strength = np.array(answers)
         energy = (strength**2).sum(axis=0) * area
-        assert found[1, w, :, 0] == pytest.approx(np.log(energy + 2e-4))
-        assert found[1, w, :, 1] == pytest.approx(np.log(strength.max(axis=0) + 1.3e-3))
+        assert harmonics[1, w, :, 0] == pytest.approx(np.log(energy + 2e-4))
+        assert harmonics[1, w, :, 1] == pytest.approx(np.log(strength.max(axis=0) + 1.3e-3))
 
 
 def test_harmonics_tell_two_bumps_from_one_patch_of_their_size(grid):
@@ -196,14 +196,14 @@ def test_one_pad_has_no_other_to_compare_with(factory):
     alone = [describe_footprint(levels.maps[0], levels.noise[..., 0], pad_grid(pads, 0))]
     widths = {g.name: g.features(levels, alone).shape[1] for g in FEATURE_GROUPS}
     assert [name for name, width in widths.items() if not width] == ["pads"]
-    found = features_of(levels, rest, opening=False)
-    assert found.shape == (len(grasps), sum(widths.values()))
+    features = features_of(levels, rest, opening=False)
+    assert features.shape == (len(grasps), sum(widths.values()))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 6), (2, 1), (2, 2), (6, 2)])
 def test_pads_of_one_or_two_rows_have_every_feature(factory, shape):
     pads = factory.pads(shapes=(shape, shape))
-    grasps = factory.many(3, seed=1, pads=pads, things=factory.things[:2])
+    grasps = factory.many(3, seed=1, pads=pads, objects=factory.objects[:2])
     rest = learn_rest(grasps)
     levels = load_levels(grasps, rest)
     for opening in (True, False):

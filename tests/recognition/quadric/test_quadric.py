@@ -104,11 +104,11 @@ def test_the_two_readings_of_smallest():
 def test_graded_spectrum_keeps_ten_digits():
     rng = np.random.default_rng(2)
     batch = np.stack([_rotated(GRADED, rng) for _ in range(500)]).reshape(2, 250, 4, 4)
-    found = smallest_eigenvalue(batch)
-    assert found.value.shape == (2, 250)
+    smallest = smallest_eigenvalue(batch)
+    assert smallest.value.shape == (2, 250)
     # eps * |lambda|max / |lambda|min is 2.2e-11; forming the matrices costs as much again
-    assert np.abs(found.value / 1e-3 - 1.0).max() < 3e-10
-    assert not found.degenerate.any()
+    assert np.abs(smallest.value / 1e-3 - 1.0).max() < 3e-10
+    assert not smallest.degenerate.any()
 
 
 def test_a_singular_matrix_is_flagged_and_stands_at_the_floor():
@@ -116,9 +116,9 @@ def test_a_singular_matrix_is_flagged_and_stands_at_the_floor():
     rng = np.random.default_rng(4)
     basis, _ = np.linalg.qr(rng.normal(size=(4, 4)))
     turned = basis @ cylinder @ basis.T
-    found = smallest_eigenvalue(0.5 * (turned + turned.T))
-    assert found.degenerate
-    assert found.value == pytest.approx(4 * np.finfo(float).eps, rel=1e-6)
+    smallest = smallest_eigenvalue(0.5 * (turned + turned.T))
+    assert smallest.degenerate
+    assert smallest.value == pytest.approx(4 * np.finfo(float).eps, rel=1e-6)
 
 
 # -- Height fields ---------------------------------------------------------------------------------
@@ -133,8 +133,8 @@ def test_fit_recovers_an_exact_height_field():
     x, y = _grid().T / np.sqrt(np.mean(np.sum(_grid() ** 2, axis=1)))
     expected = height_field_matrix(a=-1.5, b=-0.8, d=0.2, g=0.4, h=-0.3, k=100.0)
     z = -1.5 * x**2 - 0.8 * y**2 + 2 * (0.2 * x * y + 0.4 * x - 0.3 * y) + 100.0
-    found = fit_height_field(_grid() + np.array([0.003, -0.002]), z)
-    assert found == pytest.approx(expected, abs=1e-9)
+    fit = fit_height_field(_grid() + np.array([0.003, -0.002]), z)
+    assert fit == pytest.approx(expected, abs=1e-9)
 
 
 @settings(max_examples=40)
@@ -235,9 +235,9 @@ def test_the_sweep_is_the_printed_loops(reading):
         angle_rad=np.linspace(0, 2 * np.pi, 9),
         reading=reading,
     )
-    found = sweep(PAPER_OBJECTS[[0, 2, 4]], grid)
+    surfaces = sweep(PAPER_OBJECTS[[0, 2, 4]], grid)
     for index, Q in enumerate(PAPER_OBJECTS[[0, 2, 4]]):
-        assert found.value[index] == pytest.approx(_plain_loops(Q, grid, reading), rel=1e-9)
+        assert surfaces.value[index] == pytest.approx(_plain_loops(Q, grid, reading), rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -27,10 +27,10 @@ def test_the_pads_that_rise_are_the_gripping_ones(factory):
 
 def test_each_finger_that_is_pressed_grips_and_two_of_them_are_a_touch(factory):
     pads = factory.pads(shapes=((4, 3),) * 5)
-    bar, block = factory.things[:2]
-    taught = factory.many(3, seed=3, pads=pads, things=[bar], gripping=(0, 1), noise_counts=8.0)
-    taught += factory.many(3, seed=4, pads=pads, things=[block], gripping=(0, 3), noise_counts=8.0)
-    taught += factory.many(3, seed=5, pads=pads, things=[block], gripping=(1, 3), noise_counts=8.0)
+    bar, block = factory.objects[:2]
+    taught = factory.many(3, seed=3, pads=pads, objects=[bar], gripping=(0, 1), noise_counts=8.0)
+    taught += factory.many(3, seed=4, pads=pads, objects=[block], gripping=(0, 3), noise_counts=8.0)
+    taught += factory.many(3, seed=5, pads=pads, objects=[block], gripping=(1, 3), noise_counts=8.0)
     rest = learn_rest(taught)
     assert rest.gripping == (0, 1, 3)
     for grasp in taught:
@@ -46,7 +46,7 @@ def test_a_rest_above_all_frames_cuts_nothing_off(factory):
     pads = factory.pads(shapes=((4, 3),) * 3)
     rest = learn_rest(factory.many(3, seed=3, pads=pads, gripping=(0, 1, 2)))
     rest.counts[pads.taxels_of(2)] += 20_000.0
-    pressed = factory.one(factory.things[0], np.random.default_rng(6), pads=pads)
+    pressed = factory.one(factory.objects[0], np.random.default_rng(6), pads=pads)
     loaded = part(pressed, np.arange(-5, 0))
     ramp = find_ramp(loaded, rest)
     assert ramp.touched
@@ -197,12 +197,12 @@ def test_a_taxel_that_sticks_reads_as_those_beside_it(factory):
     assert ramp.start == clean.start
     assert abs(ramp.rise[0][-5:, 0].mean()) < 12
     row, column = divmod(top, 6)
-    beside = [
+    neighbours = [
         r * 6 + c
         for r, c in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1))
         if 0 <= r < 10 and 0 <= c < 6
     ]
-    assert ramp.rise[0][:, top] == pytest.approx(ramp.rise[0][:, beside].mean(axis=1))
+    assert ramp.rise[0][:, top] == pytest.approx(ramp.rise[0][:, neighbours].mean(axis=1))
 
 
 def test_a_load_that_is_held_all_the_time_is_not_stuck(train):

@@ -70,14 +70,14 @@ def test_8_bit_pads_among_others_with_one_sided_noise(factory):
 @pytest.mark.slow
 def test_a_hand_of_five_fingers_of_which_an_object_presses_two(factory):
     pads = factory.pads(shapes=((4, 3),) * 5)
-    bar, block, *_ = factory.things
+    bar, block, *_ = factory.objects
     held = ((bar, "thumb", (0, 1)), (bar, "palm", (0, 3)), (block, "thumb", (1, 3)))
 
     def grasps(n: int, seed: int) -> list[Grasp]:
         return [
             dataclasses.replace(grasp, label=f"{grasp.label} {how}")
-            for thing, how, gripping in held
-            for grasp in factory.many(n, seed=seed, pads=pads, things=[thing], gripping=gripping)
+            for made, how, gripping in held
+            for grasp in factory.many(n, seed=seed, pads=pads, objects=[made], gripping=gripping)
         ]
 
     recognizer = make_trainer("force_ramp").fit(grasps(8, seed=5))
@@ -95,8 +95,8 @@ def test_a_grasp_without_contact_is_unknown(taught, fresh):
 )
 def test_short_grasps_get_an_answer(taught, fresh, frames):
     for grasp in fresh[::5]:
-        found = taught.posterior(part(grasp, frames))
-        assert found.probability.sum() == pytest.approx(1.0)
+        answer = taught.posterior(part(grasp, frames))
+        assert answer.probability.sum() == pytest.approx(1.0)
 
 
 def test_odd_frames_get_an_answer(taught, fresh):
@@ -228,10 +228,10 @@ def test_within_an_hour_on_the_cell_that_taught_nothing_has_drifted(train, fresh
 
 @pytest.mark.slow
 def test_objects_that_only_their_size_tells_apart_have_no_name_on_another_day(factory, pads):
-    _, _, disc, egg, pin = factory.things
-    things = (disc, dataclasses.replace(disc, label="thicker", opening_mm=23.0), egg, pin)
-    taught = make_trainer("force_ramp").fit(factory.many(10, seed=1, pads=pads, things=things))
-    grasps = factory.many(5, seed=2, pads=pads, things=things)
+    _, _, disc, egg, pin = factory.objects
+    objects = (disc, dataclasses.replace(disc, label="thicker", opening_mm=23.0), egg, pin)
+    taught = make_trainer("force_ramp").fit(factory.many(10, seed=1, pads=pads, objects=objects))
+    grasps = factory.many(5, seed=2, pads=pads, objects=objects)
     drifts = [Drift(aperture_offset_m=mm * 1e-3) for mm in (-3.0, -1.0, 0.0, 1.0, 3.0)]
     later = [a_day_later(drift.apply(grasp)) for drift in drifts for grasp in grasps]
     names = [(taught.posterior(grasp).name, grasp.label) for grasp in later]
@@ -273,9 +273,9 @@ def test_likely_objects_have_the_scores_that_they_have_among_all(teach, fresh, o
 
 def test_of_many_taught_grasps_as_many_of_each_object_are_kept():
     classes = np.repeat([0, 1, 2], [40, 3, 9])
-    kept = even_in_time(classes, 15)
-    assert np.bincount(classes[kept]).tolist() == [5, 3, 5]
-    assert kept[[0, 4, -1]].tolist() == [0, 39, 51]
+    chosen = even_in_time(classes, 15)
+    assert np.bincount(classes[chosen]).tolist() == [5, 3, 5]
+    assert chosen[[0, 4, -1]].tolist() == [0, 39, 51]
     assert np.array_equal(even_in_time(classes, 120), np.arange(52))
 
 

@@ -89,8 +89,8 @@ def answer(
     )
 
 
-def width_mm(found: ShapeAnswer) -> float:
-    return 1e3 * (found.high_m - found.low_m)
+def width_mm(fused: ShapeAnswer) -> float:
+    return 1e3 * (fused.high_m - fused.low_m)
 
 
 def test_one_grasp_comes_back_as_it_is() -> None:
@@ -115,7 +115,7 @@ def test_grasps_together_are_as_one_fit_to_all_of_them() -> None:
     precision[[0, 1], [0, 1]] += prior[[0, -1]]
     eta[[0, 1]] += prior[[0, -1]] * fits[0].prior_mean[[0, -1]]
     mean, sd = np.linalg.solve(precision, eta)[0], np.sqrt(np.linalg.inv(precision)[0, 0])
-    found = fuse_shapes(
+    fused = fuse_shapes(
         [
             joint_answer([fit if k == "sphere" else linear_fit(k, 9.0, chi2=900.0) for k in N_OWN])
             for fit in fits
@@ -123,8 +123,8 @@ def test_grasps_together_are_as_one_fit_to_all_of_them() -> None:
         placing_m=1e-9,
         dependence=0.0,
     )
-    assert 1e3 * found.size_m == pytest.approx(2.0 * np.exp(mean), rel=1e-6)
-    assert 1e3 * found.high_m == pytest.approx(2.0 * np.exp(mean + 1.645 * sd), rel=1e-6)
+    assert 1e3 * fused.size_m == pytest.approx(2.0 * np.exp(mean), rel=1e-6)
+    assert 1e3 * fused.high_m == pytest.approx(2.0 * np.exp(mean + 1.645 * sd), rel=1e-6)
 
 
 def test_noise_averages_out_and_the_zero_of_the_opening_does_not() -> None:
@@ -143,28 +143,28 @@ def test_the_order_does_not_matter() -> None:
 
 
 def test_a_bar_shows_two_thicknesses() -> None:
-    found = fuse_shapes([answer("flat", t) for t in (15.9, 10.0, 15.8, 16.0)])
-    assert [1e3 * t.size_m for t in found.thicknesses] == pytest.approx([10.0, 15.9], abs=0.15)
-    assert [t.n_grasps for t in found.thicknesses] == [1, 3]
-    assert found.size_m == found.thicknesses[1].size_m
-    assert found.dimensions_m["height"] == found.size_m
-    assert str(found).startswith("flat, 10.0 mm (9.")
-    assert " and 15.9 mm (15." in str(found)
-    plain = found.as_dict()
+    fused = fuse_shapes([answer("flat", t) for t in (15.9, 10.0, 15.8, 16.0)])
+    assert [1e3 * t.size_m for t in fused.thicknesses] == pytest.approx([10.0, 15.9], abs=0.15)
+    assert [t.n_grasps for t in fused.thicknesses] == [1, 3]
+    assert fused.size_m == fused.thicknesses[1].size_m
+    assert fused.dimensions_m["height"] == fused.size_m
+    assert str(fused).startswith("flat, 10.0 mm (9.")
+    assert " and 15.9 mm (15." in str(fused)
+    plain = fused.as_dict()
     assert [t["n_grasps"] for t in plain["thicknesses"]] == [1, 3]
     assert plain["size_mm"] == pytest.approx(15.9, abs=0.15)
 
 
 def test_of_equally_often_met_thicknesses_the_thinner_is_the_size() -> None:
-    found = fuse_shapes([answer("oval", t) for t in (12.0, 9.0)])
-    assert 1e3 * found.size_m == pytest.approx(9.0, abs=0.15)
+    fused = fuse_shapes([answer("oval", t) for t in (12.0, 9.0)])
+    assert 1e3 * fused.size_m == pytest.approx(9.0, abs=0.15)
 
 
 def test_the_thickness_of_a_round_object_is_one() -> None:
     told = [answer("cylinder", t, others=400.0) for t in (9.6, 10.0)]
-    found = fuse_shapes(told)
-    assert (found.kind, len(found.thicknesses)) == ("cylinder", 1)
-    assert 9.6e-3 < found.size_m < 10.0e-3
+    fused = fuse_shapes(told)
+    assert (fused.kind, len(fused.thicknesses)) == ("cylinder", 1)
+    assert 9.6e-3 < fused.size_m < 10.0e-3
 
 
 def test_a_small_difference_is_no_second_thickness() -> None:
@@ -191,8 +191,8 @@ def test_grasps_that_agree_are_surer_of_the_kind_but_not_as_if_nothing_were_shar
 
 def test_what_no_kind_explains_stays_unclear() -> None:
     strange, usual = (joint_answer([linear_fit("sphere", 9.0, chi2=x)]) for x in (150.0, 30.0))
-    found = fuse_shapes([strange, strange, usual])
-    assert (found.kind, found.likeliest) == (UNCLEAR, "sphere")
+    fused = fuse_shapes([strange, strange, usual])
+    assert (fused.kind, fused.likeliest) == (UNCLEAR, "sphere")
     assert fuse_shapes([strange, usual, usual]).kind == "sphere"
 
 
@@ -396,7 +396,7 @@ def test_an_untouched_pad_tells_nothing(pads: PadArray) -> None:
 )
 def test_pads_that_show_no_shape_are_refused(factory, shapes, why) -> None:
     pads = factory.pads(shapes=shapes)
-    grasp = factory.one(factory.things[0], np.random.default_rng(0), pads=pads)
+    grasp = factory.one(factory.objects[0], np.random.default_rng(0), pads=pads)
     with pytest.raises(ContactError, match=why):
         shape_of(grasp)
 

@@ -86,8 +86,8 @@ def test_full_shrinkage_leaves_plain_scaled_distance():
     lda = fit_lda(x, y, 3, min_shrinkage=1.0)
     means = np.stack([x[y == k].mean(axis=0) for k in range(3)])
     scaled = (((means[0] - means[1]) / lda.scale) ** 2).sum()
-    found = ((lda.centres[0] - lda.centres[1]) ** 2).sum()
-    assert found == pytest.approx(scaled, rel=0.02)
+    distance = ((lda.centres[0] - lda.centres[1]) ** 2).sum()
+    assert distance == pytest.approx(scaled, rel=0.02)
 
 
 def test_what_no_class_has_shown_lies_beside_them_all():
@@ -95,13 +95,13 @@ def test_what_no_class_has_shown_lies_beside_them_all():
     lda = fit_lda(x, y, 3)
     again = LinearDiscriminant.from_arrays(lda.to_arrays("a_"), "a_")
 
-    def beside(rows):
+    def outside(rows):
         every = ((rows - lda.mean) / lda.scale @ again.whitening) ** 2
         return (every.sum(axis=1) - (lda.project(rows) ** 2).sum(axis=1)).mean()
 
-    assert beside(x) == pytest.approx(6 - 2, rel=0.05)
+    assert outside(x) == pytest.approx(6 - 2, rel=0.05)
     strange = x + np.eye(1, 6, k=4) * 10.0
-    assert beside(strange) - beside(x) == pytest.approx(100.0, rel=0.1)
+    assert outside(strange) - outside(x) == pytest.approx(100.0, rel=0.1)
     assert distances(lda, strange) == pytest.approx(distances(lda, x), rel=0.2, abs=3.0)
 
 
@@ -198,24 +198,24 @@ def sizes(spread_mm: float) -> np.ndarray:
     return (np.repeat([10.0, 30.0], 6) + np.tile(off_mm, 2))[:, None] + np.array([0.0, 2.0])
 
 
-def novelty(found: TaughtSizes, sizes_mm: list[list[float]], slack_mm: float = 0.0) -> np.ndarray:
+def novelty(fitted: TaughtSizes, sizes_mm: list[list[float]], slack_mm: float = 0.0) -> np.ndarray:
     """Return the squared distances to the first object."""
     objects = np.zeros((len(sizes_mm), 1, 1), dtype=np.int64)
-    return found.distances(np.array(sizes_mm)[:, None], np.array([slack_mm]), objects)[:, 0, 0]
+    return fitted.distances(np.array(sizes_mm)[:, None], np.array([slack_mm]), objects)[:, 0, 0]
 
 
 def test_a_size_between_the_taught_ones_is_new_and_theirs_is_not():
-    found = fit_sizes(sizes(0.2), CLASSES)
-    taught, between, of_the_other = novelty(found, [[10.1, 12.1], [20.0, 22.0], [30.0, 32.0]])
+    fitted = fit_sizes(sizes(0.2), CLASSES)
+    taught, between, of_the_other = novelty(fitted, [[10.1, 12.1], [20.0, 22.0], [30.0, 32.0]])
     assert taught < 0.5
     assert of_the_other > between > 400.0
-    assert novelty(found, [[20.0, 22.0]], slack_mm=10.0) < 3.0
+    assert novelty(fitted, [[20.0, 22.0]], slack_mm=10.0) < 3.0
 
 
-def test_both_faces_of_an_object_are_taught_sizes():
+def test_both_faces_of_an_object_are_fitted():
     two_faces = np.where(np.arange(12) % 2, 10.0, 16.0)[:, None] + np.array([0.0, 2.0])
-    found = fit_sizes(two_faces, np.zeros(12, dtype=np.int64))
-    thin, middle, thick = novelty(found, [[10.0, 12.0], [13.0, 15.0], [16.0, 18.0]])
+    fitted = fit_sizes(two_faces, np.zeros(12, dtype=np.int64))
+    thin, middle, thick = novelty(fitted, [[10.0, 12.0], [13.0, 15.0], [16.0, 18.0]])
     assert thin == thick == 0.0
     assert middle > 50.0
 
@@ -230,8 +230,8 @@ def test_few_grasps_keep_the_unit_near_the_expected_one():
 
 def test_the_only_grasp_on_another_side_hides_no_other_object():
     of_two = np.array([10.0, 10.1, 15.9, 6.0, 6.1, 6.2])[:, None] + np.array([0.0, 2.0])
-    found = fit_sizes(of_two, np.repeat([0, 1], 3))
-    on_a_side, on_the_other, other_object = novelty(found, [[10.05, 12.05], [15.9, 17.9], [8, 10]])
+    fitted = fit_sizes(of_two, np.repeat([0, 1], 3))
+    on_a_side, on_the_other, other_object = novelty(fitted, [[10.05, 12.05], [15.9, 17.9], [8, 10]])
     assert max(on_a_side, on_the_other) < 0.5
     assert other_object > 50.0
 

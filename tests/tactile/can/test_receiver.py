@@ -212,8 +212,8 @@ def slcan(adapter: Adapter) -> Iterator[BulkSlcanBus]:
 
 def received(bus: can.BusABC) -> list[can.Message]:
     messages = []
-    while (found := bus.recv(0.2 if not messages else 0)) is not None:
-        messages.append(found)
+    while (message := bus.recv(0.2 if not messages else 0)) is not None:
+        messages.append(message)
     return messages
 
 

@@ -48,12 +48,12 @@ def test_the_force_comes_by_table_and_zero_each_three_milliseconds(sending) -> N
     assert sending.link.sends_forces
     sending.skin.counts[:] = 20
     sending.forces(0.1)
-    found = sending.forces(0.3)
-    assert len(found) == pytest.approx(100, abs=1)
+    messages = sending.forces(0.3)
+    assert len(messages) == pytest.approx(100, abs=1)
     taxel_n = float(FoamCalibration(255).force_n(np.array([20.0]))[0])
-    assert found[-1].force_n == pytest.approx((64 * taxel_n, 64 * taxel_n), rel=0.01)
-    assert found[-1].status == ForceStatus.ZEROED
-    assert np.diff([message.t_s for message in found]).max() < 0.0035
+    assert messages[-1].force_n == pytest.approx((64 * taxel_n, 64 * taxel_n), rel=0.01)
+    assert messages[-1].status == ForceStatus.ZEROED
+    assert np.diff([message.t_s for message in messages]).max() < 0.0035
     assert sending.link.statistics.forces.lost == 0
 
 
@@ -186,10 +186,10 @@ def test_forces_and_zero_of_exchanged_and_turned_pads_go_both_ways() -> None:
     for mounting in (exchanged, turned):
         place = mounting.zero_order
         sent = encode_zero(9.0, zeros[place], bad[place], PINCH.adc_max)
-        _, found, found_bad = read_zero(sent, 156, PINCH.adc_max)
+        _, values, marked = read_zero(sent, 156, PINCH.adc_max)
         order = taxel_order(PINCH, EXCHANGED if mounting is exchanged else TURNED)
-        assert found[order][~bad] == pytest.approx(zeros[~bad], abs=0.1)
-        assert found_bad[order].tolist() == bad.tolist()
+        assert values[order][~bad] == pytest.approx(zeros[~bad], abs=0.1)
+        assert marked[order].tolist() == bad.tolist()
 
 
 def test_the_unit_cannot_sum_pads_that_are_turned_against_each_other() -> None:

@@ -482,11 +482,11 @@ def test_dcfchk_finds_nothing() -> None:
 def test_the_defaults_of_the_eds_are_those_of_the_papers_layout() -> None:
     dictionary, layout = od.of_node(5), paper_layout()
     form = FrameFormat.of(layout)
-    found = [
+    defaults = [
         [dictionary[index][sub].default for sub in (1, 2, 3, 4)]
         for index in (0x1018, 0x2100, 0x2101)
     ]
-    assert found == [
+    assert defaults == [
         [od.VENDOR_ID, od.PRODUCT_CODE, od.REVISION, 1],
         [layout.n_pads, layout.n_taxels, layout.layout_hash, layout.adc_max],
         [layout.sample_bits, layout.sample_bytes, form.n_messages, form.header_bytes],

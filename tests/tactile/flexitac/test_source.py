@@ -38,11 +38,11 @@ def make_source(cell: SimulatedCell, **changes: object) -> FlexiTacSource:
 
 def test_frames_come_at_the_rate_of_the_slower_board_with_fresh_times(cell, source) -> None:
     assert source.start().name == "FlexiTac"
-    found = run(cell, source, 2.0)
-    assert 2 * 88 <= len(found) <= 2 * 112
-    assert [one.counter for one in found] == list(range(found[0].counter, found[-1].counter + 1))
-    assert all(one.counts.shape == (768,) and 5 < one.counts.min() < 45 for one in found)
-    assert all(one.t_s - one.scanned_s <= 0.012 for one in found)
+    frames = run(cell, source, 2.0)
+    assert 2 * 88 <= len(frames) <= 2 * 112
+    assert [one.counter for one in frames] == list(range(frames[0].counter, frames[-1].counter + 1))
+    assert all(one.counts.shape == (768,) and 5 < one.counts.min() < 45 for one in frames)
+    assert all(one.t_s - one.scanned_s <= 0.012 for one in frames)
     stats = source.statistics
     assert (stats.frames.torn, stats.frames.duplicate, stats.recent_loss_rate) == (0, 0, 0.0)
 
@@ -104,9 +104,9 @@ def test_repeated_frames_are_not_handed_out_as_fresh_ones(cell, source) -> None:
     source.start()
     run(cell, source, 0.5)
     cell.inject("board.repeated=0.2")
-    found = run(cell, source, 2.0)
+    frames = run(cell, source, 2.0)
     assert source.statistics.frames.duplicate > 40
-    halves = [one.counts[:384].tobytes() for one in found]
+    halves = [one.counts[:384].tobytes() for one in frames]
     assert sum(a == b for a, b in pairwise(halves)) == 0
 
 
@@ -116,9 +116,9 @@ def test_bytes_that_nobody_fetched_for_long_are_dropped(cell, source) -> None:
     cell.clock.sleep(1.0)
     cell.world.press(0, 0.0, 0.0, 5.0)  # type: ignore[union-attr]
     asked_s = cell.clock.monotonic()
-    found = run(cell, source, 0.2)
-    assert found
-    assert all(one.scanned_s >= asked_s and one.counts.max() > 50 for one in found)
+    frames = run(cell, source, 0.2)
+    assert frames
+    assert all(one.scanned_s >= asked_s and one.counts.max() > 50 for one in frames)
     assert source.statistics.frames.lost >= 90
 
 

@@ -111,9 +111,9 @@ def test_without_a_touch_there_is_no_centre_and_what_is_too_much_stays_at_the_en
     sent = ForceMessage(
         t_s=0.0, counter=3, status=ForceStatus(0), force_n=(1e3, -1e3), centre_taxels=None
     )
-    found = decode_force_message(force_bytes(sent), 0.0)
-    assert found.centre_taxels is None
-    assert found.force_n == pytest.approx((65.534, -65.534))
+    decoded = decode_force_message(force_bytes(sent), 0.0)
+    assert decoded.centre_taxels is None
+    assert decoded.force_n == pytest.approx((65.534, -65.534))
 
 
 @pytest.mark.parametrize("bit", range(64))
@@ -329,6 +329,6 @@ def test_a_buffer_that_the_caller_reuses_does_no_harm() -> None:
 
 @pytest.mark.parametrize("missing", [1, 2, 5, 6])
 def test_idle_frames_after_lost_ones_are_not_taken_for_duplicates(missing: int) -> None:
-    kept = [c for c in range(20) if not 8 <= c < 8 + missing]
-    frames = received(FrameAssembler(PAPER), stream_of(dict.fromkeys(kept, np.zeros(408, int))))
-    assert [frame.counter for frame in frames] == kept
+    present = [c for c in range(20) if not 8 <= c < 8 + missing]
+    frames = received(FrameAssembler(PAPER), stream_of(dict.fromkeys(present, np.zeros(408, int))))
+    assert [frame.counter for frame in frames] == present

@@ -222,15 +222,15 @@ def pressed(untouched: np.ndarray, force_n: float) -> np.ndarray:
 
 
 def test_untouched_pads_show_no_force(forces, untouched) -> None:
-    shown_n = np.array([forces.of(frame) for frame in untouched])
-    assert shown_n.dtype == np.float32
-    assert np.count_nonzero(shown_n) < 1e-3 * shown_n.size
+    forces_n = np.array([forces.of(frame) for frame in untouched])
+    assert forces_n.dtype == np.float32
+    assert np.count_nonzero(forces_n) < 1e-3 * forces_n.size
 
 
 def test_a_press_shows_its_force_beside_and_on_a_dead_taxel(forces, untouched) -> None:
-    shown_n = forces.of(pressed(untouched, 0.5))
-    assert shown_n.sum() == pytest.approx(15 * 0.5, rel=0.1)
-    assert (shown_n[DEAD], shown_n[64:].max()) == (pytest.approx(0.5, rel=0.1), 0.0)
+    pressed_n = forces.of(pressed(untouched, 0.5))
+    assert pressed_n.sum() == pytest.approx(15 * 0.5, rel=0.1)
+    assert (pressed_n[DEAD], pressed_n[64:].max()) == (pytest.approx(0.5, rel=0.1), 0.0)
 
 
 def test_a_frame_shows_nothing_of_the_one_before(forces, untouched) -> None:

@@ -51,13 +51,13 @@ class Forces(Frames):
         return centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m
 
     def new_forces(self) -> tuple[ForceMessage, ...]:
-        found = []
+        messages = []
         while self.due_s <= self.now_s:
-            shown = message(self.due_s, *self.force_n)
+            last = message(self.due_s, *self.force_n)
             centre = self.centre_taxels()
-            found.append(replace(shown, status=self.status, centre_taxels=centre))
+            messages.append(replace(last, status=self.status, centre_taxels=centre))
             self.due_s += 0.003
-        return tuple(found)
+        return tuple(messages)
 
 
 def tared() -> tuple[TactileSensor, Forces]:
@@ -191,14 +191,14 @@ def test_the_centre_is_the_mean_place_weighted_by_force() -> None:
     force_n[first[[0, 1]]] = (1.0, 3.0)
     assert ForceCentres(LAYOUT).of(force_n) is None
     force_n[second[5]] = 0.2
-    found = ForceCentres(LAYOUT).of(force_n)
+    centres = ForceCentres(LAYOUT).of(force_n)
     position_m = LAYOUT.position_m[:, :2]
     one_m = 0.25 * position_m[first[0]] + 0.75 * position_m[first[1]]
-    assert found == pytest.approx(tuple(0.5 * (one_m + position_m[second[5]])))
+    assert centres == pytest.approx(tuple(0.5 * (one_m + position_m[second[5]])))
     # Pads that do not grip have no say.
     other = np.flatnonzero(~np.isin(LAYOUT.taxel_pad, LAYOUT.gripping_pads))
     force_n[other] = 9.0
-    assert ForceCentres(LAYOUT).of(force_n) == found
+    assert ForceCentres(LAYOUT).of(force_n) == centres
 
 
 def compared(
@@ -219,8 +219,8 @@ def compared(
 
 
 def around(at_s: float, *force_n: float, centre=(0.0, 0.0)) -> list[ForceMessage]:
-    shown = [message(at_s - 0.004 + 0.002 * i, *force_n) for i in range(5)]
-    return [replace(one, centre_taxels=centre) for one in shown]
+    messages = [message(at_s - 0.004 + 0.002 * i, *force_n) for i in range(5)]
+    return [replace(one, centre_taxels=centre) for one in messages]
 
 
 def test_a_load_that_is_spread_over_a_pad_is_no_difference() -> None:
@@ -257,12 +257,12 @@ def test_a_light_touch_of_a_quiet_pad_may_lack_in_the_messages(*, hidden: bool) 
             check.compare(replace(frame, hidden_n=force_n) if hidden else frame)
 
 
-def frames_until_found(check: ForceCheck, shown_n: float, frame_n: float, **more: Any) -> int:
+def frames_until_found(check: ForceCheck, message_n: float, frame_n: float, **more: Any) -> int:
     """Return after how many frames a difference that stays is found; 100 for never."""
     centre = more.pop("message_centre", (0.0, 0.0))
     for n in range(1, 100):
         at_s = 0.02 * n
-        messages = around(at_s, shown_n, shown_n, centre=centre)
+        messages = around(at_s, message_n, message_n, centre=centre)
         try:
             compared(check, at_s, messages, (frame_n, frame_n), **more)
         except ForceContradicted:
@@ -271,7 +271,7 @@ def frames_until_found(check: ForceCheck, shown_n: float, frame_n: float, **more
 
 
 @pytest.mark.parametrize(
-    ("shown_n", "frame_n", "taxel_n", "noise_n", "most"),
+    ("message_n", "frame_n", "taxel_n", "noise_n", "most"),
     [
         (0.0, 2.0, 0.02, 0.2, 2),  # the messages are empty
         (4.0, 6.0, 0.02, 0.2, 2),  # 2 N less
@@ -286,12 +286,12 @@ def frames_until_found(check: ForceCheck, shown_n: float, frame_n: float, **more
     ],
 )
 def test_a_difference_is_found_the_sooner_the_larger_it_is(
-    shown_n, frame_n, taxel_n, noise_n, most
+    message_n, frame_n, taxel_n, noise_n, most
 ) -> None:
     check = ForceCheck()
     check.reset(taxel_noise_n=taxel_n)
-    found = frames_until_found(check, shown_n, frame_n, noise_n=noise_n)
-    assert found == 100 if most == 100 else found <= most
+    n_frames = frames_until_found(check, message_n, frame_n, noise_n=noise_n)
+    assert n_frames == 100 if most == 100 else n_frames <= most
 
 
 @pytest.mark.parametrize("seed", [0, *(LONG(n) for n in (1, 2))])
@@ -321,5 +321,5 @@ def test_a_part_that_leaves_or_is_touched_between_two_messages_is_no_difference(
 def test_centres_that_are_elsewhere_or_missing_are_found(force_n, centre, most) -> None:
     check = ForceCheck()
     check.reset(taxel_noise_n=0.02)
-    found = frames_until_found(check, force_n, force_n, message_centre=centre)
-    assert found == 100 if most == 100 else found <= most
+    n_frames = frames_until_found(check, force_n, force_n, message_centre=centre)
+    assert n_frames == 100 if most == 100 else n_frames <= most

@@ -85,11 +85,11 @@ def test_frames_come_at_the_rate_of_the_boards_and_in_the_mounted_order(cell) ->
     mounts = [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
     source = make_source(cell, [xr1944(1), xr1944(2)], mounts=mounts)
     source.start()
-    found = run(cell, source, 1.0)
-    assert 95 <= len(found) <= 105
-    assert all(one.t_s - one.scanned_s < 0.012 for one in found)
+    frames = run(cell, source, 1.0)
+    assert 95 <= len(frames) <= 105
+    assert all(one.t_s - one.scanned_s < 0.012 for one in frames)
     assert source.statistics.frames.torn == source.statistics.foreign == 0
-    for one in found:
+    for one in frames:
         np.testing.assert_allclose(one.extra, np.full((32, 2), 0x7E31), atol=100)
     cell.world.press(1, 0.0, 0.0, 8.0)  # type: ignore[union-attr]
     assert int(np.argmax(run(cell, source, 0.1)[-1].counts)) < 16
