@@ -57,10 +57,16 @@ def test_a_virtual_grasp_looks_like_the_cells_own(taught) -> None:
         (lambda g: g.n_frames - g.force_n[-1] / RATE_N_S / FRAME_S, 0.2),
         (lambda g: g.counts[:5].mean(), 0.1),
         (lambda g: g.aperture_m[0], 0.05),
-        (lambda g: find_ramp(g, rest).load[-5:].mean() / g.force_n[-1], 0.15),
     ):
         real = np.median([quantity(g) for g in own])
         assert np.median([quantity(g) for g in drawn]) == pytest.approx(real, rel=tolerance)
+    # Friction makes the load of a weak grasp vary by a fifth: the loads are compared together.
+    of_drawn, of_own = (
+        sum(find_ramp(g, rest).load[-5:].mean() for g in grasps)
+        / sum(g.force_n[-1] for g in grasps)
+        for grasps in (drawn, own)
+    )
+    assert of_drawn == pytest.approx(of_own, rel=0.15)
     # The opening at the end depends on the force, which differs from grasp to grasp.
     curve = np.polyfit(*np.array([(g.force_n[-1], g.aperture_m[-1]) for g in drawn]).T, 2)
     off_m = [g.aperture_m[-1] - np.polyval(curve, g.force_n[-1]) for g in own]
