@@ -40,7 +40,7 @@ class Format(NamedTuple):
 
 _SAME = "use the tactile-cell that wrote it"
 CONFIG = Format("config", "tactile-cell-config/1", "write that, or leave the key out")
-DATASET = Format("grasp data set", "grasp-dataset/2", _SAME)
+DATASET = Format("grasp data set", "grasp-dataset/1", _SAME)
 RECORDING = Format("recording", "tactile-cell-recording/2", _SAME)
 MODEL = Format(
     "model",

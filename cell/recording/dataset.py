@@ -1,17 +1,17 @@
-"""Grasp data sets: the format ``grasp-dataset/2``, an npz archive without pickled objects.
+"""Grasp data sets: the format ``grasp-dataset/1``, an npz archive without pickled objects.
 
 ============== =========================== ======================================================
 array          dtype, shape                meaning
 ============== =========================== ======================================================
-format         str                         ``grasp-dataset/2``
+format         str                         ``grasp-dataset/1``
 adc_max        int                         full scale of ``counts``
 pad_shape      int (n_pads, 2)             rows, columns of each pad
 taxel_pad      int (n_taxels,)             pad of each taxel; row-major within a pad
-taxel_xy_m     float (n_taxels, 2)         x along the finger, y across, in m
+taxel_xy_mm    float (n_taxels, 2)         x along the finger, y across, in mm
 grasp_offsets  int (n_grasps + 1,)         grasp i has the frames offsets[i] to offsets[i + 1]
 counts         uint16 (n_frames, n_taxels) raw frames of all grasps, one after the other
 t_s            float (n_frames,)           time since the grasp's first frame in s
-aperture_m     float (n_frames,)           opening between the fingers in m; NaN where unknown
+aperture_mm    float (n_frames,)           opening between the fingers in mm; NaN where unknown
 force_n        float (n_frames,)           commanded grip force in N; NaN where unknown; optional
 label          str (n_grasps,)             grasped object; empty where unknown
 start_ms       int (n_grasps,)             time of the grasp's first frame
@@ -19,16 +19,14 @@ shape          str (n_grasps,)             class of shape; optional
 source         str (n_grasps,)             its origin; optional
 series         str (n_grasps,)             individual or day; optional. Where it is empty, a pause
                                            of an hour begins a new series
-thickness_m    float (n_grasps,)           of the object along the closing axis by its drawing;
-                                           NaN where unknown; optional
-command        float (n_grasps, 5)         commanded: ``recognition.grasp.COMMAND_COLUMNS``;
+thickness_mm   float (n_grasps,)           of the object along the closing axis by its drawing in
+                                           mm; NaN where unknown; optional
+pose           float (n_grasps, 5)         commanded: ``recognition.grasp.COMMAND_COLUMNS``;
                                            a row of NaN where unknown; optional
-zero           float (n_grasps, 8)         self-zero of the empty fingers before:
+self_zero      float (n_grasps, 8)         self-zero of the empty fingers before:
                                            ``recognition.grasp.ZERO_COLUMNS``; a row of NaN where
                                            it was not measured; optional
 ============== =========================== ======================================================
-
-Each array of frames or grasps has the name of its field in ``recognition.Grasp``.
 """
 
 import functools
@@ -43,7 +41,7 @@ from numpy.typing import NDArray
 from cell.errors import DatasetError, raised_as
 from cell.files import read_npz, savez, write_atomically
 from cell.formats import DATASET
-from cell.recording.grasp_limits import RANGES, check_range, check_text, check_times
+from cell.recording.grasp_limits import RANGES, check_range, check_sizes, check_text, check_times
 from recognition.grasp import (
     COMMAND_COLUMNS,
     ZERO_COLUMNS,
@@ -76,14 +74,22 @@ _ARRAYS = {
     "command": ("f", "grasps command"),
     "zero": ("f", "grasps zero"),
 }
-"""Kinds of the numpy type of each array, and its axes; arrays with the same axis have the same
-length along it."""
+"""Kinds of the numpy type of each array, and its axes, by the name in `recognition.Grasp`; arrays
+with the same axis have the same length along it."""
 _OPTIONAL = {"force_n", "shape", "source", "series", "thickness_m", "command", "zero"}
 _RECORDS: Mapping[str, tuple[tuple[str, ...], Any]] = {
     "command": (COMMAND_COLUMNS, GraspCommand),
     "zero": (ZERO_COLUMNS, SelfZero),
 }
 """Columns and kind of the arrays whose rows are records."""
+_IN_FILE = {
+    "taxel_xy_m": ("taxel_xy_mm", 1e3),
+    "aperture_m": ("aperture_mm", 1e3),
+    "thickness_m": ("thickness_mm", 1e3),
+    "command": ("pose", 1.0),
+    "zero": ("self_zero", 1.0),
+}
+"""Name and unit in the file of each array that has another one in `recognition.Grasp`."""
 _AXES = {"xy": 2, **{name: len(columns) for name, (columns, _) in _RECORDS.items()}}
 """Length of the axes that are the same in all data sets."""
 
@@ -102,12 +108,13 @@ def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) ->
     arrays = read_npz(path, error=DatasetError, what="grasp data set", limit_bytes=limit_bytes)
     if "format" in arrays:
         DATASET.check(str(arrays["format"]), path, DatasetError)
-    missing = [name for name in _ARRAYS if name not in arrays and name not in _OPTIONAL]
+    stored = {name: _in_file(name)[0] for name in _ARRAYS}
+    missing = [stored[one] for one in _ARRAYS if stored[one] not in arrays and one not in _OPTIONAL]
     if missing and "model" in arrays:
         raise DatasetError(f"{path} is a model: name the data sets that taught it")
     if missing:
         raise DatasetError(f"{path} is not a grasp data set: {', '.join(missing)} missing")
-    if unknown := [name for name in arrays if name not in _ARRAYS]:
+    if unknown := [name for name in arrays if name not in stored.values()]:
         raise DatasetError(f"{path}: unknown arrays {', '.join(map(repr, unknown))}")
     # A signalling NaN, or differences of infinite times; both are refused.
     with raised_as(DatasetError, ValueError, where=str(path)), np.errstate(invalid="ignore"):
@@ -158,7 +165,7 @@ def _arrays_of(grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
         "adc_max": np.array(pads.adc_max, dtype=np.int64),
         "pad_shape": pads.pad_shape,
         "taxel_pad": pads.taxel_pad,
-        "taxel_xy_m": pads.taxel_xy_m,
+        "taxel_xy_mm": (1e3 * pads.taxel_xy_m).astype(np.float32),
         "grasp_offsets": np.cumsum([0, *(grasp.n_frames for grasp in grasps)], dtype=np.int64),
     }
     for name, (kinds, axes) in _ARRAYS.items():
@@ -172,32 +179,44 @@ def _arrays_of(grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
             for text in values:  # an array loses a zero at the end
                 check_text(name, text)
         array = np.concatenate(values) if axes.startswith("frames") else np.array(values)
-        if name not in _OPTIONAL or not (array == "" if kinds == "U" else np.isnan(array)).all():
-            arrays[name] = array
+        if name in _OPTIONAL and (array == "" if kinds == "U" else np.isnan(array)).all():
+            continue
+        stored, unit = _in_file(name)
+        small = kinds == "f" and name not in _RECORDS
+        arrays[stored] = (unit * array).astype(np.float32) if small else array
     return arrays
 
 
-def _grasps_of(arrays: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
+def _in_file(name: str) -> tuple[str, float]:
+    """Return the name of an array in the file, and its unit there."""
+    return _IN_FILE.get(name, (name, 1.0))
+
+
+def _grasps_of(in_file: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
     """Return the grasps. Raises ValueError for an array that is refused, or does not fit."""
     lengths: dict[str, int] = dict(_AXES)
+    arrays: dict[str, NDArray[Any]] = {}
     for name, (kinds, axes) in _ARRAYS.items():
-        if name not in arrays:
+        stored, unit = _in_file(name)
+        if stored not in in_file:
             continue
-        array = arrays[name]
+        array = in_file[stored]
         for axis, length in zip(axes.split(), array.shape, strict=False):
             lengths.setdefault(axis, length)
         expected = tuple(lengths.get(axis) for axis in axes.split())
         if array.dtype.kind not in kinds or array.shape != expected:
             raise ValueError(
-                f"array {name} has the type {array.dtype} and the shape {array.shape}, expected "
+                f"array {stored} has the type {array.dtype} and the shape {array.shape}, expected "
                 f"kind {kinds} and shape {expected}"
             )
         if name in RANGES:
-            check_range(name, array[:, :2] if name == "command" else array)
+            check_range(name, array[:, :2] if name == "command" else array, stored, unit)
+        arrays[name] = array.astype(np.float64) / unit if kinds == "f" else array
     pads = PadArray(
         **{name: arrays[name] for name in ("pad_shape", "taxel_pad", "taxel_xy_m")},
         adc_max=int(arrays["adc_max"]),
     )
+    check_sizes(pads, arrays["aperture_m"])
     offsets, n_frames, n_grasps = arrays["grasp_offsets"], lengths["frames"], lengths["grasps"]
     offsets = offsets.astype(np.int64)
     if (
