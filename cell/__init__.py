@@ -1,4 +1,4 @@
-"""The robot cell: puts gripper, tactile sensor, recogniser and positioner together.
+"""The robot cell: puts gripper, tactile sensor, recognizer and positioner together.
 
 The composition root and the only package that imports all others. `build_cell` makes a cell from a
 config, `CellController` runs its sequences, a host program loads `TactileCellPlugin`.

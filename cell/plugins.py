@@ -1,4 +1,4 @@
-"""Plugins: sensors, servo models and recognisers, found by entry points of installed packages.
+"""Plugins: sensors, servo models and recognizers, found by entry points of installed packages.
 
 Built-in plugins are listed in ``pyproject.toml``, as in any other package. Nothing is imported
 before its use.
@@ -128,7 +128,7 @@ SENSORS = Plugins("sensors", "sensor", "cell.config.sensor:SensorConfig")
 """Sections of `tactile.sensor`: subclasses of `cell.config.sensor.SensorConfig`."""
 SERVO_MODELS = Plugins("servo_models", "servo model", "gripper.dynamixel.models:ServoModel")
 """Values of `gripper.dynamixel.models.ServoModel`."""
-RECOGNISERS = Plugins("recognisers", "recogniser")
+RECOGNIZERS = Plugins("recognizers", "recognizer")
 """Factories of a `recognition.recognizer.Trainer`, called with ``use_aperture``."""
-GROUPS = (SENSORS, SERVO_MODELS, RECOGNISERS)
+GROUPS = (SENSORS, SERVO_MODELS, RECOGNIZERS)
 """All groups."""

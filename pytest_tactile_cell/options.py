@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-CONTRACTS = ("sensor", "servo_model", "recogniser")
+CONTRACTS = ("sensor", "servo_model", "recognizer")
 """Kinds of plugins that have a contract: files of `pytest_tactile_cell.contracts`."""
 
 

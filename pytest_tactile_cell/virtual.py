@@ -96,7 +96,7 @@ class VirtualCell:
         return self.controller.grasp(GraspStep(pose=pose or Pose(), force_n=force_n))
 
     def teach(self, labels: Sequence[str], grasps: int = 6, *, seed: int = 0) -> Recognizer:
-        """Grasp each object several times and train the config's recogniser.
+        """Grasp each object several times and train the config's recognizer.
 
         Raises
         ------

@@ -1,9 +1,9 @@
 """Object recognition by touch: from the record of a grasp to probabilities of the objects.
 
-A recogniser makes a `Posterior` from a `Grasp`. `make_trainer` finds trainers by name, `fuse` joins
+A recognizer makes a `Posterior` from a `Grasp`. `make_trainer` finds trainers by name, `fuse` joins
 several grasps of one object. Sub-packages: `ramp` reduces a grasp to levels of load, and `features`
 describes these. `statistics` classifies and fuses grasps, and `recognizers` has the kinds of
-recogniser. `drift` corrects for changed sensors, and `evaluation` computes figures. `quadric` is
+recognizer. `drift` corrects for changed sensors, and `evaluation` computes figures. `quadric` is
 the paper's method, `shape` fits shape and size. The package uses no file, clock, thread or bus.
 """
 

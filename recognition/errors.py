@@ -1,4 +1,4 @@
-"""Errors of the package: input that gives no surface, trajectory or recogniser.
+"""Errors of the package: input that gives no surface, trajectory or recognizer.
 
 All derive from ``ValueError``.
 """

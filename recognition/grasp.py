@@ -243,7 +243,7 @@ class Grasp:
     thickness_m: float = float("nan")
     """Thickness of the object along the closing axis in m by its drawing; NaN if unknown."""
     command: GraspCommand | None = None
-    """Commanded pose and force; None if unknown. Recognisers do not use it."""
+    """Commanded pose and force; None if unknown. Recognizers do not use it."""
     zero: SelfZero | None = None
     """Last self-zero before the grasp; None if it was not measured."""
 

@@ -1,4 +1,4 @@
-"""Protocols of recognisers and trainers, and the posterior that a recogniser returns."""
+"""Protocols of recognizers and trainers, and the posterior that a recognizer returns."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ interval: five standard deviations."""
 
 DEPENDENCE = 0.3
 """Correlation, 0 to 1, of the log evidence of two grasps of one object. They share the object, the
-sensor and the errors of the recogniser (docs/explanations/sequences.md)."""
+sensor and the errors of the recognizer (docs/explanations/sequences.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,7 +99,7 @@ class Posterior:
 
 
 class Recognizer(Protocol):
-    """A taught recogniser."""
+    """A taught recognizer."""
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -109,7 +109,7 @@ class Recognizer(Protocol):
         """Return the posterior of a grasp; ValueError for pads other than the taught ones."""
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the taught recogniser as plain arrays (numbers and strings, no objects)."""
+        """Return the taught recognizer as plain arrays (numbers and strings, no objects)."""
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
@@ -117,7 +117,7 @@ class Recognizer(Protocol):
 
 
 class Trainer(Protocol):
-    """Teaches one kind of recogniser."""
+    """Teaches one kind of recognizer."""
 
     @property
     def name(self) -> str:

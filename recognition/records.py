@@ -56,7 +56,7 @@ class ArrayRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TaughtRecord(ArrayRecord):
-    """Base of taught recognisers: their arrays have a version."""
+    """Base of taught recognizers: their arrays have a version."""
 
     version: ClassVar[int]
     """Version of the arrays and their use; models of another version are refused."""

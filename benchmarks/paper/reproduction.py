@@ -49,7 +49,7 @@ VIEWS = ("common, one frame", "common", "own")
 """Ways to take a level: at a common force or at the grasp's full force, and whether the frames near
 it are averaged before the surface is fitted."""
 RECOGNIZERS = ("force_ramp", "level_check")
-"""Recognisers of the product, by touch alone."""
+"""Recognizers of the product, by touch alone."""
 
 
 def one_frame(grasp: Grasp, force_n: float) -> Grasp:
@@ -125,7 +125,7 @@ def outcomes(taught: Sequence[Array], tested: Sequence[Array], n_taught: int) ->
 
 
 def try_recognizer(name: str, effort: float) -> str:
-    """Teach and test a recogniser by touch alone; the share of right likeliest labels."""
+    """Teach and test a recognizer by touch alone; the share of right likeliest labels."""
     counts = np.zeros((len(LABELS), len(LABELS)), dtype=np.int64)
     for number in range(repeats(3, effort)):
         rng = np.random.default_rng([SEED, 7, number])

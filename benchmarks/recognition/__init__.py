@@ -1,1 +1,1 @@
-"""Figures of the recogniser, shape and size, sequences and drift that README and docs quote."""
+"""Figures of the recognizer, shape and size, sequences and drift that README and docs quote."""

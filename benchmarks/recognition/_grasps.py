@@ -73,7 +73,7 @@ class JudgedAnswer(NamedTuple):
 
     truth: str
     taught: bool
-    """What was grasped, and whether the recogniser was taught it."""
+    """What was grasped, and whether the recognizer was taught it."""
     best: str
     name: str
     """The likeliest label, and the name that is given: that label or ``UNKNOWN``."""

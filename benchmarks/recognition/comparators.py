@@ -1,11 +1,11 @@
-"""Methods that the paper names, and plain ones, against the recognisers of the product.
+"""Methods that the paper names, and plain ones, against the recognizers of the product.
 
 ``python -m benchmarks comparators FILE`` names the last 40 per cent in time of each object's grasps
 in a data set, as ``tactile-cell model evaluate`` does. Discriminant and trees get all features of
-the default recogniser; the others have their own, from the patch of each pad under full load. A
+the default recognizer; the others have their own, from the patch of each pad under full load. A
 small grid is searched with blocks in time of the grasps that teach.
 
-The default recogniser also names the tested grasps under simulated drifts.
+The default recognizer also names the tested grasps under simulated drifts.
 """
 
 import warnings
@@ -239,7 +239,7 @@ METHODS = {
     "contour_network": Comparator(contour, _NETWORK, _PENALTIES, outlines=_OUTLINES),
 }
 DRIFTS = (Drift(gains=(0.7,), aperture_offset_m=-4e-3), Drift(gains=(0.7, 0.9)))
-"""Drifts: one that the recogniser assumes, and unequal gains of the fingers, which it does not."""
+"""Drifts: one that the recognizer assumes, and unequal gains of the fingers, which it does not."""
 WITH_OPENING = ("force_ramp", "discriminant", "extra_trees")
 
 

@@ -76,7 +76,7 @@ _COLUMNS: tuple[tuple[str, Any, str], ...] = (
     ("temperature_c", _NUMBER, "warmest servo at the end, degrees Celsius"),
     ("touch_aperture_m", _NUMBER, "opening where both pads first touch, m"),
     ("pad_load", pa.list_(_NUMBER), "rise of each pad under full load, in full scales of a taxel"),
-    ("features", pa.list_(pa.float32()), "of the default recogniser; null without touch"),
+    ("features", pa.list_(pa.float32()), "of the default recognizer; null without touch"),
     ("feature_version", pa.int32(), "version of these features"),
     ("pads", _TEXT, "places of the taxels and full scale of the counts, JSON"),
     ("t_s", pa.list_(_NUMBER), "time of each frame since the first, s"),

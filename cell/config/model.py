@@ -25,7 +25,7 @@ from cell.config.tactile import (
     make_calibration,
 )
 from cell.errors import ConfigError, raised_as
-from cell.plugins import RECOGNISERS
+from cell.plugins import RECOGNIZERS
 from gripper.dynamixel.latency import largest_rate_hz
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, heat_note, largest_ramp_n
@@ -50,8 +50,8 @@ _MUCH_FRICTION_N = 10.0
 class RecognitionConfig(Section):
     """Recognition of objects from grasps."""
 
-    recognizer: Annotated[str, Installed(RECOGNISERS)] = DEFAULT_TRAINER
-    """Recogniser to teach."""
+    recognizer: Annotated[str, Installed(RECOGNIZERS)] = DEFAULT_TRAINER
+    """Recognizer to teach."""
     use_aperture: bool = True
     """Whether to use the opening between the fingers in addition to the taxels."""
     shape: bool = True
@@ -119,7 +119,7 @@ class CellConfig(Section):
     positioner: PositionerConfig = PositionerConfig()
     """Positioner that moves the object or the gripper."""
     recognition: RecognitionConfig = RecognitionConfig()
-    """Recogniser and its inputs."""
+    """Recognizer and its inputs."""
     recording: RecordingConfig = RecordingConfig()
     """Storage of results."""
     loop: LoopConfig = LoopConfig()

@@ -124,7 +124,7 @@ def declared_values(section: BaseModel, owner: type) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Installed:
-    """Annotation of a text that names a plugin: ``Annotated[str, Installed(RECOGNISERS)]``."""
+    """Annotation of a text that names a plugin: ``Annotated[str, Installed(RECOGNIZERS)]``."""
 
     plugins: Plugins
     """The plugins to choose from."""

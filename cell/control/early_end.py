@@ -15,7 +15,7 @@ _MOST_UNKNOWN = 0.02
 
 
 class EarlyDecider:
-    """Decides on one ramp while it runs, with the recogniser of whole ramps.
+    """Decides on one ramp while it runs, with the recognizer of whole ramps.
 
     Its levels are shares of the load that is reached, so it also answers for a part of a ramp.
 

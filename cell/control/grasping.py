@@ -36,7 +36,7 @@ NOTHING_HELD = {
 
 BACK_OFF_SHARE = 0.3
 """Start of a further ramp in the same grip, as a share of its end: the lowest level of load at
-which a recogniser takes footprints (`recognition.ramp.levels`)."""
+which a recognizer takes footprints (`recognition.ramp.levels`)."""
 
 LEAST_CONTACTS = 2.0
 """Least start of a further ramp, in contact forces. A part held with one contact force is sometimes
@@ -210,7 +210,7 @@ class Grasper:
 def spliced(approach: Grasp, further: Grasp, from_n: float) -> Grasp:
     """Return a grasp made of the first approach and a further ramp in the same grip.
 
-    A recogniser compares each taxel with its rest before the touch, but a further ramp begins with
+    A recognizer compares each taxel with its rest before the touch, but a further ramp begins with
     a loaded part. The frames of the first ramp below ``from_n``, the set-point in N at which the
     further ramp begins, are therefore put before it.
     """

@@ -21,7 +21,7 @@ class GraspRecord:
     """Record of one grasp of a sequence."""
 
     grasp: Grasp
-    """Input of the recognisers."""
+    """Input of the recognizers."""
     step: GraspStep
     """Planned pose and force."""
     reached: Pose
@@ -62,7 +62,7 @@ class GraspRecord:
 
 
 def pad_array(layout: TaxelLayout) -> PadArray:
-    """Return the geometry of a layout in the form that recognisers take."""
+    """Return the geometry of a layout in the form that recognizers take."""
     return PadArray(
         pad_shape=np.asarray(layout.pad_shape),
         taxel_pad=np.asarray(layout.taxel_pad),

@@ -1,4 +1,4 @@
-"""Evaluation: accuracy of recognisers on recorded grasps, without buses."""
+"""Evaluation: accuracy of recognizers on recorded grasps, without buses."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -10,19 +10,19 @@ from cell.errors import CellError, raised_as
 from cell.evaluation.selected_grasps import LEFT_OUT, left_out_in_turn
 from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress
-from cell.plugins import RECOGNISERS
+from cell.plugins import RECOGNIZERS
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
 from recognition.evaluation.splits import TrainTest, chronological_split, parse_split
 from recognition.grasp import Grasp
 from recognition.recognizers import DEFAULT_TRAINER
 
 _NOT_WRITTEN = ("trainer", "uses_aperture", "n", "n_untaught")
-"""Figures of a recogniser that ``--json`` omits, because the split has them."""
+"""Figures of a recognizer that ``--json`` omits, because the split has them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecognizerFigures:
-    """Figures of one recogniser: with the opening, if it uses it, and without."""
+    """Figures of one recognizer: with the opening, if it uses it, and without."""
 
     full: Evaluation
     without_aperture: Evaluation | None
@@ -30,7 +30,7 @@ class RecognizerFigures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EvaluationResult:
-    """Figures of all recognisers on one split."""
+    """Figures of all recognizers on one split."""
 
     split: str
     n_train: int
@@ -40,7 +40,7 @@ class EvaluationResult:
     default: str
     recognizers: Mapping[str, RecognizerFigures]
     left_out: Mapping[str, str]
-    """Recognisers that cannot be trained with these grasps, each with the reason."""
+    """Recognizers that cannot be trained with these grasps, each with the reason."""
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
@@ -69,10 +69,10 @@ def evaluate_recognizers(
     mapper: Mapper = one_by_one,
     progress: Progress,
 ) -> EvaluationResult:
-    """Train and test each named recogniser.
+    """Train and test each named recognizer.
 
     Raises CellError if the split leaves nothing to train or test, the grasps were taken on other
-    pads, or no recogniser can be trained with them.
+    pads, or no recognizer can be trained with them.
 
     Parameters
     ----------
@@ -99,12 +99,12 @@ def evaluate_recognizers(
     figures, left_out = {}, {}
     for number, name in enumerate(names):
         progress("evaluate", 2 * number, 2 * len(names))
-        trainer = RECOGNISERS[name](use_aperture=True)
+        trainer = RECOGNIZERS[name](use_aperture=True)
         try:
             full = without = measure(trainer)
             progress("evaluate", 2 * number + 1, 2 * len(names))
             if trainer.uses_aperture:
-                without = measure(RECOGNISERS[name](use_aperture=False))
+                without = measure(RECOGNIZERS[name](use_aperture=False))
         except ValueError as error:
             left_out[name] = str(error)
             continue

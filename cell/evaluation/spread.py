@@ -13,7 +13,7 @@ from recognition.grasp import Grasp
 def with_spread(trained: Trained, grasps: Sequence[Grasp]) -> tuple[Trained, DriftPrior | None]:
     """Return what was trained with the learnt spread, and that; None where there is none to learn.
 
-    It takes a default recogniser without a self-zero, and several days or cells of one object.
+    It takes a default recognizer without a self-zero, and several days or cells of one object.
     """
     recognizer = trained.recognizer
     if not isinstance(recognizer, DriftFollowing) or recognizer.zero is not None:

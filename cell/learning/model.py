@@ -1,4 +1,4 @@
-"""Model files: a trained recogniser as plain arrays and one JSON header in an npz archive.
+"""Model files: a trained recognizer as plain arrays and one JSON header in an npz archive.
 
 Nothing in a model file is ever executed. A model is refused before any hardware is used if its
 format, its pads or the version of its features differ from this program.
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cell.errors import ConfigError, ModelError, reason_text
 from cell.files import DAMAGE, read_npz, savez, write_atomically
 from cell.formats import MODEL, PROGRAM
-from cell.plugins import RECOGNISERS
+from cell.plugins import RECOGNIZERS
 from cell.recording.grasp_limits import check_text
 from recognition.drift.grid import DriftFollowing
 from recognition.errors import RecognitionError
@@ -52,7 +52,7 @@ def _made_up_grasp(pads: PadArray) -> Grasp:
 def _rehearse(recognizer: Recognizer, grasp: Grasp) -> None:
     """Classify a grasp with and without its opening, so that wrong arrays fail now.
 
-    A RecognitionError, with which a recogniser refuses the grasp itself, is no failure.
+    A RecognitionError, with which a recognizer refuses the grasp itself, is no failure.
     """
     for one in (grasp, replace(grasp, aperture_m=np.array(np.nan))):
         with suppress(RecognitionError):
@@ -70,12 +70,12 @@ Arrays = Mapping[str, NDArray[Any]]
 """Plain arrays by name."""
 
 _UNSUITABLE = (*DAMAGE, AttributeError, RuntimeWarning)
-"""Errors of arrays with other shapes, types or values than a recogniser expects."""
+"""Errors of arrays with other shapes, types or values than a recognizer expects."""
 _HEADER = "model"
 _PREFIX = "learnt."
 _PADS = "pads."
 _TRAINING = "training_set."
-"""Names of arrays in the archive: the header, and prefixes of recogniser, pads, training set."""
+"""Names of arrays in the archive: the header, and prefixes of recognizer, pads, training set."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,9 +83,9 @@ class Trained:
     """Result of a training: the content of a model file."""
 
     recognizer: Recognizer
-    """The recogniser, ready to answer."""
+    """The recognizer, ready to answer."""
     trainer_name: str
-    """Its kind, one of `cell.plugins.RECOGNISERS`."""
+    """Its kind, one of `cell.plugins.RECOGNIZERS`."""
     training_set: Arrays = field(default_factory=dict)
     """Name and checksum of the data set of its training set; empty without one."""
 
@@ -95,7 +95,7 @@ class Trained:
         return self.recognizer.labels
 
     def with_caution(self, caution: float) -> Self:
-        """Return it with a caution, if its kind of recogniser has one."""
+        """Return it with a caution, if its kind of recognizer has one."""
         if not isinstance(self.recognizer, DriftFollowing):
             return self
         return replace(self, recognizer=self.recognizer.with_caution(caution))
@@ -119,7 +119,7 @@ def save_model(
     pads: PadArray,
     training_set: Arrays | None = None,
 ) -> None:
-    """Write a taught recogniser, whole or not at all.
+    """Write a taught recognizer, whole or not at all.
 
     Raises ModelError if the kind is unknown or the write fails.
 
@@ -128,7 +128,7 @@ def save_model(
     path
         The model file; an older one stays until the new one is whole.
     trainer_name
-        Its kind, one of `cell.plugins.RECOGNISERS`.
+        Its kind, one of `cell.plugins.RECOGNIZERS`.
     pads
         The pads that it was taught on.
     training_set
@@ -246,12 +246,12 @@ def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
 
 
 def _class_of(path: Path, trainer_name: str, class_name: str) -> type[Recognizer]:
-    """Return a recogniser's class; a file can only name the classes of this program."""
+    """Return a recognizer's class; a file can only name the classes of this program."""
     try:
-        module = importlib.import_module(RECOGNISERS.entry(trainer_name).module)
+        module = importlib.import_module(RECOGNIZERS.entry(trainer_name).module)
     except (ConfigError, ImportError) as error:
         raise ModelError(f"{path} is of the kind {trainer_name!r}: {error}") from error
     kind = getattr(module, class_name, None)
     if not isinstance(kind, type) or not hasattr(kind, "from_arrays"):
-        raise ModelError(f"{path}: {trainer_name} has no recogniser named {class_name!r}")
+        raise ModelError(f"{path}: {trainer_name} has no recognizer named {class_name!r}")
     return cast("type[Recognizer]", kind)

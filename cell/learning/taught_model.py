@@ -19,7 +19,7 @@ from cell.learning.training_set import (
     saved_training_set,
     training_section,
 )
-from cell.plugins import RECOGNISERS
+from cell.plugins import RECOGNIZERS
 from cell.recording.dataset import read_dataset, write_dataset
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, drift_text
@@ -32,9 +32,9 @@ from recognition.shape.answer import ShapeAnswer
 
 
 class TaughtModel:
-    """A recogniser of taught objects with its data in a running cell.
+    """A recognizer of taught objects with its data in a running cell.
 
-    These are its training set and the shapes of the taught objects. The recogniser follows the
+    These are its training set and the shapes of the taught objects. The recognizer follows the
     drift. One thread changes the model, others may read it. Raises ModelError if the model was
     trained on other pads, or has another training set.
 
@@ -97,7 +97,7 @@ class TaughtModel:
 
     @property
     def recognizer(self) -> Recognizer:
-        """The recogniser with the followed drift. Raises CellStateError before teaching."""
+        """The recognizer with the followed drift. Raises CellStateError before teaching."""
         return self.check_taught().recognizer
 
     @property
@@ -192,7 +192,7 @@ class TaughtModel:
     def told_apart(self, label: str) -> ToldApart:
         """Return how well a taught object differs from the others; runs two small trainings."""
         wanted = self.config.recognition
-        trainer = RECOGNISERS[wanted.recognizer](use_aperture=wanted.use_aperture)
+        trainer = RECOGNIZERS[wanted.recognizer](use_aperture=wanted.use_aperture)
         return told_apart(self.training_set, label, trainer)
 
     # -- taught objects ------------------------------------------------------------------------
@@ -243,7 +243,7 @@ class TaughtModel:
     # -- drift ---------------------------------------------------------------------------------
 
     def check_gauge(self, label: str) -> DriftFollowing:
-        """Return the recogniser if it can be gauged with an object; see `gaugeable`."""
+        """Return the recognizer if it can be gauged with an object; see `gaugeable`."""
         return gaugeable(self.check_taught(), label)
 
     def gauge(self, label: str, grasps: Sequence[Grasp]) -> tuple[Drift, Drift]:

@@ -6,7 +6,7 @@ from cell.control.identification import ReadShape
 from cell.errors import CellError, ModelError, RequestRefused, TooFewGrasps, raised_as
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import LoadedModel, Trained, check_pads
-from cell.plugins import RECOGNISERS
+from cell.plugins import RECOGNIZERS
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
@@ -14,7 +14,7 @@ from recognition.shape.answer import ShapeAnswer
 
 
 def gaugeable(model: Trained, *labels: str) -> DriftFollowing:
-    """Return the recogniser of a model if it can be gauged with these objects.
+    """Return the recognizer of a model if it can be gauged with these objects.
 
     Raises ModelError if it is of another kind, and RequestRefused if an object was not taught.
     """
@@ -32,7 +32,7 @@ def gaugeable(model: Trained, *labels: str) -> DriftFollowing:
 
 
 def gauged(recognizer: DriftFollowing, label: str, grasps: Sequence[Grasp]) -> DriftFollowing:
-    """Return a recogniser gauged with new grasps of a taught object.
+    """Return a recognizer gauged with new grasps of a taught object.
 
     Raises CellError if the object was not taught, or no grasp touched both pads.
     """
@@ -47,18 +47,18 @@ def train(
     *,
     use_aperture: bool = True,
 ) -> Trained:
-    """Train one kind of recogniser.
+    """Train one kind of recognizer.
 
     Raises CellError if the grasps are too few or unsuitable; the message names what is missing.
 
     Parameters
     ----------
     name
-        Kind of recogniser, one of `cell.plugins.RECOGNISERS`.
+        Kind of recognizer, one of `cell.plugins.RECOGNIZERS`.
     use_aperture
         Whether the opening of the fingers is a feature.
     """
-    trainer = RECOGNISERS[name](use_aperture=use_aperture)
+    trainer = RECOGNIZERS[name](use_aperture=use_aperture)
     try:
         recognizer = trainer.fit(grasps)
     except ValueError as error:
@@ -81,7 +81,7 @@ drift are not requested, or the pads do not show the shape."""
 
 @one_blas_thread()
 def calibrate_model(model: LoadedModel, grasps: Mapping[str, Sequence[Grasp]]) -> DriftFollowing:
-    """Return a copy of the taught recogniser after gauges.
+    """Return a copy of the taught recognizer after gauges.
 
     The model was taught before the drift; results of earlier gauges are dropped. Each gauge object
     is a taught one with new grasps. Raises ModelError if the model is of a kind that cannot be
@@ -126,7 +126,7 @@ def identify_recorded(
     """Answer each recorded grasp, in the order of the file.
 
     With ``follow`` they are answered in the order of time, and the drift is followed from grasp to
-    grasp. Raises ModelError for grasps on other pads, and if the recogniser cannot follow a drift.
+    grasp. Raises ModelError for grasps on other pads, and if the recognizer cannot follow a drift.
     """
     check_pads(model, grasps[0].pads)
     recognizer = model.recognizer

@@ -105,16 +105,16 @@ def score(
 def score_tables(
     trials: Sequence[tuple[str, str, Mapping[str, Posterior]]], labels: Sequence[str], default: str
 ) -> dict[str, ConfusionTable]:
-    """Return the tables of identifications, by recogniser; empty without trials.
+    """Return the tables of identifications, by recognizer; empty without trials.
 
     Parameters
     ----------
     trials
-        Held object, answer, and the answer of each recogniser to the first grasp only.
+        Held object, answer, and the answer of each recognizer to the first grasp only.
     labels
         The objects, in the order of the rows.
     default
-        Name of the recogniser that answered.
+        Name of the recognizer that answered.
     """
     if not trials:
         return {}

@@ -402,7 +402,7 @@ def _notes(recording: Recording, config: CellConfig | None, *, compared: bool) -
     if compared:
         notes.append(
             "The level check names the likeliest object by the taxels of one grasp, never UNKNOWN, "
-            "as in the paper. The default recogniser uses whole ramps and several grasps."
+            "as in the paper. The default recognizer uses whole ramps and several grasps."
         )
     if config is None:
         notes.append("The config in the recording is not valid in this version.")

@@ -32,13 +32,13 @@ class MainResult:
     labels: tuple[str, ...]
     """The identified objects."""
     default: str
-    """Name of the recogniser of the identifications."""
+    """Name of the recognizer of the identifications."""
     n_taught: int
     """Number of taught grasps."""
     seconds: float
     """Duration in s."""
     scores: dict[str, ConfusionTable]
-    """Answers counted, by recogniser."""
+    """Answers counted, by recognizer."""
     parts: tuple[Part, ...]
     trials: tuple[Identification, ...]
     """The parts of known objects, in order, and their grasps."""
@@ -98,7 +98,7 @@ def teach_and_identify(
     """Teach each object, train, identify each object ``n_trials`` times; write data set and model.
 
     Plans of teaching and identifying have different seeds,
-    so no pose and force repeats. Ramps are whole: all recognisers get the same grasps.
+    so no pose and force repeats. Ramps are whole: all recognizers get the same grasps.
 
     Raises
     ------

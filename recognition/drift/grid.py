@@ -205,7 +205,7 @@ def _axis(mean: float, reach: float, step: float) -> NDArray[np.float64]:
 
 @runtime_checkable
 class DriftFollowing(Recognizer, Protocol):
-    """A recogniser that follows the drift by unnamed grasps, and by gauges."""
+    """A recognizer that follows the drift by unnamed grasps, and by gauges."""
 
     @property
     def grid(self) -> DriftGrid:

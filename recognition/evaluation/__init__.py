@@ -1,1 +1,1 @@
-"""Evaluation of recognisers: splits in time, accuracy with intervals, unknown objects."""
+"""Evaluation of recognizers: splits in time, accuracy with intervals, unknown objects."""

@@ -1,4 +1,4 @@
-"""Evaluation of a recogniser: accuracy, fusion, untaught objects, drift tracking."""
+"""Evaluation of a recognizer: accuracy, fusion, untaught objects, drift tracking."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ def one_by_one(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> I
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShiftFigures:
-    """Results of a recogniser that follows the drift, over grasps in a mixed order."""
+    """Results of a recognizer that follows the drift, over grasps in a mixed order."""
 
     before: int
     """Number of grasps of the shift before the first counted one."""
@@ -68,11 +68,11 @@ class ShiftFigures:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evaluation:
-    """Results of a recogniser on grasps that did not teach it."""
+    """Results of a recognizer on grasps that did not teach it."""
 
     trainer: str
     uses_aperture: bool
-    """The recogniser."""
+    """The recognizer."""
     labels: tuple[str, ...]
     """The taught objects."""
     n: int
@@ -101,7 +101,7 @@ class Evaluation:
     confusion: NDArray[np.int64]
     """(C, C) int64: row = true label, column = likeliest label."""
     shift: ShiftFigures | None = None
-    """Results of the same grasps in a mixed order; None for a recogniser without drift tracking."""
+    """Results of the same grasps in a mixed order; None for a recognizer without drift tracking."""
 
     @property
     def confused(self) -> tuple[tuple[str, str, int], ...]:
@@ -125,7 +125,7 @@ def evaluate(
     unknown_groups: int = 6,
     mapper: Mapper = one_by_one,
 ) -> Evaluation:
-    """Teach a recogniser with one part of the grasps and test it on the other, for each pair.
+    """Teach a recognizer with one part of the grasps and test it on the other, for each pair.
 
     Raises ValueError where no tested grasp is of a taught object, or a grasp has no label.
 
@@ -140,7 +140,7 @@ def evaluate(
         Seed of the random sets of grasps.
     unknown_groups
         Number of groups of labels. Each group in turn is left out of teaching and must then be
-        found unknown. One more recogniser is taught for each group; 0 for no test.
+        found unknown. One more recognizer is taught for each group; 0 for no test.
     mapper
         Maps the work to processes or machines; the results do not depend on it.
     """
@@ -211,7 +211,7 @@ def evaluate(
 def evaluate_shift(recognizer: object, grasps: Sequence[Grasp], seed: int) -> ShiftFigures | None:
     """Return results over labelled grasps of taught objects in a mixed order, with drift tracking.
 
-    None where the recogniser does not follow the drift, or there are too few grasps.
+    None where the recognizer does not follow the drift, or there are too few grasps.
     """
     if not isinstance(recognizer, DriftFollowing) or len(grasps) <= _BEFORE:
         return None

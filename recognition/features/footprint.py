@@ -1,7 +1,7 @@
 """Footprint of one pad: size, form and moments of the pressed patch, its growth and its features.
 
 Constants without another source were chosen on the teaching grasps of 36 recorded objects
-(docs/explanations/recogniser.md).
+(docs/explanations/recognizer.md).
 """
 
 from collections.abc import Iterable, Sequence

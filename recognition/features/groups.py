@@ -1,4 +1,4 @@
-"""Feature groups: the table of all features by touch, and the feature vector of the recognisers.
+"""Feature groups: the table of all features by touch, and the feature vector of the recognizers.
 
 A new group is one function and one entry in `FEATURE_GROUPS`.
 """

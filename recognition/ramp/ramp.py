@@ -21,7 +21,7 @@ _STUCK_SHARE = 0.02
 """Least difference of a stuck taxel from its rest, as a share of full scale."""
 _STUCK_SIGMAS = 6.0
 """The same in standard deviations of the noise, more than noise alone reaches."""
-# Chosen on recorded grasps, within the part that teaches (docs/explanations/recogniser.md).
+# Chosen on recorded grasps, within the part that teaches (docs/explanations/recognizer.md).
 _TOUCH_FRACTION = 0.06
 """Least share of its largest load of a touched pad."""
 _TOUCH_SIGMAS = 4.0

@@ -1,4 +1,4 @@
-"""Recognisers by name: `force_ramp` is the default, `level_check` the paper's method."""
+"""Recognizers by name: `force_ramp` is the default, `level_check` the paper's method."""
 
 from collections.abc import Mapping
 from pkgutil import resolve_name
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from recognition.recognizer import Trainer
 
 DEFAULT_TRAINER = "force_ramp"
-"""The recogniser that is taught by default."""
+"""The recognizer that is taught by default."""
 
 RECOGNIZERS: Mapping[str, str] = MappingProxyType(
     {
@@ -17,8 +17,8 @@ RECOGNIZERS: Mapping[str, str] = MappingProxyType(
         "level_check": "recognition.recognizers.level_check:LevelCheckTrainer",
     }
 )
-"""All kinds of recogniser by name, in the order of tables. The value is the module of trainer and
-recogniser, imported for the first trainer, and the trainer in it."""
+"""All kinds of recognizer by name, in the order of tables. The value is the module of trainer and
+recognizer, imported for the first trainer, and the trainer in it."""
 
 
 def trainer_names() -> tuple[str, ...]:
@@ -29,6 +29,6 @@ def trainer_names() -> tuple[str, ...]:
 def make_trainer(name: str = DEFAULT_TRAINER, *, use_aperture: bool = True) -> "Trainer":
     """Return the trainer of that name. Raises ValueError, listing the names, for an unknown one."""
     if name not in RECOGNIZERS:
-        raise ValueError(f"no recogniser is named {name!r}; there are {', '.join(RECOGNIZERS)}")
+        raise ValueError(f"no recognizer is named {name!r}; there are {', '.join(RECOGNIZERS)}")
     trainer: Trainer = resolve_name(RECOGNIZERS[name])(use_aperture=use_aperture)
     return trainer

@@ -1,4 +1,4 @@
-"""Recogniser `level_check`, the paper's method: one scalar per grasp against taught levels.
+"""Recognizer `level_check`, the paper's method: one scalar per grasp against taught levels.
 
 It is the paper's reference, not the best of the cell. The scalar is close to the inverse of the
 fitted peak height, so objects of any shape with similar pressure are confused.

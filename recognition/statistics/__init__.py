@@ -1,1 +1,1 @@
-"""Statistics of recognisers: discriminants, calibration, novelty, fusion."""
+"""Statistics of recognizers: discriminants, calibration, novelty, fusion."""

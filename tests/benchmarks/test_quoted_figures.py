@@ -11,7 +11,7 @@ import pytest
 from docs.tools.pictures import TUTORIAL, today
 
 ROOT = Path(__file__).parents[2]
-PAGES = ("README.md", "docs/explanations/recogniser.md")
+PAGES = ("README.md", "docs/explanations/recognizer.md")
 PROGRAM = Path(sys.executable).with_name("tactile-cell")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 

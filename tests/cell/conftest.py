@@ -245,7 +245,7 @@ def plain_grasp(
 
 
 class Scripted:
-    """A recogniser that gives these answers, the last one again and again, and notes what it sees.
+    """A recognizer that gives these answers, the last one again and again, and notes what it sees.
 
     Each answer is the share of the first label, and the probability of an unknown object.
     """

@@ -13,10 +13,10 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.errors import CellError, ConfigError
 from cell.formats import PROGRAM
-from cell.plugins import GROUPS, RECOGNISERS, SENSORS, SERVO_MODELS
+from cell.plugins import GROUPS, RECOGNIZERS, SENSORS, SERVO_MODELS
 from gripper.dynamixel import models
 from gripper.errors import LimitExceeded
-from recognition.recognizers import RECOGNIZERS
+from recognition.recognizers import RECOGNIZERS as BUILT_IN
 from tactile.layout import inner_pads
 from tests import ROOT
 from tests.cell.conftest import call
@@ -75,7 +75,7 @@ def test_what_is_built_in_loads_and_no_table_beside_has_other_names() -> None:
             assert (one.problem, one.package) == ("", PROGRAM)
             assert group.built_in(one.name)
     assert set(SERVO_MODELS) == set(models.MODELS)
-    assert {name: RECOGNISERS.entry(name).value for name in RECOGNISERS} == RECOGNIZERS
+    assert {name: RECOGNIZERS.entry(name).value for name in RECOGNIZERS} == BUILT_IN
 
 
 def test_a_sensor_of_another_package_has_a_section_of_its_own(installed: Install) -> None:
@@ -120,14 +120,14 @@ def test_a_name_of_two_packages_is_refused(installed: Install) -> None:
     ],
 )
 def test_doctor_names_what_does_not_load(installed: Install, entry: str, problem: str) -> None:
-    installed(sensors={"broken": entry}, recognisers={"fine": "Glove"})
+    installed(sensors={"broken": entry}, recognizers={"fine": "Glove"})
     with pytest.raises(CellError, match=r"1 of \d+ plugins do not load"):
         call("doctor", "--plugins")
     (one,) = (plugin for plugin in SENSORS.examine() if plugin.problem)
     assert (one.name, one.package) == ("broken", "some-plugins 1.0.0")
     assert problem in one.problem
     # What does not load is in the way of nothing else.
-    assert "fine" in RECOGNISERS
+    assert "fine" in RECOGNIZERS
     assert CellConfig().tactile.sensor.kind == "control_unit"
     with pytest.raises(ConfigError, match=r"broken' of some-plugins 1.0.0 does not load: "):
         changed_config(CellConfig(), {"tactile.sensor": {"kind": "broken"}})

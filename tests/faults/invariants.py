@@ -355,7 +355,7 @@ def link_counters(cell: Cell) -> list[tuple[int, ...]]:
 
 
 class FrameWitness:
-    """A recogniser that is always sure, and looks whether its grasps are what the unit scanned.
+    """A recognizer that is always sure, and looks whether its grasps are what the unit scanned.
 
     Faults may have spoiled the scans themselves for a while.
     """

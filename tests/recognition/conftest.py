@@ -157,7 +157,7 @@ def fresh(pads) -> list[Grasp]:
 
 @pytest.fixture(scope="session")
 def teach(train: list[Grasp]) -> Callable[..., Any]:
-    """Return what teaches a recogniser some objects, or all; each is taught once."""
+    """Return what teaches a recognizer some objects, or all; each is taught once."""
 
     @functools.cache
     def taught(name: str, *labels: str, use_aperture: bool = True) -> Any:

@@ -23,9 +23,9 @@ _ENDED_BY_CTRL_C = 130
 # fmt: off
 _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "model": {
-        "train": ("model:train", "Train a recogniser on data sets and write a model file."),
+        "train": ("model:train", "Train a recognizer on data sets and write a model file."),
         "calibrate": ("model:calibrate", "Correct a model for the drift since teaching."),
-        "evaluate": ("model:evaluate", "Measure recognisers on recorded grasps."),
+        "evaluate": ("model:evaluate", "Measure recognizers on recorded grasps."),
     },
     "config": {
         "init": ("config:init", "Write a config file with explained keys, and its schema."),

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from cell.errors import ConfigError, raised_as
-from cell.plugins import RECOGNISERS
+from cell.plugins import RECOGNIZERS
 
 
 def _ending(suffix: str, what: str) -> typer.models.OptionInfo:
@@ -98,10 +98,10 @@ Objects = Annotated[
 
 
 def known_recognizers(names: list[str] | None) -> list[str] | None:
-    """Return the names of recognisers. Raises typer.BadParameter for an unknown name."""
+    """Return the names of recognizers. Raises typer.BadParameter for an unknown name."""
     for name in names or ():
         with raised_as(typer.BadParameter, ConfigError):
-            RECOGNISERS.entry(name)
+            RECOGNIZERS.entry(name)
     return names
 
 
@@ -109,7 +109,7 @@ Recognizer = Annotated[
     str,
     typer.Option(
         "--recognizer",
-        help="Kind of recogniser; `doctor --plugins` lists them.",
+        help="Kind of recognizer; `doctor --plugins` lists them.",
         callback=lambda name: known_recognizers([name]) and name,
     ),
 ]

@@ -1,1 +1,1 @@
-"""The default recogniser: likelihoods over features of the whole ramp, with `unknown`."""
+"""The default recognizer: likelihoods over features of the whole ramp, with `unknown`."""

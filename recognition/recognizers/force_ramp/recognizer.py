@@ -1,4 +1,4 @@
-"""Default recogniser `force_ramp`: patches, their growth along the ramp, and the opening.
+"""Default recognizer `force_ramp`: patches, their growth along the ramp, and the opening.
 
 It answers under each hypothesis of a grid of drifts, and sums over them.
 """
@@ -68,7 +68,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForceRampRecognizer(TaughtRecord):
-    """A taught recogniser with two views: touch and opening, and touch alone."""
+    """A taught recognizer with two views: touch and opening, and touch alone."""
 
     version: ClassVar[int] = FEATURE_VERSION
     labels: tuple[str, ...]
@@ -260,7 +260,7 @@ class ForceRampRecognizer(TaughtRecord):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceRampTrainer:
-    """Teaches the default recogniser."""
+    """Teaches the default recognizer."""
 
     name: ClassVar[str] = "force_ramp"
     use_aperture: bool = True
@@ -271,7 +271,7 @@ class ForceRampTrainer:
         return self.use_aperture
 
     def fit(self, grasps: Sequence[Grasp]) -> ForceRampRecognizer:
-        """Teach the recogniser with labelled grasps.
+        """Teach the recognizer with labelled grasps.
 
         Grasps that never touched both pads are left out. A single object is taught against all
         others. Raises ValueError if an object has fewer than ``MIN_GRASPS`` grasps left.

@@ -1,4 +1,4 @@
-"""View of the default recogniser: one discriminant, its temperature and its limit of novelty.
+"""View of the default recognizer: one discriminant, its temperature and its limit of novelty.
 
 A view answers under each hypothesis of the drift. Distances are divided by the deviation of a grasp
 in the directions in which objects do not differ. On another day grasps deviate in all directions, a

@@ -590,7 +590,7 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (2, "teach ball -o x.txt", "the name of a data set ends in .npz"),
         (2, "model train x.npz -o m", "the name of a model file ends in .npz"),
         (2, "recording recover x.mcap -o y.npz", "the name of a recording ends in .mcap"),
-        (2, "model train x.npz -o m.npz --recognizer magic", "no recogniser 'magic' is installed"),
+        (2, "model train x.npz -o m.npz --recognizer magic", "no recognizer 'magic' is installed"),
         (2, "model evaluate {dataset} --fuse 1,x", "--fuse"),
         (2, "recording replay x.npz --limit 0", "--limit"),
         (2, "hand release", "--confirm"),

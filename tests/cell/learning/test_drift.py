@@ -94,7 +94,7 @@ def record(grasp: Grasp, result: GraspResult = GraspResult.FORCE_REACHED, early:
 
 
 def model_of(recognizer: Any, **changes: object) -> TaughtModel:
-    """Return a model with that recogniser."""
+    """Return a model with that recognizer."""
     model = TaughtModel(small_config(**changes))
     model._trained = Trained(recognizer=recognizer, trainer_name="force_ramp")
     return model
@@ -314,12 +314,12 @@ def posterior(share: float, unknown: float = 0.01) -> Posterior:
 @pytest.mark.slow
 def test_a_ramp_ends_where_it_suffices_with_the_answer_of_that_moment(make_bench, tmp_path) -> None:
     bench = make_bench(folder=tmp_path).ready()
-    recogniser = Scripted(UNSURE, LIKELY, UNLIKELY)
-    answer = bench.controller.identify(recogniser, [STEP], early=True)
+    recognizer = Scripted(UNSURE, LIKELY, UNLIKELY)
+    answer = bench.controller.identify(recognizer, [STEP], early=True)
     (record,) = answer.records
     assert record.outcome.ended_early
     assert (answer.label, answer.posteriors) == ("ball", (record.early,))
-    first, last = recogniser.grasps
+    first, last = recognizer.grasps
     assert first.n_frames < last.n_frames <= record.grasp.n_frames
     assert first.contact_frame == last.contact_frame == record.grasp.contact_frame
     assert record.grasp.contact_frame is not None
@@ -347,22 +347,22 @@ def test_a_ramp_ends_where_it_suffices_with_the_answer_of_that_moment(make_bench
     ],
 )
 def test_nothing_but_a_sure_name_suffices(answer, options) -> None:
-    recogniser = Scripted(answer, **options)
-    decider = EarlyDecider(recogniser, (), StopRule(error_rate=0.02))
+    recognizer = Scripted(answer, **options)
+    decider = EarlyDecider(recognizer, (), StopRule(error_rate=0.02))
     grasp = plain_grasp("")
     assert not any(decider.suffices(share, lambda: grasp) for share in np.linspace(0.0, 1.0, 50))
     assert (decider.answer, decider.error) == (None, None)
-    assert len(recogniser.grasps) == 2
+    assert len(recognizer.grasps) == 2
 
 
 def test_earlier_grasps_count_and_each_share_is_checked_once() -> None:
     grasp, rule = plain_grasp(""), StopRule(error_rate=0.03)
     for earlier, n_checks in (((), 2), ((posterior(0.95), posterior(0.95)), 1)):
-        recogniser = Scripted((0.95, 0.01))
-        decider = EarlyDecider(recogniser, earlier, rule)
+        recognizer = Scripted((0.95, 0.01))
+        decider = EarlyDecider(recognizer, earlier, rule)
         suffices = [decider.suffices(share, lambda: grasp) for share in (0.49, 0.5, 0.6, 0.9, 0.95)]
         assert suffices == [False, n_checks == 1, False, False, False]
-        assert len(recogniser.grasps) == n_checks
+        assert len(recognizer.grasps) == n_checks
     against = EarlyDecider(Scripted((0.95, 0.01)), (posterior(0.02),), rule)
     assert not against.suffices(0.8, lambda: grasp)
 
@@ -375,23 +375,23 @@ def test_a_check_that_fails_is_a_complaint_and_the_ramp_goes_on(bench) -> None:
     def look() -> object:
         return next(looks)()
 
-    recogniser = Scripted((0.9, 0.01), look=look)
-    answer = bench.controller.identify(recogniser, [STEP], early=True)
+    recognizer = Scripted((0.9, 0.01), look=look)
+    answer = bench.controller.identify(recognizer, [STEP], early=True)
     (record,) = answer.records
     assert (answer.label, record.early, record.outcome.ended_early) == ("ball", None, False)
     assert record.cycles[-1].setpoint_n == 6.0
     assert answer.complaints == ("early checks of the ramp of grasp 1: a broken model",)
-    assert len(recogniser.grasps) == 3
+    assert len(recognizer.grasps) == 3
     assert bench.controller.life.fault is None
 
 
 @pytest.mark.slow
 def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench) -> None:
     bench.ready()
-    recogniser = Scripted(LIKELY, look=lambda: bench.simulated.inject("servo2.overload"))
+    recognizer = Scripted(LIKELY, look=lambda: bench.simulated.inject("servo2.overload"))
     with pytest.raises(ServoFault):
-        bench.controller.identify(recogniser, [STEP], early=True)
-    assert len(recogniser.grasps) == 1
+        bench.controller.identify(recognizer, [STEP], early=True)
+    assert len(recognizer.grasps) == 1
     assert bench.controller.life.state is CellState.ABORTED
     assert bench.controller.life.holding
     assert bench.grip_n > 0.5
@@ -414,9 +414,9 @@ def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(make_
 @pytest.mark.slow
 def test_a_stop_comes_before_the_end_of_the_ramp(bench) -> None:
     bench.ready()
-    recogniser = Scripted(LIKELY, look=bench.controller.life.cancel)
+    recognizer = Scripted(LIKELY, look=bench.controller.life.cancel)
     with pytest.raises(CellStopped, match="the grip is kept"):
-        bench.controller.identify(recogniser, [STEP], early=True)
+        bench.controller.identify(recognizer, [STEP], early=True)
     assert bench.controller.life.state is CellState.HELD
     assert bench.grip_n > 0.5
 

@@ -105,8 +105,8 @@ def rewrite(
     [
         (lambda h, _: h.update(format="other/1"), "its format is 'other/1'"),
         (lambda h, _: h.update(trainer="os"), "installed are .*force_ramp"),
-        (lambda h, _: h.update({"class": "np"}), "no recogniser named 'np'"),
-        (lambda h, _: h.update({"class": "Posterior"}), "no recogniser named"),
+        (lambda h, _: h.update({"class": "np"}), "no recognizer named 'np'"),
+        (lambda h, _: h.update({"class": "Posterior"}), "no recognizer named"),
         (lambda _, a: a.update({"learnt.mean": a["learnt.mean"] + 1}), "checksum"),
         (lambda _, a: a.pop("learnt.mean"), "checksum"),
     ],
@@ -154,7 +154,7 @@ def test_what_is_no_model_is_refused_and_never_run(arrays, says, tmp_path) -> No
     assert not Bomb.exploded
 
 
-def test_recogniser_of_unknown_kind_is_not_written(learnt, tmp_path) -> None:
+def test_recognizer_of_unknown_kind_is_not_written(learnt, tmp_path) -> None:
     class Guess:
         labels = ("ball",)
 
@@ -170,8 +170,8 @@ def test_recogniser_of_unknown_kind_is_not_written(learnt, tmp_path) -> None:
 
     for recognizer, name, says in (
         (learnt, "magic", "installed are .*force_ramp"),
-        (learnt, "force_ramp", "has no recogniser named"),
-        (Guess(), "level_check", "has no recogniser named 'Guess'"),
+        (learnt, "force_ramp", "has no recognizer named"),
+        (Guess(), "level_check", "has no recognizer named 'Guess'"),
     ):
         with pytest.raises(ModelError, match=says):
             save_model(tmp_path / "m.npz", recognizer, trainer_name=name, pads=PADS)
@@ -278,7 +278,7 @@ def test_what_leaves_too_few_grasps_changes_nothing(model) -> None:
 
 @dataclass
 class Nearsighted:
-    """A recogniser that takes every second grasp of a pin for a bolt."""
+    """A recognizer that takes every second grasp of a pin for a bolt."""
 
     labels: tuple[str, ...]
 

@@ -100,7 +100,7 @@ def test_training_and_answering_have_one_thread(make_bench, taught, monkeypatch)
             seen.append(threads())
             return Posterior(labels=self.labels, probability=np.array([1.0, 0.0]), unknown=0.0)
 
-    monkeypatch.setattr("cell.learning.training.RECOGNISERS", {"force_ramp": lambda **_: Noting()})
+    monkeypatch.setattr("cell.learning.training.RECOGNIZERS", {"force_ramp": lambda **_: Noting()})
     assert train([], "force_ramp").recognizer.labels == ("ball", "box")
     model = TaughtModel(taught.config, training_set=taught.grasps)
     model.train()

@@ -402,7 +402,7 @@ def test_figures_tables_and_files_of_a_run(recording, report, taught) -> None:
         assert one.notes[0] == f"{first.reached}; {first.step.force_n:.1f} N"
 
 
-def test_the_papers_method_as_recogniser_of_the_cell_has_one_table(recording) -> None:
+def test_the_papers_method_as_recognizer_of_the_cell_has_one_table(recording) -> None:
     config = json.loads(recording.metadata["config"])
     config["recognition"]["recognizer"] = "level_check"
     page = recorded_report(with_config(recording, json.dumps(config)))

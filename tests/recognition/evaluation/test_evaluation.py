@@ -128,7 +128,7 @@ def test_each_group_is_left_out_in_turn_without_what_nothing_else_teaches():
         left_out_parts(grasps, ["a"] * len(grasps))
 
 
-# -- The evaluation on made grasps, and the default recogniser on recorded ones --------------------
+# -- The evaluation on made grasps, and the default recognizer on recorded ones --------------------
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""All recognisers that are taught: right answers, strange grasps, odd input, back from arrays."""
+"""All recognizers that are taught: right answers, strange grasps, odd input, back from arrays."""
 
 import dataclasses
 
@@ -184,7 +184,7 @@ def test_an_object_whose_grasps_all_missed_is_named(train):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("use_aperture", [True, False])
-def test_recogniser_comes_back_from_its_arrays(teach, fresh, use_aperture):
+def test_recognizer_comes_back_from_its_arrays(teach, fresh, use_aperture):
     taught = teach("force_ramp", use_aperture=use_aperture)
     arrays = taught.to_arrays()
     assert all(np.asarray(a).dtype.kind in "biufU" for a in arrays.values())

@@ -1,4 +1,4 @@
-"""`model`: trains, calibrates and evaluates recognisers."""
+"""`model`: trains, calibrates and evaluates recognizers."""
 
 import math
 from collections.abc import Iterator
@@ -48,7 +48,7 @@ def train(
     objects: options.Objects = None,
     json_file: options.Json = None,
 ) -> None:
-    """Train a recogniser on data sets and write a model file."""
+    """Train a recognizer on data sets and write a model file."""
     selection = parse_selection(cells, days, objects)
     grasps = selected_grasps(datasets, selection, print_line)
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
@@ -70,7 +70,7 @@ def train(
     write_text(last, f"{model.name}\n", error=CellError, what="name of the last model")
     lines = [
         f"{len(labels)} objects taught with {len(grasps)} grasps"
-        + ("" if recognizer == DEFAULT_TRAINER else f", recogniser {recognizer}")
+        + ("" if recognizer == DEFAULT_TRAINER else f", recognizer {recognizer}")
         + f": {model}"
     ]
     if prior is not None:
@@ -213,7 +213,7 @@ def evaluate(
     objects: options.Objects = None,
     json_file: options.Json = None,
 ) -> None:
-    """Measure recognisers on recorded grasps: accuracy, fusion, unknown objects.
+    """Measure recognizers on recorded grasps: accuracy, fusion, unknown objects.
 
     With 95 % intervals. For unknown objects, groups of objects are left out of training in turn.
     """
@@ -303,7 +303,7 @@ def _lines(result: EvaluationResult) -> Iterator[str | Table]:
 
 
 def _details(name: str, evaluation: Evaluation) -> Iterator[str]:
-    """Yield the confusions of a recogniser, and its figures with drift correction."""
+    """Yield the confusions of a recognizer, and its figures with drift correction."""
     if pairs := evaluation.confused:
         shown_pairs = [f"{n} x {truth} as {answer}" for truth, answer, n in pairs[:_PAIRS]]
         rest = f", and {len(pairs) - _PAIRS} more pairs" if len(pairs) > _PAIRS else ""

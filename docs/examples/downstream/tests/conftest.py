@@ -1,4 +1,4 @@
-"""What the tests of the station share: a taught recogniser. All else comes from tactile-cell."""
+"""What the tests of the station share: a taught recognizer. All else comes from tactile-cell."""
 
 import pytest
 

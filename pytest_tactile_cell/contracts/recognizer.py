@@ -1,4 +1,4 @@
-"""Contract of a recogniser, on grasps of a simulated cell."""
+"""Contract of a recognizer, on grasps of a simulated cell."""
 
 from contextlib import closing
 
@@ -8,7 +8,7 @@ import pytest
 from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.plugins import RECOGNISERS
+from cell.plugins import RECOGNIZERS
 from pytest_tactile_cell.virtual import grasps_of
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
@@ -20,7 +20,7 @@ LABELS = ("ball", "box", "cylinder")
 def grasps() -> list[Grasp]:
     """Return four grasps of each of three objects.
 
-    The slow ramp gives enough frames to a recogniser that reads frames one by one.
+    The slow ramp gives enough frames to a recognizer that reads frames one by one.
     """
     keys = {
         "self_zero": "never",
@@ -37,14 +37,14 @@ def grasps() -> list[Grasp]:
 
 @pytest.fixture(scope="module")
 def taught(plugin_name: str, grasps: list[Grasp]) -> Recognizer:
-    """Return the recogniser trained on these grasps."""
-    recognizer: Recognizer = RECOGNISERS[plugin_name](use_aperture=True).fit(grasps)
+    """Return the recognizer trained on these grasps."""
+    recognizer: Recognizer = RECOGNIZERS[plugin_name](use_aperture=True).fit(grasps)
     return recognizer
 
 
 def test_its_trainer_has_its_name(plugin_name: str) -> None:
-    assert RECOGNISERS[plugin_name](use_aperture=True).name == plugin_name
-    assert not RECOGNISERS[plugin_name](use_aperture=False).uses_aperture
+    assert RECOGNIZERS[plugin_name](use_aperture=True).name == plugin_name
+    assert not RECOGNIZERS[plugin_name](use_aperture=False).uses_aperture
 
 
 @pytest.mark.slow
@@ -57,7 +57,7 @@ def test_it_answers_for_the_objects_that_were_taught(
 
 
 def test_a_file_keeps_it(plugin_name: str, taught: Recognizer, grasps: list[Grasp]) -> None:
-    module = RECOGNISERS.entry(plugin_name).module
+    module = RECOGNIZERS.entry(plugin_name).module
     assert type(taught).__module__ == module
     again = type(taught).from_arrays(taught.to_arrays())
     for grasp in grasps[::4]:
@@ -68,4 +68,4 @@ def test_a_file_keeps_it(plugin_name: str, taught: Recognizer, grasps: list[Gras
 
 def test_no_grasps_are_refused(plugin_name: str) -> None:
     with pytest.raises(ValueError, match=r"\w"):
-        RECOGNISERS[plugin_name](use_aperture=True).fit([])
+        RECOGNIZERS[plugin_name](use_aperture=True).fit([])
