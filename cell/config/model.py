@@ -194,7 +194,7 @@ class CellConfig(Section):
                 raise ValueError(
                     f"gripper.{name} is beyond gripper.linkage, its lengths and offset_mm: {error}"
                 ) from error
-        with raised_as(ValueError, LimitExceeded, where="sequence"):
+        with raised_as(ValueError, LimitExceeded, where="gripper"):
             ramp = ramp_from_config(self.sequence.ramp, most_n)
             check_ramp(ramp, self.gripper_settings, self.linkage)
         gripper, tactile = self.gripper, self.tactile

@@ -99,7 +99,7 @@ def test_a_part_is_squeezed_again_in_the_same_grip(started) -> None:
     with pytest.raises(GripperStateError):
         started.gripper.squeeze(RAMP)
     started.gripper.grasp(RAMP)
-    with pytest.raises(LimitExceeded, match="carry it with less force first"):
+    with pytest.raises(LimitExceeded, match="carry the part with less force first"):
         started.gripper.squeeze(RAMP)
     started.gripper.hold_at(2.0)
     started.least_n = 99.0

@@ -25,7 +25,7 @@ PATTERNS = {
 
 
 def test_a_servo_with_another_id_is_named_in_the_table(cell) -> None:
-    cell.cores[1].table.data[7] = 5
+    cell.cores[1].registers.data[7] = 5
     with pytest.raises(VerificationFailed, match=r"other IDs that answer: 5 \(XM430-W350\)") as bad:
         cell.gripper.start()
     (row,) = bad.value.report.failed
@@ -72,7 +72,7 @@ def test_a_second_id_that_no_servo_listens_to_is_none(cell, raw: int) -> None:
 
 def in_protocol_1(cell, servo_id: int) -> None:
     cell.cores[1].registers.put("protocol_type", 1)
-    cell.cores[1].table.data[7] = servo_id
+    cell.cores[1].registers.data[7] = servo_id
 
 
 @pytest.mark.parametrize(

@@ -202,7 +202,7 @@ def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(make_bench) 
 def test_forces_of_the_config_that_could_not_hold_a_part_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"carry_force_n is 0\.3 N; it must be at least"):
         quick_config(sequence__carry_force_n=0.3)
-    with pytest.raises(ConfigError, match=r"sequence: the ramp asks for 14\.9 N, the limit is"):
+    with pytest.raises(ConfigError, match=r"gripper: the ramp asks for 14\.9 N, the limit is"):
         quick_config(sequence__carry_force_n=14.9)
     with pytest.raises(ConfigError, match=r"contact_force_n = 0\.6 N times 3"):
         quick_config(sequence__regrasp="none", sequence__force_n=[1.7, 8.0])
