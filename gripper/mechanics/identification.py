@@ -84,6 +84,17 @@ class FreePoint(NamedTuple):
         return self._replace(current_a=current_a, voltage_v=voltage_v)
 
 
+def grown(point: FreePoint, earlier: FreePoint) -> float:
+    """Return the factor by which the friction has changed since an earlier motion of that speed.
+
+    It is the ratio of both currents, shrunk by its uncertainty towards 1: a current near 0 shows no
+    change (Gaussian prior with the spread of a day).
+    """
+    sd = hypot(point.sd_a / point.current_a, earlier.sd_a / earlier.current_a)
+    share = _CHANGE_SD**2 / (_CHANGE_SD**2 + sd**2)
+    return exp(share * log(point.current_a / earlier.current_a))
+
+
 class AcceleratedPoint(NamedTuple):
     """Short part of a free motion; all signs are those of the opening gripper."""
 

@@ -20,6 +20,7 @@ from gripper.mechanics.identification import (
     fit_back_emf,
     fit_friction,
     fit_inertia,
+    grown,
 )
 from gripper.servos.motion import position_sd_rad, slow_rad_s
 from gripper.settings import GripperSettings, ServoSettings
@@ -168,7 +169,7 @@ class FreeMotion:
             earlier.clear()
             self._priors[servo_id] = prior = drive.distrusted
         # Temperature changes the friction of all speeds.
-        follows = point.current_a / earlier[-1].current_a if earlier else 1.0
+        follows = grown(point, earlier[-1]) if earlier else 1.0
         others = [one for one in points if not _alike(one, point)][1 - _MOST_POINTS :]
         points[:] = [one.at_current(follows * one.current_a, model.winding_ohm) for one in others]
         points.append(point)
