@@ -25,7 +25,7 @@ quarter to four times. The catalogue alone is so uncertain. [assumed]"""
 _FALLING_SD = 0.4
 """The same of a load that falls over one that rises. [vendor]"""
 
-_INERTIA_SD = 0.5
+INERTIA_SD = 0.5
 """The same of the inertia: an identified gearing of one model has 2.4 times the catalogue's (arXiv
 2410.08650). [assumed]"""
 
@@ -44,19 +44,14 @@ class DriveCharacteristic:
     """
 
     coulomb_a: float
-    stribeck_a: float = 0.0
     viscous_a_s: float = 0.0
-    """Friction current of free motion: constant, what comes to it at rest in A, and its growth in A
-    for each rad/s (arXiv 2410.08650, with Stribeck's term)."""
-    stribeck_rad_s: float = 2.5
-    stribeck_exponent: float = 1.0
-    """Speed in rad/s at which Stribeck's term has fallen to 37 %, and how steeply it falls."""
+    """Friction current of free motion in A: Coulomb's, and its growth in A for each rad/s."""
     offset_a: float = 0.0
     """Half the sum of both directions' currents in A: gravity, and the offset of the sensor."""
     breakaway_a: float
     """Current in A beyond that of the load at which the load begins to rise."""
     friction_sd: float = _FRICTION_SD
-    """Uncertainty of the five currents."""
+    """Uncertainty of the four currents."""
     rising_a_nm: float
     falling_a_nm: float
     """Growth of the current in A for each N m of a load that rises, or falls."""
@@ -67,10 +62,6 @@ class DriveCharacteristic:
     """Uncertainty of ``rising_a_nm``."""
     falling_sd: float = _FALLING_SD
     """Uncertainty of ``falling_a_nm`` and ``yielding_share``."""
-    inertia_ratio: float = 1.0
-    """Current that accelerates the servo, over that of its model by inertia and motor constant."""
-    inertia_sd: float = _INERTIA_SD
-    """Its uncertainty."""
     kt_nm_a: float
     """Torque at the output in N m for each A of a rising load, by catalogue and back-EMF."""
     kt_sd: float = KT_SD
@@ -86,7 +77,7 @@ class DriveCharacteristic:
     """Unix time of the measurement in s; 0: never, these are figures of the catalogue."""
 
     def __post_init__(self) -> None:
-        positive = "breakaway_a rising_a_nm falling_a_nm yielding_share inertia_ratio kt_nm_a"
+        positive = "breakaway_a rising_a_nm falling_a_nm yielding_share kt_nm_a"
         for name in positive.split():
             value = getattr(self, name)
             if not 0.0 < value < inf:
@@ -136,7 +127,6 @@ class DriveCharacteristic:
         return replace(
             self,
             coulomb_a=factor * self.coulomb_a,
-            stribeck_a=factor * self.stribeck_a,
             viscous_a_s=factor * self.viscous_a_s,
             breakaway_a=factor * self.breakaway_a,
         )
@@ -144,7 +134,7 @@ class DriveCharacteristic:
     @property
     def breakaway_share(self) -> float:
         """Friction at rest under a load over that of free motion."""
-        return self.breakaway_a / (self.coulomb_a + self.stribeck_a)
+        return self.breakaway_a / self.coulomb_a
 
     @cached_property
     def least_breakaway_a(self) -> float:
@@ -164,15 +154,14 @@ class DriveCharacteristic:
     def friction_a(self, speed_rad_s: float) -> float:
         """Return the friction current in A of free motion at a speed in rad/s.
 
-        Friction never drives: terms that fall with the speed leave a share of that at rest.
+        Friction never drives: a viscous term below 0 leaves a share of that at rest.
         """
-        slow = exp(-((abs(speed_rad_s) / self.stribeck_rad_s) ** self.stribeck_exponent))
-        moving_a = self.coulomb_a + slow * self.stribeck_a + self.viscous_a_s * abs(speed_rad_s)
-        return max(_LEAST_MOVING_SHARE * (self.coulomb_a + self.stribeck_a), moving_a)
+        moving_a = self.coulomb_a + self.viscous_a_s * abs(speed_rad_s)
+        return max(_LEAST_MOVING_SHARE * self.coulomb_a, moving_a)
 
     def inertia_a_s2(self, model: ServoModel) -> float:
         """Return the current in A that accelerates a servo of a model by 1 rad/s²."""
-        return self.inertia_ratio * model.rotor_inertia_kg_m2 / model.kt_nm_a
+        return model.rotor_inertia_kg_m2 / self.kt_nm_a
 
     def moving_a(self, speed_rad_s: float) -> float:
         """Return the larger one of the friction currents in A at rest and at a speed in rad/s."""

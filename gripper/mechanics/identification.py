@@ -7,7 +7,7 @@ motor constant from the gain of the pads: the back-EMF is the reference.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import exp, hypot, log, sqrt
+from math import hypot, log
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +17,9 @@ from scipy.optimize import least_squares
 from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
 
-_SHAPES = ((2.5, 1.0), (2.5, 0.8), (2.0, 1.5), (2.5, 2.0), (2.9, 4.0), (2.9, 8.7), (1.0, 1.0))
-"""Pairs of Stribeck speed in rad/s and exponent that are tried: those of identified gearings (arXiv
-2410.08650), and values between."""
-_STRIBECK_SD, _VISCOUS_SD_S, _OFFSET_SD = 0.4, 0.15, 0.05
-"""Standard deviations before a measurement, as shares of the friction: of Stribeck's term, of the
-viscous one for 1 rad/s and of the offset. [assumed]"""
+_VISCOUS_SD_S, _OFFSET_SD = 0.15, 0.05
+"""Standard deviations before a measurement, as shares of the friction: of the viscous term for 1
+rad/s, and of the offset. [assumed]"""
 _POINT_SD = 0.02
 """Error of the current of one free motion that a longer motion does not reduce, as a share: teeth,
 temperature, acceleration. [assumed]"""
@@ -55,12 +52,6 @@ gearings that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]
 _SUREST = 0.2
 """Largest uncertainty of a rising slope that counts, as a share: a gearing that sticks gives few
 edges, but no catalogue has its losses. [tuned]"""
-_LEAST_ACCELERATED, _VISIBLE = 3, 10.0
-"""Fewest parts of a free motion for its inertia, and least sum of squares of their accelerations
-over that of their errors. [chosen]"""
-_SPEED_SHAPE_SD, _LEAST_INERTIA_SD = 0.05, 0.2
-"""Error of the friction of one speed against another one as a share, and least uncertainty of a
-measured inertia: losses of the gearing change with the speed. [assumed]"""
 _LEAST_SPAN = 1.5
 """Least ratio of speeds that separates resistance and back-EMF."""
 _OUTLIER_SIGMAS = 2.5
@@ -95,16 +86,6 @@ def grown(point: FreePoint, earlier: FreePoint) -> float:
     return exp(share * log(point.current_a / earlier.current_a))
 
 
-class AcceleratedPoint(NamedTuple):
-    """Short part of a free motion; all signs are those of the opening gripper."""
-
-    speed_rad_s: float
-    current_a: float
-    acceleration_rad_s2: float
-    acceleration_sd_rad_s2: float
-    """Its uncertainty by the resolution of the speed."""
-
-
 class LoadPoint(NamedTuple):
     """Load in N m of a servo that presses, by the pads, and its current in A; both from 0 up."""
 
@@ -118,7 +99,7 @@ def fit_friction(points: Sequence[FreePoint], before: DriveCharacteristic) -> Dr
     Parameters
     ----------
     points
-        Free motions. Four speeds or more in both directions, one at 0.3 rad/s or slower, determine
+        Free motions. Three speeds or more in both directions, one at 0.3 rad/s or slower, determine
         all terms. Undetermined terms stay as they were.
     before
         Earlier characteristic, a prior with its uncertainty.
@@ -128,83 +109,27 @@ def fit_friction(points: Sequence[FreePoint], before: DriveCharacteristic) -> Dr
     scale_a = float(np.median([abs(point.current_a) for point in points]))
     if before.measured:
         spread_a = before.friction_sd * before.breakaway_a
-        sds = (spread_a, spread_a, spread_a, _OFFSET_SD * scale_a)
-        shapes: Sequence[tuple[float, float]] = ((before.stribeck_rad_s, before.stribeck_exponent),)
-        if before.stribeck_a == 0.0:
-            shapes = _SHAPES
-        prior = (before.coulomb_a, before.stribeck_a, before.viscous_a_s, before.offset_a)
+        sds = np.array([spread_a, spread_a, _OFFSET_SD * scale_a])
+        prior = np.array([before.coulomb_a, before.viscous_a_s, before.offset_a])
     else:
-        sds = (
-            10.0 * scale_a,
-            _STRIBECK_SD * scale_a,
-            _VISCOUS_SD_S * scale_a,
-            _OFFSET_SD * scale_a,
-        )
-        prior, shapes = (scale_a, 0.0, 0.0, 0.0), _SHAPES
-    speed = np.array([abs(point.speed_rad_s) for point in points])
-    sign = np.array([1.0 if point.speed_rad_s > 0.0 else -1.0 for point in points])
-    sd = np.array([hypot(point.sd_a, _POINT_SD * point.current_a) for point in points])
+        sds = scale_a * np.array([10.0, _VISCOUS_SD_S, _OFFSET_SD])
+        prior = np.array([scale_a, 0.0, 0.0])
+    speed = np.array([point.speed_rad_s for point in points])
     current = np.array([point.current_a for point in points])
-    best: tuple[float, tuple[float, float], np.ndarray, np.ndarray] | None = None
-    for shape in shapes:
-        slow = np.exp(-((speed / shape[0]) ** shape[1]))
-        rows = np.column_stack([sign, sign * slow, sign * speed, np.ones(len(points))])
-        whole = np.vstack([rows / sd[:, None], np.diag(1.0 / np.array(sds))])
-        wanted = np.concatenate([current / sd, np.array(prior) / np.array(sds)])
-        fitted = np.linalg.lstsq(whole, wanted, rcond=None)[0]
-        misfit = float(((whole @ fitted - wanted) ** 2).sum())
-        if best is None or misfit < best[0] - 1e-9:
-            best = misfit, shape, fitted, np.linalg.inv(whole.T @ whole)
-    assert best is not None
-    _, shape, (coulomb, stribeck, viscous, offset), covariance = best
-    rest_a = max(float(coulomb + stribeck), 0.1 * scale_a)
-    rest_sd = float((covariance[:2, :2].sum()) ** 0.5) / rest_a
-    rested_a = before.coulomb_a + before.stribeck_a
+    sd = np.array([hypot(point.sd_a, _POINT_SD * point.current_a) for point in points])
+    rows = np.column_stack([np.sign(speed), speed, np.ones(len(points))])
+    whole = np.vstack([rows / sd[:, None], np.diag(1.0 / sds)])
+    wanted = np.concatenate([current / sd, prior / sds])
+    coulomb, viscous, offset = np.linalg.lstsq(whole, wanted, rcond=None)[0].tolist()
+    rest_a = max(coulomb, 0.1 * scale_a)
+    rest_sd = float(np.linalg.inv(whole.T @ whole)[0, 0] ** 0.5) / rest_a
     return replace(
         before,
-        coulomb_a=rest_a - float(stribeck),
-        stribeck_a=float(stribeck),
-        viscous_a_s=float(viscous),
-        stribeck_rad_s=shape[0],
-        stribeck_exponent=shape[1],
-        offset_a=float(offset),
-        breakaway_a=before.breakaway_a * rest_a / rested_a if before.measured else rest_a,
+        coulomb_a=rest_a,
+        viscous_a_s=viscous,
+        offset_a=offset,
+        breakaway_a=before.breakaway_share * rest_a if before.measured else rest_a,
         friction_sd=max(rest_sd, LEAST_FRICTION_SD),
-    )
-
-
-def fit_inertia(
-    points: Sequence[AcceleratedPoint], before: DriveCharacteristic, model: ServoModel
-) -> DriveCharacteristic:
-    """Return a characteristic with the inertia of a free motion whose acceleration changes.
-
-    The friction is that of ``before``, and its inertia a prior with its uncertainty. Without a
-    visible acceleration, or with an implausible result, it stays.
-    """
-    if len(points) < _LEAST_ACCELERATED:
-        return before
-    speed, current, acceleration, sd = np.array(points).T
-    sign = 1.0 if speed.mean() > 0.0 else -1.0
-    friction_a = np.array([before.friction_a(one) for one in speed])
-    driving_a = sign * (current - before.offset_a) - friction_a
-    driving_a -= driving_a.mean()
-    changes = sign * (acceleration - acceleration.mean())
-    visible, noise = float(changes @ changes), float(sd @ sd)
-    fitted = float(changes @ driving_a) / max(visible - noise, 1e-9)
-    if visible < _VISIBLE * noise or fitted <= 0.0:
-        return before
-    rest = driving_a - fitted * changes
-    scatter_a2 = float(rest @ rest) / (len(points) - 2)
-    rest_sd_a = hypot(sqrt(scatter_a2), _SPEED_SHAPE_SD * float(friction_a.mean()))
-    new_sd = rest_sd_a / sqrt(visible) / fitted
-    off, spread = log(fitted / before.inertia_a_s2(model)), hypot(new_sd, before.inertia_sd)
-    if abs(off) > _OUTLIER_SIGMAS * spread:
-        return before
-    share = (before.inertia_sd / spread) ** 2
-    return replace(
-        before,
-        inertia_ratio=before.inertia_ratio * exp(share * off),
-        inertia_sd=max(new_sd * sqrt(share), _LEAST_INERTIA_SD),
     )
 
 

@@ -238,10 +238,6 @@ class ForceLaw:
         self._pushes = Pushes(grip.settings.drives)
         self.begin(now_s)
 
-    def resume(self) -> None:
-        """Begin again after a pause in which the force may have changed."""
-        self.observer.resume()
-
     def begin(self, now_s: float) -> None:
         """Begin at the present force, at a monotonic time in s."""
         grip = self._grip

@@ -1,7 +1,7 @@
 """Free motion of the fingers, which gives the friction of each servo."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import exp, hypot, sqrt
 from statistics import fmean, pstdev
@@ -9,17 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic, disagreement
+from gripper.dynamixel.drive import INERTIA_SD, SIGMAS, DriveCharacteristic, disagreement
 from gripper.errors import ServoFault
 from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.mechanics.identification import (
-    AcceleratedPoint,
     FreePoint,
     anchored,
     change,
     fit_back_emf,
     fit_friction,
-    fit_inertia,
     grown,
 )
 from gripper.servos.motion import position_sd_rad, slow_rad_s
@@ -31,9 +29,9 @@ _BEFORE_END_S = 0.05
 [tuned]"""
 _WINDOW_S = 0.4
 """Time in s of free motion for one point. [tuned]"""
-_PART_PERIODS = 16
-"""Periods of a part of a motion whose acceleration is one value, exact to 1 rad/s² by the counts of
-the encoder in 0.08 s at 200 Hz. A point has two parts or more. [resolution]"""
+_LEAST_PERIODS = 32
+"""Fewest periods of a point: in half of them, 0.08 s at 200 Hz, the counts of the encoder show an
+acceleration to 1 rad/s². [resolution]"""
 _EVEN_SHARE = 0.15
 """Share by which the currents of both halves of a free motion may differ, without what accelerates
 them. [tuned]"""
@@ -47,10 +45,7 @@ _WORN = 5.0
 """Ratio of the friction to the catalogue's above which a servo is not sound. A servo without a
 load may have a tenth of the catalogue's, as an XL330's gearing (arXiv 2410.08650). [assumed]"""
 
-_FRICTION = (
-    *("coulomb_a", "stribeck_a", "viscous_a_s", "stribeck_rad_s", "stribeck_exponent"),
-    *("offset_a", "breakaway_a", "friction_sd"),
-)
+_FRICTION = (*("coulomb_a", "viscous_a_s", "offset_a", "breakaway_a", "friction_sd"),)
 """Fields of a drive characteristic that free motions measure."""
 
 
@@ -105,7 +100,7 @@ class FreeMotion:
 
         state = runner.run(watched, needs_force=needs_force)
         for servo, settings in zip(state.servos, self._settings.servos, strict=True):
-            self._end(settings, servo, self._runs[servo.servo_id])
+            self._take(settings, servo, self._runs[servo.servo_id])
         self._start()
         return state
 
@@ -118,7 +113,7 @@ class FreeMotion:
         for servo, settings in zip(moment.state.servos, self._settings.servos, strict=True):
             run = self._runs[servo.servo_id]
             if not (free and run.goes_on(servo)):
-                self._end(settings, servo, run)
+                self._take(settings, servo, run)
                 run.start()
             run.add(moment.now_s, servo)
             drive = self._drive(settings)
@@ -142,14 +137,6 @@ class FreeMotion:
 
     def _drive(self, settings: ServoSettings) -> DriveCharacteristic:
         return self._settings.drives.of(settings.servo_id, settings.drive)
-
-    def _end(self, settings: ServoSettings, servo: ServoState, run: "_Run") -> None:
-        """Use an ended motion of a servo: its inertia, then its friction."""
-        drive = self._drive(settings)
-        if drive.measured:
-            fitted = fit_inertia(run.parts(), drive, settings.servo_model)
-            self._settings.drives.put(settings.servo_id, fitted)
-        self._take(settings, servo, run)
 
     def _take(self, settings: ServoSettings, servo: ServoState, run: "_Run") -> None:
         """Fit the friction of a servo again with its motion."""
@@ -178,7 +165,7 @@ class FreeMotion:
         fitted = fit_friction(points, before)
         fitted = replace(
             fitted,
-            breakaway_a=(fitted.coulomb_a + fitted.stribeck_a) * drive.breakaway_share,
+            breakaway_a=fitted.coulomb_a * drive.breakaway_share,
             temperature_c=servo.temperature_c,
         )
         if (back_emf_v_s := fit_back_emf(points, model)) is not None:
@@ -190,8 +177,8 @@ class FreeMotion:
                 servo_id,
                 0,
                 f"its free motion takes {fitted.breakaway_a:.3f} A, {usual_a:.3f} A are usual for "
-                f"a {model.name}: {_cause(_WORN, 0.0)}. Free the finger, or "
-                f"change the servo; then clear the fault, release and start",
+                f"a {model.name}: {_cause(_WORN, 0.0)}. Free the finger, or change "
+                f"the servo; then clear the fault, release and start",
             )
 
     def _note(self, servo: ServoState, drive: DriveCharacteristic, ratio: float) -> None:
@@ -225,6 +212,16 @@ class _Period(NamedTuple):
     voltage_v: float
 
 
+class _Part(NamedTuple):
+    """Means of a part of a motion."""
+
+    speed_rad_s: float
+    current_a: float
+    acceleration_rad_s2: float
+    acceleration_sd_rad_s2: float
+    """Its uncertainty by the resolution of the positions."""
+
+
 class _Run:
     """Motion of one servo in one direction."""
 
@@ -237,7 +234,6 @@ class _Run:
     def start(self) -> None:
         """Start another motion."""
         self._sign = 0.0
-        self._first: list[_Period] = []
         self._periods: deque[_Period] = deque()
 
     def goes_on(self, servo: ServoState) -> bool:
@@ -251,36 +247,28 @@ class _Run:
         period = _Period(now_s, servo.angle_rad, servo.current_a, voltage_v)
         self._sign = servo.velocity_rad_s
         self._periods.append(period)
-        if not self._first or now_s <= self._first[0].now_s + _WINDOW_S:
-            self._first.append(period)
         while self._periods[0].now_s < now_s - _WINDOW_S - _BEFORE_END_S:
             self._periods.popleft()
 
-    def _inner(self, periods: Iterable[_Period]) -> list[_Period]:
+    def _inner(self) -> list[_Period]:
         """Return the periods of free motion."""
         if not self._periods:
             return []
         end_s = self._periods[-1].now_s - (_BEFORE_END_S if self._sign < 0.0 else 0.0)
-        return [one for one in periods if one.now_s <= end_s]
+        return [one for one in self._periods if one.now_s <= end_s]
 
     def lasts(self) -> bool:
         """Return whether the motion is long enough for a point."""
-        return len(self._inner(self._periods)) >= 2 * _PART_PERIODS
+        return len(self._inner()) >= _LEAST_PERIODS
 
-    def parts(self) -> list[AcceleratedPoint]:
-        """Return the parts of the motion's beginning, each with its acceleration."""
-        inner = self._inner(self._first)
-        ends = range(_PART_PERIODS, len(inner) + 1, _PART_PERIODS)
-        return [self._part(inner[end - _PART_PERIODS : end]) for end in ends]
-
-    def _part(self, periods: Sequence[_Period]) -> AcceleratedPoint:
-        """Return speed and acceleration by a parabola through the positions (least squares)."""
+    def _part(self, periods: Sequence[_Period]) -> "_Part":
+        """Return a part of the motion by a parabola through its positions (least squares)."""
         t_s = np.array([one.now_s for one in periods])
         t_s -= t_s.mean()
         rows = np.column_stack([np.ones(len(t_s)), t_s, 0.5 * t_s**2])
         whole = np.linalg.pinv(rows)
         _, speed_rad_s, acceleration_rad_s2 = whole @ [one.angle_rad for one in periods]
-        return AcceleratedPoint(
+        return _Part(
             speed_rad_s=float(speed_rad_s),
             current_a=fmean(one.current_a for one in periods),
             acceleration_rad_s2=float(acceleration_rad_s2),
@@ -294,7 +282,7 @@ class _Run:
         """
         if not self.lasts():
             return None
-        inner = self._inner(self._periods)
+        inner = self._inner()
         half = len(inner) // 2
         inertia_a_s2 = drive.inertia_a_s2(self._model)
         whole, *halves = map(self._part, (inner, inner[:half], inner[half:]))
@@ -309,7 +297,7 @@ class _Run:
         if whole.speed_rad_s * whole_a <= 0.0 or abs(second_a - first_a) > unlike_a:
             # The servo is driven from outside, or presses on something.
             return None
-        sd_a = hypot(spread_a, self._step_a, drive.inertia_sd * (whole.current_a - whole_a))
+        sd_a = hypot(spread_a, self._step_a, INERTIA_SD * (whole.current_a - whole_a))
         moving = FreePoint(
             speed_rad_s=whole.speed_rad_s,
             current_a=whole.current_a,

@@ -10,14 +10,12 @@ import pytest
 from gripper.dynamixel.drive import DriveCharacteristic, disagreement, pad_gain
 from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.mechanics.identification import (
-    AcceleratedPoint,
     FreePoint,
     LoadPoint,
     anchored,
     change,
     fit_back_emf,
     fit_friction,
-    fit_inertia,
     fit_load,
     weighed,
 )
@@ -134,46 +132,6 @@ def test_only_a_measured_friction_is_contradicted() -> None:
     measured = replace(CATALOGUE, friction_sd=0.05)
     assert change(point, measured) == pytest.approx(0.25 / CATALOGUE.breakaway_a)
     assert change(point._replace(current_a=-0.052), measured) == 1.0
-
-
-def accelerated_points(
-    inertia_a_s2: float, accelerations_rad_s2: tuple[float, ...], *, sign: float = 1.0
-) -> list[AcceleratedPoint]:
-    """Parts of a free motion of 0.04 s each, from rest."""
-    draw = np.random.default_rng(3)
-    ends = 0.04 * np.cumsum(accelerations_rad_s2)
-    return [
-        AcceleratedPoint(
-            sign * speed,
-            sign * (CATALOGUE.friction_a(speed) + inertia_a_s2 * acceleration)
-            + draw.normal(0.0, 0.001),
-            sign * acceleration,
-            0.1,
-        )
-        for speed, acceleration in zip(ends, accelerations_rad_s2, strict=True)
-    ]
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("factor", [0.7, 2.4])
-def test_a_motion_that_speeds_up_and_slows_down_shows_the_inertia(factor, sign) -> None:
-    true_a_s2 = factor * CATALOGUE.inertia_a_s2(MODEL)
-    parts = accelerated_points(true_a_s2, (30.0, 20.0, 5.0, 0.0, 0.0, -10.0), sign=sign)
-    found = fit_inertia(parts, CATALOGUE, MODEL)
-    assert found.inertia_a_s2(MODEL) == pytest.approx(true_a_s2, rel=0.1)
-    assert found.inertia_sd < CATALOGUE.inertia_sd
-    again = fit_inertia(parts, replace(found, inertia_ratio=1.3 * found.inertia_ratio), MODEL)
-    assert again.inertia_a_s2(MODEL) < 1.3 * found.inertia_a_s2(MODEL)
-
-
-@pytest.mark.parametrize(
-    ("factor", "accelerations_rad_s2"),
-    [(1.0, (0.2, -0.1, 0.1, 0.0)), (1.0, (30.0, 0.0)), (9.0, (30.0, 20.0, 5.0, 0.0))],
-    ids=["a steady speed", "too short", "implausible"],
-)
-def test_a_motion_without_a_plausible_inertia_changes_nothing(factor, accelerations_rad_s2) -> None:
-    parts = accelerated_points(factor * CATALOGUE.inertia_a_s2(MODEL), accelerations_rad_s2)
-    assert fit_inertia(parts, CATALOGUE, MODEL) is CATALOGUE
 
 
 def load_points(gearing: Gearing, *, rises: bool, seed: int) -> list[LoadPoint]:

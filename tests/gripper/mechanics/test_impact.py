@@ -124,7 +124,7 @@ def test_a_new_drive_counts_at_once_and_equal_angles_are_computed_once() -> None
     limit = impact_limit(settings, linkage, angles_rad)
     assert transmissions(settings, linkage, list(angles_rad)) is paths
     assert impact_limit(settings, linkage, angles_rad) is limit
-    heavy = replace(paths[0].drive, breakaway_a=0.2, inertia_ratio=2.0)
+    heavy = replace(paths[0].drive, breakaway_a=0.2, kt_nm_a=0.5 * paths[0].drive.kt_nm_a)
     settings.drives.put(1, heavy)
     assert [path.drive for path in transmissions(settings, linkage, angles_rad)] == [
         heavy,
