@@ -7,7 +7,7 @@ motor constant from the gain of the pads: the back-EMF is the reference.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import hypot, log
+from math import exp, hypot, log
 from typing import NamedTuple
 
 import numpy as np
