@@ -7,7 +7,7 @@ motor constant from the gain of the pads: the back-EMF is the reference.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import exp, hypot, log
+from math import hypot, log
 from typing import NamedTuple
 
 import numpy as np
@@ -73,17 +73,6 @@ class FreePoint(NamedTuple):
         more_v = winding_ohm * (current_a - self.current_a)
         voltage_v = None if self.voltage_v is None else self.voltage_v + more_v
         return self._replace(current_a=current_a, voltage_v=voltage_v)
-
-
-def grown(point: FreePoint, earlier: FreePoint) -> float:
-    """Return the factor by which the friction has changed since an earlier motion of that speed.
-
-    It is the ratio of both currents, shrunk by its uncertainty towards 1: a current near 0 shows no
-    change (Gaussian prior with the spread of a day).
-    """
-    sd = hypot(point.sd_a / point.current_a, earlier.sd_a / earlier.current_a)
-    share = _CHANGE_SD**2 / (_CHANGE_SD**2 + sd**2)
-    return exp(share * log(point.current_a / earlier.current_a))
 
 
 class LoadPoint(NamedTuple):
@@ -237,6 +226,19 @@ def change(point: FreePoint, drive: DriveCharacteristic) -> float:
     ratio = max(friction_a, 1e-3 * drive.breakaway_a) / drive.friction_a(point.speed_rad_s)
     allowed = SIGMAS * hypot(drive.friction_sd, _CHANGE_SD, point.sd_a / abs(point.current_a))
     return ratio if drive.measured and abs(log(ratio)) > allowed else 1.0
+
+
+def grown(point: FreePoint, drive: DriveCharacteristic) -> float:
+    """Return the factor by which the friction has grown since it was fitted, by a newer motion.
+
+    One step of a Kalman filter: the factor is 1 within the spread of a day, and the motion shows it
+    with its own uncertainty. A current near 0 shows little.
+    """
+    expected_a = drive.friction_a(point.speed_rad_s)
+    sign = 1.0 if point.speed_rad_s > 0.0 else -1.0
+    ratio = max(0.0, sign * (point.current_a - drive.offset_a)) / expected_a
+    share = _CHANGE_SD**2 / (_CHANGE_SD**2 + (point.sd_a / expected_a) ** 2)
+    return 1.0 + share * (ratio - 1.0)
 
 
 def _torque_share(drive: DriveCharacteristic) -> float:

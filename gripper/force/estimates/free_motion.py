@@ -156,7 +156,7 @@ class FreeMotion:
             earlier.clear()
             self._priors[servo_id] = prior = drive.distrusted
         # Temperature changes the friction of all speeds.
-        follows = grown(point, earlier[-1]) if earlier else 1.0
+        follows = grown(point, drive) if earlier else 1.0
         others = [one for one in points if not _alike(one, point)][1 - _MOST_POINTS :]
         points[:] = [one.at_current(follows * one.current_a, model.winding_ohm) for one in others]
         points.append(point)
