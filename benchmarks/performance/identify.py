@@ -82,7 +82,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
                 how = {"seed": 1000 + turn, "keep": keep.value, "whole_ramps": whole}
                 answer, _ = tasks.named(IdentifyGoal(present=held, **how))
                 motion_s = dict(spent_s)
-                if answer.kept:
+                if answer.in_grip:
                     controller.release()
                 computing_s = answers(answer)
                 alone_s = computing_s - sum(motion_s.get(name, 0.0) for name in phases)
