@@ -86,11 +86,15 @@ def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
                 ],
                 "tactile__force_period_ms": 0,
                 "tactile__sync_period_ms": 40.0,
+                "gripper__current_max_a": 0.9,
                 "sequence__force_n": [1.0, 3.0],
                 "sequence__carry_force_n": 3.0,
                 "simulator__pads__stiffness": [1.6, 1.9],
                 "simulator__noise_level": 0.5,
             },
+            marks=pytest.mark.xfail(
+                strict=True, reason="an XL330 with these pads gets no self-zero"
+            ),
             id="a small position gain",
         ),
     ],
@@ -378,13 +382,7 @@ def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
     [
         10,
         LONG(38),
-        pytest.param(
-            45,
-            marks=[
-                pytest.mark.long,
-                pytest.mark.xfail(strict=True, reason="13.3 N at a set-point of 10 N, limit 12.5"),
-            ],
-        ),
+        LONG(45),
     ],
 )
 def test_pads_on_each_other_stay_below_the_cap_and_contradict_no_message(
