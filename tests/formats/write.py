@@ -4,6 +4,7 @@ import os
 import shutil
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -22,9 +23,15 @@ from tests.cell.conftest import call, quick_config
 
 def main() -> None:
     """Write each kind of file to a new folder beside this one, named after the version."""
-    folder = Path(__file__).parent / version("tactile-cell")
-    folder.mkdir()
-    os.chdir(folder)
+    with TemporaryDirectory() as folder:
+        # Files name the folder that they were made in.
+        os.chdir(folder)
+        make_files()
+        shutil.copytree(folder, Path(__file__).parent / version("tactile-cell"))
+
+
+def make_files() -> None:
+    """Write the files to the working folder."""
     Path("bench").mkdir()
     measured(SimulatedBench(), Path("bench"), "registers", "velocity", "scale", "free")
     (result,) = Path("bench").glob("*.json")
