@@ -1,4 +1,4 @@
-from .axes import Axes as Axes, Axis as Axis, AxisDevice as AxisDevice
+from .axes import Axes as Axes, Axis as Axis, AxisSettings as AxisSettings
 from .bus import DriveBus as DriveBus, Watch as Watch
 from .drive import Cia402Drive as Cia402Drive, DriveSettings as DriveSettings
 from .errors import MotionError as MotionError

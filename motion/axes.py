@@ -1,9 +1,10 @@
 """Axes in m and rad: limits, motion of several axes together, the stop of all of them."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Protocol
+from math import degrees
 
 from motion.bus import Watch, unwatched
 from motion.errors import (
@@ -14,7 +15,7 @@ from motion.errors import (
     PositionNotReached,
 )
 
-_POLL_S = 0.005
+POLL_S = 0.005
 """Period in s of the polls of moving axes."""
 _STOP_S = 0.2
 """Longest time in s of a stop in addition to braking: for the command and the settling."""
@@ -22,64 +23,74 @@ _TIME_FACTOR, _TIME_S = 2.0, 2.0
 """Longest time of a travel: factor on its time by velocity and acceleration, and s to add."""
 
 
-class AxisDevice(Protocol):
-    """A drive or servo that moves one axis, in its own increments."""
+@dataclass(frozen=True, kw_only=True)
+class AxisSettings:
+    """One axis in m or rad."""
 
     name: str
-
-    def identify(self) -> str:
-        """Return state and position in words; nothing moves."""
-
-    def prepare(self, *, reset: bool) -> None:
-        """Set up, enable, find the home; the axis may move. A fault is cleared with ``reset``."""
-
-    def clear_fault(self, *, reboot: bool) -> None:
-        """Clear a fault; a device that must restart for it does so with ``reboot`` only."""
-
-    def wake(self) -> None:
-        """Check that the device has not changed since its last use."""
-
-    def go_to(self, target: int) -> None:
-        """Begin to move."""
-
-    def arrived(self) -> bool:
-        """Return whether the target is reached. Raises MotionError for a device at fault."""
-
-    def rest(self) -> None:
-        """End a motion that has arrived: the device needs no supervision now."""
-
-    @property
-    def position(self) -> int:
-        """Present position in increments."""
-
-    def stop(self) -> None:
-        """Send a stop without a wait."""
-
-    def standing(self) -> bool:
-        """Return whether the axis stands still after a stop."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Axis:
-    """One axis: its device, and the meaning of its increments."""
-
-    name: str
-    """Name of the axis."""
-    device: AxisDevice
-    """Drive or servo."""
+    """Part of the pose that it moves."""
     increments: float
-    """Increments in one m or rad; negative if the device counts the other way."""
+    """Increments of the device in one m or rad; negative if it counts the other way."""
     low: float
     high: float
     """Limits in m or rad."""
-    plausible: tuple[float, float]
-    """Lowest and highest plausible position in m or rad: by limits, home and lag."""
     velocity: float
     acceleration: float
-    """Of its profile in m/s and m/s², or rad/s and rad/s²; for the longest time of a travel."""
-    unit: str
-    units_per_si: float
-    """Unit of messages, and its number in one m or rad."""
+    """Of its profile in m/s and m/s², or rad/s and rad/s²."""
+    window: float
+    """Largest distance of a reached target in m or rad."""
+    lag: float
+    """Largest distance to the position of the profile in m or rad."""
+    linear: bool
+    """Whether it moves along a line, so that messages have mm, or turns."""
+
+    def counts(self, value: float) -> int:
+        """Return a distance, speed or acceleration in increments, at least 1."""
+        return max(1, abs(round(value * self.increments)))
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """The limits in increments, the smaller one first."""
+        low, high = sorted(round(end * self.increments) for end in (self.low, self.high))
+        return low, high
+
+    def in_words(self, position: float) -> str:
+        """Return a position with its unit."""
+        return f"{position * 1e3:.2f} mm" if self.linear else f"{degrees(position):.2f} deg"
+
+    @property
+    def limits_in_words(self) -> str:
+        """The limits with their unit."""
+        return f"its limits are {self.in_words(self.low)} to {self.in_words(self.high)}"
+
+    def longest_s(self, way: float) -> float:
+        """Return the longest time in s for a travel in m or rad."""
+        time_s = abs(way) / self.velocity + self.velocity / self.acceleration
+        return _TIME_FACTOR * time_s + _TIME_S
+
+
+class Axis(ABC):
+    """One axis with its drive or servo.
+
+    Parameters
+    ----------
+    device
+        The device in words.
+    home
+        Position where the axis may stand beyond its limits, in m or rad.
+    """
+
+    def __init__(
+        self, settings: AxisSettings, device: str, watch: Watch, home: float | None = None
+    ) -> None:
+        self.name = settings.name
+        self.label = f"axis {settings.name} ({device})"
+        """Axis and device in words."""
+        self.settings: AxisSettings = settings
+        self._watch = watch
+        ends = [settings.low, settings.high, *([] if home is None else [home])]
+        slack = settings.window + settings.lag
+        self._plausible = min(ends) - slack, max(ends) + slack
 
     @property
     def position(self) -> float:
@@ -87,43 +98,78 @@ class Axis:
 
         Raises PositionImplausible if the axis cannot be there.
         """
-        position = self.device.position / self.increments
-        low, high = self.plausible
+        settings, (low, high) = self.settings, self._plausible
+        position = self.read_increments() / settings.increments
         if not low <= position <= high:
             raise PositionImplausible(
-                f"{self.device.name} reads a position of {self.in_words(position)}, its limits are "
-                f"{self.in_words(self.low)} to {self.in_words(self.high)}: the reading has jumped, "
-                "or the axis was moved beyond its limits. Check encoder and homing, bring the axis "
-                "back between its limits, then clear the fault and start again"
+                f"{self.label} reads a position of {settings.in_words(position)}, "
+                f"{settings.limits_in_words}: the reading has jumped, or the axis was moved beyond "
+                "its limits. Check encoder and homing, bring the axis back between its limits"
             )
         return position
-
-    def arrived(self) -> bool:
-        """Return whether the target is reached. Raises MotionError as device and `position`."""
-        arrived = self.device.arrived()
-        _ = self.position
-        return arrived
 
     def target(self, position: float) -> int:
         """Return a position in increments.
 
         Raises AxisLimitExceeded if it is not a number or outside the limits of the axis.
         """
-        if not self.low <= position <= self.high:
+        settings = self.settings
+        if not settings.low <= position <= settings.high:
             raise AxisLimitExceeded(
-                f"axis {self.name} was asked for {self.in_words(position)}, its limits are "
-                f"{self.in_words(self.low)} to {self.in_words(self.high)}; nothing has moved"
+                f"axis {self.name} was asked for {settings.in_words(position)}, "
+                f"{settings.limits_in_words}; nothing has moved"
             )
-        return round(position * self.increments)
+        return round(position * settings.increments)
 
-    def in_words(self, position: float) -> str:
-        """Return a position with its unit."""
-        return f"{position * self.units_per_si:.2f} {self.unit}"
+    @abstractmethod
+    def identify(self) -> str:
+        """Return state and position in words; nothing is changed and nothing moves.
 
-    def longest_s(self, way: float) -> float:
-        """Return the longest time in s for a travel in m or rad."""
-        time_s = abs(way) / self.velocity + self.velocity / self.acceleration
-        return _TIME_FACTOR * time_s + _TIME_S
+        Raises AxisMissing without an answer, or for another device than configured.
+        """
+
+    @abstractmethod
+    def prepare(self, *, reset: bool) -> None:
+        """Set up, enable, find the home; the axis may move. A fault is cleared with ``reset``."""
+
+    @abstractmethod
+    def clear_fault(self, *, reboot: bool) -> None:
+        """Clear a fault; a device that must restart for it does so with ``reboot`` only.
+
+        The device is not enabled and does not move. Raises MotionError if it is missing, or its
+        fault stays.
+        """
+
+    @abstractmethod
+    def wake(self) -> None:
+        """Check that the device still answers, is enabled and has no fault."""
+
+    @abstractmethod
+    def go_to(self, position: float) -> None:
+        """Begin to move to a position in m or rad; the only place where a target is written.
+
+        Raises AxisLimitExceeded as `target`.
+        """
+
+    @abstractmethod
+    def arrived(self) -> bool:
+        """Return whether the target is reached. Raises MotionError for a device at fault."""
+
+    @abstractmethod
+    def rest(self) -> None:
+        """End a motion that has arrived: the device needs no supervision now."""
+
+    @abstractmethod
+    def read_increments(self) -> int:
+        """Return the present position in increments."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Send a stop without a wait."""
+
+    @abstractmethod
+    def standing(self) -> bool:
+        """Return whether the axis stands still after a stop."""
 
 
 class Axes:
@@ -132,22 +178,18 @@ class Axes:
     def __init__(self, axes: Sequence[Axis], watch: Watch) -> None:
         self._axes = {axis.name: axis for axis in axes}
         self._watch = watch
-        self._ready = False
-        self._reported = False
-
-    @property
-    def ready(self) -> bool:
+        self.ready = False
         """Whether the axes are enabled and homed, so that no motion begins with homing."""
-        return self._ready
+        self._reported = False
 
     def inspect(self) -> dict[str, str | MotionError]:
         """Return the state or the error of each device by axis; nothing moves."""
         states: dict[str, str | MotionError] = {}
         for axis in self._axes.values():
             try:
-                states[axis.device.name] = axis.device.identify()
+                states[axis.label] = axis.identify()
             except MotionError as error:
-                states[axis.device.name] = error
+                states[axis.label] = error
         return states
 
     def clear_faults(self, *, reboot: bool) -> None:
@@ -160,9 +202,9 @@ class Axes:
         reboot
             True to restart servos at fault, which drop their load.
         """
-        self._ready = False
+        self.ready = False
         for axis in self._axes.values():
-            axis.device.clear_fault(reboot=reboot)
+            axis.clear_fault(reboot=reboot)
 
     def move(
         self, targets: Mapping[str, float], supervise: Callable[[], None] = unwatched
@@ -180,78 +222,79 @@ class Axes:
         An error of ``supervise`` stops all axes too. They keep their positions and continue from
         there.
         """
-        increments = {name: self._axes[name].target(value) for name, value in targets.items()}
+        for name, position in targets.items():
+            self._axes[name].target(position)
         self._watch.supervise = supervise
         try:
             for axis in self._axes.values():
-                if self._ready:
-                    axis.device.wake()
+                if self.ready:
+                    axis.wake()
                 else:
-                    axis.device.prepare(reset=self._reported)
-            self._ready, self._reported = True, False
-            return self._move(targets, increments)
+                    axis.prepare(reset=self._reported)
+            self.ready, self._reported = True, False
+            return self._move(targets)
         except BaseException as error:
-            raised = self.stop()
+            stopped = self.stop()
             if not isinstance(error, MotionError):
                 raise
-            self._ready, self._reported = False, True
+            self.ready, self._reported = False, True
             # Two drives with one node-ID cause many errors: a boot-up, a fault, a wrong state.
             states = self.inspect().values()
             cause = next((state for state in states if isinstance(state, AxisDuplicated)), error)
-            raise type(cause)(f"{cause}; {raised}") from cause
+            if not isinstance(cause, PositionNotReached):
+                stopped += ". Then clear the fault and start again"
+            raise type(cause)(f"{cause}; {stopped}") from cause
         finally:
             self._watch.supervise = unwatched
 
-    def _move(
-        self, targets: Mapping[str, float], increments: Mapping[str, int]
-    ) -> dict[str, float]:
+    def _move(self, targets: Mapping[str, float]) -> dict[str, float]:
+        moved = {self._axes[name]: position for name, position in targets.items()}
         longest_s = max(
-            axis.longest_s(targets[name] - axis.position)
-            for name, axis in self._axes.items()
-            if name in targets
+            axis.settings.longest_s(position - axis.position) for axis, position in moved.items()
         )
         end_s = self._watch.clock.monotonic() + longest_s
-        for name, target in increments.items():
-            self._axes[name].device.go_to(target)
-        # Arrived axes are polled too: if one of them fails, the others stop.
-        while under_way := [name for name in targets if not self._axes[name].arrived()]:
+        for axis, position in moved.items():
+            axis.go_to(position)
+        while True:
+            # Arrived axes are polled too: if one of them fails, the others stop.
+            reached = {axis: (axis.arrived(), axis.position) for axis in moved}
+            if all(arrived for arrived, _ in reached.values()):
+                break
             if self._watch.clock.monotonic() > end_s:
                 where = ", ".join(
-                    f"{name} is at {axis.in_words(axis.position)} instead of "
-                    f"{axis.in_words(targets[name])}"
-                    for name, axis in self._axes.items()
-                    if name in under_way
+                    f"{axis.name} is at {axis.settings.in_words(position)} instead of "
+                    f"{axis.settings.in_words(moved[axis])}"
+                    for axis, (arrived, position) in reached.items()
+                    if not arrived
                 )
                 raise PositionNotReached(
                     f"after {longest_s:.1f} s {where}: is something in its way?"
                 )
-            self._watch.pause(_POLL_S)
-        for name in targets:
-            self._axes[name].device.rest()
-        return {name: self._axes[name].position for name in targets}
+            self._watch.pause(POLL_S)
+        for axis in moved:
+            axis.rest()
+        return {axis.name: axis.position for axis in moved}
 
     def stop(self) -> str:
         """Stop all axes at once, wait until they stand, and return the result as text."""
-        devices = [axis.device for axis in self._axes.values()]
-        for device in devices:
+        moving = list(self._axes.values())
+        for axis in moving:
             with suppress(MotionError):
-                device.stop()
+                axis.stop()
         self._watch.supervise = _undisturbed(self._watch.supervise)
-        braking_s = max(axis.velocity / axis.acceleration for axis in self._axes.values())
+        braking_s = max(axis.settings.velocity / axis.settings.acceleration for axis in moving)
         end_s = self._watch.clock.monotonic() + braking_s + _STOP_S
-        moving = devices
         while moving and self._watch.clock.monotonic() < end_s:
-            self._watch.pause(_POLL_S)
-            moving = [device for device in moving if not _stands(device)]
+            self._watch.pause(POLL_S)
+            moving = [axis for axis in moving if not _stands(axis)]
         if not moving:
             return "all axes stand still"
-        names = ", ".join(device.name for device in moving)
-        return f"not confirmed to stand still: {names}"
+        return f"not confirmed to stand still: {', '.join(axis.label for axis in moving)}"
 
 
-def _stands(device: AxisDevice) -> bool:
+def _stands(axis: Axis) -> bool:
     try:
-        return device.standing()
+        return axis.standing()
     except MotionError:
         return False
 

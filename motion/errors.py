@@ -14,7 +14,7 @@ class PositionNotReached(MotionError):
 
 
 class AxisMissing(MotionError):
-    """A drive or servo does not answer at the start, or is another device than configured."""
+    """A drive or servo is another device than configured, or refuses its set-up."""
 
 
 class AxisSilent(MotionError):

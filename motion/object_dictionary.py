@@ -9,15 +9,13 @@ from enum import IntEnum, IntFlag
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    import canopen
+import canopen
+from canopen.emcy import EmcyError
 
 EDS_PATH = Path(__file__).with_name("drive.eds")
 
 COB_NMT = 0x000
-COB_EMCY = 0x080
 COB_HEARTBEAT = 0x700
 """Identifiers of the pre-defined connection set (CiA 301, 7.3.5), without the node-ID."""
 
@@ -32,7 +30,6 @@ STAY_IN_QUICK_STOP = 6
 class ModeOfOperation(IntEnum):
     """Values of Modes of operation (6060h) that are used here."""
 
-    NONE = 0
     PROFILE_POSITION = 1
     HOMING = 6
 
@@ -83,6 +80,8 @@ class State(IntEnum):
     QUICK_STOP_ACTIVE = 0x07
     FAULT_REACTION_ACTIVE = 0x0F
     FAULT = 0x08
+    UNKNOWN = -1
+    """No state of CiA 402."""
 
     @property
     def words(self) -> str:
@@ -92,14 +91,13 @@ class State(IntEnum):
     @classmethod
     def of(cls, statusword: int) -> "State":
         """Return the state of a statusword."""
-        without_quick_stop = statusword & 0x4F
-        if without_quick_stop in (0x00, 0x40, 0x0F, 0x08):
-            return cls(without_quick_stop)
-        return cls(statusword & 0x6F)
+        bits = statusword & 0x4F
+        return cls(bits if bits in (0x00, 0x40, 0x0F, 0x08) else statusword & 0x6F)
 
+    @classmethod
+    def _missing_(cls, value: object) -> "State":
+        return cls.UNKNOWN
 
-INPUT_NEGATIVE_SWITCH, INPUT_POSITIVE_SWITCH = 0x1, 0x2
-"""Bits of the digital inputs (60FDh): limit switches."""
 
 FOLLOWING_ERROR_CODE = 0x8611
 HOST_LOST_CODE = 0x8130
@@ -123,16 +121,12 @@ _ERROR_TEXTS: Mapping[int, str] = MappingProxyType(
 
 def error_code_text(code: int) -> str:
     """Return an error code (603Fh, EMCY) in words, or the group of CiA 301 that it belongs to."""
-    from canopen.emcy import EmcyError  # noqa: PLC0415  see `of_node`
-
     group: str = EmcyError(code, 0, b"", 0.0).get_desc()
     text = _ERROR_TEXTS.get(code) or group.lower() or "not specified"
     return f"error {code:04X}h: {text}"
 
 
 @cache
-def of_node(node_id: int) -> "canopen.ObjectDictionary":
+def of_node(node_id: int) -> canopen.ObjectDictionary:
     """Return the dictionary of the EDS for a node-ID."""
-    import canopen  # noqa: PLC0415  settings need the constants only, and canopen is slow to load
-
     return canopen.import_od(str(EDS_PATH), node_id)

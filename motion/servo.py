@@ -2,34 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
 from typing import TypeVar
 
+from gripper.dynamixel import control_table as ct
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import (
-    BUS_WATCHDOG,
-    DRIVE_MODE,
-    GOAL_POSITION,
-    HARDWARE_ERROR_STATUS,
-    OPERATING_MODE,
-    PRESENT_BLOCK,
-    PRESENT_POSITION,
-    PROFILE_ACCELERATION,
-    PROFILE_VELOCITY,
-    TORQUE_ENABLE,
-    WATCHDOG_UNIT_S,
-    Register,
-)
 from gripper.dynamixel.models import OperatingMode, ServoModel
-from gripper.errors import BusCorrupt, BusTimeout, GripperError, PortLost
+from gripper.errors import BusCorrupt, BusTimeout, GripperError
 from gripper.values.servo_checks import hardware_error_names
+from motion import errors
+from motion.axes import Axis, AxisSettings
 from motion.bus import Watch
-from motion.errors import (
-    AxisFault,
-    AxisLimitExceeded,
-    AxisMissing,
-    AxisRestarted,
-    AxisSilent,
-)
 
 _WATCHDOG_FACTOR = 2.0
 """Time of the bus watchdog over that after which the servo counts as lost. The watchdog is armed
@@ -50,71 +33,61 @@ _REVERSE_BIT = 0x01
 _T = TypeVar("_T")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServoAxisSettings:
-    """Set-up of a servo in pulses, 4096 a turn."""
+@dataclass(frozen=True, kw_only=True)
+class ServoAxisSettings(AxisSettings):
+    """An axis with a servo, which is stalled beyond ``lag`` or ``current_a``.
 
+    Its limits are less than a turn apart: after a loss of power the servo counts within one turn.
+    """
+
+    servo_id: int
+    """ID of the servo."""
     model: ServoModel
     """Required model."""
-    low: int
-    high: int
-    """Limits, less than a turn apart: after a loss of power the servo counts within one turn."""
     zero: int
-    """Present Position at 0 of the axis."""
-    velocity: int
-    acceleration: int
-    """Profile Velocity and Acceleration in their counts, at least 1."""
-    window: int
-    """Largest distance of a reached target; also the reserve at the limits when switched on."""
-    lag: int
-    """Largest distance to the profile's position of a servo that is not stalled."""
+    """Present Position at 0 of the axis in pulses."""
     current_a: float
     """Largest current in A of a servo that is not stalled."""
     loss_s: float
     """Time in s without an answer after which the servo is lost."""
 
 
-class ServoAxis:
-    """One servo on a line of its own; positions in pulses from the zero of the axis."""
+class ServoAxis(Axis):
+    """An axis with one servo on a line of its own; increments from the zero of the axis."""
 
-    def __init__(
-        self, bus: ServoBus, servo_id: int, name: str, settings: ServoAxisSettings, watch: Watch
-    ) -> None:
-        self.name = f"{name} (servo {servo_id})"
+    settings: ServoAxisSettings
+
+    def __init__(self, settings: ServoAxisSettings, bus: ServoBus, watch: Watch) -> None:
+        super().__init__(settings, f"servo {settings.servo_id}", watch)
         self._bus = bus
-        self._id = servo_id
-        self._settings = settings
-        self._watch = watch
+        self._id = settings.servo_id
         self._loss_s = settings.loss_s
         self._turn = 0
         self._target: int | None = None
         self._stalled_since_s: float | None = None
 
     def identify(self) -> str:
-        """Return state and position in words; nothing is changed and nothing moves.
+        """Return state and position in words; see `Axis`.
 
-        Raises AxisMissing without an answer, for another model, or for a set-up for other goals.
+        Raises AxisMissing also for a set-up for other goals.
         """
-        self._loss_s = self._settings.loss_s
-        try:
-            answer = self._ask(lambda: self._bus.ping(self._id))
-            drive_mode = self._read(DRIVE_MODE)
-        except AxisSilent as silence:
-            raise AxisMissing(f"{silence}; are ID and baud rate right?") from silence
-        model = self._settings.model
+        self._loss_s = self.settings.loss_s
+        answer = self._ask(lambda: self._bus.ping(self._id))
+        drive_mode = self._read(ct.DRIVE_MODE)
+        model = self.settings.model
         if answer.model_number != model.number:
-            raise AxisMissing(
-                f"{self.name} has model number {answer.model_number}, a {model.name} has "
+            raise errors.AxisMissing(
+                f"{self.label} has model number {answer.model_number}, a {model.name} has "
                 f"{model.number}: correct ID or model"
             )
         if drive_mode & ~_REVERSE_BIT:
-            raise AxisMissing(
-                f"{self.name} has Drive Mode {drive_mode}: time-based profiles and torque by goal "
+            raise errors.AxisMissing(
+                f"{self.label} has Drive Mode {drive_mode}: time-based profiles and torque by goal "
                 "must be off; correct it with the vendor's wizard"
             )
-        torque = "on" if self._read(TORQUE_ENABLE) else "off"
-        error = self._read(HARDWARE_ERROR_STATUS)
-        at = self._read(PRESENT_POSITION)
+        torque = "on" if self._read(ct.TORQUE_ENABLE) else "off"
+        error = self._read(ct.HARDWARE_ERROR_STATUS)
+        at = self._read(ct.PRESENT_POSITION)
         words = f"torque {torque}, Present Position {at} pulses"
         return words + (f", hardware error {_names(error)}" if error else "")
 
@@ -126,23 +99,23 @@ class ServoAxis:
         """
         self.clear_fault(reboot=reset)
         mode = OperatingMode.EXTENDED_POSITION
-        self._write(BUS_WATCHDOG, 0)
-        if self._read(OPERATING_MODE) != mode:
-            self._write(TORQUE_ENABLE, 0)
-            self._write(OPERATING_MODE, mode)
-        at = self._read(PRESENT_POSITION)
-        low, high, reserve = self._settings.low, self._settings.high, self._settings.window
+        self._write(ct.BUS_WATCHDOG, 0)
+        if self._read(ct.OPERATING_MODE) != mode:
+            self._write(ct.TORQUE_ENABLE, 0)
+            self._write(ct.OPERATING_MODE, mode)
+        at = self._read(ct.PRESENT_POSITION)
+        settings, (low, high) = self.settings, self.settings.limits
         # The turn of the present position is the one within the limits.
-        middle = (low + high) // 2
-        turn = self._settings.model.pulses_per_turn
-        self._turn = round((middle - (at - self._settings.zero)) / turn) * turn
+        turn = settings.model.pulses_per_turn
+        self._turn = round(((low + high) // 2 - (at - settings.zero)) / turn) * turn
+        reserve = settings.counts(settings.window)
         if not low - reserve <= self._axis(at) <= high + reserve:
-            raise AxisFault(
-                f"{self.name} is at {self._axis(at)} pulses, its limits are {low} to {high}: "
+            raise errors.AxisFault(
+                f"{self.label} is at {self._axis(at)} pulses, its limits are {low} to {high}: "
                 "turn it back by hand with its torque off, or correct zero_pulse"
             )
-        self._write(GOAL_POSITION, at)
-        self._write(TORQUE_ENABLE, 1)
+        self._write(ct.GOAL_POSITION, at)
+        self._write(ct.TORQUE_ENABLE, 1)
         self._target = None
 
     def clear_fault(self, *, reboot: bool) -> None:
@@ -152,36 +125,31 @@ class ServoAxis:
         """
         self._ask(lambda: self._bus.demand_answers((self._id,)))
         self.identify()
-        error = self._read(HARDWARE_ERROR_STATUS)
+        error = self._read(ct.HARDWARE_ERROR_STATUS)
         if error and reboot:
             self._ask(lambda: self._bus.reboot(self._id))
             self._watch.pause(_REBOOT_S)
-            error = self._read(HARDWARE_ERROR_STATUS)
+            error = self._read(ct.HARDWARE_ERROR_STATUS)
         if error:
-            raise AxisFault(self._fault_text(error))
+            raise self._fault(error)
 
     def wake(self) -> None:
         """Check that the servo still answers, has torque and no fault."""
-        self._loss_s = self._settings.loss_s
+        self._loss_s = self.settings.loss_s
         self._check()
 
-    def go_to(self, target: int) -> None:
-        """Begin to move; the only place where a goal is written, and its limits with it.
-
-        Raises AxisLimitExceeded if the target is outside the limits; nothing moves.
-        """
-        settings = self._settings
-        if not settings.low <= target <= settings.high:
-            raise AxisLimitExceeded(
-                f"{self.name} was asked for {target} pulses, its limits are {settings.low} to "
-                f"{settings.high}"
-            )
-        self._write(PROFILE_ACCELERATION, settings.acceleration)
-        self._write(PROFILE_VELOCITY, settings.velocity)
+    def go_to(self, position: float) -> None:
+        """Begin to move; see `Axis`."""
+        target, settings = self.target(position), self.settings
+        per_s = abs(settings.increments) * settings.model.rad_per_pulse
+        velocity = settings.velocity * per_s / settings.model.velocity_unit_rad_s
+        acceleration = settings.acceleration * per_s / settings.model.acceleration_unit_rad_s2
         watchdog_s = _WATCHDOG_FACTOR * settings.loss_s
-        self._write(BUS_WATCHDOG, round(watchdog_s / WATCHDOG_UNIT_S))
+        self._write(ct.PROFILE_ACCELERATION, max(1, round(acceleration)))
+        self._write(ct.PROFILE_VELOCITY, max(1, round(velocity)))
+        self._write(ct.BUS_WATCHDOG, round(watchdog_s / ct.WATCHDOG_UNIT_S))
         self._target, self._stalled_since_s = target, None
-        self._write(GOAL_POSITION, target + settings.zero - self._turn)
+        self._write(ct.GOAL_POSITION, self._raw(target))
 
     def arrived(self) -> bool:
         """Return whether the servo stands at its target.
@@ -193,17 +161,17 @@ class ServoAxis:
         if self._target is None:
             return False
         self._check_load(values)
-        near = abs(self._axis(values["present_position"]) - self._target) <= self._settings.window
+        window = self.settings.counts(self.settings.window)
+        near = abs(self._axis(values["present_position"]) - self._target) <= window
         on_goal = self._axis(values["position_trajectory"]) == self._target
         return near and on_goal and abs(values["present_velocity"]) <= _STANDING
 
     def rest(self) -> None:
         """Disarm the bus watchdog: a standing servo is not polled."""
-        self._write(BUS_WATCHDOG, 0)
+        self._write(ct.BUS_WATCHDOG, 0)
 
-    @property
-    def position(self) -> int:
-        """Present position in pulses from the zero of the axis."""
+    def read_increments(self) -> int:
+        """Return the present position in pulses from the zero of the axis."""
         return self._axis(self._feedback()["present_position"])
 
     def stop(self) -> None:
@@ -211,87 +179,81 @@ class ServoAxis:
         # Other axes wait for their stop meanwhile.
         self._loss_s = 0.0
         self._target = None
-        self._write(BUS_WATCHDOG, 0)
-        at = self._feedback()["present_position"]
-        settings, slack = self._settings, self._settings.lag + self._settings.window
-        if settings.low - slack <= self._axis(at) <= settings.high + slack:
-            self._write(GOAL_POSITION, at)
-        else:
-            self._write(TORQUE_ENABLE, 0)
+        self._write(ct.BUS_WATCHDOG, 0)
+        try:
+            at = round(self.position * self.settings.increments)
+            self._write(ct.GOAL_POSITION, self._raw(at))
+        except errors.PositionImplausible:
+            self._write(ct.TORQUE_ENABLE, 0)
 
     def standing(self) -> bool:
         """Return whether the servo stands still after a stop."""
         return abs(self._feedback()["present_velocity"]) <= _STANDING
 
     def _axis(self, raw: int) -> int:
-        return raw - self._settings.zero + self._turn
+        return raw - self.settings.zero + self._turn
+
+    def _raw(self, increments: int) -> int:
+        return increments + self.settings.zero - self._turn
 
     def _feedback(self) -> dict[str, int]:
         ids = (self._id,)
-        return self._ask(lambda: self._bus.sync_read(ids, PRESENT_BLOCK))[self._id]
+        return self._ask(lambda: self._bus.sync_read(ids, ct.PRESENT_BLOCK))[self._id]
 
     def _check(self) -> None:
-        torque = self._read(TORQUE_ENABLE)
-        if self._bus.alert(self._id) and (error := self._read(HARDWARE_ERROR_STATUS)):
-            raise AxisFault(self._fault_text(error))
+        torque = self._read(ct.TORQUE_ENABLE)
+        if self._bus.alert(self._id) and (error := self._read(ct.HARDWARE_ERROR_STATUS)):
+            raise self._fault(error)
         if not torque:
-            raise AxisRestarted(
-                f"{self.name} has lost its torque: it has restarted. Check its supply, then clear "
-                "the fault and start again"
+            raise errors.AxisRestarted(
+                f"{self.label} has lost its torque: it has restarted. Check its supply"
             )
 
     def _check_load(self, values: dict[str, int]) -> None:
-        now_s = self._watch.clock.monotonic()
-        current_a = abs(self._settings.model.winding_a(values["present_current"]))
+        now_s, settings = self._watch.clock.monotonic(), self.settings
+        current_a = abs(settings.model.winding_a(values["present_current"]))
         lag = abs(values["position_trajectory"] - values["present_position"])
-        if current_a <= self._settings.current_a and lag <= self._settings.lag:
+        most = settings.counts(settings.lag)
+        if current_a <= settings.current_a and lag <= most:
             self._stalled_since_s = None
         elif self._stalled_since_s is None:
             self._stalled_since_s = now_s
         elif now_s - self._stalled_since_s > _STALL_S:
-            raise AxisFault(
-                f"{self.name} is stalled: {current_a:.2f} A (allowed are "
-                f"{self._settings.current_a:g} A) and {lag} pulses behind its profile (allowed "
-                f"are {self._settings.lag}); remove the obstacle, then clear the fault and "
-                "start again"
+            raise errors.AxisFault(
+                f"{self.label} is stalled: {current_a:.2f} A (allowed are {settings.current_a:g} A)"
+                f" and {lag} pulses behind its profile (allowed are {most}): remove the obstacle"
             )
 
-    def _read(self, register: Register) -> int:
+    def _read(self, register: ct.Register) -> int:
         return self._ask(lambda: self._bus.read(self._id, register))
 
-    def _write(self, register: Register, raw: int) -> None:
+    def _write(self, register: ct.Register, raw: int) -> None:
         self._ask(lambda: self._bus.write(self._id, register, raw))
 
     def _ask(self, call: Callable[[], _T]) -> _T:
         """Make a transaction; without an answer it is repeated until the servo is lost."""
         end_s = self._watch.clock.monotonic() + self._loss_s
-        attempts = 0
-        while True:
-            attempts += 1
+        for attempt in count(1):
             try:
                 with self._bus.in_loop():
                     answer = call()
                 break
-            except PortLost as error:
-                raise AxisSilent(f"the line of {self.name} is lost: {error}") from error
-            except (BusTimeout, BusCorrupt) as error:
-                if attempts >= _ATTEMPTS and self._watch.clock.monotonic() >= end_s:
-                    raise self._silent(error) from error
             except GripperError as error:
-                raise self._silent(error) from error
+                missing = isinstance(error, BusTimeout | BusCorrupt)
+                ended = attempt >= _ATTEMPTS and self._watch.clock.monotonic() >= end_s
+                if ended or not missing:
+                    raise errors.AxisSilent(
+                        f"{self.label} does not answer as it should: {error}; check its supply and "
+                        "cable, ID and baud rate"
+                    ) from error
             self._watch.pause(_RETRY_S)
         self._watch.look()
         return answer
 
-    def _silent(self, error: Exception) -> AxisSilent:
-        return AxisSilent(
-            f"{self.name} does not answer as it should: {error}; check its supply and cable"
-        )
-
-    def _fault_text(self, error: int) -> str:
-        return (
-            f"{self.name} is at fault, hardware error {_names(error)}; remedy the cause, then "
-            "clear the fault and start again: it restarts then, without torque for a moment"
+    def _fault(self, error: int) -> errors.AxisFault:
+        return errors.AxisFault(
+            f"{self.label} is at fault, hardware error {_names(error)}: remedy the cause. A "
+            "cleared servo restarts, without torque for a moment"
         )
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import radians
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from cell.config.positioner import DriveAxisConfig, ServoAxisConfig
 from cell.control.plan import Pose
@@ -13,7 +13,7 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.values.state import GripperPhase
-from motion.axes import Axes, Axis, AxisDevice
+from motion.axes import Axes, Axis
 from motion.bus import DriveBus, Watch
 from motion.drive import Cia402Drive, DriveSettings
 from motion.errors import AxisLimitExceeded, MotionError, PositionNotReached
@@ -23,6 +23,7 @@ from tactile.can.bus import CanBus
 
 _FIELDS = {"x": "x_m", "y": "y_m", "rotation": "rotation_rad", "roll": "roll_rad"}
 """What an axis can move, and the field of the pose that it is."""
+_LINEAR = ("x", "y")
 _HOMING = {
     "negative_switch": HomingMethod.NEGATIVE_SWITCH,
     "positive_switch": HomingMethod.POSITIVE_SWITCH,
@@ -40,7 +41,7 @@ Bring = Callable[[str | None, Callable[[], None]], None]
 
 def si_per_unit(moves: str) -> float:
     """Return one mm or degree of an axis in m or rad."""
-    return 1e-3 if moves in ("x", "y") else radians(1.0)
+    return 1e-3 if moves in _LINEAR else radians(1.0)
 
 
 def drive_axes(
@@ -52,8 +53,18 @@ def drive_axes(
     """
     drives = DriveBus(bus, watch, loss_s)
     return [
-        _axis(one, Cia402Drive(drives, one.node_id, f"axis {one.moves}", _drive_settings(one)))
-        for one in configs
+        Cia402Drive(
+            DriveSettings(
+                **_settings(config),
+                lag=config.following_error * si_per_unit(config.moves),
+                node_id=config.node_id,
+                homing=_HOMING[config.homing],
+                home=config.home * si_per_unit(config.moves),
+                homing_velocity=config.homing_velocity * si_per_unit(config.moves),
+            ),
+            drives,
+        )
+        for config in configs
     ]
 
 
@@ -65,79 +76,28 @@ def servo_axis(config: ServoAxisConfig, stream: ByteStream, watch: Watch) -> Axi
         clock=watch.clock,
         name=f"the line of axis {config.moves} ({config.port})",
     )
-    settings = _servo_settings(config)
-    return _axis(config, ServoAxis(bus, config.id, f"axis {config.moves}", settings, watch))
-
-
-def _axis(config: DriveAxisConfig | ServoAxisConfig, device: AxisDevice) -> Axis:
-    si = si_per_unit(config.moves)
-    ends = [config.low, config.high]
-    if isinstance(config, ServoAxisConfig):
-        slack = config.window + config.lag
-    else:
-        slack = config.window + config.following_error
-        if config.homing != "none":
-            ends.append(config.home)
-    return Axis(
-        name=config.moves,
-        device=device,
-        increments=config.increments / si,
-        low=config.low * si,
-        high=config.high * si,
-        plausible=((min(ends) - slack) * si, (max(ends) + slack) * si),
-        velocity=config.velocity * si,
-        acceleration=config.acceleration * si,
-        unit="mm" if config.moves in ("x", "y") else "deg",
-        units_per_si=1.0 / si,
-    )
-
-
-def _limits(config: DriveAxisConfig | ServoAxisConfig) -> tuple[int, int]:
-    """Return the limits in increments, the smaller one first."""
-    one, other = round(config.low * config.increments), round(config.high * config.increments)
-    return min(one, other), max(one, other)
-
-
-def _count(config: DriveAxisConfig | ServoAxisConfig, value: float) -> int:
-    """Return a distance, speed or acceleration in increments, at least 1."""
-    return max(1, abs(round(value * config.increments)))
-
-
-def _drive_settings(config: DriveAxisConfig) -> DriveSettings:
-    homing = _HOMING[config.homing]
-    if config.increments < 0 and homing is not None and homing is not HomingMethod.HERE:
-        # An inverted drive has its positive switch at the lower end of the axis.
-        homing = HomingMethod(HomingMethod.NEGATIVE_SWITCH + HomingMethod.POSITIVE_SWITCH - homing)
-    low, high = _limits(config)
-    return DriveSettings(
-        low=low,
-        high=high,
-        velocity=_count(config, config.velocity),
-        acceleration=_count(config, config.acceleration),
-        window=_count(config, config.window),
-        following_error=_count(config, config.following_error),
-        homing=homing,
-        home=round(config.home * config.increments),
-        homing_velocity=_count(config, config.homing_velocity),
-    )
-
-
-def _servo_settings(config: ServoAxisConfig) -> ServoAxisSettings:
-    low, high = _limits(config)
-    model = MODELS[config.model]
-    rad = abs(config.increments) * model.rad_per_pulse
-    return ServoAxisSettings(
-        model=model,
-        low=low,
-        high=high,
+    settings = ServoAxisSettings(
+        **_settings(config),
+        lag=config.lag * si_per_unit(config.moves),
+        servo_id=config.id,
+        model=MODELS[config.model],
         zero=config.zero_pulse,
-        velocity=max(1, round(config.velocity * rad / model.velocity_unit_rad_s)),
-        acceleration=max(1, round(config.acceleration * rad / model.acceleration_unit_rad_s2)),
-        window=_count(config, config.window),
-        lag=_count(config, config.lag),
         current_a=config.current_max_a,
         loss_s=1e-3 * config.bus_loss_ms,
     )
+    return ServoAxis(settings, bus, watch)
+
+
+def _settings(config: DriveAxisConfig | ServoAxisConfig) -> dict[str, Any]:
+    """Return the settings of each axis in SI units."""
+    si = si_per_unit(config.moves)
+    scaled = ("low", "high", "velocity", "acceleration", "window")
+    return {
+        "name": config.moves,
+        "linear": config.moves in _LINEAR,
+        "increments": config.increments / si,
+        **{name: getattr(config, name) * si for name in scaled},
+    }
 
 
 @dataclass(kw_only=True)

@@ -73,8 +73,6 @@ class SimulatedDrive(CanopenDevice):
             "Error code": lambda: self._error_code,
             "Position actual value": lambda: round(self.motion.actual - self._zero),
             "Velocity actual value": lambda: round(self.motion.actual_speed),
-            "Following error actual value": lambda: round(self.motion.demand - self.motion.actual),
-            "Digital inputs": self._inputs,
         }
         self._stepped_s = start_s
         self._host_due_s = math.inf
@@ -175,10 +173,6 @@ class SimulatedDrive(CanopenDevice):
     def _number(self, name: str) -> int:
         variable = self._node.object_dictionary[name]
         return int(variable.decode_raw(self._node.get_data(variable.index, variable.subindex)))
-
-    def _inputs(self) -> int:
-        negative, positive = self.motion.switches(self.forced_switch)
-        return od.INPUT_NEGATIVE_SWITCH * negative | od.INPUT_POSITIVE_SWITCH * positive
 
     def _read(self, *, index: int, subindex: int, od: ODVariable) -> int | None:
         if subindex != od.subindex:

@@ -282,7 +282,7 @@ def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
         axis = config.positioner.drives[0]
         watch, loss_s = Watch(clock, 0.005), 1e-3 * config.positioner.can.heartbeat_loss_ms
         axes = Axes(drive_axes([axis], bus, watch, loss_s=loss_s), watch)
-        device = axes._axes[axis.moves].device
+        device = axes._axes[axis.moves]
         assert isinstance(device, Cia402Drive)
         si = si_per_unit(axis.moves)
         device.identify()

@@ -340,9 +340,10 @@ def test_a_stopped_drive_beats_on_and_answers_no_sdo(drive: Any) -> None:
 
 def test_what_is_set_up_is_read_back(drive: Any) -> None:
     drive.device._set_up()
-    wanted = drive.device._settings
-    assert drive.device._read("Software position limit.Min position limit") == wanted.low
-    assert drive.device._read("Profile velocity") == wanted.velocity
+    settings = drive.device.settings
+    low, _ = settings.limits
+    assert drive.device._read("Software position limit.Min position limit") == low
+    assert drive.device._read("Profile velocity") == settings.counts(settings.velocity)
     assert drive.device._read("Quick stop option code") == motion_od.STAY_IN_QUICK_STOP
 
 
@@ -358,21 +359,21 @@ def test_without_power_stage_it_goes_between_two_states(drive: Any) -> None:
         (Control.SHUTDOWN, Control.DISABLE_VOLTAGE), READY[::-1], strict=True
     ):
         device._write("Controlword", control)
-        device._until(lambda state=state: device._state() is state, 2.0, "does not follow")
+        device._until(lambda state=state: device._state() is state, "does not follow")
         assert device._read("Velocity actual value") == 0
 
 
 @pytest.mark.slow
 def test_it_goes_to_both_ends_and_stops_quickly_on_the_way(moving_drive: Any) -> None:
     drive = moving_drive
-    near = abs(drive.device._settings.window / drive.axes._axes[drive.name].increments)
+    axis = drive.device
+    near = axis.settings.window
     middle, way = 0.5 * (drive.low + drive.high), 0.4 * (drive.high - drive.low)
     for target in (middle - way, middle + way):
         reached = drive.axes.move({drive.name: target})[drive.name]
         assert reached == pytest.approx(target, abs=near)
 
-    axis = drive.axes._axes[drive.name]
-    half_s = way / axis.velocity
+    half_s = way / axis.settings.velocity
     began_s = drive.clock.monotonic()
 
     def stop() -> None:

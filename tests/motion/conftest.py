@@ -9,7 +9,7 @@ import pytest
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import XM430_W350
-from motion.axes import Axes, Axis
+from motion.axes import Axes
 from motion.bus import DriveBus, Watch
 from motion.drive import Cia402Drive, DriveSettings
 from motion.object_dictionary import HomingMethod
@@ -27,15 +27,35 @@ PER_M = 1e6
 PER_RAD = 4096 / math.tau
 BOOT_S = 0.1
 SETTINGS = DriveSettings(
-    low=-20_000,
-    high=20_000,
-    velocity=50_000,
-    acceleration=500_000,
-    window=20,
-    following_error=1_000,
+    name="x",
+    linear=True,
+    increments=PER_M,
+    low=-0.02,
+    high=0.02,
+    velocity=0.05,
+    acceleration=0.5,
+    window=2e-5,
+    lag=1e-3,
+    node_id=NODE,
     homing=HomingMethod.NEGATIVE_SWITCH,
-    home=-25_000,
-    homing_velocity=50_000,
+    home=-0.025,
+    homing_velocity=0.05,
+)
+WRIST_SETTINGS = ServoAxisSettings(
+    name="roll",
+    linear=False,
+    increments=PER_RAD,
+    low=0.0,
+    high=math.pi,
+    velocity=1.44,
+    acceleration=7.5,
+    window=0.018,
+    lag=0.14,
+    servo_id=7,
+    model=XM430_W350,
+    zero=500,
+    current_a=1.0,
+    loss_s=0.1,
 )
 
 
@@ -91,20 +111,8 @@ def make_drive() -> Iterator[MakeDrive]:
         buses.append(bus)
         clock.sleep(BOOT_S)
         watch = Watch(clock, 0.005)
-        drive = Cia402Drive(DriveBus(bus, watch, 0.125), NODE, "axis x", settings)
-        axis = Axis(
-            name="x",
-            device=drive,
-            increments=PER_M,
-            low=-0.02,
-            high=0.02,
-            plausible=(-0.026, 0.026),
-            velocity=settings.velocity / PER_M,
-            acceleration=settings.acceleration / PER_M,
-            unit="mm",
-            units_per_si=1e3,
-        )
-        return DriveBench(clock, simulated, devices, bus, drive, Axes([axis], watch))
+        drive = Cia402Drive(settings, DriveBus(bus, watch, 0.125))
+        return DriveBench(clock, simulated, devices, bus, drive, Axes([drive], watch))
 
     yield make
     for bus in buses:
@@ -126,39 +134,15 @@ class WristBench:
 
 @pytest.fixture
 def make_wrist() -> Callable[..., WristBench]:
-    def make(*, zero: int = 500, start_rad: float = 1.75) -> WristBench:
+    def make(*, start_rad: float = 1.75) -> WristBench:
         clock = VirtualClock()
         mount = WristMount(servo_id=7, increments=PER_RAD, zero=500, start=start_rad)
         simulated = SimulatedWrist(mount)
         clock.on_advance.append(simulated.advance)
         stream = MemoryServoStream(simulated.bus, clock)
         watch = Watch(clock, 0.005)
-        settings = ServoAxisSettings(
-            model=XM430_W350,
-            low=0,
-            high=2048,
-            zero=zero,
-            velocity=60,
-            acceleration=20,
-            window=12,
-            lag=90,
-            current_a=1.0,
-            loss_s=0.1,
-        )
         bus = ServoBus(stream, baudrate=1_000_000, clock=clock)
-        servo = ServoAxis(bus, 7, "axis roll", settings, watch)
-        axis = Axis(
-            name="roll",
-            device=servo,
-            increments=PER_RAD,
-            low=0.0,
-            high=math.pi,
-            plausible=(-0.2, math.pi + 0.2),
-            velocity=1.4,
-            acceleration=7.0,
-            unit="deg",
-            units_per_si=math.degrees(1.0),
-        )
-        return WristBench(clock, simulated, servo, Axes([axis], watch))
+        servo = ServoAxis(WRIST_SETTINGS, bus, watch)
+        return WristBench(clock, simulated, servo, Axes([servo], watch))
 
     return make
