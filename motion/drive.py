@@ -13,7 +13,7 @@ from typing import Any
 from canopen.nmt import NMT_COMMANDS, NMT_STATES
 
 from motion import errors, object_dictionary as od
-from motion.axes import POLL_S, Axis, AxisSettings
+from motion.axis import POLL_S, Axis, AxisSettings
 from motion.bus import HOST_NODE, DriveBus
 from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, State, Status
 from tactile.can.sdo_client import (

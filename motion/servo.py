@@ -11,7 +11,7 @@ from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.errors import BusCorrupt, BusTimeout, GripperError
 from gripper.values.servo_checks import hardware_error_names
 from motion import errors
-from motion.axes import Axis, AxisSettings
+from motion.axis import Axis, AxisSettings
 from motion.bus import Watch
 
 _WATCHDOG_FACTOR = 2.0

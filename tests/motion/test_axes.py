@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from motion.axes import Axes, Axis, AxisSettings
+from motion.axes import Axes
+from motion.axis import Axis, AxisSettings
 from motion.bus import Watch
 from motion.errors import (
     AxisFault,
