@@ -179,8 +179,8 @@ def read_npz(
             head = file.read(len(_RECORDING))
             if head == _RECORDING:
                 raise error(
-                    f"{path} is a recording, not a {what}; rename it to end in .mcap, then train, "
-                    "evaluate and replay read its grasps"
+                    f"{path} is a recording, not a {what}; rename it to end in .mcap, then train "
+                    "and evaluate read its grasps"
                 )
             if not head.startswith(_ARCHIVE):
                 found = "not an npz archive" if head else "empty"

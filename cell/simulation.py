@@ -28,7 +28,6 @@ from cell.installation import extra
 from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
-from recognition.grasp import Grasp
 from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
@@ -47,7 +46,7 @@ from simulator.servo.mechanics import (
 )
 from simulator.servo.motor import OverloadRule
 from simulator.servo.wrist import WristMount
-from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
+from simulator.settings import SimulatedServoSettings, SimulatorSettings
 from simulator.world.press import PadPair
 from simulator.world.shape_files import parse_shape
 from simulator.world.shapes import ObjectPose, Shape, thicknesses_m
@@ -73,12 +72,9 @@ _LINKAGE_MARGIN_M = 1e-3
 """Opening in m that a simulated linkage keeps to its end stop."""
 
 
-def simulator_settings(
-    config: CellConfig, *, layout: TaxelLayout | None = None, grasps: Sequence[Grasp] = ()
-) -> SimulatorSettings:
+def simulator_settings(config: CellConfig) -> SimulatorSettings:
     """Return the settings of the simulated cell of a config.
 
-    With recorded grasps instead of objects, ``layout`` has their taxels instead of the config's.
     Raises ConfigError if a shape or a fault is unknown, or if the linkage cannot open as far as the
     gripper must.
     """
@@ -94,10 +90,11 @@ def simulator_settings(
             )
         for text in settings.faults:
             check_fault(text, len(config.gripper.servos), len(config.positioner.axes))
+        layout = layout_from_config(config.tactile)
         if config.tactile.sensor.canopen:
-            _check_noise(config, layout or layout_from_config(config.tactile))
+            _check_noise(config, layout)
         return SimulatorSettings(
-            layout=layout or layout_from_config(config.tactile),
+            layout=layout,
             servos=tuple(
                 SimulatedServoSettings(
                     servo_id=servo.id,
@@ -120,8 +117,8 @@ def simulator_settings(
                 else config.tactile.serial_number,
                 boards=config.tactile.board_serial_numbers or (1, 2),
             ),
-            mounts=() if grasps else pad_mounts(config.tactile),
-            boards=None if grasps else config.tactile.sensor.simulated(),
+            mounts=pad_mounts(config.tactile),
+            boards=config.tactile.sensor.simulated(),
             pads=PadPair(
                 shift_m=(1e-3 * settings.pads.shift_mm[0], 1e-3 * settings.pads.shift_mm[1]),
                 tilt_rad=(
@@ -139,9 +136,6 @@ def simulator_settings(
             seed=config.seed,
             objects=simulated_objects(config),
             aperture_m=opening_m,
-            grasps=tuple(
-                RecordedGrasp(counts=grasp.counts, aperture_m=grasp.aperture_m) for grasp in grasps
-            ),
             axes=_mounts(config.positioner),
             axes_can_bitrate=config.positioner.can.bitrate,
             faults=settings.faults,
@@ -441,12 +435,6 @@ class InProcessPlacer:
         with raised_as(PositionerError, SimulatorError, where=where):
             reached = self._cell.place(label, ObjectPose(**asdict(pose)))
         return Pose(**{name: getattr(reached, name) for name in asdict(pose)})
-
-
-def largest_aperture_m(grasps: Sequence[Grasp]) -> float:
-    """Return the widest recorded opening in m; 0 if not known."""
-    widest = [float(np.nanmax(g.aperture_m)) for g in grasps if np.isfinite(g.aperture_m).any()]
-    return max(widest, default=0.0)
 
 
 def _linkage(config: CellConfig) -> FingerLinkage:

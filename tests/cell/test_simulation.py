@@ -9,14 +9,13 @@ from cell.control.plan import Pose
 from cell.errors import ConfigError, PositionerError
 from cell.simulation import (
     InProcessPlacer,
-    largest_aperture_m,
     simulated_objects,
     simulator_settings,
 )
 from simulator.cell import SimulatedCell
 from simulator.servo.gearing import GEARINGS
 from simulator.servo.mechanics import RackLinkage
-from tests.cell.conftest import plain_grasp, small_config
+from tests.cell.conftest import small_config
 
 RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
 
@@ -104,11 +103,3 @@ def test_an_object_comes_to_rest_and_a_box_on_a_face() -> None:
         assert reached.roll_rad % (np.pi / 2) == pytest.approx(0.0, abs=1e-9)
         with pytest.raises(PositionerError, match="dice cannot be placed"):
             placer.place("dice", Pose())
-
-
-def test_the_widest_opening_of_records() -> None:
-    unknown = plain_grasp("a", aperture_m=np.full(12, np.nan))
-    assert largest_aperture_m([unknown]) == 0.0
-    assert largest_aperture_m(
-        [unknown, plain_grasp("a", aperture_m=np.linspace(0.06, 0.01, 12))]
-    ) == pytest.approx(0.06)

@@ -47,7 +47,6 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "list": ("recording:list_recordings", "List the recordings in a folder."),
         "mark": ("recording:mark", "Mark recordings, so that they are never deleted."),
         "unmark": ("recording:unmark", "Remove the mark of recordings."),
-        "replay": ("recording:replay", "Send recorded grasps through the real protocols."),
         "recover": ("recording:recover", "Save the undamaged data of a damaged recording."),
     },
     "archive": {
@@ -76,7 +75,7 @@ _PANELS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "service": ("", "The installed cell: install, support."),
     },
     "Look back": {
-        "recording": ("", "Recordings: report, plot, list, mark, replay, recover."),
+        "recording": ("", "Recordings: report, plot, list, mark, recover."),
         "archive": ("", "Grasps of many cells and days: add, report."),
     },
 }

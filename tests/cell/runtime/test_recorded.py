@@ -1,4 +1,4 @@
-"""Jobs over recorded grasps: evaluate, replay, identify."""
+"""Jobs over recorded grasps: evaluate, identify, gauge, calibrate."""
 
 import json
 from dataclasses import replace
@@ -12,7 +12,6 @@ import pytest
 from cell.config.file import changed_config, config_text
 from cell.errors import CellError, ConfigError, ModelError, PositionerError, RequestRefused
 from cell.evaluation.evaluate import evaluate_recognizers
-from cell.files import json_bytes
 from cell.learning.model import load_model
 from cell.learning.progress import silent
 from cell.learning.taught_model import TaughtModel
@@ -21,7 +20,6 @@ from cell.recording.dataset import read_dataset, write_dataset
 from cell.runtime import tasks
 from cell.runtime.goals import GaugeGoal, IdentifyGoal
 from cell.runtime.plugin import TactileCellPlugin
-from cell.runtime.replay import replay_grasps
 from cell.runtime.sort import drawn_object
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift
@@ -29,11 +27,6 @@ from recognition.recognizers import make_trainer
 from tests.cell.conftest import call, plain_grasp, small_config
 
 SPLIT = "chronological:0.6"
-
-
-def play(grasps: Any, **changes: Any) -> Any:
-    options = {"limit": None, "progress": silent}
-    return replay_grasps(grasps, **options | changes)
 
 
 # -- evaluate ------------------------------------------------------------------------------------
@@ -75,33 +68,6 @@ def test_what_cannot_be_evaluated_says_why(taught: Any) -> None:
 
 
 # -- replay ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_replayed_grasps_come_back_bit_for_bit(taught: Any) -> None:
-    told: list[tuple[str, int, int]] = []
-    result = play(taught.grasps, limit=4, progress=lambda *step: told.append(step))
-    assert result.frames_equal
-    assert (result.difference, result.n_grasps) == (None, 4)
-    assert result.frames_received == result.frames_sent > 4 * 20
-    assert result.aperture_error_mm < 0.3
-    assert told[-1] == ("replay", 4, 4)
-    assert json.loads(json_bytes(result))["frames_equal"] is True
-
-
-def test_other_pads_wide_openings_and_unknown_ones_are_replayed() -> None:
-    wide = plain_grasp("", aperture_m=np.linspace(0.12, 0.02, 12))
-    partly = plain_grasp("", aperture_m=np.where(np.arange(12) < 4, np.nan, 0.03))
-    still = plain_grasp("", t_s=np.zeros(12), aperture_m=np.full(12, np.nan))
-    result = play([wide, partly, still])
-    assert result.frames_equal
-    assert result.frames_received == 36
-    assert result.aperture_error_mm < 1.0
-
-
-def test_what_cannot_be_replayed_says_why() -> None:
-    with pytest.raises(ConfigError, match="have 3 pads"):
-        play([plain_grasp("", ((2, 2),) * 3)])
 
 
 # -- identify -------------------------------------------------------------------------------------

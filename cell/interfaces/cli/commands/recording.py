@@ -1,4 +1,4 @@
-"""`recording`: lists, marks, reports on, plots, replays and recovers recordings."""
+"""`recording`: lists, marks, reports on, plots and recovers recordings."""
 
 from datetime import datetime
 from itertools import islice
@@ -9,24 +9,16 @@ import typer
 from rich.table import Table
 
 from cell.archive.selection import cell_of, day_of, is_archive, parse_selection
-from cell.config.file import load_config
 from cell.errors import CellError
 from cell.installation import extra
 from cell.interfaces.cli import options
-from cell.interfaces.cli.terminal import (
-    plain_text,
-    print_line,
-    print_table,
-    progress_bar,
-    show,
-)
+from cell.interfaces.cli.terminal import plain_text, print_line, print_table, show
 from cell.recording.dataset import read_grasps
 from cell.recording.reader import read_recording, recover_recording
 from cell.recording.retention import mark as mark_one, recordings, unmark as unmark_one
 from cell.report.figures import grasp_figure, write_picture
 from cell.report.page import write_report
 from cell.report.recorded import recorded_report
-from cell.runtime.replay import replay_grasps
 
 RecordingsArgument = Annotated[list[Path], typer.Argument(help="Recordings (.mcap).")]
 
@@ -130,38 +122,3 @@ def recover(
         f"{len(old.grasps)} whole grasps; {old.n_broken_grasps} broken grasps are left out",
     )
     show(lines, values, json_file)
-
-
-ReplayConfigOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--config", "-c", help="Config file of the cell [default: one made for the grasps' pads]."
-    ),
-]
-
-
-def replay(
-    source: Annotated[Path, typer.Argument(help="Data set or recording.")],
-    limit: Annotated[
-        int | None, typer.Option("--limit", min=1, help="Largest number of grasps [default: all].")
-    ] = None,
-    config: ReplayConfigOption = None,
-    json_file: options.Json = None,
-) -> None:
-    """Send recorded grasps through the real protocols, and compare what comes back."""
-    with progress_bar() as progress:
-        result = replay_grasps(
-            read_grasps(source),
-            load_config(config) if config is not None else None,
-            limit=limit,
-            progress=progress,
-        )
-    same = "bit for bit the same" if result.frames_equal else "NOT the same"
-    lines = [
-        f"{result.n_grasps} grasps: {result.frames_sent} frames sent, "
-        f"{result.frames_received} received, {same}",
-        f"openings differ by at most {result.aperture_error_mm:.3f} mm: servos report pulses",
-    ]
-    show(lines, result, json_file)
-    if not result.frames_equal:
-        raise CellError(f"frames differ: {result.difference}")
