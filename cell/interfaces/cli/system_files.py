@@ -42,8 +42,6 @@ NotifyAccess=main
 {prepare}ExecStart={command}
 WorkingDirectory={state}
 StateDirectory={name}
-CacheDirectory={name}
-Environment=XDG_CACHE_HOME=/var/cache/{name}
 User={name}
 SupplementaryGroups=dialout
 

@@ -4,14 +4,11 @@ import io
 import json
 import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 from xmlrpc.client import ServerProxy
 
@@ -24,10 +21,8 @@ from cell.interfaces.access import view_token
 from cell.interfaces.cli import terminal
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands import serve as serving
-from cell.learning.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.service.service import RELEASE_KEY
-from tests import ROOT
-from tests.cell.conftest import once, small_config
+from tests.cell.conftest import once
 from tests.marks import LONG
 from tests.waiting import LIMIT_S, until
 
@@ -122,46 +117,6 @@ def test_a_terminal_alone_shows_the_tokens_of_the_page(
     assert (tokens[0] == TOKEN) is file
 
 
-@pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of the user's cache, empty."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache"
-
-
-def copied(model: Path) -> Callable[[Path], None]:
-    """Return what writes a model with its training set into a folder, as a run does."""
-
-    def write(folder: Path) -> None:
-        shutil.copyfile(model, folder / MODEL_FILE)
-        shutil.copyfile(model.with_name("model.grasps.npz"), folder / "model.grasps.npz")
-
-    return write
-
-
-@pytest.mark.slow
-def test_without_a_config_the_taught_cell_is_there_and_others_are_warned_of(
-    cache, taught, monkeypatch
-) -> None:
-    keep_model(small_config(), copied(taught.result.model))
-    monkeypatch.setattr("cell.interfaces.cli.session.load_config", lambda _file: small_config())
-    monkeypatch.setattr(serving, "free_page_port", lambda _listen: 0)
-    seen: list[Any] = []
-    monkeypatch.setattr(
-        serving, "report_until", lambda _over, it, _to: seen.append(it.plugin.labels)
-    )
-    text = (ROOT / "docs/how-to/watch-and-command-in-a-browser.md").read_text("utf-8")
-    (typed,) = re.findall(r"tactile-cell serve (--listen .*)", text)
-    ended = CliRunner().invoke(app, ["serve", *typed.split(), *PORTS[:4]], catch_exceptions=False)
-    assert (ended.exit_code, seen) == (0, [("ball", "box")])
-    line, said = json.loads(ended.stdout), " ".join(ended.stderr.split())
-    assert line["listen"] == "0.0.0.0"
-    assert set(line) == {"listen", "modbus_port", "xmlrpc_port", "http_port"}
-    (link,) = re.findall(r"page: (\S+) \(its token: on a terminal only", said)
-    assert not re.search(r"0\.0\.0\.0|127\.0\.0\.1", link)
-    assert "authenticate nobody" in said
-
-
 def test_the_page_takes_any_port_where_its_own_is_taken(monkeypatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         monkeypatch.setattr(serving, "_PAGE_PORT", taken.getsockname()[1])
@@ -175,40 +130,25 @@ def test_without_its_extra_there_is_no_page_but_a_note(monkeypatch, capsys) -> N
     assert "no page: uvicorn missing" in capsys.readouterr().err
 
 
-def test_the_first_start_teaches_under_a_lease_and_keeps_the_model(serve, cache, taught) -> None:
+def test_the_first_start_teaches_under_a_lease(serve) -> None:
     served = serve()
-    service, write = served.service, copied(taught.result.model)
-    served.plugin.save = lambda path: write(path.parent)
-    commanders, plain_start = [], service.start
+    service, commanders, plain_start = served.service, [], served.service.start
 
     def start(lease: int, goal: Any) -> int:
         commanders.append(service.snapshot().commander)
         return plain_start(lease, goal)
 
     service.start = start
-    serving._teach_first(service, service.config, threading.Event())
-    assert [(goal.label, goal.grasps) for goal in served.plugin.asked] == [
-        ("ball", serving._FIRST_GRASPS),
-        ("box", serving._FIRST_GRASPS),
-    ]
-    assert commanders == ["first start", "first start"]
-    assert service.snapshot().commander == ""
-    assert cached_model(service.config) is not None
+    serving._teach_first(service, threading.Event())
+    asked = [(goal.label, goal.grasps) for goal in served.plugin.asked]
+    assert asked == [(label, serving._FIRST_GRASPS) for label in ("ball", "box")]
+    assert (commanders, service.snapshot().commander) == (["first start"] * 2, "")
 
 
-def test_what_is_taught_with_faults_injected_is_not_kept(serve, cache) -> None:
-    served = serve()
-    served.plugin.save = lambda _path: pytest.fail("nothing is to be kept")
-    arguments = (served.service, served.service.config, threading.Event())
-    serving._teach_first(*arguments, keep=False)
-    assert len(served.plugin.asked) == 2
-
-
-def test_a_first_start_whose_lease_is_taken_keeps_nothing(
-    serve, cache, monkeypatch, capsys
-) -> None:
+@pytest.mark.parametrize("why", ["the lease is taken", "the program ends"])
+def test_a_first_start_teaches_no_more_than_it_may(serve, monkeypatch, capsys, why) -> None:
     monkeypatch.setattr(serving, "SIGNAL_LOOK_S", 0.0)
-    served = serve()
+    served, over = serve(), threading.Event()
     service = served.service
     served.plugin.pause()
     plain_alive = service.lease.alive
@@ -218,18 +158,10 @@ def test_a_first_start_whose_lease_is_taken_keeps_nothing(
         service.lease.acquire("operator", take=True)
         service.lease.alive(lease)
 
-    service.lease.alive = alive
-    served.plugin.save = lambda _path: pytest.fail("nothing is to be kept")
-    serving._teach_first(service, service.config, threading.Event())
-    assert "not all objects were taught" in capsys.readouterr().err
-    assert cached_model(service.config) is None
-    assert service.snapshot().commander == "operator"
-
-
-def test_a_first_start_that_is_to_end_ends_at_once(serve, cache) -> None:
-    served, over = serve(), threading.Event()
-    served.plugin.pause()
-    over.set()
-    serving._teach_first(served.service, served.service.config, over)
-    assert len(served.plugin.asked) == 1
-    assert cached_model(served.service.config) is None
+    if "lease" in why:
+        service.lease.alive = alive
+    else:
+        over.set()
+    serving._teach_first(service, over)
+    assert len(served.plugin.asked) <= 1
+    assert ("not all objects were taught" in capsys.readouterr().err) is ("lease" in why)

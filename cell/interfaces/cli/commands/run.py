@@ -1,8 +1,6 @@
 """`run`: the main job, teaches objects and identifies each of them."""
 
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -14,7 +12,6 @@ from cell.installation import missing_note
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config, running_cell
 from cell.interfaces.cli.terminal import percent, plain_text, print_note
-from cell.learning.taught_cache import MODEL_FILE, keep_model
 from cell.recording.reader import read_recording
 from cell.report.confusion import TABLE_1, TABLE_1_LABELS, ConfusionTable, paper_table
 from cell.report.page import write_report
@@ -68,29 +65,12 @@ def run(
             result.report = page
         except (RecordingError, ReportError, MissingExtraError) as error:
             failed = error
-    if config is None and seed is None and not faults:
-        _keep_for_serve(result, checked)
     lines = [*result_lines(result, true_sizes(checked))]
     if no_report:
         print_note(no_report)
     cell.finish(lines, result.as_json())
     if failed is not None:
         raise failed
-
-
-def _keep_for_serve(result: MainResult, config: CellConfig) -> None:
-    """Keep the model of the built-in cell for `serve` if all its objects were taught."""
-    if set(result.labels) != {entry.label for entry in config.simulator.objects}:
-        return
-
-    def write(folder: Path) -> None:
-        shutil.copyfile(result.model, folder / MODEL_FILE)
-        shutil.copyfile(result.dataset, folder / result.dataset.name)
-
-    try:
-        keep_model(config, write)
-    except OSError as error:
-        print_note(f"`serve` cannot use this model, it cannot be kept: {error}")
 
 
 def _labels(config: CellConfig, objects: Sequence[str] | None) -> list[str]:

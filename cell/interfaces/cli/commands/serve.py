@@ -11,7 +11,6 @@ from typing import Annotated, Any
 import typer
 
 from cell.config.file import changed_config
-from cell.config.model import CellConfig
 from cell.config.serve import ALL_CLOSED
 from cell.errors import CellError, CellStopped, ConfigError
 from cell.installation import missing_note
@@ -22,7 +21,6 @@ from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
 from cell.interfaces.cli.terminal import err, print_note, print_page, print_view
 from cell.interfaces.opening import open_interfaces, warnings
 from cell.interfaces.page_address import page_address, view_note
-from cell.learning.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.service.service import Service, open_service
 
 SIGNAL_LOOK_S = 0.25
@@ -119,8 +117,6 @@ def serve(
     if save is None and training_set is None:
         model = model_of_folder(model)
     untaught = config is None and model is None and training_set is None
-    if untaught:
-        model = cached_model(own)
     service = open_service(
         checked,
         model=model,
@@ -144,8 +140,8 @@ def serve(
         if zero_note := service.plugin.health()["zero"]["text"]:
             print_note(zero_note)
         with _announced_interfaces(service):
-            if untaught and model is None:
-                _teach_first(service, own, over, keep=not faults)
+            if untaught:
+                _teach_first(service, over)
             service.plugin.follow_real_time(speed)
             manager = ServiceManager()
             manager.ready()
@@ -207,14 +203,12 @@ def free_page_port(listen: str) -> int | None:
     return _PAGE_PORT
 
 
-def _teach_first(
-    service: Service, config: CellConfig, over: threading.Event, *, keep: bool = True
-) -> None:
-    """Teach the objects of the built-in cell, visible on the page; keep the model with ``keep``."""
-    labels = [entry.label for entry in config.simulator.objects]
+def _teach_first(service: Service, over: threading.Event) -> None:
+    """Teach the objects of the built-in cell, visible on the page."""
+    labels = [entry.label for entry in service.config.simulator.objects]
     print_note(
-        f"first start: teaches {_FIRST_GRASPS} grasps each of {', '.join(labels)}, which takes "
-        "about half a minute; `tactile-cell run` teaches more and replaces them"
+        f"teaches {_FIRST_GRASPS} grasps each of {', '.join(labels)}, which takes about half a "
+        "minute; --model FILE names a taught model"
     )
     try:
         lease = service.lease.acquire("first start")
@@ -230,10 +224,3 @@ def _teach_first(
         service.lease.give_up(lease)
     except CellError as error:
         print_note(f"not all objects were taught: {error}")
-        return
-    if not keep:
-        return
-    try:
-        keep_model(config, lambda folder: service.plugin.save(folder / MODEL_FILE))
-    except (CellError, OSError) as error:
-        print_note(f"the model cannot be kept, so the next start teaches again: {error}")
