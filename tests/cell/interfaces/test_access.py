@@ -105,21 +105,6 @@ def test_half_sent_requests_leave_within_their_time(serve, link, interface) -> N
             assert one.recv(1) == b""
 
 
-@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="the timers of Linux are looked at")
-@pytest.mark.parametrize("interface", INTERFACES)
-def test_the_system_asks_whether_a_peer_is_still_there(serve, link, interface) -> None:
-    port = serve(interface).interfaces[f"{interface}_port"]
-    link(port, "127.0.0.1")
-
-    def timer() -> list[str]:
-        rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-        return [row[5] for row in rows if row[1].endswith(f":{port:04X}") and row[3] == "01"]
-
-    kind, ticks = until(lambda: [one for one in timer() if one[:2] == "02"])[0].split(":")
-    assert kind == "02"  # keep-alive
-    assert int(ticks, 16) <= 10 * 100
-
-
 # -- who may connect ---------------------------------------------------------------------------
 
 

@@ -6,7 +6,6 @@ import io
 import itertools
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -47,10 +46,7 @@ from cell.recording.reader import read_recording
 from cell.recording.recorder import Recorder
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckTrainer
-from simulator.faults.vocabulary import VOCABULARY
-from simulator.realtime.hands import Hands
 from tests.cell.conftest import call, once, plain_grasp, quick_config
-from tests.faults.scenarios.axes import CHANGES as AXES
 from tests.fuzz.harness import Clock
 from tests.marks import LONG
 from tests.values import raising
@@ -230,22 +226,17 @@ def test_identify_on_the_cell(config, model, tmp_path, monkeypatch) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("command", "answer"),
-    [("identify -m {} --object box", "answer: box"), ("run", "One grasp takes")],
-)
-@pytest.mark.usefixtures("run_at_once")
 def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
-    *, config, model, tmp_path, command, answer, monkeypatch
+    config, model, tmp_path, monkeypatch
 ) -> None:
     monkeypatch.setattr(sink.os, "fsync", raising(OSError(28, "No space left on device")))
-    found = tmp_path / "found.json"
-    arguments = [*command.format(model).split(), "-c", str(config), "--json", str(found)]
-    result = RUNNER.invoke(app, arguments)
-    assert answer in result.stdout
+    written = tmp_path / "written.json"
+    options = ("-c", str(config), "--json", str(written))
+    result = RUNNER.invoke(app, ["identify", "-m", str(model), "--object", "box", *options])
+    assert "answer: box" in result.stdout
     assert isinstance(result.exception, RecordingError)
     assert "stopped after" in str(result.exception)
-    assert "No space left" in read_json(found)["health"]["recording"]
+    assert "No space left" in read_json(written)["health"]["recording"]
 
 
 @pytest.mark.slow
@@ -320,19 +311,6 @@ def test_clear_shows_the_servos_and_restarts_them_where_that_is_asked_for(
     faulty.write_text(config_text(silent))
     said = fail("hand", "clear", "-c", faulty)
     assert "servo 2 does not answer: remove the cause" in said
-
-
-@pytest.mark.slow
-def test_clear_shows_the_axes_and_resets_them(tmp_path, fail) -> None:
-    path = tmp_path / "axes.yaml"
-    axes = changed_config(CellConfig(), AXES)
-    path.write_text(config_text(axes))
-    assert "axis x (drive 11) is in SWITCH ON DISABLED, position 0" in call(
-        "hand", "clear", "-c", path
-    )
-    path.write_text(config_text(changed_config(axes, {"simulator.faults": ["axis2.silence"]})))
-    said = fail("hand", "clear", "-c", path)
-    assert "axis rotation (drive 12) does not answer" in said
 
 
 @pytest.mark.slow
@@ -462,22 +440,6 @@ def test_evaluate_prints_what_is_taken_for_which_object_and_what_is_left_out(
     assert "force_ramp confuses, one grasp each: 1 x box as ball" in said
 
 
-def test_a_replay_that_differs_fails(dataset, monkeypatch, fail) -> None:
-    from cell.runtime import replay as replaying
-
-    play = replaying._Rig.play
-
-    def wrong(self: Any, number: int, grasp: Any) -> Any:
-        back = play(self, number, grasp)
-        counts = np.array(back.counts)
-        counts[3, 7] ^= 1
-        return replace(back, counts=counts)
-
-    monkeypatch.setattr(replaying._Rig, "play", wrong)
-    said = fail("recording", "replay", dataset, "--limit", 1)
-    assert "frames differ: grasp 0, frame 3, taxel 7" in said
-
-
 # -- config, doctor, simulate ----------------------------------------------------------------------
 
 
@@ -537,20 +499,6 @@ def test_simulate_prints_one_line_and_adds_to_the_faults_of_the_config(
     assert options == {"folder": tmp_path / "sim", "until_parent_ends": False}
 
 
-def test_a_cell_that_cannot_be_served_is_an_error(monkeypatch, fail) -> None:
-    from cell.runtime import simulate as simulating
-    from simulator.errors import EndpointError
-
-    monkeypatch.setattr(simulating, "serve", raising(EndpointError("no terminals left")))
-    assert fail("simulate") == f"{BUILT_IN} error: no terminals left"
-
-
-def test_all_faults_are_listed() -> None:
-    listed = " ".join(call("simulate", "--list-faults").split())
-    for entry in VOCABULARY.values():
-        assert f"{entry.name} {entry.meaning}" in listed
-
-
 # -- exit codes ------------------------------------------------------------------------------------
 
 
@@ -592,7 +540,6 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (2, "recording recover x.mcap -o y.npz", "the name of a recording ends in .mcap"),
         (2, "model train x.npz -o m.npz --recognizer magic", "no recognizer 'magic' is installed"),
         (2, "model evaluate {dataset} --fuse 1,x", "--fuse"),
-        (2, "recording replay x.npz --limit 0", "--limit"),
         (2, "hand release", "--confirm"),
         (2, "serve --listen 0.0.0.0 --modbus 0", "serve.allow is empty"),
         (2, "serve -c {config} --out served", "no interface is open: set serve.http_port"),
@@ -606,7 +553,6 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (1, "model train {dataset} {other} -o {made}", "different pads; train a model for each"),
         (1, "model train {nameless} -o {made}", "its 1 grasps have no label"),
         (1, "model train {empty} -o {made}", "has no whole grasp"),
-        (1, "recording replay {empty}", "has no whole grasp"),
         (1, "doctor --plugins --json {config}/x", "cannot be written"),
         (1, "run -c {config} --out {config}", "cannot be made"),
     ],
@@ -682,49 +628,18 @@ def test_grasps_whose_folder_is_gone_are_in_the_recording(quick, tmp_path, fail,
     assert "recording.mcap: use it with `tactile-cell model train`" in said
 
 
-@pytest.fixture
-def run_at_once(taught: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have `run` return what was taught already, and write no whole report of it."""
-    monkeypatch.setattr("cell.report.page.render_report", str)
-    result = replace(taught.result)
-    monkeypatch.setattr(
-        "cell.interfaces.cli.commands.run.teach_and_identify", lambda *_a, **_k: result
-    )
-
-
-@pytest.mark.usefixtures("run_at_once")
-def test_the_result_is_printed_where_no_report_can_be_made(config, tmp_path, monkeypatch) -> None:
-    for name in [name for name in sys.modules if name.split(".")[0] == "jinja2"]:
-        monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.setitem(sys.modules, "jinja2", None)
-    result = RUNNER.invoke(app, ["run", "-c", str(config), "--json", str(tmp_path / "r.json")])
-    assert result.exit_code == 0, result.output
-    assert "NOTE: no report page: jinja2 missing; install this project with its extra" in (
-        result.stderr
-    )
-    assert "model:     " in result.stdout
-    assert "report:" not in result.stdout
-    assert read_json(tmp_path / "r.json")["report"] is None
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("run_at_once")
 def test_a_report_that_cannot_be_written_does_not_cost_the_result(
-    config, fail, monkeypatch, capsys
+    config, taught, fail, monkeypatch
 ) -> None:
     from cell.errors import ReportError
 
-    printed: list[Any] = []
-    monkeypatch.setattr(
-        "cell.interfaces.cli.commands.run.write_report",
-        raising(ReportError("cannot write report: no space left")),
-    )
-    monkeypatch.setattr(
-        "cell.interfaces.cli.commands.run.result_lines", lambda *_: printed.append("shown") or ()
-    )
-    said = fail("run", "-c", config)
-    assert said.endswith("error: cannot write report: no space left")
-    assert len(printed) == 1
+    run, printed = "cell.interfaces.cli.commands.run.", list[str]()
+    monkeypatch.setattr(f"{run}teach_and_identify", lambda *_a, **_k: replace(taught.result))
+    monkeypatch.setattr(f"{run}recorded_report", str)
+    monkeypatch.setattr(f"{run}write_report", raising(ReportError("cannot write: no space left")))
+    monkeypatch.setattr(f"{run}result_lines", lambda *_: printed.append("result") or ())
+    assert fail("run", "-c", config).endswith("error: cannot write: no space left")
+    assert printed == ["result"]
 
 
 def test_the_version_is_printed() -> None:
@@ -754,12 +669,6 @@ def test_short_options_mean_the_same_in_every_command() -> None:
     assert all(len(longs) == 1 for longs in meanings.values()), meanings
 
 
-def test_the_help_of_ask_names_all_that_hands_can_do() -> None:
-    nothing: Any = None
-    listed = re.findall(r"\w+", options()["simulate"]["--ask"].help)
-    assert set(Hands(nothing, nothing)._acts) <= set(listed)
-
-
 HEAVY = {"numpy", "scipy", "matplotlib", "canopen", "can", "rich", "serial", "joblib"}
 """Not pydantic: newer versions of typer load it themselves."""
 
@@ -767,9 +676,7 @@ HEAVY = {"numpy", "scipy", "matplotlib", "canopen", "can", "rich", "serial", "jo
 @pytest.mark.parametrize(
     ("arguments", "environment"),
     [
-        (["--help"], {}),
         (["recording", "--help"], {}),
-        ([], {"COMP_WORDS": "tactile-cell re", "COMP_CWORD": "1"}),
         ([], {"COMP_WORDS": "tactile-cell hand ", "COMP_CWORD": "2"}),
     ],
 )
@@ -797,18 +704,6 @@ def test_help_and_completion_load_nothing_heavy(arguments, environment) -> None:
     assert not {name.partition(".")[0] for name in loaded} & HEAVY
     assert not any(name.startswith("cell.config.") for name in loaded)
     assert len(loaded) < 400
-
-
-def test_the_help_of_the_program_fits_one_screen_and_each_line_is_true() -> None:
-    lines = call("--help").splitlines()
-    assert 24 <= len(lines) <= 30
-    assert max(map(len, lines)) <= 80
-    program: Any = get_command(app)
-    assert len(program.commands) <= 14
-    for name, one in program.commands.items():
-        inner = getattr(one, "commands", {})
-        assert all(word in one.help or word == "unmark" for word in inner), name
-        assert any(re.match(rf"  {name} +{re.escape(one.help)}$", line) for line in lines), name
 
 
 def test_an_interrupt_outside_a_sequence_is_one(monkeypatch, fail) -> None:
@@ -874,11 +769,3 @@ def test_sort_prints_how_many_parts_lie_where(config, model, tmp_path) -> None:
     text = page.read_text("utf-8")
     assert all(one in text for one in ("0 grasps taught", "released at: box"))
     assert '<section id="trajectories">' not in text
-
-
-@pytest.mark.long
-def test_a_sort_without_a_model_announces_what_it_teaches(config) -> None:
-    arguments = ["sort", "--config", str(config), "--teach", "3", "--parts", "1"]
-    result = CliRunner().invoke(app, arguments, catch_exceptions=False)
-    assert "NOTE: no --model: first teaches 3 grasps each of ball, box, about half" in result.stderr
-    assert "1 parts sorted" in result.stdout

@@ -11,16 +11,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import pytest
-from rich.console import Console
 from typer.testing import CliRunner
 
-from cell.checks.findings import Notes, ProposedChange
+from cell.checks.findings import ProposedChange
 from cell.commissioning.engine import Question, WizardAborted, leave
-from cell.commissioning.ports import PORTS
 from cell.control.positioner import PatientCaller
 from cell.control.states import CellState
 from cell.errors import CellStopped, PositionerError
-from cell.interfaces.cli import dialog, terminal, terminal as asking
+from cell.interfaces.cli import terminal as asking
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.signals import stopping
@@ -82,25 +80,6 @@ def test_a_watched_value_does_not_hold_up_a_pipe(typed) -> None:
     typed("").confirm("q", "Move it.", watch=lambda: "1 deg")
 
 
-def test_a_terminal_shows_a_watched_value_above_the_prompt_and_live_ones_in_place(
-    typed, monkeypatch
-) -> None:
-    console = Console(file=io.StringIO(), force_terminal=True, width=20)
-    monkeypatch.setattr(dialog, "out", console)
-    monkeypatch.setattr(terminal, "out", console)
-    waits = iter([False, False, True])
-    monkeypatch.setattr(dialog, "_input_waits", lambda: next(waits))
-    angles = iter(["1 deg\x1b", "2 deg" * 9])
-    asked = typed("")
-    asked.live("scan", "57600 bit/s")
-    asked.live("scan", "1 Mbit/s")
-    asked.confirm("q", "Move it.", watch=lambda: next(angles))
-    shown = console.file.getvalue()
-    assert shown.startswith("\r\x1b[2Kscan 57600 bit/s\r\x1b[2Kscan 1 Mbit/s\nMove it.\n")
-    for angle in ("1 deg", ("2 deg" * 9)[:19]):
-        assert f"\x1b7\x1b[1A\r\x1b[2K{angle}\x1b8" in shown
-
-
 @pytest.mark.parametrize("lines", [["q"], []])
 def test_q_and_the_end_of_input_leave(typed, lines) -> None:
     with pytest.raises(WizardAborted, match="run `tactile-cell commission` again"):
@@ -117,20 +96,6 @@ def test_writes_are_shown_and_refused_unless_yes_is_typed(typed, capsys) -> None
     for refusal in ("n", "q"):
         with pytest.raises(WizardAborted):
             typed(refusal).approve([WRITE])
-
-
-def test_findings_are_printed_with_their_lines(typed, capsys) -> None:
-    asked = typed()
-    step, notes = PORTS, Notes()
-    notes.warn("16 ms [slow]")
-    asked.start_step(step, 1, 3)
-    asked.live("scan", "57600 bit/s")
-    asked.show(step, notes)
-    shown = capsys.readouterr().out
-    assert "1/3 Ports" in shown
-    assert "warn Ports" in shown
-    assert "16 ms [slow]" in shown
-    assert terminal.out.is_terminal is False
 
 
 # -- What ends a sequence from outside -------------------------------------------------------------

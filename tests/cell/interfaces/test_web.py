@@ -22,7 +22,6 @@ from websockets.asyncio.client import connect as open_in_one_thread
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
-from cell.errors import ModelError, PlanRefused
 from cell.interfaces.opening import running
 from cell.interfaces.web import WebInterface
 from cell.runtime.goals import TASKS, checked_goal
@@ -98,14 +97,6 @@ def test_refusals_have_a_status_and_a_fault_number(served, host) -> None:
         check_refusal(*(found := host.ask("POST", "/api/lease", **more)), status=status)
         assert remedy in found[1]["remedy"], more
     assert served.plugin.job().number == 0
-
-
-def test_what_the_config_does_not_allow_is_no_defect_of_the_cell(served, host) -> None:
-    lease = host.post("/api/lease", name="host")["lease"]
-    for error in (PlanRefused("self_zero is never"), ModelError("other")):
-        served.plugin.start = raising(error)
-        found = host.ask("POST", "/api/jobs", {"lease": lease, "goal": {"task": "zero"}})
-        check_refusal(*found, status=422)
 
 
 def test_a_text_that_no_answer_can_have_is_refused(served, host) -> None:
@@ -378,12 +369,6 @@ def openapi_paths(host: Client) -> set[str]:
     return {path.replace("{label:path}", "{label}") for path in paths}
 
 
-def test_what_is_no_request_is_refused(host) -> None:
-    with socket.create_connection(("127.0.0.1", host.port), timeout=20.0) as link:
-        link.sendall(b"this is no request\r\n\r\n")
-        assert link.makefile("rb").read().startswith(b"HTTP/1.1 400 ")
-
-
 def test_a_defect_is_answered_in_the_same_shape(served, host, caplog) -> None:
 
     served.plugin.info = raising(ZeroDivisionError("a defect"))
@@ -515,12 +500,6 @@ def test_a_socket_that_takes_nothing_is_cut(serve, monkeypatch) -> None:
         links = interface._server.server_state.connections
         until(lambda: any("WebSocket" in type(one).__name__ for one in links))
         until(lambda: not links)
-
-
-def test_an_answer_does_not_wait_for_the_acknowledgement_of_the_client(serve) -> None:
-    interface = WebInterface(serve(serve__http_port=0).service)
-    assert interface._listener.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-    interface.close()
 
 
 def test_the_end_of_the_interface_ends_sockets_and_threads() -> None:
