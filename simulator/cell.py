@@ -39,13 +39,12 @@ class SimulatedCell:
         self.clock.on_advance += [self.devices.advance_to, self.injector.advance]
         self._servo_port = MemoryServoStream(self.devices.servo_bus, self.clock)
         self._closed = False
-        self.can_bus = self._new_bus()
+        self.can_bus = InMemoryCanBus(self.devices.can, self.clock)
         """The host's end of the CAN bus; its ``clock`` is that of the cell."""
         self.axes_can_bus: InMemoryCanBus | None = None
         """The host's end of the bus of the axes' drives; None without drives."""
-        if (drives := self.devices.axes_can_devices) is not None:
-            bitrate = self.settings.axes_can_bitrate
-            self.axes_can_bus = InMemoryCanBus(drives, self.clock, bitrate=bitrate)
+        if self.devices.axes_can is not None:
+            self.axes_can_bus = InMemoryCanBus(self.devices.axes_can, self.clock)
         self.axes_streams = {
             moves: MemoryServoStream(axis.bus, self.clock)
             for moves, axis in self.devices.axes.items()
@@ -134,21 +133,10 @@ class SimulatedCell:
         """
         if self.devices.faults.can.unplugged:
             raise SimulatorStateError("the simulated CAN adapter is unplugged: plug it in")
-        capture = self.can_bus.capture
         self.can_bus.shutdown()
-        self.can_bus = self._new_bus(bitrate)
-        self.can_bus.capture.extend(capture)
+        self.devices.can.clear()
+        self.can_bus = InMemoryCanBus(self.devices.can, self.clock, host_bitrate=bitrate)
         return self.can_bus
-
-    def _new_bus(self, host_bitrate: int | None = None) -> InMemoryCanBus:
-        return InMemoryCanBus(
-            self.devices.can_devices,
-            self.clock,
-            bitrate=self.settings.unit.bitrate,
-            host_bitrate=host_bitrate,
-            faults=self.devices.faults.can,
-            seed=self.settings.seed,
-        )
 
     def close(self) -> None:
         """Close all buses; the cell cannot be used afterwards."""

@@ -8,7 +8,7 @@ from simulator.boards.site import BoardFaults, BoardSite, SerialBoard
 from simulator.can.control_unit import SimulatedControlUnit
 from simulator.can.drive import DriveMount, SimulatedDrive
 from simulator.can.faults import CanLinkFaults, ControlUnitFaults
-from simulator.can.link import CanDevice, CanDevices
+from simulator.can.link import CanDevice, CanLink
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import BAUD_RATES, SimulatedServo
@@ -77,9 +77,10 @@ class CellDevices:
             faults=unit_faults,
             start_s=start_s,
         )
+        can_faults = CanLinkFaults()
         self.faults = CellFaults(
             servo_wire=self.servo_bus.faults,
-            can=CanLinkFaults(),
+            can=can_faults,
             unit=unit_faults,
             boards=BoardFaults(),
         )
@@ -97,8 +98,13 @@ class CellDevices:
             )
             self.boards = settings.boards.serial_boards(site)
             on_can = settings.boards.can_device(site)
-        self.can_devices = CanDevices(on_can or self.unit)
-        """The control unit or the sensor boards, and further devices on their bus."""
+        self.can = CanLink(
+            on_can or self.unit,
+            bitrate=settings.unit.bitrate,
+            faults=can_faults,
+            seed=settings.seed,
+        )
+        """The bus of the control unit or of the sensor boards."""
         self.axes: dict[str, SimulatedDrive | SimulatedWrist] = {
             moves: SimulatedDrive(mount, start_s=start_s)
             if isinstance(mount, DriveMount)
@@ -107,8 +113,8 @@ class CellDevices:
         }
         """The drives and servos that carry the object, by their part of the pose."""
         drives = [axis for axis in self.axes.values() if isinstance(axis, SimulatedDrive)]
-        self.axes_can_devices = CanDevices(*drives) if drives else None
-        """The drives on their own bus; None without drives."""
+        self.axes_can = CanLink(*drives, bitrate=settings.axes_can_bitrate) if drives else None
+        """The bus of the drives; None without drives."""
         self.stage = Stage(self.physical, self.axes) if self.axes and not settings.grasps else None
         """Carrier of the object; None without axes, or in a cell that plays recorded grasps."""
         self.offset = ObjectPose()

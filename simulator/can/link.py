@@ -60,40 +60,45 @@ class CanDevice(Protocol):
 
 
 class CanLink:
-    """One device, one wire, and the host's adapter.
+    """Devices, one wire, and the host's adapter.
 
-    Messages of the host reach the device at once and in order, so they go first on the wire.
-    Messages of the device arrive with their last bit.
+    Messages of the host reach the devices at once and in order, so they go first on the wire.
+    Messages of a device arrive with their last bit.
     """
 
     def __init__(
         self,
-        device: CanDevice,
-        *,
-        bitrate: int,
+        *devices: CanDevice,
+        bitrate: int = 1_000_000,
         faults: CanLinkFaults | None = None,
         seed: int = 0,
     ) -> None:
         self.capture: list[Capture] = []
         """Called with each message on the wire in order, also with lost messages."""
         self.faults = faults or CanLinkFaults()
-        self._device = device
+        self.bitrate = bitrate
+        """Bit rate in bit/s; a host with another one has no communication."""
+        self._devices = list(devices)
         self._wire = CanWire(bitrate)
         self._disturber = Disturber(self.faults, np.random.default_rng(seed))
         self._inbox: deque[can.Message] = deque()
         self._flood_due_s = math.inf
         self._reported = (False, False)
-        device.connect(self._deliver)
+        for device in devices:
+            device.connect(self._deliver)
 
-    def deaf(self, bitrate: int) -> bool:
-        """Return whether a host with this bit rate has no communication."""
-        return bitrate != self._wire.bitrate
+    def add(self, device: CanDevice) -> Callable[[], None]:
+        """Plug in a further device; returns the function that removes it from the bus."""
+        device.connect(self._deliver)
+        self._devices.append(device)
+        return lambda: self._devices.remove(device)
 
     def send(self, can_id: int, data: bytes, now_s: float, *, extended: bool = False) -> None:
-        """Send a message of the host; it reaches the device before this returns."""
+        """Send a message of the host; it reaches the devices before this returns."""
         self._wire.put(Burst(now_s, can_id, (data,), extended, _Sender.HOST), first=True)
         if not extended and not self.faults.bus_off:
-            self._device.receive(can_id, data, now_s)
+            for device in tuple(self._devices):
+                device.receive(can_id, data, now_s)
 
     def take(self, now_s: float) -> can.Message | None:
         """Return the next message that has arrived until ``now_s`` s."""
@@ -112,9 +117,10 @@ class CanLink:
         return list(islice(iter(partial(self.take, now_s), None), limit))
 
     def advance(self, now_s: float) -> None:
-        """Let device and faults act until ``now_s`` s."""
+        """Let devices and faults act until ``now_s`` s."""
         faults = self.faults
-        self._device.advance(now_s)
+        for device in self._devices:
+            device.advance(now_s)
         if faults.flood_hz:
             self._flood(now_s)
         elif self._flood_due_s != math.inf:
@@ -125,14 +131,16 @@ class CanLink:
             self._transmit(now_s)
 
     def next_event_s(self) -> float:
-        """Return the time of the next arrival or own message of the device; infinity: never."""
-        next_s = min(self._device.next_event_s(), self._flood_due_s, self._wire.next_end_s())
+        """Return the time of the next arrival or own message of a device; infinity: never."""
+        next_s = min(device.next_event_s() for device in self._devices)
+        next_s = min(next_s, self._flood_due_s, self._wire.next_end_s())
         return min(next_s, self._inbox[0].timestamp) if self._inbox else next_s
 
     def clear(self, now_s: float = math.inf) -> None:
         """Drop messages that arrived until ``now_s`` s, as by closing the adapter."""
         self._transmit(now_s)
         self._inbox.clear()
+        self._reported = (False, False)
 
     def _deliver(self, ready_s: float, can_id: int, burst: list[bytes]) -> float:
         """Queue the device's messages for the wire; returns the end time of the last one in s.
@@ -199,38 +207,3 @@ class CanLink:
         self._inbox.appendleft(
             can.Message(now_s, error_class, False, is_error_frame=True, data=data)
         )
-
-
-class CanDevices:
-    """The devices on the bus as one device: those of the cell, and added ones."""
-
-    def __init__(self, *devices: CanDevice) -> None:
-        self._devices = list(devices)
-        self._send: SendBurst | None = None
-
-    def connect(self, send: SendBurst) -> None:
-        """Plug all of them in."""
-        self._send = send
-        for device in self._devices:
-            device.connect(send)
-
-    def add(self, device: CanDevice) -> Callable[[], None]:
-        """Add a device; returns the function that removes it from the bus."""
-        if self._send is not None:
-            device.connect(self._send)
-        self._devices.append(device)
-        return lambda: self._devices.remove(device)
-
-    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
-        """Pass one message on to every device."""
-        for device in tuple(self._devices):
-            device.receive(can_id, data, now_s)
-
-    def advance(self, now_s: float) -> None:
-        """Let the time pass for all of them."""
-        for device in self._devices:
-            device.advance(now_s)
-
-    def next_event_s(self) -> float:
-        """Return when one of them next sends something by itself, in s."""
-        return min(device.next_event_s() for device in self._devices)

@@ -1,11 +1,10 @@
-"""A CAN bus in memory: the host and one control unit, one thread, virtual time."""
+"""The host's end of a CAN bus in memory: one thread, virtual time."""
 
 import math
 
 import can
 
-from simulator.can.faults import CanLinkFaults
-from simulator.can.link import CanDevice, CanLink
+from simulator.can.link import CanLink
 from simulator.clock import VirtualClock
 from simulator.errors import SimulatorStateError
 
@@ -18,23 +17,22 @@ class InMemoryCanBus(can.BusABC):
 
     Parameters
     ----------
+    link
+        The bus and its devices.
     host_bitrate
         Bit rate of the host's adapter, by default that of the bus; with another one nothing passes.
     """
 
     def __init__(
         self,
-        device: CanDevice,
+        link: CanLink,
         clock: VirtualClock,
         *,
-        bitrate: int = 1_000_000,
         host_bitrate: int | None = None,
-        faults: CanLinkFaults | None = None,
-        seed: int = 0,
     ) -> None:
-        self.channel_info = f"simulated CAN bus at {bitrate} bit/s"
-        self._host_bitrate = bitrate if host_bitrate is None else host_bitrate
-        self._link = CanLink(device, bitrate=bitrate, faults=faults, seed=seed)
+        self.channel_info = f"simulated CAN bus at {link.bitrate} bit/s"
+        self._deaf = host_bitrate not in (None, link.bitrate)
+        self._link = link
         self.capture = self._link.capture
         """Hooks that are called with each message on the wire in order, also with lost ones."""
         self.faults = self._link.faults
@@ -54,7 +52,7 @@ class InMemoryCanBus(can.BusABC):
         self._check_open()
         if self.faults.bus_off:
             raise can.CanOperationError("the CAN controller is bus-off: nothing was sent")
-        if self._link.deaf(self._host_bitrate):
+        if self._deaf:
             return
         if msg.is_remote_frame or msg.is_error_frame or msg.is_fd:
             raise can.CanOperationError("the simulated bus carries classic data frames only")
@@ -79,7 +77,7 @@ class InMemoryCanBus(can.BusABC):
         while True:
             self._check_open()
             while (message := link.take(now_s)) is not None:
-                if link.deaf(self._host_bitrate):
+                if self._deaf:
                     continue
                 if self._filters is None or self._matches_filters(message):
                     return message
@@ -103,7 +101,7 @@ class InMemoryCanBus(can.BusABC):
         now_s = self.clock.monotonic()
         self._link.advance(now_s)
         messages = self._link.take_all(now_s, limit)
-        if self._link.deaf(self._host_bitrate):
+        if self._deaf:
             return []
         return messages if self._filters is None else list(filter(self._matches_filters, messages))
 

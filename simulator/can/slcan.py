@@ -27,20 +27,13 @@ _MAX_DATA_BYTES = 8
 
 
 class SlcanAdapter:
-    """The adapter between a serial line and the bus.
+    """The adapter between a serial line and the bus, at first with the bit rate of the bus."""
 
-    Parameters
-    ----------
-    bitrate
-        Initial bit rate in bit/s; if it differs from that of the bus there is no communication.
-    """
-
-    def __init__(self, link: CanLink, *, bitrate: int) -> None:
+    def __init__(self, link: CanLink) -> None:
         self.baudrate = 0
         """Line rate set by the client; a USB device ignores it."""
         self._link = link
-        self._bitrate = bitrate
-        self._chosen = bitrate
+        self._chosen = link.bitrate
         self._input = bytearray()
         self._output = bytearray()
         self._open = False
@@ -69,7 +62,7 @@ class SlcanAdapter:
     def transmit(self, now_s: float) -> bytes:
         """Return the bytes for the client until ``now_s`` s."""
         self._link.advance(now_s)
-        deaf = not self._open or self._link.deaf(self._chosen)
+        deaf = not self._open or self._chosen != self._link.bitrate
         while (message := self._link.take(now_s)) is not None:
             if not (deaf or message.is_error_frame):
                 self._output += _text(message)
@@ -92,7 +85,7 @@ class SlcanAdapter:
         self._output.clear()
         self._link.clear()
         self._open = False
-        self._chosen = self._bitrate
+        self._chosen = self._link.bitrate
 
     def _command(self, line: bytes | bytearray, now_s: float) -> bytes:
         try:
@@ -130,7 +123,7 @@ class SlcanAdapter:
             return _REFUSED
         if len(data) != (0 if remote else length):
             return _REFUSED
-        if not remote and not self._link.deaf(self._chosen):
+        if not remote and self._chosen == self._link.bitrate:
             self._link.send(can_id, data, now_s, extended=extended)
         return b"Z\r" if extended else b"z\r"
 

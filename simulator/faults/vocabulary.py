@@ -310,7 +310,7 @@ _FAULTS = (
                effect=_pretending, check=_check_identity),
     FaultEntry("unit.second_node", "another unit with the same node id joins the bus", _unit,
                "second_node",
-               effect=lambda fault: fault.devices.can_devices.add(
+               effect=lambda fault: fault.devices.can.add(
                    fault.devices.second_unit(fault.now_s))),
     FaultEntry("unit.pads_swapped", "the pads of the two fingers are exchanged at the unit",
                _unit, "pads_swapped"),

@@ -11,7 +11,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Self
 
-from simulator.can.link import CanLink
 from simulator.can.slcan import SlcanAdapter
 from simulator.devices import CellDevices
 from simulator.errors import EndpointError
@@ -46,12 +45,6 @@ class RealTimeCell:
         self.devices = CellDevices(settings, start_s=now_s - POWERED_BEFORE_S)
         self.devices.world.skip_to(now_s)
         self._world_s = now_s
-        link = CanLink(
-            self.devices.can_devices,
-            bitrate=settings.unit.bitrate,
-            faults=self.devices.faults.can,
-            seed=settings.seed,
-        )
         self._ptys: list[SerialPty] = []
         with ExitStack() as opened:
 
@@ -61,13 +54,10 @@ class RealTimeCell:
                 return pty
 
             self._servo_pty = keep(SerialPty(self.devices.servo_bus, folder / "servos"))
-            adapter = SlcanAdapter(link, bitrate=settings.unit.bitrate)
-            self._can_pty = keep(SerialPty(adapter, folder / "can"))
+            self._can_pty = keep(SerialPty(SlcanAdapter(self.devices.can), folder / "can"))
             self._axes_can_pty: SerialPty | None = None
-            if self.devices.axes_can_devices is not None:
-                bitrate = settings.axes_can_bitrate
-                axes_link = CanLink(self.devices.axes_can_devices, bitrate=bitrate)
-                adapter = SlcanAdapter(axes_link, bitrate=bitrate)
+            if self.devices.axes_can is not None:
+                adapter = SlcanAdapter(self.devices.axes_can)
                 self._axes_can_pty = keep(SerialPty(adapter, folder / "axes-can"))
             self._axes_ptys = {
                 moves: keep(SerialPty(axis.bus, folder / f"axis-{moves}"))

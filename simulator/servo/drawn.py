@@ -50,7 +50,7 @@ def _xm430(kt_nm_a: float, back_emf_v_s: float, inertia_kg_m2: float) -> Spread:
             kt_nm_a=kt_nm_a,
             back_emf_v_s=back_emf_v_s,
             friction=Friction(
-                base_nm=(_XM430_FRICTION_A * kt_nm_a, 0.0),
+                base_nm=_XM430_FRICTION_A * kt_nm_a,
                 viscous_nm_s=_XM430_VISCOUS_A_S * kt_nm_a,
             ),
             inertia_kg_m2=inertia_kg_m2,
@@ -66,9 +66,9 @@ def _x330(torque: float, back_emf_v_s: float, winding_ohm: float, inertia_kg_m2:
             kt_nm_a=torque * 0.365,
             back_emf_v_s=back_emf_v_s,
             friction=Friction(
-                base_nm=(torque * 0.01, 0.0),
-                drive=(0.37, 0.0),
-                load=(0.06, 0.0),
+                base_nm=torque * 0.01,
+                drive=0.37,
+                load=0.06,
                 load_quadratic_per_nm=0.3 / torque,
                 viscous_nm_s=torque * 0.005,
             ),
@@ -108,14 +108,13 @@ def _drawn(spread: Spread, rng: random.Random) -> Drive:
     typical, friction = spread.typical, spread.typical.friction
     torque = rng.uniform(*spread.torque)
     base = math.exp(rng.uniform(*map(math.log, spread.friction)))
-    load, load_s = friction.load
     return Drive(
         kt_nm_a=torque * typical.kt_nm_a,
         back_emf_v_s=torque * rng.uniform(*spread.back_emf) * typical.back_emf_v_s,
         friction=replace(
             friction,
-            base_nm=(base * friction.base_nm[0], base * friction.base_nm[1]),
-            load=(load + rng.uniform(*spread.load), load_s),
+            base_nm=base * friction.base_nm,
+            load=friction.load + rng.uniform(*spread.load),
             viscous_nm_s=rng.uniform(*spread.viscous) * friction.viscous_nm_s,
         ),
         inertia_kg_m2=rng.uniform(*spread.inertia) * typical.inertia_kg_m2,

@@ -1,7 +1,7 @@
 """Gearings of simulated servos as data: of the data sheet, assumed, or drawn for one servo.
 
-The friction law is M6 of M. Duclusaud, G. Passault et al., "Extended Friction Models for the
-Physics Simulation of Servo Actuators" (arXiv 2410.08650).
+The friction law is a part of M6 of M. Duclusaud, G. Passault et al., "Extended Friction Models for
+the Physics Simulation of Servo Actuators" (arXiv 2410.08650).
 """
 
 import math
@@ -14,34 +14,24 @@ from simulator.servo.data_sheets import data_sheet
 
 _VISCOUS_SHARE = 0.01
 """Viscous friction at no-load speed over the stall torque; an assumption."""
+_STRIBECK_RAD_S = 1.0
+"""Speed in rad/s at which friction that fades with speed has fallen to 37 %; an assumption."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Friction:
-    """Friction of a gearing at its output; it opposes the motion.
+    """Friction of a gearing at its output; it opposes the motion."""
 
-    With s = exp(-(speed / ``stribeck_rad_s``) ** ``stribeck_exponent``), each pair is a steady part
-    and a part times s, which is largest at rest and fades with speed.
-    """
-
-    base_nm: tuple[float, float] = (0.0, 0.0)
+    base_nm: float = 0.0
     """Friction without load in N.m."""
-    drive: tuple[float, float] = (0.0, 0.0)
-    """Shares of the motor's torque; at first the steady part."""
-    load: tuple[float, float] = (0.0, 0.0)
-    """Shares of the load's torque."""
-    drive_quadratic_per_nm: float = 0.0
+    drive: float = 0.0
+    load: float = 0.0
+    """Shares of the torque of the motor, and of that of the load."""
     load_quadratic_per_nm: float = 0.0
-    """Factors times s on the square of the motor's or the load's torque; of two opposing torques
-    the smaller one is used."""
-    stribeck_rad_s: float = 1.0
-    stribeck_exponent: float = 1.0
+    """Factor on the square of the load's torque, where that opposes a larger torque of the motor;
+    it is largest at rest and fades with speed."""
     viscous_nm_s: float = 0.0
     """Viscous friction in N.m s/rad."""
-
-    def fading(self, speed_rad_s: float) -> float:
-        """Return s at a speed of the output in rad/s: 1 at rest, towards 0 with speed."""
-        return math.exp(-((abs(speed_rad_s) / self.stribeck_rad_s) ** self.stribeck_exponent))
 
     def torque_nm(
         self, driving_nm: float, load_nm: float, speed_rad_s: float, base_factor: float = 1.0
@@ -55,18 +45,13 @@ class Friction:
         base_factor
             Factor on the friction without load.
         """
-        (base, base_s), (drive, drive_s), (load, load_s) = self.base_nm, self.drive, self.load
-        drive_quadratic, load_quadratic = self.drive_quadratic_per_nm, self.load_quadratic_per_nm
-        friction_nm = base_factor * base + abs(load * load_nm - drive * driving_nm)
-        if not (base_s or drive_s or load_s or drive_quadratic or load_quadratic):
-            return friction_nm
-        share = self.fading(speed_rad_s)
-        friction_nm += share * (base_factor * base_s + abs(load_s * load_nm - drive_s * driving_nm))
-        if load_nm * driving_nm < 0.0:
-            if abs(load_nm) < abs(driving_nm):
-                friction_nm += share * load_quadratic * load_nm * load_nm
-            else:
-                friction_nm += share * drive_quadratic * driving_nm * driving_nm
+        friction_nm = base_factor * self.base_nm + abs(
+            self.load * load_nm - self.drive * driving_nm
+        )
+        opposing = load_nm * driving_nm < 0.0 and abs(load_nm) < abs(driving_nm)
+        if self.load_quadratic_per_nm and opposing:
+            share = math.exp(-abs(speed_rad_s) / _STRIBECK_RAD_S)
+            friction_nm += share * self.load_quadratic_per_nm * load_nm * load_nm
         return friction_nm
 
 
@@ -116,8 +101,8 @@ class Gearing:
             kt_nm_a=more * sheet.kt_nm_a,
             back_emf_v_s=sheet.voltage_v * (1.0 - idle_share) / sheet.no_load_rad_s,
             friction=Friction(
-                base_nm=(more * sheet.friction_nm, 0.0),
-                load=(self.load_friction, 0.0),
+                base_nm=more * sheet.friction_nm,
+                load=self.load_friction,
                 viscous_nm_s=viscous_nm_s,
             ),
             inertia_kg_m2=sheet.inertia_kg_m2,

@@ -45,8 +45,6 @@ class Instruction(IntEnum):
     REBOOT = 0x08
     SYNC_READ = 0x82
     SYNC_WRITE = 0x83
-    BULK_READ = 0x92
-    BULK_WRITE = 0x93
 
 
 class StatusError(IntEnum):
@@ -126,10 +124,9 @@ class Packet(NamedTuple):
 class PacketParser:
     """Finds packets in a stream of bytes, as strictly as a servo.
 
-    A header is ``FF FF FD`` not followed by FD, at any place. A header inside a packet means that
-    the packet was cut off (or not stuffed), and that a new packet starts there. After a wrong
-    checksum the search continues at the last bytes of the packet: if bytes were lost, these may be
-    the head of the next packet.
+    A packet that holds another header was not stuffed, or was cut off: it is passed over. After a
+    wrong checksum the search continues behind the header: if bytes were lost, the next packet may
+    begin there.
     """
 
     def __init__(self) -> None:
@@ -141,55 +138,21 @@ class PacketParser:
 
     def push(self, data: bytes) -> list[Packet]:
         """Take bytes from the wire and return the completed packets in order."""
-        buffer = self._buffer + data
-        packets: list[Packet] = []
-        start, size = 0, len(buffer)
-        while True:
-            header = self._next_header(buffer, start)
-            if header < 0:
-                start = max(start, size - 2)
+        buffer, packets = self._buffer + data, list[Packet]()
+        while (start := buffer.find(_START)) >= 0:
+            buffer = buffer[start:]
+            if len(buffer) < _OVERHEAD:
                 break
-            start = header
-            if size < start + _OVERHEAD:
+            packet_id, length = _ID_AND_LENGTH.unpack_from(buffer, len(_START))
+            end = _OVERHEAD + length
+            if 3 <= length <= MAX_LENGTH and len(buffer) < end:
                 break
-            _, length = _ID_AND_LENGTH.unpack_from(buffer, start + len(_START))
-            if not 3 <= length <= MAX_LENGTH:
-                start += 1
-                continue
-            end = start + _OVERHEAD + length
-            inner = self._next_header(buffer, start + 4, end - _CRC_SIZE)
-            if inner >= 0:
-                start = inner
-                continue
-            if size < end:
-                break
-            packet = self._take(buffer[start:end])
-            packets.append(packet)
-            start = end if packet.intact else max(start + 4, end - 4)
-        self._buffer = buffer[start:]
+            body, crc = buffer[_OVERHEAD : end - _CRC_SIZE], buffer[end - _CRC_SIZE : end]
+            whole = 3 <= length <= MAX_LENGTH and HEADER not in body.replace(_STUFFED, b"")
+            intact = crc16(buffer[: end - _CRC_SIZE]) == int.from_bytes(crc, "little")
+            if whole:
+                body = unstuff(body)
+                packets.append(Packet(packet_id, body[0], body[1:], intact))
+            buffer = buffer[end if whole and intact else len(_START) :]
+        self._buffer = buffer if start >= 0 else buffer[-len(HEADER) :]
         return packets
-
-    @staticmethod
-    def _next_header(buffer: bytes, start: int, end: int | None = None) -> int:
-        """Return the start of the next header with its FD before ``end``; -1: no header."""
-        while True:
-            start = buffer.find(HEADER, start, end)
-            if start < 0:
-                return -1
-            if start + 3 < len(buffer):
-                following = buffer[start + 3]
-                if following == 0 or (end is not None and following != 0xFD):
-                    return start
-            elif end is None:
-                return start
-            else:
-                return -1
-            start += 3
-
-    @staticmethod
-    def _take(raw: bytes) -> Packet:
-        body = raw[_OVERHEAD:-_CRC_SIZE]
-        intact = crc16(raw[:-_CRC_SIZE]) == int.from_bytes(raw[-_CRC_SIZE:], "little")
-        if HEADER in body:
-            body = unstuff(body)
-        return Packet(raw[len(_START)], body[0], body[1:], intact)

@@ -15,7 +15,7 @@ from motion.drive import Cia402Drive, DriveSettings
 from motion.object_dictionary import HomingMethod
 from motion.servo import ServoAxis, ServoAxisSettings
 from simulator.can.drive import DriveMount, SimulatedDrive
-from simulator.can.link import CanDevices
+from simulator.can.link import CanLink
 from simulator.can.memory_bus import InMemoryCanBus
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream
@@ -65,7 +65,7 @@ class DriveBench:
 
     clock: VirtualClock
     simulated: SimulatedDrive
-    devices: CanDevices
+    link: CanLink
     bus: InMemoryCanBus
     drive: Cia402Drive
     axes: Axes
@@ -79,7 +79,7 @@ class DriveBench:
     def second_drive(self) -> Callable[[], None]:
         """Let a drive with the same node-ID join the bus; returns what takes it off again."""
         now_s = self.clock.monotonic()
-        return self.devices.add(SimulatedDrive(self.simulated.mount, start_s=now_s))
+        return self.link.add(SimulatedDrive(self.simulated.mount, start_s=now_s))
 
     def once_moving(self, act: Callable[[], Any]) -> None:
         """Do something once, 20 ms after the axis began to move."""
@@ -106,13 +106,13 @@ def make_drive() -> Iterator[MakeDrive]:
                 absolute=settings.homing is None,
             )
         )
-        devices = CanDevices(simulated)
-        bus = InMemoryCanBus(devices, clock)
+        link = CanLink(simulated)
+        bus = InMemoryCanBus(link, clock)
         buses.append(bus)
         clock.sleep(BOOT_S)
         watch = Watch(clock, 0.005)
         drive = Cia402Drive(settings, DriveBus(bus, watch, 0.125))
-        return DriveBench(clock, simulated, devices, bus, drive, Axes([drive], watch))
+        return DriveBench(clock, simulated, link, bus, drive, Axes([drive], watch))
 
     yield make
     for bus in buses:

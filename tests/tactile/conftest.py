@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
+from simulator.can.link import CanLink
 from simulator.can.memory_bus import InMemoryCanBus
 from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
@@ -54,7 +55,7 @@ class Bench:
         self.clock = VirtualClock(100.0)
         self.skin = Skin(layout)
         self.unit = SimulatedControlUnit(self.skin, layout, unit, start_s=100.0)
-        self.bus = InMemoryCanBus(self.unit, self.clock)
+        self.bus = InMemoryCanBus(CanLink(self.unit), self.clock)
         self.traffic: list[tuple[float, int, bytes]] = []
         self.bus.capture.append(lambda t_s, can_id, data: self.traffic.append((t_s, can_id, data)))
         self.link = TactileLink(

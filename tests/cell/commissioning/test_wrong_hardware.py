@@ -159,7 +159,7 @@ def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(make_stand: Ma
 
 def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(stand) -> None:
     mount = DriveMount(node_id=3, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
-    stand.cell.devices.can_devices.add(SimulatedDrive(mount))
+    stand.cell.devices.can.add(SimulatedDrive(mount))
     finding = stand.passes(UNIT)
     assert finding.settings["tactile.node_id"] == 5
     assert "Beside it, node 3 is another device" in "\n".join(finding.lines)

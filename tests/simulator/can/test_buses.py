@@ -46,7 +46,7 @@ class Echo:
 
 def echo_bus(faults: CanLinkFaults | None = None) -> tuple[Echo, InMemoryCanBus, VirtualClock]:
     echo, clock = Echo(), VirtualClock(start_s=10.0)
-    return echo, InMemoryCanBus(echo, clock, faults=faults), clock
+    return echo, InMemoryCanBus(CanLink(echo, faults=faults), clock), clock
 
 
 def drain(bus: InMemoryCanBus) -> list[can.Message]:
@@ -200,7 +200,7 @@ def test_messages_can_come_late_with_one_bit_turned_or_cut_off() -> None:
 @pytest.mark.slow
 def test_an_adapter_that_nobody_reads_loses_messages() -> None:
     echo = Echo()
-    link = CanLink(echo, bitrate=1_000_000)
+    link = CanLink(echo)
     for _ in range(11):
         assert echo.send(0.0, 0x185, [bytes(8)] * 10_000) > 0.0
     assert echo.send(0.0, 0x185, [bytes(8)] * 7) == 0.0
@@ -212,9 +212,7 @@ class Line:
     def __init__(self, *setup: bytes) -> None:
         self.device = Echo()
         self.faults = CanLinkFaults()
-        self.adapter = SlcanAdapter(
-            CanLink(self.device, bitrate=1_000_000, faults=self.faults), bitrate=1_000_000
-        )
+        self.adapter = SlcanAdapter(CanLink(self.device, faults=self.faults))
         for command in setup:
             assert self.say(command + b"\r") == b"\r"
 

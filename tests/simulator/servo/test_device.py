@@ -198,10 +198,7 @@ def test_broadcasts_reach_all_and_are_not_acknowledged(bench, instruction, param
         (Instruction.SYNC_WRITE, "4100 0100 01 01 02"),
         (Instruction.SYNC_WRITE, "4100"),
         (Instruction.SYNC_WRITE, "4100 0000 01"),
-        (Instruction.BULK_WRITE, "01 4100 0200 01"),
-        (Instruction.BULK_WRITE, "01 4100"),
         (Instruction.SYNC_READ, "8400 0400"),
-        (Instruction.BULK_READ, "01 9000 02"),
     ],
 )
 def test_group_instructions_cut_off_are_passed_over(bench, instruction: int, parameters: str):

@@ -149,7 +149,7 @@ def test_single_lost_messages_cost_one_frame_each(cell: SimulatedCell, source: U
 
 def test_short_and_foreign_messages_are_counted_and_left_out(cell, source) -> None:
     source.start()
-    send = cell.devices.can_devices._send
+    send = cell.devices.can._deliver
     send(cell.clock.monotonic(), 0x710, [b"\x00\x01"])
     send(cell.clock.monotonic(), 0x123, [bytes(8)])
     run(cell, source, 0.1)
