@@ -33,6 +33,9 @@ BITS_PER_BYTE = 10
 """Bits on the line for one byte: start bit, 8 data bits, stop bit."""
 _PLACE = struct.Struct("<HH")
 """Address and size in a group instruction."""
+_GROUP_READS = frozenset({Instruction.SYNC_READ, Instruction.BULK_READ})
+_GROUP_WRITES = frozenset({Instruction.SYNC_WRITE, Instruction.BULK_WRITE})
+"""Instructions to several servos."""
 
 
 class ServoBusDevice:
@@ -176,9 +179,9 @@ class ServoBusDevice:
                 answers = [servo.execute(instruction, b"", now_s) for servo in same_id]
                 packets = [encode_status(same_id[0].servo_id, *answer) for answer in answers]
                 self._reply(same_id[0], _at_once(packets), now_s)
-        elif instruction == Instruction.SYNC_READ:
+        elif instruction in _GROUP_READS:
             self._chain(instruction, _entries(instruction, parameters), hearing, now_s)
-        elif instruction == Instruction.SYNC_WRITE:
+        elif instruction in _GROUP_WRITES:
             for servo_id, address, _, data in _entries(instruction, parameters):
                 for servo in hearing:
                     if servo_id == servo.servo_id:
@@ -267,15 +270,24 @@ def _entries(instruction: int, parameters: bytes) -> list[tuple[int, int, int, b
 
     One that is cut off has none.
     """
-    if len(parameters) < _PLACE.size:
+    sync = instruction in {Instruction.SYNC_READ, Instruction.SYNC_WRITE}
+    entries, at, end = [], 4 if sync else 0, len(parameters)
+    try:
+        address, size = _PLACE.unpack_from(parameters) if sync else (0, 0)
+        while at < end:
+            servo_id = parameters[at]
+            if not sync:
+                address, size = _PLACE.unpack_from(parameters, at + 1)
+                at += 4
+            at += 1
+            data = parameters[at : at + size] if instruction in _GROUP_WRITES else b""
+            if instruction in _GROUP_WRITES and not len(data) == size > 0:
+                return []
+            at += len(data)
+            entries.append((servo_id, address, size, data))
+    except struct.error:
         return []
-    (address, size), rest = _PLACE.unpack_from(parameters), parameters[_PLACE.size :]
-    if instruction == Instruction.SYNC_READ:
-        return [(servo_id, address, size, b"") for servo_id in rest]
-    if not size or len(rest) % (1 + size):
-        return []
-    starts = range(0, len(rest), 1 + size)
-    return [(rest[at], address, size, rest[at + 1 : at + 1 + size]) for at in starts]
+    return entries
 
 
 class SerialDevice(Protocol):

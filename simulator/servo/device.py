@@ -59,7 +59,7 @@ _GAINS_IN_USE = frozenset(
 )
 _ANSWERS_READS, _ANSWERS_ALL = 1, 2
 """Contents of Status Return Level (68)."""
-_READS = frozenset({Instruction.READ, Instruction.SYNC_READ})
+_READS = frozenset({Instruction.READ, Instruction.SYNC_READ, Instruction.BULK_READ})
 
 
 class StatusBody(NamedTuple):

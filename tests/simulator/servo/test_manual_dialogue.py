@@ -31,10 +31,16 @@ DIALOGUES = [
     ("sync read", {1: {"present_position": 166}, 2: {"present_position": 2079}},
      "FE 0900 82 8400 0400 01 02 CEFA",
      "FFFFFD00 01 0800 55 00 A6000000 8CC0 FFFFFD00 02 0800 55 00 1F080000 BABE", {}),
+    ("bulk read", {1: {"present_input_voltage": 119}, 2: {"present_temperature": 36}},
+     "FE 0D00 92 01 9000 0200 02 9200 0100 1A05",
+     "FFFFFD00 01 0600 55 00 7700 C369 FFFFFD00 02 0500 55 00 24 8BA9", {}),
     ("sync write", {}, "FE 1100 83 7400 0400 01 96000000 02 AA000000 8287", "",
      {(1, "goal_position"): 150, (2, "goal_position"): 170}),
     ("sync write of currents", {}, "FE 0D00 83 6600 0200 01 6400 02 9CFF E1DB", "",
      {(1, "goal_current"): 100, (2, "goal_current"): -100}),
+    ("bulk write", {1: {"max_voltage_limit": 150}, 2: {"temperature_limit": 61}},
+     "FE 1000 93 01 2000 0200 A000 02 1F00 0100 50 B768", "",
+     {(1, "max_voltage_limit"): 160, (2, "temperature_limit"): 80}),
 ]
 # fmt: on
 
