@@ -32,21 +32,18 @@ STICKING = Gearing(
         kt_nm_a=2.8591851666071726,
         back_emf_v_s=2.8591851666071726,
         friction=Friction(
-            base_nm=(1.1067583213438516e-06, 0.21903104198208162),
-            drive=(0.31147, 0.18774),
-            load=(2e-08, 0.014066),
-            drive_quadratic_per_nm=0.0038701041748655245,
-            load_quadratic_per_nm=0.0056019456826598025,
-            stribeck_rad_s=2.5753,
-            stribeck_exponent=0.8409,
-            viscous_nm_s=0.045228928367563176,
+            base_nm=0.219,
+            drive=0.499,
+            load=0.014,
+            load_quadratic_per_nm=0.0056,
+            viscous_nm_s=0.0452,
         ),
         inertia_kg_m2=0.02189596382194143,
         winding_ohm=5.217391304347826,
     )
 )
-"""A gearing that sticks at rest: that of an MX-64 (Rhoban/bam, revision 1b5a1ce, mx64/m6.json), all
-torques scaled to the graph of an XM430-W350."""
+"""A gearing that sticks at rest: that of an MX-64 (Rhoban/bam, revision 1b5a1ce, mx64/m6.json) at
+low speed, all torques scaled to the graph of an XM430-W350."""
 
 
 def packed(text: str) -> bytes:

@@ -290,7 +290,7 @@ def test_drives_and_servos_of_axes_are_asked_and_not_moved(meddle) -> None:
     findings = by_name(list(examine(AXES)))
     for name, text in (
         ("axis x (drive 11)", "error 3210h: over-voltage"),
-        ("axis rotation (drive 12)", "does not answer"),
+        ("axis rotation (drive 12)", "no SDO response"),
         ("axis roll (servo 1)", "hardware error overload"),
     ):
         assert findings[name].verdict is Verdict.FAIL

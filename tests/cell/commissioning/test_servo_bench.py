@@ -113,8 +113,8 @@ def truth(bench: SimulatedBench) -> dict[str, Any]:
     """Return what the steps should measure of the simulated servo."""
     model, drive = bench.rig.model, bench.motor.gearing.drive_of(bench.rig.model)
     supply = model.supply_current
-    free_nm_a = (1.0 - drive.friction.drive[0]) * drive.kt_nm_a
-    rising_a_nm = (1.0 + drive.friction.load[0]) / free_nm_a
+    free_nm_a = (1.0 - drive.friction.drive) * drive.kt_nm_a
+    rising_a_nm = (1.0 + drive.friction.load) / free_nm_a
     return {
         "shutdown_raw": model.shutdown_raw,
         "velocity_mean_s": 0.032 if supply else 0.064,
@@ -123,7 +123,7 @@ def truth(bench: SimulatedBench) -> dict[str, Any]:
         "rising_a_nm": pytest.approx(rising_a_nm, rel=0.1),
         "winding_ohm": pytest.approx(drive.winding_ohm, rel=0.05),
         "duty_exponent": pytest.approx(0.5 if supply else 1.0, abs=0.1),
-        "coulomb_a": pytest.approx(drive.friction.base_nm[0] / free_nm_a, rel=0.15),
+        "coulomb_a": pytest.approx(drive.friction.base_nm / free_nm_a, rel=0.15),
         "back_emf_v_s": pytest.approx(drive.back_emf_v_s, rel=0.05),
     }
 
