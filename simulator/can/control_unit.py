@@ -209,7 +209,7 @@ class SimulatedControlUnit(CanopenDevice):
         if due_s < self._force_end_s - ROUNDING_S:
             self.scanner.force_overrun = True
             return
-        messages = [self.scanner.force_message()]
+        messages = [self.scanner.force_message(self._force_period_s)]
         self._forces_lost += self.faults.forces_lost
         if self._forces_lost >= 1.0:
             self._forces_lost -= 1.0

@@ -11,6 +11,9 @@ from simulator.can.pad_forces import PadForces
 from tactile.layout import TaxelLayout
 from tactile.source import ForceStatus, FrameStatus
 
+FORCE_SCAN_S = 0.005
+"""Longest time in s between two scans of the gripping pads (the unit's page, TPDO2)."""
+
 
 class ScannedWorld(Protocol):
     """The world for a scanner."""
@@ -63,14 +66,18 @@ class Scanner:
             self.overrun = False
         return self.format.burst(self._counts, self.counter, status)
 
-    def force_message(self) -> bytes:
-        """Scan the gripping pads and return their force message."""
+    def force_message(self, period_s: float) -> bytes:
+        """Scan the gripping pads and return their force message, one each ``period_s`` s."""
         faults = self._faults
-        if not faults.frozen or self._gripping is None:
-            self._gripping = faults.apply(self._world.scan_gripping(), self._layout.adc_max)
+        scans = max(1, round(period_s / FORCE_SCAN_S))
+        for scan in range(1, scans + 1):
+            if not faults.frozen or self._gripping is None:
+                self._gripping = faults.apply(self._world.scan_gripping(), self._layout.adc_max)
+            gripping = self._gripping.take(self._grip)
+            if scan < scans:
+                self.forces.scan(gripping)
         status = ForceStatus.OVERRUN if self.force_overrun else ForceStatus(0)
         self.force_overrun = False
-        gripping = self._gripping.take(self._grip)
         return self.forces.message(gripping, status, spoil=faults.spoil)
 
     def last_frame(self) -> bytes | None:
