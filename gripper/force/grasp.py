@@ -100,7 +100,7 @@ class GraspRun:
         reached = self._approach(self._settings)
         contact = reached.state
         if reached.event is ApproachEvent.OBSTRUCTED:
-            raise _obstructed(contact)
+            raise _obstructed(reached)
         if reached.event is not ApproachEvent.CONTACT:
             closing = -contact.aperture_velocity_m_s > STANDING_M_S
             closed = contact.aperture_m <= self._settings.aperture_min_m
@@ -119,7 +119,7 @@ class GraspRun:
         contact = reached.state
         self._closed_is_proven = True
         if reached.event is ApproachEvent.OBSTRUCTED:
-            raise _obstructed(contact)
+            raise _obstructed(reached)
         self._end.clear()
         if contact.aperture_m > ZERO_RANGE_M:
             self._end.set()
@@ -196,7 +196,7 @@ class GraspRun:
         """Close until the pads meet; raise MechanicsContradicted if nothing stops the fingers."""
         reached = self._approach(meeting_settings(self._settings))
         if reached.event is ApproachEvent.LIMIT:
-            raise not_met(self._settings, self._linkage, reached.state)
+            raise not_met(self._settings, self._linkage, reached.state, reached.friction_advice)
         return reached
 
     def _prove_closed(self, state: ServoFeedback) -> None:
@@ -476,11 +476,13 @@ def _too_small(settings: GripperSettings, most_n: float, force_n: float, apertur
     )
 
 
-def _obstructed(state: ServoFeedback) -> GripContradicted:
+def _obstructed(reached: Approach) -> GripContradicted:
+    state = reached.state
     return GripContradicted(
         f"the fingers were stopped at an opening of {state.aperture_m * 1e3:.1f} mm, pressing with "
-        f"{state.current_a:.2f} A, but the pads show no force: something is between the fingers "
-        f"beside the taxels, or the pads are blind (where nothing blocks the fingers check "
-        f"gripper.servos[].zero_pulse, direction and gripper.linkage). Nothing opens by itself: "
-        f"look between the fingers, check pads and control unit, then clear the fault and release"
+        f"{max(reached.currents_a):.2f} A, but the pads show no force: something is between the "
+        f"fingers beside the taxels, or the pads are blind (where nothing blocks the fingers check "
+        f"gripper.servos[].zero_pulse, direction and gripper.linkage){reached.friction_advice}. "
+        f"Nothing opens by itself: look between the fingers, check pads and control unit, then "
+        f"clear the fault and release"
     )

@@ -60,6 +60,8 @@ _RESERVE_N = 1.5
 """Force in N for the moving mass in addition to the set-point, for the rate of a ramp. [tuned]"""
 _RUNNING_SHARE = 1.25
 """Rate of the opening over ``runaway_speed_m_s`` up to which a set-point does not limit it."""
+BEYOND_MIDDLE_M = 0.005
+"""Largest distance in m of a finger beyond the middle, if the other finger makes room. [chosen]"""
 OPENING_MARGIN_RAD = 0.05
 """Largest distance in rad of a goal beyond its opening: friction stops fingers short of a goal."""
 
@@ -255,11 +257,11 @@ class GoalGuard:
                 opening = False
         if not lowering and not opening:
             paths = transmissions(settings, self._linkage, state.angles_rad)
-            for one, path, goal in zip(settings.servos, paths, goals, strict=True):
+            for servo, path, goal in zip(state.servos, paths, goals, strict=True):
                 least_n = goal.current_a * path.n_per_a - path.friction_n
-                if least_n > settings.force_max_n:
+                if goal.angle_rad < servo.angle_rad and least_n > settings.force_max_n:
                     raise LimitExceeded(
-                        f"goal current {goal.current_a:.3f} A of servo {one.servo_id} makes at "
+                        f"goal current {goal.current_a:.3f} A of servo {servo.servo_id} makes at "
                         f"least {least_n:.1f} N, force_max_n is {settings.force_max_n} N "
                         f"({_positions(state)})"
                     )
@@ -336,9 +338,15 @@ def pressing_speed_m_s(settings: GripperSettings, impact: ImpactLimit, setpoint_
 
 
 def most_closed_rad(settings: GripperSettings, linkage: Linkage) -> tuple[float, ...]:
-    """Return the most closed goal of each servo in rad: pads that meet, at the largest current."""
+    """Return the most closed goal of each servo in rad: pads that meet, at the largest current.
+
+    Fingers with a servo each may meet beside the middle.
+    """
+    aside_m = (linkage.n_servos - 1) * BEYOND_MIDDLE_M
     return tuple(
-        angle_rad - closing_margin_rad(servo.servo_model, settings.current_max_a)
+        angle_rad
+        - aside_m / linkage.opening_per_rad_m(angle_rad)
+        - closing_margin_rad(servo.servo_model, settings.current_max_a)
         for angle_rad, servo in zip(linkage.angles_rad(0.0), settings.servos, strict=True)
     )
 

@@ -152,6 +152,21 @@ class Approach:
         ]
 
     @property
+    def friction_advice(self) -> str:
+        """Advice where a servo has the most current that the cap of the force allows, or empty."""
+        for servo, current_a, most_a in zip(
+            self.state.servos, self.currents_a, self._most_a, strict=True
+        ):
+            if current_a >= most_a:
+                return (
+                    f"; or servo {servo.servo_id} does not overcome its friction with "
+                    f"{most_a:.2f} A, the most that gripper.force_max_n = "
+                    f"{self.settings.force_max_n:g} N allows: raise that, or lengthen the levers "
+                    f"of the fingers"
+                )
+        return ""
+
+    @property
     def touch_m(self) -> float:
         """Opening in m at which both pads were first loaded, by the samples of the contact.
 
@@ -322,5 +337,6 @@ class Approach:
         if not loaded or abs(state.aperture_velocity_m_s) > STANDING_M_S:
             self._moving_s = now_s
         if now_s - self._moving_s >= _STALL_TIME_S:
-            return ApproachEvent.CONTACT if any(touched) else ApproachEvent.OBSTRUCTED
+            pressed = any(touched) or all(self._touch.lasts)
+            return ApproachEvent.CONTACT if pressed else ApproachEvent.OBSTRUCTED
         return ApproachEvent.LIMIT if now_s >= self._deadline_s else ApproachEvent.CLOSING

@@ -43,10 +43,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from gripper.errors import GripperError, LimitExceeded, MechanicsContradicted
-from gripper.mechanics.kinematics import (
-    Linkage,
-    OneFinger,
-)
+from gripper.mechanics.kinematics import Linkage, OneFinger
+from gripper.servos.goal_limits import BEYOND_MIDDLE_M
 from gripper.servos.plausibility import BEYOND_CLOSED_M
 from gripper.settings import GripperSettings
 from gripper.values.servo_checks import VerificationRow
@@ -54,8 +52,6 @@ from gripper.values.state import ServoFeedback
 
 POSITION_ITEM = "present_position"
 """Name of the rows that `standing_rows` returns."""
-_BEYOND_MIDDLE_M = 0.005
-"""Largest distance in m of a finger beyond the middle, if the other finger makes room. [chosen]"""
 ZERO_RANGE_M = 0.006
 """Largest accepted error of the zero of the opening in m, in both directions: empty fingers meet
 within it. A tooth of a horn is 15 mm on a link of 60 mm. [chosen]"""
@@ -104,7 +100,7 @@ def standing_rows(
     for index, (servo, raw, half_m) in enumerate(
         zip(settings.servos, positions_raw, halves_m, strict=True)
     ):
-        wrong = half_m is None or half_m < (0.0 if closed else -_BEYOND_MIDDLE_M)
+        wrong = half_m is None or half_m < (0.0 if closed else -BEYOND_MIDDLE_M)
         where = "beyond its dead centre" if half_m is None else f"{half_m * 1e3:.1f} mm from it"
         rows.append(
             VerificationRow(
@@ -141,10 +137,12 @@ def meeting_settings(settings: GripperSettings) -> GripperSettings:
     )
 
 
-def not_met(settings: GripperSettings, linkage: Linkage, state: ServoFeedback) -> GripperError:
+def not_met(
+    settings: GripperSettings, linkage: Linkage, state: ServoFeedback, advice: str
+) -> GripperError:
     """Return the error of empty fingers that did not stop where their pads must meet.
 
-    If the time ended before, nothing is wrong with the mechanics.
+    If the time ended before, nothing is wrong with the mechanics: ``advice`` then ends the text.
     """
     meeting = meeting_settings(settings)
     if state.aperture_m > meeting.aperture_min_m:
@@ -152,6 +150,7 @@ def not_met(settings: GripperSettings, linkage: Linkage, state: ServoFeedback) -
             f"the empty fingers should meet, but after {meeting.contact_timeout_s:g} s they have "
             f"closed to {state.aperture_m * 1e3:.1f} mm only. They stand still: clear the fault "
             f"and release, then raise gripper.contact_timeout_s or gripper.approach_speed_mm_s"
+            f"{advice}"
         )
     return MechanicsContradicted(
         f"the fingers have found nothing, and stand at an opening of "

@@ -28,13 +28,13 @@ from statistics import fmean
 from gripper.dynamixel.drive import Drives
 from gripper.errors import LimitExceeded
 from gripper.force.control.observer import GripObserver
-from gripper.force.estimates.grip import Grip
+from gripper.force.estimates.grip import Grip, History
 from gripper.force.loop import Moment
 from gripper.mechanics.impact import CURRENT_S, current_share, impact_limit
 from gripper.mechanics.kinematics import Transmission, driving_n
 from gripper.servos.goal_limits import MOST_STICTION, pressing_speed_m_s
 from gripper.values.force_sensor import ForceSample
-from gripper.values.recent import FRAME_S, LOOK_BACK_S
+from gripper.values.recent import FRAME_S
 from gripper.values.state import GRAIN_M, ServoFeedback
 
 _ACTS_S = 0.001 + CURRENT_S
@@ -245,7 +245,7 @@ class ForceLaw:
             grip, now_s, stiffness_n_m=self._stiffness[0], stiffness_sd=self._stiffness[1]
         )
         self.plan = ForcePlan(self.observer.force_n)
-        self._measured_n: float | None = None
+        self._drives_n = History()
         self._setpoint_n, self._rates_n_s = grip.setpoint_n, deque([0.0], maxlen=3)
         self._started_m, self._most_m_s = grip.apertures.newest, 0.0
         self._falls, self._still_s = False, 0.0
@@ -268,9 +268,12 @@ class ForceLaw:
         if sample is not None and sample.by_current:
             grip.force_n = grip.balance_n = sample.grip_n
             return self._edge_n(period)
+        measured_n = driving_n(period.state, period.paths)
+        before_n = self._drives_n.newest if self._drives_n else measured_n
+        self._drives_n.add(period.moment.now_s, measured_n)
         if sample is not None and self._jumps(sample, period):
             sample = None
-        frictions_n = self._observe(period, sample)
+        frictions_n = self._observe(period, sample, 0.5 * (before_n + measured_n))
         self._check(period)
         # The new drive acts a little later; until then the last one does.
         speed_m_s = observer.speed_after_m_s(_ACTS_S, grip.drive_n, frictions_n)
@@ -286,14 +289,12 @@ class ForceLaw:
             push_n = self._moving_n(period, sample, error_n, speed_m_s, frictions_n)
         return grip.balance_n + push_n
 
-    def _observe(self, period: Period, sample: ForceSample | None) -> tuple[float, float]:
+    def _observe(
+        self, period: Period, sample: ForceSample | None, drive_n: float
+    ) -> tuple[float, float]:
         """Advance the observer, and return the friction in N of closing and opening fingers."""
         observer, grip, moment = self.observer, self._grip, period.moment
-        measured_n = driving_n(period.state, period.paths)
-        before_n = measured_n if self._measured_n is None else self._measured_n
-        self._measured_n = measured_n
         if moment.dt_s > 0.0:
-            drive_n = 0.5 * (before_n + measured_n)
             observer.predict(moment.dt_s, drive_n, self._frictions_n(period))
         observer.measure(moment, sample)
         if (estimated_n_m := grip.stiffness.stiffness_n_m) not in (None, self._estimated_n_m):
@@ -408,7 +409,7 @@ class ForceLaw:
         return slow or short_n > 2.0 * growth_n + max(_RAMP_N, self.observer.force_sd_n)
 
     def _jumps(self, sample: ForceSample, period: Period) -> bool:
-        """Return whether a sample shows a large jump of the force that no drive made.
+        """Return whether a sample shows a large jump of the force that no drive has made.
 
         A law that follows it would release a part although its force has not changed. Raises
         LimitExceeded when the jump lasts.
@@ -416,9 +417,17 @@ class ForceLaw:
         observer, setpoint_n = self.observer, period.setpoint_n
         jump_n = observer.unexplained_n(sample)
         least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n)
-        least_n += observer.stiffness_sd * observer.moved_n(sample.measured_s - LOOK_BACK_S)
         least_n += _JUMP_SDS * hypot(sample.noise_n, observer.force_sd_n)
         if jump_n <= least_n:
+            self._jumped_s = None
+            return False
+        # A spring that a drive meets at speed is pressed by up to twice the excess of the drive.
+        friction_n = min(path.drive.least_breakaway_a * path.n_per_a for path in period.paths)
+        drive_n = self._drives_n.most(since_s=sample.measured_s - FRAME_S - _SHOWS_S)
+        least_n += 2.0 * max(0.0, drive_n - observer.force_n - friction_n)
+        if jump_n <= least_n:
+            # The part is stiffer than its estimate: the samples have to show the force.
+            observer.resume(jump_n)
             self._jumped_s = None
             return False
         if self._jumped_s is None:

@@ -61,7 +61,6 @@ class GripObserver:
         self._breaks = False
         self.missing_n = 0.0
         """Missing force of the drive in N."""
-        self._apertures = grip.apertures
         self._way_m, self._start_m = 0.0, grip.apertures.newest
         self._way_m2 = _way_sd_m(grip) ** 2
         variances = (_START_SD_N**2, 0.0, _MISSING_SD_N**2, self._way_m2)
@@ -75,9 +74,9 @@ class GripObserver:
         """Standard deviation of the force in N."""
         return sqrt(max(float(self._p[0, 0]), 0.0))
 
-    def resume(self) -> None:
-        """Begin again after a pause in which the force may have changed."""
-        self._p[0, 0] += _START_SD_N**2
+    def resume(self, change_n: float = _START_SD_N) -> None:
+        """Allow for a change of the force in N that the model does not have, as after a pause."""
+        self._p[0, 0] += change_n**2
 
     def break_loose(self, speed_m_s: float) -> None:
         """Set the speed after a push on locked fingers; 0 if they stay locked.
@@ -139,11 +138,6 @@ class GripObserver:
             self._sample_s, before_n = sample.t_s, self.force_n
             self._correct(0, self.unexplained_n(sample), sample.noise_n**2)
             self._forces.shift(self.force_n - before_n)
-
-    def moved_n(self, since_s: float) -> float:
-        """Return the force in N that the way of the fingers since a time in s makes at most."""
-        way_m = 0.5 * abs(self._apertures.newest - self._apertures.at(since_s))
-        return self.stiffness_n_m * max(0.0, way_m - _MOVED_SDS * sqrt(self._way_m2))
 
     def unexplained_n(self, sample: ForceSample) -> float:
         """Return the excess in N of a sample over the force at the time of its measurement."""

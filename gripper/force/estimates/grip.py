@@ -33,6 +33,9 @@ class History:
         self._entries: deque[tuple[float, float]] = deque(maxlen=_LENGTH)
         self._shift = 0.0
 
+    def __bool__(self) -> bool:
+        return bool(self._entries)
+
     def add(self, now_s: float, value: float) -> None:
         """Add the value of now."""
         self._entries.append((now_s, value - self._shift))
@@ -48,6 +51,10 @@ class History:
             if then_s <= t_s:
                 return value + self._shift
         return self._entries[0][1] + self._shift
+
+    def most(self, *, since_s: float) -> float:
+        """Return the largest value since a time in s."""
+        return self._shift + max(value for then_s, value in self._entries if then_s >= since_s)
 
     def shift(self, by: float) -> None:
         """Add ``by`` to all values."""

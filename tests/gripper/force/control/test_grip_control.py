@@ -23,7 +23,7 @@ def test_a_stiffness_that_is_far_too_small_drives_no_force_beyond_the_ramp(
     cell.gripper.start()
     with suppress(LimitExceeded):
         cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
-    assert 4.0 < cell.force_n <= cell.peak_n < 8.0
+    assert 4.0 < cell.force_n <= cell.peak_n < 1.4 * 6.0
 
 
 @pytest.mark.slow
