@@ -352,7 +352,7 @@ class SimulationRequests:
         It is ``present``, else the object of the label, else the part between the fingers. Raises
         CellStateError if there is no part, ConfigError if ``present`` is not an object.
         """
-        world, placed = self._cell.devices.physical, self._cell.devices.physical.placed
+        world, placed = self._cell.devices.world, self._cell.devices.world.placed
         with suppress(SimulatorError):
             if present is None and world.shape(label):
                 return label
@@ -374,7 +374,7 @@ class SimulationRequests:
 
         A job does so at its start: a refused request leaves each name as it is.
         """
-        objects = self._cell.devices.physical.objects
+        objects = self._cell.devices.world.objects
         if part is not None and label not in self._cell.settings.objects:
             objects[label] = objects.get(part) or drawn_shape(part)
         return work(report)
@@ -389,7 +389,7 @@ class SimulationRequests:
 
     def part_here(self) -> str:
         """Return the part between the fingers. Raises CellStateError if there is none."""
-        world = self._cell.devices.physical
+        world = self._cell.devices.world
         if world.placed is None:
             raise CellStateError(
                 "nothing is between the fingers of the simulated cell: name a part as `present`, "
@@ -427,7 +427,7 @@ class InProcessPlacer:
         """Raise PositionerError, with the known objects, if there is no such object."""
         with raised_as(PositionerError, SimulatorError):
             if label != NOTHING:
-                self._cell.devices.physical.shape(label)
+                self._cell.devices.world.shape(label)
 
     def place(self, label: str, pose: Pose) -> Pose:
         """Place an object and return where it came to rest. Raises PositionerError."""

@@ -12,7 +12,6 @@ from simulator.faults.injector import FaultInjector
 from simulator.servo.bus import MemoryServoStream
 from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
-from simulator.world.recorded import RecordedWorld
 from simulator.world.shapes import ObjectPose
 from simulator.world.world import PhysicalWorld
 from tactile.layout import TaxelLayout, paper_layout
@@ -64,14 +63,9 @@ class SimulatedCell:
         return self._servo_port
 
     @property
-    def world(self) -> PhysicalWorld | RecordedWorld:
+    def world(self) -> PhysicalWorld:
         """The world between the fingers."""
         return self.devices.world
-
-    @property
-    def recorded(self) -> RecordedWorld:
-        """The world that plays grasps; see `CellDevices.recorded`."""
-        return self.devices.recorded
 
     @property
     def unit(self) -> SimulatedControlUnit:
@@ -98,11 +92,7 @@ class SimulatedCell:
 
     def remove(self) -> None:
         """Take the object away."""
-        self.devices.physical.remove()
-
-    def play(self, index: int) -> int:
-        """Load one of the settings' grasps; see `CellDevices.play`."""
-        return self.devices.play(index)
+        self.devices.world.remove()
 
     def open_servo_port(self) -> MemoryServoStream:
         """Reopen the host's end of the servo line, as after its adapter was unplugged.

@@ -9,14 +9,12 @@ from simulator.can.control_unit import SimulatedControlUnit
 from simulator.can.drive import DriveMount, SimulatedDrive
 from simulator.can.faults import CanLinkFaults, ControlUnitFaults
 from simulator.can.link import CanDevice, CanLink
-from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import BAUD_RATES, SimulatedServo
 from simulator.servo.faults import WireFaults
 from simulator.servo.mechanics import FingerMechanics
 from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
-from simulator.world.recorded import RecordedWorld
 from simulator.world.shapes import ObjectPose
 from simulator.world.stage import Stage
 from simulator.world.world import PhysicalWorld
@@ -51,11 +49,9 @@ class CellDevices:
             [servo.mount for servo in settings.servos],
             settings.linkage,
             aperture_m=settings.aperture_m,
-            half_opening_min_m=0.0
-            if settings.grasps
-            else max(_PAST_MIDDLE_M, settings.linkage.half_opening_min_m),
+            half_opening_min_m=max(_PAST_MIDDLE_M, settings.linkage.half_opening_min_m),
         )
-        self.world = self._make_world(start_s)
+        self.world = PhysicalWorld(settings.layout, self.mechanics, settings, start_s=start_s)
         eeprom = {
             "baud_rate": BAUD_RATES.index(settings.servo_baud_rate),
             "return_delay_time": 0,
@@ -89,7 +85,7 @@ class CellDevices:
         on_can: CanDevice | None = None
         if settings.boards is not None:
             site = BoardSite(
-                world=self.physical,
+                world=self.world,
                 layout=settings.layout,
                 taxel_faults=unit_faults,
                 faults=self.faults.boards,
@@ -115,8 +111,8 @@ class CellDevices:
         drives = [axis for axis in self.axes.values() if isinstance(axis, SimulatedDrive)]
         self.axes_can = CanLink(*drives, bitrate=settings.axes_can_bitrate) if drives else None
         """The bus of the drives; None without drives."""
-        self.stage = Stage(self.physical, self.axes) if self.axes and not settings.grasps else None
-        """Carrier of the object; None without axes, or in a cell that plays recorded grasps."""
+        self.stage = Stage(self.world, self.axes) if self.axes else None
+        """Carrier of the object; None without axes."""
         self.offset = ObjectPose()
         """Offset of each object from its requested pose."""
 
@@ -130,49 +126,12 @@ class CellDevices:
             start_s=now_s,
         )
 
-    def _make_world(self, start_s: float) -> PhysicalWorld | RecordedWorld:
-        settings = self.settings
-        if settings.grasps:
-            return RecordedWorld(settings.layout, self.mechanics, start_s=start_s)
-        return PhysicalWorld(
-            settings.layout,
-            self.mechanics,
-            settings,
-            start_s=start_s,
-        )
-
-    @property
-    def physical(self) -> PhysicalWorld:
-        """The world with objects; SimulatorStateError in a cell that plays recorded grasps."""
-        if isinstance(self.world, PhysicalWorld):
-            return self.world
-        raise SimulatorStateError("this cell plays recorded grasps, so it has no objects to place")
-
-    @property
-    def recorded(self) -> RecordedWorld:
-        """The world that plays grasps; SimulatorStateError in a cell with objects."""
-        if isinstance(self.world, RecordedWorld):
-            return self.world
-        raise SimulatorStateError("this cell has objects, so it has no recorded grasps to play")
-
-    def play(self, index: int) -> int:
-        """Load one of the settings' grasps; returns the number of its frames.
-
-        Raises SimulatorSettingsError if there is no such grasp, or it does not fit the layout.
-        """
-        recorded, grasps = self.recorded, self.settings.grasps
-        if not 0 <= index < len(grasps):
-            raise SimulatorSettingsError(f"grasp {index} does not exist, there are {len(grasps)}")
-        recorded.load(grasps[index].counts, grasps[index].aperture_m)
-        return recorded.remaining
-
     def place(self, label: str, pose: ObjectPose | None = None) -> ObjectPose:
         """Put an object between the open pads, or on the axes that carry it.
 
         See `PhysicalWorld.place` and `Stage.place`.
         """
-        world, pose = self.physical, (pose or ObjectPose()) + self.offset
-        return (self.stage or world).place(label, pose)
+        return (self.stage or self.world).place(label, (pose or ObjectPose()) + self.offset)
 
     def advance_to(self, now_s: float) -> None:
         """Advance axes, fingers, object and servos to ``now_s`` s."""

@@ -3,9 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.boards.site import SimulatedBoards
 from simulator.can.control_unit import ControlUnitSettings
@@ -52,16 +49,6 @@ class SimulatedServoSettings:
         return motor
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RecordedGrasp:
-    """Frames of one real grasp, for playback."""
-
-    counts: NDArray[np.uint16]
-    """(n, n_taxels) uint16: frames in the order of time."""
-    aperture_m: NDArray[np.float64]
-    """(n,) float64: opening between the fingers in m; NaN where unknown."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatorSettings(WorldSettings):
     """A simulated cell and its world: by default the paper's sensor on two XM430-W350.
@@ -88,8 +75,6 @@ class SimulatorSettings(WorldSettings):
     """Boards on serial lines or on CAN that read the pads; None: the control unit reads them."""
     aperture_m: float = 0.03
     """Opening between the pads at the start in m."""
-    grasps: tuple[RecordedGrasp, ...] = ()
-    """Grasps to play; if empty, the cell presses objects into foam."""
     axes: Mapping[str, DriveMount | WristMount] = field(default_factory=dict)
     """Drives and servos that carry the object, by their part of the pose: ``x``, ``y``,
     ``rotation`` or ``roll``."""

@@ -138,13 +138,13 @@ def test_a_press_shows_at_its_place(config: CellConfig) -> None:
             places_m = layout.taxel_xy_m[taxels]
             # Towards one corner: no mirrored or transposed pad shows it there.
             wanted_m = 0.5 * places_m[0] + np.array([0.0, 0.1 * shape.pitch_y_m])
-            cell.devices.physical.press(pad, float(wanted_m[0]), float(wanted_m[1]), PRESS_N)
+            cell.devices.world.press(pad, float(wanted_m[0]), float(wanted_m[1]), PRESS_N)
             change = run(cell, source, 0.3)[-1].counts - rest
             highest = int(np.argmax(change))
             assert highest in range(layout.n_taxels)[taxels]
             off_m = np.abs(layout.taxel_xy_m[highest] - wanted_m)
             assert np.all(off_m <= 1.5 * np.array([shape.pitch_x_m, shape.pitch_y_m]))
-            cell.devices.physical.lift()
+            cell.devices.world.lift()
             run(cell, source, 0.5)
 
 

@@ -93,7 +93,7 @@ def _drive(fault: Fault) -> SimulatedDrive:
 
 
 def _world(fault: Fault) -> PhysicalWorld:
-    return fault.devices.physical
+    return fault.devices.world
 
 
 # -- Effects other than one knob -------------------------------------------------------------------

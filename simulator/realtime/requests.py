@@ -95,11 +95,11 @@ class CellRequests:
     def _check(self, request: dict[str, Any]) -> dict[str, Any]:
         label = self._label(request["check"])
         if label != NOTHING:
-            self._devices.physical.shape(label)
+            self._devices.world.shape(label)
         return {"known": True}
 
     def _define(self, request: dict[str, Any]) -> dict[str, Any]:
-        name, shape, world = request["define"], request.get("shape"), self._devices.physical
+        name, shape, world = request["define"], request.get("shape"), self._devices.world
         if not isinstance(name, str) or name in (*self._devices.settings.objects, NOTHING, ""):
             raise SimulatorSettingsError(f"{name!r:.60} cannot be defined: take another name")
         if not isinstance(shape, MeshShape):
@@ -111,13 +111,13 @@ class CellRequests:
         """Return the name or text of a shape; names of files are refused."""
         if not isinstance(label, str):
             raise SimulatorSettingsError(f"a shape is a name or text, got {label!r:.40}")
-        if label.startswith("mesh:") and label not in self._devices.physical.objects:
+        if label.startswith("mesh:") and label not in self._devices.world.objects:
             raise SimulatorSettingsError("mesh files are named in the settings, not in requests")
         return label
 
     def _remove(self, request: dict[str, Any]) -> dict[str, Any]:
         _is_true(request, "remove")
-        self._devices.physical.remove()
+        self._devices.world.remove()
         return {"removed": True}
 
     def _press(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -129,13 +129,13 @@ class CellRequests:
             )
         x_m, y_m = _place_on(self._pads[pads[name]], places)
         force_n = _number("force_n", request.get("force_n", 2.0))
-        self._devices.physical.press(pads[name], x_m, y_m, force_n)
+        self._devices.world.press(pads[name], x_m, y_m, force_n)
         self._pressed = name
         return {"pressed": name}
 
     def _lift(self, request: dict[str, Any]) -> dict[str, Any]:
         _is_true(request, "lift")
-        self._devices.physical.lift()
+        self._devices.world.lift()
         self._pressed = None
         return {"lifted": True}
 
@@ -143,7 +143,6 @@ class CellRequests:
         wanted = request["hand"]
         if not isinstance(wanted, dict) or not wanted:
             raise SimulatorSettingsError('hand takes an object such as {"1": 0.02}: servo, m')
-        _ = self._devices.physical
         servos = {
             str(number): number for number in range(1, 1 + len(self._devices.settings.servos))
         }
@@ -158,10 +157,10 @@ class CellRequests:
     def _state(self, request: dict[str, Any]) -> dict[str, Any]:
         _is_true(request, "state")
         devices = self._devices
-        placed = devices.physical.placed
+        placed = devices.world.placed
         return {
             "placed": None if placed is None else placed[0],
-            "objects": list(devices.physical.objects),
+            "objects": list(devices.world.objects),
             "offset": asdict(devices.offset),
             "pressed": self._pressed,
             "pads": [pad.name for pad in self._pads],

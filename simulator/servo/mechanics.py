@@ -175,9 +175,7 @@ class FingerMechanics:
         self._lower_rad = linkage.angle_rad(half_opening_min_m)
         self._upper_rad = linkage.angle_rad(linkage.half_opening_max_m)
         self._hands_rad: dict[int, float] = {}
-        self._driven = False
         self.drive_to(aperture_m)
-        self._driven = False
 
     @property
     def finger_position_m(self) -> tuple[float, float]:
@@ -197,12 +195,8 @@ class FingerMechanics:
         return first + second
 
     def drive_to(self, aperture_m: float) -> None:
-        """Set both fingers symmetrically to a recorded aperture in m; steps do not move them.
-
-        Below 0 the pads press on each other.
-        """
+        """Put both fingers at rest at an aperture in m; below 0 the pads press on each other."""
         theta = self._linkage.angle_rad(0.5 * aperture_m)
-        self._driven = True
         for motor, (direction, zero_rad) in zip(self.motors, self._axes, strict=True):
             motor.place(zero_rad + direction * theta)
 
@@ -271,10 +265,7 @@ class FingerMechanics:
             Decrease of that force per opening of the finger in N/m, at least 0.
         """
         force_n, stiffness_n_m = contact_force_n, contact_stiffness_n_m
-        if self._driven:
-            for motor in self.motors:
-                motor.torque_nm(dt_s)
-        elif self._single:
+        if self._single:
             self._move(0, dt_s, force_n[0] + force_n[1], stiffness_n_m[0] + stiffness_n_m[1])
         else:
             self._move(0, dt_s, force_n[0], stiffness_n_m[0])

@@ -34,9 +34,6 @@ class Fingers(Protocol):
     def finger_position_m(self) -> tuple[float, float]:
         """Half openings in m: distance of each undeformed pad from the centre plane."""
 
-    def drive_to(self, aperture_m: float) -> None:
-        """Put both fingers at a recorded aperture in m."""
-
     def step(
         self,
         dt_s: float,

@@ -256,7 +256,7 @@ class Driver:
         ):
             if self.controller.life.state.value in states:
                 self.do(name)
-        if self.simulated.devices.physical.placed is None:
+        if self.simulated.devices.world.placed is None:
             self.place("ball")
         self._untrusted = False
         if self.controller.life.state.value == "STOPPED":

@@ -283,7 +283,7 @@ class InvariantMonitor:
         self._break(f"the part was let go while {controller.life.state}, {self._phase()}")
 
     def _part_gone(self) -> bool:
-        return self._simulated.devices.physical.placed is None or self._has_fault("object.slips")
+        return self._simulated.devices.world.placed is None or self._has_fault("object.slips")
 
     def _has_fault(self, name: str) -> bool:
         return any(fault.entry.name == name for fault in self._simulated.injector.faults)

@@ -262,7 +262,7 @@ def test_noise_of_the_taxels_makes_no_part_another_one() -> None:
 def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
     bench.controller.grip(4.0, Pose())
     # Between two looks of the slip detector: what is seen is where the part is now.
-    bench.simulated.devices.physical.slide(2.5e-3)
+    bench.simulated.devices.world.slide(2.5e-3)
     check = bench.controller.kept_part.verify()
     assert (check.held, check.same) == (True, False)
     assert any("similarity to the kept footprint" in reason for reason in check.reasons)
@@ -274,7 +274,7 @@ def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
 def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
     bench.controller.grip(4.0, Pose())
     for step in range(1, 41):
-        bench.simulated.devices.physical.swell(step * 2e-5)
+        bench.simulated.devices.world.swell(step * 2e-5)
         bench.idle(0.05)
     check = bench.controller.kept_part.verify()
     assert check.same is False
@@ -314,7 +314,7 @@ def test_a_part_that_is_lost_on_the_way_ends_it_at_once(bench: Any) -> None:
     arrived = threading.Event()
 
     def places(_destination: Destination) -> None:
-        bench.simulated.devices.physical.remove()
+        bench.simulated.devices.world.remove()
         arrived.wait(30.0)
 
     bench.controller.grip(3.0, Pose())

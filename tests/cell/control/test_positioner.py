@@ -202,10 +202,10 @@ def test_the_axes_carry_an_object_out_of_the_pads_and_back_until_it_is_taken_off
     for slipped_m in (0.5, 0.0):
         devices.axes["x"].slipped = slipped_m
         bench.sleep(0.1)
-        assert (devices.physical.placed is None) is (slipped_m > 0.0)
+        assert (devices.world.placed is None) is (slipped_m > 0.0)
     bench.simulated.place("nothing")
     bench.controller.moves.positioner.move_to(AWAY)
-    assert devices.physical.placed is None
+    assert devices.world.placed is None
 
 
 @pytest.mark.slow

@@ -122,7 +122,7 @@ def test_a_real_cell_on_boards_needs_no_can_channel() -> None:
 def test_each_approach_has_a_zero_of_its_own_while_z_drifts() -> None:
     config = changed_config(USKIN, {"tactile.tare_frames": 30})
     cell = build_cell(config)
-    clock, world = cell.simulated.clock, cell.simulated.devices.physical
+    clock, world = cell.simulated.clock, cell.simulated.devices.world
     with closing(cell):
         cell.controller.start()
         first = cell.controller.zeroing.taxels

@@ -46,7 +46,7 @@ class Sorter:
         self.tasks.sort(goal, Report(1, lambda **now: self.progress.update(now["progress"])))
 
     def _places(self, destination: Destination) -> Any:
-        placed = self.bench.simulated.devices.physical.placed
+        placed = self.bench.simulated.devices.world.placed
         held = None if placed is None else placed[0]
         self.seen.append((destination.place, held, self.bench.grip_n))
         return self.on_place(destination)
@@ -94,7 +94,7 @@ def test_a_part_in_another_bin_is_a_mistake_and_a_reject_is_none(taught: Any) ->
 def test_a_part_that_changed_in_the_grip_goes_to_the_rejects(sorter: Sorter) -> None:
     def shove(destination: Destination) -> None:
         if destination.place != "reject":
-            sorter.bench.simulated.devices.physical.slide(2.5e-3)
+            sorter.bench.simulated.devices.world.slide(2.5e-3)
 
     sorter.on_place = shove
     sorter.sort("ball")

@@ -135,7 +135,7 @@ def test_axes_have_terminals_of_their_own_and_carry_the_object(tmp_path: Path) -
         assert placed.x_m == pytest.approx(2e-3)
         one.cell.devices.axes["x"].slipped = 0.003
         one.run(0.05)
-        label, pose = one.cell.devices.physical.placed or ("", None)
+        label, pose = one.cell.devices.world.placed or ("", None)
         assert label == "box"
         assert pose.x_m == pytest.approx(5e-3)
     assert not (tmp_path / "axes-can").exists()
@@ -358,7 +358,7 @@ def test_objects_are_placed_and_the_reply_says_where_they_rest(requests, devices
     assert json.loads(json.dumps(state)) == state
     assert requests({"place": "sphere:diameter=8mm"})["pose"]["x_m"] == 0.0
     assert requests({"remove": True}) == {"removed": True}
-    assert devices.physical.placed is None
+    assert devices.world.placed is None
 
 
 def test_objects_get_names_and_lie_beside_their_pose(requests, devices) -> None:
@@ -370,11 +370,11 @@ def test_objects_get_names_and_lie_beside_their_pose(requests, devices) -> None:
     requests({"place": "mug", "offset": {"x_m": 0.001}})
     assert requests({"place": "mug", "pose": {"x_m": 0.002}})["pose"]["x_m"] == 0.003
     assert requests({"state": True})["offset"]["x_m"] == 0.001
-    devices.physical._force_n = (1.0, 1.0)
+    devices.world._force_n = (1.0, 1.0)
     for label in ("mug", "nothing"):
         with pytest.raises(PartGripped, match="release it first"):
             requests({"place": label})
-    devices.physical._force_n = (0.0, 0.0)
+    devices.world._force_n = (0.0, 0.0)
     requests({"place": "nothing"})
     assert requests({"state": True})["placed"] is None
 
@@ -411,11 +411,11 @@ def test_objects_get_names_and_lie_beside_their_pose(requests, devices) -> None:
 def test_requests_that_make_no_sense_are_refused_and_change_nothing(
     requests, devices, request_, says
 ) -> None:
-    before = repr((devices.faults, devices.offset, list(devices.physical.objects)))
+    before = repr((devices.faults, devices.offset, list(devices.world.objects)))
     with pytest.raises(SimulatorError, match=re.escape(says)):
         requests(request_)
-    assert repr((devices.faults, devices.offset, list(devices.physical.objects))) == before
-    assert devices.physical.placed is None
+    assert repr((devices.faults, devices.offset, list(devices.world.objects))) == before
+    assert devices.world.placed is None
 
 
 class Served:

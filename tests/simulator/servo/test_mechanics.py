@@ -507,16 +507,3 @@ def test_a_light_force_moves_a_finger_through_the_backlash_and_no_further():
     assert motor.rotor_velocity_rad_s > 0.1
     press(mechanics, 0.0, 0.0, 0.05)
     assert mechanics.aperture_m > stood_m + way_m
-
-
-def test_a_record_moves_the_fingers_exactly():
-    mechanics = fingers()
-    push(mechanics, 0.5)
-    for aperture_m in (0.03, 0.025, 0.0251):
-        mechanics.drive_to(aperture_m)
-        mechanics.step(STEP_S, (5.0, 5.0))
-        assert mechanics.aperture_m == pytest.approx(aperture_m, abs=1e-12)
-    mechanics.drive_to(-5e-5)  # as of pads that press on each other
-    assert mechanics.aperture_m == pytest.approx(0.0, abs=1e-4)
-    press(mechanics, 0.0, 0.0, 0.05)
-    assert mechanics.motors[0].current_a == pytest.approx(-0.5, abs=0.01)

@@ -9,7 +9,6 @@ import pytest
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.world.foam import Foam, ForceTable
 from simulator.world.press import NEST_FRICTION_N, PadPair
-from simulator.world.recorded import RecordedWorld
 from simulator.world.shapes import PAPER_OBJECTS, ObjectPose
 from simulator.world.taxels import (
     NoiseModel,
@@ -54,11 +53,7 @@ class HandMovedFingers:
 
     def __init__(self, half_m: float = 12e-3) -> None:
         self.finger_position_m = (half_m, half_m)
-        self.driven_m: list[float] = []
         self.steps: list[tuple[tuple[float, float], tuple[float, float]]] = []
-
-    def drive_to(self, aperture_m: float) -> None:
-        self.driven_m.append(aperture_m)
 
     def step(
         self,
@@ -242,34 +237,6 @@ def test_an_object_goes_only_between_open_fingers(bench) -> None:
 
 
 LAYOUT = pinch_layout()
-
-
-def grasp(n: int) -> np.ndarray:
-    counts = np.arange(n)[:, np.newaxis] + np.arange(LAYOUT.n_taxels)
-    return counts.astype(np.uint16)
-
-
-def test_each_scan_takes_the_next_frame_and_the_fingers_go_along() -> None:
-    fingers = HandMovedFingers()
-    world = RecordedWorld(LAYOUT, fingers)
-    assert not world.scan().any()
-    assert world.remaining == 0
-    counts = grasp(3)
-    world.load(counts, np.array([0.03, math.nan, 0.02]))
-    assert world.remaining == 3
-    assert fingers.driven_m == [0.03]
-    for i in range(3):
-        assert np.array_equal(world.scan(), counts[i])
-        assert world.remaining == 2 - i
-    assert fingers.driven_m == [0.03, 0.03, 0.02]
-    assert np.array_equal(world.scan(), counts[2])
-    assert world.contact_force_n() == (0.0, 0.0)
-
-
-def test_a_grasp_of_another_layout_is_refused() -> None:
-    world = RecordedWorld(LAYOUT, HandMovedFingers())
-    with pytest.raises(SimulatorSettingsError, match=r"counts have shape \(2, 408\)"):
-        world.load(np.zeros((2, 408), np.uint16), np.zeros(2))
 
 
 # -- The foam of the pads, and taxels on it: pressure, spread, counts, noise -----------------------

@@ -206,7 +206,7 @@ def test_a_sensor_measures_where_the_finger_is_on_pads_that_sit_otherwise(mounts
         link = LinkSettings(mounts=mounts)
         with open_sensor(cell.can_bus, PINCH, link=link) as sensor:
             sensor.tare(20)
-            cell.devices.physical.press(0, 12e-3, -5e-3, 2.0)
+            cell.devices.world.press(0, 12e-3, -5e-3, 2.0)
             for _ in range(20):
                 reading = sensor.read()
             assert reading.finger_force_n == pytest.approx((2.0, 0.0), rel=0.1)

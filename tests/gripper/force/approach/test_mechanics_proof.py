@@ -178,7 +178,6 @@ def test_a_release_after_it_goes_limp_again(make_cell, aperture_m, most_n) -> No
     told_by_motion(cell)
     cell.gripper.clear_fault()
     cell.mechanics.drive_to(aperture_m)
-    cell.mechanics._driven = False
     forces_n = stopped_n(cell)
     for gripper in (cell.gripper, cell.new_gripper()):
         with pytest.raises(MechanicsContradicted, match=KEYS):
