@@ -1,11 +1,12 @@
 """Environment of simulated sensor boards: world, faults and lines."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 from simulator.can.faults import ControlUnitFaults
 from simulator.can.link import CanDevice
 from simulator.clock import ROUNDING_S
+from simulator.knobs import FINGER, SHARE, Number, knob
 from simulator.world.world import PhysicalWorld
 from tactile.layout import TaxelLayout
 
@@ -15,30 +16,41 @@ _KEPT_BYTES = 65536
 
 @dataclass(slots=True, kw_only=True)
 class BoardFaults:
-    """Fault knobs of the boards, by finger where they meet one board."""
+    """Knobs of the boards on serial lines (``board``) and on CAN (``uskin``)."""
 
-    unplugged: set[int] = field(default_factory=set)
-    """Boards whose cable is unplugged."""
-    silent: set[int] = field(default_factory=set)
-    """Boards that send nothing, on CAN unplugged ones."""
-    frozen: set[int] = field(default_factory=set)
-    """Boards that repeat their last frame."""
-    repeated: float = 0.0
-    lost_byte: float = 0.0
-    torn: float = 0.0
-    """Share of the frames that repeat the previous one, lack one byte, or end in the middle."""
-    late_s: float = 0.0
-    """Delay of the bytes of frames in s."""
-    rows: int = 0
-    """Number of rows in a frame of another profile; 0: the correct number."""
-    marked: set[int] = field(default_factory=set)
-    """Boards whose samples always contain AA 55 at one place, as by a static load."""
-    low_supply: set[int] = field(default_factory=set)
-    """Boards on CAN that restart repeatedly and wait for their start."""
-    doubled: set[int] = field(default_factory=set)
-    """Boards on CAN with the same address as another board."""
-    drift_counts_s: float = 0.0
-    """Further drift of all taxels of boards on CAN."""
+    unplugged: frozenset[int] = knob("board.unplugged", "this finger's board is unplugged", FINGER)
+    silent: frozenset[int] = knob("board.off", "the board of this finger sends nothing", FINGER)
+    frozen: frozenset[int] = knob(
+        "board.frozen", "the board of this finger always sends one frame", FINGER
+    )
+    marked: frozenset[int] = knob(
+        "board.marked",
+        "the samples of this finger's board always contain a header at one place",
+        FINGER,
+    )
+    repeated: float = knob("board.repeated", "frames of both boards repeat the one before", SHARE)
+    lost_byte: float = knob("board.lost_byte", "frames of both boards lack one byte", SHARE)
+    torn: float = knob("board.torn", "frames of both boards end in the middle", SHARE)
+    late_s: float = knob(
+        "board.late", "frames of both boards come late", Number("s", 0.0, 1.0, default=0.05)
+    )
+    rows: int = knob(
+        "board.rows",
+        "both boards send this number of rows: another profile",
+        Number("rows", 1, 64, default=16, whole=True),
+    )
+    off: frozenset[int] = knob("uskin.off", "this finger's board is unplugged", FINGER)
+    low_supply: frozenset[int] = knob(
+        "uskin.low_supply",
+        "this finger's board restarts at low supply and waits for its start",
+        FINGER,
+    )
+    doubled: frozenset[int] = knob(
+        "uskin.doubled", "another board has the address of this finger's board", FINGER
+    )
+    drift_counts_s: float = knob(
+        "uskin.drift", "z of all taxels drifts", Number("counts/s", -1e5, 1e5, default=1000.0)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -104,7 +104,7 @@ class SimulatedUskin:
     def _cycle(self, finger: int, now_s: float) -> None:
         if self._send is None:
             raise SimulatorStateError("the boards are not connected to a bus: connect() first")
-        if finger in self._faults.silent:
+        if finger in self._faults.off:
             return
         taxels = self._layout.taxels_of(self._layout.gripping_pads[finger])
         for _ in range(2 if finger in self._faults.doubled else 1):

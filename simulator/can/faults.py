@@ -8,6 +8,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.knobs import SHARE, Number, knob
 from tactile.source import ForceMessage
 
 _EMPTY_MESSAGES = 50
@@ -20,28 +21,30 @@ _SWAP_S = 1.5e-4
 class CanLinkFaults:
     """Knobs of the link between the control unit and the host."""
 
-    drop_rate: float = 0.0
-    duplicate_rate: float = 0.0
-    swap_rate: float = 0.0
-    corrupt_rate: float = 0.0
-    truncate_rate: float = 0.0
-    """Probability from 0 to 1 that a message to the host is lost, comes twice, comes after its
-    successor, has one bit flipped after the CRC check, or has fewer bytes than its length code
-    (as by an adapter on a serial line)."""
-    wrong_dlc_rate: float = 0.0
-    """Probability that a message has fewer bytes, with a matching length code."""
+    drop_rate: float = knob("can.loss", "messages to the host are lost", SHARE)
+    duplicate_rate: float = knob("can.duplicate", "messages come twice", SHARE)
+    swap_rate: float = knob("can.swapped", "messages come after their successor", SHARE)
+    corrupt_rate: float = knob("can.garbage", "one bit flips after the CRC check", SHARE)
+    truncate_rate: float = knob("can.short", "fewer bytes than the length code", SHARE)
+    """As by an adapter on a serial line."""
+    wrong_dlc_rate: float = knob("can.wrong_dlc", "messages of another length", SHARE)
+    """Their length code matches."""
     drop_next: int = 0
     """Number of next messages to the host that are lost."""
-    delay_s: float = 0.0
-    """Delay of messages to the host in s."""
-    flood_hz: float = 0.0
-    """Rate in Hz of messages with an unknown identifier and random content."""
-    error_passive: bool = False
-    bus_off: bool = False
-    """States of the host's CAN controller. It reports each begin of a state, and the end of
-    error-passive, by an error frame; while it is bus-off no message passes."""
-    unplugged: bool = False
-    """The host's adapter is gone: sending and receiving fail."""
+    delay_s: float = knob(
+        "can.delayed", "messages to the host come late", Number("s", 0.0, 60.0, default=0.1)
+    )
+    flood_hz: float = knob(
+        "can.flood",
+        "messages of an unknown identifier with random content come at this rate",
+        Number("Hz", 0.1, 20_000.0, default=8000.0),
+    )
+    error_passive: bool = knob("can.passive", "the host's controller is error-passive")
+    bus_off: bool = knob("can.off", "the host's controller is bus-off: nothing passes")
+    """The host's controller reports each begin of these states, and the end of error-passive, by an
+    error frame."""
+    unplugged: bool = knob("can.unplugged", "the host's adapter is unplugged")
+    """Sending and receiving fail."""
 
     @property
     def disturbs(self) -> bool:
@@ -58,41 +61,62 @@ _DISTURBING = attrgetter("drop_next", "delay_s", "bus_off", *_RATES)
 class ControlUnitFaults:
     """Knobs inside the control unit."""
 
-    dead: bool = False
-    """The unit receives and sends nothing; afterwards it continues where it stopped."""
-    heartbeat_off: bool = False
-    """The heartbeat stops, all else goes on."""
-    frozen: bool = False
-    """The converter always returns its last scan; counter and checksum are valid."""
+    dead: bool = knob("unit.off", "the control unit receives and sends nothing")
+    """Afterwards it continues where it stopped."""
+    heartbeat_off: bool = knob("unit.heartbeat_off", "the heartbeat stops, all else goes on")
+    frozen: bool = knob("unit.stuck", "valid frames, always with the counts of the last scan")
     stuck_counts: dict[int, int] = field(default_factory=dict)
     """Taxels that always read the counts given."""
-    offset_counts: float = 0.0
-    """Drift that is added to all taxels."""
-    gain: float = 1.0
-    """Factor on all taxels before the offset."""
+    offset_counts: float = knob(
+        "taxels.offset",
+        "counts added to each taxel",
+        Number("counts", -65_535.0, 65_535.0, default=20.0),
+    )
+    gain: float = knob(
+        "taxels.gain",
+        "factor on the counts of each taxel",
+        Number("factor", 0.0, 100.0, default=0.5),
+        off=1.0,
+    )
+    """Applied before the offset."""
     mounted: dict[str, NDArray[np.int64]] = field(default_factory=dict)
     """Orders of the taxels (n_taxels,) by name, for pads mounted differently from the layout. Each
     element is the taxel whose sample is sent at that place."""
-    pads_swapped: bool = False
-    """The connectors of the two fingers are exchanged: so are the halves of a scan."""
-    forces_off: bool = False
-    """No force messages any more; frames go on."""
-    forces_lost: float = 0.0
-    """Share from 0 to 1 of the force messages, evenly spaced, that are lost."""
-    forces_late_s: float = 0.0
-    """Delay in s of force messages after their scan."""
-    forces_each: float = 1.0
-    """Only each n-th force message is made; the counter counts only these."""
-    force_gain: float = 1.0
-    force_offset_n: float = 0.0
-    """Factor on the forces in the messages, as by a table of other pads; offset in N."""
-    pads_empty: bool = False
-    """The force messages are those of the empty pads, with new counters."""
-    centres_stuck: bool = False
-    centres_off: bool = False
-    """The centre in the messages does not move; messages have no centre."""
-    centre_shift_taxels: float = 0.0
-    """Shift of the centre in the messages along the fingers in taxel pitches."""
+    pads_swapped: bool = knob(
+        "unit.pads_swapped", "the pads of the two fingers are exchanged at the unit"
+    )
+    """So are the halves of a scan."""
+    forces_off: bool = knob("unit.forces_off", "no force messages any more; frames go on")
+    forces_lost: float = knob("unit.forces_lost", "force messages are lost, evenly", SHARE)
+    forces_late_s: float = knob(
+        "unit.forces_late", "force messages come late", Number("s", 0.0, 1.0, default=0.02)
+    )
+    forces_each: int = knob(
+        "unit.forces_each",
+        "only each n-th force message is made; the counter shows no gap",
+        Number("messages", 1, 100, default=15, whole=True),
+        off=1,
+    )
+    force_gain: float = knob(
+        "unit.force_gain",
+        "factor on the force in force messages, as by a table of other pads",
+        Number("factor", -100.0, 100.0, default=1.6),
+        off=1.0,
+    )
+    force_offset_n: float = knob(
+        "unit.force_offset", "offset of the force messages", Number("N", -60.0, 60.0, default=-2.0)
+    )
+    pads_empty: bool = knob("unit.pads_empty", "force messages repeat those of empty pads")
+    """Their counters are new."""
+    centres_stuck: bool = knob(
+        "unit.centres_stuck", "the centre of force in the messages does not move"
+    )
+    centres_off: bool = knob("unit.centres_off", "force messages without a centre of force")
+    centre_shift_taxels: float = knob(
+        "unit.centre_shift",
+        "the centre of force in the messages is shifted along the fingers",
+        Number("pitches", -8.0, 8.0, default=1.0),
+    )
     _empty_pads: deque[ForceMessage] = field(default_factory=lambda: deque(maxlen=_EMPTY_MESSAGES))
     _centre_taxels: tuple[float, float] | None = None
 

@@ -1,82 +1,18 @@
 """One named fault: its value, its times, and how it is applied to a simulated cell."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any
 
+from simulator.boards.uskin import UskinSettings
 from simulator.devices import CellDevices
 from simulator.errors import SimulatorSettingsError
-
-
-@dataclass(frozen=True, slots=True)
-class Number:
-    """A value that is a number."""
-
-    unit: str
-    """Its unit; ``share`` for a probability."""
-    low: float
-    high: float
-    """Its range."""
-    default: float
-    """Default value."""
-    whole: bool = False
-    """Whether it is an integer, which may be hexadecimal."""
-
-    @property
-    def text(self) -> str:
-        """The value as a column of the table shows it."""
-        if self.whole:
-            return f"{self.unit}, {self.low:.0f} to {self.high:.0f}, default {self.default:.0f}"
-        return f"{self.unit}, {self.low:g} to {self.high:g}, default {self.default:g}"
-
-    def read(self, name: str, text: str) -> float:
-        """Return the number of a text. Raises SimulatorSettingsError."""
-        value = math.nan
-        try:
-            if self.whole:
-                value = float(int(text, 0))
-            elif self.unit == "s" and text.endswith("s"):
-                factor = 1e-3 if text.endswith("ms") else 1.0
-                value = factor * float(text.removesuffix("ms").removesuffix("s"))
-            else:
-                value = float(text)
-        except (ValueError, OverflowError):
-            pass
-        if not self.low <= value <= self.high:
-            raise SimulatorSettingsError(f"fault {name} takes {self.text}; got {text!r:.40}")
-        return value
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Setting:
-    """A value of a name and a whole number, for example ``current_limit:100``."""
-
-    unit: str
-    """Meaning of name and number."""
-    default: str
-    """Default value."""
-
-    @property
-    def text(self) -> str:
-        """The value as a column of the table shows it."""
-        return f"{self.unit}, default {self.default}"
-
-    def read(self, name: str, text: str) -> tuple[str, int]:
-        """Return name and number. Raises SimulatorSettingsError."""
-        item, _, number = text.partition(":")
-        try:
-            return item, int(number, 0)
-        except ValueError:
-            raise SimulatorSettingsError(
-                f"fault {name} takes {self.unit}, for example {self.default}; got {text!r:.40}"
-            ) from None
-
+from simulator.knobs import Number, Setting
 
 Undo = Callable[[], object]
 """Undoes a fault."""
-Plug = Callable[[], Undo]
-"""Unplugs a cable and returns the function that plugs it in again."""
 _EACH = ("servoN", "axisN")
 """First parts of names that stand for each servo, and for each axis, of the config."""
 
@@ -102,8 +38,6 @@ class Fault:
     """Start and end in s after the first such event since the injection; end infinity: never."""
     devices: CellDevices = field(init=False)
     """The cell, once it is injected."""
-    plugs: Mapping[str, Plug] = field(init=False)
-    """The cables of the cell by name: ``can``, ``servos``, ``board0``, ``board1``."""
     now_s: float = field(init=False)
     """Time of the cell in s at the injection, then at its begin."""
     event_s: float = field(default=math.inf, init=False)
@@ -114,12 +48,17 @@ class Fault:
     """Whether it has ended; a momentary fault ends at once."""
     undo: Undo = field(default=lambda: None, init=False)
     """Ends its effect."""
-    act: Callable[[float], None] = field(default=lambda _now_s: None, init=False)
-    """Continues its effect at each step of the world, with the time in s."""
+    last_s: float = field(init=False)
+    """Time in s up to which `FaultEntry.act` has carried it out."""
+
+    @property
+    def owner(self) -> Any:
+        """The object with its knob. Raises SimulatorSettingsError in a cell that has none."""
+        return _OWNERS[self.entry.name.partition(".")[0]](self)
 
     def begin(self, now_s: float) -> None:
         """Apply the fault at ``now_s`` s."""
-        self.now_s = self.began_s = now_s
+        self.now_s = self.began_s = self.last_s = now_s
         if self.entry.happens is not None:
             self.entry.happens(self)
             self.over = True
@@ -141,11 +80,32 @@ class Fault:
         return bool(knob) and (first, knob) == (second, other.entry.knob) and not apart
 
 
-def turned(owner: object, name: str, value: object) -> Undo:
-    """Set a knob and return the function that restores it."""
-    before = getattr(owner, name)
-    setattr(owner, name, value)
-    return lambda: setattr(owner, name, before)
+def _serial_boards(fault: Fault) -> Any:
+    if not fault.devices.boards:
+        raise SimulatorSettingsError("this cell has no sensor boards on serial lines")
+    return fault.devices.faults.boards
+
+
+def _uskin_boards(fault: Fault) -> Any:
+    if not isinstance(fault.devices.settings.boards, UskinSettings):
+        raise SimulatorSettingsError("this cell has no sensor boards on CAN")
+    return fault.devices.faults.boards
+
+
+_OWNERS: dict[str, Callable[[Fault], Any]] = {
+    "can": lambda fault: fault.devices.faults.can,
+    "unit": lambda fault: fault.devices.faults.unit,
+    "taxels": lambda fault: fault.devices.faults.unit,
+    "board": _serial_boards,
+    "uskin": _uskin_boards,
+    "servos": lambda fault: fault.devices.faults.servo_wire,
+    "servoN": lambda fault: fault.devices.servo_bus.servos[fault.index].core,
+    "axisN": lambda fault: list(fault.devices.axes.values())[fault.index],
+    "object": lambda fault: fault.devices.world,
+}
+"""Object with the knobs of each component."""
+COMPONENTS = tuple(_OWNERS)
+"""First parts of the names of faults."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,17 +117,17 @@ class FaultEntry:
     ``axisN`` for its axes."""
     meaning: str
     """Description, one line."""
-    owner: Callable[[Fault], Any]
-    """Returns the object with the knob. Refuses a cell that has none, with SimulatorSettingsError.
-    """
     knob: str = ""
-    """Name of the knob. Only one fault of a knob of a device can be injected at a time."""
+    """Path of the knob from its owner. Only one fault of a knob of a device can be injected at a
+    time."""
     value: Number | Setting | None = None
     """Value after ``=``; None: no value."""
     position: Callable[[Fault], object] | None = None
     """Returns the position of the knob; None: the number of the value, else on."""
     effect: Callable[[Fault], Undo] | None = None
     """Begins the fault instead of the knob, and returns its `Undo`."""
+    act: Callable[[Fault, float], object] | None = None
+    """Continues its effect at each step of the world, with the time in s."""
     happens: Callable[[Fault], object] | None = None
     """Carries out a fault that is a moment, without an end."""
     check: Callable[[Fault], object] | None = None
@@ -182,9 +142,15 @@ class FaultEntry:
         """Begin a fault that has an end."""
         if self.effect is not None:
             return self.effect(fault)
+        path, _, knob = self.knob.rpartition(".")
+        owner = attrgetter(path)(fault.owner) if path else fault.owner
+        before = getattr(owner, knob)
         position: object = True
         if self.position is not None:
             position = self.position(fault)
+        elif isinstance(before, frozenset):
+            position = before | {int(fault.value)}
         elif isinstance(self.value, Number):
             position = int(fault.value) if self.value.whole else fault.value
-        return turned(self.owner(fault), self.knob, position)
+        setattr(owner, knob, position)
+        return lambda: setattr(owner, knob, before)

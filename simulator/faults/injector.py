@@ -6,16 +6,15 @@ its start: ``COMPONENT.FAULT[=VALUE][@START[..END]]``. Faults never reach real h
 
 import math
 import re
-from collections.abc import Mapping
 from contextlib import suppress
 from difflib import get_close_matches
-from functools import partial
 
 from simulator.clock import ROUNDING_S
 from simulator.devices import CellDevices
 from simulator.errors import SimulatorError, SimulatorSettingsError, SimulatorStateError
-from simulator.faults.entry import Fault, FaultEntry, Number, Plug, Setting, turned
+from simulator.faults.entry import Fault, FaultEntry
 from simulator.faults.vocabulary import VOCABULARY
+from simulator.knobs import Number, Setting
 
 CONTACT_N = 0.5
 """Force in N on both pads at the event ``contact``: a little below the contact force of grippers,
@@ -103,25 +102,10 @@ def _when(text: str, when: str) -> tuple[str, float]:
 
 
 class FaultInjector:
-    """Begins and ends faults at their times; each step of the world calls `advance`.
+    """Begins and ends faults at their times; each step of the world calls `advance`."""
 
-    Parameters
-    ----------
-    plugs
-        Cables of the cell: ``can``, ``servos``, ``board0``, ``board1``; by default knobs of the
-        devices, for buses in memory.
-    """
-
-    def __init__(
-        self, devices: CellDevices, start_s: float, *, plugs: Mapping[str, Plug] | None = None
-    ) -> None:
+    def __init__(self, devices: CellDevices, start_s: float) -> None:
         self.devices = devices
-        self._plugs = plugs or {
-            "can": partial(turned, devices.faults.can, "unplugged", True),
-            "servos": partial(turned, devices.faults.servo_wire, "unplugged", True),
-            "board0": partial(turned, devices.faults.boards, "unplugged", {0}),
-            "board1": partial(turned, devices.faults.boards, "unplugged", {1}),
-        }
         self._injected: list[Fault] = []
         self.now_s = start_s
 
@@ -164,9 +148,8 @@ class FaultInjector:
     def _checked(self, text: str) -> Fault:
         devices = self.devices
         fault = check_fault(text, len(devices.settings.servos), len(devices.axes))
-        fault.devices, fault.plugs, fault.now_s = devices, self._plugs, self.now_s
-        fault.entry.owner(fault)
-        if fault.entry.check is not None:
+        fault.devices, fault.now_s = devices, self.now_s
+        if fault.owner is not None and fault.entry.check is not None:
             fault.entry.check(fault)
         return fault
 
@@ -203,7 +186,8 @@ class FaultInjector:
                 fault.event_s = now_s
             since_s = now_s - fault.event_s + ROUNDING_S
             if fault.began_s is not None:
-                fault.act(now_s)
+                if fault.entry.act is not None:
+                    fault.entry.act(fault, now_s)
             elif fault.start_s <= since_s:
                 fault.begin(now_s)
             if fault.began_s is not None and fault.end_s <= since_s:

@@ -68,12 +68,7 @@ class RealTimeCell:
                 keep(BoardPty(board, folder / f"board{finger}"))
                 for finger, board in enumerate(self.devices.boards)
             ]
-            self.injector = FaultInjector(
-                self.devices,
-                now_s - POWERED_BEFORE_S,
-                plugs={"servos": self._servo_pty.unplug, "can": self._can_pty.unplug}
-                | {f"board{n}": pty.unplug for n, pty in enumerate(self._board_ptys)},
-            )
+            self.injector = FaultInjector(self.devices, now_s - POWERED_BEFORE_S)
             requests = CellRequests(self.devices, self.injector)
             self._server = PositionerServer(folder / "positioner.sock", requests)
             opened.callback(self._server.close)

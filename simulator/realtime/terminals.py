@@ -9,7 +9,6 @@ import os
 import struct
 import termios
 import tty
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -55,7 +54,7 @@ class SerialPty:
         self._polled_s: float | None = None
         self.master_fd = -1
         self.slave_fd = -1
-        self.plug_in()
+        self._plug_in()
 
     @property
     def path(self) -> str:
@@ -73,13 +72,8 @@ class SerialPty:
             raise SimulatorStateError(f"{self._link} is unplugged and has no descriptor")
         return self.master_fd
 
-    def plug_in(self) -> None:
-        """Create a terminal, after `unplug` with a new name, and its link, where there is none.
-
-        Raises EndpointError if the system refuses.
-        """
-        if self.plugged_in:
-            return
+    def _plug_in(self) -> None:
+        """Create a terminal and its link. Raises EndpointError if the system refuses."""
         try:
             # The client's side is kept open here too: else the terminal fails between clients.
             self.master_fd, self.slave_fd = os.openpty()
@@ -90,17 +84,6 @@ class SerialPty:
         except OSError as error:
             self.close()
             raise EndpointError(f"no terminal at {self._link}: {error}") from error
-
-    def unplug(self) -> Callable[[], None]:
-        """Remove the terminal; a client with an open terminal gets input/output errors.
-
-        Returns `plug_in`.
-        """
-        # The adapter has lost its supply, and with it the bytes in transit.
-        self._device.drop_pending()
-        self._unsent = b""
-        self.close()
-        return self.plug_in
 
     def close(self) -> None:
         """Remove terminal and link; a second call has no effect."""
@@ -133,7 +116,16 @@ class SerialPty:
 
         Bytes may have waited since the last call. After a stall the owner polls before it advances
         the servos, so that no watchdog trips although a packet came in time.
+
+        An unplugged device has no terminal: a client with an open one gets input/output errors.
+        Raises EndpointError if the system refuses a new one.
         """
+        if self._device.unplugged and self.plugged_in:
+            # The adapter has lost its supply, and with it the bytes in transit.
+            self._unsent = b""
+            self.close()
+        elif not (self._device.unplugged or self.plugged_in):
+            self._plug_in()
         if not self.plugged_in:
             self._device.transmit(now_s)
             self._device.drop_pending()

@@ -7,6 +7,7 @@ import math
 import random
 from dataclasses import dataclass, field
 
+from simulator.knobs import SHARE, Number, knob
 from simulator.servo.protocol2 import crc16
 
 _ROUNDING = 1e-6
@@ -47,31 +48,32 @@ class WireFaults:
 
     seed: int = 0
     """Seed of all random choices."""
-    lose_request: float = 0.0
-    """Share from 0 to 1 of the host's writes that are lost."""
-    drop: float = 0.0
-    bit_flip: float = 0.0
-    truncate: float = 0.0
-    garbage: float = 0.0
-    wrong_id: float = 0.0
-    """Share from 0 to 1 of the answers that are lost, have one bit flipped, lack their end, come
-    after other bytes, or name another servo. The other servos receive a lost answer."""
+    lose_request: float = knob("servos.lost_requests", "requests are lost", SHARE)
+    drop: float = knob("servos.loss", "answers are lost", SHARE)
+    """The other servos receive a lost answer."""
+    bit_flip: float = knob("servos.corrupt", "one bit of an answer flips", SHARE)
+    truncate: float = knob("servos.truncated", "answers lack their end", SHARE)
+    garbage: float = knob("servos.garbage", "noise comes before an answer", SHARE)
+    wrong_id: float = knob("servos.wrong_id", "answers name another servo", SHARE)
     drop_next: int = 0
     """Number of next answers that are lost."""
-    delay_s: float = 0.0
-    """Delay of answers in s."""
-    repeat_s: float = 0.0
-    """Time in s after which each answer is repeated; 0: not repeated."""
-    lag: bool = False
-    """Each answer is replaced by the servo's previous answer of the same length."""
+    delay_s: float = knob(
+        "servos.delayed", "all answers come late", Number("s", 0.0, 1.0, default=0.04)
+    )
+    repeat_s: float = knob(
+        "servos.repeated",
+        "each answer comes again after this time",
+        Number("s", 1e-4, 1.0, default=0.0095),
+    )
+    lag: bool = knob("servos.lagging", "each answer belongs to the previous request of its kind")
+    """It is replaced by the servo's previous answer of the same length."""
     chatter: Chatter | None = None
     """Bytes of another device, which damage an answer at the same time; None: no other device."""
     silent: set[int] = field(default_factory=set)
     """Servos that receive and answer nothing; later servos of a sync read stay silent too."""
-    echo: bool = False
-    """The host receives its own bytes back, as on a half-duplex adapter without switching."""
-    unplugged: bool = False
-    """The adapter is unplugged: no byte passes."""
+    echo: bool = knob("servos.echo", "the host receives its own bytes")
+    """As on a half-duplex adapter without switching."""
+    unplugged: bool = knob("servos.unplugged", "the adapter of the servo bus is gone")
     _generator: random.Random | None = field(default=None, init=False, repr=False)
     _before: dict[tuple[int, int], bytes] = field(default_factory=dict, init=False, repr=False)
 
