@@ -1,7 +1,6 @@
 """Config of the tactile sensor: pads, calibration, control unit or boards, and their lines."""
 
-from collections.abc import Sequence
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -17,7 +16,6 @@ from cell.config.section import MILLI, SIMULATED, Section, declared_values, sett
 from cell.config.sensor import SensorConfig, sensor_section
 from cell.errors import ConfigError, raised_as
 from cell.plugins import SENSORS
-from recognition.grasp import PadArray
 from tactile.control_unit.settings import ExpectedIdentity, LinkSettings
 from tactile.errors import CalibrationError, LayoutError
 from tactile.layout import LAYOUTS, Face, Pad, PadMount, TaxelLayout, taxel_order
@@ -292,12 +290,12 @@ def layout_from_config(config: TactileConfig) -> TaxelLayout:
         for number, pad in enumerate(own.pads)
     ]
     with raised_as(ConfigError, LayoutError, where="tactile.layout"):
-        return _layout(own.name, pads, own.adc_max)
-
-
-def _layout(name: str, pads: Sequence[Pad], adc_max: int) -> TaxelLayout:
-    sample_bits = 8 if adc_max <= 255 else 16
-    return TaxelLayout(name=name, pads=tuple(pads), sample_bits=sample_bits, adc_max=adc_max)
+        return TaxelLayout(
+            name=own.name,
+            pads=tuple(pads),
+            sample_bits=8 if own.adc_max <= 255 else 16,
+            adc_max=own.adc_max,
+        )
 
 
 def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
@@ -317,40 +315,3 @@ def check_sensor(tactile: TactileConfig, layout: TaxelLayout) -> None:
     """Raise ValueError if the sensor cannot read a layout, or its lines are too slow for it."""
     with raised_as(ValueError, LayoutError, where="tactile"):
         tactile.sensor.check(tactile, layout)
-
-
-def layout_from_pads(pads: PadArray) -> TaxelLayout:
-    """Return a layout for recorded frames of these pads.
-
-    The first half of the pads is finger 0, the second half finger 1; the first pad of each half
-    grips. Raises ConfigError if there are not two equal halves.
-    """
-    if pads.n_pads < 2 or pads.n_pads % 2:
-        raise ConfigError(
-            f"the recorded grasps have {pads.n_pads} pads; two fingers need an even number of pads"
-        )
-    half = pads.n_pads // 2
-    faces = get_args(Face)
-    made = []
-    for index, (rows, columns) in enumerate(pads.pad_shape.tolist()):
-        finger, place = divmod(index, half)
-        xy_m = pads.taxel_xy_m[pads.taxels_of(index)]
-        made.append(
-            Pad(
-                name=f"finger{finger}.pad{place}",
-                finger=finger,
-                face=faces[min(place, len(faces) - 1)],
-                rows=rows,
-                columns=columns,
-                pitch_x_m=_pitch_m(xy_m[::columns, 0]),
-                pitch_y_m=_pitch_m(xy_m[:columns, 1]),
-            )
-        )
-    return _layout("recorded", made, pads.adc_max)
-
-
-def _pitch_m(coordinates_m: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
-    """Return the mean distance of neighbours in m; 1 mm for a single taxel."""
-    if len(coordinates_m) < 2:
-        return 1e-3
-    return max(float(np.abs(np.diff(coordinates_m)).mean()), 1e-4)

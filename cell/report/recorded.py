@@ -4,7 +4,7 @@ It uses only the recording, so `run` and `recording report` write the same page.
 """
 
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cell.config.file import recorded_config
 from cell.config.model import CellConfig
-from cell.config.tactile import layout_from_config, layout_from_pads
+from cell.config.tactile import layout_from_config
 from cell.control.plan import Pose
 from cell.control.records import pad_array
 from cell.errors import CellError, RecordingError, reason_text
@@ -30,11 +30,10 @@ from cell.report.health import health
 from cell.report.page import Page
 from cell.report.shapes import shapes_view
 from cell.simulation import true_sizes
-from recognition.grasp import Grasp
+from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import DEPENDENCE, UNKNOWN, Posterior
 from recognition.shape.answer import ShapeAnswer, Thickness
 from recognition.statistics.fusion import fuse
-from tactile.layout import TaxelLayout
 
 MAX_SEQUENCES = 80
 """Most identifications on a page; the page counts the others."""
@@ -110,9 +109,8 @@ class Answered:
 def recorded_report(recording: Recording) -> Page:
     """Return the page of a recording.
 
-    Raises RecordingError if it has neither grasps nor answers, or impossible values, and
-    ConfigError if its pads are not those of two fingers. Raises MissingExtraError without
-    matplotlib.
+    Raises RecordingError if it has neither grasps nor answers, or impossible values. Raises
+    MissingExtraError without matplotlib.
     """
     path = recording.path
     if not recording.grasps and not recording.results:
@@ -127,7 +125,7 @@ def recorded_report(recording: Recording) -> Page:
 
 def _page(recording: Recording) -> Page:
     config = recorded_config(recording.metadata.get("config", ""))
-    layout = _layout(recording, config)
+    names, gripping = _pads(recording.pads, config)
     answers = list(answers_of(recording, config))
     taught = [grasp for grasp in recording.grasps if grasp.label]
     scores = _scores(answers, taught, config.recognition.recognizer if config else "cell")
@@ -144,7 +142,8 @@ def _page(recording: Recording) -> Page:
     loop_s = recording.cycles.t_s
     period_s = float(np.median(np.diff(loop_s))) if len(loop_s) > 1 else None
     grasps = [
-        _grasp_view(recording, layout, label, i) for label, i in _examples(recording, answers)
+        _grasp_view(recording, label, i) | pressure_view(recording.grasps[i], names, gripping)
+        for label, i in _examples(recording, answers)
     ]
     sections: dict[str, dict[str, Any]] = {
         "result": {"title": "Confusion", "tables": [one.in_order(labels) for one in tables]},
@@ -161,7 +160,7 @@ def _page(recording: Recording) -> Page:
         },
         "cell": {
             "title": "Cell and files",
-            "facts": {"Cell": _facts(config, layout), "Files": _files(recording)},
+            "facts": {"Cell": _facts(config, recording.pads), "Files": _files(recording)},
         },
         "notes": {"title": "Notes", "notes": _notes(recording, config, compared=len(scores) > 2)},
     }
@@ -175,12 +174,14 @@ def _page(recording: Recording) -> Page:
     )
 
 
-def _layout(recording: Recording, config: CellConfig | None) -> TaxelLayout:
-    if config is not None:
-        layout = layout_from_config(config.tactile)
-        if pad_array(layout).same_as(recording.pads):
-            return layout
-    return layout_from_pads(recording.pads)
+def _pads(pads: PadArray, config: CellConfig | None) -> tuple[list[str], tuple[int, ...]]:
+    """Return the names of the pads and the numbers of the gripping ones, by the config if it fits.
+
+    Else the first pad of each half of the pads grips.
+    """
+    if config is not None and pad_array(layout := layout_from_config(config.tactile)).same_as(pads):
+        return [pad.name for pad in layout.pads], layout.gripping_pads
+    return [f"pad {number}" for number in range(pads.n_pads)], (0, pads.n_pads // 2)
 
 
 def answers_of(recording: Recording, config: CellConfig | None) -> Iterator[Answered]:
@@ -294,51 +295,48 @@ def _examples(recording: Recording, answers: list[Answered]) -> list[tuple[str, 
     return sorted(found.items(), key=lambda one: one[1])
 
 
-def _grasp_view(
-    recording: Recording, layout: TaxelLayout, label: str, number: int
-) -> dict[str, Any]:
-    """Return one grasp: its pads at rising force, and force, current and opening over time."""
+def _grasp_view(recording: Recording, label: str, number: int) -> dict[str, Any]:
+    """Return one grasp: force, current and opening over time."""
     grasp, begin_s = recording.grasps[number], recording.grasp_t_s[number]
     cycles = recording.cycles.between(begin_s, begin_s + float(grasp.t_s[-1]))
     return {
         "label": label,
         "note": f"{_pose(recording, number)}; ramp to {_force_n(grasp):.1f} N",
-        **pressure_view(layout, grasp),
         "timeline": picture(timeline_figure(cycles), f"force, current and opening of {label}")
         if len(cycles)
         else "",
     }
 
 
-def pressure_view(layout: TaxelLayout, grasp: Grasp) -> dict[str, Any]:
+def pressure_view(grasp: Grasp, names: Sequence[str], gripping: Sequence[int]) -> dict[str, Any]:
     """Return the touched pads at four equal steps of the force ramp, all on one scale.
 
-    Each is the mean of the frames nearest to its force, the set-point.
+    Each is the mean of the frames nearest to its force, the set-point. ``names`` are those of all
+    pads; those of the numbers ``gripping`` are always drawn.
     """
-    levels = []
+    pads, levels = grasp.pads, []
     for wanted_n in np.linspace(0, float(grasp.force_n.max()), _LEVELS + 1)[1:]:
         # Of equally near frames take the later ones: their pressure has settled.
         near = np.lexsort((-np.arange(grasp.n_frames), np.abs(grasp.force_n - wanted_n)))
         levels.append((wanted_n, grasp.counts[near[:_LEVEL_FRAMES]].mean(axis=0)))
     full = max(1.0, *(float(counts.max()) for _, counts in levels))
-    taxels = {pad.name: layout.taxels_of(i) for i, pad in enumerate(layout.pads)}
-    gripping = [layout.pads[i].name for i in layout.gripping_pads]
-    least = UNTOUCHED_SHARE * layout.adc_max
-    last = levels[-1][1]
-    shown = [name for name in taxels if name in gripping or last[taxels[name]].max() > least]
+    taxels = [pads.taxels_of(number) for number in range(pads.n_pads)]
+    least, last = UNTOUCHED_SHARE * pads.adc_max, levels[-1][1]
+    shown = [i for i, of_pad in enumerate(taxels) if i in gripping or last[of_pad].max() > least]
 
-    def pad(name: str, counts: NDArray[np.float64]) -> tuple[str, str]:
-        xy_mm, values = 1e3 * layout.taxel_xy_m[taxels[name]], counts[taxels[name]]
-        return name, pad_svg(xy_mm, values, full, f"pressure map, peak {values.max():.0f} counts")
+    def pad(number: int, counts: NDArray[np.float64]) -> tuple[str, str]:
+        xy_mm, values = 1e3 * pads.taxel_xy_m[taxels[number]], counts[taxels[number]]
+        label = f"pressure map, peak {values.max():.0f} counts"
+        return names[number], pad_svg(xy_mm, values, full, label)
 
     return {
         "levels": [
-            (f"{force_n:.1f} N", float(counts.max()), [pad(name, counts) for name in shown])
+            (f"{force_n:.1f} N", float(counts.max()), [pad(number, counts) for number in shown])
             for force_n, counts in levels
         ],
-        "n_untouched": layout.n_pads - len(shown),
+        "n_untouched": pads.n_pads - len(shown),
         "full": full,
-        "adc_max": layout.adc_max,
+        "adc_max": pads.adc_max,
     }
 
 
@@ -359,8 +357,8 @@ def _tiles(
     return [*tiles, (f"{per_answer:.1f}", "grasps until sure", "")]
 
 
-def _facts(config: CellConfig | None, layout: TaxelLayout) -> dict[str, str]:
-    facts = {"Sensor": f"{layout.n_taxels} taxels on {layout.n_pads} pads"}
+def _facts(config: CellConfig | None, pads: PadArray) -> dict[str, str]:
+    facts = {"Sensor": f"{pads.n_taxels} taxels on {pads.n_pads} pads"}
     if config is None:
         return facts
     gripper, tactile, sequence = config.gripper, config.tactile, config.sequence

@@ -31,18 +31,14 @@ from cell.config.tactile import (
     PadsConfig,
     TactileConfig,
     layout_from_config,
-    layout_from_pads,
 )
-from cell.control.records import pad_array
 from cell.errors import ConfigError
 from cell.formats import CONFIG
 from cell.sensors.flexitac import FlexiTacConfig
 from gripper.dynamixel.models import MODELS
 from gripper.settings import GripperSettings
-from recognition.grasp import PadArray
 from tactile.flexitac.stream import PROFILES
-from tactile.layout import LAYOUTS, paper_layout, pinch_layout
-from tests.cell.conftest import plain_pads
+from tactile.layout import LAYOUTS
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.marks import LONG
 
@@ -329,34 +325,6 @@ def test_own_pads_become_a_layout() -> None:
 def test_pads_that_make_no_gripper_are_a_config_error(pads: tuple[PadConfig, ...]) -> None:
     with pytest.raises(ConfigError, match=r"tactile\.layout: layout own"):
         layout_from_config(spelled(*pads))
-
-
-@pytest.mark.parametrize("layout", [paper_layout(), pinch_layout()])
-def test_recorded_pads_give_a_layout_that_carries_their_frames(layout: Any) -> None:
-    made = layout_from_pads(pad_array(layout))
-    assert made.n_taxels == layout.n_taxels
-    assert made.pad_shape.tolist() == layout.pad_shape.tolist()
-    assert (made.adc_max, made.sample_bits) == (layout.adc_max, layout.sample_bits)
-    assert made.gripping_pads == layout.gripping_pads
-    pitches_m = [(one.pitch_x_m, one.pitch_y_m) for one in layout.pads]
-    np.testing.assert_allclose([(one.pitch_x_m, one.pitch_y_m) for one in made.pads], pitches_m)
-
-
-def recorded(*shapes: tuple[int, int]) -> PadArray:
-    return plain_pads(*shapes, pitch_m=2.5e-3, adc_max=100)
-
-
-@pytest.mark.parametrize("n_pads", [1, 3, 5])
-def test_an_odd_number_of_recorded_pads_is_refused(n_pads: int) -> None:
-    with pytest.raises(ConfigError, match=f"have {n_pads} pads; two fingers need an even number"):
-        layout_from_pads(recorded(*[(3, 2)] * n_pads))
-
-
-def test_more_pads_than_a_finger_has_faces_and_single_taxels_are_carried() -> None:
-    layout = layout_from_pads(recorded(*[(1, 1)] * 16))
-    assert layout.n_pads == 16
-    assert layout.gripping_pads == (0, 8)
-    assert layout.pads[0].pitch_x_m == 1e-3
 
 
 REAL = {"gripper.port": "/dev/ttyUSB0", "tactile.interface": "socketcan", "tactile.channel": "can0"}

@@ -192,7 +192,8 @@ def test_darker_shade_means_more_pressure_and_a_touched_side_is_drawn(recording)
     assert rects == {"s0": 61, "s3": 1, "s7": 1, "s12": 1}
     assert pad.get("viewBox") == "0 0 55 20"
     grasp = recording.grasps[0]
-    view = pressure_view(LAYOUT, grasp)
+    names, gripping = [pad.name for pad in LAYOUT.pads], LAYOUT.gripping_pads
+    view = pressure_view(grasp, names, gripping)
     most_n = grasp.force_n.max()
     forces = [f"{share * most_n:.1f} N" for share in (0.25, 0.5, 0.75, 1.0)]
     assert [force for force, *_ in view["levels"]] == forces
@@ -200,7 +201,7 @@ def test_darker_shade_means_more_pressure_and_a_touched_side_is_drawn(recording)
     assert view["n_untouched"] == 8
     side = np.array(grasp.counts)
     side[:, LAYOUT.taxels_of(2).start + 3] = 80
-    touched = pressure_view(LAYOUT, replace(grasp, counts=side))
+    touched = pressure_view(replace(grasp, counts=side), names, gripping)
     for one, names in ((view, INNER), (touched, [INNER[0], "finger0.side_a", INNER[1]])):
         assert all([name for name, _ in pads] == names for *_, pads in one["levels"])
 
@@ -451,6 +452,8 @@ def test_a_recording_without_optional_values_shows_the_others(recording, report)
     assert text.count("card sequence named-verdict") == 2
     assert '<section id="result">' not in text
     strange = recorded_report(with_config(recording, '{"unknown": 1}')).sections
+    level = strange["examples"]["grasps"][0]["levels"][-1]
+    assert [name for name, _ in level[2]] == ["pad 0", "pad 5"]
     assert strange["cell"]["facts"]["Cell"] == {"Sensor": "408 taxels on 10 pads"}
     assert "config in the recording is not valid" in strange["notes"]["notes"][-1]
 
