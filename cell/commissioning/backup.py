@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from cell.checks.findings import ProposedChange
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog
+from cell.commissioning.findings import ProposedChange
 from cell.errors import CellError
 from cell.files import free_name
 from cell.formats import SERVO_BACKUP, read_json, write_json

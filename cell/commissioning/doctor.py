@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.build import Cell, build_cell
-from cell.checks.findings import (
+from cell.commissioning.findings import (
     STORE_NAME,
     Finding,
     Verdict,
     check_result,
     read_commissioned,
 )
-from cell.checks.ports import check_port
+from cell.commissioning.ports import check_port
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration
 from cell.control.self_zero import drive_text, kept_zeros

@@ -14,8 +14,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn, Protocol
 
-from cell.checks.findings import STORE_NAME, Notes, ProposedChange, read_commissioned
 from cell.commissioning.bench import CONFIG_NAME, Bench
+from cell.commissioning.findings import STORE_NAME, Notes, ProposedChange, read_commissioned
 from cell.config.file import config_text, schema_text
 from cell.errors import CellError
 from cell.fault_catalogue import error_text

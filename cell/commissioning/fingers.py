@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
-from cell.checks.findings import Notes, ProposedChange
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import LIVE_CALL_S, Dialog, Step, StepFailed
+from cell.commissioning.findings import Notes, ProposedChange
 from cell.commissioning.servos import torque_off
 from cell.config.gripper import ServoConfig, gripper_settings, linkage_of
 from cell.errors import raised_as

@@ -8,9 +8,9 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.checks.findings import Notes, ProposedChange
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
+from cell.commissioning.findings import Notes, ProposedChange
 from cell.commissioning.motion import Period, WatchedHand, watched_hand
 from cell.config.file import changed_config
 from cell.config.model import CellConfig

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
-from cell.checks.findings import Notes
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
+from cell.commissioning.findings import Notes
 from cell.commissioning.pads import sequence_forces_n
 from cell.commissioning.unit import unit_sensor
 from cell.config.tactile import LinearCalibrationConfig, TableCalibrationConfig, TactileConfig

@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.checks.findings import Notes
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step
+from cell.commissioning.findings import Notes
 from cell.commissioning.unit import unit_sensor
 from cell.config.model import CellConfig
 from cell.errors import ConfigError

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from cell.checks.findings import Notes
 from cell.commissioning.backup import (
     SETTLE_S,
     Backup,
@@ -15,6 +14,7 @@ from cell.commissioning.backup import (
 )
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
+from cell.commissioning.findings import Notes
 from cell.config.gripper import use_servo_models
 from cell.plugins import SERVO_MODELS
 from gripper.dynamixel.bus import ANSWERS_ALL, ServoBus, ServoIdentity

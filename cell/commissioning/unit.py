@@ -10,10 +10,10 @@ from typing import Any, get_args
 
 import numpy as np
 
-from cell.checks.findings import Notes, ProposedChange
-from cell.checks.ports import lasting_name
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
+from cell.commissioning.findings import Notes, ProposedChange
+from cell.commissioning.ports import lasting_name
 from cell.config.file import changed_config
 from cell.config.section import SIMULATED
 from cell.config.sensor import SensorLines

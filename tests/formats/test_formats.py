@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from cell.checks.findings import read_commissioned
 from cell.commissioning.backup import Backup, backup_file
+from cell.commissioning.findings import read_commissioned
 from cell.config.file import load_config
 from cell.control.self_zero import kept_zeros
 from cell.errors import CellError

@@ -5,8 +5,8 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cell.checks.findings import Notes, ProposedChange, Verdict
 from cell.commissioning.engine import Dialog, Engine, Question, Step, leave
+from cell.commissioning.findings import Notes, ProposedChange, Verdict
 from cell.interfaces.cli.terminal import ask, out, plain_text, print_line
 
 _LEAVE = "q"

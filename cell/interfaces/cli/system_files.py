@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from stat import S_IROTH, S_IXOTH
 
-from cell.checks.ports import udev_rule, usb_identity
+from cell.commissioning.ports import udev_rule, usb_identity
 from cell.config.model import CellConfig
 
 NAME = "tactile-cell"

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from cell.checks.findings import Notes, Verdict
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Step, carry_out
+from cell.commissioning.findings import Notes, Verdict
 from gripper.dynamixel.control_table import TORQUE_ENABLE
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings

@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from cell.checks.findings import Notes, ProposedChange
 from cell.commissioning.bench import LineOpener
 from cell.commissioning.engine import Dialog, Question, Step, WizardAborted
+from cell.commissioning.findings import Notes, ProposedChange
 from cell.simulation import open_can_bus, open_servo_port
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost

@@ -12,8 +12,8 @@ import pytest
 
 import cell.commissioning.doctor
 from cell.build import build_cell
-from cell.checks.findings import Finding, Verdict
 from cell.commissioning.doctor import Commissioning, examine
+from cell.commissioning.findings import Finding, Verdict
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
@@ -98,6 +98,12 @@ def test_what_has_changed_names_the_step_to_repeat(changes, what, step) -> None:
     assert changed(Commissioning()) == []
 
 
+def disturb(simulated: Any) -> None:
+    """Lose some frames of a running unit."""
+    operational = lambda: simulated.unit.state == "OPERATIONAL"  # noqa: E731
+    once(simulated.clock, operational, lambda: simulated.inject("can.lose_next=5"), after_s=0.1)
+
+
 @pytest.mark.parametrize(
     ("fault", "what", "verdict", "text", "advice"),
     [
@@ -110,6 +116,7 @@ def test_what_has_changed_names_the_step_to_repeat(changes, what, step) -> None:
             "one of these keys is wrong",
         ),
         ("taxels.stuck_at=5-6:255", "taxels at rest", Verdict.WARN, "2 of 408", "touching"),
+        (disturb, "tactile frames", Verdict.WARN, "lost or damaged", "terminating resistors"),
     ],
 )
 def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
@@ -118,7 +125,7 @@ def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
     cells: list[Any] = []
 
     def alter(simulated: Any) -> None:
-        simulated.inject(fault)
+        fault(simulated) if callable(fault) else simulated.inject(fault)
         cells.append((simulated, simulated.devices.mechanics.aperture_m))
 
     findings = altered(alter)
@@ -224,20 +231,6 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     assert "it is unknown whether a part is held" in findings["servo torque"].advice
     assert findings["pads' force"].verdict is Verdict.WARN
     simulated.close()
-
-
-def test_lost_frames_are_a_warning(altered) -> None:
-    def disturb(simulated: Any) -> None:
-        once(
-            simulated.clock,
-            lambda: simulated.unit.state == "OPERATIONAL",
-            lambda: simulated.inject("can.lose_next=5"),
-            after_s=0.1,
-        )
-
-    finding = by_name(altered(disturb))["tactile frames"]
-    assert finding.verdict is Verdict.WARN
-    assert "terminating resistors" in finding.advice
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from cell.checks.findings import STORE_NAME, Finding, Notes, ProposedChange, Verdict
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     CONFIG_NAME,
@@ -20,6 +19,7 @@ from cell.commissioning.engine import (
     Step,
     WizardAborted,
 )
+from cell.commissioning.findings import STORE_NAME, Finding, Notes, ProposedChange, Verdict
 from cell.commissioning.walk import all_steps
 from cell.config.file import changed_config, config_text, load_config
 from cell.errors import CellError, ConfigError

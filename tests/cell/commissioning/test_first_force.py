@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from cell.checks.findings import Notes, Verdict
 from cell.commissioning.engine import WizardAborted
+from cell.commissioning.findings import Notes, Verdict
 from cell.commissioning.first_force import FIRST_FORCE
 from cell.control.self_zero import kept_zeros
 from gripper.dynamixel.drive import DriveCharacteristic

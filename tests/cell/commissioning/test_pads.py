@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.checks.findings import Notes, Verdict
 from cell.commissioning.engine import StepFailed
+from cell.commissioning.findings import Notes, Verdict
 from cell.commissioning.law import LAW, fit_factor, fit_table, judge_law, table_parts
 from cell.commissioning.pads import (
     PADS_AT_REST,

@@ -8,12 +8,11 @@ from unittest.mock import Mock
 
 import pytest
 
-from cell.checks import ports
-from cell.checks.findings import Notes, Verdict
-from cell.checks.ports import check_port, lasting_name, usb_identity, users_of
+from cell.commissioning import ports
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import carry_out
-from cell.commissioning.ports import PORTS
+from cell.commissioning.findings import Notes, Verdict
+from cell.commissioning.ports import PORTS, check_port, lasting_name, usb_identity, users_of
 from gripper.errors import PortLost
 from simulator.cell import SimulatedCell
 from tests.cell.commissioning.hands import Script, SimulatedLines

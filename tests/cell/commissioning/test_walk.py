@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from cell.checks.findings import Verdict
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import CONFIG_NAME, Engine
+from cell.commissioning.findings import Verdict
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
 from cell.config.model import CellConfig

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from cell.checks.findings import Verdict
 from cell.commissioning.engine import Step, WizardAborted
+from cell.commissioning.findings import Verdict
 from cell.commissioning.fingers import FINGERS
 from cell.commissioning.first_force import FIRST_FORCE
 from cell.commissioning.pads import PADS_AT_REST

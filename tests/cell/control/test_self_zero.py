@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from cell.checks.findings import Verdict
 from cell.commissioning.doctor import examine
+from cell.commissioning.findings import Verdict
 from cell.config.file import changed_config, config_text, parse_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose

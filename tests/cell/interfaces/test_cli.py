@@ -20,7 +20,7 @@ from rich.console import Console
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from cell.checks.findings import Finding, Verdict
+from cell.commissioning.findings import Finding, Verdict
 from cell.config.file import changed_config, config_text, load_config, schema_text
 from cell.config.model import CellConfig
 from cell.control.records import GraspRecord

@@ -13,8 +13,8 @@ from dataclasses import replace
 import pytest
 from typer.testing import CliRunner
 
-from cell.checks.findings import ProposedChange
 from cell.commissioning.engine import Question, WizardAborted, leave
+from cell.commissioning.findings import ProposedChange
 from cell.control.positioner import PatientCaller
 from cell.control.states import CellState
 from cell.errors import CellStopped, PositionerError

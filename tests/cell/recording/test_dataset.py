@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from cell import formats
 from cell.archive.store import Archive
-from cell.checks.findings import read_commissioned
 from cell.commissioning.backup import since_backup
+from cell.commissioning.findings import read_commissioned
 from cell.config.file import load_config
 from cell.config.gripper import measured_drive
 from cell.control.self_zero import SelfZeros

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from cell.checks.findings import Verdict
 from cell.commissioning.doctor import examine
+from cell.commissioning.findings import Verdict
 from cell.errors import CellError
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config

@@ -1,4 +1,4 @@
-"""Findings of checks and of commissioning steps, and the file of the steps."""
+"""Findings of steps and of the system check, and the file of the steps."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
