@@ -83,7 +83,7 @@ class Bench:
         self.folder = folder
         if base is None and (folder / CONFIG_NAME).exists():
             base = load_config(folder / CONFIG_NAME)
-        self.base = _new_cell(folder) if base is None else base
+        self.base = base or CellConfig(name=folder.resolve().name[:80] or "cell")
         """First config."""
         self.lines = lines or LineOpener()
         self.given: Mapping[str, Any] = given or {}
@@ -163,8 +163,3 @@ class Bench:
             yield bus
         finally:
             close_bus(bus)
-
-
-def _new_cell(folder: Path) -> CellConfig:
-    """Return the config of a new cell: the defaults, and the folder's name."""
-    return CellConfig(name=folder.resolve().name[:80] or "cell")

@@ -3,8 +3,7 @@
 from cell.commissioning.engine import Step
 from cell.commissioning.fingers import FINGERS
 from cell.commissioning.first_force import FIRST_FORCE
-from cell.commissioning.law import LAW
-from cell.commissioning.pads import PADS_AT_REST, PADS_PRESSED
+from cell.commissioning.pads import LAW, PADS_AT_REST, PADS_PRESSED
 from cell.commissioning.ports import PORTS
 from cell.commissioning.servos import SERVOS
 from cell.commissioning.unit import UNIT

@@ -7,15 +7,19 @@ import pytest
 
 from cell.commissioning.engine import StepFailed
 from cell.commissioning.findings import Notes, Verdict
-from cell.commissioning.law import LAW, fit_factor, fit_table, judge_law, table_parts
 from cell.commissioning.pads import (
+    LAW,
     PADS_AT_REST,
     PADS_PRESSED,
     Patch,
     corner_text,
+    fit_factor,
+    fit_table,
+    judge_law,
     judge_rest,
     mounts_of,
     pressed_at,
+    table_parts,
 )
 from cell.config.tactile import TactileConfig
 from simulator.can.control_unit import ControlUnitSettings

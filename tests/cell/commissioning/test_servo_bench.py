@@ -9,9 +9,7 @@ import pytest
 
 from cell.commissioning.bench import Bench, LineOpener
 from cell.commissioning.engine import Question, StepFailed, WizardAborted
-from cell.commissioning.servo_bench.protocol import STEPS
-from cell.commissioning.servo_bench.result import run_bench
-from cell.commissioning.servo_bench.rig import Rig, open_rig
+from cell.commissioning.servo_bench import STEPS, Rig, open_rig, run_bench
 from cell.config.gripper import measured_drive
 from cell.errors import ConfigError
 from gripper.dynamixel.bus import ServoBus

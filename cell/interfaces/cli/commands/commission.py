@@ -8,8 +8,7 @@ import typer
 from cell.commissioning.backup import restore as restore_servos
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Engine, WizardAborted
-from cell.commissioning.servo_bench.result import run_bench
-from cell.commissioning.servo_bench.rig import open_rig
+from cell.commissioning.servo_bench import open_rig, run_bench
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
 from cell.interfaces.cli.dialog import TerminalDialog
