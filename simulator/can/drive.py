@@ -6,7 +6,7 @@ Other functions of drives (PDOs, further modes, user units) are left out.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import canopen
@@ -150,8 +150,7 @@ class SimulatedDrive(CanopenDevice):
         self._error_code = self._control = 0
         self._acknowledged = self._reached = self._at_switch = False
         self._host_due_s = math.inf
-        self._homing: int | None = None
-        self._leaving = self._braking_at_home = False
+        self._homing: Iterator[None] | None = None
         self._lag_s = 0.0
         self.motion.freeze()
         self._zero = 0.0 if self.mount.absolute else self.motion.actual
@@ -272,8 +271,7 @@ class SimulatedDrive(CanopenDevice):
                 self.motion.go(goal, velocity, acceleration or 1e9)
                 self._acknowledged, self._reached, self._at_switch = True, False, False
         elif mode == ModeOfOperation.HOMING and rising:
-            self._homing = self._number("Homing method")
-            self._leaving = self._braking_at_home = False
+            self._homing = self._home(self._number("Homing method"))
             self._acknowledged = self._reached = False
         elif mode == ModeOfOperation.HOMING and not word & _START_BIT:
             self._homing = None
@@ -283,7 +281,8 @@ class SimulatedDrive(CanopenDevice):
     def _step(self) -> None:
         motion = self.motion
         if self._homing is not None:
-            self._home(self._homing)
+            if next(self._homing, True):
+                self._homing = None
         elif self.state is State.OPERATION_ENABLED:
             self._watch_switches()
         motion.step(STEP_S, blocked=self.blocked)
@@ -312,37 +311,22 @@ class SimulatedDrive(CanopenDevice):
         if self._lag_s * 1e3 > self._number("Following error time out"):
             self.fail(od.FOLLOWING_ERROR_CODE)
 
-    def _home(self, method: int) -> None:
-        """Continue homing: to the switch, then slowly back; home is where the switch opens."""
-        motion = self.motion
-        if method == HomingMethod.HERE or self._braking_at_home:
-            self._finish_homing()
-            return
-        negative, positive = motion.switches(self.forced_switch)
-        direction = -1.0 if method == HomingMethod.NEGATIVE_SWITCH else 1.0
-        active = negative if direction < 0.0 else positive
-        acceleration = self._number("Homing acceleration") or 1e9
-        if not self._leaving:
-            if not active:
-                fast = self._number("Homing speeds.Speed during search for switch")
-                motion.go(motion.demand + direction * 1e9, fast, acceleration)
-                return
-            self._leaving = True
-        if active:
-            slow = self._number("Homing speeds.Speed during search for zero")
-            motion.go(motion.demand - direction * 1e9, slow, acceleration)
-        else:
-            self._finish_homing()
-
-    def _finish_homing(self) -> None:
-        if self._braking_at_home:
-            if self.motion.resting:
-                self._homing = None
-                self._acknowledged = self._reached = True
-            return
-        self._braking_at_home = True
-        self._zero = self.motion.actual - self._number("Home offset")
-        self.motion.stop(self._number("Homing acceleration") or 1e6)
+    def _home(self, method: int) -> Iterator[None]:
+        """Home in steps: to the switch, then slowly back; home is where the switch opens."""
+        motion, acceleration = self.motion, self._number("Homing acceleration")
+        if method != HomingMethod.HERE:
+            direction = -1.0 if method == HomingMethod.NEGATIVE_SWITCH else 1.0
+            for way, active, speed in ((direction, False, "switch"), (-direction, True, "zero")):
+                velocity = self._number(f"Homing speeds.Speed during search for {speed}")
+                while motion.switches(self.forced_switch)[direction > 0.0] is active:
+                    motion.go(motion.demand + way * 1e9, velocity, acceleration or 1e9)
+                    yield
+        self._zero = motion.actual - self._number("Home offset")
+        motion.stop(acceleration or 1e6)
+        yield
+        while not motion.resting:
+            yield
+        self._acknowledged = self._reached = True
 
     def _silenced(self) -> bool:
         return self.dead

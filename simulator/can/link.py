@@ -8,8 +8,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import Enum
-from functools import partial
-from itertools import islice
 from operator import attrgetter
 from typing import Protocol
 
@@ -100,21 +98,16 @@ class CanLink:
             for device in tuple(self._devices):
                 device.receive(can_id, data, now_s)
 
-    def take(self, now_s: float) -> can.Message | None:
-        """Return the next message that has arrived until ``now_s`` s."""
-        inbox = self._inbox
-        if inbox and inbox[0].timestamp <= now_s:
-            return inbox.popleft()
-        return None
-
-    def take_all(self, now_s: float, limit: int) -> list[can.Message]:
-        """Return up to ``limit`` messages that have arrived until ``now_s`` s."""
+    def take(self, now_s: float, limit: int = _INBOX_LIMIT) -> list[can.Message]:
+        """Let the time pass until ``now_s`` s; return up to ``limit`` arrived messages."""
+        self.advance(now_s)
         inbox = self._inbox
         if inbox and inbox[-1].timestamp <= now_s and len(inbox) <= limit:
             messages = list(inbox)
             inbox.clear()
             return messages
-        return list(islice(iter(partial(self.take, now_s), None), limit))
+        arrived = min(limit, sum(message.timestamp <= now_s for message in inbox))
+        return [inbox.popleft() for _ in range(arrived)]
 
     def advance(self, now_s: float) -> None:
         """Let devices and faults act until ``now_s`` s."""

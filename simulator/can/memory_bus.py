@@ -70,40 +70,29 @@ class InMemoryCanBus(can.BusABC):
         the adapter is unplugged or the bus was shut down. Raises SimulatorStateError for a wait
         without limit on a bus without any future message.
         """
-        clock, link = self.clock, self._link
-        now_s = clock.monotonic()
-        deadline_s = math.inf if timeout is None else now_s + max(timeout, 0.0)
-        looked = False
-        while True:
-            self._check_open()
-            while (message := link.take(now_s)) is not None:
-                if self._deaf:
-                    continue
-                if self._filters is None or self._matches_filters(message):
-                    return message
-            if not looked:
-                link.advance(now_s)
-                looked = True
-                continue
-            if now_s >= deadline_s:
+        deadline_s = math.inf
+        if timeout is not None:
+            deadline_s = self.clock.monotonic() + max(timeout, 0.0)
+        while not (messages := self.recv_all(1)):
+            if self.clock.monotonic() >= deadline_s:
                 return None
-            next_s = min(link.next_event_s(), deadline_s)
+            next_s = min(self._link.next_event_s(), deadline_s)
             if math.isinf(next_s):
                 raise SimulatorStateError(
                     "recv() without a time-out on a bus without any future message; give a time-out"
                 )
-            clock.advance_to(next_s)
-            now_s, looked = clock.monotonic(), False
+            self.clock.advance_to(next_s)
+        return messages[0]
 
     def recv_all(self, limit: int) -> list[can.Message]:
         """Return up to ``limit`` messages that have arrived; does not wait. Raises as `recv`."""
         self._check_open()
-        now_s = self.clock.monotonic()
-        self._link.advance(now_s)
-        messages = self._link.take_all(now_s, limit)
-        if self._deaf:
-            return []
-        return messages if self._filters is None else list(filter(self._matches_filters, messages))
+        while messages := self._link.take(self.clock.monotonic(), limit):
+            if self._filters is not None:
+                messages = list(filter(self._matches_filters, messages))
+            if messages and not self._deaf:
+                return messages
+        return []
 
     def shutdown(self) -> None:
         """Leave the bus; a second call changes nothing."""

@@ -5,7 +5,7 @@ Commands end with CR; CR acknowledges, BEL refuses.
 The adapter has no loop and no port: bytes in, bytes out, time as an argument.
 """
 
-import string
+import re
 
 import can
 
@@ -19,11 +19,11 @@ _VERSION = b"V1013\r"
 """Answer to V: hardware version 1.0, software version 1.3."""
 _FLAG_PASSIVE = 0x20
 """Bit of the answer to F."""
-_HEX_DIGITS = frozenset(string.hexdigits)
-_STANDARD_ID_MAX, _EXTENDED_ID_MAX = 0x7FF, 0x1FFF_FFFF
-"""Largest identifiers of 11 and of 29 bits."""
-_MAX_DATA_BYTES = 8
-"""Data bytes of a classic CAN message (ISO 11898-1)."""
+_DATA = r"([0-8])((?:[0-9A-Fa-f]{2})*)"
+"""Number of the data bytes, and each as two digits."""
+_STANDARD = re.compile(f"([0-7][0-9A-Fa-f]{{2}}){_DATA}")
+_EXTENDED = re.compile(f"([01][0-9A-Fa-f]{{7}}){_DATA}")
+"""A message of 11 and of 29 bits after its letter."""
 
 
 class SlcanAdapter:
@@ -61,11 +61,9 @@ class SlcanAdapter:
 
     def transmit(self, now_s: float) -> bytes:
         """Return the bytes for the client until ``now_s`` s."""
-        self._link.advance(now_s)
-        deaf = not self._open or self._chosen != self._link.bitrate
-        while (message := self._link.take(now_s)) is not None:
-            if not (deaf or message.is_error_frame):
-                self._output += _text(message)
+        messages = self._link.take(now_s)
+        if self._open and self._chosen == self._link.bitrate:
+            self._output += b"".join(_text(one) for one in messages if not one.is_error_frame)
         output = bytes(self._output)
         self._output.clear()
         return output
@@ -107,31 +105,19 @@ class SlcanAdapter:
         return _VERSION if text == "V" else _REFUSED
 
     def _send(self, name: str, rest: str, now_s: float) -> bytes:
-        extended = name in "TR"
-        digits = 8 if extended else 3
-        if not self._open or not set(rest) <= _HEX_DIGITS:
+        extended, remote = name in "TR", name in "rR"
+        match = (_EXTENDED if extended else _STANDARD).fullmatch(rest)
+        if match is None or not self._open:
             return _REFUSED
-        try:
-            can_id = int(rest[:digits], 16)
-            length = int(rest[digits])
-            data = bytes.fromhex(rest[digits + 1 :])
-        except (ValueError, IndexError):
-            return _REFUSED
-        remote = name in "rR"
-        largest = _EXTENDED_ID_MAX if extended else _STANDARD_ID_MAX
-        if can_id > largest or length > _MAX_DATA_BYTES:
-            return _REFUSED
-        if len(data) != (0 if remote else length):
+        data = bytes.fromhex(match[3])
+        if len(data) != (0 if remote else int(match[2])):
             return _REFUSED
         if not remote and self._chosen == self._link.bitrate:
-            self._link.send(can_id, data, now_s, extended=extended)
+            self._link.send(int(match[1], 16), data, now_s, extended=extended)
         return b"Z\r" if extended else b"z\r"
 
 
 def _text(message: can.Message) -> bytes:
-    head = (
-        b"T%08X%d" % (message.arbitration_id, message.dlc)
-        if message.is_extended_id
-        else b"t%03X%d" % (message.arbitration_id, message.dlc)
-    )
-    return head + message.data.hex().upper().encode("ascii") + b"\r"
+    head = b"T%08X%d" if message.is_extended_id else b"t%03X%d"
+    content = message.data.hex().upper().encode("ascii")
+    return head % (message.arbitration_id, message.dlc) + content + b"\r"
