@@ -5,12 +5,12 @@ import select
 import signal
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
-from types import FrameType
 from typing import Any, Self
 
+from simulator.boards.site import SerialBoard
 from simulator.can.slcan import SlcanAdapter
 from simulator.devices import CellDevices
 from simulator.errors import EndpointError
@@ -18,6 +18,7 @@ from simulator.faults.injector import FaultInjector
 from simulator.realtime.requests import CellRequests
 from simulator.realtime.socket_server import PositionerServer
 from simulator.realtime.terminals import BoardPty, SerialPty
+from simulator.servo.bus import SerialDevice
 from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
 from simulator.world.world import STEP_S
@@ -45,29 +46,22 @@ class RealTimeCell:
         self.devices = CellDevices(settings, start_s=now_s - POWERED_BEFORE_S)
         self.devices.world.skip_to(now_s)
         self._world_s = now_s
-        self._ptys: list[SerialPty] = []
+        lines: dict[str, SerialDevice] = {
+            "servos": self.devices.servo_bus,
+            "can": SlcanAdapter(self.devices.can),
+        }
+        if self.devices.axes_can is not None:
+            lines["axes-can"] = SlcanAdapter(self.devices.axes_can)
+        for moves, axis in self.devices.axes.items():
+            if isinstance(axis, SimulatedWrist):
+                lines[f"axis-{moves}"] = axis.bus
+        lines |= {f"board{finger}": board for finger, board in enumerate(self.devices.boards)}
+        self._ptys: dict[str, SerialPty] = {}
         with ExitStack() as opened:
-
-            def keep(pty: SerialPty) -> SerialPty:
-                opened.callback(pty.close)
-                self._ptys.append(pty)
-                return pty
-
-            self._servo_pty = keep(SerialPty(self.devices.servo_bus, folder / "servos"))
-            self._can_pty = keep(SerialPty(SlcanAdapter(self.devices.can), folder / "can"))
-            self._axes_can_pty: SerialPty | None = None
-            if self.devices.axes_can is not None:
-                adapter = SlcanAdapter(self.devices.axes_can)
-                self._axes_can_pty = keep(SerialPty(adapter, folder / "axes-can"))
-            self._axes_ptys = {
-                moves: keep(SerialPty(axis.bus, folder / f"axis-{moves}"))
-                for moves, axis in self.devices.axes.items()
-                if isinstance(axis, SimulatedWrist)
-            }
-            self._board_ptys = [
-                keep(BoardPty(board, folder / f"board{finger}"))
-                for finger, board in enumerate(self.devices.boards)
-            ]
+            for name, device in lines.items():
+                kind = BoardPty if isinstance(device, SerialBoard) else SerialPty
+                self._ptys[name] = kind(device, folder / name)
+                opened.callback(self._ptys[name].close)
             self.injector = FaultInjector(self.devices, now_s - POWERED_BEFORE_S)
             requests = CellRequests(self.devices, self.injector)
             self._server = PositionerServer(folder / "positioner.sock", requests)
@@ -80,17 +74,20 @@ class RealTimeCell:
     def announcement(self) -> dict[str, Any]:
         """Return addresses and settings for clients; plain values for JSON."""
         settings = self.devices.settings
+        paths = {name: pty.path for name, pty in self._ptys.items()}
         return {
-            "servo_port": self._servo_pty.path,
+            "servo_port": paths["servos"],
             "servo_baud_rate": settings.servo_baud_rate,
             "servo_ids": [servo.servo_id for servo in settings.servos],
             "can_interface": "slcan",
-            "can_channel": self._can_pty.path,
+            "can_channel": paths["can"],
             "can_bitrate": settings.unit.bitrate,
             "node_id": settings.unit.node_id,
-            "axes_can_channel": None if self._axes_can_pty is None else self._axes_can_pty.path,
-            "axes_ports": {moves: pty.path for moves, pty in self._axes_ptys.items()},
-            "board_ports": [pty.path for pty in self._board_ptys],
+            "axes_can_channel": paths.get("axes-can"),
+            "axes_ports": {
+                moves: paths[f"axis-{moves}"] for moves in settings.axes if f"axis-{moves}" in paths
+            },
+            "board_ports": [paths[f"board{n}"] for n in range(len(self.devices.boards))],
             "positioner_socket": str(self._server.path),
             "pid": os.getpid(),
             "config": None,
@@ -98,7 +95,7 @@ class RealTimeCell:
 
     def descriptors(self) -> list[int]:
         """Return the descriptors whose input wakes the cell."""
-        ptys = [pty.fileno() for pty in self._ptys if pty.plugged_in]
+        ptys = [pty.fileno() for pty in self._ptys.values() if pty.plugged_in]
         return [*ptys, *self._server.filenos()]
 
     def step(self, now_s: float, readable: list[int]) -> float:
@@ -114,7 +111,7 @@ class RealTimeCell:
             self.devices.world.skip_to(self._world_s)
         self._world_s = min(now_s, self._world_s + PIECE_S)
         # First the bytes that clients sent while this process did not run: they came before now.
-        due_s = [pty.poll(now_s) for pty in self._ptys]
+        due_s = [pty.poll(now_s) for pty in self._ptys.values()]
         self.devices.advance_to(self._world_s)
         self.injector.advance(self._world_s)
         self._server.poll(readable)
@@ -157,10 +154,19 @@ def serve(
         Also end when the parent process ends.
     """
     parent = os.getppid()
+    stop: list[int] = []
     with ExitStack() as stack:
-        stop = stack.enter_context(_signals())
-        place = stack.enter_context(_folder(folder))
-        cell = stack.enter_context(RealTimeCell(settings, place, time.monotonic()))
+        for number in (signal.SIGTERM, signal.SIGINT):
+            before = signal.signal(number, lambda received, _frame: stop.append(received))
+            stack.callback(signal.signal, number, before)
+        if folder is None:
+            temporary = tempfile.TemporaryDirectory(prefix="tactile-cell-")
+            folder = Path(stack.enter_context(temporary))
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise EndpointError(f"the folder {folder} cannot be made: {error}") from error
+        cell = stack.enter_context(RealTimeCell(settings, folder, time.monotonic()))
         announce(cell.announcement())
         due_s = time.monotonic()
         while not stop:
@@ -169,33 +175,3 @@ def serve(
             if until_parent_ends and os.getppid() != parent:
                 return
             due_s = cell.step(time.monotonic(), readable)
-
-
-@contextmanager
-def _signals() -> Iterator[list[int]]:
-    """Collect SIGTERM and SIGINT in a list; restore the handlers at the end."""
-    received: list[int] = []
-
-    def note(number: int, _frame: FrameType | None) -> None:
-        received.append(number)
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        yield received
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
-def _folder(wanted: Path | None) -> Iterator[Path]:
-    """Give the folder for links and socket; a temporary one is removed at the end."""
-    if wanted is not None:
-        try:
-            wanted.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise EndpointError(f"the folder {wanted} cannot be made: {error}") from error
-        yield wanted
-        return
-    with tempfile.TemporaryDirectory(prefix="tactile-cell-") as temporary:
-        yield Path(temporary)

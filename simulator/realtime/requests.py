@@ -1,7 +1,7 @@
 """Requests of other processes to a simulated cell: objects, state, faults."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -50,8 +50,7 @@ class CellRequests:
     def __init__(self, devices: CellDevices, injector: FaultInjector) -> None:
         self._devices = devices
         self._injector = injector
-        self._pressed: str | None = None
-        self._requests: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+        self._requests: dict[str, Callable[[Any, dict[str, Any]], dict[str, Any]]] = {
             "place": self._place,
             "check": self._check,
             "define": self._define,
@@ -76,14 +75,16 @@ class CellRequests:
             raise SimulatorSettingsError(
                 f"a request needs one of {', '.join(self._requests)}; got {', '.join(request)}"
             )
-        return self._requests[named[0]](request)
+        (name,) = named
+        value = request[name]
+        if name in ("remove", "lift", "state", "kinds") and value is not True:
+            raise SimulatorSettingsError(f"{name} takes true, got {value!r}")
+        if name in ("inject", "clear") and not isinstance(value, str):
+            raise SimulatorSettingsError(f"{name} takes the text of a fault, got {value!r:.40}")
+        return self._requests[name](value, request)
 
-    @property
-    def _pads(self) -> Sequence[Pad]:
-        return self._devices.settings.layout.pads
-
-    def _place(self, request: dict[str, Any]) -> dict[str, Any]:
-        devices, label = self._devices, self._label(request["place"])
+    def _place(self, label: Any, request: dict[str, Any]) -> dict[str, Any]:
+        devices, label = self._devices, self._label(label)
         pose, before = _pose(request.get("pose", {})), devices.offset
         devices.offset = _pose(request["offset"]) if "offset" in request else before
         try:
@@ -92,14 +93,13 @@ class CellRequests:
             devices.offset = before
             raise
 
-    def _check(self, request: dict[str, Any]) -> dict[str, Any]:
-        label = self._label(request["check"])
-        if label != NOTHING:
+    def _check(self, label: Any, _request: dict[str, Any]) -> dict[str, Any]:
+        if self._label(label) != NOTHING:
             self._devices.world.shape(label)
         return {"known": True}
 
-    def _define(self, request: dict[str, Any]) -> dict[str, Any]:
-        name, shape, world = request["define"], request.get("shape"), self._devices.world
+    def _define(self, name: Any, request: dict[str, Any]) -> dict[str, Any]:
+        shape, world = request.get("shape"), self._devices.world
         if not isinstance(name, str) or name in (*self._devices.settings.objects, NOTHING, ""):
             raise SimulatorSettingsError(f"{name!r:.60} cannot be defined: take another name")
         if not isinstance(shape, MeshShape):
@@ -115,61 +115,52 @@ class CellRequests:
             raise SimulatorSettingsError("mesh files are named in the settings, not in requests")
         return label
 
-    def _remove(self, request: dict[str, Any]) -> dict[str, Any]:
-        _is_true(request, "remove")
+    def _remove(self, _true: Any, _request: dict[str, Any]) -> dict[str, Any]:
         self._devices.world.remove()
         return {"removed": True}
 
-    def _press(self, request: dict[str, Any]) -> dict[str, Any]:
-        name, places = request["press"], request.get("at", [])
-        pads = {pad.name: number for number, pad in enumerate(self._pads)}
+    def _press(self, name: Any, request: dict[str, Any]) -> dict[str, Any]:
+        pads = {pad.name: number for number, pad in enumerate(self._devices.settings.layout.pads)}
         if not isinstance(name, str) or name not in pads:
             raise SimulatorSettingsError(
                 f"there is no pad {name!r:.40}; there are {', '.join(pads)}"
             )
-        x_m, y_m = _place_on(self._pads[pads[name]], places)
+        pad = self._devices.settings.layout.pads[pads[name]]
+        x_m, y_m = _place_on(pad, request.get("at", []))
         force_n = _number("force_n", request.get("force_n", 2.0))
         self._devices.world.press(pads[name], x_m, y_m, force_n)
-        self._pressed = name
         return {"pressed": name}
 
-    def _lift(self, request: dict[str, Any]) -> dict[str, Any]:
-        _is_true(request, "lift")
+    def _lift(self, _true: Any, _request: dict[str, Any]) -> dict[str, Any]:
         self._devices.world.lift()
-        self._pressed = None
         return {"lifted": True}
 
-    def _hand(self, request: dict[str, Any]) -> dict[str, Any]:
-        wanted = request["hand"]
+    def _hand(self, wanted: Any, _request: dict[str, Any]) -> dict[str, Any]:
         if not isinstance(wanted, dict) or not wanted:
             raise SimulatorSettingsError('hand takes an object such as {"1": 0.02}: servo, m')
-        servos = {
-            str(number): number for number in range(1, 1 + len(self._devices.settings.servos))
-        }
-        unknown = set(wanted) - set(servos)
-        if unknown:
+        axes = {str(1 + axis): axis for axis in range(len(self._devices.settings.servos))}
+        if unknown := set(wanted) - set(axes):
             raise SimulatorSettingsError(f"there is no servo {', '.join(sorted(unknown))}")
-        moves = {servos[name] - 1: _number(name, value) for name, value in wanted.items()}
+        moves = {axes[name]: _number(name, value) for name, value in wanted.items()}
         for axis, half_opening_m in moves.items():
             self._devices.mechanics.move_by_hand(axis, half_opening_m)
         return {"moving": True}
 
-    def _state(self, request: dict[str, Any]) -> dict[str, Any]:
-        _is_true(request, "state")
+    def _state(self, _true: Any, _request: dict[str, Any]) -> dict[str, Any]:
         devices = self._devices
-        placed = devices.world.placed
+        world, mechanics, settings = devices.world, devices.mechanics, devices.settings
         return {
-            "placed": None if placed is None else placed[0],
-            "objects": list(devices.world.objects),
+            "placed": None if world.placed is None else world.placed[0],
+            "objects": list(world.objects),
             "offset": asdict(devices.offset),
-            "pressed": self._pressed,
-            "pads": [pad.name for pad in self._pads],
-            "servos": len(devices.settings.servos),
-            "linkage": devices.settings.linkage.kind,
-            "contact_force_n": list(devices.world.contact_force_n()),
-            "aperture_m": devices.mechanics.aperture_m,
-            "fingers_m": list(devices.mechanics.finger_position_m),
-            "moved_by_hand": devices.mechanics.moved_by_hand,
+            "pressed": world.pressed,
+            "pads": [pad.name for pad in settings.layout.pads],
+            "servos": len(settings.servos),
+            "linkage": settings.linkage.kind,
+            "contact_force_n": list(world.contact_force_n()),
+            "aperture_m": mechanics.aperture_m,
+            "fingers_m": list(mechanics.finger_position_m),
+            "moved_by_hand": mechanics.moved_by_hand,
             "control_unit": devices.unit.state,
             "axes": {
                 moves: {"position": axis.position, "moving": axis.moving}
@@ -178,8 +169,7 @@ class CellRequests:
             "faults": {fault.text: fault.began_s for fault in self._injector.faults},
         }
 
-    def _kinds(self, request: dict[str, Any]) -> dict[str, Any]:
-        _is_true(request, "kinds")
+    def _kinds(self, _true: Any, _request: dict[str, Any]) -> dict[str, Any]:
         return {
             "kinds": [
                 {
@@ -192,12 +182,12 @@ class CellRequests:
             ]
         }
 
-    def _inject(self, request: dict[str, Any]) -> dict[str, Any]:
-        self._injector.inject(_text(request, "inject"))
-        return {"inject": request["inject"]}
+    def _inject(self, text: str, _request: dict[str, Any]) -> dict[str, Any]:
+        self._injector.inject(text)
+        return {"inject": text}
 
-    def _clear(self, request: dict[str, Any]) -> dict[str, Any]:
-        return {"cleared": self._injector.clear(_text(request, "clear"))}
+    def _clear(self, text: str, _request: dict[str, Any]) -> dict[str, Any]:
+        return {"cleared": self._injector.clear(text)}
 
 
 def _pose(wanted: Any) -> ObjectPose:
@@ -225,17 +215,6 @@ def _place_on(pad: Pad, places: Any) -> tuple[float, float]:
     way = np.array([pad.x_axis, pad.y_axis]) @ sum((ways[name] for name in places), np.zeros(3))
     along_m, across_m = 0.5 * pad.rows * pad.pitch_x_m, 0.5 * pad.columns * pad.pitch_y_m
     return _NEAR_EDGE * along_m * float(way[0]), _NEAR_EDGE * across_m * float(way[1])
-
-
-def _is_true(request: dict[str, Any], name: str) -> None:
-    if request[name] is not True:
-        raise SimulatorSettingsError(f"{name} takes true, got {request[name]!r}")
-
-
-def _text(request: dict[str, Any], name: str) -> str:
-    if not isinstance(request[name], str):
-        raise SimulatorSettingsError(f"{name} takes the text of a fault, got {request[name]!r:.40}")
-    return str(request[name])
 
 
 def _number(name: str, value: Any) -> float:

@@ -106,6 +106,8 @@ class PhysicalWorld:
         self._force_n = (0.0, 0.0)
         self._stiffness_n_m = (0.0, 0.0)
         self._fingertip_n: NDArray[np.float64] | None = None
+        self.pressed: str | None = None
+        """Name of the pad under a fingertip; None without a press."""
         self.force_gain = 1.0
         """Factor on the measured force of each taxel; other than 1 for pads with another law."""
 
@@ -232,6 +234,7 @@ class PhysicalWorld:
             )
         pressure *= force_n / (pressure.sum() * grid.cell_area_m2)
         everything = (slice(None), slice(None))
+        self.pressed = grid.pad.name
         self._fingertip_n = np.zeros(self._layout.n_taxels)
         self._fingertip_n[self._layout.taxels_of(pad)] = grid.taxel_force_n(
             pressure, grid.shares(everything)
@@ -239,7 +242,7 @@ class PhysicalWorld:
 
     def lift(self) -> None:
         """Remove the fingertip; no effect without a press."""
-        self._fingertip_n = None
+        self._fingertip_n = self.pressed = None
 
     def advance_to(self, now_s: float) -> None:
         """Step the fingers and the object until ``now_s`` s; a rest below a step waits."""
