@@ -4,7 +4,7 @@ import logging
 import math
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import canopen
@@ -33,30 +33,11 @@ SendBurst = Callable[[float, int, list[bytes]], float]
 sequence and returns the end time of the last one in s."""
 
 
-@dataclass(slots=True, eq=False)
-class _PeriodicTask:
-    """A periodic message; canopen's heartbeat producer has one."""
-
-    network: "DeviceNetwork"
-    can_id: int
-    data: bytes
-    period_s: float
-    due_s: float
-
-    def update(self, data: Sequence[int]) -> None:
-        """Change the data from the next message on."""
-        self.data = bytes(data)
-
-    def stop(self) -> None:
-        """Stop sending."""
-        self.network.remove(self)
-
-
 class DeviceNetwork(canopen.Network):
     """The network of one canopen LocalNode in the time of the simulation: no bus, no thread.
 
-    Takes the messages of the node and keeps its periodic ones. The owner passes messages to the
-    node by the rules of NMT.
+    Takes the messages of the node and keeps its periodic one, the heartbeat. The owner passes
+    messages to the node by the rules of NMT.
 
     Parameters
     ----------
@@ -67,9 +48,9 @@ class DeviceNetwork(canopen.Network):
     def __init__(self, send: Callable[[float, int, bytes], None], now_s: float) -> None:
         super().__init__()
         self._send = send
-        self._tasks: list[_PeriodicTask] = []
+        self._heartbeat, self._period_s = (0, b""), math.inf
         self.next_due_s = math.inf
-        """Time in s at which the next periodic message is due, infinity without any."""
+        """Time in s at which the heartbeat is due, infinity without one."""
         self.now_s = now_s
         """Present time in s; set by the owner."""
 
@@ -81,27 +62,23 @@ class DeviceNetwork(canopen.Network):
         self, can_id: int, data: Sequence[int], period: float, remote: bool = False
     ) -> Any:
         """Send a message every ``period`` s, for the first time after one period."""
-        task = _PeriodicTask(self, can_id, bytes(data), period, self.now_s + period)
-        self._tasks.append(task)
-        self._find_next()
-        return task
 
-    def remove(self, task: "_PeriodicTask") -> None:
-        """Remove a periodic message."""
-        self._tasks.remove(task)
-        self._find_next()
+        def update(data: Sequence[int]) -> None:
+            self._heartbeat = can_id, bytes(data)
 
-    def _find_next(self) -> None:
-        self.next_due_s = min((task.due_s for task in self._tasks), default=math.inf)
+        def stop() -> None:
+            self.next_due_s = math.inf
+
+        update(data)
+        self._period_s, self.next_due_s = period, self.now_s + period
+        return SimpleNamespace(update=update, stop=stop)
 
     def run(self, now_s: float, *, mute: bool) -> None:
         """Send what is due until ``now_s`` s at its own times; ``mute`` skips the sending."""
-        for task in self._tasks:
-            while task.due_s <= now_s:
-                if not mute:
-                    self._send(task.due_s, task.can_id, task.data)
-                task.due_s += task.period_s
-        self._find_next()
+        while self.next_due_s <= now_s:
+            if not mute:
+                self._send(self.next_due_s, *self._heartbeat)
+            self.next_due_s += self._period_s
 
 
 class CanopenDevice:
