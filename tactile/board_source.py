@@ -26,6 +26,9 @@ _LOSS_FRAMES = 50
 """Number of newest frames for the loss rate."""
 _WAIT_SHARE = 0.1
 """Share of the period between two checks for the first frame."""
+BoardSamples = tuple[float, float, NDArray[np.uint16]]
+"""Times in s of the first and the last byte of a board's frame, and its samples: (n,) counts, or
+(n, k) with the counts first and further samples that are only recorded."""
 
 
 class Board:
@@ -35,17 +38,21 @@ class Board:
         self.name = name
         self.sound: deque[bool] = deque(maxlen=n_frames)
         """Whether each of its newest frames was whole."""
+        self.waiting: list[BoardSamples] = []
+        """Its new frames that wait for those of the other boards."""
         self.restart(0.0)
 
     def restart(self, now_s: float) -> None:
         """Discard all frames at the start of the source."""
         self.sound.clear()
+        self.waiting.clear()
         self.last_s, self.seen = now_s, False
 
-    def saw(self, t_s: float) -> None:
-        """Count a whole and new frame."""
+    def saw(self, begun_s: float, t_s: float, samples: NDArray[np.uint16]) -> None:
+        """Add a whole and new frame."""
         self.sound.append(True)
         self.last_s, self.seen = t_s, True
+        self.waiting.append((begun_s, t_s, samples))
 
     @property
     def loss_rate(self) -> float:
@@ -207,28 +214,33 @@ class PolledBoards(ABC, Generic[_Board]):
                 "check its cable, and what else loads its line and the computer"
             )
 
-    def _frame(
-        self,
-        samples: NDArray[np.uint16],
-        begun_s: float,
-        t_s: float,
-        extra: NDArray[np.uint16] | None = None,
-    ) -> TactileFrame:
-        """Return the next frame of samples, pad by pad in the order of the layout.
+    def _new_frames(self) -> list[TactileFrame]:
+        """Return the frames for which all boards have samples.
 
-        ``extra``: (n_taxels, k) uint16, further samples of each taxel to be recorded.
+        Without samples of another board the newest of a board wait.
         """
-        counts = samples[self._order]
+        n = min(len(board.waiting) for board in self._boards)
+        newest = [board.waiting[len(board.waiting) - n :] for board in self._boards]
+        for board in self._boards:
+            board.waiting = [] if n else board.waiting[-1:]
+        return [self._frame(parts) for parts in zip(*newest, strict=True)]
+
+    def _frame(self, parts: Sequence[BoardSamples]) -> TactileFrame:
+        """Return the next frame: the samples of one board for all pads, or of one for each."""
+        begun_s, ends_s, samples = zip(*parts, strict=True)
+        by_pad = [samples[pad.finger] for pad in self.layout.pads] if len(parts) > 1 else samples
+        whole = np.concatenate(by_pad).reshape(self.layout.n_taxels, -1)[self._order]
+        counts, extra = whole[:, 0].copy(), whole[:, 1:]
         counts.setflags(write=False)
         self._frames.complete += 1
         full = FrameStatus.SATURATED if counts.max() >= self.layout.adc_max else 0
         return TactileFrame(
-            t_s=t_s,
-            begun_s=begun_s,
+            t_s=max(ends_s),
+            begun_s=min(begun_s),
             counter=self._frames.complete & 0xFFFF,
             status=int(full),
             counts=counts,
-            extra=None if extra is None else extra[self._order],
+            extra=extra if extra.size else None,
         )
 
     def set_zero(self, zero: PadZero) -> None:
@@ -277,13 +289,11 @@ class BoardSource(PolledBoards[Board]):
         now_s = self.clock.monotonic()
         with self._line_of(self._name):
             received = self.receive(now_s)
-        frames = []
         for begun_s, samples in received:
             # Noise does not repeat itself.
             if self._board.seen and np.array_equal(samples, self._last):
                 self._frames.duplicate += 1
                 continue
             self._last = samples
-            self._board.saw(now_s)
-            frames.append(self._frame(samples, begun_s, now_s))
-        return frames
+            self._board.saw(begun_s, now_s, samples)
+        return self._new_frames()

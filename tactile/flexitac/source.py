@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile.board_source import Board, PolledBoards
 from tactile.errors import LayoutError, LinkStateError
@@ -37,13 +36,15 @@ class BoardLine(Protocol):
 
 
 class _Board(Board):
-    """One board: its line, and its frames that wait for the other board."""
+    """One board: its line and the frames in its bytes."""
 
-    def __init__(self, finger: int, open_line: Callable[[], BoardLine], profile: Profile) -> None:
+    def __init__(
+        self, finger: int, open_line: Callable[[], BoardLine], profile: Profile, *, rows_along: bool
+    ) -> None:
         self._open_line = open_line
         self._line: BoardLine | None = None
         self.stream = FrameStream(profile)
-        self.waiting: list[BoardFrame] = []
+        self._shape, self._rows_along = (profile.rows, profile.columns), rows_along
         self._changes: deque[bool] = deque(maxlen=_LIVELY_FRAMES)
         super().__init__(f"the board of finger {finger}")
 
@@ -51,7 +52,6 @@ class _Board(Board):
         """Discard all frames at the start of the source."""
         super().restart(now_s)
         self.stream.reset()
-        self.waiting.clear()
         self._changes.clear()
         self._samples, self._repeated = b"", False
 
@@ -102,9 +102,10 @@ class _Board(Board):
             statistics.duplicate += 1
             return
         self._changes.append(not same)
-        self.saw(frame.t_s)
         self._samples = frame.samples
-        self.waiting.append(frame)
+        matrix = np.frombuffer(frame.samples, dtype=np.uint8).reshape(self._shape)
+        pad = (matrix if self._rows_along else matrix.T).astype(np.uint16).ravel()
+        self.saw(frame.t_s, frame.t_s, pad)
 
 
 def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> None:
@@ -146,9 +147,11 @@ class FlexiTacSource(PolledBoards[_Board]):
         **options: Any,
     ) -> None:
         check_layout(layout, profile, rows_along=rows_along)
-        boards = [_Board(n, line, profile) for n, line in enumerate(open_lines)]
+        boards = [
+            _Board(n, line, profile, rows_along=rows_along) for n, line in enumerate(open_lines)
+        ]
         super().__init__("FlexiTac", boards, layout=layout, period_s=PERIOD_S, **options)
-        self._profile, self._transposed = profile, not rows_along
+        self._profile = profile
         self._polled_s = 0.0
 
     def _absent(self, board: _Board) -> str:
@@ -171,24 +174,7 @@ class FlexiTacSource(PolledBoards[_Board]):
         for board in self._boards:
             with self._line_of(board.name):
                 board.receive(now_s, self._frames, stalled=stalled)
-        n = min(len(board.waiting) for board in self._boards)
-        newest = (board.waiting[len(board.waiting) - n :] for board in self._boards)
-        pairs = list(zip(*newest, strict=True))
-        for board in self._boards:
-            # Without a frame of the other board its newest frame waits.
-            board.waiting = [] if n else board.waiting[-1:]
-        return [self._frame_of(pair) for pair in pairs]
-
-    def _frame_of(self, pair: Sequence[BoardFrame]) -> TactileFrame:
-        pads = [self._pad(pair[pad.finger].samples) for pad in self.layout.pads]
-        times_s = [board.t_s for board in pair]
-        return self._frame(np.concatenate(pads), min(times_s), max(times_s))
-
-    def _pad(self, samples: bytes) -> NDArray[np.uint16]:
-        matrix = np.frombuffer(samples, dtype=np.uint8).reshape(
-            self._profile.rows, self._profile.columns
-        )
-        return (matrix.T if self._transposed else matrix).astype(np.uint16).ravel()
+        return self._new_frames()
 
     def close(self) -> None:
         """Close the lines."""

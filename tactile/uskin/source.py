@@ -10,7 +10,6 @@ from typing import Any
 
 import can
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile.board_source import Board, PolledBoards
 from tactile.can.bus import MissingBus
@@ -38,8 +37,8 @@ _BUS_OFF = 0x40
 class _Board(Board):
     """One board: its incoming cycle, and its newest whole one."""
 
-    def __init__(self, finger: int, ids: BoardIds) -> None:
-        self.ids = ids
+    def __init__(self, finger: int, ids: BoardIds, *, falling: bool) -> None:
+        self.ids, self._falling = ids, falling
         self._place = {identifier: n for n, identifier in enumerate(ids.taxels)}
         super().__init__(f"the board of finger {finger} (start {ids.start:X}h)", _CYCLES)
 
@@ -48,7 +47,6 @@ class _Board(Board):
         super().restart(now_s)
         self._xyz: dict[int, tuple[int, int, int]] = {}
         self._begun_s = self._message_s = now_s
-        self.waiting: tuple[float, float, NDArray[np.uint16]] | None = None
         self._ends_s: deque[float] = deque(maxlen=_CYCLES)
 
     @property
@@ -69,10 +67,12 @@ class _Board(Board):
             self._begun_s = t_s
         self._xyz[place] = xyz
         if len(self._xyz) == len(self._place):
-            cycle = np.array([self._xyz[n] for n in range(len(self._place))], dtype=np.uint16)
-            self.waiting = (self._begun_s, t_s, cycle)
+            xyz_of = np.array([self._xyz[n] for n in range(len(self._place))], dtype=np.uint16)
+            cycle = xyz_of[:, [2, 0, 1]]
+            if self._falling:
+                cycle[:, 0] = FULL_SCALE - cycle[:, 0]
             self._ends_s.append(t_s)
-            self.saw(t_s)
+            self.saw(self._begun_s, t_s, cycle)
             self._xyz.clear()
         return torn
 
@@ -132,11 +132,10 @@ class UskinSource(PolledBoards[_Board]):
         **options: Any,
     ) -> None:
         check_layout(layout, boards)
-        parts = [_Board(finger, ids) for finger, ids in enumerate(boards)]
+        parts = [_Board(finger, ids, falling=falling) for finger, ids in enumerate(boards)]
         super().__init__("uSkin", parts, layout=layout, clock=clock, period_s=PERIOD_S, **options)
         self._bus, self._reopen = bus, reopen
         self._owner = {i: board for board in self._boards for i in board.ids.taxels}
-        self._falling = falling
         self._source = message_source(self._bus, self.clock)
 
     def _absent(self, board: _Board) -> str:
@@ -161,7 +160,7 @@ class UskinSource(PolledBoards[_Board]):
                 raise interface_failed(error) from error
 
     def _receive(self) -> list[TactileFrame]:
-        frames = []
+        frames: list[TactileFrame] = []
         for t_s, message in self._source.drain():
             if message.is_error_frame:
                 self._errors += 1
@@ -179,8 +178,7 @@ class UskinSource(PolledBoards[_Board]):
                 self._malformed += 1
                 continue
             self._frames.torn += board.take(message.arbitration_id, xyz, t_s)
-            if all(board.waiting is not None for board in self._boards):
-                frames.append(self._newest())
+            frames += self._new_frames()
         for board in self._boards:
             if board.doubled:
                 raise DuplicateNode(
@@ -188,15 +186,6 @@ class UskinSource(PolledBoards[_Board]):
                     "usual: two boards have its address; set one to another, then start again"
                 )
         return frames
-
-    def _newest(self) -> TactileFrame:
-        cycles = [board.waiting for board in self._boards if board.waiting is not None]
-        xyz = np.concatenate([cycles[pad.finger][2] for pad in self.layout.pads])
-        z = (FULL_SCALE - xyz[:, 2]).astype(np.uint16) if self._falling else xyz[:, 2]
-        for board in self._boards:
-            board.waiting = None
-        begun_s, end_s = min(one[0] for one in cycles), max(one[1] for one in cycles)
-        return self._frame(z, begun_s, end_s, xyz[:, :2])
 
     def close(self) -> None:
         """Stop receiving; the boards continue and the bus stays open."""
