@@ -9,8 +9,7 @@ scan, so a changing force causes no difference. The mean of more frames shows sm
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import takewhile
-from math import inf, isinf
+from math import inf, isinf, nan
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -129,12 +128,33 @@ class FrameForces:
     below the threshold."""
 
 
+_PAIR = np.dtype(
+    [
+        ("frame_n", "f8", 2),
+        ("message_n", "f8", 2),
+        ("apart_n", "f8", 2),
+        ("above_n", "f8", 2),
+        ("below_n", "f8", 2),
+        ("noise_n", "f8"),
+        ("apart_taxels", "f8", 2),
+        ("centre_variance", "f8", 2),
+        ("below_share", "f8"),
+    ]
+)
+"""Frame and messages of one scan, and their difference.
+
+``apart_n`` is the force in the frame less that in the messages; ``above_n`` and ``below_n`` are its
+limits without noise. ``apart_taxels`` is nan without a comparison of centres. ``below_share`` is
+the share of the force on taxels of the frame that are below their threshold, with its noise.
+"""
+
+
 class ForceCheck:
     """Comparison of messages and frames: each frame, and the mean of the last ones."""
 
     def __init__(self) -> None:
         self._messages: deque[ForceMessage] = deque(maxlen=_STORED)
-        self._pairs: deque[_Pair] = deque(maxlen=_WINDOWS[-1])
+        self._pairs: deque[tuple[ArrayLike, ...]] = deque(maxlen=_WINDOWS[-1])
         self._taxel_noise_n = 0.0
 
     def add(self, message: ForceMessage) -> None:
@@ -158,48 +178,38 @@ class ForceCheck:
             self._messages.popleft()
         within = [message for message in self._messages if message.t_s <= last_s]
         if within:
-            self._pairs.appendleft(_Pair.of(within, frame, self._taxel_noise_n))
-            self._check_force(list(self._pairs))
-            self._check_centre(list(takewhile(lambda pair: pair.has_centre, self._pairs)))
+            self._pairs.appendleft(_pair(within, frame, self._taxel_noise_n))
+            _check(np.array(list(self._pairs), dtype=_PAIR))
 
-    def _check_force(self, pairs: "list[_Pair]") -> None:
-        """Raise ForceContradicted if the mean of the last frames differs from the messages'."""
-        n = np.arange(1.0, len(pairs) + 1.0)[:, None]
-        apart_n = np.cumsum([pair.apart_n for pair in pairs], axis=0)
-        above_n = np.cumsum([pair.above_n for pair in pairs], axis=0)
-        below_n = np.cumsum([pair.below_n for pair in pairs], axis=0)
-        noise_n = np.cumsum([pair.noise_n for pair in pairs])[:, None]
-        least_n = np.where(apart_n > 0.0, above_n, below_n)
-        allowed_n = (least_n + _SIGMAS * noise_n / np.sqrt(n)) / n
-        for last, finger in _beyond(np.abs(apart_n) / n, allowed_n):
-            message_n = np.mean([pair.message_n[finger] for pair in pairs[: last + 1]])
-            frame_n = np.mean([pair.frame_n[finger] for pair in pairs[: last + 1]])
-            raise ForceContradicted(
-                f"the force messages show {message_n:.2f} N on finger {finger}, {last + 1} frames "
-                f"of the same time {frame_n:.2f} N; a difference of "
-                f"{allowed_n[last, finger]:.2f} N is allowed: {_ADVICE}"
-            )
 
-    def _check_centre(self, pairs: "list[_Pair]") -> None:
-        """Raise ForceContradicted if the last frames have another centre than the messages."""
-        if not pairs:
-            return
-        n = np.arange(1.0, len(pairs) + 1.0)[:, None]
-        apart = np.abs(np.cumsum([pair.apart_taxels for pair in pairs], axis=0)) / n
-        noise2 = np.cumsum(np.square([pair.centre_noise_taxels for pair in pairs]), axis=0)
-        below = np.cumsum([pair.below_share for pair in pairs])[:, None]
-        force_n = np.minimum.accumulate([pair.frame_n.mean() for pair in pairs])[:, None]
-        noise = np.maximum(_CENTRE_N_TAXELS / force_n, _CENTRE_BOTH * np.sqrt(noise2 / n))
-        allowed = _CENTRE_TAXELS + _SIGMAS * noise / np.sqrt(n)
-        allowed += _SPREAD_TAXELS * np.maximum(below, 0.0) / n
-        for last, axis in _beyond(apart, allowed):
-            where = f"is {apart[last, axis]:.2f} pitches of the taxels away from that in"
-            if isinf(apart[last, axis]):
-                where = "is missing, though there is one in"
-            raise ForceContradicted(
-                f"the centre of the force in the messages {where} {last + 1} frames of the same "
-                f"time, {allowed[last, axis]:.2f} pitches are allowed: {_ADVICE}"
-            )
+def _check(pairs: NDArray[np.void]) -> None:
+    """Raise ForceContradicted if the means of the last frames and of the messages differ."""
+    n = np.arange(1.0, len(pairs) + 1.0)[:, None]
+    mean = {
+        name: pairs[name].reshape(len(pairs), -1).cumsum(axis=0) / n for name in _PAIR.names or ()
+    }
+    least_n = np.where(mean["apart_n"] > 0.0, mean["above_n"], mean["below_n"])
+    allowed_n = least_n + _SIGMAS * mean["noise_n"] / np.sqrt(n)
+    for last, finger in _beyond(np.abs(mean["apart_n"]), allowed_n):
+        raise ForceContradicted(
+            f"the force messages show {mean['message_n'][last, finger]:.2f} N on finger {finger}, "
+            f"{last + 1} frames of the same time {mean['frame_n'][last, finger]:.2f} N; a "
+            f"difference of {allowed_n[last, finger]:.2f} N is allowed: {_ADVICE}"
+        )
+    least_n = np.minimum.accumulate(pairs["frame_n"].mean(axis=1))[:, None]
+    by_force = _CENTRE_N_TAXELS / np.maximum(least_n, _CENTRE_LEAST_N)
+    noise = np.maximum(by_force, _CENTRE_BOTH * np.sqrt(mean["centre_variance"]))
+    allowed = _CENTRE_TAXELS + _SIGMAS * noise / np.sqrt(n)
+    allowed += _SPREAD_TAXELS * np.maximum(mean["below_share"], 0.0)
+    apart = np.abs(mean["apart_taxels"])
+    for last, axis in _beyond(apart, allowed):
+        where = f"is {apart[last, axis]:.2f} pitches of the taxels away from that in"
+        if isinf(apart[last, axis]):
+            where = "is missing, though there is one in"
+        raise ForceContradicted(
+            f"the centre of the force in the messages {where} {last + 1} frames of the same "
+            f"time, {allowed[last, axis]:.2f} pitches are allowed: {_ADVICE}"
+        )
 
 
 def _beyond(apart: Array, allowed: Array) -> Iterator[tuple[int, int]]:
@@ -209,56 +219,27 @@ def _beyond(apart: Array, allowed: Array) -> Iterator[tuple[int, int]]:
             yield n - 1, int(column)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Pair:
-    """Frame and messages of one scan, and their difference; arrays are (2,).
-
-    ``apart_n`` is the force in the frame less that in the messages; ``above_n`` and ``below_n`` are
-    its limits without noise. ``below_share`` is the share of the force on taxels of the frame that
-    are below their threshold, with its noise.
-    """
-
-    frame_n: Array
-    message_n: Array
-    apart_n: Array
-    above_n: Array
-    below_n: Array
-    noise_n: float
-    has_centre: bool
-    apart_taxels: Array
-    centre_noise_taxels: Array
-    below_share: float
-
-    @classmethod
-    def of(
-        cls, messages: Sequence[ForceMessage], frame: FrameForces, taxel_noise_n: float
-    ) -> "_Pair":
-        """Return the pair of a frame and the messages around its scan."""
-        message_n = np.mean([message.force_n for message in messages], axis=0)
-        active_n, whole_n = np.asarray(frame.force_n), np.asarray(frame.whole_n)
-        frame_n = np.maximum(active_n, np.minimum(whole_n, message_n))
-        above_n = _LEAST_N + _LEAST_SHARE * np.maximum(frame_n, message_n)
-        below_n = above_n + _BELOW_SIGMAS * taxel_noise_n
-        above_n = np.maximum(above_n, frame.hidden_n)
-        unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
-        below_n = np.where(frame_n == 0.0, np.maximum(below_n, unseen_n), below_n)
-        most_n = _OUTLIER_SIGMAS * frame.noise_n
-        grip_n, least_n = message_n.mean(), _CENTRE_LEAST_SIGMAS * taxel_noise_n
-        heavy = min(active_n.mean(), grip_n) >= max(_CENTRE_LEAST_N, least_n)
-        has_centre, apart_taxels = False, np.zeros(2)
-        if heavy and frame.centre_taxels is not None:
-            # Messages without a centre, and a frame with one: the largest possible error.
-            centre = mean_centre_taxels(messages) or (inf, inf)
-            has_centre, apart_taxels = True, np.subtract(centre, frame.centre_taxels)
-        return cls(
-            frame_n=active_n,
-            message_n=message_n,
-            apart_n=np.clip(frame_n - message_n, -below_n - most_n, above_n + most_n),
-            above_n=above_n,
-            below_n=below_n,
-            noise_n=frame.noise_n,
-            has_centre=has_centre,
-            apart_taxels=apart_taxels,
-            centre_noise_taxels=np.asarray(frame.centre_noise_taxels),
-            below_share=float((whole_n - active_n).mean() / max(grip_n, _CENTRE_LEAST_N)),
-        )
+def _pair(
+    messages: Sequence[ForceMessage], frame: FrameForces, taxel_noise_n: float
+) -> tuple[ArrayLike, ...]:
+    """Return the pair of a frame and the messages around its scan, see `_PAIR`."""
+    message_n = np.mean([message.force_n for message in messages], axis=0)
+    active_n, whole_n = np.asarray(frame.force_n), np.asarray(frame.whole_n)
+    frame_n = np.maximum(active_n, np.minimum(whole_n, message_n))
+    above_n = _LEAST_N + _LEAST_SHARE * np.maximum(frame_n, message_n)
+    below_n = above_n + _BELOW_SIGMAS * taxel_noise_n
+    above_n = np.maximum(above_n, frame.hidden_n)
+    unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
+    below_n = np.where(frame_n == 0.0, np.maximum(below_n, unseen_n), below_n)
+    most_n = _OUTLIER_SIGMAS * frame.noise_n
+    apart_n = np.clip(frame_n - message_n, -below_n - most_n, above_n + most_n)
+    grip_n, least_n = message_n.mean(), _CENTRE_LEAST_SIGMAS * taxel_noise_n
+    apart_taxels = np.full(2, nan)
+    heavy = min(active_n.mean(), grip_n) >= max(_CENTRE_LEAST_N, least_n)
+    if heavy and frame.centre_taxels is not None:
+        # Messages without a centre, and a frame with one: the largest possible error.
+        apart_taxels = np.subtract(mean_centre_taxels(messages) or inf, frame.centre_taxels)
+    variance = np.square(frame.centre_noise_taxels)
+    below_share = (whole_n - active_n).mean() / max(grip_n, _CENTRE_LEAST_N)
+    forces_n = active_n, message_n, apart_n, above_n, below_n, frame.noise_n
+    return *forces_n, apart_taxels, variance, below_share
