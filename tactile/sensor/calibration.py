@@ -29,9 +29,6 @@ class Calibration(Protocol):
     def force_n(self, tared_counts: Array) -> Array:
         """Return the force on each taxel in N, same shape; odd in the noise around zero."""
 
-    def counts(self, force_n: Array) -> Array:
-        """Return the tared counts of forces in N, not rounded."""
-
 
 def _check(calibration: "FoamCalibration | TableCalibration") -> None:
     """Check full scale and gain, and keep a copy of the gain that is not written."""
@@ -68,12 +65,6 @@ class FoamCalibration:
         law = -np.log1p(-np.maximum(share, 0.0)) + np.minimum(share, 0.0)
         return np.asarray(self.gain * law / FOAM_EXPONENT_PER_N, dtype=np.float64)
 
-    def counts(self, force_n: Array) -> Array:
-        """Return the tared counts of forces in N, not rounded."""
-        share = FOAM_EXPONENT_PER_N * np.asarray(force_n, dtype=np.float64) / self.gain
-        law = -np.expm1(-np.maximum(share, 0.0)) + np.minimum(share, 0.0)
-        return np.asarray(self.adc_max * law, dtype=np.float64)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableCalibration:
@@ -99,12 +90,11 @@ class TableCalibration:
 
     def force_n(self, tared_counts: Array) -> Array:
         """Return the force on each taxel in N."""
-        law = _along(self.node_counts, self.node_force_n, tared_counts)
+        nodes = np.array([(0.0, *self.node_counts), (0.0, *self.node_force_n)])
+        slopes = np.divide(*np.diff(nodes)[::-1])
+        line = np.clip(np.searchsorted(nodes[0], tared_counts, "right") - 1, 0, len(slopes) - 1)
+        law = nodes[1, line] + slopes[line] * (np.asarray(tared_counts) - nodes[0, line])
         return np.asarray(self.gain * law, dtype=np.float64)
-
-    def counts(self, force_n: Array) -> Array:
-        """Return the tared counts of forces in N, not rounded."""
-        return _along(self.node_force_n, self.node_counts, np.asarray(force_n) / self.gain)
 
 
 class LinearCalibration(TableCalibration):
@@ -122,11 +112,3 @@ class LinearCalibration(TableCalibration):
 
     def __init__(self, force_per_count_n: Array | float, adc_max: int) -> None:
         super().__init__((1.0,), (1.0,), adc_max, force_per_count_n)
-
-
-def _along(x: tuple[float, ...], y: tuple[float, ...], at: Array) -> Array:
-    """Return y on straight lines through 0 and the nodes; the outer lines continue."""
-    xs, ys = np.array([0.0, *x]), np.array([0.0, *y])
-    slopes = np.diff(ys) / np.diff(xs)
-    line = np.clip(np.searchsorted(xs, at, side="right") - 1, 0, len(slopes) - 1)
-    return np.asarray(ys[line] + slopes[line] * (np.asarray(at) - xs[line]), dtype=np.float64)

@@ -15,10 +15,17 @@ from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
 from tactile.errors import LinkFault
 from tactile.layout import TaxelLayout, paper_layout
+from tactile.sensor.calibration import Calibration
 from tactile.source import ForceMessage, FrameSource, TactileFrame
 
 NODE = 5
 BOOT_S = 0.05
+
+
+def counts_of(law: Calibration, force_n: np.ndarray) -> np.ndarray:
+    """Return the tared counts, not rounded, that a law of equal taxels reads as forces in N."""
+    counts = np.linspace(-law.adc_max, law.adc_max, 20_001)
+    return np.interp(force_n, law.force_n(counts), counts)
 
 
 class Skin:

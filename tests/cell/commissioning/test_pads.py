@@ -29,6 +29,7 @@ from tactile.sensor.calibration import LinearCalibration, TableCalibration
 from tactile.sensor.tare import TareLimits
 from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.marks import LONG
+from tests.tactile.conftest import counts_of
 
 REST, PRESSED = PADS_AT_REST, PADS_PRESSED
 
@@ -229,7 +230,7 @@ def pressed(force_n: float, n_taxels: int) -> tuple[float, ...]:
     """Return a load as a wrong straight law shows it, spread unevenly over taxels."""
     share = np.linspace(1.0, 2.0, n_taxels)
     counts = np.zeros(384)
-    counts[:n_taxels] = TRUE.counts(force_n * share / share.sum())
+    counts[:n_taxels] = counts_of(TRUE, force_n * share / share.sum())
     return force_n, 0.01 * float(counts.sum()), *table_parts(counts, 255)
 
 

@@ -29,7 +29,7 @@ from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
 from tactile.sensor.opening import force_table
 from tactile.source import ForceMessage, ForceStatus, FrameStatus, TactileFrame
-from tests.tactile.conftest import Skin
+from tests.tactile.conftest import Skin, counts_of
 
 NMT, SYNC, EMCY, TPDO1, SDO_OUT, SDO_IN, HEARTBEAT = 0, 0x80, 0x85, 0x185, 0x585, 0x605, 0x705
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
@@ -365,7 +365,7 @@ class Unit:
     def press(self, taxel_n: dict[int, float], scans: int = 40) -> ForceMessage:
         force_n = np.zeros(self.layout.n_taxels)
         force_n[list(taxel_n)] = list(taxel_n.values())
-        counts = np.rint(self.calibration.counts(force_n)[: self.n] + self.zero)
+        counts = np.rint(counts_of(self.calibration, force_n)[: self.n] + self.zero)
         for _ in range(scans):
             data = self.forces.message(counts.astype(np.uint16), ForceStatus(0))
         return decode_force_message(data, 0.0)

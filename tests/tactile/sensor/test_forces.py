@@ -20,6 +20,7 @@ from tactile.sensor.opening import force_table
 from tactile.sensor.sensor import TactileSensor
 from tactile.source import ForceMessage, ForceStatus, PadZero
 from tests.marks import LONG
+from tests.tactile.conftest import counts_of
 from tests.tactile.sensor.test_sensor import CALIBRATION, LAYOUT, Frames, readings
 
 
@@ -160,7 +161,7 @@ def test_a_frame_of_a_taxel_at_full_scale_is_a_lower_bound(full: bool) -> None:
     sensor, link, force = gripping()
     forces = np.zeros(408)
     forces[33], forces[[29, 32, 34, 37]] = 20.0 if full else 1.5, 1.0
-    link.base = CALIBRATION.counts(forces)
+    link.base = counts_of(CALIBRATION, forces)
     readings(sensor, link, 4)
     sample = force.latest_force()
     assert (sample.valid, sample.at_least) == (not full, full)

@@ -21,6 +21,7 @@ from tactile.source import (
     SourceStatistics,
     TactileFrame,
 )
+from tests.tactile.conftest import counts_of
 
 LAYOUT = paper_layout()
 CALIBRATION = FoamCalibration(255)
@@ -96,7 +97,7 @@ class Frames:
         start = LAYOUT.taxels_of(LAYOUT.gripping_pads[finger]).start
         for (row, column), share in FOOTPRINTS[shape].items():
             forces[start + (8 + row) * 4 + 1 + column] = force_n * share
-        self.base = CALIBRATION.counts(forces)
+        self.base = counts_of(CALIBRATION, forces)
 
 
 def make(
@@ -290,7 +291,7 @@ def test_a_taxel_that_jumps_beside_calm_neighbours_is_masked_at_once(
 def test_a_hard_touch_is_no_broken_taxel(sensor, frames) -> None:
     forces = np.zeros(408)
     forces[33], forces[[29, 32, 34, 37]] = 20.0, 1.0
-    frames.base = CALIBRATION.counts(forces)
+    frames.base = counts_of(CALIBRATION, forces)
     reading = readings(sensor, frames, 4)[-1]
     assert not reading.bad.any()
     assert reading.reason == "1 taxels of finger 0 saturated: press with less force"
