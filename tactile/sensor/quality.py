@@ -61,10 +61,8 @@ class QualityWatch:
         self._layout: TaxelLayout = hood.layout
         self._limits = limits
         self._mean_frames = mean_frames
-        grips = np.zeros(self._layout.n_taxels, dtype=np.bool_)
-        for pad in self._layout.gripping_pads:
-            grips[self._layout.taxels_of(pad)] = True
-        self._beside = np.flatnonzero(~grips)
+        gripping = np.isin(self._layout.taxel_pad, self._layout.gripping_pads)
+        self._beside = np.flatnonzero(~gripping)
         """Taxels that no grasp presses: their common change is drift."""
         self._aim = (0.0, 0.0)
         self.restart(None)
@@ -167,8 +165,6 @@ class QualityWatch:
         void : (n_taxels,) bool
             Taxels that are bad or at full scale; they are ignored.
         """
-        if self._tare is None:
-            return ""
         return self._drift_of(self._beside, "the pads beside the grip", tared, void)
 
     def drift_anywhere(self, tared: Values, void: Mask) -> str:
@@ -176,36 +172,32 @@ class QualityWatch:
 
         Half of a pad's taxels may be touched. Parameters as `drift_beside`.
         """
-        if self._tare is None:
-            return ""
-        for index, pad in enumerate(self._layout.pads):
-            taxels = np.arange(self._layout.n_taxels)[self._layout.taxels_of(index)]
-            drifted = self._drift_of(taxels, f"pad {pad.name}", tared, void)
-            if drifted:
-                return drifted
-        return ""
+        of_pads = (
+            self._drift_of(
+                np.flatnonzero(self._layout.taxel_pad == n), f"pad {pad.name}", tared, void
+            )
+            for n, pad in enumerate(self._layout.pads)
+        )
+        return next(filter(None, of_pads), "")
 
     def _drift_of(self, taxels: NDArray[np.int64], what: str, tared: Values, void: Mask) -> str:
-        good = taxels[~void[taxels]]
-        if 2 * len(good) <= len(taxels):
+        tare, good = self._tare, taxels[~void[taxels]]
+        if tare is None or 2 * len(good) <= len(taxels):
             return ""
         drift, limit = _median(tared[good]), self._limits.drift_share * self._layout.adc_max
-        if abs(drift) <= limit or abs(drift) <= (limit := max(limit, self._by_chance(good))):
+        if abs(drift) <= limit:
+            return ""
+        # Noise alone may move the median further.
+        share = np.sqrt((1.0 / self._mean_frames + 1.0 / tare.n_frames) / len(good))
+        spread = _MEDIAN_SPREAD * _median(tare.noise_counts[good]) * float(share)
+        limit = max(limit, _DRIFT_SIGMA * spread)
+        if abs(drift) <= limit:
             return ""
         return (
             f"the zero of {what} has drifted by {drift:+.1f} counts, allowed are {limit:.1f}: let "
             "the sensor come to an even temperature, clear the pads, then start the cell to take "
             "a new zero"
         )
-
-    def _by_chance(self, taxels: NDArray[np.int64]) -> float:
-        """Return the largest drift in counts by noise alone."""
-        tare = self._tare
-        if tare is None:
-            return 0.0
-        noise = _median(tare.noise_counts[taxels])
-        share = np.sqrt((1.0 / self._mean_frames + 1.0 / tare.n_frames) / len(taxels))
-        return _DRIFT_SIGMA * _MEDIAN_SPREAD * noise * float(share)
 
 
 def _median(values: Values) -> float:

@@ -239,7 +239,11 @@ class TactileSensor:
         self._new_forces.extend(arrived.forces)
         for message in arrived.forces:
             self._force_check.add(message)
-        readings = tuple(self._reading(frame) for frame in arrived.frames)
+        try:
+            readings = tuple(self._reading(frame) for frame in arrived.frames)
+        except (FrameTimeout, ForceContradicted) as fault:
+            self._failed = fault
+            raise
         if readings:
             self.latest = readings[-1]
         return readings
@@ -385,7 +389,11 @@ class TactileSensor:
         self._clock.sleep(min(left_s, _POLL_S))
 
     def _reading(self, frame: TactileFrame) -> TactileReading:
-        self._watch_changes(frame)
+        last_s, self._last_s = self._last_s, frame.t_s
+        if last_s is not None and frame.t_s - last_s > _GAP_S:
+            self._frames.clear()
+        touched = self.latest is not None and bool(self.latest.active.any())
+        self._quality.step(frame, touched=touched)
         saturated = frame.counts >= self.layout.adc_max
         tare = self.tare_result
         counts = frame.counts.astype(np.float64)
@@ -452,11 +460,7 @@ class TactileSensor:
             centre_noise_taxels=centre_noise,
             whole_n=self._on_fingers(all_n),
         )
-        try:
-            self._force_check.compare(forces)
-        except ForceContradicted as fault:
-            self._failed = fault
-            raise
+        self._force_check.compare(forces)
 
     @property
     def _mean_full(self) -> bool:
@@ -481,17 +485,6 @@ class TactileSensor:
         """Return the noise in N of one finger's force in one frame, the larger one of both."""
         least = (_LEAST_TOUCHED * taxel_n**2 for taxel_n in self._taxel_noise_n)
         return sqrt(_EDGE * max(*least, *self._on_fingers(noise_n**2)))
-
-    def _watch_changes(self, frame: TactileFrame) -> None:
-        last_s, self._last_s = self._last_s, frame.t_s
-        if last_s is not None and frame.t_s - last_s > _GAP_S:
-            self._frames.clear()
-        latest = self.latest
-        try:
-            self._quality.step(frame, touched=latest is not None and bool(latest.active.any()))
-        except FrameTimeout as fault:
-            self._failed = fault
-            raise
 
     def _objection(
         self,
