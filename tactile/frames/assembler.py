@@ -49,8 +49,8 @@ class FrameAssembler:
         self._n = frame_format.n_messages
         self._long_header = frame_format.header_bytes == 2
         self._dtype = "<u1" if frame_format.sample_bytes == 1 else "<u2"
-        self._current: _Burst | None = None
-        self._previous: _Burst | None = None
+        self._open: dict[int, _Burst] = {}
+        self._newest: _Burst | None = None
         self._last_counter: int | None = None
         self.counts = FrameStatistics()
         """Counts so far; they are updated."""
@@ -67,55 +67,37 @@ class FrameAssembler:
         if index >= self._n:
             self.counts.corrupt += 1
             return None
-        burst = self._current
         phase = head >> PHASE_SHIFT
-        if burst is None or burst.phase != phase or burst.parts[index] is not None:
-            burst = self._burst_for(phase, index, data, t_s)
-            if burst is None:
-                return None
+        burst = self._open.get(phase)
+        part = None if burst is None else burst.parts[index]
+        if part == data:
+            self.counts.duplicate += 1
+            return None
+        if burst is None or part is not None:
+            # Same phase, other content: four scans later. The two must not share messages.
+            kept = None if burst is self._newest else self._newest
+            self._give_up_all_but(kept)
+            burst = self._newest = self._open[phase] = _Burst(phase, self._n, t_s)
         burst.parts[index] = bytes(data)
-        if index < burst.next_index:
-            self.counts.reordered += 1
-        else:
-            burst.next_index = index + 1
+        self.counts.reordered += index < burst.next_index or burst is not self._newest
+        burst.next_index = max(burst.next_index, index + 1)
         burst.missing -= 1
         return None if burst.missing else self._finish(burst, t_s)
 
-    def _burst_for(
-        self, phase: int, index: int, data: bytes | bytearray, t_s: float
-    ) -> _Burst | None:
-        """Return the burst of a message out of the usual order, None to drop it."""
-        for burst in (self._current, self._previous):
-            if burst is None or burst.phase != phase:
-                continue
-            part = burst.parts[index]
-            if part is None:
-                burst.next_index = max(burst.next_index, index + 1)
-                return burst
-            if part == data:
-                self.counts.duplicate += 1
-                return None
-        if self._previous is not None and self._previous.missing:
-            self.counts.torn += 1
-        self._previous = self._current
-        self._current = _Burst(phase, self._n, t_s)
-        if self._previous is not None and self._previous.phase == phase:
-            # Same phase, other content: four scans later. The two must not share messages.
-            if self._previous.missing:
-                self.counts.torn += 1
-            self._previous = None
-        return self._current
+    def _give_up_all_but(self, kept: _Burst | None) -> None:
+        """Close all bursts except one; those with missing messages are torn."""
+        torn = (burst for burst in self._open.values() if burst is not kept and burst.missing)
+        self.counts.torn += sum(1 for _ in torn)
+        self._open = {} if kept is None else {kept.phase: kept}
 
     def _finish(self, burst: _Burst, t_s: float) -> TactileFrame | None:
         header = self._format.header_bytes
         whole = np.frombuffer(b"".join(filter(None, burst.parts)), dtype=np.uint8)
         payload = whole.reshape(self._n, MESSAGE_BYTES)[:, header:].tobytes()
-        if burst is self._current:
+        if burst is self._newest:
             # The previous burst is over. Another message of its phase is a late duplicate. After
             # two lost frames it is a new frame, which must not be compared with it.
-            if self._previous is not None and self._previous.missing:
-                self.counts.torn += 1
-            self._previous = None
+            self._give_up_all_but(burst)
         counter, status, crc = TRAILER.unpack(payload[-TRAILER.size :])
         if crc16_ccitt(payload[:-CRC_BYTES]) != crc or counter % PHASES != burst.phase:
             self.counts.corrupt += 1
