@@ -1,8 +1,7 @@
 """Both links of a cell without its controller: simulated, or real if a port is named."""
 
 import time
-from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 from cell.config.model import CellConfig
@@ -26,15 +25,13 @@ class LinkBench:
     options: HardwareOptions
     """Names the real ports."""
     registry: FaultRegistry
-    """Registers simulated devices and real hardware."""
-    _closing: ExitStack = field(default_factory=ExitStack, init=False)
+    """Registers simulated devices and real hardware, and closes the links."""
 
     @cached_property
     def simulated(self) -> SimulatedCell:
         """The simulated devices, created at the first use."""
         simulated = SimulatedCell(simulator_settings(simulated_config(self.config)))
-        self._closing.callback(simulated.close)
-        self.registry.add(simulated)
+        self.registry.add(simulated, simulated.close)
         return simulated
 
     @cached_property
@@ -44,7 +41,7 @@ class LinkBench:
         if port is not None:
             self.registry.add_hardware(f"servos at {port}")
         stream, clock = open_line(self.simulated.servo_port if port is None else port, rate)
-        self._closing.callback(stream.close)
+        self.registry.at_end(stream.close)
         return stream, clock
 
     @cached_property
@@ -64,9 +61,5 @@ class LinkBench:
             return self.simulated.can_bus, self.simulated.clock
         self.registry.add_hardware(f"control unit at {interface} {channel}")
         bus = open_bus(interface, channel, bitrate=self.config.tactile.bitrate)
-        self._closing.callback(close_bus, bus)
+        self.registry.at_end(close_bus, bus)
         return bus, time
-
-    def close(self) -> None:
-        """Close the open links; the servos keep their last commands."""
-        self._closing.close()

@@ -1,6 +1,8 @@
 """The simulated cells of a test, and the injected faults."""
 
-from typing import Protocol
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any, Protocol
 
 import pytest
 
@@ -24,16 +26,22 @@ class FaultTarget(Protocol):
 
 
 class FaultRegistry:
-    """Finds the cell for a fault; only simulated cells take faults."""
+    """Keeps the simulated cells of a test, and finds the cell for a fault."""
 
     def __init__(self) -> None:
         self._targets: list[FaultTarget] = []
         self._hardware: list[str] = []
         self._faults: list[FaultHandle] = []
+        self._closing = ExitStack()
 
-    def add(self, target: FaultTarget) -> None:
-        """Add a simulated cell of this test."""
+    def add(self, target: FaultTarget, end: Callable[[], Any]) -> None:
+        """Add a simulated cell of this test; ``end`` ends it when all faults are cleared."""
         self._targets.append(target)
+        self.at_end(end)
+
+    def at_end(self, call: Callable[..., Any], *arguments: Any) -> None:
+        """Make a call when all faults are cleared, before the calls that were added earlier."""
+        self._closing.callback(call, *arguments)
 
     def add_hardware(self, name: str) -> None:
         """Register real hardware: from now on every fault is refused."""
@@ -79,7 +87,8 @@ class FaultRegistry:
         self._faults.append(fault)
         return fault
 
-    def clear(self) -> None:
-        """End all faults, the last one first."""
-        while self._faults:
-            self._faults.pop().clear()
+    def close(self) -> None:
+        """End all faults, the last one first, then all cells."""
+        with self._closing:
+            while self._faults:
+                self._faults.pop().clear()

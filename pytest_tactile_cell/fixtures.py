@@ -1,7 +1,6 @@
 """The fixtures. Heavy modules are imported inside them, when a test requests one."""
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,11 +26,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _Maker:
-    """Makes cells on simulated devices; ``closing`` closes them."""
+    """Makes cells on simulated devices; ``faults`` closes them."""
 
     config: "CellConfig"
     faults: FaultRegistry
-    closing: ExitStack
 
     def checked(self, config: "CellConfig | Path | str | None", **changes: Any) -> "CellConfig":
         """Return the config of a cell, by default that of the test run."""
@@ -85,11 +83,10 @@ class MakeSimulatedCell(_Maker):
             config, objects=objects, seed=seed, changes=changes, callback=mover is not None
         )
         cell = build_cell(checked, mover=mover, places=places, folder=folder)
-        self.closing.callback(cell.close)
         if cell.simulated is None:
             raise AssertionError("a config with simulated ports gave a cell with real ones")
         made = VirtualCell(config=checked, cell=cell, simulated=cell.simulated)
-        self.faults.add(made)
+        self.faults.add(made, cell.close)
         return made
 
 
@@ -119,8 +116,7 @@ class MakeCellRuntime(_Maker):
 
         checked = self.checked(config, objects=objects, seed=seed, changes=changes)
         cell = CellRuntime(checked, **options)
-        self.closing.callback(cell.close)
-        self.faults.add(cell)
+        self.faults.add(cell, cell.close)
         return cell
 
 
@@ -148,11 +144,10 @@ class MakeCellProcess(_Maker):
         from pytest_tactile_cell.process import CellProcess
 
         cell = CellProcess(self.checked(config, objects=objects, seed=seed, changes=changes))
-        self.closing.callback(cell.end)
-        self.closing.callback(
+        self.faults.add(cell, cell.end)
+        self.faults.at_end(
             lambda: self.report("teardown", f"tactile-cell simulate {cell.pid}", cell.log)
         )
-        self.faults.add(cell)
         return cell
 
 
@@ -181,13 +176,13 @@ def cell_faults() -> Iterator[FaultRegistry]:
     """Keep the simulated cells of this test and the faults in them; tests use inject_fault."""
     registry = FaultRegistry()
     yield registry
-    registry.clear()
+    registry.close()
 
 
 @pytest.fixture
 def cell_bench(
     request: pytest.FixtureRequest, cell_config: "CellConfig", cell_faults: FaultRegistry
-) -> "Iterator[LinkBench]":
+) -> "LinkBench":
     """Both links of a cell without a controller, opened on demand.
 
     Source of servo_bus, servo_stream and can_bus; ``cell_bench.simulated`` has the simulated
@@ -195,16 +190,11 @@ def cell_bench(
     """
     from pytest_tactile_cell.bench import LinkBench
 
-    bench = LinkBench(cell_config, HardwareOptions.of(request.config), cell_faults)
-    yield bench
-    cell_faults.clear()
-    bench.close()
+    return LinkBench(cell_config, HardwareOptions.of(request.config), cell_faults)
 
 
 @pytest.fixture
-def simulated_cell(
-    cell_config: "CellConfig", cell_faults: FaultRegistry
-) -> Iterator[MakeSimulatedCell]:
+def simulated_cell(cell_config: "CellConfig", cell_faults: FaultRegistry) -> MakeSimulatedCell:
     """Make simulated cells in virtual time: ``cell = simulated_cell(objects=..., seed=...)``.
 
     Each has a CellController, the simulated devices and their clock. Time passes only during
@@ -216,24 +206,18 @@ def simulated_cell(
             record = cell.start("pin").grasp(force_n=3.0)
             assert record.outcome.final_force_n == pytest.approx(3.0, abs=0.5)
     """
-    with ExitStack() as closing:
-        yield MakeSimulatedCell(cell_config, cell_faults, closing)
-        cell_faults.clear()
+    return MakeSimulatedCell(cell_config, cell_faults)
 
 
 @pytest.fixture
-def cell_runtime(
-    cell_config: "CellConfig", cell_faults: FaultRegistry
-) -> Iterator[MakeCellRuntime]:
+def cell_runtime(cell_config: "CellConfig", cell_faults: FaultRegistry) -> MakeCellRuntime:
     """Load the plugin of a host program on simulated devices: ``cell = cell_runtime(mover=move)``.
 
     This is the TactileCellPlugin of the README, in virtual time on a thread of its own: start,
     feedback, result, release. grip_n() is the true force. Hardware is never used. Settings: config,
     objects, seed, changes, and the arguments of TactileCellPlugin. The end of the test closes it.
     """
-    with ExitStack() as closing:
-        yield MakeCellRuntime(cell_config, cell_faults, closing)
-        cell_faults.clear()
+    return MakeCellRuntime(cell_config, cell_faults)
 
 
 @pytest.fixture
@@ -277,7 +261,7 @@ def can_clock(cell_bench: "LinkBench") -> "Clock":
 @pytest.fixture
 def cell_process(
     request: pytest.FixtureRequest, cell_config: "CellConfig", cell_faults: FaultRegistry
-) -> Iterator[MakeCellProcess]:
+) -> MakeCellProcess:
     """Start ``tactile-cell simulate`` in real time: ``cell = cell_process(objects=..., seed=...)``.
 
     Servos and CAN adapter are on pseudo-terminals. The result has servo_port, can_channel,
@@ -285,10 +269,7 @@ def cell_process(
     The end of the test ends the process. A process that ended by itself fails the test with its
     log.
     """
-    with ExitStack() as closing:
-        report = request.node.add_report_section
-        yield MakeCellProcess(cell_config, cell_faults, closing, report)
-        cell_faults.clear()
+    return MakeCellProcess(cell_config, cell_faults, request.node.add_report_section)
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -26,6 +25,8 @@ _REPLY_S = 10.0
 """Longest wait for a reply at its socket in s."""
 _END_S = 5.0
 """Time in s for a process to end before it is killed."""
+_LOOK_S = 0.02
+"""Time in s between two looks at the process."""
 _LOG_BYTES = 4000
 """Number of last bytes of a log in an error."""
 
@@ -101,17 +102,17 @@ class CellProcess(AskedCell):
         folder = Path(self._folder.name)
         wanted = folder / "simulate.yaml"
         wanted.write_text(config_text(config, comments=False), encoding="utf-8")
-        self._log_path = folder / "simulate.log"
-        with self._log_path.open("wb") as log:
+        self._log_path, announced = folder / "simulate.log", folder / "announced.json"
+        with self._log_path.open("wb") as log, announced.open("wb") as line:
             self._process = subprocess.Popen(
                 [*_SIMULATE, "-c", wanted, "--out", folder],
                 stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
+                stdout=line,
                 stderr=log,
             )
         self._ended_by_us = False
         try:
-            found = self._announcement()
+            found = self._announcement(announced)
             self.servo_port: str = found["servo_port"]
             self.servo_baud_rate: int = found["servo_baud_rate"]
             self.servo_ids: tuple[int, ...] = tuple(found["servo_ids"])
@@ -176,7 +177,7 @@ class CellProcess(AskedCell):
         while (grip_n := self.grip_n()) < least_n:
             if time.monotonic() > end_s:
                 raise TimeoutError(f"{grip_n:.2f} N after {timeout_s:g} s, expected {least_n:g} N")
-            time.sleep(0.02)
+            time.sleep(_LOOK_S)
         return grip_n
 
     def kill(self) -> None:
@@ -203,8 +204,6 @@ class CellProcess(AskedCell):
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
-        if self._process.stdout is not None:
-            self._process.stdout.close()
         self._folder.cleanup()
         if died:
             raise CellProcessError(
@@ -213,27 +212,19 @@ class CellProcess(AskedCell):
                 f"Its log:\n{log or '(empty)'}"
             )
 
-    def _announcement(self) -> dict[str, Any]:
+    def _announcement(self, file: Path) -> dict[str, Any]:
         """Wait for the JSON line of a process that is ready for clients."""
-        pipe = self._process.stdout
-        if pipe is None:
-            raise CellProcessError("the simulated cell has no standard output")
-        line, end_s = b"", time.monotonic() + _START_S
-        while not line.endswith(b"\n"):
-            left_s = end_s - time.monotonic()
-            if left_s <= 0.0 or not select.select([pipe], [], [], left_s)[0]:
+        end_s = time.monotonic() + _START_S
+        while not (line := file.read_bytes()).endswith(b"\n"):
+            if not self.running:
+                self._ended_by_us = True
+                raise CellProcessError(f"the simulated cell did not start. {self._state()}")
+            if time.monotonic() > end_s:
                 raise CellProcessError(
                     f"the simulated cell was not ready after {_START_S:g} s. {self._state()}"
                 )
-            piece = os.read(pipe.fileno(), 65536)
-            if not piece:
-                self._process.wait(_END_S)
-                self._ended_by_us = True
-                raise CellProcessError(f"the simulated cell did not start. {self._state()}")
-            line += piece
-        found = json.loads(line)
-        if not isinstance(found, dict):
-            raise CellProcessError(f"the simulated cell announced {line!r}")
+            time.sleep(_LOOK_S)
+        found: dict[str, Any] = json.loads(line)
         return found
 
     def _state(self) -> str:

@@ -171,29 +171,26 @@ def servos(
     request: pytest.FixtureRequest, cell_config: CellConfig, cell_faults: FaultRegistry
 ) -> Iterator[Servos]:
     bench = _bench(request, cell_config, cell_faults)
-    try:
-        bus, (stream, clock) = bench.servo_bus, bench.servo_line
-        found = Servos(
-            bus=bus,
-            stream=stream,
-            clock=clock,
-            ids=tuple(servo.id for servo in cell_config.gripper.servos),
-            may_move=request.param == "simulator" or bench.options.allow_motion,
-        )
-        for servo_id in found.ids:
-            if bus.read(servo_id, TORQUE_ENABLE):
-                pytest.fail(
-                    f"servo {servo_id} holds torque, a part may be in the grip: nothing was "
-                    "written. Release it on purpose (tactile-cell hand release --config FILE "
-                    "--confirm), then switch the torque off",
-                    pytrace=False,
-                )
-        before = {i: [bus.read(i, r) for r in EEPROM] for i in found.ids}
-        yield found
-        assert {i: [bus.read(i, r) for r in EEPROM] for i in found.ids} == before
-        assert not any(bus.read(i, TORQUE_ENABLE) for i in found.ids)
-    finally:
-        bench.close()
+    bus, (stream, clock) = bench.servo_bus, bench.servo_line
+    found = Servos(
+        bus=bus,
+        stream=stream,
+        clock=clock,
+        ids=tuple(servo.id for servo in cell_config.gripper.servos),
+        may_move=request.param == "simulator" or bench.options.allow_motion,
+    )
+    for servo_id in found.ids:
+        if bus.read(servo_id, TORQUE_ENABLE):
+            pytest.fail(
+                f"servo {servo_id} holds torque, a part may be in the grip: nothing was "
+                "written. Release it on purpose (tactile-cell hand release --config FILE "
+                "--confirm), then switch the torque off",
+                pytrace=False,
+            )
+    before = {i: [bus.read(i, r) for r in EEPROM] for i in found.ids}
+    yield found
+    assert {i: [bus.read(i, r) for r in EEPROM] for i in found.ids} == before
+    assert not any(bus.read(i, TORQUE_ENABLE) for i in found.ids)
 
 
 @pytest.fixture
@@ -214,26 +211,23 @@ def unit(
 ) -> Iterator[Unit]:
     bench = _bench(request, cell_config, cell_faults)
     wanted = cell_config.tactile
-    try:
-        bus, clock = bench.can_line
-        link = TactileLink(
-            bus,
-            node_id=wanted.node_id,
-            layout=layout_from_config(wanted),
-            clock=clock,
-            settings=LinkSettings(
-                sync_period_s=wanted.sync_period_ms * 1e-3,
-                heartbeat_s=wanted.heartbeat_ms * 1e-3,
-            ),
-        )
-        found = Unit(bus=bus, clock=clock, node_id=wanted.node_id, link=link)
-        found.clock.sleep(POWER_UP_S)
-        found.reset()
-        yield found
-        link.stop()
-        found.reset()
-    finally:
-        bench.close()
+    bus, clock = bench.can_line
+    link = TactileLink(
+        bus,
+        node_id=wanted.node_id,
+        layout=layout_from_config(wanted),
+        clock=clock,
+        settings=LinkSettings(
+            sync_period_s=wanted.sync_period_ms * 1e-3,
+            heartbeat_s=wanted.heartbeat_ms * 1e-3,
+        ),
+    )
+    found = Unit(bus=bus, clock=clock, node_id=wanted.node_id, link=link)
+    found.clock.sleep(POWER_UP_S)
+    found.reset()
+    yield found
+    link.stop()
+    found.reset()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -586,12 +586,6 @@ HOST_PROGRAM = (
     *(FaultRow(33, number.name, f"{number.name} in the ramp",
                "a signal to the command that grasps", "HOLD", 0.02, processes.signal_in_the_ramp)
       for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)),
-    FaultRow(33, "second signal", "a second signal follows at once: the program ends",
-             "SIGINT and SIGTERM, real time", "HOLD", SIGNAL_S,
-             processes.second_signal, real_time=True),
-    FaultRow(33, "parent dies", "the process that started the program dies",
-             "SIGKILL to the parent, real time", "HOLD", SIGNAL_S,
-             processes.parent_dies, real_time=True),
     FaultRow(33, "uncaught error",
              "a host program ends by an error of its own mid-job and closes nothing",
              "an exception in the main thread, real time", "HOLD", SIGNAL_S,

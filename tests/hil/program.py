@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from tests.waiting import LIMIT_S, until
@@ -33,6 +34,22 @@ def hurry(pid: int) -> None:
     """Let a process go before others, where the machine permits it: it has deadlines of 3 ms."""
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, pid, -10)
+
+
+def child_of(pid: int) -> int:
+    """Return the only child of a process; any of its threads may have started it."""
+    threads = Path(f"/proc/{pid}/task").glob("*/children")
+    (found,) = (int(child) for one in threads for child in one.read_text("ascii").split())
+    return found
+
+
+def ended(pid: int) -> bool:
+    """Whether a process has ended; its parent need not know."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()[0]
+    except OSError:
+        return True
+    return state == "Z"
 
 
 def done(cell: Any, lease: int, job: int) -> int:

@@ -66,28 +66,24 @@ class Supervisor:
             found += look
         return found
 
-    def kill(self, number: signal.Signals, *, every: bool) -> None:
-        """Send a signal to the main process, or to every one."""
-        assert self.main is not None
-        for pid in self.group() if every else [self.main.pid] * (self.main.poll() is None):
+    def kill(self, number: signal.Signals) -> None:
+        """Send a signal to every process."""
+        for pid in self.group():
             with suppress(ProcessLookupError):
                 os.kill(pid, number)
 
     def stop(self, first: signal.Signals) -> None:
-        """End all that runs, by the kill mode of the unit."""
-        mode = self.unit["KillMode"]
-        assert mode in ("control-group", "mixed", "process")
+        """End all that runs, as the only kill mode that the unit may have says."""
+        assert self.unit["KillMode"] == "control-group"
         assert self.main is not None
-        alone = self.main.poll() is not None
-        self.kill(first, every=mode == "control-group")
+        self.kill(first)
         end_s = time.monotonic() + float(self.unit["TimeoutStopSec"])
-        while self.group() if mode == "control-group" else self.main.poll() is None:
+        while self.group():
             if time.monotonic() > end_s:
                 say("timeout")
+                self.kill(signal.SIGKILL)
                 break
             self.turn()
-        if (alone and mode == "mixed") or mode == "control-group":
-            self.kill(signal.SIGKILL, every=True)
         self.main.wait()
 
     def turn(self) -> None:

@@ -18,7 +18,7 @@ from cell.config.file import parse_config
 from cell.service.service import RELEASE_KEY
 from pytest_tactile_cell.process import CellProcess
 from tests.cell.conftest import Taught, small_config, taught  # noqa: F401  a fixture
-from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, done, first
+from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, child_of, done, first
 from tests.marks import LONG
 from tests.waiting import until
 
@@ -47,18 +47,7 @@ class Service:
 
     @property
     def pid(self) -> int:
-        return self.pids[-1]
-
-    @property
-    def pids(self) -> list[int]:
-        return [one["pid"] for one in self.events if one["event"] == "started"]
-
-    @property
-    def hand(self) -> int:
-        """The process of the force loop; any thread of the main process may have started it."""
-        threads = Path(f"/proc/{self.pid}/task").glob("*/children")
-        (found,) = (int(pid) for one in threads for pid in one.read_text().split())
-        return found
+        return [one["pid"] for one in self.events if one["event"] == "started"][-1]
 
     def sent(self, text: str, since: int = 0) -> bool:
         """Whether a text was sent after so many events."""
@@ -110,7 +99,8 @@ def test_a_part_outlasts_the_processes_that_hold_it(service, simulator, killed) 
     lease = cell.acquire("before")
     assert cell.teach(lease, "box", 5) > 0
     simulator.wait_for_grip(GRIPPED_N)
-    main, hand = service.pid, service.hand
+    main = service.pid
+    hand = child_of(main)
     for pid in {"main": [main], "hand": [hand], "both": [hand, main], "ended": [main]}[killed]:
         os.kill(pid, signal.SIGTERM if killed == "ended" else signal.SIGKILL)
     forces_n, since = [], len(service.events)
