@@ -2,6 +2,7 @@
 
 import socket
 import subprocess
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, nullcontext
@@ -13,6 +14,7 @@ import pytest
 
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
+from cell.interfaces.access import ACCEPTED_AT_ONCE
 from cell.interfaces.opening import open_interfaces
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import Job
@@ -24,6 +26,15 @@ from tests.waiting import LIMIT_S, until
 
 LEASE_S = 60.0
 """Time-out of leases: only the clock of the test lets it pass."""
+
+
+def pause(number: int) -> None:
+    """Let the interface accept the connections before each 15th one.
+
+    A connection that finds no room in the queue waits for a second.
+    """
+    if number % (ACCEPTED_AT_ONCE - 1) == 0:
+        threading.Event().wait(0.02)
 
 
 def ended(link: socket.socket) -> bool:

@@ -21,7 +21,7 @@ from pytest_tactile_cell.configs import simulated_config
 from pytest_tactile_cell.virtual import grasps_of
 from tactile.errors import BusNotOpened
 from tactile.sensor.quality import QualityLimits
-from tests.faults.scenarios.axes import X_AXIS
+from tests.faults.scenarios import X_AXIS
 from tests.marks import LONG
 
 FLEXITAC, USKIN = (

@@ -1,6 +1,7 @@
 """Opening the interfaces, who may connect, and the address that a browser opens."""
 
 import asyncio
+import itertools
 import os
 import socket
 import struct
@@ -29,6 +30,7 @@ from cell.interfaces.http_server import REQUEST_BYTES, Gate
 from cell.interfaces.opening import open_interfaces, running, warnings
 from cell.interfaces.page_address import page_address, view_note
 from tests.cell.conftest import small_config
+from tests.cell.served import pause
 from tests.waiting import LIMIT_S, until
 
 HOLD = struct.pack(">HHHBBHH", 1, 0, 6, 1, 6, 7, 1)
@@ -47,9 +49,11 @@ INTERFACES = {
 @pytest.fixture
 def link(serve: Any) -> Iterator[Callable[..., socket.socket]]:
     """Return what connects to an interface from an address of this machine."""
+    number = itertools.count()
     with ExitStack() as undo:
 
         def connect(port: int, host: str) -> socket.socket:
+            pause(next(number))
             place = ("127.0.0.1", port)
             return undo.enter_context(socket.create_connection(place, 20.0, (host, 0)))
 

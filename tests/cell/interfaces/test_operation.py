@@ -39,7 +39,7 @@ from tests import ROOT
 from tests.cell.conftest import REAL, MakeBench, small_config
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import Served
-from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
+from tests.faults.scenarios import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.hil.supervisor import read_unit
 
 PAGE = ROOT / "docs/how-to/run-as-a-service.md"

@@ -22,6 +22,7 @@ from websockets.asyncio.client import connect as open_in_one_thread
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
+from cell.interfaces.http_server import HttpServer
 from cell.interfaces.opening import running
 from cell.interfaces.web import WebInterface
 from cell.runtime.goals import TASKS, checked_goal
@@ -443,7 +444,8 @@ def test_a_client_that_names_another_address_stays_itself(serve) -> None:
     assert served.service.held_by == both
 
 
-def test_the_second_request_of_a_connection_has_its_limit_too(connect) -> None:
+def test_the_second_request_of_a_connection_has_its_limit_too(connect, monkeypatch) -> None:
+    monkeypatch.setitem(HttpServer.__init__.__kwdefaults__, "idle_s", 1)
     _, host = connect(serve__request_timeout_s=0.3)
     whole = b"POST /api/hold HTTP/1.1\r\nHost: localhost\r\n\r\n"
     for first, second in ((whole, whole[:-2]), (whole + whole[:-2], b"")):

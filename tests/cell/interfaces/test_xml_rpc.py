@@ -22,7 +22,7 @@ from cell.interfaces.http_server import REQUEST_BYTES
 from cell.interfaces.xml_rpc import METHODS, ur_pose
 from cell.service.service import RELEASE_KEY
 from gripper.errors import PartSlipped
-from tests.cell.served import Served
+from tests.cell.served import Served, pause
 from tests.values import raising
 from tests.waiting import until
 
@@ -418,8 +418,9 @@ def test_torn_requests_change_nothing(connect) -> None:
     head = b"POST /RPC2 HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/xml\r\n"
     request = head + b"Content-Length: %d\r\n\r\n" % len(body) + body
     # The last byte is a line's end: without it the call is whole, and the request is not.
-    for cut in (*range(0, len(request), 7), len(request) - 1):
-        place = ("127.0.0.1", served.interfaces["xmlrpc_port"])
+    place = ("127.0.0.1", served.interfaces["xmlrpc_port"])
+    for number, cut in enumerate((*range(0, len(request), 7), len(request) - 1)):
+        pause(number)
         with suppress(OSError), socket.create_connection(place, timeout=20.0) as link:
             link.sendall(request[:cut])
     assert cell.held_by() == ""

@@ -13,7 +13,7 @@ from cell.interfaces.cli.app import app
 from cell.runtime import simulate
 from simulator.settings import SimulatorSettings
 from tests.cell.conftest import small_config
-from tests.faults.scenarios.axes import CHANGES
+from tests.faults.scenarios import CHANGES
 
 FOUND = {
     "servo_port": "servos",

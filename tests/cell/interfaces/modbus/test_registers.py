@@ -12,6 +12,7 @@ import pytest
 
 from cell.control.live import LiveValues
 from cell.control.plan import Pose
+from cell.errors import PositionerError
 from cell.interfaces.modbus.registers import (
     ANSWER_KEPT,
     ANSWERED,
@@ -35,7 +36,7 @@ from tactile.errors import FrameTimeout
 from tests.cell.interfaces.hosts import BlockPlc, Plc
 from tests.cell.interfaces.modbus.structured_text import BLOCK, FunctionBlock
 from tests.cell.served import Served
-from tests.waiting import until
+from tests.waiting import LIMIT_S, until
 
 TEACH, IDENTIFY, GRIP, VERIFY, SORT = 20, 21, 22, 23, 24
 RELEASE, REACHED, REFUSE = 30, 40, 41
@@ -271,7 +272,7 @@ def test_a_client_that_never_reads_holds_nobody_up(connect) -> None:
         greedy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         greedy.connect(("127.0.0.1", served.interfaces["modbus_port"]))
         greedy.setblocking(False)
-        until(lambda: _full(greedy, read * 500))
+        until(lambda: _full(greedy, read * 10_000))
         assert plc.command(GRIP, 0, 300) == 0
         assert served.ended().verification.held
 
@@ -324,23 +325,25 @@ def test_the_function_block_runs_every_command_of_the_map(block) -> None:
     assert plc["State"] == 4
 
 
-@pytest.mark.slow
 def test_the_function_block_stays_busy_through_the_poses_of_a_job(block) -> None:
-    served, plc = block(cell={}, positioner__kind="callback")
-    plc.ready().begin(IDENTIFY, MaxGrasps=1)
-    seq = until(lambda: plc.cycle()["PoseSeq"])
-    assert (plc["Busy"], plc["Ready"], plc["Done"]) == (True, True, False)
-    plc.begin(REACHED, Object=seq + 1)
-    assert (plc["ErrorId"], plc["Busy"], plc["Done"]) == (513, True, False)
-    plc.begin(IDENTIFY)  # a second job is refused, the first one goes on
-    assert (plc["ErrorId"], plc["Busy"]) == (505, True)
-    plc.begin(REACHED, Object=seq)
-    until(lambda: plc.cycle()["Done"])
-    assert (plc["Busy"], plc["Error"], served.plugin.job().number) == (False, False, 1)
-    plc.ready().begin(IDENTIFY, MaxGrasps=1)
-    plc.begin(REFUSE, Object=until(lambda: plc.cycle()["PoseSeq"]))
-    until(lambda: not plc.cycle()["Busy"])
-    assert (plc["Done"], plc["ErrorId"], plc["Outcome"]) == (False, 510, 6)
+    served, plc = block()
+    for command, moved in ((REACHED, True), (REFUSE, False)):
+        served.plugin.pause()
+        plc.ready().begin(IDENTIFY, MaxGrasps=1)
+        answer = served.ask_pose(Pose())
+        seq = until(lambda: plc.cycle()["PoseSeq"])
+        assert (plc["Busy"], plc["Ready"], plc["Done"]) == (True, True, False)
+        plc.begin(REACHED, Object=seq + 1)
+        assert (plc["ErrorId"], plc["Busy"], plc["Done"]) == (513, True, False)
+        plc.begin(IDENTIFY)  # a second job is refused, the first one goes on
+        assert (plc["ErrorId"], plc["Busy"]) == (505, True)
+        plc.begin(command, Object=seq)
+        assert answer.result(LIMIT_S) is moved
+        served.plugin.go_on() if moved else served.plugin.fail(PositionerError("refused"))
+        until(lambda: not plc.cycle()["Busy"])
+        ended = (True, False, 0) if moved else (False, True, 510)
+        assert (plc["Done"], plc["Error"], plc["ErrorId"]) == ended
+    assert served.plugin.job().number == 2
 
 
 def test_hold_of_the_function_block_stops_what_runs(block) -> None:
