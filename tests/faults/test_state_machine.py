@@ -18,10 +18,9 @@ from gripper.servos.group import Servos
 from gripper.values.state import GripperPhase
 from simulator.faults.injector import check_fault
 from tests.cell.conftest import once
-from tests.faults import driver
-from tests.faults.driver import Driver
+from tests.faults import state_machine
 from tests.faults.invariants import InvariantBroken
-from tests.faults.state_machine import PIECES, STEPS, fault_texts, run_machine
+from tests.faults.state_machine import PIECES, STEPS, Driver, fault_texts, run_machine
 from tests.fuzz.harness import seed_of_run
 from tests.marks import LONG
 
@@ -147,7 +146,7 @@ def cell() -> Iterator[Driver]:
 
 
 def test_a_label_from_spoiled_taxels_is_found(cell, monkeypatch) -> None:
-    monkeypatch.setattr(driver, "spoiling", lambda _faults, _now_s: ["taxels.off=0.9"])
+    monkeypatch.setattr(state_machine, "spoiling", lambda _faults, _now_s: ["taxels.off=0.9"])
     with pytest.raises(InvariantBroken, match=r"a label in spite of taxels.off=0.9"):
         cell.identify(3.0)
 
@@ -185,7 +184,7 @@ def test_an_error_without_a_type_and_a_command_without_an_end_are_found(cell: Dr
 
 @pytest.mark.slow
 def test_a_defect_is_reported_with_its_seed_and_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(driver.Driver, "wait", lambda self, _s: self.monitor.broken.append("so"))
+    monkeypatch.setattr(Driver, "wait", lambda self, _s: self.monitor.broken.append("so"))
     # What does not happen a second time is in a group.
     with pytest.raises((InvariantBroken, ExceptionGroup)) as found:
         run_machine(400, 1)

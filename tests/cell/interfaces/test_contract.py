@@ -19,8 +19,7 @@ from cell.service.service import RELEASE_KEY
 from gripper.errors import ServoFault
 from recognition.recognizer import UNKNOWN
 from tests.cell.interfaces.hosts import HOSTS, NOT_IN_COMMAND, BlockPlc, Client, Host, Plc, Request
-from tests.cell.served import Served
-from tests.cell.stub_plugin import ROUND
+from tests.cell.served import ROUND, Served
 from tests.waiting import LIMIT_S
 
 IDENTIFY = Request(task="identify", max_grasps=2, force_n=6.0, keep=Keep.ALWAYS)

@@ -9,18 +9,21 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 from typer.testing import CliRunner
 
 from cell.commissioning.engine import Question, WizardAborted, leave
 from cell.commissioning.findings import ProposedChange
+from cell.config.model import CellConfig
 from cell.control.positioner import PatientCaller
 from cell.control.states import CellState
-from cell.errors import CellStopped, PositionerError
-from cell.interfaces.cli import terminal as asking
+from cell.errors import CellError, CellStopped, ModelError, PositionerError, RecordingError
+from cell.interfaces.cli import session, terminal as asking
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.dialog import TerminalDialog
+from cell.interfaces.cli.session import running_cell
 from cell.interfaces.cli.signals import stopping
 from tests.cell.conftest import small_config
 from tests.marks import LONG
@@ -249,3 +252,43 @@ def test_an_answer_from_a_pipe_is_read_line_by_line(monkeypatch, capsys) -> None
         with pytest.raises(EOFError):
             asking.ask("next? ")
     assert capsys.readouterr().out == "next? " * 3
+
+
+# -- The cell of a command: what is left when its recording ends early -----------------------------
+
+
+@pytest.mark.parametrize(
+    ("in_the_job", "at_the_end", "told"),
+    [
+        (None, [RecordingError], ""),
+        (None, [ModelError], "ModelError"),
+        (None, [ModelError, RecordingError], "RecordingError"),
+        (RecordingError, [], "RecordingError"),
+        (CellStopped, [RecordingError], "RecordingError"),
+    ],
+)
+def test_a_job_ends_early_unless_its_recording_alone_fails_at_the_end(
+    tmp_path, monkeypatch, in_the_job, at_the_end, told
+) -> None:
+    def fail(errors: list[type[Exception]]) -> None:
+        if errors:
+            try:
+                fail(errors[:-1])
+            finally:
+                raise errors[-1](errors[-1].__name__)
+
+    plugin = Mock(recording_path="r.mcap")
+    plugin.close = lambda: fail(at_the_end)
+    plugin.cell.health.return_value = {}
+    plugin.cell.notes, plugin.cell.realtime = (), False
+    plugin.cell.controller.zeroing.note = ""
+    plugin.status.return_value = Mock(state="IDLE")
+    monkeypatch.setattr(session, "TactileCellPlugin", lambda *_arguments, **_options: plugin)
+    ended = ""
+    try:
+        with running_cell(CellConfig(), "run", tmp_path, config_file=None, json_file=None):
+            if in_the_job is not None:
+                raise in_the_job(in_the_job.__name__)
+    except CellError as error:
+        ended = str(error).partition("\n")[0]
+    assert ended == told

@@ -33,8 +33,7 @@ from cell.interfaces.modbus.registers import (
 )
 from cell.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
-from tests.cell.interfaces.hosts import BlockPlc, Plc
-from tests.cell.interfaces.modbus.structured_text import BLOCK, FunctionBlock
+from tests.cell.interfaces.hosts import BLOCK, BlockPlc, FunctionBlock, Plc
 from tests.cell.served import Served
 from tests.waiting import LIMIT_S, until
 

@@ -1,34 +1,47 @@
-"""Bad archives that people hand around: grasp data sets and taught models."""
+"""Bad files that people hand around: grasp data sets, taught models, recordings, meshes."""
 
 import functools
 import io
 import json
+import math
 import pickle
+import struct
 import tempfile
 import tracemalloc
 import zipfile
 from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cell.errors import DatasetError, ModelError
+from cell.control.journal import Journal
+from cell.errors import DatasetError, ModelError, RecordingError
 from cell.learning.model import _digest, load_model, save_model
 from cell.learning.training import train
 from cell.recording.dataset import read_dataset, write_dataset
+from cell.recording.reader import Recording, read_recording, recover_recording
+from cell.recording.recorder import Recorder
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
+from simulator.errors import SimulatorSettingsError
+from simulator.world.shape_files import load_mesh
+from tactile.source import TactileFrame
 from tests.fuzz.harness import (
+    Clock,
     bad_input,
     damages,
     good_grasps,
     same_grasps,
     spoilt,
 )
+from tests.values import make_cycle
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:Reading `.npy` or `.npz` file required additional header:UserWarning",
@@ -191,3 +204,101 @@ def test_packings_that_unpack_without_a_bound_are_refused(tmp_path: Path, method
         assert tracemalloc.get_traced_memory()[1] < 4 << 20  # nothing large is unpacked
     finally:
         tracemalloc.stop()
+
+
+# -- Bad recordings: damaged MCAP files ------------------------------------------------------------
+
+
+@functools.cache
+def good() -> tuple[bytes, Recording]:
+    """Return the bytes of a recording of two short grasps, and what is read of it."""
+    clock = Clock()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "good.mcap"
+        with closing(Recorder(path, clock, pads=good_grasps()[0].pads)) as recorder:
+            for grasp in good_grasps()[:2]:
+                times_s = clock.now_s + 0.03 * np.arange(1, 1 + len(grasp.counts))
+                for i, clock.now_s in enumerate(times_s.tolist()):
+                    recorder.frame(
+                        TactileFrame(t_s=clock.now_s, counter=i, status=0, counts=grasp.counts[i])
+                    )
+                    recorder.cycle(make_cycle(clock.now_s))
+                recorder.grasp(replace(grasp, t_s=times_s - times_s[0]))
+            Journal(recorder).note("state", "COMPLETE")
+        data, recording = path.read_bytes(), read_recording(path)
+    assert (recording.complete, len(recording.grasps)) == (True, 2)
+    return data, recording
+
+
+def same(ours: Recording, other: Recording) -> bool:
+    return (
+        np.array_equal(ours.frames.counts, other.frames.counts)
+        and np.array_equal(ours.frames.t_s, other.frames.t_s)
+        and np.array_equal(ours.cycles.setpoint_n, other.cycles.setpoint_n)
+        and ours.cycles.phase == other.cycles.phase
+        and ours.events == other.events
+        and ours.metadata == other.metadata
+        and same_grasps(ours.grasps, other.grasps)
+    )
+
+
+@bad_input(harm=damages(), sound={"harm": []}, examples=100)
+def test_a_damaged_recording_is_refused_unchanged_or_salvaged(tmp_path, harm):
+    data, right = good()
+    path, recovered = tmp_path / "x.mcap", tmp_path / "recovered.mcap"
+    path.write_bytes(spoilt(data, harm))
+    try:
+        recording = read_recording(path)
+    except RecordingError:
+        return "refused"
+    if recording.complete:
+        assert same(recording, right)
+        return "unchanged"
+    assert len(recording.grasps) <= len(right.grasps)
+    for grasp in recording.grasps:
+        assert any(same_grasps([grasp], [other]) for other in right.grasps)
+    recovered.unlink(missing_ok=True)
+    try:
+        recover_recording(path, recovered)
+    except RecordingError:
+        return "nothing to salvage"
+    whole = read_recording(recovered)
+    assert whole.complete
+    assert same_grasps(whole.grasps, recording.grasps)
+    return "salvaged"
+
+
+# -- Bad meshes ------------------------------------------------------------------------------------
+
+
+BOX = trimesh.creation.box((10.0, 6.0, 6.0))
+MESHES = (BOX.export(file_type="stl"), BOX.export(file_type="stl_ascii").encode())
+counts = st.tuples(
+    st.just(80), st.sampled_from([0, 1, 1 << 31, (1 << 32) - 1]).map(struct.Struct("<I").pack)
+)
+coordinates = st.tuples(
+    st.integers(0, 140).map(lambda n: 84 + 4 * n),
+    st.sampled_from([math.nan, math.inf, 3e38, -3e38, 1e-40, 0.0, 1.0]).map(
+        struct.Struct("<f").pack
+    ),
+)
+
+
+@bad_input(
+    data=st.sampled_from(MESHES),
+    words=st.lists(counts | coordinates, max_size=2),
+    harm=damages(),
+    sound={"data": MESHES[0], "words": [], "harm": []},
+    limit_s=2.0,
+)
+def test_a_mesh_is_refused_or_has_heights(tmp_path, data, words, harm):
+    for at, word in words:
+        data = data[:at] + word + data[at + 4 :]
+    (tmp_path / "x.stl").write_bytes(spoilt(data, harm))
+    try:
+        shape = load_mesh(tmp_path / "x.stl")
+    except SimulatorSettingsError:
+        return "refused"
+    x_m, y_m = np.meshgrid(np.linspace(-0.01, 0.01, 5), np.linspace(-0.01, 0.01, 5))
+    assert not np.any(np.isnan(shape.heights(x_m, y_m, 0.3)))
+    return "read"

@@ -1,0 +1,282 @@
+"""Each benchmark runs to its end and prints figures: what is quoted can be measured.
+
+How fast anything is, is not tested here. Each benchmark itself ends with an error where its
+alternatives do not give the same.
+"""
+
+import importlib
+import json
+import os
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+
+from benchmarks import __main__ as command
+from benchmarks._measure import same, share
+from benchmarks.paper.grasps import press, record
+from benchmarks.paper.reproduction import classify, levels_of, name_by_threshold, one_frame
+from benchmarks.performance import servo_logs, soak
+from benchmarks.performance.servo_logs import Bench, Log, main, read_logs
+from benchmarks.recognition import comparators
+from cell.recording.dataset import write_dataset
+from gripper.dynamixel.models import XL330_M288, XM430_W350
+from recognition.features.footprint import PadGrid
+from recognition.quadric.thresholds import find_thresholds
+from simulator.world.shapes import ObjectPose
+from tests.recognition.conftest import make_grasps, make_pads
+
+pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to run them
+
+EFFORT = 0.01
+MODULES = command.modules()
+OTHERWISE = {*command.WITH_DATA, "soak"}
+"""Some need data, and the soak is run for a moment."""
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", sorted(MODULES.keys() - OTHERWISE))
+def test_it_prints_its_figures(name, capsys, monkeypatch, tmp_path) -> None:
+    monkeypatch.delenv("TACTILE_CELL_DATA", raising=False)
+    monkeypatch.chdir(tmp_path)
+    importlib.import_module(MODULES[name]).main(EFFORT)
+    printed = capsys.readouterr().out
+    assert printed.startswith("compared")
+    assert len(printed.splitlines()) > 1
+    assert "nan" not in printed
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_a_short_soak_leaves_no_file_and_no_thread(capsys, monkeypatch) -> None:
+    kept = {"descriptors": 0.01, "threads": 0.01}
+    monkeypatch.setattr(soak, "LIMITS", dict.fromkeys(soak.LIMITS, kept))
+    monkeypatch.setattr(soak, "REST_S", 0.5)
+    soak.main(grasps=6, connects=40, hours=0.05, starts=2)
+    printed = capsys.readouterr().out
+    assert printed.count("descriptors grow by 0.0000 each") == 4
+
+
+@pytest.mark.parametrize(("leak", "found"), [(0.0, 0), (1.0, 1)])
+def test_a_leak_is_found_and_one_step_of_the_allocator_is_none(leak, found) -> None:
+    samples = [{"done": 20 * i, "objects": 2000 * (i > 9) + 20 * i * leak} for i in range(50)]
+    assert len(soak.judge(samples, {"objects": 0.5})) == found
+
+
+def test_the_command_names_what_there_is(monkeypatch) -> None:
+    assert {"identify", "reproduction"} <= set(MODULES)
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "nothing"])
+    with pytest.raises(SystemExit, match=", ".join(MODULES)):
+        command.main()
+
+
+def test_results_that_should_be_equal_end_it_where_they_are_not() -> None:
+    same(True, "nothing")
+    with pytest.raises(SystemExit, match="the figures mean nothing: one more"):
+        same(False, "one more")
+
+
+def test_a_share_has_the_interval_of_its_trials() -> None:
+    assert share(336, 342) == "98.2 % (96.2 to 99.2)"
+    assert share(3 * 10, 3 * 20, times=3) == "50.0 % (29.9 to 70.1)"
+    assert share(0, 0) == "0.0 % (0.0 to 100.0)"
+
+
+# -- Simulated servos against logs of real ones: a log outside its target is found -----------------
+
+
+TIME_S = np.arange(0.0, 1.5, 0.01)
+SWING_RAD = 0.5 * np.sin(4.0 * TIME_S)
+
+
+def arm(late: bool) -> dict[str, np.ndarray]:
+    """Return the log of one joint, its velocity as the register has it or without a delay."""
+    speed = 2.0 * np.cos(4.0 * TIME_S)
+    if late:
+        speed, _ = Bench(Log("", XM430_W350, TIME_S, SWING_RAD, speed)).run()
+    return {"t": TIME_S, "q3": SWING_RAD, "dq3": speed}
+
+
+def pendulum(divisor: float) -> dict[str, np.ndarray]:
+    """Return the log of a servo that holds still, with the P gain over a divisor."""
+    zeros, goal = np.zeros_like(TIME_S), 0.1 + 0.2 * TIME_S
+    log = Log("", XL330_M288, TIME_S, zeros, zeros)
+    pwm = np.trunc(400 * np.rint(goal / log.model.rad_per_pulse) / divisor) % 0x10000
+    meta = {"motor": "xl330", "kp": 400, "mass": 0.5, "length": 0.1, "trajectory": "other"}
+    return {
+        "meta": np.array(json.dumps(meta)),
+        **{"timestamp": TIME_S, "position": zeros, "speed": zeros, "goal_position": goal},
+        **{"load": pwm, "input_volts": zeros + 7.3, "torque_enable": zeros + 1.0},
+    }
+
+
+@pytest.mark.parametrize(
+    ("log", "outside"),
+    [
+        (arm(late=True), ""),
+        (arm(late=False), "3 .* velocity 0.2.* OUTSIDE"),
+        (pendulum(256.0), ""),
+        (pendulum(128.0), "PWM .* OUTSIDE"),
+        ({"t": TIME_S, "q1": SWING_RAD}, "ERROR .*a.npz is no log of a servo: it lacks 'dq1'"),
+        (pendulum(256.0) | {"load": TIME_S[:9]}, "ERROR .*a.npz .* length"),
+        (arm(late=True) | {"t": TIME_S[::-1]}, "ERROR .*a.npz .* times"),
+        (arm(late=True) | {"q3": TIME_S * np.nan}, "ERROR .*a.npz .* no number"),
+    ],
+)
+def test_each_log_has_a_line_and_one_outside_ends_it_with_1(log, outside, tmp_path, capsys) -> None:
+    np.savez(tmp_path / "a.npz", **log)
+    if outside:
+        with pytest.raises(SystemExit) as ended:
+            main(folder=str(tmp_path))
+        assert ended.value.code == 1
+    else:
+        main(folder=str(tmp_path))
+    lines = capsys.readouterr().out.splitlines()
+    (line,) = (one for one in lines if one.startswith("a"))
+    assert line.count("OUTSIDE") + line.count("ERROR") == bool(outside)
+    if outside:
+        assert re.search(outside, line)
+
+
+def test_a_file_that_is_no_archive_is_named_and_so_is_an_empty_folder(tmp_path, capsys) -> None:
+    with pytest.raises(SystemExit, match="has no log"):
+        main(folder=str(tmp_path))
+    for name, data in (("b.npz", b"nothing"), ("c.npz", b"PK\x03\x04 cut off")):
+        (tmp_path / name).write_bytes(data)
+    with pytest.raises(SystemExit):
+        main(folder=str(tmp_path))
+    assert capsys.readouterr().out.count("ERROR") == 2
+
+
+@pytest.mark.slow
+@pytest.mark.shared_data
+def test_the_simulated_servos_follow_the_logs_of_real_ones(capsys) -> None:
+    folder = os.environ.get("TACTILE_CELL_DATA")
+    if folder is None:
+        pytest.skip("TACTILE_CELL_DATA does not name the folder with servos/")
+    servos = Path(folder) / "servos"
+    main(folder=str(servos))
+    printed = capsys.readouterr().out
+    assert all(log.name in printed for path in servos.glob("*.npz") for log in read_logs(path))
+    assert servo_logs.SPEED_RMS_RAD_S == {"430 size": 0.018, "330 size": 0.04}
+
+
+# -- The paper's claims beside ours: the levels of a grasp, and the names by thresholds ------------
+
+
+def test_levels_follow_the_force_and_are_missing_without_contact():
+    grasp = record(press("ball", ObjectPose(), 6.0), np.random.default_rng(0), 0.0)
+    _, at_common, at_full = levels_of(grasp)
+    # more force, a higher peak, a smaller eigenvalue
+    assert 1e-3 < at_full < at_common < 1e-2
+    assert np.isnan(levels_of(one_frame(grasp, 0.0))).all()
+
+
+def test_a_value_belongs_to_the_object_between_whose_thresholds_it_falls():
+    levels = find_thresholds([[5.0, 6.0], [1.0, 2.0], [9.0, 10.0]])
+    values = np.array([0.0, 3.4, 3.6, 7.4, 7.6, 99.0, np.nan])
+    assert name_by_threshold(levels, values).tolist() == [1, 1, 0, 0, 2, 2, -1]
+
+
+def test_outcomes_count_names_and_missing_surfaces():
+    taught = np.array([[i, i + 0.2] for i in range(1, 6)], dtype=float)
+    tested = np.array([[i + 0.1, i + 0.9] for i in range(1, 6)], dtype=float)
+    tested[4, 1] = np.nan
+    counts = classify([taught], [tested]).counts
+    assert counts[:, -1].tolist() == [0, 0, 0, 0, 1]
+    assert (np.trace(counts), counts.sum()) == (5, 10)
+
+
+# -- Comparators: features of patches and curves of known form, and the command on a data set ------
+
+
+def grid(rows=41, columns=31, pitch=0.5):
+    x, y = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    xy = np.column_stack([x.ravel() - (rows - 1) / 2, y.ravel() - (columns - 1) / 2]) * pitch
+    return PadGrid(xy_mm=xy, pitch_mm=np.array([pitch, pitch]), shape=(rows, columns))
+
+
+def ellipse(a, b, angle=0.0, centre=(0.0, 0.0)):
+    dx, dy = (grid().xy_mm - np.array(centre)).T
+    u = np.cos(angle) * dx + np.sin(angle) * dy
+    v = np.cos(angle) * dy - np.sin(angle) * dx
+    return np.clip(1.0 - (u / a) ** 2 - (v / b) ** 2, 0.0, None)
+
+
+@pytest.mark.parametrize(
+    ("features", "told"),
+    [
+        (comparators.radius_vector, slice(None)),
+        (comparators.contour, slice(0, 8)),
+        # A straight section has neither a slope of its curvature nor a cubic term.
+        (comparators.sections, [0, 1, 7, 8, 9]),
+    ],
+)
+def test_a_moved_and_turned_patch_has_nearly_the_same_features(features, told):
+    first, moved, other = (
+        features(patch, grid(), 0.3)[told]
+        for patch in (
+            ellipse(6.0, 4.0),
+            ellipse(6.0, 4.0, 0.8, (1.0, -1.0)),
+            ellipse(4.5, 3.9, 0.8, (1.0, -1.0)),
+        )
+    )
+    assert np.linalg.norm(moved - first) < 0.35 * np.linalg.norm(other - first)
+
+
+@pytest.mark.parametrize(
+    "features", [one.of_patch for one in comparators.METHODS.values() if one.of_patch]
+)
+def test_an_empty_patch_has_finite_features(features):
+    assert np.all(np.isfinite(features(np.zeros(20), grid(5, 4, 3.0), 0.3)))
+
+
+@pytest.mark.parametrize("shift", [0.0, 1.0, -2.5])
+def test_a_parabola_has_one_invariant_at_all_its_points(shift):
+    # y = (x + shift)^2 / 4 has p = 2: the invariant is p^(-2/3).
+    x = np.array([-1.0, 0.0, 2.0]) + shift
+    stretch = 1.0 + (x / 2) ** 2
+    found = comparators.curve_invariants(0.5 / stretch**1.5, -0.375 * x / stretch**3)
+    assert found[:3] == pytest.approx(np.full(3, 2.0 ** (-2 / 3)))
+    assert found[3] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("t", [(0.2, 0.7), (0.3, 1.0, 1.4)])
+def test_an_ellipse_has_its_two_invariants_from_any_points(t):
+    a, b = 5.0, 3.0
+    rho = np.hypot(a * np.sin(t), b * np.cos(t))
+    slope = (a**2 - b**2) * np.sin(t) * np.cos(t) / rho
+    m, conic = comparators.curve_invariants(a * b / rho**3, -3 * a * b * slope / rho**5)[-2:]
+    assert m == pytest.approx((a * b) ** (-2 / 3))
+    assert conic == pytest.approx((a**2 + b**2) / (a * b) ** (4 / 3))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", comparators.METHODS)
+def test_a_comparator_is_an_estimator_that_names_grasps(name):
+    method = clone(comparators.METHODS[name])
+    method.set_params(grid={key: values[:1] for key, values in method.grid.items()})
+    method.set_params(outlines=method.outlines[:1])
+    if "n_estimators" in method.classifier.get_params():
+        method.set_params(classifier__n_estimators=20)
+    train, test = (make_grasps(n, seed=n, pads=make_pads()) for n in (6, 5))
+    method.fit(train[::-1], [grasp.label for grasp in train[::-1]])
+    assert np.mean(method.predict(test) == [grasp.label for grasp in test]) > 0.4
+    held = [indices for _, indices in method.search_.cv]
+    assert sorted(np.concatenate(held).tolist()) == list(range(len(train)))
+    # In the order of time five objects have a grasp each: a block has two grasps of each.
+    assert [np.unique(one // 10).tolist() for one in held] == [[0], [1], [2]]
+
+
+@pytest.mark.long
+def test_the_command_compares_all_methods_on_a_file(tmp_path, capsys):
+    write_dataset(tmp_path / "x.npz", make_grasps(5, seed=1, pads=make_pads()))
+    comparators.main(0.01, str(tmp_path / "x.npz"))
+    first, *rows = capsys.readouterr().out.splitlines()
+    assert "5 objects, 15 grasps teach, 10 test" in first
+    assert len(rows) == 15  # the last four are drifts, alone and followed
+    assert all(" of 10" in row for row in rows)
