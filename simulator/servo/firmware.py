@@ -34,9 +34,9 @@ from gripper.values.servo_checks import HardwareError
 from simulator.servo.control_table import ServoRegisters, is_x330
 from simulator.servo.data_sheets import data_sheet
 from simulator.servo.motor import (
+    FOLLOWS_POSITION,
     OVERLOAD_BUDGET_S,
     DriveCommand,
-    DriveMode,
     ServoMotor,
 )
 
@@ -55,13 +55,6 @@ _TICKS_PER_S, _ROUNDING_TICKS = 1000.0, 1e-6
 """Rate of Realtime Tick (e-Manual, 120), and the allowance for rounding in ticks."""
 _ARRIVED, _PROFILE_ONGOING, _TRAPEZOIDAL_PROFILE = 0x01, 0x02, 0x30
 """Bits of Moving Status (e-Manual, 123)."""
-_FOLLOWS_POSITION = frozenset(
-    {
-        OperatingMode.POSITION,
-        OperatingMode.EXTENDED_POSITION,
-        OperatingMode.CURRENT_BASED_POSITION,
-    }
-)
 _PRESENT = struct.Struct("<HBBhhiiiiHB")
 """Registers 120 to 146: tick, moving, moving status, PWM, current, velocity, position, velocity and
 position trajectory, voltage, temperature."""
@@ -161,57 +154,26 @@ def goal_command(registers: ServoRegisters, position: ServoPosition) -> DriveCom
     pwm, current, velocity, acceleration, profile, goal = _GOALS.unpack_from(data, GOAL_START)
     # A limit that was lowered after the write of the goal still applies.
     pwm_limit, current_limit, velocity_limit = _LIMITS.unpack_from(data, PWM_LIMIT.address)
-    pwm = _bounded(pwm, pwm_limit)
-    current = _bounded(current, current_limit)
-    velocity = _bounded(velocity, velocity_limit)
-    duty = abs(pwm) / model.whole_pwm_raw
-    current_a = current * model.current_unit_a
-    slope_raw = data[PWM_SLOPE.address]
-    if mode == OperatingMode.CURRENT:
-        return DriveCommand(
-            DriveMode.CURRENT, current_a=sign * current_a, duty=duty, slope_raw=slope_raw
-        )
-    if mode == OperatingMode.VELOCITY:
-        speed = sign * velocity * model.velocity_unit_rad_s
-        return DriveCommand(
-            DriveMode.VELOCITY, velocity_rad_s=speed, duty=duty, slope_raw=slope_raw
-        )
-    if mode == OperatingMode.PWM:
-        duty = sign * pwm / model.whole_pwm_raw
-        return DriveCommand(DriveMode.PWM, duty=duty, slope_raw=slope_raw)
-    limited = mode == OperatingMode.CURRENT_BASED_POSITION
-    if registers.keeps_limits:
-        duty *= min(
-            1.0, abs(velocity) * model.velocity_unit_rad_s / data_sheet(model).no_load_rad_s
-        )
-    if profile == 0 or (limited and is_x330(model)):
-        # No profile is set, or the 330 size has no profile in current-based position mode.
-        profile = acceleration = 0
+    duty = sign * _bounded(pwm, pwm_limit) / model.whole_pwm_raw
+    velocity_rad_s = sign * _bounded(velocity, velocity_limit) * model.velocity_unit_rad_s
+    if mode == OperatingMode.CURRENT_BASED_POSITION:
+        if registers.keeps_limits:
+            duty *= min(1.0, abs(velocity_rad_s) / data_sheet(model).no_load_rad_s)
+        if is_x330(model):
+            profile = acceleration = 0  # the 330 size has no profile in this mode
     d_gain, i_gain, p_gain = _GAINS.unpack_from(data, POSITION_D_GAIN.address)
     return DriveCommand(
-        DriveMode.CURRENT_POSITION if limited else DriveMode.POSITION,
-        current_a=abs(current_a),
+        mode,
+        current_a=sign * _bounded(current, current_limit) * model.current_unit_a,
         position_rad=position.to_rad(goal),
+        velocity_rad_s=velocity_rad_s,
         duty=duty,
         p_gain=p_gain,
         i_gain=i_gain,
         d_gain=d_gain,
-        slope_raw=slope_raw,
+        slope_raw=data[PWM_SLOPE.address],
         profile_velocity_rad_s=profile * model.velocity_unit_rad_s,
         profile_acceleration_rad_s2=acceleration * model.acceleration_unit_rad_s2,
-    )
-
-
-def hold_command(registers: ServoRegisters, angle_rad: float) -> DriveCommand:
-    """Return the command that holds an angle in rad within the present current and PWM limits."""
-    return DriveCommand(
-        DriveMode.CURRENT_POSITION,
-        current_a=abs(registers.get("goal_current")) * registers.model.current_unit_a,
-        position_rad=angle_rad,
-        duty=abs(registers.get("goal_pwm")) / registers.model.whole_pwm_raw,
-        p_gain=registers.get("position_p_gain"),
-        d_gain=registers.get("position_d_gain"),
-        slope_raw=registers.data[PWM_SLOPE.address],
     )
 
 
@@ -294,7 +256,7 @@ class ServoCore:
 
     def refresh(self, now_s: float) -> None:
         """Bring registers 120 to 146 up to date."""
-        follows = self.registers.data[_MODE] in _FOLLOWS_POSITION
+        follows = self.registers.data[_MODE] in FOLLOWS_POSITION
         following = self.torque_on and not self._stopped and follows
         self.position.refresh(now_s - self._booted_s, following=following)
 
@@ -365,7 +327,11 @@ class ServoCore:
         if self.watchdog_stop is WatchdogStop.KEEPS_TURNING:
             return
         self._stopped = True
-        if self.watchdog_stop is WatchdogStop.ZERO_CURRENT:
-            self.plant.drive(DriveCommand(DriveMode.CURRENT))
-        else:
-            self.plant.drive(hold_command(self.registers, self.plant.sensed_rad))
+        stop = DriveCommand(OperatingMode.CURRENT)
+        if self.watchdog_stop is WatchdogStop.HOLD:
+            stop = goal_command(self.registers, self.position)._replace(
+                mode=OperatingMode.CURRENT_BASED_POSITION,
+                position_rad=self.plant.sensed_rad,
+                i_gain=0.0,
+            )
+        self.plant.drive(stop)

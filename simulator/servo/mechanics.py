@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from simulator.errors import SimulatorSettingsError
-from simulator.servo.motor import DriveMode, ServoMotor
+from simulator.servo.motor import ServoMotor
 
 FINGER_INERTIA_KG_M2 = 2e-4
 """Inertia of one finger and its link about the servo's axis in kg m²; an assumption."""
@@ -311,7 +311,7 @@ class FingerMechanics:
         left_rad = self._hands_rad[axis] - theta
         longest_rad = HAND_SPEED_M_S * dt_s / abs(self._linkage.slope_m_rad(theta))
         touching = left_rad < 0.0 and force_n >= HAND_FORCE_N * (3 - len(self.motors))
-        if touching or motor.command.mode is not DriveMode.OFF or abs(left_rad) < longest_rad:
+        if touching or motor.command.mode is not None or abs(left_rad) < longest_rad:
             del self._hands_rad[axis]
             motor.velocity_rad_s = 0.0
             return

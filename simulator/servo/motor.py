@@ -14,10 +14,10 @@ winding, and limits the change of its voltage (PWM Slope). See Rhoban/bam, pull 
 """
 
 import math
-from enum import Enum, IntEnum
+from enum import Enum
 from typing import NamedTuple
 
-from gripper.dynamixel.models import XM430_W350, ServoModel
+from gripper.dynamixel.models import XM430_W350, OperatingMode, ServoModel
 from simulator.servo.control_table import is_x330
 from simulator.servo.data_sheets import data_sheet
 from simulator.servo.encoder import ServoNoise, VelocityRegister
@@ -74,15 +74,14 @@ _LEAST_SUPPLY_V = 0.1
 """Smallest supply in V for the calculation of duty and load: avoids a division by zero."""
 
 
-class DriveMode(IntEnum):
-    """Quantity that the motor regulates."""
-
-    OFF = 0
-    CURRENT = 1
-    VELOCITY = 2
-    POSITION = 3
-    CURRENT_POSITION = 4
-    PWM = 5
+FOLLOWS_POSITION = frozenset(
+    {
+        OperatingMode.POSITION,
+        OperatingMode.EXTENDED_POSITION,
+        OperatingMode.CURRENT_BASED_POSITION,
+    }
+)
+"""Modes with a position loop."""
 
 
 class OverloadRule(Enum):
@@ -99,10 +98,10 @@ class OverloadRule(Enum):
 class DriveCommand(NamedTuple):
     """Command of the servo's firmware to its motor."""
 
-    mode: DriveMode = DriveMode.OFF
-    """What is regulated."""
+    mode: int | None = None
+    """Operating Mode; None: no torque."""
     current_a: float = 0.0
-    """Set-point (CURRENT) or limit of the magnitude (CURRENT_POSITION), A."""
+    """Current in A: set-point (CURRENT) or limit of the magnitude (CURRENT_BASED_POSITION)."""
     position_rad: float = 0.0
     """Goal of the position modes, rad."""
     velocity_rad_s: float = 0.0
@@ -237,7 +236,7 @@ class ServoMotor:
 
     def drive(self, command: DriveCommand) -> None:
         """Take a new command; a change of mode starts the profile at the motor's position."""
-        if command.mode is not self.command.mode:
+        if command.mode != self.command.mode:
             self.reference_rad = self.sensed_rad
             self.reference_velocity_rad_s = 0.0
             self._integral_a = self._integral = 0.0
@@ -247,7 +246,7 @@ class ServoMotor:
         """Measure the current in A: of the winding, or of the supply (330 size)."""
         if self._of_supply:
             return abs(self.duty) * self.current_a
-        if self._noise is None or self.command.mode is DriveMode.OFF:
+        if self._noise is None or self.command.mode is None:
             return self.current_a
         return self.current_a + self._noise.current_a(self.velocity_rad_s)
 
@@ -264,7 +263,7 @@ class ServoMotor:
         count = self.sensed_count
         self._velocity_register.step(count, dt_s)
         command = self.command
-        if command.mode is DriveMode.OFF:
+        if command.mode is None:
             self.current_a = 0.0
             self.duty = 0.0
             self._account(dt_s)
@@ -300,17 +299,17 @@ class ServoMotor:
         """Return the current in A that the mode asks for, or None and the duty."""
         command = self.command
         mode = command.mode
-        if mode is DriveMode.CURRENT_POSITION:
+        if mode == OperatingMode.CURRENT_BASED_POSITION:
             goal_a = self._position_loop(count, dt_s) * self.model.current_unit_a
-            limit_a = command.current_a
+            limit_a = abs(command.current_a)
             return limit_a if goal_a > limit_a else -limit_a if goal_a < -limit_a else goal_a, 0.0
-        if mode is DriveMode.CURRENT:
+        if mode == OperatingMode.CURRENT:
             return command.current_a, 0.0
-        if mode is DriveMode.VELOCITY:
+        if mode == OperatingMode.VELOCITY:
             return self._velocity_loop(dt_s), 0.0
-        if mode is DriveMode.POSITION:
-            return None, math.trunc(self._position_loop(count, dt_s)) / self.model.whole_pwm_raw
-        return None, command.duty
+        if mode == OperatingMode.PWM:
+            return None, command.duty
+        return None, math.trunc(self._position_loop(count, dt_s)) / self.model.whole_pwm_raw
 
     def _position_loop(self, count: int, dt_s: float) -> float:
         """Return the output of the position loop in counts of PWM or Goal Current."""
@@ -356,7 +355,7 @@ class ServoMotor:
             measured_a = abs(self.duty) * current_a if self._of_supply else current_a
             over = measured_a / self._stall_a - _OVERLOAD_CURRENT
         else:
-            follows = self.command.mode in {DriveMode.POSITION, DriveMode.CURRENT_POSITION}
+            follows = self.command.mode in FOLLOWS_POSITION
             loaded = current_a > _OVERLOAD_BLOCKED * self._stall_a
             blocked = follows and loaded and abs(self._error) > _OVERLOAD_PULSES
             over = OVERLOAD_BUDGET_S / _BLOCKED_S if blocked else -OVERLOAD_DUTY

@@ -5,11 +5,10 @@ import math
 import pytest
 
 from gripper.dynamixel.control_table import REGISTERS
-from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W350
+from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W350, OperatingMode
 from simulator.errors import PortUnplugged
 from simulator.servo.bus import MemoryServoStream
 from simulator.servo.firmware import WatchdogStop
-from simulator.servo.motor import DriveMode
 from simulator.servo.protocol2 import Instruction, PacketParser, encode_instruction, encode_status
 from tests.simulator.conftest import ServoBench
 
@@ -481,7 +480,10 @@ def trip(pressing):
 def test_a_trip_holds_the_present_position(pressing):
     trip(pressing)
     command = pressing.motors[0].command
-    assert (command.mode, command.current_a) == (DriveMode.CURRENT_POSITION, pytest.approx(0.269))
+    assert (command.mode, command.current_a) == (
+        OperatingMode.CURRENT_BASED_POSITION,
+        pytest.approx(0.269),
+    )
     held = pressing.motors[0].angle_rad
     pressing.force_n = (0.0, 0.0)
     pressing.clock.sleep(0.5)

@@ -6,9 +6,9 @@ from statistics import mean, pstdev
 
 import pytest
 
-from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W210, XM430_W350
+from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W210, XM430_W350, OperatingMode
 from simulator.servo.encoder import ServoNoise, VelocityRegister
-from simulator.servo.motor import DriveCommand, DriveMode, ServoMotor
+from simulator.servo.motor import DriveCommand, ServoMotor
 
 STEP_S = 1e-3
 
@@ -45,7 +45,7 @@ def test_the_x430_drops_the_fraction_and_the_x330_rounds(model, raw):
 
 def test_a_stuck_encoder_reads_no_velocity_after_its_window():
     motor = ServoMotor()
-    motor.drive(DriveCommand(DriveMode.CURRENT))
+    motor.drive(DriveCommand(OperatingMode.CURRENT))
     motor.velocity_rad_s = 1.0
     for _ in range(300):
         motor.angle_rad += STEP_S
@@ -93,7 +93,7 @@ def test_at_rest_a_count_changes_in_a_quarter_of_the_samples_and_the_velocity_is
 def test_the_measured_current_has_the_noise_of_the_logs(model, speed_rad_s, sd_a):
     motor = ServoMotor(model, noise=ServoNoise("2"))
     motor.velocity_rad_s = speed_rad_s
-    motor.drive(DriveCommand(DriveMode.CURRENT, current_a=0.2))
+    motor.drive(DriveCommand(OperatingMode.CURRENT, current_a=0.2))
     for _ in range(100):
         motor.torque_nm(STEP_S)
     found = [motor.measured_a() for _ in range(1000)]
@@ -110,7 +110,7 @@ def test_the_measured_current_has_the_noise_of_the_logs(model, speed_rad_s, sd_a
 def test_the_supply_of_a_330_size_that_holds_has_the_noise_of_the_logs(duty, sd_v):
     motor = ServoMotor(XL330_M288, noise=ServoNoise("3"))
     motor.voltage_v = 7.3
-    motor.drive(DriveCommand(DriveMode.PWM, duty=duty))
+    motor.drive(DriveCommand(OperatingMode.PWM, duty=duty))
     motor.torque_nm(STEP_S)
     found = [motor.measured_v() for _ in range(1000)]
     assert mean(found) == pytest.approx(7.3, abs=0.1)
@@ -122,6 +122,6 @@ def test_noise_is_that_of_its_seed_and_a_servo_without_it_measures_exactly():
     drawn = [[noise.dither(), noise.current_a(0.0)] for noise in (one, same, other)]
     assert drawn[0] == drawn[1] != drawn[2]
     motor = ServoMotor(XL330_M288)
-    motor.drive(DriveCommand(DriveMode.PWM, duty=0.5))
+    motor.drive(DriveCommand(OperatingMode.PWM, duty=0.5))
     motor.torque_nm(STEP_S)
     assert motor.measured_v() == motor.voltage_v

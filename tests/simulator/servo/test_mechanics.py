@@ -5,7 +5,7 @@ import math
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350
+from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350, OperatingMode as Mode
 from simulator.servo.data_sheets import data_sheet
 from simulator.servo.drawn import drawn_gearing
 from simulator.servo.gearing import (
@@ -19,7 +19,6 @@ from simulator.servo.motor import (
     AMBIENT_C,
     OVERLOAD_BUDGET_S,
     DriveCommand,
-    DriveMode,
     OverloadRule,
     ServoMotor,
 )
@@ -45,25 +44,25 @@ def stall(motor: ServoMotor, command: DriveCommand, duration_s: float = 0.1) -> 
 @pytest.mark.parametrize(("current_a", "torque_nm"), [(1.2, 1.90), (0.3, 0.309), (0.46, 0.592)])
 def test_torque_with_rising_load_follows_the_fit(current_a: float, torque_nm: float):
     motor = ServoMotor(XM430_W350)
-    made_nm = stall(motor, DriveCommand(DriveMode.CURRENT, current_a=current_a))
+    made_nm = stall(motor, DriveCommand(Mode.CURRENT, current_a=current_a))
     assert made_nm - motor.friction_nm() == pytest.approx(torque_nm, abs=0.005)
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=lambda m: m.name)
 def test_full_voltage_gives_stall_current_and_no_load_speed(model):
     motor = ServoMotor(model)
-    stall(motor, DriveCommand(DriveMode.PWM, duty=1.0))
+    stall(motor, DriveCommand(Mode.PWM, duty=1.0))
     # The winding warms by less than 1 K in 0.1 s.
     assert motor.current_a == pytest.approx(model.stall_current_a, rel=3e-3)
     assert motor.duty == pytest.approx(1.0, abs=1e-3)
     motor.velocity_rad_s = model.no_load_rad_s
-    stall(motor, DriveCommand(DriveMode.PWM, duty=1.0))
+    stall(motor, DriveCommand(Mode.PWM, duty=1.0))
     friction_nm = data_sheet(model).friction_nm
     assert motor.current_a * motor.kt_nm_a == pytest.approx(friction_nm, rel=0.01)
 
 
 def test_the_current_loop_settles_within_a_few_ms(motor):
-    motor.drive(DriveCommand(DriveMode.CURRENT, current_a=1.0))
+    motor.drive(DriveCommand(Mode.CURRENT, current_a=1.0))
     motor.torque_nm(STEP_S)
     assert 0.2 < motor.current_a < 0.4
     for _ in range(14):
@@ -72,12 +71,12 @@ def test_the_current_loop_settles_within_a_few_ms(motor):
 
 
 def test_the_pwm_limit_bounds_the_current(motor):
-    stall(motor, DriveCommand(DriveMode.CURRENT, current_a=2.0, duty=0.1))
+    stall(motor, DriveCommand(Mode.CURRENT, current_a=2.0, duty=0.1))
     assert motor.current_a == pytest.approx(0.23, abs=0.005)
 
 
 def test_the_velocity_loop_does_not_wind_up_beyond_the_stall_current(motor):
-    stall(motor, DriveCommand(DriveMode.VELOCITY, velocity_rad_s=2.0), 2.0)
+    stall(motor, DriveCommand(Mode.VELOCITY, velocity_rad_s=2.0), 2.0)
     # Within 2 s it warms by 9 K.
     assert motor.current_a == pytest.approx(XM430_W350.stall_current_a, rel=0.04)
     motor.velocity_rad_s = 2.5
@@ -89,7 +88,7 @@ def test_the_d_gain_brakes():
     def current_a(d_gain: int) -> float:
         motor = ServoMotor(angle_rad=1.0)
         motor.velocity_rad_s = 1.0
-        stall(motor, DriveCommand(DriveMode.POSITION, position_rad=1.0, d_gain=d_gain))
+        stall(motor, DriveCommand(Mode.POSITION, position_rad=1.0, d_gain=d_gain))
         return motor.current_a
 
     assert current_a(1000) < current_a(0) < 0.0
@@ -102,15 +101,15 @@ COUNT = XM430_W350.rad_per_pulse
     ("model", "mode", "gains", "speed_rad_s", "output"),
     [
         # Error of 20 counts, gains P, I, D over 128 (330 size: 256), 65536 and 16.
-        (XM430_W350, DriveMode.POSITION, (800, 0, 0), 0.0, 125),
-        (XM430_W350, DriveMode.CURRENT_POSITION, (800, 0, 0), 0.0, 125),
-        (XL330_M288, DriveMode.POSITION, (400, 0, 0), 0.0, 31),
-        (XL330_M288, DriveMode.CURRENT_POSITION, (400, 0, 0), 0.0, 31.25),
+        (XM430_W350, Mode.POSITION, (800, 0, 0), 0.0, 125),
+        (XM430_W350, Mode.CURRENT_BASED_POSITION, (800, 0, 0), 0.0, 125),
+        (XL330_M288, Mode.POSITION, (400, 0, 0), 0.0, 31),
+        (XL330_M288, Mode.CURRENT_BASED_POSITION, (400, 0, 0), 0.0, 31.25),
         # A speed of one count in a ms.
-        (XM430_W350, DriveMode.POSITION, (0, 0, 800), 1e3 * COUNT, -50),
-        (XM430_W350, DriveMode.CURRENT_POSITION, (0, 0, 800), 1e3 * COUNT, -50),
+        (XM430_W350, Mode.POSITION, (0, 0, 800), 1e3 * COUNT, -50),
+        (XM430_W350, Mode.CURRENT_BASED_POSITION, (0, 0, 800), 1e3 * COUNT, -50),
         # 100 sums.
-        (XM430_W350, DriveMode.POSITION, (0, 6554, 0), 0.0, 200),
+        (XM430_W350, Mode.POSITION, (0, 6554, 0), 0.0, 200),
     ],
 )
 def test_the_position_loop_is_a_pid_in_counts_of_pwm_or_current(
@@ -126,7 +125,7 @@ def test_the_position_loop_is_a_pid_in_counts_of_pwm_or_current(
             mode, current_a=9.0, position_rad=goal, p_gain=p_gain, i_gain=i_gain, d_gain=d_gain
         ),
     )
-    if mode is DriveMode.POSITION:
+    if mode == Mode.POSITION:
         assert motor.duty * model.whole_pwm_raw == pytest.approx(output, abs=0.01)
     else:
         assert motor.measured_a() / model.current_unit_a == pytest.approx(output, rel=1e-3)
@@ -134,7 +133,7 @@ def test_the_position_loop_is_a_pid_in_counts_of_pwm_or_current(
 
 def test_in_mode_5_goal_current_and_goal_pwm_limit_and_the_back_emf_does_not_damp(motor):
     far = DriveCommand(
-        DriveMode.CURRENT_POSITION, current_a=0.4, position_rad=4.0, p_gain=800, duty=1.0
+        Mode.CURRENT_BASED_POSITION, current_a=0.4, position_rad=4.0, p_gain=800, duty=1.0
     )
     for speed_rad_s in (0.0, 1.0):
         motor.velocity_rad_s = speed_rad_s
@@ -150,7 +149,7 @@ def test_in_mode_5_goal_current_and_goal_pwm_limit_and_the_back_emf_does_not_dam
 def test_the_330_size_regulates_the_current_of_its_supply(goal_a, speed_rad_s):
     motor = ServoMotor(XL330_M288)
     motor.velocity_rad_s = speed_rad_s
-    stall(motor, DriveCommand(DriveMode.CURRENT, current_a=goal_a))
+    stall(motor, DriveCommand(Mode.CURRENT, current_a=goal_a))
     ohm = 5.0 / 1.47
     assert abs(motor.duty) * motor.current_a == pytest.approx(goal_a, rel=1e-3)
     assert motor.measured_a() == pytest.approx(goal_a, rel=1e-3)
@@ -160,7 +159,7 @@ def test_the_330_size_regulates_the_current_of_its_supply(goal_a, speed_rad_s):
 
 def test_the_pwm_slope_limits_the_change_of_the_voltage():
     motor, duties = ServoMotor(XL330_M288), []
-    motor.drive(DriveCommand(DriveMode.PWM, duty=1.0, slope_raw=140))
+    motor.drive(DriveCommand(Mode.PWM, duty=1.0, slope_raw=140))
     for _ in range(20):
         motor.torque_nm(STEP_S)
         duties.append(motor.duty)
@@ -172,7 +171,7 @@ def test_the_pwm_slope_limits_the_change_of_the_voltage():
 
 
 def test_a_fifth_of_the_stall_current_warms_the_winding_by_15_degrees_and_the_board_by_6(motor):
-    command = DriveCommand(DriveMode.CURRENT, current_a=0.2 * XM430_W350.stall_current_a)
+    command = DriveCommand(Mode.CURRENT, current_a=0.2 * XM430_W350.stall_current_a)
     motor.drive(command)
     for _ in range(40_000):
         motor.torque_nm(0.05)
@@ -186,7 +185,7 @@ def test_a_fifth_of_the_stall_current_warms_the_winding_by_15_degrees_and_the_bo
 def test_the_board_follows_the_winding_late():
     # 0.8 A of the winding for 2 min: an XL330-M288 reported 11 K.
     motor = ServoMotor(XL330_M288)
-    motor.drive(DriveCommand(DriveMode.PWM, duty=0.8 * 5.0 / 1.47 / 4.2))
+    motor.drive(DriveCommand(Mode.PWM, duty=0.8 * 5.0 / 1.47 / 4.2))
     for _ in range(2400):
         motor.torque_nm(0.05)
     assert motor.current_a == pytest.approx(0.75, abs=0.02)
@@ -195,21 +194,21 @@ def test_the_board_follows_the_winding_late():
     assert motor.winding_rise_k > 4.0 * (motor.temperature_c - AMBIENT_C)
 
 
-BLOCKED = DriveCommand(DriveMode.CURRENT_POSITION, position_rad=9.0, p_gain=800, current_a=0.941)
+BLOCKED = DriveCommand(Mode.CURRENT_BASED_POSITION, position_rad=9.0, p_gain=800, current_a=0.941)
 
 
 @pytest.mark.parametrize(
     ("model", "rule", "command", "trips_s"),
     [
-        (XM430_W350, OverloadRule.DUTY, DriveCommand(DriveMode.CURRENT, current_a=0.941), 5.0),
-        (XM430_W350, OverloadRule.DUTY, DriveCommand(DriveMode.CURRENT, current_a=0.46), None),
-        (XM430_W350, OverloadRule.CURRENT, DriveCommand(DriveMode.CURRENT, current_a=0.941), 3.5),
-        (XM430_W350, OverloadRule.CURRENT, DriveCommand(DriveMode.CURRENT, current_a=0.5), None),
-        (XL330_M288, OverloadRule.CURRENT, DriveCommand(DriveMode.CURRENT, current_a=0.5), 6.1),
-        (XL330_M288, OverloadRule.CURRENT, DriveCommand(DriveMode.CURRENT, current_a=0.3), None),
+        (XM430_W350, OverloadRule.DUTY, DriveCommand(Mode.CURRENT, current_a=0.941), 5.0),
+        (XM430_W350, OverloadRule.DUTY, DriveCommand(Mode.CURRENT, current_a=0.46), None),
+        (XM430_W350, OverloadRule.CURRENT, DriveCommand(Mode.CURRENT, current_a=0.941), 3.5),
+        (XM430_W350, OverloadRule.CURRENT, DriveCommand(Mode.CURRENT, current_a=0.5), None),
+        (XL330_M288, OverloadRule.CURRENT, DriveCommand(Mode.CURRENT, current_a=0.5), 6.1),
+        (XL330_M288, OverloadRule.CURRENT, DriveCommand(Mode.CURRENT, current_a=0.3), None),
         (XM430_W350, OverloadRule.FOLLOWING_ERROR, BLOCKED, 5.0),
         (XM430_W350, OverloadRule.FOLLOWING_ERROR, BLOCKED._replace(current_a=0.2), None),
-        (XM430_W350, OverloadRule.FOLLOWING_ERROR, BLOCKED._replace(mode=DriveMode.CURRENT), None),
+        (XM430_W350, OverloadRule.FOLLOWING_ERROR, BLOCKED._replace(mode=Mode.CURRENT), None),
     ],
 )
 def test_each_rule_of_overload_trips_after_seconds_or_never(model, rule, command, trips_s):
@@ -231,7 +230,7 @@ def test_the_profile_ends_on_the_goal_from_both_sides(acceleration: float):
     for goal_rad in (2.0, 0.5):
         motor.drive(
             DriveCommand(
-                DriveMode.POSITION,
+                Mode.POSITION,
                 position_rad=goal_rad,
                 p_gain=800,
                 profile_velocity_rad_s=2.0,
@@ -249,7 +248,7 @@ def test_the_profile_ends_on_the_goal_from_both_sides(acceleration: float):
 def test_a_profile_turned_round_starts_slowly_again():
     motor = ServoMotor(angle_rad=1.0)
     command = DriveCommand(
-        DriveMode.POSITION,
+        Mode.POSITION,
         position_rad=2.0,
         profile_velocity_rad_s=2.0,
         profile_acceleration_rad_s2=5.0,
@@ -263,7 +262,7 @@ def test_a_profile_turned_round_starts_slowly_again():
 def test_the_duty_is_the_voltage_of_winding_and_back_emf(motor):
     # R = 12 V / 2.3 A; k_e = (12 V - 0.2214 / 1.769 A x R) / 46 rev/min = 2.3555 V s/rad.
     motor.velocity_rad_s = 0.8
-    stall(motor, DriveCommand(DriveMode.CURRENT, current_a=0.5))
+    stall(motor, DriveCommand(Mode.CURRENT, current_a=0.5))
     assert motor.duty == pytest.approx((0.5 * 5.2174 + 0.8 * 2.3555) / 12.0, rel=3e-4)
     motor.kt_factor = 1.2
     stall(motor, motor.command)
@@ -275,7 +274,7 @@ def test_the_duty_is_the_voltage_of_winding_and_back_emf(motor):
 
 def test_factors_change_torque_and_friction(motor):
     motor.kt_factor, motor.friction_factor = 0.8, 1.5
-    made_nm = stall(motor, DriveCommand(DriveMode.CURRENT, current_a=1.0))
+    made_nm = stall(motor, DriveCommand(Mode.CURRENT, current_a=1.0))
     assert made_nm == pytest.approx(0.8 * 1.769, rel=1e-3)
     assert motor.friction_nm() == pytest.approx(1.5 * 0.2214)
     assert motor.viscous_nm_s == pytest.approx(1.5 * ServoMotor().viscous_nm_s)
@@ -365,7 +364,7 @@ def fingers(
 def push(mechanics: FingerMechanics, closing_a: float) -> None:
     """Let every motor close with a current in A."""
     for motor, mount in zip(mechanics.motors, MOUNTS, strict=False):
-        motor.drive(DriveCommand(DriveMode.CURRENT, current_a=-mount.direction * closing_a))
+        motor.drive(DriveCommand(Mode.CURRENT, current_a=-mount.direction * closing_a))
 
 
 def press(mechanics, wall_m, stiffness_n_m, duration_s, dt_s=STEP_S, *, implicit=True):
