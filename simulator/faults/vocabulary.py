@@ -34,7 +34,7 @@ _IDENTITY = {
 """Names for ``unit.wrong``, and the name of each object in the unit's EDS."""
 _TAXELS = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
 """One taxel or a range of them, first and last."""
-_REPORT = "position.reported_offset_raw"
+_REPORT = "reported_offset_raw"
 """Knob of a servo: counts added to the reported position, but not to that of its control loop."""
 _BOOT_APART_S = 0.003
 """Time in s between the boots of servos on one supply; an assumption."""
@@ -118,7 +118,7 @@ def _silence(fault: Fault) -> Undo:
 
 def _drift(fault: Fault, now_s: float) -> None:
     core, drifted_rad = fault.owner, fault.value * (now_s - fault.now_s)
-    core.position.reported_offset_raw = round(drifted_rad / core.model.rad_per_pulse)
+    core.reported_offset_raw = round(drifted_rad / core.model.rad_per_pulse)
 
 
 def _remount(fault: Fault) -> Undo:

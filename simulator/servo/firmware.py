@@ -74,109 +74,6 @@ _TEMPERATURE_LIMIT, _VOLTAGE = TEMPERATURE_LIMIT.address, MAX_VOLTAGE_LIMIT.addr
 """Addresses of items that each step of the motor reads; the lowest voltage follows the highest."""
 
 
-class ServoPosition:
-    """Angle of the motor as position in counts, with turns and offsets, and the present values."""
-
-    def __init__(self, registers: ServoRegisters, plant: ServoMotor) -> None:
-        self.reported_offset_raw = 0
-        """Fault: counts added to the reported position; the control loop of the servo does not use
-        them."""
-        self._registers = registers
-        self._plant = plant
-        self._turn_offset = 0
-        self._model = registers.model
-
-    @property
-    def sign(self) -> int:
-        """-1 in reverse mode (Drive Mode bit 0), else 1."""
-        return -1 if self._registers.data[_DRIVE] & REVERSE_MODE else 1
-
-    def present_raw(self) -> int:
-        """Return Present Position: sensed angle in counts, folded."""
-        return self.to_raw(self._plant.sensed_rad)
-
-    def fold_turns(self) -> None:
-        """Reduce the position to one turn: 0 to 4095."""
-        actual, turn = self.sign * self._plant.sensed_count, self._model.pulses_per_turn
-        self._turn_offset = -(actual // turn) * turn
-
-    def to_raw(self, angle_rad: float) -> int:
-        """Return the position in counts of a motor angle in rad."""
-        return self.sign * self._counts(angle_rad) + self._turn_offset
-
-    def to_rad(self, raw: int) -> float:
-        """Return the motor angle in rad of a position in counts."""
-        return self.sign * (raw - self._turn_offset) * self._model.rad_per_pulse
-
-    def refresh(self, uptime_s: float, *, following: bool) -> None:
-        """Bring registers 120 to 146 up to date.
-
-        Parameters
-        ----------
-        following
-            Whether the motor follows Goal Position.
-        """
-        plant, sign, offset = self._plant, self.sign, self._turn_offset
-        data = self._registers.data
-        velocity_raw = sign * plant.sensed_velocity_raw
-        position_raw = sign * plant.sensed_count + offset
-        trajectory_raw = sign * self._counts(plant.reference_rad) + offset
-        _, _, _, _, profile, goal_raw = _GOALS.unpack_from(data, GOAL_START)
-        status = _ARRIVED if abs(position_raw - goal_raw) <= IN_POSITION_PULSES else 0
-        if following:
-            status |= _PROFILE_ONGOING if trajectory_raw != goal_raw else 0
-            status |= _TRAPEZOIDAL_PROFILE if profile else 0
-        (threshold,) = _THRESHOLD.unpack_from(data, MOVING_THRESHOLD.address)
-        _PRESENT.pack_into(
-            data,
-            PRESENT_START,
-            math.floor(uptime_s * _TICKS_PER_S + _ROUNDING_TICKS) % TICK_MODULO,
-            abs(velocity_raw) > threshold,
-            status,
-            round(sign * plant.duty * self._model.whole_pwm_raw),
-            round(sign * plant.measured_a() / self._model.current_unit_a),
-            velocity_raw,
-            position_raw + self.reported_offset_raw,
-            round(sign * plant.reference_velocity_rad_s / self._model.velocity_unit_rad_s),
-            trajectory_raw,
-            max(0, round(plant.measured_v() / self._model.voltage_unit_v)),
-            min(max(round(plant.temperature_c), 0), 255),
-        )
-
-    def _counts(self, angle_rad: float) -> int:
-        return math.floor(angle_rad / self._model.rad_per_pulse + 0.5)
-
-
-def goal_command(registers: ServoRegisters, position: ServoPosition) -> DriveCommand:
-    """Return the command to the motor by Operating Mode, goals, limits and gains."""
-    data, model = registers.data, registers.model
-    mode, sign = data[_MODE], position.sign
-    pwm, current, velocity, acceleration, profile, goal = _GOALS.unpack_from(data, GOAL_START)
-    # A limit that was lowered after the write of the goal still applies.
-    pwm_limit, current_limit, velocity_limit = _LIMITS.unpack_from(data, PWM_LIMIT.address)
-    duty = sign * _bounded(pwm, pwm_limit) / model.whole_pwm_raw
-    velocity_rad_s = sign * _bounded(velocity, velocity_limit) * model.velocity_unit_rad_s
-    if mode == OperatingMode.CURRENT_BASED_POSITION:
-        if registers.keeps_limits:
-            duty *= min(1.0, abs(velocity_rad_s) / data_sheet(model).no_load_rad_s)
-        if is_x330(model):
-            profile = acceleration = 0  # the 330 size has no profile in this mode
-    d_gain, i_gain, p_gain = _GAINS.unpack_from(data, POSITION_D_GAIN.address)
-    return DriveCommand(
-        mode,
-        current_a=sign * _bounded(current, current_limit) * model.current_unit_a,
-        position_rad=position.to_rad(goal),
-        velocity_rad_s=velocity_rad_s,
-        duty=duty,
-        p_gain=p_gain,
-        i_gain=i_gain,
-        d_gain=d_gain,
-        slope_raw=data[PWM_SLOPE.address],
-        profile_velocity_rad_s=profile * model.velocity_unit_rad_s,
-        profile_acceleration_rad_s2=acceleration * model.acceleration_unit_rad_s2,
-    )
-
-
 def _bounded(raw: int, limit: int) -> int:
     return -limit if raw < -limit else limit if raw > limit else raw
 
@@ -205,25 +102,23 @@ class ServoCore:
         settings: Mapping[str, int] | None = None,
     ) -> None:
         self.registers = ServoRegisters(model, {**(settings or {}), "id": servo_id})
-        self.position = ServoPosition(self.registers, plant)
-        """The servo's registers, and its counts."""
         self.plant = plant
+        self.model = model
         self.watchdog_stop = WatchdogStop.HOLD
         """Effect of a tripped bus watchdog on the motor."""
         self.injected_error = 0
         """Bits of Hardware Error Status set by a fault knob."""
         self.silent_until_s = -math.inf
         """End of the silence after a reboot in s."""
+        self.reported_offset_raw = 0
+        """Fault: counts added to the reported position; the control loop of the servo does not use
+        them."""
+        self._turn_offset = 0
         self._fed_s = 0.0
         self._watchdog_s = math.inf
         self._stopped = False  # by the watchdog, until the next goal
         self._booted_s = 0.0
         self.boot(0.0, blackout_s=0.0)
-
-    @property
-    def model(self) -> ServoModel:
-        """The servo model."""
-        return self.registers.model
 
     @property
     def torque_on(self) -> bool:
@@ -249,16 +144,57 @@ class ServoCore:
         self._watchdog_s = math.inf
         self._stopped = False
         self.plant.load_excess_s = 0.0
-        self.position.fold_turns()
-        self.registers.put("goal_position", self.position.present_raw())
+        self._fold_turns()
+        self.registers.put("goal_position", self.present_raw())
         self.registers.data[_TORQUE] = 0
         self.apply_goals()
 
+    @property
+    def _sign(self) -> int:
+        """-1 in reverse mode (Drive Mode bit 0), else 1."""
+        return -1 if self.registers.data[_DRIVE] & REVERSE_MODE else 1
+
+    def present_raw(self) -> int:
+        """Return Present Position: sensed angle in counts, folded."""
+        return self._sign * self._counts(self.plant.sensed_rad) + self._turn_offset
+
+    def _fold_turns(self) -> None:
+        """Reduce the position to one turn: 0 to 4095."""
+        actual, turn = self._sign * self.plant.sensed_count, self.model.pulses_per_turn
+        self._turn_offset = -(actual // turn) * turn
+
+    def _counts(self, angle_rad: float) -> int:
+        return math.floor(angle_rad / self.model.rad_per_pulse + 0.5)
+
     def refresh(self, now_s: float) -> None:
         """Bring registers 120 to 146 up to date."""
-        follows = self.registers.data[_MODE] in FOLLOWS_POSITION
-        following = self.torque_on and not self._stopped and follows
-        self.position.refresh(now_s - self._booted_s, following=following)
+        plant, model, sign, offset = self.plant, self.model, self._sign, self._turn_offset
+        data = self.registers.data
+        velocity_raw = sign * plant.sensed_velocity_raw
+        position_raw = sign * plant.sensed_count + offset
+        trajectory_raw = sign * self._counts(plant.reference_rad) + offset
+        _, _, _, _, profile, goal_raw = _GOALS.unpack_from(data, GOAL_START)
+        status = _ARRIVED if abs(position_raw - goal_raw) <= IN_POSITION_PULSES else 0
+        if self.torque_on and not self._stopped and data[_MODE] in FOLLOWS_POSITION:
+            status |= _PROFILE_ONGOING if trajectory_raw != goal_raw else 0
+            status |= _TRAPEZOIDAL_PROFILE if profile else 0
+        (threshold,) = _THRESHOLD.unpack_from(data, MOVING_THRESHOLD.address)
+        ticks = math.floor((now_s - self._booted_s) * _TICKS_PER_S + _ROUNDING_TICKS)
+        _PRESENT.pack_into(
+            data,
+            PRESENT_START,
+            ticks % TICK_MODULO,
+            abs(velocity_raw) > threshold,
+            status,
+            round(sign * plant.duty * model.whole_pwm_raw),
+            round(sign * plant.measured_a() / model.current_unit_a),
+            velocity_raw,
+            position_raw + self.reported_offset_raw,
+            round(sign * plant.reference_velocity_rad_s / model.velocity_unit_rad_s),
+            trajectory_raw,
+            max(0, round(plant.measured_v() / model.voltage_unit_v)),
+            min(max(round(plant.temperature_c), 0), 255),
+        )
 
     def goal_written(self) -> None:
         """Carry out new goals; a motor that the watchdog stopped follows goals again."""
@@ -269,20 +205,49 @@ class ServoCore:
         """Compute the command for the motor from mode, goals, limits and gains."""
         if self._stopped:
             return
-        command = goal_command(self.registers, self.position) if self.torque_on else DriveCommand()
+        command = self._goal_command() if self.torque_on else DriveCommand()
         self.plant.drive(command)
+
+    def _goal_command(self) -> DriveCommand:
+        """Return the command to the motor by Operating Mode, goals, limits and gains."""
+        data, model = self.registers.data, self.model
+        mode, sign = data[_MODE], self._sign
+        pwm, current, velocity, acceleration, profile, goal = _GOALS.unpack_from(data, GOAL_START)
+        # A limit that was lowered after the write of the goal still applies.
+        pwm_limit, current_limit, velocity_limit = _LIMITS.unpack_from(data, PWM_LIMIT.address)
+        duty = sign * _bounded(pwm, pwm_limit) / model.whole_pwm_raw
+        velocity_rad_s = sign * _bounded(velocity, velocity_limit) * model.velocity_unit_rad_s
+        if mode == OperatingMode.CURRENT_BASED_POSITION:
+            if self.registers.keeps_limits:
+                duty *= min(1.0, abs(velocity_rad_s) / data_sheet(model).no_load_rad_s)
+            if is_x330(model):
+                profile = acceleration = 0  # the 330 size has no profile in this mode
+        d_gain, i_gain, p_gain = _GAINS.unpack_from(data, POSITION_D_GAIN.address)
+        return DriveCommand(
+            mode,
+            current_a=sign * _bounded(current, current_limit) * model.current_unit_a,
+            position_rad=sign * (goal - self._turn_offset) * model.rad_per_pulse,
+            velocity_rad_s=velocity_rad_s,
+            duty=duty,
+            p_gain=p_gain,
+            i_gain=i_gain,
+            d_gain=d_gain,
+            slope_raw=data[PWM_SLOPE.address],
+            profile_velocity_rad_s=profile * model.velocity_unit_rad_s,
+            profile_acceleration_rad_s2=acceleration * model.acceleration_unit_rad_s2,
+        )
 
     def change_mode(self) -> None:
         """Carry out the side effects of writing Operating Mode."""
         self.registers.change_mode()
         if self.registers.data[_MODE] == OperatingMode.POSITION:
-            self.position.fold_turns()
+            self._fold_turns()
 
     def set_torque(self, *, on: bool) -> None:
         """Switch the torque; switching it on in position mode reduces the position to one turn."""
         one_turn = self.registers.data[_MODE] == OperatingMode.POSITION
         if on and not self.torque_on and one_turn:
-            self.position.fold_turns()
+            self._fold_turns()
         self.registers.data[_TORQUE] = 1 if on else 0
         self._stopped = self._stopped and on
         self.apply_goals()
@@ -329,7 +294,7 @@ class ServoCore:
         self._stopped = True
         stop = DriveCommand(OperatingMode.CURRENT)
         if self.watchdog_stop is WatchdogStop.HOLD:
-            stop = goal_command(self.registers, self.position)._replace(
+            stop = self._goal_command()._replace(
                 mode=OperatingMode.CURRENT_BASED_POSITION,
                 position_rad=self.plant.sensed_rad,
                 i_gain=0.0,

@@ -135,7 +135,7 @@ def _knobs(cell: SimulatedCell) -> Any:
         (
             servo.core.watchdog_stop,
             servo.core.injected_error,
-            servo.core.position.reported_offset_raw,
+            servo.core.reported_offset_raw,
             servo.core.registers.get("current_limit"),
             round(servo.core.plant.temperature_c, 3),
             servo.core.plant.voltage_v,

@@ -29,7 +29,7 @@ def rusty(driver: Any) -> Iterator[Any]:
 
 
 def present(driver: Any, servo_id: int) -> int:
-    return driver.bench.servos[servo_id - 1].core.position.present_raw()
+    return driver.bench.servos[servo_id - 1].core.present_raw()
 
 
 def registers(driver: Any, servo_id: int) -> Any:
