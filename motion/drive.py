@@ -15,7 +15,7 @@ from canopen.nmt import NMT_COMMANDS, NMT_STATES
 from motion import errors, object_dictionary as od
 from motion.axis import POLL_S, Axis, AxisSettings
 from motion.bus import HOST_NODE, DriveBus
-from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, State, Status
+from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, Status
 from tactile.can.sdo_client import (
     COB_SDO_REQUEST,
     COB_SDO_RESPONSE,
@@ -55,14 +55,14 @@ _QUICK_STOP_REQUEST = struct.pack("<BHBHH", 0x2B, 0x6040, 0, Control.QUICK_STOP,
 """SDO request that writes a controlword of two bytes (CiA 301, 7.2.4.3.3)."""
 
 _NEXT = {
-    State.SWITCH_ON_DISABLED: Control.SHUTDOWN,
-    State.READY_TO_SWITCH_ON: Control.SWITCH_ON,
-    State.SWITCHED_ON: Control.ENABLE_OPERATION,
+    "SWITCH ON DISABLED": Control.SHUTDOWN,
+    "READY TO SWITCH ON": Control.SWITCH_ON,
+    "SWITCHED ON": Control.ENABLE_OPERATION,
     # The direct way back, transition 16, is optional (CiA 402-2).
-    State.QUICK_STOP_ACTIVE: Control.DISABLE_VOLTAGE,
+    "QUICK STOP ACTIVE": Control.DISABLE_VOLTAGE,
 }
 """Controlword that leads from each state towards OPERATION ENABLED."""
-_AT_FAULT = (State.FAULT, State.FAULT_REACTION_ACTIVE)
+_AT_FAULT = ("FAULT", "FAULT REACTION ACTIVE")
 """States of a drive at fault."""
 
 
@@ -129,8 +129,8 @@ class Cia402Drive(Axis):
                 "node-ID"
             )
         state = self._state()
-        words = f"{state.words}, position {self.read_increments()} increments"
-        if state is State.FAULT:
+        words = f"{state}, position {self.read_increments()} increments"
+        if state == "FAULT":
             words += f", {od.error_code_text(self._read('Error code'))}"
         self._watch.pause(POLL_S)
         self.check()
@@ -154,7 +154,7 @@ class Cia402Drive(Axis):
             errors.AxisNotOperational,
             _START_S,
         )
-        if self._state() is State.OPERATION_ENABLED:
+        if self._state() == "OPERATION ENABLED":
             # It may still move: a silent drive could not be stopped.
             self._write("Controlword", Control.QUICK_STOP)
             braking_s = self.settings.velocity / self.settings.acceleration
@@ -180,7 +180,7 @@ class Cia402Drive(Axis):
         self._heard_s = self._bus.clock.monotonic()
         self._surplus = self._client.surplus
         self._supervised = True
-        if self._state() is State.QUICK_STOP_ACTIVE:
+        if self._state() == "QUICK STOP ACTIVE":
             self._enable()
         self._enabled_status()
 
@@ -230,7 +230,7 @@ class Cia402Drive(Axis):
         self._supervised = False
         slow = self.settings.counts(self.settings.velocity) * _STILL_SHARE
         still = abs(self._read("Velocity actual value")) <= slow
-        return still and self._state() is not State.OPERATION_ENABLED
+        return still and self._state() != "OPERATION ENABLED"
 
     def check(self) -> None:
         """Raise an error from heartbeat, emergencies and answers since the last check."""
@@ -274,11 +274,6 @@ class Cia402Drive(Axis):
             "operational"
         )
 
-    def _fault(self, code: int) -> errors.AxisFault:
-        return errors.AxisFault(
-            f"{self.label} is at fault, {od.error_code_text(code)}: remedy the cause"
-        )
-
     def _set_up(self) -> None:
         settings, counts = self.settings, self.settings.counts
         low, high = settings.limits
@@ -307,12 +302,10 @@ class Cia402Drive(Axis):
 
     def _enable(self) -> None:
         def enabled() -> bool:
-            state = self._state()
-            if state in _AT_FAULT:
-                raise self._fault(self._read("Error code"))
+            state = self._sound_state(self._status())
             if state in _NEXT:
                 self._write("Controlword", _NEXT[state])
-            return state is State.OPERATION_ENABLED
+            return state == "OPERATION ENABLED"
 
         failure = "is not enabled: check its power stage, enable input and safe torque off"
         self._until(enabled, failure, errors.AxisMissing)
@@ -376,13 +369,11 @@ class Cia402Drive(Axis):
         return status
 
     def _check_enabled(self, status: int) -> None:
-        state = State.of(status)
-        if state in _AT_FAULT:
-            raise self._fault(self._read("Error code"))
-        if state is not State.OPERATION_ENABLED:
-            restarted = state is State.SWITCH_ON_DISABLED
+        state = self._sound_state(status)
+        if state != "OPERATION ENABLED":
+            restarted = state == "SWITCH ON DISABLED"
             raise (errors.AxisRestarted if restarted else errors.AxisFault)(
-                f"{self.label} left OPERATION ENABLED for {state.words}: it has restarted, another "
+                f"{self.label} left OPERATION ENABLED for {state}: it has restarted, another "
                 "master commands it, or its enable input or safe torque off is open"
             )
 
@@ -400,8 +391,16 @@ class Cia402Drive(Axis):
             self._watch.pause(POLL_S)
             self.check()
 
-    def _state(self) -> State:
-        return State.of(self._status())
+    def _state(self) -> str:
+        return od.state_of(self._status())
+
+    def _sound_state(self, status: int) -> str:
+        """Return the state of a statusword. Raises AxisFault for a drive at fault."""
+        state = od.state_of(status)
+        if state in _AT_FAULT:
+            code = od.error_code_text(self._read("Error code"))
+            raise errors.AxisFault(f"{self.label} is at fault, {code}: remedy the cause")
+        return state
 
     def _status(self) -> int:
         return self._read("Statusword")

@@ -12,6 +12,7 @@ from types import MappingProxyType
 
 import canopen
 from canopen.emcy import EmcyError
+from canopen.profiles.p402 import State402
 
 EDS_PATH = Path(__file__).with_name("drive.eds")
 
@@ -69,34 +70,10 @@ class Status(IntFlag):
     """Following error; in homing mode: homing error."""
 
 
-class State(IntEnum):
-    """States of a drive (CiA 402-2), each with its bits in the statusword."""
-
-    NOT_READY_TO_SWITCH_ON = 0x00
-    SWITCH_ON_DISABLED = 0x40
-    READY_TO_SWITCH_ON = 0x21
-    SWITCHED_ON = 0x23
-    OPERATION_ENABLED = 0x27
-    QUICK_STOP_ACTIVE = 0x07
-    FAULT_REACTION_ACTIVE = 0x0F
-    FAULT = 0x08
-    UNKNOWN = -1
-    """No state of CiA 402."""
-
-    @property
-    def words(self) -> str:
-        """Name of the state in the standard."""
-        return self.name.replace("_", " ")
-
-    @classmethod
-    def of(cls, statusword: int) -> "State":
-        """Return the state of a statusword."""
-        bits = statusword & 0x4F
-        return cls(bits if bits in (0x00, 0x40, 0x0F, 0x08) else statusword & 0x6F)
-
-    @classmethod
-    def _missing_(cls, value: object) -> "State":
-        return cls.UNKNOWN
+def state_of(statusword: int) -> str:
+    """Return the state of a drive by its name in CiA 402-2; UNKNOWN for no state."""
+    states = State402.SW_MASK.items()
+    return next((name for name, (mask, bits) in states if statusword & mask == bits), "UNKNOWN")
 
 
 FOLLOWING_ERROR_CODE = 0x8611

@@ -61,7 +61,7 @@ class CellDevices:
             for entry, motor in zip(settings.servos, motors, strict=True)
         ]
         self.servo_bus = ServoBusDevice(servos, settings.servo_baud_rate)
-        self.servo_bus.faults.seed = settings.seed
+        self.servo_bus.faults.rng.seed(settings.seed)
         unit_faults = ControlUnitFaults()
         if settings.mounts:
             order = taxel_order(settings.layout, settings.mounts)

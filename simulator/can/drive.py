@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import canopen
 from canopen.objectdictionary import ODVariable
+from canopen.profiles.p402 import State402
 
 from motion import object_dictionary as od
-from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, State, Status
+from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, Status
 from simulator.can.node import BOOT_S, RESETS, CanopenDevice
 from simulator.can.object_dictionary import NO_SUBINDEX, VALUE_RANGE, WRONG_STATE
 from simulator.can.profile_motion import ProfileMotion
@@ -27,7 +28,7 @@ _START_BIT, _RESET_BIT = 0x10, 0x80
 """Bits of the controlword (CiA 402-2)."""
 _STANDING = 100.0
 """Largest speed in increments/s of a mechanism that counts as standing."""
-_POWERED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+_POWERED = ("OPERATION ENABLED", "QUICK STOP ACTIVE", "FAULT REACTION ACTIVE")
 """States in which the motor has current."""
 
 
@@ -97,7 +98,7 @@ class SimulatedDrive(CanopenDevice):
     @property
     def statusword(self) -> int:
         """Object 6041h."""
-        word = self.state | Status.REMOTE | Status.VOLTAGE_ENABLED
+        word = State402.SW_MASK[self.state][1] | Status.REMOTE | Status.VOLTAGE_ENABLED
         word |= Status.TARGET_REACHED if self._reached else 0
         word |= Status.INTERNAL_LIMIT if self._at_switch else 0
         word |= Status.ACKNOWLEDGED if self._acknowledged else 0
@@ -108,7 +109,7 @@ class SimulatedDrive(CanopenDevice):
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s: boot-up, heartbeat, motion."""
         if self._boot(now_s):
-            self.state = State.SWITCH_ON_DISABLED
+            self.state = "SWITCH ON DISABLED"
         self._network.run(now_s, mute=self.dead)
         self._network.now_s = now_s
         if now_s >= self._host_due_s:
@@ -146,7 +147,7 @@ class SimulatedDrive(CanopenDevice):
         """Switch the power off and on: set-up and position are lost, the axis does not move."""
         self._node.nmt.stop_heartbeat()
         self._node.data_store.clear()
-        self.state = State.NOT_READY_TO_SWITCH_ON
+        self.state = "NOT READY TO SWITCH ON"
         self._error_code = self._control = 0
         self._acknowledged = self._reached = self._at_switch = False
         self._host_due_s = math.inf
@@ -158,12 +159,12 @@ class SimulatedDrive(CanopenDevice):
 
     def fail(self, code: int) -> None:
         """Go to fault: brake, then switch the power stage off; error code and EMCY."""
-        if self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        if self.state in ("FAULT", "FAULT REACTION ACTIVE"):
             return
         powered = self.state in _POWERED
         self._error_code = code
         self._homing = None
-        self.state = State.FAULT_REACTION_ACTIVE if powered else State.FAULT
+        self.state = "FAULT REACTION ACTIVE" if powered else "FAULT"
         self.motion.stop(self._number("Quick stop deceleration") or 1e6)
         self._node.emcy.send(code, _REGISTER_GENERIC, b"")
 
@@ -203,55 +204,55 @@ class SimulatedDrive(CanopenDevice):
         """Carry out a controlword (CiA 402-2, transitions 2 to 16)."""
         before, self._control = self._control, word
         if word & _RESET_BIT and not before & _RESET_BIT:
-            if self.state is State.FAULT:
-                self.state, self._error_code, self._lag_s = State.SWITCH_ON_DISABLED, 0, 0.0
+            if self.state == "FAULT":
+                self.state, self._error_code, self._lag_s = "SWITCH ON DISABLED", 0, 0.0
                 self._node.emcy.send(0, 0, b"")
             return
         if self.state in (
-            State.FAULT,
-            State.FAULT_REACTION_ACTIVE,
-            State.NOT_READY_TO_SWITCH_ON,
+            "FAULT",
+            "FAULT REACTION ACTIVE",
+            "NOT READY TO SWITCH ON",
         ):
             return
         low = word & 0x0F
         if not low & _VOLTAGE_BIT:
-            self._switch_off(State.SWITCH_ON_DISABLED)
+            self._switch_off("SWITCH ON DISABLED")
         elif not low & _NO_QUICK_STOP_BIT:
             self._quick_stop()
-        elif self.state is State.QUICK_STOP_ACTIVE:
+        elif self.state == "QUICK STOP ACTIVE":
             pass  # transition 16 is optional: this drive lacks it
         elif low & (_SWITCHED_ON_BIT | _ENABLE_BIT) == 0 or low == Control.SHUTDOWN:
-            self._switch_off(State.READY_TO_SWITCH_ON)
-        elif self.state is not State.SWITCH_ON_DISABLED:
+            self._switch_off("READY TO SWITCH ON")
+        elif self.state != "SWITCH ON DISABLED":
             self._switch_on(low)
-        if self.state is State.OPERATION_ENABLED:
+        if self.state == "OPERATION ENABLED":
             self._start(word, rising=bool(word & _START_BIT and not before & _START_BIT))
 
-    def _switch_off(self, state: State) -> None:
+    def _switch_off(self, state: str) -> None:
         self.motion.freeze()
         self._homing = None
         self.state = state
 
     def _switch_on(self, low: int) -> None:
         if low == Control.SWITCH_ON:
-            if self.state is State.OPERATION_ENABLED:
+            if self.state == "OPERATION ENABLED":
                 self.motion.freeze()
-            self.state = State.SWITCHED_ON
+            self.state = "SWITCHED ON"
         elif low == Control.ENABLE_OPERATION:
-            self.state = State.OPERATION_ENABLED
+            self.state = "OPERATION ENABLED"
 
     def _abort_connection(self) -> None:
         """Carry out the option of 6007h when the host is lost or stopped the node (CiA 402-2)."""
         stops = self._number("Abort connection option code") == od.STOP_WHEN_HOST_IS_LOST
-        if stops and self.state is State.OPERATION_ENABLED:
+        if stops and self.state == "OPERATION ENABLED":
             self._quick_stop()
 
     def _quick_stop(self) -> None:
-        if self.state is not State.OPERATION_ENABLED:
-            if self.state is not State.QUICK_STOP_ACTIVE:
-                self._switch_off(State.SWITCH_ON_DISABLED)
+        if self.state != "OPERATION ENABLED":
+            if self.state != "QUICK STOP ACTIVE":
+                self._switch_off("SWITCH ON DISABLED")
             return
-        self.state = State.QUICK_STOP_ACTIVE
+        self.state = "QUICK STOP ACTIVE"
         self._homing = None
         self.motion.stop(self._number("Quick stop deceleration") or 1e6)
 
@@ -283,12 +284,12 @@ class SimulatedDrive(CanopenDevice):
         if self._homing is not None:
             if next(self._homing, True):
                 self._homing = None
-        elif self.state is State.OPERATION_ENABLED:
+        elif self.state == "OPERATION ENABLED":
             self._watch_switches()
         motion.step(STEP_S, blocked=self.blocked)
-        if self.state is State.FAULT_REACTION_ACTIVE and self._stands:
-            self._switch_off(State.FAULT)
-        if self.state is State.OPERATION_ENABLED:
+        if self.state == "FAULT REACTION ACTIVE" and self._stands:
+            self._switch_off("FAULT")
+        if self.state == "OPERATION ENABLED":
             self._watch_lag()
             if (
                 self._number("Modes of operation") == ModeOfOperation.PROFILE_POSITION

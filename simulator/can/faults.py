@@ -1,7 +1,7 @@
 """Fault knobs of the CAN link and of the control unit; all of them are off by default."""
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from operator import attrgetter
 
@@ -45,6 +45,35 @@ class CanLinkFaults:
     error frame."""
     unplugged: bool = knob("can.unplugged", "the host's adapter is unplugged")
     """Sending and receiving fail."""
+
+    def pass_on(
+        self, t_s: float, data: bytes, rng: np.random.Generator
+    ) -> Iterator[tuple[float, int, bytes]]:
+        """Yield the results of one message: any number of (arrival in s, length code, data)."""
+        if self.bus_off:
+            return
+        if self.drop_next:
+            self.drop_next -= 1
+            return
+        chance = rng.random(5).tolist()
+        if chance[0] < self.drop_rate:
+            return
+        t_s += self.delay_s
+        if chance[1] < self.swap_rate:
+            t_s += _SWAP_S
+        if data and chance[2] < self.corrupt_rate:
+            bit = int(rng.integers(8 * len(data)))
+            turned = bytearray(data)
+            turned[bit // 8] ^= 1 << bit % 8
+            data = bytes(turned)
+        if data and self.wrong_dlc_rate and rng.random() < self.wrong_dlc_rate:
+            data = data[: int(rng.integers(len(data)))]
+        code = len(data)
+        if data and chance[3] < self.truncate_rate:
+            data = data[: int(rng.integers(len(data)))]
+        yield t_s, code, data
+        if chance[4] < self.duplicate_rate:
+            yield t_s, code, data
 
     @property
     def disturbs(self) -> bool:
@@ -151,40 +180,3 @@ class ControlUnitFaults:
         if (force_n, centre) == (message.force_n, message.centre_taxels):
             return message
         return replace(message, force_n=force_n, centre_taxels=centre)
-
-
-@dataclass(slots=True)
-class Disturber:
-    """Applies the faults of a link to single messages, given as (time in s, identifier, data)."""
-
-    faults: CanLinkFaults
-    """The knobs."""
-    rng: np.random.Generator
-
-    def pass_on(self, t_s: float, data: bytes) -> Iterable[tuple[float, int, bytes]]:
-        """Return the results of one message: any number of (arrival in s, length code, data)."""
-        faults = self.faults
-        if faults.bus_off:
-            return
-        if faults.drop_next:
-            faults.drop_next -= 1
-            return
-        chance = self.rng.random(5).tolist()
-        if chance[0] < faults.drop_rate:
-            return
-        t_s += faults.delay_s
-        if chance[1] < faults.swap_rate:
-            t_s += _SWAP_S
-        if data and chance[2] < faults.corrupt_rate:
-            bit = int(self.rng.integers(8 * len(data)))
-            turned = bytearray(data)
-            turned[bit // 8] ^= 1 << bit % 8
-            data = bytes(turned)
-        if data and faults.wrong_dlc_rate and self.rng.random() < faults.wrong_dlc_rate:
-            data = data[: int(self.rng.integers(len(data)))]
-        code = len(data)
-        if data and chance[3] < faults.truncate_rate:
-            data = data[: int(self.rng.integers(len(data)))]
-        yield t_s, code, data
-        if chance[4] < faults.duplicate_rate:
-            yield t_s, code, data

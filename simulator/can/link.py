@@ -14,7 +14,7 @@ from typing import Protocol
 import can
 import numpy as np
 
-from simulator.can.faults import CanLinkFaults, Disturber
+from simulator.can.faults import CanLinkFaults
 from simulator.can.node import SendBurst
 from simulator.can.wire import Burst, CanWire
 
@@ -78,7 +78,7 @@ class CanLink:
         """Bit rate in bit/s; a host with another one has no communication."""
         self._devices = list(devices)
         self._wire = CanWire(bitrate)
-        self._disturber = Disturber(self.faults, np.random.default_rng(seed))
+        self._rng = np.random.default_rng(seed)
         self._inbox: deque[can.Message] = deque()
         self._flood_due_s = math.inf
         self._reported = (False, False)
@@ -174,14 +174,14 @@ class CanLink:
     ) -> Iterator[can.Message]:
         """Yield the arrivals of messages that were sent at these times, with the faults."""
         for through_s, data in zip(ends_s, messages, strict=True):
-            for arrival_s, code, changed in self._disturber.pass_on(through_s, data):
+            for arrival_s, code, changed in self.faults.pass_on(through_s, data, self._rng):
                 yield can.Message(arrival_s, can_id, False, dlc=code, data=changed)
 
     def _flood(self, now_s: float) -> None:
         if math.isinf(self._flood_due_s):
             self._flood_due_s = now_s
         while self._flood_due_s <= now_s:
-            data = self._disturber.rng.bytes(8)
+            data = self._rng.bytes(8)
             self._wire.put(Burst(self._flood_due_s, _FLOOD_ID, (data,), False, _Sender.FLOOD))
             self._flood_due_s += 1.0 / self.faults.flood_hz
 

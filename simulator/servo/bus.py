@@ -7,6 +7,7 @@ delay. In a group read each servo waits for the answers before its own.
 import functools
 import heapq
 import itertools
+import math
 import operator
 import struct
 from collections.abc import Iterable, Sequence
@@ -20,7 +21,6 @@ from simulator.servo.faults import WireFaults
 from simulator.servo.protocol2 import (
     BROADCAST_ID,
     HEADER,
-    MAX_ID,
     STATUS,
     Instruction,
     Packet,
@@ -33,6 +33,8 @@ BITS_PER_BYTE = 10
 """Bits on the line for one byte: start bit, 8 data bits, stop bit."""
 _PLACE = struct.Struct("<HH")
 """Address and size in a group instruction."""
+_ROUNDING = 1e-6
+"""Share of a period by which the time of a burst may be rounded."""
 _GROUP_READS = frozenset({Instruction.SYNC_READ, Instruction.BULK_READ})
 _GROUP_WRITES = frozenset({Instruction.SYNC_WRITE, Instruction.BULK_WRITE})
 """Instructions to several servos."""
@@ -56,7 +58,7 @@ class ServoBusDevice:
         self._line_free_s = float("-inf")
         self._queue: list[tuple[float, int, bytes]] = []
         self._order = itertools.count()
-        self._chatter_s: float | None = None
+        self._burst: int | None = None  # number of the last one of another device
 
     @property
     def unplugged(self) -> bool:
@@ -92,7 +94,7 @@ class ServoBusDevice:
 
     def transmit(self, now_s: float) -> bytes:
         """Return the bytes that have reached the host by ``now_s``."""
-        if self.faults.chatter is not None or self._chatter_s is not None:
+        if self.faults.chatter is not None or self._burst is not None:
             self._hear_chatter(now_s)
         queue = self._queue
         if not queue or queue[0][0] > now_s + ROUNDING_S:
@@ -105,9 +107,9 @@ class ServoBusDevice:
     def next_event_s(self) -> float | None:
         """Return when the next bytes reach the host, None when none are under way."""
         due_s = self._queue[0][0] if self._queue else None
-        if self.faults.chatter is None or self._chatter_s is None:
+        if self.faults.chatter is None or self._burst is None:
             return due_s
-        next_s = self.faults.chatter.next_s(self._chatter_s)
+        next_s = (self._burst + 1) * self.faults.chatter.every_s
         return next_s if due_s is None else min(due_s, next_s)
 
     def drop_pending(self) -> None:
@@ -121,15 +123,13 @@ class ServoBusDevice:
         if packet.instruction == STATUS:
             return
         hearing = [servo for servo in self.servos if self._listens(servo, now_s)]
-        if not packet.intact:
-            self._answer_damaged(packet, hearing, now_s)
-            return
-        for servo in hearing:
+        for servo in hearing if packet.intact else ():
             servo.core.feed(now_s)
-        if packet.packet_id == BROADCAST_ID:
+        if packet.packet_id != BROADCAST_ID:
+            same_id = [servo for servo in hearing if servo.servo_id == packet.packet_id]
+            self._let_answer(same_id, packet, now_s)
+        elif packet.intact:
             self._broadcast(packet, hearing, now_s)
-        elif packet.packet_id <= MAX_ID:
-            self._unicast(packet, hearing, now_s)
 
     def _answer_protocol_1(self, data: bytes, now_s: float) -> None:
         """Let servos in Protocol 1.0 answer a ping in it; they carry out nothing else here."""
@@ -148,37 +148,29 @@ class ServoBusDevice:
             and not (silent and servo.made_as in silent)
         )
 
-    def _answer_damaged(
-        self, packet: Packet, hearing: Iterable[SimulatedServo], now_s: float
-    ) -> None:
-        for servo in hearing:
-            if servo.servo_id == packet.packet_id and servo.answers(packet.instruction):
-                error, _ = servo.status(StatusError.CRC)
-                self._reply(servo, encode_status(servo.servo_id, error), now_s)
-
-    def _unicast(self, packet: Packet, hearing: Iterable[SimulatedServo], now_s: float) -> None:
-        speakers: list[tuple[SimulatedServo, bytes, float]] = []
-        for servo in hearing:
-            own_id = servo.servo_id
-            if packet.packet_id != own_id:
-                continue
-            delay_s, speaks = servo.return_delay_s, servo.answers(packet.instruction)
-            error, data = servo.execute(packet.instruction, packet.parameters, now_s)
+    def _let_answer(self, same_id: Iterable[SimulatedServo], packet: Packet, now_s: float) -> None:
+        """Let servos with one ID carry out an instruction; they answer at the same time."""
+        speakers = list[tuple[SimulatedServo, bytes, float]]()
+        for servo in same_id:
+            own_id, delay_s = servo.servo_id, servo.return_delay_s
+            speaks = servo.answers(packet.instruction)
+            error, data = (
+                servo.execute(packet.instruction, packet.parameters, now_s)
+                if packet.intact
+                else servo.status(StatusError.CRC)
+            )
             if speaks:
                 speakers.append((servo, encode_status(own_id, error, data), delay_s))
         if speakers:
             servo, _, delay_s = speakers[0]
-            self._reply(servo, _at_once([packet for _, packet, _ in speakers]), now_s, delay_s)
+            self._reply(servo, _at_once([answer for _, answer, _ in speakers]), now_s, delay_s)
 
     def _broadcast(self, packet: Packet, hearing: list[SimulatedServo], now_s: float) -> None:
         instruction, parameters = packet.instruction, packet.parameters
         if instruction == Instruction.PING:
             in_turn = sorted(hearing, key=lambda s: s.servo_id)
-            for _, sharing in itertools.groupby(in_turn, key=lambda s: s.servo_id):
-                same_id = list(sharing)
-                answers = [servo.execute(instruction, b"", now_s) for servo in same_id]
-                packets = [encode_status(same_id[0].servo_id, *answer) for answer in answers]
-                self._reply(same_id[0], _at_once(packets), now_s)
+            for _, same_id in itertools.groupby(in_turn, key=lambda s: s.servo_id):
+                self._let_answer(same_id, packet, now_s)
         elif instruction in _GROUP_READS:
             self._chain(instruction, _entries(instruction, parameters), hearing, now_s)
         elif instruction in _GROUP_WRITES:
@@ -218,33 +210,34 @@ class ServoBusDevice:
         start_s = max(now_s, self._line_free_s) + pause_s
         end_s = start_s + self._wire_s(len(packet))
         self._line_free_s = end_s
-        packet = self._met_by_chatter(packet, start_s, end_s)
+        if self.faults.chatter is not None:
+            packet = self._met_by_chatter(packet, start_s, end_s)
         for late_s, data in self.faults.answer(servo.servo_id, packet):
             self._send_at(end_s + late_s, data)
 
     def _hear_chatter(self, until_s: float) -> None:
         """Deliver the bytes of another device until a time to the host."""
-        chatter = self.faults.chatter
-        if chatter is None:
-            self._chatter_s = None
-            return
-        if self._chatter_s is None:
-            self._chatter_s = until_s
-        for moment_s in chatter.moments_s(self._chatter_s, until_s):
-            self._send_at(moment_s + self._wire_s(len(chatter.data)), chatter.data)
-        self._chatter_s = max(self._chatter_s, until_s)
+        for moment_s, data in self._bursts(until_s):
+            self._send_at(moment_s + self._wire_s(len(data)), data)
 
     def _met_by_chatter(self, packet: bytes, start_s: float, end_s: float) -> bytes:
         """Return an answer mixed with bytes that another device sends at the same time."""
-        chatter = self.faults.chatter
-        if chatter is None:
-            return packet
         self._hear_chatter(start_s)
-        for moment_s in reversed(chatter.moments_s(start_s, end_s)):
+        for moment_s, data in reversed(self._bursts(end_s)):
             place = round((moment_s - start_s) / self._wire_s(1))
-            packet = packet[:place] + chatter.data + packet[place:]
-        self._chatter_s = end_s
+            packet = packet[:place] + data + packet[place:]
         return packet
+
+    def _bursts(self, until_s: float) -> list[tuple[float, bytes]]:
+        """Return begin in s and bytes of further bursts of another device until a time in s."""
+        chatter, before = self.faults.chatter, self._burst
+        if chatter is None:
+            self._burst = None
+            return []
+        last = math.floor(until_s / chatter.every_s + _ROUNDING)
+        before = last if before is None else before
+        self._burst = max(before, last)
+        return [(n * chatter.every_s, chatter.data) for n in range(before + 1, last + 1)]
 
     def _send_at(self, due_s: float, data: bytes) -> None:
         heapq.heappush(self._queue, (due_s, next(self._order), data))
@@ -256,8 +249,8 @@ def _at_once(packets: Sequence[bytes]) -> bytes:
     A driven 0 overrides the 1 of an idle line: equal answers look like one, others are damaged.
     """
     longest = max(map(len, packets))
-    padded = (packet.ljust(longest, b"\xff") for packet in packets)
-    return bytes(functools.reduce(operator.and_, column) for column in zip(*padded, strict=True))
+    padded = (int.from_bytes(packet.ljust(longest, b"\xff")) for packet in packets)
+    return functools.reduce(operator.and_, padded).to_bytes(longest)
 
 
 def _protocol_1(body: bytes) -> bytes:

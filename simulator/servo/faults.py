@@ -3,15 +3,11 @@
 They act on packets. The same seed and traffic always give the same result.
 """
 
-import math
 import random
 from dataclasses import dataclass, field
 
 from simulator.knobs import SHARE, Number, knob
 from simulator.servo.protocol2 import crc16
-
-_ROUNDING = 1e-6
-"""Share of a period by which the time of a burst may be rounded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,18 +18,6 @@ class Chatter:
     """Bytes of one burst."""
     every_s: float
     """Period of the bursts in s."""
-
-    def moments_s(self, after_s: float, until_s: float) -> list[float]:
-        """Return the times in s at which bursts begin, after one time and up to another one."""
-        first, last = self._number(after_s) + 1, self._number(until_s)
-        return [number * self.every_s for number in range(first, last + 1)]
-
-    def next_s(self, after_s: float) -> float:
-        """Return when the next burst begins in s."""
-        return (self._number(after_s) + 1) * self.every_s
-
-    def _number(self, time_s: float) -> int:
-        return math.floor(time_s / self.every_s + _ROUNDING)
 
 
 _GARBAGE = b"\xaa\xff\xff\xfd\x55"
@@ -46,8 +30,8 @@ _TRUNCATED_BYTES = 3
 class WireFaults:
     """Knobs of the wire between host and servos."""
 
-    seed: int = 0
-    """Seed of all random choices."""
+    rng: random.Random = field(default_factory=lambda: random.Random(0), repr=False)
+    """Source of all random choices."""
     lose_request: float = knob("servos.lost_requests", "requests are lost", SHARE)
     drop: float = knob("servos.loss", "answers are lost", SHARE)
     """The other servos receive a lost answer."""
@@ -74,7 +58,6 @@ class WireFaults:
     echo: bool = knob("servos.echo", "the host receives its own bytes")
     """As on a half-duplex adapter without switching."""
     unplugged: bool = knob("servos.unplugged", "the adapter of the servo bus is gone")
-    _generator: random.Random | None = field(default=None, init=False, repr=False)
     _before: dict[tuple[int, int], bytes] = field(default_factory=dict, init=False, repr=False)
 
     def request(self, data: bytes) -> bytes:
@@ -95,7 +78,7 @@ class WireFaults:
             body = packet[:4] + bytes(((packet[4] + 1) % 253,)) + packet[5:-2]
             packet = body + crc16(body).to_bytes(2, "little")
         if self.bit_flip and self._happens(self.bit_flip):
-            bit = self._random().randrange(8 * len(packet))
+            bit = self.rng.randrange(8 * len(packet))
             flipped = bytearray(packet)
             flipped[bit // 8] ^= 1 << bit % 8
             packet = bytes(flipped)
@@ -109,9 +92,4 @@ class WireFaults:
         return pieces
 
     def _happens(self, share: float) -> bool:
-        return self._random().random() < share
-
-    def _random(self) -> random.Random:
-        if self._generator is None:
-            self._generator = random.Random(self.seed)
-        return self._generator
+        return self.rng.random() < share

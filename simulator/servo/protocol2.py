@@ -14,8 +14,6 @@ HEADER = b"\xff\xff\xfd"
 """First three bytes of a packet; a byte that is not FD follows."""
 BROADCAST_ID = 0xFE
 """ID of all servos."""
-MAX_ID = 252
-"""Largest ID of a single servo."""
 STATUS = 0x55
 """Instruction code of a status packet."""
 MAX_LENGTH = 1024

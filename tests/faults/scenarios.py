@@ -29,7 +29,6 @@ from cell.runtime.goals import TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import JobFailed
 from gripper.values.state import GripperPhase
-from motion.object_dictionary import State
 from pytest_tactile_cell.process import CellProcess
 from simulator.can.drive import SimulatedDrive
 from tests.cell.conftest import once
@@ -89,7 +88,7 @@ def axis_fails(row: FaultRow) -> Observed:
 
         def stopped() -> bool:
             others = [drive for drive in drives if drive is not failing]
-            return any(drive.state is State.QUICK_STOP_ACTIVE for drive in others)
+            return any(drive.state == "QUICK STOP ACTIVE" for drive in others)
 
         with cell.first_time(stopped) as known_s:
             observed = observe(cell, job=lambda one: one.controller.grasp(STEP))

@@ -145,7 +145,7 @@ def _knobs(cell: SimulatedCell) -> Any:
     stuck = [motor.stuck_at_rad is None for motor in devices.mechanics.motors]
     stuck += [round(motor.angle_rad, 6) for motor in devices.mechanics.motors]
     press = None if world._press is None else world._press.swell_m
-    wire = repr(devices.faults.servo_wire).split("_generator", maxsplit=1)[0]
+    wire = repr(devices.faults.servo_wire)
     if not devices.axes:
         return repr(devices.faults.boards)
     drive, wrist = devices.axes["x"], devices.axes["roll"]

@@ -253,7 +253,7 @@ def test_a_knob_hits_packets_while_it_is_on(bench, knob: str, expected: bytes):
 def test_chances_are_the_same_with_the_same_seed():
     def lost(seed: int) -> list[int]:
         bench = ServoBench()
-        bench.device.faults.seed = seed
+        bench.device.faults.rng.seed(seed)
         bench.device.faults.drop = 0.3
         return [i for i in range(60) if not bench.exchange(PING, 0.001)]
 
