@@ -359,7 +359,7 @@ def test_without_power_stage_it_goes_between_two_states(drive: Any) -> None:
         (Control.SHUTDOWN, Control.DISABLE_VOLTAGE), READY[::-1], strict=True
     ):
         device._write("Controlword", control)
-        device._until(lambda state=state: device._state() is state, "does not follow")
+        device._until(lambda state=state: device._state() == state, "does not follow")
         assert device._read("Velocity actual value") == 0
 
 
