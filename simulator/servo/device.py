@@ -9,25 +9,7 @@ servo; `simulator.servo.bus` finds the packets and orders the answers.
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from gripper.dynamixel.control_table import (
-    BAUD_RATE,
-    BUS_WATCHDOG,
-    FIRMWARE_VERSION,
-    GOAL_CURRENT,
-    GOAL_POSITION,
-    GOAL_PWM,
-    GOAL_VELOCITY,
-    HARDWARE_ERROR_STATUS,
-    OPERATING_MODE,
-    POSITION_D_GAIN,
-    POSITION_I_GAIN,
-    POSITION_P_GAIN,
-    RETURN_DELAY_TIME,
-    RETURN_DELAY_UNIT_S,
-    SERVO_ID,
-    STATUS_RETURN_LEVEL,
-    TORQUE_ENABLE,
-)
+from gripper.dynamixel import control_table as ct
 from gripper.dynamixel.models import OperatingMode, ServoModel
 from simulator.servo.control_table import Item, in_range
 from simulator.servo.firmware import (
@@ -48,14 +30,14 @@ BAUD_RATES = (
 _EXTENDED_LIMIT = 1_048_575
 """Largest magnitude of Goal Position in the modes without position limits: 256 turns."""
 _LIMITED_BY = {
-    GOAL_PWM.address: "pwm_limit",
-    GOAL_CURRENT.address: "current_limit",
-    GOAL_VELOCITY.address: "velocity_limit",
+    ct.GOAL_PWM.address: "pwm_limit",
+    ct.GOAL_CURRENT.address: "current_limit",
+    ct.GOAL_VELOCITY.address: "velocity_limit",
 }
 """Address of a goal and the item that limits its magnitude."""
-_GOALS = frozenset({*_LIMITED_BY, GOAL_POSITION.address})
+_GOALS = frozenset({*_LIMITED_BY, ct.GOAL_POSITION.address})
 _GAINS_IN_USE = frozenset(
-    {POSITION_D_GAIN.address, POSITION_I_GAIN.address, POSITION_P_GAIN.address}
+    {ct.POSITION_D_GAIN.address, ct.POSITION_I_GAIN.address, ct.POSITION_P_GAIN.address}
 )
 _ANSWERS_READS, _ANSWERS_ALL = 1, 2
 """Contents of Status Return Level (68)."""
@@ -97,28 +79,28 @@ class SimulatedServo:
     @property
     def servo_id(self) -> int:
         """Content of ID (7)."""
-        return self.core.registers.data[SERVO_ID.address]
+        return self.core.registers.data[ct.SERVO_ID.address]
 
     @property
     def baudrate(self) -> int:
         """Line rate in baud after Baud Rate (8)."""
-        return BAUD_RATES[self.core.registers.data[BAUD_RATE.address]]
+        return BAUD_RATES[self.core.registers.data[ct.BAUD_RATE.address]]
 
     @property
     def return_delay_s(self) -> float:
         """Pause in s between an instruction and the answer, after Return Delay Time (9)."""
-        return self.core.registers.data[RETURN_DELAY_TIME.address] * RETURN_DELAY_UNIT_S
+        return self.core.registers.data[ct.RETURN_DELAY_TIME.address] * ct.RETURN_DELAY_UNIT_S
 
     def answers(self, instruction: int) -> bool:
         """Return whether Status Return Level (68) lets the servo answer this instruction."""
-        level = self.core.registers.data[STATUS_RETURN_LEVEL.address]
+        level = self.core.registers.data[ct.STATUS_RETURN_LEVEL.address]
         if instruction == Instruction.PING or level >= _ANSWERS_ALL:
             return True
         return level == _ANSWERS_READS and instruction in _READS
 
     def status(self, error: int, data: bytes = b"") -> StatusBody:
         """Return an answer with the Alert bit as Hardware Error Status (70) asks for it."""
-        alert = self.core.registers.data[HARDWARE_ERROR_STATUS.address]
+        alert = self.core.registers.data[ct.HARDWARE_ERROR_STATUS.address]
         return StatusBody(error | ALERT if alert else error, data)
 
     def execute(self, instruction: int, parameters: bytes, now_s: float) -> StatusBody:
@@ -130,7 +112,7 @@ class SimulatedServo:
             (address,) = words(parameters[:2])
             return self.status(self.write(address, parameters[2:], now_s))
         if instruction == Instruction.PING:
-            version = self.core.registers.data[FIRMWARE_VERSION.address]
+            version = self.core.registers.data[ct.FIRMWARE_VERSION.address]
             number = self.core.registers.get("model_number").to_bytes(2, "little")
             return self.status(StatusError.NONE, number + bytes((version,)))
         if instruction == Instruction.REBOOT:
@@ -166,7 +148,7 @@ class SimulatedServo:
         table, at = self.core.registers.data, 0
         for item, raw in values:
             at += item.size
-            if item.address == TORQUE_ENABLE.address:
+            if item.address == ct.TORQUE_ENABLE.address:
                 self.core.set_torque(on=bool(raw))
                 continue
             table[item.address : item.address + item.size] = data[at - item.size : at]
@@ -188,7 +170,7 @@ class SimulatedServo:
             return StatusError.ACCESS
         if item.address in _GOALS and core.watchdog_tripped:
             return StatusError.DATA_RANGE
-        if item.address == TORQUE_ENABLE.address and raw and core.latched:
+        if item.address == ct.TORQUE_ENABLE.address and raw and core.latched:
             return StatusError.RESULT_FAIL
         registers, data = core.registers, core.registers.data
         lower, upper, refusal = item.minimum, item.maximum, StatusError.DATA_RANGE
@@ -196,8 +178,8 @@ class SimulatedServo:
         if limit is not None:
             upper = registers.get(limit)
             lower, refusal = -upper, StatusError.DATA_LIMIT
-        elif item.address == GOAL_POSITION.address:
-            if registers.keeps_limits or data[OPERATING_MODE.address] == OperatingMode.POSITION:
+        elif item.address == ct.GOAL_POSITION.address:
+            if registers.keeps_limits or data[ct.OPERATING_MODE.address] == OperatingMode.POSITION:
                 lower = registers.get("min_position_limit")
                 upper = registers.get("max_position_limit")
                 refusal = StatusError.DATA_LIMIT
@@ -209,9 +191,9 @@ class SimulatedServo:
 
     def _side_effect(self, address: int, raw: int, now_s: float) -> None:
         core = self.core
-        if address == OPERATING_MODE.address:
+        if address == ct.OPERATING_MODE.address:
             core.change_mode()
-        elif address == BUS_WATCHDOG.address:
+        elif address == ct.BUS_WATCHDOG.address:
             core.set_watchdog(raw, now_s)
         elif address in _GAINS_IN_USE:
             core.apply_goals()

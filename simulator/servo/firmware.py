@@ -9,26 +9,7 @@ import struct
 from collections.abc import Mapping
 from enum import Enum
 
-from gripper.dynamixel.control_table import (
-    BUS_WATCHDOG,
-    DRIVE_MODE,
-    GOAL_PWM,
-    HARDWARE_ERROR_STATUS,
-    MAX_VOLTAGE_LIMIT,
-    MOVING_THRESHOLD,
-    OPERATING_MODE,
-    POSITION_D_GAIN,
-    PRESENT_TEMPERATURE,
-    PWM_LIMIT,
-    PWM_SLOPE,
-    REALTIME_TICK,
-    SHUTDOWN,
-    TEMPERATURE_LIMIT,
-    TICK_MODULO,
-    TORQUE_ENABLE,
-    WATCHDOG_TRIPPED_RAW,
-    WATCHDOG_UNIT_S,
-)
+from gripper.dynamixel import control_table as ct
 from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.values.servo_checks import HardwareError
 from simulator.servo.control_table import ServoRegisters, is_x330
@@ -40,9 +21,9 @@ from simulator.servo.motor import (
     ServoMotor,
 )
 
-PRESENT_START, PRESENT_END = REALTIME_TICK.address, PRESENT_TEMPERATURE.end
+PRESENT_START, PRESENT_END = ct.REALTIME_TICK.address, ct.PRESENT_TEMPERATURE.end
 """Addresses of the items of the present state, 120 to 146."""
-GOAL_START, GOAL_END = GOAL_PWM.address, PRESENT_START
+GOAL_START, GOAL_END = ct.GOAL_PWM.address, PRESENT_START
 """Addresses of goals and profile, 100 to 119."""
 IN_POSITION_PULSES = 20
 """Distance to Goal Position in pulses at which Moving Status shows arrival (e-Manual, 123)."""
@@ -66,11 +47,11 @@ _LIMITS = struct.Struct("<HH4xI")
 """Registers 36 to 47: limits of PWM, current and velocity, with the 4 bytes before the last."""
 _GAINS = struct.Struct("<HHH")
 """Registers 80 to 85: D, I and P gain of the position."""
-_TORQUE = TORQUE_ENABLE.address
-_MODE = OPERATING_MODE.address
-_DRIVE = DRIVE_MODE.address
-_HARDWARE_ERROR = HARDWARE_ERROR_STATUS.address
-_TEMPERATURE_LIMIT, _VOLTAGE = TEMPERATURE_LIMIT.address, MAX_VOLTAGE_LIMIT.address
+_TORQUE = ct.TORQUE_ENABLE.address
+_MODE = ct.OPERATING_MODE.address
+_DRIVE = ct.DRIVE_MODE.address
+_HARDWARE_ERROR = ct.HARDWARE_ERROR_STATUS.address
+_TEMPERATURE_LIMIT, _VOLTAGE = ct.TEMPERATURE_LIMIT.address, ct.MAX_VOLTAGE_LIMIT.address
 """Addresses of items that each step of the motor reads; the lowest voltage follows the highest."""
 
 
@@ -128,12 +109,12 @@ class ServoCore:
     @property
     def watchdog_tripped(self) -> bool:
         """Whether Bus Watchdog reads -1."""
-        return self.registers.data[BUS_WATCHDOG.address] == WATCHDOG_TRIPPED_RAW & 0xFF
+        return self.registers.data[ct.BUS_WATCHDOG.address] == ct.WATCHDOG_TRIPPED_RAW & 0xFF
 
     @property
     def latched(self) -> bool:
         """Whether a hardware error keeps the torque off until a reboot."""
-        return bool(self.registers.data[_HARDWARE_ERROR] & self.registers.data[SHUTDOWN.address])
+        return bool(self.registers.data[_HARDWARE_ERROR] & self.registers.data[ct.SHUTDOWN.address])
 
     def boot(self, now_s: float, *, blackout_s: float = REBOOT_S) -> None:
         """Restart the firmware: RAM at its defaults, one turn, torque off."""
@@ -178,12 +159,12 @@ class ServoCore:
         if self.torque_on and not self._stopped and data[_MODE] in FOLLOWS_POSITION:
             status |= _PROFILE_ONGOING if trajectory_raw != goal_raw else 0
             status |= _TRAPEZOIDAL_PROFILE if profile else 0
-        (threshold,) = _THRESHOLD.unpack_from(data, MOVING_THRESHOLD.address)
+        (threshold,) = _THRESHOLD.unpack_from(data, ct.MOVING_THRESHOLD.address)
         ticks = math.floor((now_s - self._booted_s) * _TICKS_PER_S + _ROUNDING_TICKS)
         _PRESENT.pack_into(
             data,
             PRESENT_START,
-            ticks % TICK_MODULO,
+            ticks % ct.TICK_MODULO,
             abs(velocity_raw) > threshold,
             status,
             round(sign * plant.duty * model.whole_pwm_raw),
@@ -214,7 +195,7 @@ class ServoCore:
         mode, sign = data[_MODE], self._sign
         pwm, current, velocity, acceleration, profile, goal = _GOALS.unpack_from(data, GOAL_START)
         # A limit that was lowered after the write of the goal still applies.
-        pwm_limit, current_limit, velocity_limit = _LIMITS.unpack_from(data, PWM_LIMIT.address)
+        pwm_limit, current_limit, velocity_limit = _LIMITS.unpack_from(data, ct.PWM_LIMIT.address)
         duty = sign * _bounded(pwm, pwm_limit) / model.whole_pwm_raw
         velocity_rad_s = sign * _bounded(velocity, velocity_limit) * model.velocity_unit_rad_s
         if mode == OperatingMode.CURRENT_BASED_POSITION:
@@ -222,7 +203,7 @@ class ServoCore:
                 duty *= min(1.0, abs(velocity_rad_s) / data_sheet(model).no_load_rad_s)
             if is_x330(model):
                 profile = acceleration = 0  # the 330 size has no profile in this mode
-        d_gain, i_gain, p_gain = _GAINS.unpack_from(data, POSITION_D_GAIN.address)
+        d_gain, i_gain, p_gain = _GAINS.unpack_from(data, ct.POSITION_D_GAIN.address)
         return DriveCommand(
             mode,
             current_a=sign * _bounded(current, current_limit) * model.current_unit_a,
@@ -232,7 +213,7 @@ class ServoCore:
             p_gain=p_gain,
             i_gain=i_gain,
             d_gain=d_gain,
-            slope_raw=data[PWM_SLOPE.address],
+            slope_raw=data[ct.PWM_SLOPE.address],
             profile_velocity_rad_s=profile * model.velocity_unit_rad_s,
             profile_acceleration_rad_s2=acceleration * model.acceleration_unit_rad_s2,
         )
@@ -254,7 +235,7 @@ class ServoCore:
 
     def set_watchdog(self, raw: int, now_s: float) -> None:
         """Arm, disarm or clear the bus watchdog; a stopped motor waits for the next goal."""
-        self._watchdog_s = raw * WATCHDOG_UNIT_S if raw > 0 else math.inf
+        self._watchdog_s = raw * ct.WATCHDOG_UNIT_S if raw > 0 else math.inf
         self._fed_s = now_s
 
     def feed(self, now_s: float) -> None:
@@ -286,7 +267,7 @@ class ServoCore:
 
     def _trip(self) -> None:
         self._watchdog_s = math.inf
-        self.registers.put("bus_watchdog", WATCHDOG_TRIPPED_RAW)
+        self.registers.put("bus_watchdog", ct.WATCHDOG_TRIPPED_RAW)
         self.registers.put("profile_acceleration", 0)
         self.registers.put("profile_velocity", 0)
         if self.watchdog_stop is WatchdogStop.KEEPS_TURNING:
