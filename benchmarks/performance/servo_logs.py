@@ -130,7 +130,7 @@ class Bench:
         self.motor.voltage_v = log.supply_v or self.motor.voltage_v
         mode = OperatingMode.CURRENT if log.goal_rad is None else OperatingMode.EXTENDED_POSITION
         settings = {"operating_mode": int(mode)}
-        self._core = SimulatedServo(1, log.model, self.motor, settings=settings).core
+        self._core = SimulatedServo(1, log.model, self.motor, settings=settings)
         self._core.registers.put("position_p_gain", log.p_gain)
         self.motor.place(math.pi + float(log.position_rad[0]))
         self._log, self._inertia = log, log.inertia_kg_m2 + self.motor.inertia_kg_m2

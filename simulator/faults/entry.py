@@ -99,7 +99,7 @@ _OWNERS: dict[str, Callable[[Fault], Any]] = {
     "board": _serial_boards,
     "uskin": _uskin_boards,
     "servos": lambda fault: fault.devices.faults.servo_wire,
-    "servoN": lambda fault: fault.devices.servo_bus.servos[fault.index].core,
+    "servoN": lambda fault: fault.devices.servo_bus.servos[fault.index],
     "axisN": lambda fault: list(fault.devices.axes.values())[fault.index],
     "object": lambda fault: fault.devices.world,
 }

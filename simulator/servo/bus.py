@@ -68,7 +68,7 @@ class ServoBusDevice:
     def advance_to(self, now_s: float) -> None:
         """Run watchdogs and protections; call it once for each step of the mechanics."""
         for servo in self.servos:
-            servo.core.supervise(now_s)
+            servo.supervise(now_s)
 
     def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
         """Take bytes that the host sent.
@@ -124,7 +124,7 @@ class ServoBusDevice:
             return
         hearing = [servo for servo in self.servos if self._listens(servo, now_s)]
         for servo in hearing if packet.intact else ():
-            servo.core.feed(now_s)
+            servo.feed(now_s)
         if packet.packet_id != BROADCAST_ID:
             same_id = [servo for servo in hearing if servo.servo_id == packet.packet_id]
             self._let_answer(same_id, packet, now_s)
@@ -142,9 +142,9 @@ class ServoBusDevice:
         """Return whether a servo takes a packet of Protocol 2.0, or of the old 1.0."""
         silent = self.faults.silent
         return (
-            (servo.core.registers.data[PROTOCOL_TYPE.address] == 1) is old
+            (servo.registers.data[PROTOCOL_TYPE.address] == 1) is old
             and servo.baudrate == self.baudrate
-            and now_s >= servo.core.silent_until_s
+            and now_s >= servo.silent_until_s
             and not (silent and servo.made_as in silent)
         )
 

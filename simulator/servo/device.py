@@ -53,7 +53,7 @@ class StatusBody(NamedTuple):
     """Parameters after the error byte."""
 
 
-class SimulatedServo:
+class SimulatedServo(ServoCore):
     """One servo on the bus.
 
     Parameters
@@ -71,36 +71,35 @@ class SimulatedServo:
         *,
         settings: Mapping[str, int] | None = None,
     ) -> None:
-        self.core = ServoCore(servo_id, model, plant, settings)
-        """Registers and their effects."""
+        super().__init__(servo_id, model, plant, settings)
         self.made_as = servo_id
         """Initial ID, which faults use even if the ID changes."""
 
     @property
     def servo_id(self) -> int:
         """Content of ID (7)."""
-        return self.core.registers.data[ct.SERVO_ID.address]
+        return self.registers.data[ct.SERVO_ID.address]
 
     @property
     def baudrate(self) -> int:
         """Line rate in baud after Baud Rate (8)."""
-        return BAUD_RATES[self.core.registers.data[ct.BAUD_RATE.address]]
+        return BAUD_RATES[self.registers.data[ct.BAUD_RATE.address]]
 
     @property
     def return_delay_s(self) -> float:
         """Pause in s between an instruction and the answer, after Return Delay Time (9)."""
-        return self.core.registers.data[ct.RETURN_DELAY_TIME.address] * ct.RETURN_DELAY_UNIT_S
+        return self.registers.data[ct.RETURN_DELAY_TIME.address] * ct.RETURN_DELAY_UNIT_S
 
     def answers(self, instruction: int) -> bool:
         """Return whether Status Return Level (68) lets the servo answer this instruction."""
-        level = self.core.registers.data[ct.STATUS_RETURN_LEVEL.address]
+        level = self.registers.data[ct.STATUS_RETURN_LEVEL.address]
         if instruction == Instruction.PING or level >= _ANSWERS_ALL:
             return True
         return level == _ANSWERS_READS and instruction in _READS
 
     def status(self, error: int, data: bytes = b"") -> StatusBody:
         """Return an answer with the Alert bit as Hardware Error Status (70) asks for it."""
-        alert = self.core.registers.data[ct.HARDWARE_ERROR_STATUS.address]
+        alert = self.registers.data[ct.HARDWARE_ERROR_STATUS.address]
         return StatusBody(error | ALERT if alert else error, data)
 
     def execute(self, instruction: int, parameters: bytes, now_s: float) -> StatusBody:
@@ -112,31 +111,30 @@ class SimulatedServo:
             (address,) = words(parameters[:2])
             return self.status(self.write(address, parameters[2:], now_s))
         if instruction == Instruction.PING:
-            version = self.core.registers.data[ct.FIRMWARE_VERSION.address]
-            number = self.core.registers.get("model_number").to_bytes(2, "little")
+            version = self.registers.data[ct.FIRMWARE_VERSION.address]
+            number = self.registers.get("model_number").to_bytes(2, "little")
             return self.status(StatusError.NONE, number + bytes((version,)))
         if instruction == Instruction.REBOOT:
             # A servo answers before it reboots, with the Alert bit that the reboot clears.
             before = self.status(StatusError.NONE)
-            self.core.boot(now_s)
+            self.boot(now_s)
             return before
         cut_off = instruction in (Instruction.READ, Instruction.WRITE)
         return self.status(StatusError.DATA_LENGTH if cut_off else StatusError.INSTRUCTION)
 
     def read(self, address: int, size: int, now_s: float) -> StatusBody:
         """Return ``size`` bytes from ``address``, present values brought up to date."""
-        core = self.core
-        place = core.registers.place(address)
+        place = self.registers.place(address)
         if place < PRESENT_END and place + size > PRESENT_START:
-            core.refresh(now_s)
-        content = core.registers.read(address, size)
+            self.refresh(now_s)
+        content = self.registers.read(address, size)
         if isinstance(content, StatusError):
             return self.status(content)
         return self.status(StatusError.NONE, content)
 
     def write(self, address: int, data: bytes, now_s: float) -> StatusError:
         """Write one or more whole items; nothing is written when one of them is refused."""
-        plan = self.core.registers.plan(address, len(data))
+        plan = self.registers.plan(address, len(data))
         if isinstance(plan, StatusError):
             return plan
         values = list(zip(plan.items, plan.layout.unpack(data), strict=True))
@@ -145,11 +143,11 @@ class SimulatedServo:
             if refused is not StatusError.NONE:
                 return refused
         goals = profile = False
-        table, at = self.core.registers.data, 0
+        table, at = self.registers.data, 0
         for item, raw in values:
             at += item.size
             if item.address == ct.TORQUE_ENABLE.address:
-                self.core.set_torque(on=bool(raw))
+                self.set_torque(on=bool(raw))
                 continue
             table[item.address : item.address + item.size] = data[at - item.size : at]
             if item.address in _GOALS:
@@ -159,20 +157,19 @@ class SimulatedServo:
             else:
                 self._side_effect(item.address, raw, now_s)
         if goals:
-            self.core.goal_written()
+            self.goal_written()
         elif profile:
-            self.core.apply_goals()
+            self.apply_goals()
         return StatusError.NONE
 
     def _check(self, item: Item, raw: int) -> StatusError:
-        core = self.core
-        if item.eeprom and core.torque_on:
+        if item.eeprom and self.torque_on:
             return StatusError.ACCESS
-        if item.address in _GOALS and core.watchdog_tripped:
+        if item.address in _GOALS and self.watchdog_tripped:
             return StatusError.DATA_RANGE
-        if item.address == ct.TORQUE_ENABLE.address and raw and core.latched:
+        if item.address == ct.TORQUE_ENABLE.address and raw and self.latched:
             return StatusError.RESULT_FAIL
-        registers, data = core.registers, core.registers.data
+        registers, data = self.registers, self.registers.data
         lower, upper, refusal = item.minimum, item.maximum, StatusError.DATA_RANGE
         limit = _LIMITED_BY.get(item.address)
         if limit is not None:
@@ -190,10 +187,9 @@ class SimulatedServo:
         return StatusError.NONE if lower <= raw <= upper else refusal
 
     def _side_effect(self, address: int, raw: int, now_s: float) -> None:
-        core = self.core
         if address == ct.OPERATING_MODE.address:
-            core.change_mode()
+            self.change_mode()
         elif address == ct.BUS_WATCHDOG.address:
-            core.set_watchdog(raw, now_s)
+            self.set_watchdog(raw, now_s)
         elif address in _GAINS_IN_USE:
-            core.apply_goals()
+            self.apply_goals()

@@ -74,7 +74,7 @@ class SimulatedWrist:
 
     def power_cycle(self) -> None:
         """Restart: torque off, set-up and turns are lost."""
-        self.servo.core.boot(self._stepped_s)
+        self.servo.boot(self._stepped_s)
 
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s."""

@@ -259,7 +259,7 @@ def _reaction(cell: CampaignCell) -> str:
     """Name what an error has done: refused a start, kept the grip, or found it gone."""
     if not cell.monitor.states & {CellState.IDLE, CellState.EXECUTE, CellState.HELD}:
         return "REJECT"
-    servos = [servo.core for servo in cell.simulated.devices.servo_bus.servos]
+    servos = cell.simulated.devices.servo_bus.servos
     if any(servo.latched or servo.silent_until_s > 0.0 for servo in servos):
         return "ABORT"
     return "HOLD" if all(servo.torque_on for servo in servos) else "LIMP"

@@ -175,13 +175,13 @@ class InvariantMonitor:
         self.broken.append(f"at {self._simulated.clock.monotonic():.3f} s: {text}")
 
     def _torques(self) -> tuple[bool, ...]:
-        return tuple([s.core.torque_on for s in self._simulated.devices.servo_bus.servos])
+        return tuple([s.torque_on for s in self._simulated.devices.servo_bus.servos])
 
     def _self_inflicted(self) -> tuple[object, ...]:
         """Return what changes when a servo switches its torque off by itself."""
         return tuple(
             [
-                (s.core.registers.data[_ERROR], s.core.silent_until_s)
+                (s.registers.data[_ERROR], s.silent_until_s)
                 for s in self._simulated.devices.servo_bus.servos
             ]
         )
@@ -246,7 +246,7 @@ class InvariantMonitor:
             self._frozen_raw = None
             return
         goals_raw = [
-            abs(servo.core.registers.get("goal_current")) if servo.core.torque_on else 0
+            abs(servo.registers.get("goal_current")) if servo.torque_on else 0
             for servo in self._simulated.devices.servo_bus.servos
         ]
         before_raw = self._frozen_raw

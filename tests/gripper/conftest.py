@@ -243,7 +243,6 @@ class Cell:
             SimulatedServo(i + 1, model, motor, settings=eeprom)
             for i, motor in enumerate(self.motors)
         ]
-        self.cores = [servo.core for servo in self.servos]
         self.device = ServoBusDevice(self.servos, 1_000_000)
         self.stream = MemoryServoStream(self.device, self.clock)
         self.bus = ServoBus(self.stream, baudrate=1_000_000, clock=self.clock)

@@ -75,7 +75,7 @@ def test_force_that_one_pad_shows_alone_lowers_the_currents_by_a_share(make_cell
 
 def test_the_other_finger_stands_still_when_a_servo_drops_its_torque(cell) -> None:
     cell.hold_part(RAMP)
-    observe = cell.once(cell.cores[1].plant.overload, in_s=0.5)
+    observe = cell.once(cell.servos[1].plant.overload, in_s=0.5)
     with pytest.raises(ServoFault, match="overload") as fault:
         cell.gripper.hold(2.0, observe)
     assert fault.value.torque_lost

@@ -33,7 +33,7 @@ def test_an_error_in_the_block_closes_the_port_and_keeps_the_part() -> None:
             assert gripped_n(sim) > 4.0
             gripper.release()
             assert gripped_n(sim) == 0.0
-        assert not any(servo.core.torque_on for servo in sim.devices.servo_bus.servos)
+        assert not any(servo.torque_on for servo in sim.devices.servo_bus.servos)
 
 
 def test_a_block_begins_with_servos_that_match_or_not_at_all() -> None:

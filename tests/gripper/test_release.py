@@ -26,7 +26,7 @@ def leave_part(cell) -> None:
 def held_by_one(cell, limp: int = 0):
     """Hold the part, let a servo shut down, and return the gripper of the next program."""
     leave_part(cell)
-    cell.cores[limp].plant.overload()
+    cell.servos[limp].plant.overload()
     cell.clock.sleep(0.1)
     assert cell.register(limp, "torque_enable") == 0
     return cell.new_gripper()
@@ -80,7 +80,7 @@ def test_a_part_is_let_go_by_servos_that_confirm_no_write(make_cell, levels) -> 
     cell = make_cell(corrected_registers=frozenset({"operating_mode", "return_delay_time"}))
     leave_part(cell)
     for servo, level in zip(cell.servos, levels, strict=True):
-        servo.core.registers.put("status_return_level", level)
+        servo.registers.put("status_return_level", level)
     assert cell.new_gripper().release().opened == (1, 2)
     assert cell.force_n == 0.0
 
@@ -91,9 +91,9 @@ def test_a_servo_that_is_limp_or_has_an_error_with_torque_opens_again(cell, how)
     if how == "torque 0":
         cell.bus.write(1, TORQUE_ENABLE, 0)
     elif how == "reboot":
-        cell.cores[0].boot(cell.clock.monotonic())
+        cell.servos[0].boot(cell.clock.monotonic())
     else:
-        cell.cores[0].plant.voltage_v = 9.0
+        cell.servos[0].plant.voltage_v = 9.0
     cell.clock.sleep(1.0)
     assert cell.torques == [how == "low supply", 1]
     report = cell.new_gripper().release()
@@ -139,7 +139,7 @@ def test_nothing_is_opened_where_no_servo_can_be_moved_and_the_way_on_is_named(m
 
 def test_a_servo_that_does_not_match_is_made_limp_and_the_message_says_so(cell) -> None:
     leave_part(cell)
-    cell.cores[1].registers.put("drive_mode", 1)
+    cell.servos[1].registers.put("drive_mode", 1)
     with pytest.raises(VerificationFailed, match="torque is off now and the fingers did not open"):
         cell.new_gripper().release()
     assert cell.torques == [0, 0]
@@ -178,7 +178,7 @@ def test_a_release_closes_no_finger_that_stands_wide_open(make_started) -> None:
 
 def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell) -> None:
     cell.hold_part(RAMP)
-    cell.cores[0].plant.encoder_offset_rad += 0.3
+    cell.servos[0].plant.encoder_offset_rad += 0.3
     with pytest.raises(FeedbackImplausible, match="leapt"):
         cell.gripper.hold(1.0)
     cell.gripper.clear_fault()
@@ -188,7 +188,7 @@ def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell) -> None:
     assert cell.torques == [0, 0]
     with pytest.raises(FeedbackImplausible, match=r"leapt .* not restarted since then"):
         cell.gripper.start()
-    cell.cores[0].plant.encoder_offset_rad += -0.3
+    cell.servos[0].plant.encoder_offset_rad += -0.3
     cell.gripper.clear_fault(reboot=True)
     cell.gripper.start()
     assert cell.gripper.open().aperture_m == pytest.approx(0.03, abs=0.001)
@@ -198,7 +198,7 @@ def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell) -> None:
 def test_a_finger_that_is_said_to_stand_too_wide_open_is_named(started) -> None:
     started.gripper.open()
     started.gripper.close()
-    started.cores[0].plant.encoder_offset_rad += 0.3
+    started.servos[0].plant.encoder_offset_rad += 0.3
     started.clock.sleep(2.0)
     report = started.gripper.release()
     assert report.wider == (1,)

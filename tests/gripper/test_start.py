@@ -25,12 +25,12 @@ PATTERNS = {
 
 
 def test_a_servo_with_another_id_is_named_in_the_table(cell) -> None:
-    cell.cores[1].registers.data[7] = 5
+    cell.servos[1].registers.data[7] = 5
     with pytest.raises(VerificationFailed, match=r"other IDs that answer: 5 \(XM430-W350\)") as bad:
         cell.gripper.start()
     (row,) = bad.value.report.failed
     assert (row.servo_id, row.item, row.expected) == (2, "ping", "an answer at 1000000 baud")
-    assert not cell.cores[0].torque_on
+    assert not cell.servos[0].torque_on
 
 
 @pytest.mark.parametrize("pattern", PATTERNS.values(), ids=PATTERNS)
@@ -56,7 +56,7 @@ def test_a_start_on_a_line_of_another_device_names_what_was_heard(cell, pattern)
 )
 def test_a_changed_eeprom_register_is_shown_expected_against_found(cell, name, raw) -> None:
     for servo in cell.servos:
-        servo.core.registers.put(name, raw)
+        servo.registers.put(name, raw)
     with pytest.raises(VerificationFailed, match=rf"servo 2 {name}.*found {raw}") as bad:
         cell.gripper.start()
     found = [(row.servo_id, row.item, row.actual) for row in bad.value.report.failed]
@@ -66,13 +66,13 @@ def test_a_changed_eeprom_register_is_shown_expected_against_found(cell, name, r
 
 @pytest.mark.parametrize("raw", [253, 254, 255])
 def test_a_second_id_that_no_servo_listens_to_is_none(cell, raw: int) -> None:
-    cell.cores[1].registers.put("secondary_id", raw)
+    cell.servos[1].registers.put("secondary_id", raw)
     assert cell.gripper.start().ok
 
 
 def in_protocol_1(cell, servo_id: int) -> None:
-    cell.cores[1].registers.put("protocol_type", 1)
-    cell.cores[1].registers.data[7] = servo_id
+    cell.servos[1].registers.put("protocol_type", 1)
+    cell.servos[1].registers.data[7] = servo_id
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_what_may_be_corrected_is_a_setting(make_cell) -> None:
 @pytest.mark.parametrize("level", [0, 1])
 def test_servos_that_confirm_no_write_are_told_to_before_anything_else(cell, level: int) -> None:
     for servo in cell.servos:
-        servo.core.registers.put("status_return_level", level)
+        servo.registers.put("status_return_level", level)
     assert cell.gripper.start().ok
     assert cell.register(1, "status_return_level") == 2
 
@@ -112,7 +112,7 @@ def test_servos_that_confirm_no_write_are_told_to_before_anything_else(cell, lev
 @pytest.mark.parametrize("level", [0, 1])
 def test_a_level_that_may_not_be_corrected_is_named_with_its_register(make_cell, level) -> None:
     cell = make_cell(corrected_registers=frozenset({"operating_mode", "return_delay_time"}))
-    cell.cores[1].registers.put("status_return_level", level)
+    cell.servos[1].registers.put("status_return_level", level)
     with pytest.raises(AnswersOff, match=r"servo 2, although it answers pings: .*\(register 68\)"):
         cell.gripper.start()
     assert [str(one) for one in cell.gripper.conditions()] == [
@@ -141,9 +141,9 @@ def test_gains_and_slope_that_the_goals_count_on_are_put_right(make_cell, model)
 
 def test_an_overload_that_is_only_reported_is_a_note_and_keeps_the_grip(cell) -> None:
     for servo in cell.servos:
-        servo.core.registers.put("shutdown", 20)
+        servo.registers.put("shutdown", 20)
     cell.hold_part(ForceRamp.linear(2.0, rate_n_s=5.0))
-    cell.gripper.hold(0.5, cell.once(cell.cores[0].plant.overload, in_s=0.1))
+    cell.gripper.hold(0.5, cell.once(cell.servos[0].plant.overload, in_s=0.1))
     assert cell.gripper.phase is GripperPhase.HOLDING
     (note,) = cell.gripper.drives.read().notes
     assert note == (

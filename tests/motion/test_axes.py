@@ -110,7 +110,7 @@ def test_a_wrist_turns_between_its_limits(bench) -> None:
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_a_wrist_that_confirms_no_write_turns_all_the_same(bench, level: int) -> None:
-    bench.simulated.servo.core.registers.put("status_return_level", level)
+    bench.simulated.servo.registers.put("status_return_level", level)
     assert bench.move(1.0) == pytest.approx(1.0, abs=0.02)
 
 
@@ -139,7 +139,7 @@ def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
         "silent": lambda: setattr(simulated, "dead", True),
         "overload": lambda: simulated.fail(0),
         "reboot": simulated.power_cycle,
-        "jump": lambda: setattr(simulated.servo.core.plant, "encoder_offset_rad", 3.5),
+        "jump": lambda: setattr(simulated.servo.plant, "encoder_offset_rad", 3.5),
     }
     once(bench.clock, lambda: simulated.moving, acts[fail])
     with pytest.raises(error, match=words):
@@ -148,8 +148,8 @@ def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
     simulated.blocked = simulated.dead = False
     bench.clock.sleep(1.0)
     if fail == "jump":
-        assert not simulated.servo.core.torque_on  # nobody can hold what nobody can measure
-        simulated.servo.core.plant.encoder_offset_rad = 0.0
+        assert not simulated.servo.torque_on  # nobody can hold what nobody can measure
+        simulated.servo.plant.encoder_offset_rad = 0.0
     assert bench.move(1.0) == pytest.approx(1.0, abs=NEAR_RAD)
 
 
@@ -164,7 +164,7 @@ def test_a_wrist_that_is_silent_for_a_moment_is_asked_again(bench) -> None:
 
 def test_a_wrist_that_restarted_meanwhile_is_found(bench) -> None:
     bench.move(0.5)
-    bench.simulated.servo.core.boot(bench.clock.monotonic())
+    bench.simulated.servo.boot(bench.clock.monotonic())
     bench.clock.sleep(1.0)
     with pytest.raises(AxisRestarted, match="has lost its torque"):
         bench.move(1.0)
@@ -183,7 +183,7 @@ def test_a_wrist_is_refused_that_is_another_or_stands_outside(make_wrist) -> Non
     with pytest.raises(AxisFault, match="its limits are 0 to 2048: turn it back by hand"):
         make_wrist(start_rad=4.5).move(1.0)
     bench = make_wrist()
-    registers = bench.simulated.bus.servos[0].core.registers
+    registers = bench.simulated.bus.servos[0].registers
     registers.put("drive_mode", 4)
     with pytest.raises(AxisMissing, match="Drive Mode 4"):
         bench.move(1.0)
@@ -199,7 +199,7 @@ def test_faults_of_an_earlier_program_are_cleared_without_motion(make_wrist, mak
     assert bench.simulated.state == "SWITCH ON DISABLED"
     bench.move(0.0)
     wrist = make_wrist()
-    wrist.simulated.servo.core.plant.overload()
+    wrist.simulated.servo.plant.overload()
     wrist.clock.sleep(0.1)
     with pytest.raises(AxisFault, match="hardware error overload"):
         wrist.axes.clear_faults(reboot=False)

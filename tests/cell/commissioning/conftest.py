@@ -78,7 +78,7 @@ class Stand:
 
     def registers(self, name: str) -> list[int]:
         """Return the raw value of an item of each servo."""
-        return [s.core.registers.get(name) for s in self.cell.devices.servo_bus.servos]
+        return [s.registers.get(name) for s in self.cell.devices.servo_bus.servos]
 
 
 MakeStand = Callable[..., Stand]

@@ -137,7 +137,7 @@ def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
     assert advice in finding.advice
     ((simulated, before_m),) = cells
     assert simulated.devices.mechanics.aperture_m == pytest.approx(before_m, abs=1e-6)
-    assert not any(servo.core.torque_on for servo in simulated.devices.servo_bus.servos)
+    assert not any(servo.torque_on for servo in simulated.devices.servo_bus.servos)
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def test_torque_that_is_left_on_is_named_with_the_way_on(
             simulated.inject(f"servo{index + 1}.overload")
         simulated.clock.sleep(0.1)
         for index in on:
-            simulated.devices.servo_bus.servos[index].core.registers.put("torque_enable", 1)
+            simulated.devices.servo_bus.servos[index].registers.put("torque_enable", 1)
 
     finding = by_name(altered(alter))["servo torque"]
     assert finding.verdict is verdict
@@ -174,7 +174,7 @@ def test_servos_that_withhold_their_answers_are_named_by_the_register(
 ) -> None:
     def alter(simulated: Any) -> None:
         for servo in simulated.devices.servo_bus.servos:
-            servo.core.registers.put("status_return_level", level)
+            servo.registers.put("status_return_level", level)
 
     findings = by_name(altered(alter))
     assert not [f for f in findings.values() if f.verdict is Verdict.FAIL]

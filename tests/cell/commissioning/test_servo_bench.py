@@ -136,7 +136,7 @@ def test_the_steps_measure_the_simulated_servo(tmp_path: Path, model: str) -> No
     assert values["gains_mode_3"][:2] == [0, 0]
     assert values["gains_mode_5"][2] > 0
     assert values["breakaway_a"] >= 0.95 * values["coulomb_a"]
-    assert bench.servo.core.registers.get("operating_mode") == 3, "the mode is that of before"
+    assert bench.servo.registers.get("operating_mode") == 3, "the mode is that of before"
 
 
 def test_silence(tmp_path: Path) -> None:
@@ -176,8 +176,8 @@ def test_a_person_who_leaves_keeps_what_was_measured_and_the_torque_is_off(tmp_p
         run_bench(bench.rig, script, tmp_path)
     (result,) = tmp_path.glob("*.json")
     assert "gains_mode_5" in json.loads(result.read_text())["values"]
-    assert not bench.servo.core.torque_on
-    assert bench.servo.core.registers.get("operating_mode") == 3
+    assert not bench.servo.torque_on
+    assert bench.servo.registers.get("operating_mode") == 3
 
 
 def test_limits_stand_beside_the_write() -> None:
@@ -197,7 +197,7 @@ def test_a_hot_servo_ends_its_step(tmp_path: Path) -> None:
     bench.motor.temperature_c = 65.0
     run_bench(bench.rig, script := person(bench, "velocity"), tmp_path)
     assert any("let it cool" in line for line in script.said)
-    assert not bench.servo.core.torque_on
+    assert not bench.servo.torque_on
 
 
 class OneLine(LineOpener):
@@ -220,7 +220,7 @@ def test_one_servo_alone_and_without_torque(
     tmp_path: Path, n_servos: int, torque: int, refused: str | None
 ) -> None:
     bench = SimulatedBench(n_servos=n_servos)
-    bench.servo.core.set_torque(on=bool(torque))
+    bench.servo.set_torque(on=bool(torque))
     lines = Bench(tmp_path, OneLine(bench))
     script = Script(replies={"servo.press": "-1"})
     if refused is None:

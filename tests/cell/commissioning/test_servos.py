@@ -27,7 +27,7 @@ def new(make_stand: MakeStand) -> Stand:
 
 
 def eeproms(stand: Stand) -> list[bytes]:
-    return [bytes(s.core.registers.data[:64]) for s in stand.cell.devices.servo_bus.servos]
+    return [bytes(s.registers.data[:64]) for s in stand.cell.devices.servo_bus.servos]
 
 
 @pytest.mark.slow
@@ -59,7 +59,7 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
 @pytest.mark.parametrize("level", [0, 1])
 def test_a_servo_that_confirms_no_write_is_set_to_confirm_with_an_approval(stand, level) -> None:
     for servo in stand.cell.devices.servo_bus.servos:
-        servo.core.registers.put("status_return_level", level)
+        servo.registers.put("status_return_level", level)
     stand.passes(STEP)
     assert stand.registers("status_return_level") == [2, 2]
     shown = [(w.where, w.what, w.before, w.after) for w in stand.person.script.writes]
@@ -70,7 +70,7 @@ def test_a_servo_that_confirms_no_write_is_set_to_confirm_with_an_approval(stand
 
 def test_a_servo_at_the_fastest_baud_rate_is_found(stand) -> None:
     servo = stand.cell.devices.servo_bus.servos[1]
-    servo.core.registers.put("baud_rate", 7)
+    servo.registers.put("baud_rate", 7)
     stand.passes(STEP)
     assert stand.registers("baud_rate") == [3, 3]
     shown = [(w.where, w.before, w.after) for w in stand.person.script.writes]
@@ -80,8 +80,8 @@ def test_a_servo_at_the_fastest_baud_rate_is_found(stand) -> None:
 @pytest.mark.parametrize("rate", [1, 3])
 def test_servos_in_protocol_1_are_named_with_the_register(stand, rate: int) -> None:
     for servo in stand.cell.devices.servo_bus.servos:
-        servo.core.registers.put("protocol_type", 1)
-        servo.core.registers.put("baud_rate", rate)
+        servo.registers.put("protocol_type", 1)
+        servo.registers.put("baud_rate", rate)
     finding = stand.run(STEP)
     assert any("Protocol 1.0 come from servo 1, 2" in line for line in finding.lines)
 
@@ -139,7 +139,7 @@ def test_wrong_registers_are_shown_then_set_and_read_back(make_stand) -> None:
 def test_torque_that_holds_a_part_is_not_switched_off_unasked(make_stand) -> None:
     stand = make_stand("servo1.wrong=homing_offset:100")
     for servo in stand.cell.devices.servo_bus.servos:
-        servo.core.set_torque(on=True)
+        servo.set_torque(on=True)
     with pytest.raises(WizardAborted):
         stand.run(STEP, leave_at=["approve"])
     assert "it may hold a part" in stand.person.script.said[-1]

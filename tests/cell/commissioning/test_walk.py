@@ -58,7 +58,7 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, m
         bench = Bench(tmp_path, SimulatedLines(cell, ports), given=given, base=base)
         Engine(all_steps(), bench).run(person.script)
         (servo,) = cell.devices.servo_bus.servos
-        assert servo.core.registers.get("torque_enable") == 0
+        assert servo.registers.get("torque_enable") == 0
     findings = person.script.findings
     assert {key: one.lines for key, one in findings.items() if one.status is Verdict.FAIL} == {}
     config = load_config(tmp_path / CONFIG_NAME)

@@ -314,5 +314,5 @@ def test_factory_new_servos_share_an_id_and_are_found_to() -> None:
     assert not bus.shares_id(1)
     cell.inject("servos.lose_next=3")
     assert bus.shares_id(1)
-    cell.devices.servo_bus.servos[0].core.registers.put("status_return_level", 0)
+    cell.devices.servo_bus.servos[0].registers.put("status_return_level", 0)
     assert not bus.shares_id(1)

@@ -93,7 +93,7 @@ def test_a_silent_servo_does_not_keep_the_other_watchdog_armed(cell) -> None:
     cell.device.faults.silent = {1}
     with pytest.raises(BusTimeout):
         cell.gripper.keep_grip()
-    assert cell.cores[1].registers.get("bus_watchdog") == 0
+    assert cell.servos[1].registers.get("bus_watchdog") == 0
 
 
 def test_a_trip_between_two_questions_is_found(cell, monkeypatch) -> None:

@@ -114,7 +114,7 @@ def test_a_leap_in_a_pause_is_found_before_the_next_goal(cell) -> None:
     cell.gripper.keep_grip()
     cell.clock.sleep(2.0)
     goal_raw = cell.register(0, "goal_position")
-    cell.cores[0].reported_offset_raw = 4096
+    cell.servos[0].reported_offset_raw = 4096
     with pytest.raises(FeedbackImplausible, match="off by"):
         cell.gripper.release()
     assert cell.register(0, "goal_position") == goal_raw
@@ -123,7 +123,7 @@ def test_a_leap_in_a_pause_is_found_before_the_next_goal(cell) -> None:
 
 def test_turns_of_a_servo_without_torque_do_not_matter(started) -> None:
     before_m = started.gripper.read_feedback().aperture_m
-    started.cores[0].reported_offset_raw = 2 * 4096
+    started.servos[0].reported_offset_raw = 2 * 4096
     assert started.gripper.read_feedback().aperture_m == pytest.approx(before_m, abs=1e-4)
 
 
@@ -131,7 +131,7 @@ def test_turns_of_a_servo_without_torque_do_not_matter(started) -> None:
 def test_no_goal_is_made_of_a_position_far_from_the_one_in_force(cell, offset_raw) -> None:
     cell.hold_part(RAMP)
     cell.gripper.close()
-    cell.cores[0].reported_offset_raw = offset_raw
+    cell.servos[0].reported_offset_raw = offset_raw
     goal_raw = cell.register(0, "goal_position")
     with pytest.raises(FeedbackImplausible, match=r"servo 1: .* holds the goal .* rad away"):
         cell.new_gripper().release()
@@ -144,7 +144,7 @@ def test_a_servo_that_has_restarted_between_two_readings_is_a_fault_at_once(cell
     """No silence tells of it, only its tick; a goal would move the other finger alone."""
     cell.hold_part(RAMP)
     cell.gripper.hold(0.5)
-    core = cell.cores[servo]
+    core = cell.servos[servo]
     restart = cell.once(lambda: core.boot(cell.clock.monotonic(), blackout_s=0.0), in_s=0.2)
     goals_s: list[float] = []
 

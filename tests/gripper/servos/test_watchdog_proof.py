@@ -13,7 +13,7 @@ RAMP = ForceRamp.linear(4.0, rate_n_s=5.0)
 
 def let_stop(cell, how: WatchdogStop, *indices: int) -> None:
     for index in indices:
-        cell.cores[index].watchdog_stop = how
+        cell.servos[index].watchdog_stop = how
 
 
 @pytest.mark.parametrize("how", [WatchdogStop.HOLD, WatchdogStop.ZERO_CURRENT])
@@ -55,7 +55,7 @@ def test_a_motor_that_turns_on_is_found_and_no_grasp_is_begun(make_cell) -> None
 
 def test_a_watchdog_that_never_trips_is_found(make_cell, monkeypatch) -> None:
     cell = make_cell(watchdog_self_test=True)
-    monkeypatch.setattr(cell.cores[0], "set_watchdog", lambda *_: None)
+    monkeypatch.setattr(cell.servos[0], "set_watchdog", lambda *_: None)
     cell.gripper.start()
     with pytest.raises(WatchdogUnproven, match="servo 1: register 98 did not trip"):
         cell.gripper.open()

@@ -133,12 +133,12 @@ def _knobs(cell: SimulatedCell) -> Any:
     devices.unit.dictionary.pretend("Identity object.Serial number", identity[-1])
     servos = [
         (
-            servo.core.watchdog_stop,
-            servo.core.injected_error,
-            servo.core.reported_offset_raw,
-            servo.core.registers.get("current_limit"),
-            round(servo.core.plant.temperature_c, 3),
-            servo.core.plant.voltage_v,
+            servo.watchdog_stop,
+            servo.injected_error,
+            servo.reported_offset_raw,
+            servo.registers.get("current_limit"),
+            round(servo.plant.temperature_c, 3),
+            servo.plant.voltage_v,
         )
         for servo in devices.servo_bus.servos
     ]

@@ -45,9 +45,9 @@ def test_factory_values(model):
     ],
 )
 def test_what_a_write_is_answered(bench, address: int, size: int, value: int, error: int):
-    before = bench.servos[0].core.registers.data[:120]
+    before = bench.servos[0].registers.data[:120]
     assert bench.write(1, address, size, value) == error
-    after = bench.servos[0].core.registers.data[:120]
+    after = bench.servos[0].registers.data[:120]
     if error:
         assert after == before
     else:
@@ -271,9 +271,9 @@ def test_each_answer_comes_again_later(bench):
 
 def test_a_lagging_answer_is_that_to_the_request_of_its_kind_before(bench):
     bench.device.faults.lag = True
-    bench.servos[0].core.registers.data[65] = 1
+    bench.servos[0].registers.data[65] = 1
     assert bench.exchange(read(65, 1))[9] == 1
-    bench.servos[0].core.registers.data[65] = 2
+    bench.servos[0].registers.data[65] = 2
     assert bench.exchange(PING) == PONG
     assert bench.exchange(read(65, 1))[9] == 1
     assert bench.exchange(read(65, 1))[9] == 2
@@ -292,11 +292,11 @@ def test_an_adapter_that_loses_its_supply_forgets_half_a_packet(bench):
 
 def test_servos_with_the_same_id_answer_at_once(bench):
     second = bench.device.servos[1]
-    second.core.registers.put("id", 1)
+    second.registers.put("id", 1)
     ping = encode_instruction(1, Instruction.PING)
     assert ids(bench.exchange(ping)) == [1]
     assert ids(bench.exchange(encode_instruction(0xFE, Instruction.PING))) == [1]
-    second.core.registers.put("moving_threshold", 77)
+    second.registers.put("moving_threshold", 77)
     read = encode_instruction(1, Instruction.READ, bytes.fromhex("1800 0400"))
     answer = bench.exchange(read)
     assert answer
@@ -351,7 +351,7 @@ def closing():
     def make(watchdog_stop: WatchdogStop = WatchdogStop.HOLD):
         pressing = ServoBench(settings={"operating_mode": 5})
         for servo in pressing.servos:
-            servo.core.watchdog_stop = watchdog_stop
+            servo.watchdog_stop = watchdog_stop
         pressing.clock.sleep(0.01)
         for servo_id in (1, 2):
             present = pressing.read(servo_id, 132, 4)
@@ -474,7 +474,7 @@ def trip(pressing):
     pressing.clock.sleep(0.3)
     pressing.write(1, 98, 1, 5)
     pressing.clock.sleep(0.11)
-    assert pressing.servos[0].core.watchdog_tripped
+    assert pressing.servos[0].watchdog_tripped
 
 
 def test_a_trip_holds_the_present_position(pressing):
@@ -530,14 +530,14 @@ def test_a_cleared_motor_waits_for_a_goal(pressing):
 )
 def test_a_latched_error_drops_the_torque_until_a_reboot(pressing, provoke, bits: int):
     pressing.clock.sleep(0.1)
-    provoke(pressing.servos[0].core)
+    provoke(pressing.servos[0])
     pressing.clock.sleep(0.01)
     assert pressing.ask(1, Instruction.READ, bytes((70, 0, 1, 0))) == (ALERT, bytes((bits,)))
     assert pressing.read(1, 64, 1) == 0
     assert pressing.read(1, 126, 2) == 0
     assert pressing.write(1, 64, 1, 1) == ALERT | 1
     assert pressing.ask(2, Instruction.PING)[0] == 0
-    pressing.servos[0].core.injected_error = 0
+    pressing.servos[0].injected_error = 0
     pressing.motors[0].temperature_c = 30.0
     assert pressing.read(1, 70, 1) == bits
     assert pressing.ask(1, Instruction.REBOOT)[0] == ALERT

@@ -60,7 +60,7 @@ class Conversation(ServoBench):
 
     def __init__(self, values: dict[int, dict[str, int]]) -> None:
         super().__init__(model=XM430_W210)
-        self.registers = {servo.servo_id: servo.core.registers for servo in self.servos}
+        self.registers = {servo.servo_id: servo.registers for servo in self.servos}
         for servo_id, registers in self.registers.items():
             for name, value in ({"firmware_version": FIRMWARE} | values.get(servo_id, {})).items():
                 registers.put(name, value)

@@ -29,11 +29,11 @@ def rusty(driver: Any) -> Iterator[Any]:
 
 
 def present(driver: Any, servo_id: int) -> int:
-    return driver.bench.servos[servo_id - 1].core.present_raw()
+    return driver.bench.servos[servo_id - 1].present_raw()
 
 
 def registers(driver: Any, servo_id: int) -> Any:
-    return driver.bench.servos[servo_id - 1].core.registers
+    return driver.bench.servos[servo_id - 1].registers
 
 
 def test_a_ping_and_sync_reads_of_bytes_like_a_header(driver: Any, rusty: Any) -> None:
@@ -47,7 +47,7 @@ def test_a_ping_and_sync_reads_of_bytes_like_a_header(driver: Any, rusty: Any) -
 
 
 def test_alert_and_access_errors(driver: Any, rusty: Any) -> None:
-    driver.bench.servos[1].core.injected_error = 0x20
+    driver.bench.servos[1].injected_error = 0x20
     driver.bench.device.advance_to(time.monotonic())
     answers = rusty.sync_read_raw_data_with_error([1, 2], 132, 4)
     assert [error for _, error in answers] == [0, 0x80]
