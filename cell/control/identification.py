@@ -10,8 +10,7 @@ from cell.fault_catalogue import error_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior, Recognizer
-from recognition.shape.answer import ShapeAnswer
-from recognition.shape.fusion import fuse_shapes
+from recognition.shape.answer import ShapeAnswer, fuse_shapes
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule, decide, fuse
 
 SAME_GRIP_DEPENDENCE = 0.5

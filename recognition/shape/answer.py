@@ -1,16 +1,24 @@
-"""Shape and size of a grasped object, with probabilities, also of an object never taught."""
+"""Shape and size of a grasped object, with probabilities, also of an object never taught.
+
+Foam, gain, spread and zero of the opening are common unknowns of the grasps of a cell, so their
+error does not average out over several grasps. Noise and pose are new in each grasp and do average
+out. Objects of revolution have one thickness in all poses. A `flat` or `oval` may have several, for
+example a bar of 10 mm by 16 mm. Grasps are split at the widest gap between their thicknesses while
+two thicknesses explain them better than one.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recognition.grasp import Grasp
-from recognition.shape.fit import KindEvidence, ShapeFit, evidence_of
+from recognition.shape.fit import Faces, KindEvidence, ShapeFit, evidence_of, joint_evidence
 from recognition.shape.foam import FoamModel
 from recognition.shape.pressed_pads import reduce_to_pads
 from recognition.shape.search import all_fits
+from recognition.statistics.fusion import independent_share
 
 UNCLEAR = "unclear"
 """The answer if no kind of shape is likely enough, or none fits."""
@@ -21,6 +29,22 @@ _MAX_MISFIT = 3.0
 """Largest squared residual per degree of freedom of a kind as the answer."""
 _90_PERCENT = 1.645
 """Half width of a 90 % interval of a normal distribution in standard deviations."""
+SHAPE_DEPENDENCE = 0.5
+"""Correlation of the errors of several grasps; see `fuse_shapes`."""
+
+PLACING_M = 0.1e-3
+"""Standard deviation in m of one object's thickness from grasp to grasp."""
+
+_DISTINCT_M = 0.2e-3
+"""The same for the split of thicknesses, so that an error of the opening makes no second one."""
+
+_SEVERAL_THICKNESSES = frozenset({"flat", "oval"})
+"""Kinds that may have different thicknesses in different poses."""
+_LOG_ODDS_OF_ANOTHER = float(np.log(20.0))
+"""Prior log odds against one more thickness of an object."""
+
+Hypothesis = Sequence[KindEvidence]
+"""Evidence of one kind under one foam, in each grasp."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +92,7 @@ class ShapeAnswer:
     """All thicknesses of several grasps, thinnest first; the most frequent one is `size_m`. One
     grasp has one."""
     evidence: tuple[KindEvidence, ...] = field(default=(), repr=False, compare=False)
-    """Evidence of this grasp for each hypothesis, for `recognition.shape.fusion`; empty for several
+    """Evidence of this grasp for each hypothesis, for `fuse_shapes`; empty for several
     grasps."""
 
     @property
@@ -129,63 +153,119 @@ def joint_answer(fits: Sequence[ShapeFit], log_prior: Sequence[float] | None = N
     prior = [0.0] * len(fits) if log_prior is None else list(log_prior)
     misfit = min(fit.misfit for fit in fits)
     scale = max(1.0, misfit)
-    fits = [fit.at_scale(scale) for fit in fits]
-    weight = shares([fit.log_evidence(scale) + p for fit, p in zip(fits, prior, strict=True)])
-    probability, best = likeliest_of([fit.model.kind for fit in fits], weight)
-    seen = mixed(
-        weight,
-        [float(np.log(fit.half_m)) for fit in fits],
-        [fit.log_half_sd(scale) for fit in fits],
+    evidence = tuple(evidence_of(fit, scale, p) for fit, p in zip(fits, prior, strict=True))
+    answer = _answer([(one,) for one in evidence], [((0,),)] * len(fits), misfit)
+    return replace(answer, evidence=evidence)
+
+
+def fuse_shapes(
+    answers: Sequence[ShapeAnswer],
+    *,
+    dependence: float = SHAPE_DEPENDENCE,
+    placing_m: float = PLACING_M,
+) -> ShapeAnswer:
+    """Return shape and size from several grasps of one object; the order does not matter.
+
+    Raises ValueError without an answer, or if one was already fused.
+
+    Parameters
+    ----------
+    answers
+        Of single grasps; a single answer is returned unchanged.
+    dependence
+        n grasps have the weight of n / (1 + (n - 1) dependence) independent ones, because the
+        errors of the model of foam and objects are similar in all.
+    placing_m
+        Standard deviation in m of the thickness from grasp to grasp.
+    """
+    if not answers:
+        raise ValueError("no shapes to fuse: grasp at least once")
+    if len(answers) == 1:
+        return answers[0]
+    if not all(answer.evidence for answer in answers):
+        raise ValueError("a fused shape cannot be fused again; fuse the grasps' own answers")
+    hypotheses = list(zip(*(answer.evidence for answer in answers), strict=True))
+    faces_of = [_faces([item.scattered(_DISTINCT_M) for item in items]) for items in hypotheses]
+    share = independent_share(len(answers), dependence)
+    tempered = [
+        [item.scattered(placing_m).tempered(share) for item in items] for items in hypotheses
+    ]
+    misfit = float(np.median([answer.misfit for answer in answers]))
+    return _answer(tempered, faces_of, misfit)
+
+
+def _answer(
+    hypotheses: Sequence[Hypothesis], faces_of: Sequence[Faces], misfit: float
+) -> ShapeAnswer:
+    """Return the answer of all hypotheses, each with the grasps of its thicknesses."""
+    log_weight = np.array(
+        [
+            items[0].log_prior + joint_evidence(items, faces)[0] - len(faces) * _LOG_ODDS_OF_ANOTHER
+            for items, faces in zip(hypotheses, faces_of, strict=True)
+        ]
     )
-    kind = fits[best].model.kind
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    probability = dict.fromkeys((items[0].kind for items in hypotheses), 0.0)
+    for items, share in zip(hypotheses, weight.tolist(), strict=True):
+        probability[items[0].kind] += share
+    kind = max(probability, key=lambda kind: probability[kind])
+    of_kind = [number for number, items in enumerate(hypotheses) if items[0].kind == kind]
+    best = max(of_kind, key=lambda number: weight[number])
+    faces = faces_of[best]
+    _, means, sds = zip(*(joint_evidence(items, faces) for items in hypotheses), strict=True)
+    thicknesses = [
+        _mixed(weight, mean, sd, len(face))
+        for mean, sd, face in zip(np.transpose(means), np.transpose(sds), faces, strict=True)
+    ]
+    # The faces are in the order of their thickness: of equally frequent ones the thinnest.
+    main = max(range(len(faces)), key=lambda number: len(faces[number]))
+    seen = thicknesses[main]
+    sizes_m = [hypotheses[best][i].dimensions_m for i in faces[main]]
+    dimensions_m = {name: float(np.median([one[name] for one in sizes_m])) for name in sizes_m[0]}
+    if len(hypotheses[best]) > 1:
+        # Several grasps give the thickness better than their median.
+        dimensions_m[next(iter(dimensions_m))] = seen.size_m
+    clear = probability[kind] >= _MIN_PROBABILITY and misfit <= _MAX_MISFIT
     return ShapeAnswer(
-        kind=clear_kind(kind, probability[kind], misfit),
+        kind=kind if clear else UNCLEAR,
         probability=probability,
         size_m=seen.size_m,
         low_m=seen.low_m,
         high_m=seen.high_m,
-        dimensions_m=fits[best].dimensions_m(),
-        misfit=float(misfit),
-        thicknesses=(seen,),
-        evidence=tuple(evidence_of(fit, scale, p) for fit, p in zip(fits, prior, strict=True)),
+        dimensions_m=dimensions_m,
+        misfit=misfit,
+        thicknesses=tuple(sorted(thicknesses, key=lambda thickness: thickness.size_m)),
     )
 
 
-def shares(log_evidence: Sequence[float]) -> NDArray[np.float64]:
-    """Return the probability of each hypothesis."""
-    weight = np.exp(np.array(log_evidence) - max(log_evidence))
-    probability: NDArray[np.float64] = weight / weight.sum()
-    return probability
-
-
-def likeliest_of(kinds: Sequence[str], weight: NDArray[np.float64]) -> tuple[dict[str, float], int]:
-    """Return the probability of each kind, and the best hypothesis of the likeliest."""
-    probability = dict.fromkeys(kinds, 0.0)
-    for kind, share in zip(kinds, weight.tolist(), strict=True):
-        probability[kind] += share
-    likeliest = max(probability, key=lambda kind: probability[kind])
-    of_kind = [number for number, kind in enumerate(kinds) if kind == likeliest]
-    return probability, max(of_kind, key=lambda number: weight[number])
-
-
-def mixed(
+def _mixed(
     weight: NDArray[np.float64],
-    log_half_m: Sequence[float],
-    sd: Sequence[float],
-    n_grasps: int = 1,
+    log_half_mm: NDArray[np.float64],
+    sd: NDArray[np.float64],
+    n_grasps: int,
 ) -> Thickness:
-    """Return the thickness over all hypotheses, from the log half thickness in m of each."""
-    centre, spread = np.array(log_half_m), np.array(sd)
-    mean = float(weight @ centre)
-    reach = _90_PERCENT * float(np.sqrt(weight @ (spread**2 + (centre - mean) ** 2)))
-    return Thickness(
-        size_m=2.0 * float(np.exp(mean)),
-        low_m=2.0 * float(np.exp(mean - reach)),
-        high_m=2.0 * float(np.exp(mean + reach)),
-        n_grasps=n_grasps,
-    )
+    """Return the thickness over all hypotheses, from the log half thickness in mm of each."""
+    mean = float(weight @ log_half_mm)
+    reach = _90_PERCENT * float(np.sqrt(weight @ (sd**2 + (log_half_mm - mean) ** 2)))
+    low_m, size_m, high_m = (2e-3 * float(np.exp(mean + x)) for x in (-reach, 0.0, reach))
+    return Thickness(size_m=size_m, low_m=low_m, high_m=high_m, n_grasps=n_grasps)
 
 
-def clear_kind(kind: str, probability: float, misfit: float) -> str:
-    """Return the likeliest kind, or `UNCLEAR` if it is too unlikely or does not fit."""
-    return kind if probability >= _MIN_PROBABILITY and misfit <= _MAX_MISFIT else UNCLEAR
+def _faces(items: Sequence[KindEvidence]) -> Faces:
+    """Return the grasps of each thickness, thinnest first."""
+    order = np.argsort([item.log_half_mm for item in items], kind="stable")
+    at = np.array([items[i].log_half_mm for i in order])
+    faces: Faces = (tuple(int(i) for i in order),)
+    if items[0].kind not in _SEVERAL_THICKNESSES:
+        return faces
+    log_evidence = joint_evidence(items, faces)[0]
+    cuts: list[int] = []
+    for cut in 1 + np.argsort(-np.diff(at), kind="stable"):
+        tried = sorted([*cuts, int(cut)])
+        split = tuple(tuple(int(i) for i in part) for part in np.split(order, tried))
+        log_split = joint_evidence(items, split)[0] - len(tried) * _LOG_ODDS_OF_ANOTHER
+        if log_split <= log_evidence:
+            break
+        cuts, faces, log_evidence = tried, split, log_split
+    return faces

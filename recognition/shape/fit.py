@@ -10,7 +10,7 @@ half thickness, and the common values of a cell's grasps (foam, gain, spread, ze
 Their priors are divided out, so that several grasps can be multiplied and each prior counts once.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -24,6 +24,8 @@ from recognition.shape.pressed_pads import PressedPads
 from recognition.shape.residuals import FOAM, PadUncertainty, ShapeProblem
 
 Array = NDArray[np.float64]
+Faces = tuple[tuple[int, ...], ...]
+"""Numbers of the grasps of each thickness."""
 
 _STEPS = 40
 """Most evaluations of a fit."""
@@ -76,49 +78,20 @@ class ShapeFit:
     n_shared: int
     """Number of the last parameters, which are common to all grasps of a cell."""
 
-    @property
-    def half_m(self) -> float:
-        """Half thickness along the closing axis in m."""
-        return 1e-3 * float(np.exp(self.theta[0]))
-
     def at_scale(self, scale: float) -> "ShapeFit":
         """Return the fit with ``scale`` times the variances of the data.
 
         It is one Gauss-Newton step: with a larger scale the prior has more weight.
         """
         away = self.prior_sd**-2 * (self.theta - self.prior_mean)
-        step = -np.linalg.solve(self._precision(scale), self.gradient / scale + away)
+        precision = self.normal / scale + np.diag(self.prior_sd**-2)
+        step = -np.linalg.solve(precision, self.gradient / scale + away)
         return replace(
             self,
             theta=self.theta + step,
             gradient=self.gradient + self.normal @ step,
             chi2=max(0.0, self.chi2 + float(step @ (2.0 * self.gradient + self.normal @ step))),
         )
-
-    def log_evidence(self, scale: float = 1.0) -> float:
-        """Return the log marginal likelihood up to a term that is common to all kinds.
-
-        Parameters
-        ----------
-        scale
-            Factor on the variances of the data: above 1 if no kind fits within the noise.
-        """
-        away = (self.theta - self.prior_mean) / self.prior_sd
-        _, volume = np.linalg.slogdet(self._precision(scale))
-        return float(
-            -0.5 * (self.chi2 / scale + away @ away + volume) - np.log(self.prior_sd).sum()
-        )
-
-    def log_half_sd(self, scale: float = 1.0) -> float:
-        """Return the standard deviation of the logarithm of the half thickness."""
-        return float(np.sqrt(np.linalg.inv(self._precision(scale))[0, 0]))
-
-    def dimensions_m(self) -> dict[str, float]:
-        """Return the dimensions in m by their names."""
-        return self.model.dimensions_m(self.half_m, self.theta[1 : self.model.n_own])
-
-    def _precision(self, scale: float) -> Array:
-        return self.normal / scale + np.diag(self.prior_sd**-2)
 
 
 def fit_shape(
@@ -237,8 +210,11 @@ class KindEvidence:
 
 
 def evidence_of(fit: ShapeFit, scale: float, log_prior: float = 0.0) -> KindEvidence:
-    """Return the evidence of a fit, with ``scale`` times the variances of its data."""
-    n = len(fit.theta)
+    """Return the evidence of a fit, with ``scale`` times the variances of its data.
+
+    The scale is above 1 if no kind fits within the noise.
+    """
+    fit, n = fit.at_scale(scale), len(fit.theta)
     shared = np.r_[0, n - fit.n_shared : n]
     integrated = np.setdiff1d(np.arange(n), shared)
     precision = fit.normal / scale + np.diag(fit.prior_sd**-2)
@@ -261,5 +237,40 @@ def evidence_of(fit: ShapeFit, scale: float, log_prior: float = 0.0) -> KindEvid
         prior_sd=fit.prior_sd[shared],
         log_prior=log_prior,
         log_half_mm=float(at[0]),
-        dimensions_m=fit.dimensions_m(),
+        dimensions_m=fit.model.dimensions_m(
+            1e-3 * float(np.exp(fit.theta[0])), fit.theta[1 : fit.model.n_own]
+        ),
     )
+
+
+def joint_evidence(
+    items: Sequence[KindEvidence], faces: Faces = ((0,),)
+) -> tuple[float, Array, Array]:
+    """Return log evidence, and mean and deviation (n_faces,) of each log half thickness in mm.
+
+    The log evidence is the marginal likelihood up to a term that is common to all kinds.
+
+    Parameters
+    ----------
+    items
+        One kind under one foam, in each grasp.
+    faces
+        Numbers of the grasps of each thickness.
+    """
+    first, n_faces = items[0], len(faces)
+    n = n_faces + len(first.prior_mean) - 1
+    mean = np.r_[np.full(n_faces, first.prior_mean[0]), first.prior_mean[1:]]
+    sd = np.r_[np.full(n_faces, first.prior_sd[0]), first.prior_sd[1:]]
+    precision, eta = np.diag(sd**-2), mean / sd**2
+    level = -0.5 * float((mean / sd) @ (mean / sd)) - float(np.log(sd).sum())
+    for number, face in enumerate(faces):
+        places = np.r_[number, n_faces:n]
+        for i in face:
+            precision[np.ix_(places, places)] += items[i].precision
+            eta[places] += items[i].eta
+            level += items[i].level
+    covariance = np.linalg.inv(precision)
+    means = covariance @ eta
+    _, volume = np.linalg.slogdet(precision)
+    log_evidence = level + 0.5 * float(eta @ means) - 0.5 * float(volume)
+    return log_evidence, means[:n_faces], np.sqrt(np.diag(covariance)[:n_faces])

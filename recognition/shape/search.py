@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from recognition.shape.fit import ShapeFit, fit_shape
+from recognition.shape.fit import ShapeFit, evidence_of, fit_shape, joint_evidence
 from recognition.shape.foam import FoamModel
 from recognition.shape.models import SHAPE_MODELS
 from recognition.shape.pressed_pads import PressedPads
@@ -97,7 +97,7 @@ def _as_it_was(fit: ShapeFit, data: PressedPads, foam: FoamModel) -> ShapeFit:
 
 def _evidence(fits: Mapping[str, ShapeFit]) -> dict[str, float]:
     scale = max(1.0, min(fit.misfit for fit in fits.values()))
-    return {kind: fit.at_scale(scale).log_evidence(scale) for kind, fit in fits.items()}
+    return {kind: joint_evidence([evidence_of(fit, scale)])[0] for kind, fit in fits.items()}
 
 
 def _far(last: Mapping[str, ShapeFit]) -> frozenset[str]:

@@ -9,10 +9,9 @@ import pytest
 
 from recognition.errors import ContactError
 from recognition.grasp import Grasp, PadArray
-from recognition.shape.answer import UNCLEAR, ShapeAnswer, joint_answer, shape_of
+from recognition.shape.answer import UNCLEAR, ShapeAnswer, fuse_shapes, joint_answer, shape_of
 from recognition.shape.fit import ShapeFit, fit_shape, misfit_of
 from recognition.shape.foam import FoamModel, PadBed
-from recognition.shape.fusion import fuse_shapes
 from recognition.shape.models import SHAPE_MODELS
 from recognition.shape.pressed_pads import reduce_to_pads
 from recognition.shape.residuals import PadUncertainty
