@@ -74,31 +74,60 @@ _FLAT_UNIT_M = 5e-3
 """Half length and half width of a flat object are relative to this, in m."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ShapeModel:
     """One kind of shape."""
 
     kind: str
     """Its name in an answer."""
-    mean: tuple[float, ...]
-    sd: tuple[float, ...]
-    """Prior, normal: of the logarithm of h in mm, then of the shape's own parameters."""
-    turns: bool
-    """Whether a turn about the closing axis changes the footprint."""
     surface: Callable[[Array, Array, Array, Array, float], Surface]
     """Returns the surface. Arguments: h in m (B, 1, 1), own parameters (B, n, 1, 1), u and v in m
     (B, n_x, n_y) and the length of a cell in m."""
-    dimensions_m: Callable[[float, Array], dict[str, float]]
-    """Returns dimensions in m by their names from h in m and own parameters (n,). Names are those
-    of `simulator.world.shape_files` if they exist there."""
-    starts: Callable[[float, float, float], tuple[tuple[float, ...], ...]]
-    """Returns own parameters for the start of a fit, from h, half length and half width of the
-    pressed patch in m."""
+    prior: tuple[tuple[float, float], ...] = (_LOG_HALF_MM,)
+    """Mean and standard deviation of the normal prior: of the logarithm of h in mm, then of the
+    shape's own parameters."""
 
     @property
     def n_own(self) -> int:
         """Number of parameters: log h and the shape's own."""
-        return len(self.mean)
+        return len(self.prior)
+
+    @property
+    def turns(self) -> bool:
+        """Whether a turn about the closing axis changes the footprint."""
+        return self.n_own > 1
+
+    def dimensions_m(self, h_m: float, own: Array) -> dict[str, float]:
+        """Return dimensions in m by their names from h in m and own parameters (n,).
+
+        Names are those of `simulator.world.shape_files` if they exist there.
+        """
+        if self.kind == "sphere":
+            return {"diameter": 2.0 * h_m}
+        if self.kind == "flat":
+            long_m, wide_m = (float(x) for x in np.sort(2.0 * _FLAT_UNIT_M * np.exp(own))[::-1])
+            return {"height": 2.0 * h_m, "length": long_m, "width": wide_m}
+        sizes = {"diameter": 2.0 * h_m, "length": 2.0 * h_m * float(np.exp(own[0]))}
+        if self.kind == "dumbbell":
+            sizes["waist_length"] = sizes["length"] / (1.0 + float(np.exp(-own[1])))
+        return sizes
+
+    def starts(self, h_m: float, long_m: float, wide_m: float) -> tuple[tuple[float, ...], ...]:
+        """Return own parameters for the start of a fit.
+
+        From h, half length and half width of the pressed patch in m.
+        """
+        ratio, long, wide = (
+            float(np.log(x)) for x in (long_m / h_m, long_m / _FLAT_UNIT_M, wide_m / _FLAT_UNIT_M)
+        )
+        if self.kind == "sphere":
+            return ((),)
+        if self.kind == "oval":
+            return ((0.15,), (0.5,), (0.9,))
+        if self.kind == "flat":
+            return ((long, wide), (long - 0.15, wide - 0.3), (long + 0.15, wide))
+        lengths = (ratio - 0.2, ratio, ratio + 0.2)
+        return tuple((x,) if self.kind == "cylinder" else (x, 0.0) for x in lengths)
 
 
 def _covered(half_m: Array, at_m: Array, cell_m: float) -> Array:
@@ -144,67 +173,18 @@ def _dumbbell(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> 
     return lag_m, inside * np.maximum(share, 0.0)
 
 
-def _size(kind: str) -> Callable[[float, Array], dict[str, float]]:
-    def dimensions_m(h_m: float, own: Array) -> dict[str, float]:
-        if kind == "sphere":
-            return {"diameter": 2.0 * h_m}
-        if kind == "flat":
-            long_m, wide_m = (float(x) for x in np.sort(2.0 * _FLAT_UNIT_M * np.exp(own))[::-1])
-            return {"height": 2.0 * h_m, "length": long_m, "width": wide_m}
-        sizes = {"diameter": 2.0 * h_m, "length": 2.0 * h_m * float(np.exp(own[0]))}
-        if kind == "dumbbell":
-            sizes["waist_length"] = sizes["length"] / (1.0 + float(np.exp(-own[1])))
-        return sizes
-
-    return dimensions_m
-
-
-def _starts(kind: str) -> Callable[[float, float, float], tuple[tuple[float, ...], ...]]:
-    def starts(h_m: float, long_m: float, wide_m: float) -> tuple[tuple[float, ...], ...]:
-        ratio, long, wide = (
-            float(np.log(x)) for x in (long_m / h_m, long_m / _FLAT_UNIT_M, wide_m / _FLAT_UNIT_M)
-        )
-        if kind == "sphere":
-            return ((),)
-        if kind == "oval":
-            return ((0.15,), (0.5,), (0.9,))
-        if kind == "flat":
-            return ((long, wide), (long - 0.15, wide - 0.3), (long + 0.15, wide))
-        lengths = (ratio - 0.2, ratio, ratio + 0.2)
-        return tuple((x,) if kind == "cylinder" else (x, 0.0) for x in lengths)
-
-    return starts
-
-
-def _model(
-    kind: str,
-    surface: Callable[[Array, Array, Array, Array, float], Surface],
-    own: tuple[tuple[float, float], ...] = (),
-) -> ShapeModel:
-    priors = (_LOG_HALF_MM, *own)
-    return ShapeModel(
-        kind=kind,
-        mean=tuple(mean for mean, _ in priors),
-        sd=tuple(sd for _, sd in priors),
-        turns=bool(own),
-        surface=surface,
-        dimensions_m=_size(kind),
-        starts=_starts(kind),
-    )
-
-
 SHAPE_MODELS: Mapping[str, ShapeModel] = MappingProxyType(
     {
         model.kind: model
         for model in (
-            _model("sphere", _sphere),
+            ShapeModel("sphere", _sphere),
             # length over diameter: a little more than that of a ball, or larger
-            _model("oval", _oval, ((0.5, 0.35),)),
-            _model("cylinder", _cylinder, ((0.9, 0.6),)),
+            ShapeModel("oval", _oval, (_LOG_HALF_MM, (0.5, 0.35))),
+            ShapeModel("cylinder", _cylinder, (_LOG_HALF_MM, (0.9, 0.6))),
             # length and width over 10 mm
-            _model("flat", _flat, ((0.3, 0.5), (0.0, 0.5))),
+            ShapeModel("flat", _flat, (_LOG_HALF_MM, (0.3, 0.5), (0.0, 0.5))),
             # length over diameter; share of the waist in the length, as a logit
-            _model("dumbbell", _dumbbell, ((0.3, 0.3), (0.0, 0.6))),
+            ShapeModel("dumbbell", _dumbbell, (_LOG_HALF_MM, (0.3, 0.3), (0.0, 0.6))),
         )
     }
 )

@@ -68,31 +68,15 @@ class ShapeProblem:
         self.depth = self.pose + 2 + int(model.turns)
         self.rest = self.depth + self.n_levels
         self.n = self.rest + len(FOAM)
-        n_turn = int(model.turns)
-        self.mean = np.array(
-            [
-                *model.mean,
-                *(1e3 * data.centre_m),
-                *[0.0] * n_turn,
-                *[_DEPTH_MM] * self.n_levels,
-                *[0.0] * len(FOAM),
-            ]
-        )
-        self.sd = np.array(
-            [
-                *model.sd,
-                _POSITION_SD_MM,
-                _POSITION_SD_MM,
-                *[_TURN_SD] * n_turn,
-                *[_DEPTH_SD_MM] * self.n_levels,
-                uncertainty.modulus,
-                uncertainty.gain,
-                uncertainty.spread,
-                uncertainty.stiffening,
-                uncertainty.bend,
-                1e3 * uncertainty.aperture_m,
-            ]
-        )
+        prior = [
+            *model.prior,
+            *((centre_mm, _POSITION_SD_MM) for centre_mm in 1e3 * data.centre_m),
+            *[(0.0, _TURN_SD)] * int(model.turns),
+            *[(_DEPTH_MM, _DEPTH_SD_MM)] * self.n_levels,
+            *((0.0, getattr(uncertainty, name)) for name in FOAM[:-1]),
+            (0.0, 1e3 * uncertainty.aperture_m),
+        ]
+        self.mean, self.sd = np.array(prior).T.copy()
         bed = data.bed
         self._x_m, self._y_m = bed.x_m.astype(_FINE), bed.y_m.astype(_FINE)
         self._pushes = (
