@@ -1,6 +1,5 @@
 """Grasp record: the frames of one force ramp, its pads and its commanded pose and force."""
 
-import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -44,13 +43,6 @@ class GraspCommand(Numbers):
     force_n: float
     """Force at the end of the ramp in N."""
 
-    def __post_init__(self) -> None:
-        for name in COMMAND_COLUMNS:
-            if not math.isfinite(getattr(self, name)):
-                raise ValueError(
-                    f"{name} of a grasp command is {getattr(self, name)}, must be finite"
-                )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelfZero(Numbers):
@@ -78,10 +70,7 @@ class SelfZero(Numbers):
     """Logarithm of the counts of a pad, mean of both, for each mm that both yield together."""
 
     def __post_init__(self) -> None:
-        for name in ZERO_COLUMNS:
-            value = getattr(self, name)
-            if not math.isfinite(value) or (name.endswith("_sd") and value <= 0.0):
-                raise ValueError(f"{name} of a self-zero is {value}, must be finite, an sd above 0")
+        Numbers.__post_init__(self)
         if abs(self.opening_m) > _FARTHEST_ZERO_M:
             raise ValueError(f"opening_m of a self-zero is {self.opening_m}, must be in m")
 

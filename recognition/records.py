@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
+from math import isfinite
 from types import NoneType
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
@@ -14,7 +15,19 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Numbers:
-    """Base of records of numbers, which files keep as rows."""
+    """Base of records of numbers, which files keep as rows.
+
+    Raises ValueError if a number is not finite, or a deviation (``_sd``) not above 0.
+    """
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if not isfinite(value) or (one.name.endswith("_sd") and value <= 0.0):
+                raise ValueError(
+                    f"{one.name} of a {type(self).__name__} is {value}, must be finite, an sd "
+                    "above 0"
+                )
 
     @property
     def values(self) -> tuple[float, ...]:
