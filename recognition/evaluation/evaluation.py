@@ -3,9 +3,10 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
+from itertools import groupby, pairwise
+from operator import itemgetter
 from types import MappingProxyType
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,9 +145,8 @@ def evaluate(
     mapper
         Maps the work to processes or machines; the results do not depend on it.
     """
-    known: list[Grasp] = []
-    posteriors: list[Posterior] = []
-    runs: list[tuple[str, list[Posterior]]] = []
+    known: list[_Answer] = []
+    runs: list[list[_Answer]] = []
     scored: list[_Scores] = []
     labels: set[str] = set()
     n_untaught = 0
@@ -154,26 +154,16 @@ def evaluate(
     for train, test in parts:
         recognizer = trainer.fit(train)
         labels.update(recognizer.labels)
-        by_known = {t: g for t, g in by_label(test).items() if t in recognizer.labels}
+        ordered = [g for members in by_label(test).values() for g in members]
+        here = [g for g in ordered if g.label in recognizer.labels]
         untaught = [g for g in test if g.label not in recognizer.labels]
-        here = [g for members in by_known.values() for g in members]
-        answered = answers(recognizer, here, mapper)
-        known += here
-        posteriors += answered
-        runs += [
-            (label, [p for p, g in zip(answered, here, strict=True) if g.label == label])
-            for label in by_known
-        ]
+        answered = _labelled(recognizer, here, mapper)
+        known += answered
+        runs += [list(run) for _, run in groupby(answered, itemgetter(1))]
         scored += _leave_out(train, here, trainer, unknown_groups, mapper)
         if untaught and here:
             n_untaught += len(untaught)
-            new = answers(recognizer, untaught, mapper)
-            scored.append(
-                tuple(
-                    [(p.unknown, g.label) for p, g in zip(some, grasps, strict=True)]
-                    for some, grasps in ((answered, here), (new, untaught))
-                )
-            )
+            scored.append((answered, _labelled(recognizer, untaught, mapper)))
         if len(parts) == 1:
             shift = evaluate_shift(recognizer, here, seed)
     if not known:
@@ -181,31 +171,44 @@ def evaluate(
         raise ValueError(
             f"none of the {n_tested} tested grasps is of a taught object {sorted(labels)}"
         )
-    truth = [g.label for g in known]
-    right = np.array([p.best == t for p, t in zip(posteriors, truth, strict=True)])
-    names = [p.name for p in posteriors]
+    accuracy, shares = _shares(known)
     fused = {k: _consecutive(runs, k) for k in fuse}
     area, auroc_interval = _separation(scored)
+    best = [p.best for p, _ in known]
     return Evaluation(
         trainer=trainer.name,
         uses_aperture=trainer.uses_aperture,
         labels=tuple(sorted(labels)),
         n=len(known),
         n_untaught=n_untaught,
-        single_accuracy=int(right.sum()) / len(right),
-        interval=interval_by_object(right.tolist(), truth),
+        single_accuracy=accuracy,
+        **shares,
         fused_accuracy=MappingProxyType({k: share for k, (share, _) in fused.items()}),
         fused_interval=MappingProxyType({k: interval for k, (_, interval) in fused.items()}),
-        named_right=float(np.mean([name == t for name, t in zip(names, truth, strict=True)])),
-        named_wrong=float(
-            np.mean([name not in (t, UNKNOWN) for name, t in zip(names, truth, strict=True)])
-        ),
         unknown_auroc=area,
         auroc_interval=auroc_interval,
         unknown_reliability=_reliability(scored),
-        confusion=confusion_matrix(truth, [p.best for p in posteriors], tuple(sorted(labels))),
+        confusion=confusion_matrix([label for _, label in known], best, tuple(sorted(labels))),
         shift=shift,
     )
+
+
+_Answer = tuple[Posterior, str]
+"""Posterior and label of a tested grasp."""
+_Scores = tuple[Sequence[_Answer], Sequence[_Answer]]
+"""Answers to tested grasps of taught labels, and of those left out."""
+
+
+def _shares(answered: Sequence[_Answer]) -> tuple[float, dict[str, Any]]:
+    """Return the accuracy, and its interval and the shares of names as arguments."""
+    right = [p.best == label for p, label in answered]
+    named = np.array([(p.name == label, p.name not in (label, UNKNOWN)) for p, label in answered])
+    named_right, named_wrong = named.mean(axis=0).tolist()
+    return sum(right) / len(right), {
+        "interval": interval_by_object(right, [label for _, label in answered]),
+        "named_right": named_right,
+        "named_wrong": named_wrong,
+    }
 
 
 def evaluate_shift(recognizer: object, grasps: Sequence[Grasp], seed: int) -> ShiftFigures | None:
@@ -215,22 +218,14 @@ def evaluate_shift(recognizer: object, grasps: Sequence[Grasp], seed: int) -> Sh
     """
     if not isinstance(recognizer, DriftFollowing) or len(grasps) <= _BEFORE:
         return None
-    right, names = list[bool](), list[tuple[str, str]]()
+    answered: list[_Answer] = []
     for number, i in enumerate(np.random.default_rng(seed).permutation(len(grasps)).tolist()):
         grasp = grasps[i]
         if number >= _BEFORE:
-            posterior = recognizer.posterior(grasp)
-            right.append(posterior.best == grasp.label)
-            names.append((posterior.name, grasp.label))
+            answered.append((recognizer.posterior(grasp), grasp.label))
         recognizer = recognizer.follow(grasp)
-    return ShiftFigures(
-        before=_BEFORE,
-        n=len(right),
-        accuracy=sum(right) / len(right),
-        interval=interval_by_object(right, [truth for _, truth in names]),
-        named_right=sum(name == truth for name, truth in names) / len(names),
-        named_wrong=sum(name not in (truth, UNKNOWN) for name, truth in names) / len(names),
-    )
+    accuracy, shares = _shares(answered)
+    return ShiftFigures(before=_BEFORE, n=len(answered), accuracy=accuracy, **shares)
 
 
 def answers(
@@ -245,8 +240,10 @@ def _posteriors(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[Posteri
     return [recognizer.posterior(g) for g in grasps]
 
 
-_Scores = tuple[list[tuple[float, str]], ...]
-"""``unknown`` and label of each tested grasp: of taught labels, and of those left out."""
+def _labelled(
+    recognizer: Recognizer, grasps: Sequence[Grasp], mapper: Mapper = one_by_one
+) -> list[_Answer]:
+    return [(p, g.label) for p, g in zip(answers(recognizer, grasps, mapper), grasps, strict=True)]
 
 
 def _leave_out(
@@ -272,9 +269,9 @@ def _scores_without(
     train: Sequence[Grasp], test: Sequence[Grasp], trainer: Trainer, out: frozenset[str]
 ) -> _Scores:
     recognizer = trainer.fit([g for g in train if g.label not in out])
-    scored = [(recognizer.posterior(g).unknown, g.label) for g in test]
-    known = [one for one in scored if one[1] not in out]
-    return known, [one for one in scored if one[1] in out]
+    answered = _labelled(recognizer, test)
+    known = [one for one in answered if one[1] not in out]
+    return known, [one for one in answered if one[1] in out]
 
 
 def _separation(scored: Sequence[_Scores]) -> tuple[float, tuple[float, float]]:
@@ -284,7 +281,7 @@ def _separation(scored: Sequence[_Scores]) -> tuple[float, tuple[float, float]]:
     weights = object_weights([label for group in scored for part in group for _, label in part])
     areas, drawn = [], []
     for group in scored:
-        known, new = ([score for score, _ in part] for part in group)
+        known, new = ([p.unknown for p, _ in part] for part in group)
         each = tuple(np.array([weights[label] for _, label in part]).T for part in group)
         areas.append(auroc(known, new))
         drawn.append(auroc(known, new, (each[0], each[1])))
@@ -296,7 +293,7 @@ def _separation(scored: Sequence[_Scores]) -> tuple[float, tuple[float, float]]:
 
 def _reliability(scored: Sequence[_Scores]) -> tuple[tuple[float, float, int, int], ...]:
     known, new = (
-        np.histogram([score for group in scored for score, _ in group[part]], _UNKNOWN_EDGES)[0]
+        np.histogram([p.unknown for group in scored for p, _ in group[part]], _UNKNOWN_EDGES)[0]
         for part in (0, 1)
     )
     counts = zip((known + new).tolist(), new.tolist(), strict=True)
@@ -304,16 +301,14 @@ def _reliability(scored: Sequence[_Scores]) -> tuple[tuple[float, float, int, in
     return tuple(rows) if scored else ()
 
 
-def _consecutive(
-    runs: Sequence[tuple[str, Sequence[Posterior]]], k: int
-) -> tuple[float, tuple[float, float]]:
+def _consecutive(runs: Sequence[Sequence[_Answer]], k: int) -> tuple[float, tuple[float, float]]:
     """Return the share of right answers over runs of k grasps, and its interval; NaN without."""
-    right = [
-        (fusion.fuse(members[i : i + k]).best == label, label)
-        for label, members in runs
-        for i in range(0, len(members) - k + 1, k)
+    fused = [
+        (fusion.fuse([p for p, _ in run[i : i + k]]), run[0][1])
+        for run in runs
+        for i in range(0, len(run) - k + 1, k)
     ]
-    if not right:
+    if not fused:
         return float("nan"), (float("nan"), float("nan"))
-    share = float(np.mean([one for one, _ in right]))
-    return share, interval_by_object([one for one, _ in right], [label for _, label in right])
+    share, shares = _shares(fused)
+    return share, shares["interval"]
