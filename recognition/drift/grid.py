@@ -148,19 +148,19 @@ class DriftGrid(ArrayRecord):
         weight = self.weight
         return Drift(
             gains=(float(np.exp(weight.sum(axis=1) @ self.log_gains)),),
-            aperture_offset_m=float(weight.sum(axis=0) @ self.offsets_mm) * 1e-3,
+            aperture_offset_m=self.offset_mm(weight)[0] * 1e-3,
         )
 
     @property
     def offset_sd_m(self) -> float:
         """Standard deviation of the offset of the opening in m."""
-        return self.offset_sd_mm(self.weight) * 1e-3
+        return self.offset_mm(self.weight)[1] * 1e-3
 
-    def offset_sd_mm(self, weight: NDArray[np.float64]) -> float:
-        """Return the standard deviation of the offset of the opening under some weights (G, O)."""
+    def offset_mm(self, weight: NDArray[np.float64]) -> tuple[float, float]:
+        """Return mean and standard deviation of the opening's offset under weights (G, O)."""
         share = weight.sum(axis=0)
-        mean = share @ self.offsets_mm
-        return float(np.sqrt(share @ (self.offsets_mm - mean) ** 2))
+        mean = float(share @ self.offsets_mm)
+        return mean, float(np.sqrt(share @ (self.offsets_mm - mean) ** 2))
 
     @property
     def unchanged(self) -> float:

@@ -131,7 +131,9 @@ def measure_zero(
     xy_m = grasp.pads.taxel_xy_m[taxels[0]]
     gradient, middle = _gradient(footprint, xy_m * 1e3)
     finger = np.full(len(pressing), -1) if alone is None else alone[pressing]
-    met = _meeting(middle, grasp.aperture_m[pressing] * 1e3, step_m * 1e3, finger)
+    (log_counts_mm, log_counts_mm_sd), (zero_mm, zero_sd_mm) = _meeting(
+        middle, grasp.aperture_m[pressing] * 1e3, step_m * 1e3, finger
+    )
     both = np.stack([e.sum(axis=1) for e in evened]).mean(axis=0)
     log_scale, log_scale_sd = _scale(both, pads_n[pressing])
     top = both >= _TOP_SHARE * both.max()
@@ -146,17 +148,17 @@ def measure_zero(
         for taxel, one, expected in zip(t, evened_pad[top].mean(axis=0), planes, strict=True)
         if one < _DEAD_SHARE * expected and expected > _DEAD_SIGMAS * noise
     ]
-    per_mm = np.exp(met.log_counts_mm)
+    per_mm = np.exp(log_counts_mm)
     return ZeroMeasurement(
         zero=SelfZero(
-            opening_m=met.zero_mm * 1e-3,
-            opening_sd_m=float(np.hypot(met.zero_sd_mm * 1e-3, _MODEL_SD_M)),
+            opening_m=zero_mm * 1e-3,
+            opening_sd_m=float(np.hypot(zero_sd_mm * 1e-3, _MODEL_SD_M)),
             log_gain_ratio=float(np.log(ratio)),
             log_gain_ratio_sd=float(np.hypot(ratio_sd, _MODEL_RATIO_SD)),
             log_scale=log_scale,
             log_scale_sd=float(np.hypot(log_scale_sd, _MODEL_SCALE_SD)),
-            log_stiffness=met.log_counts_mm + float(np.log(footprint.shape[1])),
-            log_stiffness_sd=float(np.hypot(met.log_counts_mm_sd, _MODEL_STIFFNESS_SD)),
+            log_stiffness=log_counts_mm + float(np.log(footprint.shape[1])),
+            log_stiffness_sd=float(np.hypot(log_counts_mm_sd, _MODEL_STIFFNESS_SD)),
         ),
         tilt_rad=(float(gradient[0] / per_mm), float(gradient[1] / per_mm)),
         fit=float(1.0 - unexplained / (spread**2).mean()),
@@ -241,7 +243,7 @@ def since(taught: SelfZero, today: SelfZero, gripping: tuple[int, ...], n_pads: 
     It has the zero of the opening, the difference between the gains of the gripping pads, and their
     likeliest common gain. `prior_since` is the remaining uncertainty.
     """
-    common = _common(taught, today).log_gain
+    common, _, _ = _common(taught, today)
     apart = 0.5 * (today.log_gain_ratio - taught.log_gain_ratio)
     gains = np.full(n_pads, np.exp(common))
     if len(gripping) == 2:
@@ -275,9 +277,7 @@ def at_zero(
 def prior_since(taught: SelfZero, today: SelfZero) -> DriftPrior:
     """Return the uncertainty of the drift after `since` is corrected."""
     offset_sd_m = float(np.hypot(taught.opening_sd_m, today.opening_sd_m))
-    return DriftPrior(
-        log_gain_sd=_common(taught, today).log_gain_sd, offset_sd_mm=offset_sd_m * 1e3
-    )
+    return DriftPrior(log_gain_sd=_common(taught, today)[1], offset_sd_mm=offset_sd_m * 1e3)
 
 
 def foam_odds(taught: SelfZero, today: SelfZero) -> float:
@@ -285,7 +285,7 @@ def foam_odds(taught: SelfZero, today: SelfZero) -> float:
 
     On another foam the counts grow differently with the load, so taught objects look a little new.
     """
-    return 1.0 - (1.0 - _FOAM_ODDS) * _common(taught, today).other_foam
+    return 1.0 - (1.0 - _FOAM_ODDS) * _common(taught, today)[2]
 
 
 def foam_change(taught: SelfZero, today: SelfZero) -> float | None:
@@ -294,18 +294,6 @@ def foam_change(taught: SelfZero, today: SelfZero) -> float | None:
     log_ratio = by_way - by_force
     clear = log_ratio**2 > _SHOWN_SIGMAS**2 * (force_var + way_var)
     return float(np.exp(log_ratio)) if clear else None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Common:
-    """Correction of the grasps of today on both pads."""
-
-    log_gain: float
-    log_gain_sd: float
-    """Mean and standard deviation of a logarithm: the counts for each mm over those at teaching.
-    These counts are the gain of the sensors times the stiffness of the foam."""
-    other_foam: float
-    """Probability of another foam."""
 
 
 def _changes(taught: SelfZero, today: SelfZero) -> tuple[float, float, float, float]:
@@ -319,8 +307,12 @@ def _changes(taught: SelfZero, today: SelfZero) -> tuple[float, float, float, fl
     return today.log_scale - taught.log_scale, force_var, by_way, way_var
 
 
-def _common(taught: SelfZero, today: SelfZero) -> _Common:
-    """Return the correction of grasps: weighted between the same foam and another one.
+def _common(taught: SelfZero, today: SelfZero) -> tuple[float, float, float]:
+    """Return the correction of the grasps of today on both pads, and that the foam is another one.
+
+    The first two are mean and standard deviation of a logarithm: the counts for each mm over those
+    at teaching, which are the gain of the sensors times the stiffness of the foam. The last is a
+    probability.
 
     On foam of s times the modulus, a part with s times the force makes the same footprint with s
     times the counts. So counts are compared by travel, not by force. Counts for force give the
@@ -342,17 +334,7 @@ def _common(taught: SelfZero, today: SelfZero) -> _Common:
     means = (by_force / (force_var + foam_var) + by_way / way_var) / precision
     mean = float(weight @ means)
     variance = float(weight @ (1.0 / precision + (means - mean) ** 2))
-    return _Common(log_gain=mean, log_gain_sd=variance**0.5, other_foam=float(weight[1]))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Meeting:
-    """Stiffness and opening of pads that meet: means and standard deviations."""
-
-    log_counts_mm: float
-    log_counts_mm_sd: float
-    zero_mm: float
-    zero_sd_mm: float
+    return mean, variance**0.5, float(weight[1])
 
 
 def _risen(
@@ -417,8 +399,10 @@ def _meeting(
     opening_mm: NDArray[np.float64],
     step_mm: float,
     alone: NDArray[np.int64],
-) -> _Meeting:
-    """Return stiffness and zero from the middle's pressures and the openings, both (n_frames,).
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return log counts for each mm and the zero in mm of pads that meet, each with its deviation.
+
+    They follow from the middle's pressures and the openings, both (n_frames,).
 
     Readings have the error of a step of the encoders, and frames are a little late. Stiffness and
     zero are hypotheses on a grid, with a flat prior of the logarithm of the stiffness. ``alone`` is
@@ -440,14 +424,13 @@ def _meeting(
         log_weight += logsumexp(-0.5 / _ALIKE * misfits, axis=0)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
-    of_k, of_zero = weight.sum(axis=1), weight.sum(axis=0)
-    mean_k, mean_zero = float(of_k @ log_k), float(of_zero @ zero_mm)
-    return _Meeting(
-        log_counts_mm=mean_k,
-        log_counts_mm_sd=float(np.sqrt(of_k @ (log_k - mean_k) ** 2)),
-        zero_mm=mean_zero,
-        zero_sd_mm=float(np.sqrt(of_zero @ (zero_mm - mean_zero) ** 2)),
-    )
+    return _moments(weight.sum(axis=1), log_k), _moments(weight.sum(axis=0), zero_mm)
+
+
+def _moments(weight: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the mean and the standard deviation of values with weights."""
+    mean = float(weight @ values)
+    return mean, float(np.sqrt(weight @ (values - mean) ** 2))
 
 
 def _ratio(load: NDArray[np.float64]) -> tuple[float, float]:

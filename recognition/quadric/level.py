@@ -66,8 +66,7 @@ def frames_near_full(grasp: Grasp) -> NDArray[np.int64]:
         )
     else:
         total = grasp.counts.sum(axis=1, dtype=np.float64)
-        padded = np.concatenate([total[:1], total, total[-1:]])
-        total = np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
+        total = ndimage.median_filter(total, 3, mode="nearest")
         least = float(total.min())
         reached = (total - least) / max(float(total.max()) - least, 1e-9)
     distance = np.abs(reached - 1.0)

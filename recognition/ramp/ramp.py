@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
+from scipy import ndimage
 
 from recognition.errors import ContactError
 from recognition.grasp import Grasp, PadArray
@@ -44,6 +44,8 @@ _OPENED_M = 0.5e-3
 """Least motion in m that counts as an opening after the ramp: creep closes the fingers."""
 _QUIET_SHARE = 0.02
 """Largest share of the rise of a pad's total in untouched frames before the touch."""
+_BESIDE = np.array([[[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]]])
+"""The four neighbours of a taxel in its row and column."""
 _LEAST_FRAMES = 2 * QUIET_FRAMES
 """Fewest frames of a grasp: rest and load, and enough of rest for its noise."""
 
@@ -176,7 +178,7 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
         own = _rest_now(counts, rest.counts[taxels], float(noise), stuck)
         rise = _with_stuck_replaced(counts - own, stuck, rest.pads.pad_shape[pad])
         load = rise.sum(axis=1)
-        smooth = uniform_filter1d(load, smoothing, mode="nearest")
+        smooth = ndimage.uniform_filter1d(load, smoothing, mode="nearest")
         sigma = noise * np.sqrt(len(taxels) / smoothing)
         limit = max(
             _TOUCH_FRACTION * float(smooth.max()),
@@ -216,7 +218,7 @@ def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
         end = int(np.flatnonzero(grasp.force_n >= grasp.force_n.max())[-1]) + 1
     else:
         width = min(_HELD_FRAMES, ramp.smoothing)
-        total = uniform_filter1d(ramp.load.sum(axis=1), width, mode="nearest")
+        total = ndimage.uniform_filter1d(ramp.load.sum(axis=1), width, mode="nearest")
         highest = float(total.max())
         # If the rest is above all frames, no load shows the end.
         end = int(np.flatnonzero(total >= _HELD_SHARE * highest)[-1]) + 1 if highest > 0.0 else n
@@ -343,14 +345,11 @@ def _with_stuck_replaced(
     """
     if not stuck.any():
         return rise
-    rows, columns = (int(n) for n in shape)
+    sound = np.where(stuck, 0.0, rise)
+    sums, n = (
+        ndimage.convolve(of.reshape(-1, *shape), _BESIDE, mode="constant").reshape(len(of), -1)
+        for of in (sound, (~stuck)[None].astype(np.float64))
+    )
     replaced = rise.copy()
-    for taxel in np.flatnonzero(stuck):
-        row, column = divmod(int(taxel), columns)
-        neighbours = [
-            r * columns + c
-            for r, c in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1))
-            if 0 <= r < rows and 0 <= c < columns and not stuck[r * columns + c]
-        ]
-        replaced[:, taxel] = rise[:, neighbours].mean(axis=1) if neighbours else 0.0
+    replaced[:, stuck] = (sums / np.maximum(n, 1.0))[:, stuck]
     return replaced

@@ -114,7 +114,7 @@ class ForceRampRecognizer(TaughtRecord):
         probability = np.zeros(len(self.labels))
         of_each = logsumexp(joint, axis=(0, 1))
         probability[evidence.classes] = np.exp(of_each - logsumexp(of_each))
-        any_day = grid.offset_sd_mm(np.exp(log_weight)) / DriftPrior().offset_sd_mm
+        any_day = grid.offset_mm(np.exp(log_weight))[1] / DriftPrior().offset_sd_mm
         even = max(UNIFORM_SHARE, evidence.view.even_share * min(1.0, any_day**2))
         probability = (1.0 - even) * probability + even / len(self.labels)
         probability /= probability.sum()
@@ -126,9 +126,8 @@ class ForceRampRecognizer(TaughtRecord):
             caution *= foam_odds(self.zero, grasp.zero)
         drawn_m = self.drawn_m[int(probability.argmax())]
         drawn_m = drawn_m[np.isfinite(drawn_m)]
-        offset = share.sum(axis=0)
-        mean_mm = float(offset @ grid.offsets_mm)
-        if offset @ (grid.offsets_mm - mean_mm) ** 2 > _KNOWN_OFFSET_MM**2:
+        mean_mm, sd_mm = grid.offset_mm(share)
+        if sd_mm > _KNOWN_OFFSET_MM:
             drawn_m = drawn_m[:0]
         return Posterior(
             labels=self.labels,
