@@ -178,13 +178,12 @@ class TactileLink:
         self._force_flow: ForceFlow | None = None
         self._frames: list[TactileFrame] = []
         self._new_forces: list[ForceMessage] = []
-        self._frame_id = od.COB_TPDO1 + node_id
         self._looked_s = 0.0
         self._next_sync_s: float | None = None
         self._syncs = self._late_syncs = self._malformed = 0
         self._bad_lines = bad_lines(self._bus)
         for cob_id, handler in (
-            (self._frame_id, self._on_frame),
+            (od.COB_TPDO1 + node_id, self._on_frame),
             (od.COB_EMCY + node_id, self._watch.on_emergency),
             (od.COB_SDO_RESPONSE + node_id, self._client.on_response),
             (od.COB_HEARTBEAT + node_id, self._watch.on_heartbeat),
@@ -246,7 +245,11 @@ class TactileLink:
         identity = refuse_other_unit(objects, self.layout, self._node_id, settings.identity)
         set_up(objects, settings)
         if self._force_table is not None and objects.find(od.FORCE_MESSAGE) is not None:
-            self._expect_forces(set_up_forces(objects, settings, self._node_id, self._force_table))
+            frame_id = set_up_forces(objects, settings, self._node_id, self._force_table)
+            self._force_flow = ForceFlow(self._name, settings)
+            self._network.unsubscribe(od.COB_TPDO1 + self._node_id)
+            self._network.subscribe(frame_id, self._on_frame)
+            self._network.subscribe(od.COB_TPDO2 + self._node_id, self._on_force)
         if watch.boot_ups > 1:
             raise NodeMissing(
                 f"{self._name} booted {watch.boot_ups} times while it was set up: its "
@@ -254,14 +257,20 @@ class TactileLink:
             )
         self._command("OPERATIONAL")
         self._wait_for(lambda: watch.state == OPERATIONAL, "did not become operational")
-        self._enter_operation()
+        # From now on SYNC is sent, and heartbeat, state, frames and force messages are supervised.
+        now_s = self._looked_s = self._next_sync_s = self._clock.monotonic()
+        watch.enter_operation(now_s)
+        if self._force_flow is not None:
+            self._force_flow.enter_operation(now_s)
         self._service()
         return replace(identity, sends_forces=self.sends_forces)
 
     def poll(self) -> Arrivals:
         """Return the complete frames and force messages since the last call; does not wait."""
         self._guarded(self._service)
-        return self._take()
+        frames = tuple(self._frames)
+        self._frames.clear()
+        return Arrivals(frames, self._take_forces())
 
     @property
     def sends_forces(self) -> bool:
@@ -322,31 +331,11 @@ class TactileLink:
             self._next_sync_s = None
             raise
 
-    def _take(self) -> Arrivals:
-        """Return frames and force messages since the last call."""
-        arrived = Arrivals(tuple(self._frames), self._take_forces())
-        self._frames.clear()
-        return arrived
-
     def _take_forces(self) -> tuple[ForceMessage, ...]:
         """Return the force messages since the last call."""
         forces = tuple(self._new_forces)
         self._new_forces.clear()
         return forces
-
-    def _expect_forces(self, frame_id: int) -> None:
-        """Accept force messages from now on, and the frames with another COB-ID."""
-        self._force_flow = ForceFlow(self._name, self.settings)
-        self._network.unsubscribe(self._frame_id)
-        self._network.subscribe(frame_id, self._on_frame)
-        self._network.subscribe(od.COB_TPDO2 + self._node_id, self._on_force)
-
-    def _enter_operation(self) -> None:
-        """Send SYNC from now on, and supervise heartbeat, state, frames and force messages."""
-        now_s = self._looked_s = self._next_sync_s = self._clock.monotonic()
-        self._watch.enter_operation(now_s)
-        if self._force_flow is not None:
-            self._force_flow.enter_operation(now_s)
 
     def _command(self, name: str) -> None:
         """Send an NMT command to the unit, by its name in ``canopen.nmt.NMT_COMMANDS``."""
@@ -369,7 +358,13 @@ class TactileLink:
         now_s = self._looked_s = self._clock.monotonic()
         self._watch.check(now_s, self._unusable + self._assembler.counts.short)
         if self._next_sync_s is None:
-            self._check_answers()
+            surplus = self._client.surplus
+            if surplus >= _SURPLUS_ANSWERS:
+                raise DuplicateNode(
+                    f"{surplus} SDO answers more came from {self._name} than were asked for: a "
+                    "second unit has the same node-ID, or another program talks to the unit; "
+                    "leave one of them on the bus, then start the link again"
+                )
             return
         if forces is not None:
             forces.check(now_s)
@@ -412,15 +407,6 @@ class TactileLink:
                 if message.arbitration_id not in network.subscribers:
                     watch.on_foreign(t_s)
                 network.notify(message.arbitration_id, message.data, t_s)
-
-    def _check_answers(self) -> None:
-        """Raise DuplicateNode if there were more answers than requests."""
-        if self._client.surplus >= _SURPLUS_ANSWERS:
-            raise DuplicateNode(
-                f"{self._client.surplus} SDO answers more came from {self._name} than were asked "
-                "for: a second unit has the same node-ID, or another program talks to the unit; "
-                "leave one of them on the bus, then start the link again"
-            )
 
     def _sync(self, now_s: float, due_s: float) -> None:
         self._flow.before_sync()

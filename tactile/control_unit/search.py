@@ -4,9 +4,9 @@ For commissioning, while the unit is still unknown. Nothing is written to it.
 """
 
 import time
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, closing, nullcontext, suppress
 from dataclasses import dataclass
-from typing import Self
 
 import can
 from canopen.network import NodeScanner
@@ -44,49 +44,9 @@ class BusTraffic:
     """Node-IDs of heartbeats, boot-up messages and answers."""
 
 
-class _Listener:
-    """What comes in on a bus, from now until the end of the block."""
-
-    def __init__(self, bus: can.BusABC) -> None:
-        self.clock: Clock = getattr(bus, "clock", time)
-        self._source = message_source(bus, self.clock)
-        self._messages = self._errors = 0
-        self._scanner = NodeScanner()
-
-    def __enter__(self) -> Self:
-        self._source.start()
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self._source.close()
-
-    def wait(self, duration_s: float) -> None:
-        end_s = self.clock.monotonic() + duration_s
-        while True:
-            for _, message in self._source.drain():
-                if message.is_error_frame:
-                    self._errors += 1
-                    continue
-                self._messages += 1
-                # Other devices may have the lower identifiers, of PDOs and emergencies.
-                cob_id = message.arbitration_id
-                if cob_id >= od.COB_SDO_RESPONSE and not of_another_kind(message):
-                    self._scanner.on_message_received(cob_id)
-            if (left_s := end_s - self.clock.monotonic()) <= 0.0:
-                return
-            self.clock.sleep(min(left_s, _POLL_S))
-
-    def heard(self) -> BusTraffic:
-        return BusTraffic(
-            messages=self._messages, errors=self._errors, nodes=tuple(sorted(self._scanner.nodes))
-        )
-
-
 def listen(bus: can.BusABC, duration_s: float) -> BusTraffic:
     """Listen to a bus for ``duration_s`` s; nothing is sent. Raises BusOff as the receiver."""
-    with _Listener(bus) as listener:
-        listener.wait(duration_s)
-    return listener.heard()
+    return _traffic(bus, [(None, duration_s)], nullcontext())
 
 
 def scan_nodes(bus: can.BusABC) -> BusTraffic:
@@ -94,17 +54,44 @@ def scan_nodes(bus: can.BusABC) -> BusTraffic:
 
     At a wrong bit rate no node acknowledges. An adapter that then refuses to send means: no nodes.
     """
-    with _Listener(bus) as listener, suppress(can.CanError, OSError, BusOff):
-        for node in _NODES:
-            request = can.Message(
-                arbitration_id=od.COB_SDO_REQUEST + node,
-                data=_READ_DEVICE_TYPE,
-                is_extended_id=False,
-            )
-            bus.send(request)
-            listener.wait(_GAP_S)
-        listener.wait(_ANSWER_S)
-    return listener.heard()
+    requests = (
+        can.Message(0.0, od.COB_SDO_REQUEST + node, False, data=_READ_DEVICE_TYPE)
+        for node in _NODES
+    )
+    steps = [*((request, _GAP_S) for request in requests), (None, _ANSWER_S)]
+    return _traffic(bus, steps, suppress(can.CanError, OSError, BusOff))
+
+
+def _traffic(
+    bus: can.BusABC,
+    steps: Sequence[tuple[can.Message | None, float]],
+    failures: AbstractContextManager[bool | None],
+) -> BusTraffic:
+    """Return what is received in some steps: a message to send, and the time after it in s.
+
+    A failure that ``failures`` suppresses ends the steps.
+    """
+    clock: Clock = getattr(bus, "clock", time)
+    source, scanner = message_source(bus, clock), NodeScanner()
+    messages = errors = 0
+    source.start()
+    with closing(source), failures:
+        for request, duration_s in steps:
+            if request is not None:
+                bus.send(request)
+            end_s = clock.monotonic() + duration_s
+            while True:
+                for _, message in source.drain():
+                    messages += not message.is_error_frame
+                    errors += message.is_error_frame
+                    # Other devices may have the lower identifiers, of PDOs and emergencies.
+                    node = message.arbitration_id >= od.COB_SDO_RESPONSE
+                    if node and not (message.is_error_frame or of_another_kind(message)):
+                        scanner.on_message_received(message.arbitration_id)
+                if (left_s := end_s - clock.monotonic()) <= 0.0:
+                    break
+                clock.sleep(min(left_s, _POLL_S))
+    return BusTraffic(messages=messages, errors=errors, nodes=tuple(sorted(scanner.nodes)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
