@@ -28,7 +28,8 @@ from tactile.layout import PadMount, TaxelLayout
 from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import Neighbourhood
 from tactile.sensor.sensor import TactileSensor
-from tactile.sensor.tare import TareLimits, assess_health, compute_tare
+from tactile.sensor.settings import SensorSettings
+from tactile.sensor.tare import assess_health, compute_tare
 
 _REST_FRAMES = 100
 """Number of frames at rest, the same as for the zero of a cell."""
@@ -78,7 +79,7 @@ def judge_rest(
     frames: Counts,
     notes: Notes,
     *,
-    limits: TareLimits,
+    limits: SensorSettings,
     contact_force_n: float,
 ) -> None:
     """Note zero and noise of untouched pads, and why they are not suitable for grasps.
@@ -154,7 +155,7 @@ def measure_rest(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         calibration,
         frames,
         notes,
-        limits=sensor_settings(bench.tactile()).tare_limits,
+        limits=sensor_settings(bench.tactile()),
         contact_force_n=bench.gripper().contact_force_n,
     )
     alike = boards[0] == boards[1]

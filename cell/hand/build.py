@@ -2,7 +2,7 @@
 
 import functools
 import time
-from dataclasses import replace
+from dataclasses import asdict
 
 from cell.config.gripper import use_servo_models
 from cell.config.model import CellConfig
@@ -18,9 +18,8 @@ from gripper.gripper import open_gripper
 from gripper.values.force_sensor import ForceSample
 from tactile.can.bus import MissingBus, open_bus
 from tactile.sensor.grip_force import GripForce
-from tactile.sensor.quality import QualityLimits
-from tactile.sensor.sensor import SensorSettings, TactileSensor
-from tactile.sensor.tare import TareLimits
+from tactile.sensor.sensor import TactileSensor
+from tactile.sensor.settings import SensorSettings
 from tactile.source import FrameSource
 
 SHARED_PROCESS = (
@@ -121,19 +120,10 @@ def frame_source(config: TactileConfig, lines: SensorLines) -> FrameSource:
 
 def sensor_settings(config: TactileConfig, friction_n: float = 0.0) -> SensorSettings:
     """Return the settings that convert frames to forces, for fingers with a friction in N."""
-    rest, usual = config.sensor.rest, SensorSettings()
-    limits = QualityLimits(drift_share=config.drift_max_share)
-    tare = TareLimits(bad_share=config.bad_taxels_max_share)
+    of_kind = {name: one for name, one in asdict(config.sensor.rest).items() if one is not None}
     return SensorSettings(
-        noise_floor_share=usual.noise_floor_share if rest.noise_share is None else rest.noise_share,
-        quality=replace(
-            limits,
-            force_step_n=max(limits.force_step_n, _HELD_SHARE * friction_n),
-            stuck_frames=rest.stuck_frames or limits.stuck_frames,
-        ),
-        tare_limits=replace(
-            tare,
-            offset_share=rest.rest_share or tare.offset_share,
-            bump_share=rest.bump_share or tare.bump_share,
-        ),
+        drift_share=config.drift_max_share,
+        bad_share=config.bad_taxels_max_share,
+        force_step_n=max(SensorSettings().force_step_n, _HELD_SHARE * friction_n),
+        **of_kind,
     )

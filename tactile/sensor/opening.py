@@ -12,7 +12,8 @@ from tactile.control_unit.settings import LinkSettings
 from tactile.frames.force_message import TABLE_NODES, encode_table
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration
-from tactile.sensor.sensor import SensorSettings, TactileSensor
+from tactile.sensor.sensor import TactileSensor
+from tactile.sensor.settings import SensorSettings
 
 
 def open_sensor(

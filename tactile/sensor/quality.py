@@ -4,14 +4,13 @@
 frames.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import FrameTimeout
 from tactile.layout import TaxelLayout
 from tactile.sensor.filters import Mask, Neighbourhood, Values
+from tactile.sensor.settings import SensorSettings
 from tactile.sensor.tare import TareResult
 from tactile.source import COUNTER_MASK, TactileFrame
 
@@ -22,7 +21,7 @@ because the foam spreads every force over the neighbours."""
 _CONSECUTIVE = 2
 """Largest difference of the counters of two frames that are compared for jumps."""
 _FALLS = 2.0
-"""Time in ``QualityLimits.frozen_s`` within which samples follow a falling set-point."""
+"""Time in `SensorSettings.frozen_s` within which samples follow a falling set-point."""
 _ROUNDING_S = 1e-3
 """Allowance in s for the jitter of the frames' times."""
 _DRIFT_SIGMA = 6.0
@@ -31,36 +30,13 @@ _MEDIAN_SPREAD = 1.25
 """Standard deviation of a median over that of a mean, for normal noise."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class QualityLimits:
-    """Limits of valid samples."""
-
-    frozen_s: float = 0.08
-    """Longest time in s of identical samples, if the zero has noise."""
-    stuck_frames: int = 25
-    """Number of equal samples of a bad taxel, while others change."""
-    force_step_n: float = 1.0
-    width_step_m: float = 5e-4
-    """Without noise: changes of the set-point in N, or of the opening in m with touched pads, after
-    which identical samples are frozen ones."""
-    drift_share: float = 0.01
-    """Largest distance of the untouched pads from their zero, as a share of the full scale."""
-
-
 class QualityWatch:
-    """Watch over the raw frames from one tare to the next.
+    """Watch over the raw frames from one tare to the next."""
 
-    Parameters
-    ----------
-    mean_frames
-        Number of frames in the mean of the tared counts.
-    """
-
-    def __init__(self, hood: Neighbourhood, limits: QualityLimits, mean_frames: int) -> None:
+    def __init__(self, hood: Neighbourhood, limits: SensorSettings) -> None:
         self._hood = hood
         self._layout: TaxelLayout = hood.layout
         self._limits = limits
-        self._mean_frames = mean_frames
         gripping = np.isin(self._layout.taxel_pad, self._layout.gripping_pads)
         self._beside = np.flatnonzero(~gripping)
         """Taxels that no grasp presses: their common change is drift."""
@@ -188,7 +164,7 @@ class QualityWatch:
         if abs(drift) <= limit:
             return ""
         # Noise alone may move the median further.
-        share = np.sqrt((1.0 / self._mean_frames + 1.0 / tare.n_frames) / len(good))
+        share = np.sqrt((1.0 / self._limits.mean_frames + 1.0 / tare.n_frames) / len(good))
         spread = _MEDIAN_SPREAD * _median(tare.noise_counts[good]) * float(share)
         limit = max(limit, _DRIFT_SIGMA * spread)
         if abs(drift) <= limit:

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf, sqrt
 from typing import Self
 
@@ -25,8 +25,9 @@ from tactile.sensor.filters import (
     typical_noise,
 )
 from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces
-from tactile.sensor.quality import QualityLimits, QualityWatch
-from tactile.sensor.tare import TareLimits, TareResult, compute_tare, too_many_bad
+from tactile.sensor.quality import QualityWatch
+from tactile.sensor.settings import SensorSettings
+from tactile.sensor.tare import TareResult, compute_tare, too_many_bad
 from tactile.source import (
     ForceMessage,
     FrameSource,
@@ -57,24 +58,6 @@ _LEAST_TOUCHED = 9
 _EDGE = 1.7
 """Number of taxels that the unit sums for each touched one in the frames: it adds the neighbours,
 and their noise grows with the load (simulated cell, 1 to 8 N)."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SensorSettings:
-    """Settings of the conversion from frames to forces.
-
-    The defaults suit 50 frames/s and one-sided noise of up to 8 % of the full scale on each taxel
-    and frame; the thresholds follow the noise of the tare.
-    """
-
-    mean_frames: int = 3
-    """Number of averaged frames: the force then follows a step completely."""
-    noise_floor_share: float = 0.002
-    """Least noise of a taxel as a share of the full scale."""
-    quality: QualityLimits = field(default_factory=QualityLimits)
-    """Limits of valid samples."""
-    tare_limits: TareLimits = field(default_factory=TareLimits)
-    """Limits of a zero; its share of bad taxels also limits those with valid forces."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,7 +152,7 @@ class TactileSensor:
         self._centres = ForceCentres(layout)
         self._hood = Neighbourhood(layout)
         self._frames = deque[Values](maxlen=self._settings.mean_frames)
-        self._quality = QualityWatch(self._hood, self._settings.quality, self._settings.mean_frames)
+        self._quality = QualityWatch(self._hood, self._settings)
         self._pad_starts = [layout.taxels_of(pad).start for pad in range(layout.n_pads)]
         self._grips = tuple(layout.taxels_of(pad) for pad in layout.gripping_pads)
         self._reset()
@@ -309,9 +292,7 @@ class TactileSensor:
                     f"{len(frames)} of {n_frames} frames for the tare, none within {timeout_s:g} s",
                 )
         counts = np.stack([frame.counts for frame in frames[:n_frames]])
-        result = compute_tare(
-            self._hood, counts, self._settings.tare_limits, frames[n_frames - 1].t_s
-        )
+        result = compute_tare(self._hood, counts, self._settings, frames[n_frames - 1].t_s)
         self._frames.clear()
         self.tare_result = result
         self._tare_status = frames[n_frames - 1].status
@@ -375,7 +356,7 @@ class TactileSensor:
 
     def _new_touch(self, tare: TareResult) -> ActiveTaxels:
         """Return a finder of touched taxels with the typical noise of each pad."""
-        least = self._settings.noise_floor_share * self.layout.adc_max
+        least = self._settings.noise_share * self.layout.adc_max
         noise = typical_noise(self.layout, tare.noise_counts, least)
         noise /= np.sqrt(self._settings.mean_frames)
         return ActiveTaxels(self._hood, noise)
@@ -513,7 +494,7 @@ class TactileSensor:
     def _too_many_bad(self, bad: NDArray[np.bool_]) -> str:
         for finger, taxels in enumerate(self._grips):
             n_bad = int(np.count_nonzero(bad[taxels]))
-            share = self._settings.tare_limits.bad_share
+            share = self._settings.bad_share
             if too_many_bad(n_bad, taxels.stop - taxels.start, share):
                 return f"{n_bad} taxels of finger {finger} bad"
         return ""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tactile.errors import TareRefused
 from tactile.sensor.filters import Mask, Neighbourhood, Values, fill_bad
+from tactile.sensor.settings import SensorSettings
 
 LEAST_FRAMES = 8
 """Fewest frames: in fewer a healthy taxel may be constant by chance."""
@@ -67,24 +68,6 @@ def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
     return TaxelHealth(dead=dead, stuck=stuck, saturated=saturated, noisy=noisy)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TareLimits:
-    """Limits of a zero; counts as shares of the full scale."""
-
-    offset_share: float = 0.12
-    """Largest mean of a healthy taxel: above it is pressed or defective."""
-    bump_share: float = 0.016
-    """Largest excess of a region over its pad's median, smoothed over 3 x 3 taxels."""
-    pad_share: float = 0.016
-    """Largest excess of a gripping pad's median over that of the other pads: more is a large object
-    that presses evenly. Not checked if a layout has no other pads."""
-    drift_share: float = 0.024
-    """Largest difference of a region between the first and the second half of the frames."""
-    bad_share: float = 0.05
-    """Largest share of bad taxels of a pad; one bad taxel is always allowed, unless the share is 0.
-    """
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TareResult:
     """The zero."""
@@ -115,7 +98,7 @@ def too_many_bad(n_bad: int, n_taxels: int, share: float) -> bool:
 
 
 def compute_tare(
-    hood: Neighbourhood, frames: NDArray[np.uint16], limits: TareLimits, t_s: float
+    hood: Neighbourhood, frames: NDArray[np.uint16], limits: SensorSettings, t_s: float
 ) -> TareResult:
     """Compute the zero from frames, shape (n_frames, n_taxels); raises TareRefused."""
     layout = hood.layout
@@ -136,10 +119,10 @@ def compute_tare(
     change = frames[half:].mean(axis=0) - frames[:half].mean(axis=0)
     drift = np.abs(hood.mean(fill_bad(hood, change, health.bad)))
     worst = int(np.argmax(drift))
-    if drift[worst] > limits.drift_share * layout.adc_max:
+    if drift[worst] > limits.moved_share * layout.adc_max:
         raise TareRefused(
             f"the counts of {_place(hood, worst)} moved by {drift[worst]:.1f} while the zero was "
-            f"taken, allowed are {limits.drift_share * layout.adc_max:.1f}: keep the fingers still "
+            f"taken, allowed are {limits.moved_share * layout.adc_max:.1f}: keep the fingers still "
             "and untouched, let the sensor warm up, and try again"
         )
     _refuse_pressed_pad(hood, offset, limits)
@@ -158,10 +141,10 @@ def _place(hood: Neighbourhood, taxel: int) -> str:
     return f"pad {pad.name}, row {row}, column {column}"
 
 
-def _refuse_touch(hood: Neighbourhood, offset: Values, limits: TareLimits) -> None:
+def _refuse_touch(hood: Neighbourhood, offset: Values, limits: SensorSettings) -> None:
     layout = hood.layout
     worst = int(np.argmax(offset))
-    limit = limits.offset_share * layout.adc_max
+    limit = limits.rest_share * layout.adc_max
     if offset[worst] > limit:
         raise TareRefused(
             f"{_place(hood, worst)} reads {offset[worst]:.1f} counts, allowed are {limit:.1f} for "
@@ -181,7 +164,7 @@ def _refuse_touch(hood: Neighbourhood, offset: Values, limits: TareLimits) -> No
             )
 
 
-def _refuse_pressed_pad(hood: Neighbourhood, offset: Values, limits: TareLimits) -> None:
+def _refuse_pressed_pad(hood: Neighbourhood, offset: Values, limits: SensorSettings) -> None:
     layout = hood.layout
     others = [
         np.median(offset[layout.taxels_of(pad)])

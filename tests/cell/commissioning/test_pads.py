@@ -26,7 +26,7 @@ from simulator.can.control_unit import ControlUnitSettings
 from simulator.world.taxels import SensorLaw
 from tactile.layout import PadMount, paper_layout, pinch_layout
 from tactile.sensor.calibration import LinearCalibration, TableCalibration
-from tactile.sensor.tare import TareLimits
+from tactile.sensor.settings import SensorSettings
 from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.marks import LONG
 from tests.tactile.conftest import counts_of
@@ -122,7 +122,7 @@ def test_pads_of_much_noise_are_named(noises, force_per_count_n, status, named) 
     layout, generator = pinch_layout(), np.random.default_rng(0)
     frames = generator.normal(250.0, np.repeat(noises, 78), (30, 156)).astype(np.uint16)
     law, notes = LinearCalibration(force_per_count_n, layout.adc_max), Notes()
-    judge_rest(layout, law, frames, notes, limits=TareLimits(), contact_force_n=0.3)
+    judge_rest(layout, law, frames, notes, limits=SensorSettings(), contact_force_n=0.3)
     assert notes.status is status, notes.lines
     assert named in "\n".join(notes.lines)
 

@@ -20,7 +20,7 @@ from gripper.values.state import GripperPhase
 from pytest_tactile_cell.configs import simulated_config
 from pytest_tactile_cell.virtual import grasps_of
 from tactile.errors import BusNotOpened
-from tactile.sensor.quality import QualityLimits
+from tactile.sensor.settings import SensorSettings
 from tests.faults.scenarios import X_AXIS
 from tests.marks import LONG
 
@@ -164,10 +164,10 @@ def test_a_bus_that_is_shared_with_canopen_is_refused() -> None:
 
 
 def test_friction_that_holds_a_force_is_no_frozen_sensor() -> None:
-    usual = sensor_settings(TactileConfig(), CellConfig().friction_n).quality
-    assert usual.force_step_n == QualityLimits().force_step_n
+    usual = sensor_settings(TactileConfig(), CellConfig().friction_n)
+    assert usual.force_step_n == SensorSettings().force_step_n
     # 3.6 N were seen where empty pads met.
-    assert sensor_settings(TactileConfig(), 14.0).quality.force_step_n > 4.0
+    assert sensor_settings(TactileConfig(), 14.0).force_step_n > 4.0
 
 
 class Line:

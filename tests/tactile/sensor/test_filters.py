@@ -14,7 +14,8 @@ from tactile.sensor.filters import (
     fill_bad,
     smoothing_gain,
 )
-from tactile.sensor.tare import TareLimits, compute_tare
+from tactile.sensor.settings import SensorSettings
+from tactile.sensor.tare import compute_tare
 from tactile.sensor.taxel_forces import TaxelForces
 from tests.tactile.conftest import counts_of
 
@@ -197,7 +198,7 @@ def untouched() -> np.ndarray:
 
 @pytest.fixture
 def forces(untouched: np.ndarray) -> TaxelForces:
-    zero = compute_tare(Neighbourhood(LAYOUT), untouched, TareLimits(), 0.0)
+    zero = compute_tare(Neighbourhood(LAYOUT), untouched, SensorSettings(), 0.0)
     return TaxelForces(LAYOUT, LAW, zero)
 
 

@@ -9,8 +9,9 @@ from tactile.errors import FrameTimeout, TareRefused, ZeroDrifted
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import FoamCalibration, LinearCalibration
 from tactile.sensor.filters import Neighbourhood
-from tactile.sensor.sensor import SensorSettings, SensorStatistics, TactileSensor
-from tactile.sensor.tare import TareLimits, assess_health, compute_tare
+from tactile.sensor.sensor import SensorStatistics, TactileSensor
+from tactile.sensor.settings import SensorSettings
+from tactile.sensor.tare import assess_health, compute_tare
 from tactile.source import (
     Arrivals,
     ForceMessage,
@@ -317,7 +318,7 @@ def test_one_bad_taxel_of_a_small_pad_is_no_reason_to_refuse_a_zero() -> None:
     sensor, frames = make()
     frames.stuck = {LAYOUT.taxels_of(4).start: 0}
     assert sensor.tare().health.dead.sum() == 1
-    strict = SensorSettings(tare_limits=TareLimits(bad_share=0.0))
+    strict = SensorSettings(bad_share=0.0)
     sensor, frames = make(strict)
     frames.stuck = {LAYOUT.taxels_of(4).start: 0}
     with pytest.raises(TareRefused, match=r"8% of the taxels of pad finger0\.tip"):
@@ -445,7 +446,7 @@ def test_a_tare_without_frames_times_out_with_their_number() -> None:
 def test_too_few_frames_for_a_tare_are_refused() -> None:
     frames = np.zeros((7, 408), dtype=np.uint16)
     with pytest.raises(TareRefused, match="7 frames"):
-        compute_tare(Neighbourhood(LAYOUT), frames, TareLimits(), 0.0)
+        compute_tare(Neighbourhood(LAYOUT), frames, SensorSettings(), 0.0)
 
 
 def test_a_few_bad_taxels_are_masked_and_filled() -> None:
