@@ -79,11 +79,8 @@ that differ between models are added for the model."""
 class Item(Register):
     """One item with its rules."""
 
-    minimum: int
-    maximum: int
+    values: range | frozenset[int]
     """Accepted raw values; anything else is a Data Range Error."""
-    only: frozenset[int] | None = None
-    """The accepted ones, where not all between are."""
     wire: int
     """Address on the wire."""
 
@@ -136,15 +133,9 @@ def _rh_p12_item(row: rh_p12.Row) -> Item:
 
 
 def _item(register: Register, wire: int, bounds: tuple[int, int], modes: frozenset[int]) -> Item:
-    only = modes if register.name == "operating_mode" else None
-    return Item(**asdict(register), minimum=bounds[0], maximum=bounds[1], only=only, wire=wire)
-
-
-def in_range(item: Item, value: int) -> bool:
-    """Return whether an item accepts a raw value, without limits in other items."""
-    if item.only is not None:
-        return value in item.only
-    return item.minimum <= value <= item.maximum
+    low, high = bounds
+    values = modes if register.name == "operating_mode" else range(low, high + 1)
+    return Item(**asdict(register), values=values, wire=wire)
 
 
 class ServoRegisters:
@@ -235,7 +226,7 @@ class ServoRegisters:
         if register is None or not register.eeprom:
             raise SimulatorSettingsError(f"{name!r} is not an EEPROM item of the control table")
         plan = self.plan(register.address, register.size)
-        if isinstance(plan, StatusError) or not in_range(plan.items[0], value):
+        if isinstance(plan, StatusError) or value not in plan.items[0].values:
             raise SimulatorSettingsError(f"{name} = {value} is outside the range of the item")
         self.put(name, value)
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from gripper.dynamixel import control_table as ct
 from gripper.dynamixel.models import OperatingMode, ServoModel
-from simulator.servo.control_table import Item, in_range
+from simulator.servo.control_table import Item
 from simulator.servo.firmware import (
     GOAL_END,
     GOAL_START,
@@ -27,8 +27,8 @@ BAUD_RATES = (
     *(3_000_000, 4_000_000, 4_500_000, 6_000_000, 10_500_000),
 )
 """Baud rate by the content of Baud Rate (8); the last two on the RH-P12-RN(A) only."""
-_EXTENDED_LIMIT = 1_048_575
-"""Largest magnitude of Goal Position in the modes without position limits: 256 turns."""
+_EXTENDED_POSITION = range(-1_048_575, 1_048_576)
+"""Goal Position in the modes without position limits: 256 turns."""
 _LIMITED_BY = {
     ct.GOAL_PWM.address: "pwm_limit",
     ct.GOAL_CURRENT.address: "current_limit",
@@ -170,21 +170,18 @@ class SimulatedServo(ServoCore):
         if item.address == ct.TORQUE_ENABLE.address and raw and self.latched:
             return StatusError.RESULT_FAIL
         registers, data = self.registers, self.registers.data
-        lower, upper, refusal = item.minimum, item.maximum, StatusError.DATA_RANGE
+        allowed, refusal = item.values, StatusError.DATA_RANGE
         limit = _LIMITED_BY.get(item.address)
         if limit is not None:
-            upper = registers.get(limit)
-            lower, refusal = -upper, StatusError.DATA_LIMIT
+            most = registers.get(limit)
+            allowed, refusal = range(-most, most + 1), StatusError.DATA_LIMIT
         elif item.address == ct.GOAL_POSITION.address:
+            allowed = _EXTENDED_POSITION
             if registers.keeps_limits or data[ct.OPERATING_MODE.address] == OperatingMode.POSITION:
-                lower = registers.get("min_position_limit")
-                upper = registers.get("max_position_limit")
+                first = registers.get("min_position_limit")
+                allowed = range(first, registers.get("max_position_limit") + 1)
                 refusal = StatusError.DATA_LIMIT
-            else:
-                lower, upper = -_EXTENDED_LIMIT, _EXTENDED_LIMIT
-        elif not in_range(item, raw):
-            return refusal
-        return StatusError.NONE if lower <= raw <= upper else refusal
+        return StatusError.NONE if raw in allowed else refusal
 
     def _side_effect(self, address: int, raw: int, now_s: float) -> None:
         if address == ct.OPERATING_MODE.address:
