@@ -98,8 +98,7 @@ class UnitDictionary:
             "Serial numbers of the boards": lambda sub: boards()[sub - 1] if sub else None,
         }
         node.add_read_callback(self._read)
-        node.add_write_callback(self._check)
-        node.add_write_callback(self._act)
+        node.add_write_callback(self._write)
 
     def pretend(self, name: str, value: int | str | bytes | None) -> int | str | bytes | None:
         """Replace the value of a constant, by its name in the EDS; returns the previous one.
@@ -160,7 +159,8 @@ class UnitDictionary:
             raise canopen.SdoAbortedError(NO_DATA)
         return frame
 
-    def _check(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
+    def _write(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
+        """Check a write and carry out its effects."""
         del index
         self._check_there(subindex, od)
         value, name = int.from_bytes(data, "little"), od.qualname
@@ -169,40 +169,32 @@ class UnitDictionary:
         if od.min is not None and value < od.min:
             raise canopen.SdoAbortedError(VALUE_LOW)
         cob_id = value & _FRAME_BIT_AND_COB_ID
-        if name == _SYNC_COB_ID and not 1 <= cob_id <= _COB_ID_BITS:
-            raise canopen.SdoAbortedError(VALUE_RANGE)
         fixed = od.default if od.name.startswith("Transmission type") else _FIXED_VALUES.get(name)
-        if fixed is not None and value != fixed:
+        if (name == _SYNC_COB_ID and not 1 <= cob_id <= _COB_ID_BITS) or (
+            fixed is not None and value != fixed
+        ):
             raise canopen.SdoAbortedError(VALUE_RANGE)
         if name in _COB_IDS:
-            self._check_cob_id(self.number(name), value)
+            present = self.number(name)
+            both_on = not (present | value) & unit_od.PDO_INVALID
+            if not _LOWEST_PDO_COB_ID <= cob_id <= _HIGHEST_PDO_COB_ID or (
+                both_on and (present ^ value) & _COB_ID_BITS
+            ):
+                raise canopen.SdoAbortedError(VALUE_RANGE)
         mapping = _object_name(od).endswith("mapping parameter")
         if mapping and value != od.default and (subindex or value):
             raise canopen.SdoAbortedError(NOT_MAPPABLE)
-
-    def _check_cob_id(self, present: int, value: int) -> None:
-        both_on = not (present & unit_od.PDO_INVALID or value & unit_od.PDO_INVALID)
-        if not _LOWEST_PDO_COB_ID <= value & _FRAME_BIT_AND_COB_ID <= _HIGHEST_PDO_COB_ID:
-            raise canopen.SdoAbortedError(VALUE_RANGE)
-        if both_on and (present ^ value) & _COB_ID_BITS:
-            raise canopen.SdoAbortedError(VALUE_RANGE)
-
-    def _act(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
-        del index, subindex
         if _object_name(od) == _ERRORS:
             self.errors.clear()
-        take = {
-            unit_od.FORCE_TABLE: self._scanner.forces.take_table,
-            unit_od.FORCE_ZERO: self._scanner.forces.take_zero,
-        }.get(od.qualname)
-        if take is not None:
-            try:
-                take(bytes(data))
-            except DamagedObject as error:
-                raise canopen.SdoAbortedError(VALUE_RANGE) from error
+        try:
+            if name == unit_od.FORCE_TABLE:
+                self._scanner.forces.take_table(bytes(data))
+            elif name == unit_od.FORCE_ZERO:
+                self._scanner.forces.take_zero(bytes(data))
+        except DamagedObject as error:
+            raise canopen.SdoAbortedError(VALUE_RANGE) from error
         # The simulated unit takes no zero of its own, so it can only be told to have none.
-        tare = od.qualname == "Tare.Command"
-        if tare and int.from_bytes(data, "little") != unit_od.TARE_CLEAR_SIGNATURE:
+        if name == "Tare.Command" and value != unit_od.TARE_CLEAR_SIGNATURE:
             raise canopen.SdoAbortedError(NOT_STORED)
 
 
