@@ -27,10 +27,8 @@ class Fault:
     """Entry of the vocabulary."""
     index: int
     """Position of its servo or axis in the settings."""
-    value: float
-    """Its value if that is a number, else NaN."""
-    setting: tuple[str, int]
-    """Its value if that is a name and a number."""
+    value: Any
+    """Its number, or name and number (`simulator.knobs.Setting`); None without a value."""
     event: str
     """``contact`` or ``moving``; empty: the injection."""
     start_s: float

@@ -14,7 +14,6 @@ from simulator.devices import CellDevices
 from simulator.errors import SimulatorError, SimulatorSettingsError, SimulatorStateError
 from simulator.faults.entry import Fault, FaultEntry
 from simulator.faults.vocabulary import VOCABULARY
-from simulator.knobs import Number, Setting
 
 CONTACT_N = 0.5
 """Force in N on both pads at the event ``contact``: a little below the contact force of grippers,
@@ -52,11 +51,9 @@ def check_fault(text: str, n_servos: int = 2, n_axes: int = 0) -> Fault:
     entry, index = _entry(name, n_servos, n_axes)
     if entry.moment and end_s < math.inf:
         raise SimulatorSettingsError(f"fault {name} is momentary: leave out its end")
-    value, setting = math.nan, ("", 0)
-    if isinstance(entry.value, Number):
+    value = None
+    if entry.value is not None:
         value = entry.value.read(name, written or str(entry.value.default))
-    elif isinstance(entry.value, Setting):
-        setting = entry.value.read(name, written or entry.value.default)
     elif equals:
         raise SimulatorSettingsError(f"fault {name} takes no value: leave it out")
     return Fault(
@@ -64,7 +61,6 @@ def check_fault(text: str, n_servos: int = 2, n_axes: int = 0) -> Fault:
         entry=entry,
         index=index,
         value=value,
-        setting=setting,
         event=event,
         start_s=start_s,
         end_s=end_s,

@@ -53,7 +53,7 @@ def _jump(fault: Fault) -> None:
 
 
 def _check_identity(fault: Fault) -> None:
-    name, number = fault.setting
+    name, number = fault.value
     if name not in _IDENTITY:
         raise SimulatorSettingsError(
             f"unit.wrong takes one of {', '.join(_IDENTITY)} and a number; got {name!r}"
@@ -64,7 +64,7 @@ def _check_identity(fault: Fault) -> None:
 
 def _pretending(fault: Fault) -> Undo:
     """Replace the value of an object of the unit's dictionary."""
-    dictionary, (name, number) = fault.devices.unit.dictionary, fault.setting
+    dictionary, (name, number) = fault.devices.unit.dictionary, fault.value
     before = dictionary.pretend(_IDENTITY[name], number)
     return lambda: dictionary.pretend(_IDENTITY[name], before)
 
@@ -81,7 +81,7 @@ def _some_taxels(fault: Fault, counts: int) -> dict[int, int]:
 
 
 def _chosen_taxels(fault: Fault) -> dict[int, int]:
-    name, counts = fault.setting
+    name, counts = fault.value
     layout = fault.devices.settings.layout
     match = _TAXELS.fullmatch(name)
     if match is None:
@@ -140,7 +140,7 @@ def _factory(fault: Fault) -> None:
 
 
 def _check_register(fault: Fault) -> None:
-    name, number = fault.setting
+    name, number = fault.value
     register = REGISTERS.get(name)
     if register is None or register.address >= EEPROM_END:
         raise SimulatorSettingsError(f"{name!r} is not an EEPROM register such as current_limit")
@@ -154,7 +154,7 @@ def _check_register(fault: Fault) -> None:
 
 
 def _wrong(fault: Fault) -> Undo:
-    name, number = fault.setting
+    name, number = fault.value
     registers = fault.owner.registers
     before = registers.get(name)
     registers.put(name, number)
