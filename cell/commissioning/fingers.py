@@ -123,8 +123,7 @@ def fit_linkages(
     No kind is the best if a rival is as good within the measuring error. Closed fingers (opening 0
     at angle 0) are a separate measurement. A swinging finger follows the law of a parallelogram at
     the middle of its pad, with oblique links when closed. It has one more unknown: it needs two
-    blocks, and is preferred only if the simpler ones fail. Raises ValueError if there is no block,
-    or if an angle does not grow with the opening.
+    blocks, and is preferred only if the simpler ones fail.
 
     Parameters
     ----------
@@ -135,8 +134,6 @@ def fit_linkages(
         (n_blocks,): sizes of the blocks.
     """
     angles, sizes_m = np.asarray(angles_rad), np.asarray(aperture_m)
-    if not sizes_m.size or np.any(angles.sum(axis=1) <= 0.0):
-        raise ValueError("a linkage needs a block on which the fingers are open")
     n_blocks, n = angles.shape
 
     def scale_m(way: NDArray[np.float64]) -> float:

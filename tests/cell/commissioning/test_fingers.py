@@ -11,14 +11,10 @@ from cell.commissioning.findings import Verdict
 from cell.commissioning.fingers import (
     FINGERS,
     KINDS,
-    directions,
     fit_linkages,
-    moved_alone,
-    zero_pulse,
 )
 from cell.commissioning.servos import SERVOS
 from cell.config.file import changed_config
-from gripper.dynamixel.models import XM430_W350
 from gripper.servos.goal_limits import GoalWriter
 from simulator.servo.mechanics import RackLinkage, ServoMount
 from simulator.settings import SimulatedServoSettings
@@ -59,29 +55,6 @@ def test_each_kind_of_linkage_is_found_where_the_measurements_tell_them_apart(
     assert fit.linkage.aperture_m([fit.closed_rad] * 2) == pytest.approx(0.0, abs=1e-6)
     on_block_rad = fit.closed_rad + angles_rad[0]
     assert fit.linkage.aperture_m([on_block_rad] * 2) == pytest.approx(sizes_m[0], abs=1e-6)
-
-
-def test_a_wrongly_typed_block_shows_in_the_residual() -> None:
-    rows = [[on_parallel(m, 0.06)] * 2 for m in BLOCKS_M]
-    fits, _ = fit_linkages(rows, (BLOCKS_M[0], 0.050))
-    assert min(fits[kind].residual_m for kind in ("parallel", "pinion")) > 2e-3
-    # In centimetres for millimetres: longer links than any gripper has, and no end of the wizard.
-    assert min(fit.residual_m for fit in fit_linkages(rows, (0.4, 0.4))[0].values()) > 0.05
-    for angles_rad, sizes_m in (([], []), ([[-0.1, 0.05]], [0.01])):
-        with pytest.raises(ValueError, match="needs a block on which the fingers are open"):
-            fit_linkages(angles_rad, sizes_m)
-
-
-def test_directions_and_zero_follow_from_the_hands() -> None:
-    assert directions((2048, 2048), (2500, 1700)).tolist() == [1, -1]
-    with pytest.raises(ValueError, match="50 pulses"):
-        directions((2048,), (2098,))
-    assert moved_alone((2048, 2048), (2500, 2060)) == 0
-    assert moved_alone((2048, 2048), (2048, 1500)) == 1
-    assert moved_alone((2048, 2048), (2500, 2300)) is None
-    assert moved_alone((2048, 2048), (2050, 2048)) is None
-    assert zero_pulse(XM430_W350, 2100, 1, radians(9)) == 2100 - 102
-    assert zero_pulse(XM430_W350, 2100, -1, radians(9)) == 2100 + 102
 
 
 @pytest.fixture

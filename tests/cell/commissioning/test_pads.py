@@ -11,14 +11,9 @@ from cell.commissioning.pads import (
     LAW,
     PADS_AT_REST,
     PADS_PRESSED,
-    Patch,
-    corner_text,
-    fit_factor,
     fit_table,
     judge_law,
     judge_rest,
-    mounts_of,
-    pressed_at,
     table_parts,
 )
 from cell.config.tactile import TactileConfig
@@ -99,17 +94,6 @@ def test_each_pad_is_found_by_who_follows_the_words(make_stand, layout) -> None:
     assert stand.person.script.asked == ["pads_pressed.press"] * layout.n_pads
 
 
-def test_corners_are_named_as_a_person_sees_them() -> None:
-    layout = paper_layout()
-    names = [pad.name for pad in layout.pads]
-    for name, words in {
-        "finger0.inner": "near the tip and at the left edge",
-        "finger1.inner": "near the tip and at the right edge",
-        "finger0.tip": "at the edge towards the other finger and on the left",
-    }.items():
-        assert corner_text(layout, names.index(name)).startswith(words)
-
-
 @pytest.mark.parametrize(
     ("noises", "force_per_count_n", "status", "named"),
     [
@@ -125,18 +109,6 @@ def test_pads_of_much_noise_are_named(noises, force_per_count_n, status, named) 
     judge_rest(layout, law, frames, notes, limits=SensorSettings(), contact_force_n=0.3)
     assert notes.status is status, notes.lines
     assert named in "\n".join(notes.lines)
-
-
-def test_places_and_mounts_of_patches() -> None:
-    layout = paper_layout()
-    force_n = np.zeros(layout.n_taxels)
-    assert pressed_at(layout, force_n) is None
-    force_n[layout.taxels_of(2).start] = 1.0
-    patch = pressed_at(layout, force_n)
-    assert (patch.pad, patch.force_n) == (2, 1.0)
-    assert (patch.along, patch.across) == pytest.approx((-15 / 16, -1 / 2))
-    mounts = mounts_of(layout, {2: patch, 0: Patch(pad=0, along=0.8, across=0.4, force_n=1.0)})
-    assert mounts == (PadMount(pad=2, sent_as=2, rows_mirrored=True, columns_mirrored=True),)
 
 
 # -- The law from counts to newtons: loads on both pads, and the factor that is set ----------------
@@ -213,13 +185,6 @@ def test_pads_that_differ_are_a_word_to_the_operator() -> None:
     assert finding.status is Verdict.WARN
     assert "The pads differ: factor 0.91 on finger 0, 1.09 on finger 1" in finding.lines[1]
     assert finding.settings["tactile.pad_gains"] == pytest.approx([0.9255, 1.1065], abs=0.001)
-
-
-def test_the_factor_is_the_least_squares_one() -> None:
-    fit = fit_factor([1.0, 2.0, 3.0], [0.8, 1.6, 2.4])
-    assert (fit.factor, fit.residual_n) == pytest.approx((1.25, 0.0))
-    with pytest.raises(ValueError, match="2 loads and 1"):
-        fit_factor([1.0, 2.0], [1.0])
 
 
 TRUE = TableCalibration((16.0, 32.0, 64.0, 128.0), (0.05, 0.12, 0.31, 0.9), 255)
