@@ -137,7 +137,7 @@ def _choices(key: FieldInfo) -> list[str]:
     """Return the allowed names or numbers of a key; an empty list if it has a range."""
     if get_origin(key.annotation) is Literal:
         return [str(choice) for choice in get_args(key.annotation)]
-    return [name for note in key.metadata if isinstance(note, Installed) for name in note.names]
+    return [name for note in key.metadata if isinstance(note, Installed) for name in note.plugins]
 
 
 def _alternatives(key: FieldInfo, value: object, indent: str) -> Iterator[str]:

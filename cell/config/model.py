@@ -20,7 +20,6 @@ from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
 from cell.config.tactile import (
     TactileConfig,
-    check_sensor,
     layout_from_config,
     make_calibration,
 )
@@ -33,6 +32,7 @@ from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
 from recognition.recognizers import DEFAULT_TRAINER
+from tactile.errors import LayoutError
 from tactile.layout import TaxelLayout
 
 TAXELS_OF_SMALL_PART = 8
@@ -148,7 +148,8 @@ class CellConfig(Section):
             )
         with raised_as(ValueError, ConfigError):
             layout = layout_from_config(self.tactile)
-        check_sensor(self.tactile, layout)
+        with raised_as(ValueError, LayoutError, where="tactile"):
+            self.tactile.sensor.check(self.tactile, layout)
         self._check_full_scale(layout, most_n)
         axes = (port == SIMULATED for port in self.positioner.ports)
         if {*axes, self.tactile.simulated} != {self.simulated}:

@@ -129,11 +129,6 @@ class Installed:
     plugins: Plugins
     """The plugins to choose from."""
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names that are installed."""
-        return tuple(self.plugins)
-
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
@@ -142,7 +137,7 @@ class Installed:
     def __get_pydantic_json_schema__(
         self, _schema: CoreSchema, _handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        return {"type": "string", "enum": list(self.names)}
+        return {"type": "string", "enum": list(self.plugins)}
 
     def _checked(self, name: str) -> str:
         with raised_as(ValueError, ConfigError):

@@ -309,9 +309,3 @@ def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
     if isinstance(law, TableCalibrationConfig):
         return TableCalibration(law.counts, law.force_n, layout.adc_max, gain)
     return LinearCalibration(adc_max=layout.adc_max, force_per_count_n=law.force_per_count_n * gain)
-
-
-def check_sensor(tactile: TactileConfig, layout: TaxelLayout) -> None:
-    """Raise ValueError if the sensor cannot read a layout, or its lines are too slow for it."""
-    with raised_as(ValueError, LayoutError, where="tactile"):
-        tactile.sensor.check(tactile, layout)

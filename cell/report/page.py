@@ -7,16 +7,13 @@ template draws each block. It escapes all texts: markup in a label has no effect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cell.errors import ReportError
 from cell.files import write_atomically
 from cell.installation import extra
 from cell.report.figures import COLOURS, N_SHADES
 from recognition.evaluation.metrics import wilson_interval
-
-if TYPE_CHECKING:
-    from jinja2 import Template
 
 DENSE_LABELS = 12
 """Most labels of a confusion table in normal size."""
@@ -53,11 +50,6 @@ def render_report(page: Page) -> str:
         if any(block for name, block in section.items() if name not in ("title", "lead"))
     }
     place = {label: place for place, label in enumerate(page.labels)}
-    return page_template("report.html.j2").render(page=page, sections=sections, place=place)
-
-
-def page_template(name: str) -> "Template":
-    """Return a template of this package's pages. Raises MissingExtraError without jinja2."""
     with extra("report", needed_by="the report"):
         from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415
     environment = Environment(
@@ -75,7 +67,8 @@ def page_template(name: str) -> "Template":
         "zip": zip,
     }
     environment.filters["percent"] = percent
-    return environment.get_template(name)
+    template = environment.get_template("report.html.j2")
+    return template.render(page=page, sections=sections, place=place)
 
 
 def percent(share: float) -> str:
