@@ -56,25 +56,31 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
         assert backup["registers"]["return_delay_time"] == 250
 
 
-@pytest.mark.parametrize("level", [0, 1])
-def test_a_servo_that_confirms_no_write_is_set_to_confirm_with_an_approval(stand, level) -> None:
-    for servo in stand.cell.devices.servo_bus.servos:
-        servo.registers.put("status_return_level", level)
+@pytest.mark.parametrize(
+    ("name", "values", "wanted", "shown"),
+    [
+        # Servos that confirm no write, or not each.
+        ("status_return_level", (0, 0), [2, 2], ("servo 2", "status_return_level (68)", "0", "2")),
+        ("status_return_level", (1, 1), [2, 2], ("servo 1", "status_return_level (68)", "1", "2")),
+        # The fastest baud rate.
+        (
+            *("baud_rate", (3, 7), [3, 3]),
+            ("servo 2 at 4500000 bit/s", "baud_rate (8)", "4500000 bit/s", "1000000 bit/s"),
+        ),
+        ("homing_offset", (100, 0), [0, 0], ("servo 1", "homing_offset (20)", "100", "0")),
+        ("drive_mode", (0, 1), [0, 0], ("servo 2", "drive_mode (10)", "1", "0")),
+    ],
+)
+def test_wrong_registers_are_shown_then_set_and_read_back(
+    stand, name, values, wanted, shown
+) -> None:
+    for servo, value in zip(stand.cell.devices.servo_bus.servos, values, strict=True):
+        servo.registers.put(name, value)
     stand.passes(STEP)
-    assert stand.registers("status_return_level") == [2, 2]
-    shown = [(w.where, w.what, w.before, w.after) for w in stand.person.script.writes]
-    assert shown[:2] == [
-        (f"servo {n}", "status_return_level (68)", str(level), "2") for n in (1, 2)
-    ]
-
-
-def test_a_servo_at_the_fastest_baud_rate_is_found(stand) -> None:
-    servo = stand.cell.devices.servo_bus.servos[1]
-    servo.registers.put("baud_rate", 7)
-    stand.passes(STEP)
-    assert stand.registers("baud_rate") == [3, 3]
-    shown = [(w.where, w.before, w.after) for w in stand.person.script.writes]
-    assert ("servo 2 at 4500000 bit/s", "4500000 bit/s", "1000000 bit/s") in shown
+    assert stand.registers(name) == wanted
+    rows = [(w.where, w.what, w.before, w.after) for w in stand.person.script.writes]
+    assert shown in rows
+    assert [what for _, what, *_ in rows].count(shown[1]) == len(values) - values.count(wanted[0])
 
 
 @pytest.mark.parametrize("rate", [1, 3])
@@ -124,15 +130,6 @@ def test_no_line_is_opened_for_a_backup_of_another_servo(stand, tmp_path) -> Non
     with pytest.raises(CellError, match=r"backup-servo2\.json is of servo 1, nothing was written"):
         restore(stand.bench, Script(), PORT)
     assert stand.lines.opened == []
-
-
-def test_wrong_registers_are_shown_then_set_and_read_back(make_stand) -> None:
-    stand = make_stand("servo1.wrong=homing_offset:100", "servo2.wrong=drive_mode:1")
-    stand.passes(STEP)
-    shown = {(w.where, w.what, w.before, w.after) for w in stand.person.script.writes}
-    assert ("servo 1", "homing_offset (20)", "100", "0") in shown
-    assert ("servo 2", "drive_mode (10)", "1", "0") in shown
-    assert stand.registers("homing_offset") == stand.registers("drive_mode") == [0, 0]
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from cell.commissioning.engine import Step, WizardAborted
+from cell.commissioning.engine import WizardAborted
 from cell.commissioning.findings import Verdict
 from cell.commissioning.fingers import FINGERS
 from cell.commissioning.first_force import FIRST_FORCE
@@ -18,7 +18,7 @@ from simulator.world.taxels import NoiseModel
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
 from tactile.layout import inner_pads
-from tests.cell.commissioning.conftest import MakeStand, Stand
+from tests.cell.commissioning.conftest import MakeStand
 from tests.cell.commissioning.hands import SimulatedLines
 
 REST, FORCE = PADS_AT_REST, FIRST_FORCE
@@ -41,6 +41,8 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (UNIT, "unit.wrong=vendor:99", FAIL, "node 5 is another device: vendor 0x63"),
         (UNIT, "can.unplugged", FAIL, "adapter is unplugged"),
         (UNIT, "unit.heartbeat_off", FAIL, "did not become operational"),
+        (UNIT, {"layout": inner_pads("odd", 5, 4, 3e-3)}, FAIL, "layout is unknown (hash "),
+        (UNIT, {"unit": ControlUnitSettings(bitrate=125_000)}, FAIL, "too long for a grip"),
         (REST, "taxels.stuck_at=3:0", WARN, "1 taxel is dead: finger0.inner row 0 column 3"),
         (REST, "taxels.stuck_at=80-81:777", WARN, "2 taxels are stuck: finger1.inner row 0"),
         (REST, "taxels.off=0.2", FAIL, "of the taxels of pad finger0.inner are bad"),
@@ -56,24 +58,11 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
     ],
 )
 def test_what_is_wrong_is_named(make_stand, step, fault, status, named) -> None:
-    stand = make_stand(noise=NoiseModel(level=0.3)) if step is FORCE else make_stand()
-    stand.cell.inject(fault)
-    check(stand, step, status, named)
-
-
-@pytest.mark.parametrize(
-    ("step", "hardware", "status", "named"),
-    [
-        (UNIT, {"layout": inner_pads("odd", 5, 4, 3e-3)}, FAIL, "layout is unknown (hash "),
-        (UNIT, {"unit": ControlUnitSettings(bitrate=125_000)}, FAIL, "too long for a grip"),
-    ],
-)
-def test_hardware_that_does_not_do_is_named(make_stand, step, hardware, status, named) -> None:
-    check(make_stand(**hardware), step, status, named)
-
-
-def check(stand: Stand, step: Step, status: Verdict, named: str) -> None:
-    """Carry out a step that finds what is wrong, and check that it moves and sets nothing."""
+    """The step moves and sets nothing; a fault may also be other hardware."""
+    hardware = fault if isinstance(fault, dict) else {}
+    stand = make_stand(**({"noise": NoiseModel(level=0.3)} if step is FORCE else hardware))
+    if not hardware:
+        stand.cell.inject(fault)
     finding = stand.run(step)
     assert (finding.status, named in "\n".join(finding.lines)) == (status, True), finding.lines
     assert stand.torques == [0, 0]
