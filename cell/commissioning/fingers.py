@@ -19,7 +19,6 @@ from cell.commissioning.engine import LIVE_CALL_S, Dialog, Step, StepFailed
 from cell.commissioning.findings import Notes, ProposedChange
 from cell.commissioning.servos import torque_off
 from cell.config.gripper import ServoConfig, gripper_settings, linkage_of
-from cell.errors import raised_as
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK, TORQUE_ENABLE
 from gripper.dynamixel.models import MODELS, ServoModel
@@ -96,25 +95,6 @@ class LinkageFit(NamedTuple):
     """Largest difference between fitted and measured opening in m."""
 
 
-def directions(closed: ArrayLike, opened: ArrayLike) -> Pulses:
-    """Return the direction of each servo: 1 where its position grows while its finger opens.
-
-    Raises ValueError if a servo was moved by less than 5 degrees.
-    """
-    ways = np.subtract(opened, closed)
-    if (least := np.abs(ways).min()) < _MOVED_PULSES:
-        raise ValueError(f"a servo was moved by {least} pulses only")
-    return np.asarray(np.sign(ways))
-
-
-def moved_alone(before: ArrayLike, after: ArrayLike) -> int | None:
-    """Return the index of the only servo that was moved; None if no servo or several were moved."""
-    ways = np.abs(np.subtract(after, before))
-    index = int(ways.argmax())
-    still = np.delete(ways, index) <= _STILL_SHARE * ways[index]
-    return index if ways[index] >= _MOVED_PULSES and still.all() else None
-
-
 def fit_linkages(
     angles_rad: ArrayLike, aperture_m: ArrayLike
 ) -> tuple[dict[Kind, LinkageFit], Kind | None]:
@@ -188,11 +168,6 @@ def residual_m(
     return float(np.abs(openings_m - sizes_m).max())
 
 
-def zero_pulse(model: ServoModel, closed_raw: int, direction: int, closed_rad: float) -> int:
-    """Return Present Position at angle 0 of the linkage, from that of the closed fingers."""
-    return int(closed_raw - direction * round(closed_rad / model.rad_per_pulse))
-
-
 def measure_fingers(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     """Move the fingers by hand, without torque, then close them on blocks of known size.
 
@@ -231,8 +206,9 @@ class _Hands:
                     f"servo {servo.id} crosses the end of its encoder's turn ({ends[0]} to "
                     f"{ends[1]} pulses): mount its horn half a turn further"
                 )
-        with raised_as(StepFailed, ValueError):
-            signs = directions(closed, opened)
+        if (least := np.abs(opened - closed).min()) < _MOVED_PULSES:
+            raise StepFailed(f"a servo was moved by {least} pulses only")
+        signs = np.sign(opened - closed)
         on_blocks, sizes_m = self._blocks(closed, signs)
         fits, best = fit_linkages(on_blocks, sizes_m)
         kind = self._chosen(fits, best)
@@ -244,7 +220,7 @@ class _Hands:
                 "thickness typed wrong, or a block not held flat? Nothing has moved by itself"
             )
         zeros = [
-            zero_pulse(model, raw, sign, fit.closed_rad)
+            int(raw - sign * round(fit.closed_rad / model.rad_per_pulse))
             for model, raw, sign in zip(self._models, closed, signs, strict=True)
         ]
         if not 0 <= min(zeros) <= max(zeros) < turn:
@@ -315,7 +291,10 @@ class _Hands:
         alone = "Open the fingers by hand as far as they go."
         text = alone if len(self._servos) == 1 else f"{both}0 from now on: mark it."
         opened = self._by_hand("open_first", text)
-        if (index := moved_alone(closed, opened)) is None:
+        ways = np.abs(opened - closed)
+        index = int(ways.argmax())
+        still = np.delete(ways, index) <= _STILL_SHARE * ways[index]
+        if ways[index] < _MOVED_PULSES or not still.all():
             names = [f"servo {servo.id} by" for servo in self._servos]
             raise StepFailed(
                 "one finger should have moved by 5 degrees or more, and no other. From closed: "

@@ -1,6 +1,6 @@
 """First force: empty fingers open, their watchdog is proven, then a soft part is pressed.
 
-`watched_hand` shows the motions while they run, and stops them when the person leaves.
+The motions are shown while they run, and stop when the person leaves.
 """
 
 import time
@@ -23,7 +23,6 @@ from cell.hand.build import make_hand
 from cell.hand.client import HandProcess
 from cell.hand.connections import HandConnections
 from cell.hand.interface import Hand
-from gripper.clock import Clock
 from gripper.errors import GraspStopped, GripperError
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.identification import weighed
@@ -66,13 +65,92 @@ Period = tuple[Cycle, Sequence[TactileFrame]]
 """One period of the force loop and the tactile frames that came in it."""
 
 
-@dataclass(slots=True)
-class WatchedHand:
-    """A started hand, and the watch of its commands: a person sees each motion and may stop it."""
+def _forces_n(periods: Sequence[Period]) -> NDArray[np.float64]:
+    """Return the measured force of finger 0 and 1 in N of each period with a set-point.
 
-    hand: Hand
+    (n, 2) float64, NaN without a sample.
+    """
+    none = (np.nan, np.nan)
+    pressed = [cycle for cycle, _ in periods if cycle.setpoint_n > 0.0]
+    rows = [none if cycle.force is None else cycle.force.force_n for cycle in pressed]
+    return np.array(rows, dtype=np.float64).reshape(-1, 2)
+
+
+def _grip_n(periods: Sequence[Period]) -> NDArray[np.float64]:
+    """Return the mean measured force of both fingers in N; 0 without samples."""
+    grip_n = _forces_n(periods).mean(axis=1)
+    known = grip_n[np.isfinite(grip_n)]
+    return known if known.size else np.zeros(1)
+
+
+def press_first(bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    """Open the empty fingers, stop them by their bus watchdog, and press a soft part.
+
+    Opening proves direction and zero. The watchdog must stop the fingers when this program is
+    silent. Then they press the part with 1 N, with the force that you allow and, empty again, each
+    other. Measured force and set-point are compared. Keep your hands away while they move.
+    """
+    proves = _proves_watchdog(bench.config)
+    config = changed_config(bench.config, {"gripper.watchdog_self_test": proves})
+    cap_n = config.gripper.force_max_n
+    limit_n = floor(10.0 * largest_setpoint_n(cap_n)) / 10.0
+    most_n = dialog.number(
+        "first_force.most",
+        "Choose a soft part of 10 to 20 mm, for example a piece of foam or rubber. With which "
+        f"force may it be pressed? The cap of the config allows {limit_n:g} N.",
+        (FIRST_FORCE_N, limit_n, "N"),
+        min(limit_n, max(config.sequence.forces_n)),
+    )
+    dialog.approve(_motions(config, most_n))
+    dialog.confirm(
+        "first_force.empty", "Take everything out of the fingers, and your hands away from them."
+    )
+    with _watched_hand(bench, config, dialog, notes) as trial:
+        trial.run(most_n, cap_n)
+
+
+FIRST_FORCE = Step(press_first, "first_force", "First force", needs=("fingers", "unit", "pads_law"))
+
+
+def _proves_watchdog(config: CellConfig) -> bool:
+    """Return whether the servos can make the slow motion of the watchdog's self-test."""
+    return all(one.servo_model.profile_in_current_mode for one in config.gripper_settings.servos)
+
+
+def meets(config: CellConfig) -> bool:
+    """Return whether the empty fingers may be pressed on each other."""
+    return config.gripper.pads_meet and config.largest_ramp_n >= MEET_FORCE_N
+
+
+def _motions(config: CellConfig, most_n: float) -> list[ProposedChange]:
+    gripper, settings = config.gripper, config.gripper_settings
+    limp = "the torque goes off at the end of the step; if you leave, the fingers stop"
+    held = "they open when you confirm it; a held part stays held if you leave"
+    opened = f"{gripper.aperture_open_mm:g} mm open"
+    motions = [
+        ("open, empty, at the least current that moves them", "where they stand", opened, limp)
+    ]
+    if _proves_watchdog(config):
+        travel_mm = 1e3 * proof_travel_m(settings, config.linkage, settings.aperture_open_m)
+        after = f"at most {travel_mm:.1f} mm less, then open again"
+        motions.append(("close until their bus watchdog stops them", opened, after, limp))
+    after = f"{FIRST_FORCE_N:g} N, then {most_n:g} N; never above {gripper.force_max_n:g} N"
+    motions.append(("grasp the soft part", "0 N", after, held))
+    if meets(config):
+        after = f"pad on pad with {MEET_FORCE_N:g} N, then open again"
+        motions.append(("close, empty, until the pads meet", opened, after, limp))
+    return [ProposedChange("both fingers", *motion) for motion in motions]
+
+
+@dataclass(slots=True)
+class _Trial:
+    """One run of the step on open lines; a person sees each motion, and may stop it."""
+
+    bench: Bench
+    config: CellConfig
     dialog: Dialog
-    clock: Clock
+    notes: Notes
+    hand: Hand
     left: WizardAborted | None = field(default=None, init=False)
     """The error of the person who left, or None."""
     periods: list[Period] = field(default_factory=list, init=False)
@@ -80,6 +158,167 @@ class WatchedHand:
     homing: dict[int, int] = field(default_factory=dict, init=False)
     """Homing offset of each servo, by its ID."""
     _due_s: float = field(default=0.0, init=False)
+
+    def run(self, most_n: float, cap_n: float) -> None:
+        self.hand.start_sensor()
+        self._open()
+        self.notes.fact("The empty fingers opened as direction, zero and linkage predict.")
+        if _proves_watchdog(self.config):
+            self.notes.fact("The bus watchdog stopped them when this program was silent.")
+        else:
+            self.notes.warn(
+                "Their bus watchdog is not proven, and some servos of the 330 size ignore it: stay "
+                "at the cell while it works."
+            )
+        self._check_empty()
+        self.ask(
+            "first_force.part",
+            "Hold the soft part between the pads, and keep it there until the fingers hold it.",
+        )
+        self._grasp(most_n, cap_n)
+        if meets(self.config):
+            self._meet()
+        self._judge_lines()
+
+    def _judge_lines(self) -> None:
+        """Note what both lines have lost during the motions."""
+        statistics = self.hand.statistics
+        loop, servo_bus, source = statistics.loop, statistics.servo_bus, statistics.source
+        frames, forces = source.frames, source.forces
+        lost = frames.lost + frames.torn + frames.corrupt + forces.lost + source.malformed
+        again = servo_bus.retries + servo_bus.corrupt
+        self.notes.fact(
+            f"Servos: {loop.cycles} periods, {loop.missed_reads} without an answer, {again} asked "
+            f"again. Pads: {frames.complete} frames, {forces.received} force messages, {lost} lost."
+        )
+        if again + loop.missed_reads > _LOSS_SHARE * loop.cycles:
+            self.notes.warn(
+                "The servos' line loses answers: check its plugs, the ground between adapter and "
+                "servos, and keep its cable away from the motors' supply."
+            )
+        if lost + source.error_frames > _LOSS_SHARE * (frames.complete + forces.received):
+            self.notes.warn(
+                "The line of the pads loses messages: check its plugs, on CAN both terminating "
+                "resistors (60 Ohm between CAN_H and CAN_L, switched off), and the bus load."
+            )
+
+    def _open(self) -> None:
+        """Open the empty fingers; after a failure their torque may go off at the end."""
+        try:
+            self.hand.open(self)
+        except GripperError:
+            with suppress(GripperError):
+                self.hand.clear_fault(reboot=False)
+            raise
+
+    def _check_empty(self) -> None:
+        """Take the zero; then check that the pads of the open fingers show no force."""
+        self.hand.tare(self.config.tactile.tare_frames)
+        first_n, second_n = self.hand.read_sensor(timeout_s=1.0).finger_force_n
+        limit_n = _EMPTY_SHARE * self.config.gripper.contact_force_n
+        self.notes.fact(
+            f"Empty fingers: the pads show {first_n:.2f} and {second_n:.2f} N after a new zero."
+        )
+        if max(first_n, second_n) > limit_n:
+            raise StepFailed(
+                f"More than {limit_n:.2f} N: clear the pads, let the unit warm up for ten minutes, "
+                "and run the step again."
+            )
+
+    def _meet(self) -> None:
+        """Close the empty fingers onto each other: check the zero of the opening and both pads."""
+        self.ask(
+            "first_force.empty_again",
+            "Take the part and your hands away: next the empty fingers press on each other.",
+        )
+        self.periods.clear()
+        ramp = ForceRamp.linear(MEET_FORCE_N, _MEET_N_S, hold_s=_HOLD_S)
+        outcome = self.hand.press_pads_together(ramp, self)
+        if between := part_between(outcome):
+            raise StepFailed(f"{between}. It is held: take hold of it, then `--redo first_force`.")
+        last_n = _forces_n(self.periods)[-_LAST_PERIODS:]
+        self.hand.measure_load(self)
+        first_n, second_n = np.nanmean(last_n, axis=0)
+        self.hand.release(self)
+        self.hand.measure_friction(self)
+        self._keep_drives()
+        opening_mm = 1e3 * outcome.final_aperture_m
+        self.notes.values["meet_mm"] = round(opening_mm, 3)
+        self.notes.fact(
+            f"The empty fingers met at an opening of {opening_mm:+.2f} mm, with {first_n:.2f} and "
+            f"{second_n:.2f} N."
+        )
+        if abs(opening_mm) > _MEET_MM:
+            self.notes.warn(
+                "The zero of the opening is wrong: close the fingers by hand again with "
+                "`tactile-cell commission --redo fingers`."
+            )
+
+    def _keep_drives(self) -> None:
+        """Keep what the motions have measured of the servos' drives."""
+        config, notes = self.config, self.notes
+        folder = None if config.simulated else self.bench.folder / config.recording.directory
+        zeros = kept_zeros(config, folder)
+        drives, remarks = self.hand.read_drives()
+        if "factor" in self.bench.values.get("pads_law", {}):  # weights have confirmed the pads
+            drives = {servo_id: weighed(drive) for servo_id, drive in drives.items()}
+        zeros.keep_drives(drives, self.homing)
+        notes.values["drives"] = {str(number): asdict(drive) for number, drive in drives.items()}
+        for servo in config.gripper_settings.servos:
+            if servo.servo_id in drives:
+                text = drive_text(servo, drives[servo.servo_id])
+                notes.fact(f"{text[0].upper()}{text[1:]}.")
+        for text in (*remarks, *filter(None, (zeros.unkept, zeros.refused))):
+            notes.warn(text)
+
+    def _grasp(self, most_n: float, cap_n: float) -> None:
+        """Press the soft part, and release it."""
+        ramp = self.config.sequence.ramp
+        first_n = max(FIRST_FORCE_N, 1.5 * self.config.gripper.contact_force_n)
+        measured: list[list[float]] = []
+        for force_n in dict.fromkeys((first_n, max(first_n, most_n))):
+            follow = self.hand.squeeze if measured else self.hand.grasp
+            outcome = follow(ramp_from_config(ramp, force_n), self)
+            if outcome.result in (GraspResult.NO_CONTACT, GraspResult.PART_LOST):
+                raise StepFailed(
+                    f"The fingers hold nothing ({outcome.result.value}): hold the part in the "
+                    "middle between the pads, and run the step again."
+                )
+            held_n = _grip_n(self.hold(force_n, _HOLD_S))
+            measured.append([force_n, *(round(float(n), 3) for n in (held_n.mean(), held_n.max()))])
+            self._judge(force_n, float(held_n.mean()), outcome)
+        self.hold(first_n, 0.0)
+        peak_n = float(_grip_n(self.periods).max())
+        self.notes.values["asked_held_peak_n"] = measured
+        if peak_n > cap_n + _WRONG_N:
+            self.notes.fail(
+                f"The force reached {peak_n:.2f} N, above the cap of {cap_n:g} N: lower "
+                "gripper.contact.approach_force_n, or gripper.approach_speed_mm_s, and run the "
+                "step again."
+            )
+        text = "Take hold of the part; the fingers open when you confirm."
+        self.ask("first_force.release", text)
+        self.hand.release()
+
+    def _judge(self, asked_n: float, held_n: float, outcome: GraspOutcome) -> None:
+        """Note the quality of a held force."""
+        self.notes.fact(
+            f"{asked_n:g} N asked: {held_n:.2f} N held, overshoot {outcome.overshoot_n:.2f} N, "
+            f"opening {1e3 * outcome.final_aperture_m:.2f} mm."
+        )
+        if outcome.result is GraspResult.FORCE_NOT_REACHED:
+            self.notes.warn(
+                "The part is too small or too soft for that force: the fingers closed to "
+                "gripper.aperture_min_mm. Take a thicker part, or ask for less."
+                if outcome.short
+                else "That force was not reached: raise gripper.current_max_a if servos and "
+                "parts allow it, or ask for less."
+            )
+        elif abs(held_n - asked_n) > max(_WRONG_N, _WRONG_SHARE * asked_n):
+            self.notes.warn(
+                f"That is {held_n - asked_n:+.2f} N off: check the law of the pads (`tactile-cell "
+                "commission --redo pads_law`), and the linkage for friction."
+            )
 
     def __call__(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
         """Keep one period of the loop, and show it if the last shown one is old enough."""
@@ -106,15 +345,17 @@ class WatchedHand:
 
     def _look_after(self) -> str:
         """Feed the watchdog, and control a held part, for a while; return the phase as text."""
-        end_s = self.clock.monotonic() + _TICK_S
-        while self.clock.monotonic() < end_s:
+        end_s = self.bench.clock.monotonic() + _TICK_S
+        while self.bench.clock.monotonic() < end_s:
             self.hand.tick()
-            self.clock.sleep(self.hand.period_s)
+            self.bench.clock.sleep(self.hand.period_s)
         return f"fingers: {self.hand.phase.value.replace('_', ' ')}"
 
 
 @contextmanager
-def watched_hand(bench: Bench, config: CellConfig, dialog: Dialog) -> Iterator[WatchedHand]:
+def _watched_hand(
+    bench: Bench, config: CellConfig, dialog: Dialog, notes: Notes
+) -> Iterator[_Trial]:
     """Open and start the hand of a config on the bench's lines.
 
     A person who leaves stops the fingers. At the end the torque goes off if nothing is held; a held
@@ -122,14 +363,14 @@ def watched_hand(bench: Bench, config: CellConfig, dialog: Dialog) -> Iterator[W
     if a line cannot be opened.
     """
     hand = _opened(bench, config)
-    motion = WatchedHand(hand, dialog, bench.clock)
+    trial = _Trial(bench, config, dialog, notes, hand)
     try:
-        motion.homing = homing_offsets(_start_free(hand, dialog))
-        yield motion
-        if motion.left is not None:
-            raise motion.left
+        trial.homing = homing_offsets(_start_free(hand, dialog))
+        yield trial
+        if trial.left is not None:
+            raise trial.left
     except (WizardAborted, GraspStopped, StepFailed) as error:
-        left = error if isinstance(error, WizardAborted) else motion.left
+        left = error if isinstance(error, WizardAborted) else trial.left
         if left is None:
             raise
         if hand.phase in (GripperPhase.OFF, GripperPhase.IDLE):
@@ -176,255 +417,3 @@ def _start_free(hand: Hand, dialog: Dialog) -> VerificationReport:
         hand.release()
         report = hand.start()
     return report
-
-
-def _forces_n(periods: Sequence[Period]) -> NDArray[np.float64]:
-    """Return the measured force of finger 0 and 1 in N of each period with a set-point.
-
-    (n, 2) float64, NaN without a sample.
-    """
-    none = (np.nan, np.nan)
-    pressed = [cycle for cycle, _ in periods if cycle.setpoint_n > 0.0]
-    rows = [none if cycle.force is None else cycle.force.force_n for cycle in pressed]
-    return np.array(rows, dtype=np.float64).reshape(-1, 2)
-
-
-def _grip_n(periods: Sequence[Period]) -> NDArray[np.float64]:
-    """Return the mean measured force of both fingers in N; 0 without samples."""
-    grip_n = _forces_n(periods).mean(axis=1)
-    known = grip_n[np.isfinite(grip_n)]
-    return known if known.size else np.zeros(1)
-
-
-def press_first(bench: Bench, dialog: Dialog, notes: Notes) -> None:
-    """Open the empty fingers, stop them by their bus watchdog, and press a soft part.
-
-    Opening proves direction and zero. The watchdog must stop the fingers when this program is
-    silent. Then they press the part with 1 N, with the force that you allow and, empty again, each
-    other. Measured force and set-point are compared. Keep your hands away while they move.
-    """
-    proves = _proves_watchdog(bench.config)
-    config = changed_config(bench.config, {"gripper.watchdog_self_test": proves})
-    cap_n = config.gripper.force_max_n
-    limit_n = floor(10.0 * largest_setpoint_n(cap_n)) / 10.0
-    most_n = dialog.number(
-        "first_force.most",
-        "Choose a soft part of 10 to 20 mm, for example a piece of foam or rubber. With which "
-        f"force may it be pressed? The cap of the config allows {limit_n:g} N.",
-        (FIRST_FORCE_N, limit_n, "N"),
-        min(limit_n, max(config.sequence.forces_n)),
-    )
-    dialog.approve(_motions(config, most_n))
-    dialog.confirm(
-        "first_force.empty", "Take everything out of the fingers, and your hands away from them."
-    )
-    with watched_hand(bench, config, dialog) as motion:
-        _Trial(bench, config, notes, motion).run(most_n, cap_n)
-
-
-FIRST_FORCE = Step(press_first, "first_force", "First force", needs=("fingers", "unit", "pads_law"))
-
-
-def _proves_watchdog(config: CellConfig) -> bool:
-    """Return whether the servos can make the slow motion of the watchdog's self-test."""
-    return all(one.servo_model.profile_in_current_mode for one in config.gripper_settings.servos)
-
-
-def meets(config: CellConfig) -> bool:
-    """Return whether the empty fingers may be pressed on each other."""
-    return config.gripper.pads_meet and config.largest_ramp_n >= MEET_FORCE_N
-
-
-def _motions(config: CellConfig, most_n: float) -> list[ProposedChange]:
-    gripper, settings = config.gripper, config.gripper_settings
-    limp = "the torque goes off at the end of the step; if you leave, the fingers stop"
-    held = "they open when you confirm it; a held part stays held if you leave"
-    opened = f"{gripper.aperture_open_mm:g} mm open"
-    motions = [
-        ("open, empty, at the least current that moves them", "where they stand", opened, limp)
-    ]
-    if _proves_watchdog(config):
-        travel_mm = 1e3 * proof_travel_m(settings, config.linkage, settings.aperture_open_m)
-        after = f"at most {travel_mm:.1f} mm less, then open again"
-        motions.append(("close until their bus watchdog stops them", opened, after, limp))
-    after = f"{FIRST_FORCE_N:g} N, then {most_n:g} N; never above {gripper.force_max_n:g} N"
-    motions.append(("grasp the soft part", "0 N", after, held))
-    if meets(config):
-        after = f"pad on pad with {MEET_FORCE_N:g} N, then open again"
-        motions.append(("close, empty, until the pads meet", opened, after, limp))
-    return [ProposedChange("both fingers", *motion) for motion in motions]
-
-
-@dataclass(frozen=True, slots=True)
-class _Trial:
-    """One run of the step on open lines."""
-
-    bench: Bench
-    config: CellConfig
-    notes: Notes
-    motion: WatchedHand
-
-    @property
-    def hand(self) -> Hand:
-        return self.motion.hand
-
-    def run(self, most_n: float, cap_n: float) -> None:
-        self.hand.start_sensor()
-        self._open()
-        self.notes.fact("The empty fingers opened as direction, zero and linkage predict.")
-        if _proves_watchdog(self.config):
-            self.notes.fact("The bus watchdog stopped them when this program was silent.")
-        else:
-            self.notes.warn(
-                "Their bus watchdog is not proven, and some servos of the 330 size ignore it: stay "
-                "at the cell while it works."
-            )
-        self._check_empty()
-        self.motion.ask(
-            "first_force.part",
-            "Hold the soft part between the pads, and keep it there until the fingers hold it.",
-        )
-        self._grasp(most_n, cap_n)
-        if meets(self.config):
-            self._meet()
-        self._judge_lines()
-
-    def _judge_lines(self) -> None:
-        """Note what both lines have lost during the motions."""
-        statistics = self.hand.statistics
-        loop, servo_bus, source = statistics.loop, statistics.servo_bus, statistics.source
-        frames, forces = source.frames, source.forces
-        lost = frames.lost + frames.torn + frames.corrupt + forces.lost + source.malformed
-        again = servo_bus.retries + servo_bus.corrupt
-        self.notes.fact(
-            f"Servos: {loop.cycles} periods, {loop.missed_reads} without an answer, {again} asked "
-            f"again. Pads: {frames.complete} frames, {forces.received} force messages, {lost} lost."
-        )
-        if again + loop.missed_reads > _LOSS_SHARE * loop.cycles:
-            self.notes.warn(
-                "The servos' line loses answers: check its plugs, the ground between adapter and "
-                "servos, and keep its cable away from the motors' supply."
-            )
-        if lost + source.error_frames > _LOSS_SHARE * (frames.complete + forces.received):
-            self.notes.warn(
-                "The line of the pads loses messages: check its plugs, on CAN both terminating "
-                "resistors (60 Ohm between CAN_H and CAN_L, switched off), and the bus load."
-            )
-
-    def _open(self) -> None:
-        """Open the empty fingers; after a failure their torque may go off at the end."""
-        try:
-            self.hand.open(self.motion)
-        except GripperError:
-            with suppress(GripperError):
-                self.hand.clear_fault(reboot=False)
-            raise
-
-    def _check_empty(self) -> None:
-        """Take the zero; then check that the pads of the open fingers show no force."""
-        self.hand.tare(self.config.tactile.tare_frames)
-        first_n, second_n = self.hand.read_sensor(timeout_s=1.0).finger_force_n
-        limit_n = _EMPTY_SHARE * self.config.gripper.contact_force_n
-        self.notes.fact(
-            f"Empty fingers: the pads show {first_n:.2f} and {second_n:.2f} N after a new zero."
-        )
-        if max(first_n, second_n) > limit_n:
-            raise StepFailed(
-                f"More than {limit_n:.2f} N: clear the pads, let the unit warm up for ten minutes, "
-                "and run the step again."
-            )
-
-    def _meet(self) -> None:
-        """Close the empty fingers onto each other: check the zero of the opening and both pads."""
-        self.motion.ask(
-            "first_force.empty_again",
-            "Take the part and your hands away: next the empty fingers press on each other.",
-        )
-        self.motion.periods.clear()
-        ramp = ForceRamp.linear(MEET_FORCE_N, _MEET_N_S, hold_s=_HOLD_S)
-        outcome = self.hand.press_pads_together(ramp, self.motion)
-        if between := part_between(outcome):
-            raise StepFailed(f"{between}. It is held: take hold of it, then `--redo first_force`.")
-        last_n = _forces_n(self.motion.periods)[-_LAST_PERIODS:]
-        self.hand.measure_load(self.motion)
-        first_n, second_n = np.nanmean(last_n, axis=0)
-        self.hand.release(self.motion)
-        self.hand.measure_friction(self.motion)
-        self._keep_drives()
-        opening_mm = 1e3 * outcome.final_aperture_m
-        self.notes.values["meet_mm"] = round(opening_mm, 3)
-        self.notes.fact(
-            f"The empty fingers met at an opening of {opening_mm:+.2f} mm, with {first_n:.2f} and "
-            f"{second_n:.2f} N."
-        )
-        if abs(opening_mm) > _MEET_MM:
-            self.notes.warn(
-                "The zero of the opening is wrong: close the fingers by hand again with "
-                "`tactile-cell commission --redo fingers`."
-            )
-
-    def _keep_drives(self) -> None:
-        """Keep what the motions have measured of the servos' drives."""
-        config, notes = self.config, self.notes
-        folder = None if config.simulated else self.bench.folder / config.recording.directory
-        zeros = kept_zeros(config, folder)
-        drives, remarks = self.hand.read_drives()
-        if "factor" in self.bench.values.get("pads_law", {}):  # weights have confirmed the pads
-            drives = {servo_id: weighed(drive) for servo_id, drive in drives.items()}
-        zeros.keep_drives(drives, self.motion.homing)
-        notes.values["drives"] = {str(number): asdict(drive) for number, drive in drives.items()}
-        for servo in config.gripper_settings.servos:
-            if servo.servo_id in drives:
-                text = drive_text(servo, drives[servo.servo_id])
-                notes.fact(f"{text[0].upper()}{text[1:]}.")
-        for text in (*remarks, *filter(None, (zeros.unkept, zeros.refused))):
-            notes.warn(text)
-
-    def _grasp(self, most_n: float, cap_n: float) -> None:
-        """Press the soft part, and release it."""
-        ramp, motion = self.config.sequence.ramp, self.motion
-        first_n = max(FIRST_FORCE_N, 1.5 * self.config.gripper.contact_force_n)
-        measured: list[list[float]] = []
-        for force_n in dict.fromkeys((first_n, max(first_n, most_n))):
-            follow = self.hand.squeeze if measured else self.hand.grasp
-            outcome = follow(ramp_from_config(ramp, force_n), motion)
-            if outcome.result in (GraspResult.NO_CONTACT, GraspResult.PART_LOST):
-                raise StepFailed(
-                    f"The fingers hold nothing ({outcome.result.value}): hold the part in the "
-                    "middle between the pads, and run the step again."
-                )
-            held_n = _grip_n(motion.hold(force_n, _HOLD_S))
-            measured.append([force_n, *(round(float(n), 3) for n in (held_n.mean(), held_n.max()))])
-            self._judge(force_n, float(held_n.mean()), outcome)
-        motion.hold(first_n, 0.0)
-        peak_n = float(_grip_n(motion.periods).max())
-        self.notes.values["asked_held_peak_n"] = measured
-        if peak_n > cap_n + _WRONG_N:
-            self.notes.fail(
-                f"The force reached {peak_n:.2f} N, above the cap of {cap_n:g} N: lower "
-                "gripper.contact.approach_force_n, or gripper.approach_speed_mm_s, and run the "
-                "step again."
-            )
-        text = "Take hold of the part; the fingers open when you confirm."
-        motion.ask("first_force.release", text)
-        self.hand.release()
-
-    def _judge(self, asked_n: float, held_n: float, outcome: GraspOutcome) -> None:
-        """Note the quality of a held force."""
-        self.notes.fact(
-            f"{asked_n:g} N asked: {held_n:.2f} N held, overshoot {outcome.overshoot_n:.2f} N, "
-            f"opening {1e3 * outcome.final_aperture_m:.2f} mm."
-        )
-        if outcome.result is GraspResult.FORCE_NOT_REACHED:
-            self.notes.warn(
-                "The part is too small or too soft for that force: the fingers closed to "
-                "gripper.aperture_min_mm. Take a thicker part, or ask for less."
-                if outcome.short
-                else "That force was not reached: raise gripper.current_max_a if servos and "
-                "parts allow it, or ask for less."
-            )
-        elif abs(held_n - asked_n) > max(_WRONG_N, _WRONG_SHARE * asked_n):
-            self.notes.warn(
-                f"That is {held_n - asked_n:+.2f} N off: check the law of the pads (`tactile-cell "
-                "commission --redo pads_law`), and the linkage for friction."
-            )
