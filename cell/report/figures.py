@@ -94,7 +94,7 @@ def picture(figure: "Figure", description: str) -> str:
         figure.savefig(file, format="svg", metadata={"Date": None})
     data = base64.b64encode(file.getvalue()).decode()
     source = f"data:image/svg+xml;base64,{data}"
-    return f'<img class="plot" alt="{escape(description)}" src="{source}">'
+    return f'<img class="plot" alt="{escape(description)}" src="{source}"/>'
 
 
 def write_picture(path: Path, figure: "Figure") -> None:
