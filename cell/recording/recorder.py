@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cell.errors import RecordingError
 from cell.formats import RECORDING
 from cell.recording import schema
-from cell.recording.sink import LEFT_BYTES, BackgroundFile, DirectFile, free_bytes
+from cell.recording.sink import LEFT_BYTES, RecordingSink, free_bytes
 from gripper.clock import Clock
 from recognition.grasp import Grasp, PadArray
 
@@ -32,7 +32,7 @@ CHUNK_BYTES = 64 << 10
 class MessageWriter:
     """Writes messages with their schemas after a description of the recording."""
 
-    def __init__(self, file: "BinaryIO | DirectFile") -> None:
+    def __init__(self, file: "BinaryIO | RecordingSink") -> None:
         self._writer = Writer(
             file,  # type: ignore[arg-type]
             chunk_size=CHUNK_BYTES,
@@ -85,7 +85,7 @@ class RecordingFile:
         """Frames so far."""
         self._note = note
         try:
-            self.sink = (BackgroundFile if background else DirectFile)(path)
+            self.sink = RecordingSink(path, background=background)
         except FileExistsError as cause:
             raise RecordingError(
                 f"{path} exists; recordings are never overwritten, choose another name"

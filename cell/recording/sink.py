@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Queue
 
 from cell.fault_catalogue import error_text
 
@@ -43,35 +43,101 @@ def in_use(path: Path) -> bool:
     return False
 
 
-class DirectFile:
-    """File of the MCAP writer: writes whole records in the caller's thread.
+class RecordingSink:
+    """File of the MCAP writer: one thread writes whole records.
 
-    A failed write leaves no half record behind; it is in `error`, never raised.
+    In the ``background`` a slow disk never delays the force loop; else `write` waits for the disk.
+    A failed write leaves no half record behind; it is in `error`, never raised. It is an error too
+    if more than ``max_waiting_bytes`` wait, because the disk is too slow, or if `close` waits in
+    the background for more than ``close_timeout_s`` s.
 
     Raises FileExistsError if the file exists: no recording is ever overwritten.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        background: bool,
+        max_waiting_bytes: int = MAX_WAITING_BYTES,
+        close_timeout_s: float = 10.0,
+    ) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         self._handle = os.open(path, flags, 0o666)
         with suppress(OSError):  # a file system without locks; the lock ends with the program
             # `in_use` of another program may hold the lock for a moment.
             fcntl.flock(self._handle, fcntl.LOCK_EX)
-        self._length = 0
-        self._open = True
+        self._background = background
+        self._max_waiting_bytes = max_waiting_bytes
+        self._close_timeout_s = close_timeout_s if background else None
+        self._queue: Queue[bytes | None] = Queue()
+        self._taken_bytes = self._length = 0
+        self._ended = False
         self.error: OSError | None = None
         """Why the file takes no more bytes; None while it does."""
         self.nearly_full = False
         """Whether the last write left less than the end of the file needs."""
+        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+        self._thread.start()
+
+    @property
+    def busy(self) -> bool:
+        """Whether the disk has not taken all bytes yet."""
+        return self._thread.is_alive() and (self._ended or self._taken_bytes > self._length)
 
     def write(self, data: bytes, /) -> int:
-        """Write all bytes, or none and note the error; after an error do nothing."""
-        if self.error is None:
-            with self._noted():
-                self.write_whole(data)
+        """Queue the bytes; after an error or the end do nothing."""
+        waiting_bytes = self._taken_bytes - self._length
+        if self.error is None and waiting_bytes + len(data) > self._max_waiting_bytes:
+            self.error = OSError(
+                f"the disk is too slow: {waiting_bytes} bytes wait to be written, the limit is "
+                f"{self._max_waiting_bytes}"
+            )
+        if self.error is None and not self._ended:
+            self._taken_bytes += len(data)
+            self._queue.put(bytes(data))
+            if not self._background:
+                self._queue.join()
         return len(data)
 
-    def write_whole(self, data: bytes) -> None:
+    def tell(self) -> int:
+        """Return the number of bytes taken."""
+        return self._taken_bytes
+
+    def flush(self) -> None:
+        """Do nothing: the thread writes."""
+
+    def end(self) -> None:
+        """Let the thread write what waits, then close the file; do not wait for it."""
+        self._ended = True
+        self._queue.put(None)
+
+    def close(self) -> None:
+        """Wait until all is written and the file is closed; a second call does nothing.
+
+        A write that fails, or a file that was moved or removed, is an `error`.
+        """
+        self.end()
+        self._thread.join(self._close_timeout_s)
+        if self._thread.is_alive():
+            text = f"the disk did not take the rest within {self._close_timeout_s} s"
+            self.error = self.error or OSError(text)
+
+    def _run(self) -> None:
+        writes = True
+        while (data := self._queue.get()) is not None:
+            if writes:
+                writes = False
+                with self._noted():
+                    self._write_whole(data)
+                    writes = True
+            self._queue.task_done()
+        with self._noted(), os.fdopen(self._handle, "wb"):
+            os.fsync(self._handle)
+            if os.fstat(self._handle).st_nlink == 0:
+                raise FileNotFoundError(errno.ENOENT, "the file was removed while it was written")
+
+    def _write_whole(self, data: bytes) -> None:
         """Write all bytes, or none and raise OSError."""
         rest = memoryview(data)
         try:
@@ -84,113 +150,12 @@ class DirectFile:
         self._length += len(data)
         self.nearly_full = free < LEFT_BYTES + self._length // _END_SHARE
 
-    @property
-    def busy(self) -> bool:
-        """Whether the disk has not taken all bytes yet."""
-        return False
-
-    def tell(self) -> int:
-        """Return the number of bytes written."""
-        return self._length
-
-    def flush(self) -> None:
-        """Do nothing: nothing is buffered."""
-
-    def end(self) -> None:
-        """Close the file without waiting for a blocked disk."""
-        self.close()
-
-    def close(self) -> None:
-        """Write the file to the disk and close it; a second call does nothing.
-
-        A write that fails, or a file that was moved or removed, is an `error`.
-        """
-        if not self._open:
-            return
-        self._open = False
-        with self._noted():
-            try:
-                os.fsync(self._handle)
-                if os.fstat(self._handle).st_nlink == 0:
-                    text = "the file was removed while it was written"
-                    raise FileNotFoundError(errno.ENOENT, text)
-            finally:
-                os.close(self._handle)
-
     @contextmanager
     def _noted(self) -> Iterator[None]:
-        """Note the first OSError."""
+        """Note the first error."""
         try:
             yield
         except OSError as error:
             self.error = self.error or error
-
-
-class BackgroundFile(DirectFile):
-    """Passes the bytes to one writing thread, so that a slow disk never delays the force loop.
-
-    It is an `error` if more than ``max_waiting_bytes`` wait, because the disk is too slow, or if
-    `close` waits for more than ``close_timeout_s`` s.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        *,
-        max_waiting_bytes: int = MAX_WAITING_BYTES,
-        close_timeout_s: float = 10.0,
-    ) -> None:
-        super().__init__(path)
-        self._max_waiting_bytes = max_waiting_bytes
-        self._close_timeout_s = close_timeout_s
-        self._queue: SimpleQueue[bytes | None] = SimpleQueue()
-        self._taken_bytes = 0
-        self._ended = False
-        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
-        self._thread.start()
-
-    @property
-    def busy(self) -> bool:
-        """Whether the disk has not taken all bytes yet."""
-        return self._thread.is_alive() and (self._ended or self._taken_bytes > self._length)
-
-    def write(self, data: bytes, /) -> int:
-        """Queue the bytes; after an error do nothing."""
-        waiting_bytes = self._taken_bytes - self._length
-        if self.error is None and waiting_bytes + len(data) > self._max_waiting_bytes:
-            self.error = OSError(
-                f"the disk is too slow: {waiting_bytes} bytes wait to be written, the limit is "
-                f"{self._max_waiting_bytes}"
-            )
-        if self.error is None:
-            self._taken_bytes += len(data)
-            self._queue.put(bytes(data))
-        return len(data)
-
-    def tell(self) -> int:
-        """Return the number of bytes taken."""
-        return self._taken_bytes
-
-    def end(self) -> None:
-        """Let the thread write what waits, then close the file; do not wait for it."""
-        self._ended = True
-        self._queue.put(None)
-
-    def close(self) -> None:
-        """Wait until all is written and the file is closed, at most for the time-out."""
-        self.end()
-        self._thread.join(self._close_timeout_s)
-        if self._thread.is_alive():
-            text = f"the disk did not take the rest within {self._close_timeout_s} s"
-            self.error = self.error or OSError(text)
-
-    def _run(self) -> None:
-        with self._noted():
-            try:
-                while (data := self._queue.get()) is not None:
-                    self.write_whole(data)
-            except OSError:
-                raise
-            except Exception as error:
-                raise OSError(f"the recording's thread ended: {error_text(error)}") from error
-        super().close()
+        except Exception as error:
+            self.error = self.error or OSError(f"its thread failed: {error_text(error)}")

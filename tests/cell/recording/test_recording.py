@@ -44,7 +44,7 @@ from cell.recording.reader import (
 from cell.recording.recorder import ROOM_BYTES, Recorder
 from cell.recording.retention import LEAST_FREE_BYTES, Retention, mark, recordings, unmark
 from cell.recording.schema import RECOVERED
-from cell.recording.sink import LEFT_BYTES, BackgroundFile, DirectFile
+from cell.recording.sink import LEFT_BYTES, RecordingSink
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.timing import LoopStatistics
 from gripper.values.force_sensor import ForceSample
@@ -281,10 +281,9 @@ def fill_disk_after(
 def ended(recorder: Recorder) -> None:
     """Wait until a recording has stopped, and its thread has ended."""
     until(lambda: recorder.check() or recorder.fault)
-    thread = getattr(recorder._file.sink, "_thread", None)
-    if thread is not None:
-        thread.join(10.0)
-        assert not thread.is_alive()
+    thread = recorder._file.sink._thread
+    thread.join(10.0)
+    assert not thread.is_alive()
 
 
 @pytest.mark.parametrize("background", [False, True])
@@ -382,17 +381,15 @@ def test_a_long_recording_continues_in_a_new_file_and_loses_nothing(
 
 def until_written(recorder: Recorder) -> None:
     """Wait until the disk has taken what was recorded."""
-    sink = recorder._file.sink
-    if isinstance(sink, BackgroundFile):
-        until(lambda: not sink.busy)
+    until(lambda: not recorder._file.sink.busy)
 
 
 @pytest.fixture
 def go_on(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """Let the disk take nothing until the event."""
-    event, write = threading.Event(), DirectFile.write_whole
+    event, write = threading.Event(), RecordingSink._write_whole
     waits = lambda file, data: event.wait(20.0) and write(file, data)  # noqa: E731
-    monkeypatch.setattr(DirectFile, "write_whole", waits)
+    monkeypatch.setattr(RecordingSink, "_write_whole", waits)
     return event
 
 
@@ -408,17 +405,15 @@ def test_a_blocked_disk_holds_up_no_beginning(tmp_path, monkeypatch, go_on) -> N
 
 FAILURES: list[tuple[Any, str, Exception]] = [
     (recorder_sink.os, "fsync", OSError(errno.EIO, "Input/output error")),
-    (DirectFile, "write_whole", OSError(errno.ENOSPC, "full")),
+    (RecordingSink, "_write_whole", OSError(errno.ENOSPC, "full")),
+    (RecordingSink, "_write_whole", RuntimeError("bug")),
     (None, "", FileNotFoundError("removed while it was written")),
 ]
 
 
 @pytest.mark.parametrize(
     ("owner", "name", "error", "background"),
-    [
-        *((*failure, background) for failure in FAILURES for background in (False, True)),
-        (DirectFile, "write_whole", RuntimeError("bug"), True),
-    ],
+    [(*failure, background) for failure in FAILURES for background in (False, True)],
 )
 def test_a_disk_that_fails_at_the_end_or_in_the_thread_is_a_fault(
     tmp_path, monkeypatch, *, owner, name, error, background
@@ -458,7 +453,8 @@ def test_recorder_refuses_what_is_not_in_order(tmp_path) -> None:
 
 def test_slow_disk_is_an_error_not_a_delay(tmp_path, go_on) -> None:
     for sizes, says in (((60, 60), "too slow: 60 bytes wait"), ((60,), r"within 0.0 s")):
-        file = BackgroundFile(tmp_path / says, max_waiting_bytes=100, close_timeout_s=0.0)
+        limits = {"max_waiting_bytes": 100, "close_timeout_s": 0.0}
+        file = RecordingSink(tmp_path / says, background=True, **limits)
         for size in sizes:
             file.write(bytes(size))
         file.close()
