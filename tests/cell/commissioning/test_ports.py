@@ -11,57 +11,49 @@ import pytest
 from cell.commissioning import ports
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import carry_out
-from cell.commissioning.findings import Notes, Verdict
+from cell.commissioning.findings import Verdict
 from cell.commissioning.ports import PORTS, check_port, lasting_name, usb_identity, users_of
 from gripper.errors import PortLost
 from simulator.cell import SimulatedCell
 from tests.cell.commissioning.hands import Script, SimulatedLines
 
-
-@pytest.fixture
-def lines() -> SimulatedLines:
-    return SimulatedLines(SimulatedCell(), ("/dev/ttyUSB0", "/dev/ttyUSB1", "/dev/ttyACM0"))
+USB0, USB1, ACM0 = "/dev/ttyUSB0", "/dev/ttyUSB1", "/dev/ttyACM0"
 
 
-def test_the_only_port_is_taken_unasked(tmp_path) -> None:
-    bench = Bench(tmp_path, SimulatedLines(SimulatedCell()))
-    notes = carry_out(PORTS, bench, script := Script())
-    assert notes.settings == {"gripper.port": "/dev/ttyUSB0"}
-    assert script.asked == []
+@pytest.mark.parametrize(
+    ("ports", "pulled", "found", "named"),
+    [
+        ((USB0,), (), USB0, "servo port: "),
+        # The adapter comes back under another name.
+        ((USB0, USB1, ACM0), (USB1,), "/dev/ttyUSB2", "servo port: "),
+        ((USB0, USB1, ACM0), (USB0, ACM0), "", "2 ports disappeared and 1 came back"),
+        ((), (), "", "plug in that of the servos"),
+    ],
+)
+def test_the_port_is_the_only_one_or_found_by_pulling_its_plug(
+    tmp_path, ports, pulled, found, named
+) -> None:
+    lines = SimulatedLines(SimulatedCell(), ports)
 
+    def pull() -> None:
+        lines.ports = tuple(port for port in ports if port not in pulled)
 
-def test_a_port_is_found_by_pulling_and_putting_back_its_plug(tmp_path, lines) -> None:
-    def without(*gone: str) -> None:
-        lines.ports = tuple(port for port in lines.ports if port not in gone)
-
-    def back() -> None:
-        # It comes back under another name.
+    def put_back() -> None:
         lines.ports += ("/dev/ttyUSB2",)
 
-    def run(*gone: str) -> tuple[Notes, Script]:
-        script = Script({"ports.unplug": lambda: without(*gone), "ports.plug_back": back})
-        return carry_out(PORTS, Bench(tmp_path, lines), script), script
-
-    notes, _ = run("/dev/ttyUSB1")
-    assert notes.settings == {"gripper.port": "/dev/ttyUSB2"}
-    notes, script = run("/dev/ttyUSB0", "/dev/ttyACM0")
-    assert "2 ports disappeared and 0 came back" in notes.lines[0]
-    assert script.asked == ["ports.unplug", "ports.plug_back"]
+    script = Script({"ports.unplug": pull, "ports.plug_back": put_back})
+    notes = carry_out(PORTS, Bench(tmp_path, lines), script)
+    assert notes.settings == ({"gripper.port": found} if found else {})
+    assert named + found in notes.lines[0]
+    assert script.asked == ["ports.unplug", "ports.plug_back"] * (len(ports) > 1)
 
 
-def test_a_cell_without_any_port_asks_for_the_plug(tmp_path, lines) -> None:
-    lines.ports = ()
-    notes = carry_out(PORTS, Bench(tmp_path, lines), Script())
-    assert "plug in that of the servos" in notes.lines[0]
-
-
-def test_a_port_that_is_taken_or_gone_is_named(tmp_path, lines) -> None:
+def test_a_port_that_is_taken_or_gone_is_named(tmp_path) -> None:
     class Taken(SimulatedLines):
         def open_servos(self, port: str, baud_rate: int) -> None:  # type: ignore[override]
             raise PortLost(f"serial port {port} is used by another program")
 
-    bench = Bench(tmp_path, Taken(lines.cell))
-    notes = carry_out(PORTS, bench, Script())
+    notes = carry_out(PORTS, Bench(tmp_path, Taken(SimulatedCell())), Script())
     assert notes.status is Verdict.FAIL
     assert "used by another program" in notes.lines[-1]
 
