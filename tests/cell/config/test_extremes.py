@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import nullcontext
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -57,20 +56,8 @@ class TooLong(BaseException):
     """A start and a grasp took more simulated time than allowed; nothing catches it."""
 
 
-@dataclass(frozen=True, slots=True)
-class End:
-    """End of the range of a key."""
-
-    path: str
-    value: float
-
-    def __str__(self) -> str:
-        return f"{self.path}={self.value:g}"
-
-
-def ends(section: BaseModel | None = None, path: str = "") -> Iterator[End]:
+def ends(section: BaseModel, path: str = "") -> Iterator[tuple[str, float]]:
     """Return the lowest and the highest value of each number; just inside of what is excluded."""
-    section = section or CellConfig()
     for name, key in type(section).model_fields.items():
         value, here = getattr(section, name), f"{path}{name}"
         if isinstance(value, BaseModel):
@@ -78,22 +65,21 @@ def ends(section: BaseModel | None = None, path: str = "") -> Iterator[End]:
         for bound in key.metadata:
             if isinstance(bound, Ge | Le):
                 limit: Any = bound.ge if isinstance(bound, Ge) else bound.le
-                yield End(here, limit)
+                yield here, limit
             elif isinstance(bound, Gt | Lt):
-                limit = bound.gt + 1e-6 if isinstance(bound, Gt) else bound.lt - 1e-6
-                yield End(here, limit)
+                yield here, bound.gt + 1e-6 if isinstance(bound, Gt) else bound.lt - 1e-6
 
 
-ENDS = tuple(ends())
+ENDS = {f"{path}={value:g}": {path: value} for path, value in ends(_USUAL)}
+"""Change of the config by the name of each end."""
 
 
-def config_at(end: End) -> CellConfig:
+def config_at(end: str) -> CellConfig:
     """Return a config with short jobs and a key at its end; ConfigError where it is refused."""
-    changes = {"gripper.aperture_open_mm": 16.0} | _BESIDE.get(str(end), {})
-    return campaign_config(changes | {end.path: end.value})
+    return campaign_config({"gripper.aperture_open_mm": 16.0} | _BESIDE.get(end, {}) | ENDS[end])
 
 
-def grasp(end: End) -> None:
+def grasp(end: str) -> None:
     """Start, bring the ball and grasp it with a key at its end; raises what goes wrong."""
     config = config_at(end)
     with simulation_of(config) as simulated:
@@ -114,9 +100,7 @@ def grasp(end: End) -> None:
 
 
 GRASPED = tuple(
-    end
-    for end in ENDS
-    if not end.path.startswith(_ELSEWHERE) and str(end) not in (*_MINUTES, *REFUSED)
+    end for end in ENDS if not end.startswith(_ELSEWHERE) and end not in (*_MINUTES, *REFUSED)
 )
 """Accepted ends that matter for a grasp."""
 
@@ -125,16 +109,16 @@ GRASPED = tuple(
 def test_all_ends_are_accepted_but_those_that_others_forbid() -> None:
     complaints = dict(REFUSED)
     for end in ENDS:
-        complaint = complaints.pop(str(end), "")
+        complaint = complaints.pop(end, "")
         with pytest.raises(ConfigError, match=complaint) if complaint else nullcontext():
             config = config_at(end)
-            if end.path.startswith("simulator."):
+            if end.startswith("simulator."):
                 simulation_of(config).close()
     assert complaints == {}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("end", [GRASPED[0], *map(LONG, GRASPED[1:])], ids=str)
+@pytest.mark.parametrize("end", [GRASPED[0], *map(LONG, GRASPED[1:])])
 def test_a_grasp_is_done_at_the_end(end) -> None:
     grasp(end)
 
