@@ -144,7 +144,8 @@ PRACTICE: Practice = {
     r"How do the fingers move\?": ("", "1"),
     r"Take the block out": ("empty; half", ""),
     r"Did each finger open": ("", "1"),
-    r"Press (\S+) with a fingertip (.+); hold": (r"press \1 \2", ""),
+    r"Press (\S+) with a fingertip near the tip and at the (\w+) edge": (r"press \1 tip \2", ""),
+    r"Press (\S+) .* towards the other finger and on the (\w+)": (r"press \1 \2 inside", ""),
     r"!Lift the fingertip": ("lift", ""),
     r"!Take the load off": ("lift", ""),
     r"Nothing may touch the pads while": ("empty", ""),
@@ -155,8 +156,6 @@ PRACTICE: Practice = {
     r"Hold .*between the pads, and keep": ("part", ""),
 }
 """The practice with two servos on parallel links."""
-_PLACES = {"the tip and": "tip", "left": "left", "right": "right", "the other finger": "inside"}
-"""Words of the hands for those by which the wizard names a corner of a pad."""
 
 
 def practised(text: str, *, said: bool, otherwise: Practice) -> tuple[list[str], str]:
@@ -164,11 +163,8 @@ def practised(text: str, *, said: bool, otherwise: Practice) -> tuple[list[str],
     for pattern, (words, typed) in [*otherwise.items(), *PRACTICE.items()]:
         match = re.search(pattern.removeprefix("!"), text)
         if match and said == pattern.startswith("!"):
-            hands = match.expand(words)
-            if hands.startswith("press "):
-                corner = [word for corner, word in _PLACES.items() if corner in hands]
-                hands = " ".join([*hands.split()[:2], *corner])
-            return [one for one in hands.split("; ") if one], match.expand(typed)
+            hands = match.expand(words).split("; ")
+            return [one for one in hands if one], match.expand(typed)
     return [], ""
 
 
