@@ -35,8 +35,7 @@ from simulator.errors import PartGripped, SimulatorError
 from simulator.faults.injector import check_fault
 from simulator.faults.vocabulary import VOCABULARY
 from simulator.realtime.requests import CellRequests
-from simulator.servo.drawn import drawn_gearing
-from simulator.servo.gearing import GEARINGS, Gearing
+from simulator.servo.gearing import GEARINGS, Gearing, drawn_gearing
 from simulator.servo.mechanics import (
     LARGEST_LINK_ANGLE_RAD,
     FingerLinkage,

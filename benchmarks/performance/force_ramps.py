@@ -40,8 +40,7 @@ from gripper.values.state import Cycle, GripperPhase
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
-from simulator.servo.drawn import drawn_gearing
-from simulator.servo.gearing import Gearing
+from simulator.servo.gearing import Gearing, drawn_gearing
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
 

@@ -25,7 +25,7 @@ from benchmarks._measure import line
 from gripper.dynamixel.models import MODELS, XM430_W350, OperatingMode, ServoModel
 from simulator.servo.control_table import is_x330
 from simulator.servo.device import SimulatedServo
-from simulator.servo.drawn import drawn_gearing
+from simulator.servo.gearing import drawn_gearing
 from simulator.servo.mechanics import velocity_after
 from simulator.servo.motor import ServoMotor
 

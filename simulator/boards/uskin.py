@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.boards.site import BoardSite, SerialBoard
-from simulator.can.node import SendBurst
+from simulator.can.node import SendBurst, unconnected
 from simulator.clock import ROUNDING_S
-from simulator.errors import SimulatorStateError
 
 _START = bytes((7, 0))
 _PERIOD_S = 0.01
@@ -66,7 +65,7 @@ class SimulatedUskin:
         self._world, self._layout, self._settings = site.world, site.layout, settings
         self._faults, self._taxel_faults = site.faults, site.taxel_faults
         self._rng = np.random.default_rng([site.seed, 5])
-        self._send: SendBurst | None = None
+        self._send: SendBurst = unconnected
         self._due_s = [inf, inf]
         self._drift = self._rng.uniform(0.5, 1.5, 2) * settings.drift_counts_s
         self._drifted = np.zeros(site.layout.n_taxels)
@@ -102,8 +101,6 @@ class SimulatedUskin:
         return min(self._due_s)
 
     def _cycle(self, finger: int, now_s: float) -> None:
-        if self._send is None:
-            raise SimulatorStateError("the boards are not connected to a bus: connect() first")
         if finger in self._faults.off:
             return
         taxels = self._layout.taxels_of(self._layout.gripping_pads[finger])

@@ -241,8 +241,8 @@ class SimulatedControlUnit(CanopenDevice):
             if fitting < len(messages):
                 messages = messages[:fitting]
                 self._passed_over(EMCY_WINDOW)
-        if self._frame_id is not None and messages and self._send is not None:
-            self._burst_end_s = self._send(now_s, self._frame_id, messages)
+        if self._frame_id is not None and messages:
+            self._burst_end_s = self.send(now_s, self._frame_id, messages)
 
     def _passed_over(self, code: int) -> None:
         """Mark the next frame, and send one EMCY for a repeated error."""

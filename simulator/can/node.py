@@ -33,6 +33,11 @@ SendBurst = Callable[[float, int, list[bytes]], float]
 sequence and returns the end time of the last one in s."""
 
 
+def unconnected(_ready_s: float, _can_id: int, _messages: list[bytes]) -> float:
+    """Refuse to send, as a device on no bus does. Raises SimulatorStateError."""
+    raise SimulatorStateError("the device is not connected to a bus: connect() first")
+
+
 class DeviceNetwork(canopen.Network):
     """The network of one canopen LocalNode in the time of the simulation: no bus, no thread.
 
@@ -88,7 +93,8 @@ class CanopenDevice:
     """
 
     def __init__(self, node_id: int, dictionary: canopen.ObjectDictionary, start_s: float) -> None:
-        self._send: SendBurst | None = None
+        self.send: SendBurst = unconnected
+        """Sends its messages; set by `connect`."""
         self._boot_due_s = math.inf
         make: Any = canopen.LocalNode  # most of its interface has no types
         self._node = make(node_id, dictionary)
@@ -97,14 +103,7 @@ class CanopenDevice:
 
     def connect(self, send: SendBurst) -> None:
         """Plug the device into a bus."""
-        self._send = send
-
-    @property
-    def send(self) -> SendBurst:
-        """Function that sends its messages; SimulatorStateError before `connect`."""
-        if self._send is None:
-            raise SimulatorStateError("the device is not connected to a bus: connect() first")
-        return self._send
+        self.send = send
 
     def _serve(self, request: bytes) -> None:
         """Answer one SDO request; messages without 8 bytes are ignored."""
@@ -139,6 +138,5 @@ class CanopenDevice:
         return False
 
     def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
-        send = self.send
         if not self._silenced():
-            send(t_s, can_id, [data])
+            self.send(t_s, can_id, [data])

@@ -15,8 +15,7 @@ from simulator.can.slcan import SlcanAdapter
 from simulator.devices import CellDevices
 from simulator.errors import EndpointError
 from simulator.faults.injector import FaultInjector
-from simulator.realtime.requests import CellRequests
-from simulator.realtime.socket_server import PositionerServer
+from simulator.realtime.requests import CellRequests, PositionerServer
 from simulator.realtime.terminals import BoardPty, SerialPty
 from simulator.servo.bus import SerialDevice
 from simulator.servo.wrist import SimulatedWrist

@@ -13,7 +13,7 @@ from gripper.dynamixel import control_table as ct
 from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.values.servo_checks import HardwareError
 from simulator.servo.control_table import ServoRegisters, is_x330
-from simulator.servo.data_sheets import data_sheet
+from simulator.servo.gearing import data_sheet
 from simulator.servo.motor import (
     FOLLOWS_POSITION,
     OVERLOAD_BUDGET_S,

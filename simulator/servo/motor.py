@@ -19,9 +19,8 @@ from typing import NamedTuple
 
 from gripper.dynamixel.models import XM430_W350, OperatingMode, ServoModel
 from simulator.servo.control_table import is_x330
-from simulator.servo.data_sheets import data_sheet
 from simulator.servo.encoder import ServoNoise, VelocityRegister
-from simulator.servo.gearing import IDEAL_GEARING, Gearing
+from simulator.servo.gearing import IDEAL_GEARING, Gearing, data_sheet
 
 CURRENT_LOOP_TIME_CONSTANT_S = 0.003
 """Time constant of the winding current in s; an assumption."""

@@ -20,9 +20,8 @@ from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
-from simulator.servo.data_sheets import data_sheet
 from simulator.servo.device import SimulatedServo
-from simulator.servo.gearing import Drive, Friction, Gearing
+from simulator.servo.gearing import Drive, Friction, Gearing, data_sheet
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
 from tests.values import measured_drives

@@ -19,8 +19,8 @@ from gripper.dynamixel.serial_port import ByteStream
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
-from simulator.servo.drawn import drawn_gearing
 from simulator.servo.encoder import ServoNoise
+from simulator.servo.gearing import drawn_gearing
 from simulator.servo.mechanics import FingerMechanics, RackLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
 from tests.cell.commissioning.hands import Script

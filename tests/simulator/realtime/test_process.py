@@ -30,8 +30,7 @@ from simulator.errors import EndpointError, PartGripped, SimulatorError, Simulat
 from simulator.faults.injector import FaultInjector
 from simulator.realtime.hands import HELP, Hands
 from simulator.realtime.process import FORGIVEN_S, PIECE_S, RealTimeCell, serve
-from simulator.realtime.requests import CellRequests
-from simulator.realtime.socket_server import PositionerServer
+from simulator.realtime.requests import CellRequests, PositionerServer
 from simulator.realtime.terminals import SerialPty
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.protocol2 import Instruction, encode_instruction

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350, OperatingMode as Mode
-from simulator.servo.data_sheets import data_sheet
-from simulator.servo.drawn import drawn_gearing
 from simulator.servo.gearing import (
     IDEAL_GEARING,
     RH_P12_GEARING,
     Friction,
     Gearing,
+    data_sheet,
+    drawn_gearing,
 )
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.servo.motor import (
