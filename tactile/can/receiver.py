@@ -108,8 +108,7 @@ class ThreadedReceiver:
         self._hang_s = hang_s
         self._queue: deque[Stamped] = deque()
         self._stop = threading.Event()
-        self._error: Exception | None = None
-        self._overrun = False
+        self._fault: BusOff | ReceiveLoopDead | None = None
         self._thread: threading.Thread | None = None
         self._alive_s = 0.0
 
@@ -120,8 +119,7 @@ class ThreadedReceiver:
         PolledSource(self._bus, self._clock).start()
         self._queue.clear()
         self._stop.clear()
-        self._error = None
-        self._overrun = False
+        self._fault = None
         self._alive_s = self._clock.monotonic()
         self._thread = threading.Thread(target=self._run, name="tactile-receive", daemon=True)
         self._thread.start()
@@ -134,30 +132,26 @@ class ThreadedReceiver:
                 if message is None or not message.is_rx:
                     continue
                 if len(self._queue) >= self._limit:
-                    self._overrun = True
+                    self._fault = ReceiveLoopDead(
+                        f"{self._limit} CAN messages wait to be processed: the host is too slow "
+                        "or the bus is flooded; start the link again"
+                    )
                     return
                 self._queue.append((self._alive_s, message))
+        except (can.CanError, OSError) as error:
+            self._fault = interface_failed(error)
         except Exception as error:
-            # drain() raises the error that ended the thread.
-            self._error = error
+            self._fault = ReceiveLoopDead(
+                f"the receive thread ended ({error!r}); start the link again"
+            )
+            self._fault.__cause__ = error
 
     def drain(self) -> list[Stamped]:
         """Return all messages since the last call."""
-        thread = self._thread
-        if thread is None:
+        if self._thread is None:
             raise ReceiveLoopDead("the receive thread is not running; start the link")
-        error = self._error
-        if error is not None:
-            if isinstance(error, can.CanError | OSError):
-                raise interface_failed(error) from error
-            raise ReceiveLoopDead(
-                f"the receive thread ended ({error!r}); start the link again"
-            ) from error
-        if self._overrun:
-            raise ReceiveLoopDead(
-                f"{self._limit} CAN messages wait to be processed: the host is too slow or the "
-                "bus is flooded; start the link again"
-            )
+        if self._fault is not None:
+            raise self._fault
         silent_s = self._clock.monotonic() - self._alive_s
         if silent_s > self._hang_s:
             raise ReceiveLoopDead(
