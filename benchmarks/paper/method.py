@@ -199,9 +199,9 @@ def bands_and_windows(n: int) -> None:
     quiet = LevelCheckTrainer().fit(drawn(0, 0.0, n))
     for index, label in enumerate(quiet.labels):
         still = record(press(label, ObjectPose(), TOUCH_N), np.random.default_rng(SEED), 0.0)
-        swept = sweep(np.array(MeanFrames.of(still, quiet.force_n).surfaces()[:1])).spread[0]
+        swept = sweep(np.array(MeanFrames.of(still, quiet.force_n).surfaces()[:1]))
         text = f"taught {quiet.low[index]:.5f} to {quiet.high[index]:.5f}, by the sweep"
-        line(f"bands, {label}", f"{text} {swept[0]:.5f} to {swept[1]:.5f}")
+        line(f"bands, {label}", f"{text} {swept.min():.5f} to {swept.max():.5f}")
     for noise_share in NOISE_SHARES[1:]:
         loud, tested = (drawn(seed, noise_share, n) for seed in (1, 2))
         unchanged = replace(quiet, noise_per_count=0.0)

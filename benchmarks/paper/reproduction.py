@@ -190,7 +190,7 @@ def of_levels(touches: Sequence[Touch]) -> None:
     )
     grid = len(PAPER_SWEEP.scale), len(PAPER_SWEEP.translation), len(PAPER_SWEEP.angle_rad)
     readings = (Reading.SMALLEST_MAGNITUDE, Reading.ALGEBRAIC_MINIMUM)
-    swept = [sweep(surfaces, replace(PAPER_SWEEP, reading=one)).value for one in readings]
+    swept = [sweep(surfaces, replace(PAPER_SWEEP, reading=one)) for one in readings]
     values = np.abs(np.reshape(swept, (len(readings), len(touches), *grid)))
     for kind, part in PARTS.items():
         span = values[part]

@@ -16,6 +16,7 @@ quadric's coordinates.
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from recognition.errors import QuadricError, TransformError
 
@@ -52,20 +53,13 @@ def scaling(factor: ArrayLike) -> NDArray[np.float64]:
     return out
 
 
-def _rotation(angle: NDArray[np.float64], first: int, second: int) -> NDArray[np.float64]:
-    out = _identities(angle.shape)
-    cosine, sine = np.cos(angle), np.sin(angle)
-    out[..., first, first] = cosine
-    out[..., second, second] = cosine
-    out[..., first, second] = -sine
-    out[..., second, first] = sine
-    return out
-
-
 def rotation_xyz(angle_rad: ArrayLike) -> NDArray[np.float64]:
     """Return Rz Ry Rx (about x first), right-handed; ``angle_rad`` has shape (..., 3): x, y, z."""
-    x, y, z = np.moveaxis(np.asarray(angle_rad, dtype=np.float64), -1, 0)
-    return _rotation(z, 0, 1) @ _rotation(y, 2, 0) @ _rotation(x, 1, 2)
+    angle_rad = np.asarray(angle_rad, dtype=np.float64)
+    out = _identities(angle_rad.shape[:-1])
+    turns = Rotation.from_euler("xyz", angle_rad.reshape(-1, 3))
+    out[..., :3, :3] = turns.as_matrix().reshape(*angle_rad.shape[:-1], 3, 3)
+    return out
 
 
 def by_inverse(Q: NDArray[np.float64], M_inv: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -20,32 +20,33 @@ NOISE_SHARE = 0.08
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LevelBands:
-    """Bands of the taught objects, and thresholds and windows between them."""
+    """Bands of the taught objects, with thresholds and windows between them."""
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     """(n_objects,) float64: band of each object; NaN if an object has no level."""
-    order: NDArray[np.int64]
-    """(n_levels,) int64: objects with a level, by the middle of their band, ascending."""
-    threshold: NDArray[np.float64]
-    """(n_levels - 1,) float64: middle between the bands of neighbours in ``order``."""
-    window: NDArray[np.float64]
-    """(n_levels - 1,) float64: gap between them; closed if it is not above 0."""
-    margin: float
+    margin: float = NOISE_SHARE
     """Share of its edge by which a band is extended into open space."""
 
     def __post_init__(self) -> None:
-        for name in ("low", "high", "order", "threshold", "window"):
+        for name in ("low", "high"):
             keep_array(self, name, getattr(self, name))
 
     @property
-    def closed(self) -> tuple[tuple[int, int], ...]:
-        """Pairs of neighbouring objects whose bands overlap."""
-        return tuple(
-            (int(self.order[i]), int(self.order[i + 1]))
-            for i in range(len(self.window))
-            if self.window[i] <= 0
-        )
+    def order(self) -> NDArray[np.int64]:
+        """(n_levels,) int64: objects with a level, by the middle of their band, ascending."""
+        order = np.argsort(0.5 * (self.low + self.high), kind="stable")
+        return order[np.isfinite(self.low[order])]
+
+    @property
+    def threshold(self) -> NDArray[np.float64]:
+        """(n_levels - 1,) float64: middle between the bands of neighbours in ``order``."""
+        return 0.5 * (self.high[self.order[:-1]] + self.low[self.order[1:]])
+
+    @property
+    def window(self) -> NDArray[np.float64]:
+        """(n_levels - 1,) float64: gap between them; closed if it is not above 0."""
+        return np.asarray(self.low[self.order[1:]] - self.high[self.order[:-1]])
 
     def distance(self, value: float) -> NDArray[np.float64]:
         """Return the distance of a value from each band, (n_objects,); 0 inside, NaN: no level."""
@@ -76,29 +77,12 @@ def find_thresholds(values: Sequence[ArrayLike]) -> LevelBands:
         usable = usable[np.isfinite(usable)]
         if len(usable):
             low[index], high[index] = usable.min(), usable.max()
-    order = np.argsort(0.5 * (low + high), kind="stable")
-    order = order[np.isfinite(low[order])]
-    if not len(order):
+    if not np.isfinite(low).any():
         raise TrajectoryError(
             f"no object of {len(values)} has a level: no grasp pressed enough neighbouring taxels "
             "for a surface, which needs pads of at least 3 x 3"
         )
-    return _levels(low, high, order, NOISE_SHARE)
-
-
-def _levels(
-    low: NDArray[np.float64], high: NDArray[np.float64], order: NDArray[np.int64], margin: float
-) -> LevelBands:
-    """Return thresholds and windows between bands."""
-    below, above = order[:-1], order[1:]
-    return LevelBands(
-        low=low,
-        high=high,
-        order=order,
-        threshold=0.5 * (high[below] + low[above]),
-        window=low[above] - high[below],
-        margin=margin,
-    )
+    return LevelBands(low=low, high=high)
 
 
 def with_noise(levels: LevelBands, noise_share: float) -> LevelBands:
@@ -123,7 +107,7 @@ def with_noise(levels: LevelBands, noise_share: float) -> LevelBands:
         raise TrajectoryError(f"noise_share is {noise_share}, must be from 0 below 1")
     low = levels.low - noise_share * np.abs(levels.low)
     high = levels.high + noise_share * np.abs(levels.high)
-    return _levels(low, high, levels.order, max(levels.margin, noise_share))
+    return LevelBands(low=low, high=high, margin=max(levels.margin, noise_share))
 
 
 def check_level(levels: LevelBands, value: float) -> int | None:

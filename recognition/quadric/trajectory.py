@@ -52,26 +52,10 @@ PAPER_SWEEP = SweepSettings()
 """The grid as printed: 21,607 matrices an object."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Trajectory:
-    """Smallest eigenvalues of the taught objects over the grid."""
+def sweep(D: NDArray[np.float64], settings: SweepSettings = PAPER_SWEEP) -> NDArray[np.float64]:
+    """Return the smallest eigenvalues over the training loops, (n_objects, n_evaluations).
 
-    value: NDArray[np.float64]
-    """(n_objects, n_evaluations) float64: in the order of the printed loops: scale outermost,
-    rotation innermost. Read-only."""
-    settings: SweepSettings
-
-    def __post_init__(self) -> None:
-        self.value.setflags(write=False)
-
-    @property
-    def spread(self) -> NDArray[np.float64]:
-        """Least and largest value of each object, (n_objects, 2): how invariant the feature is."""
-        return np.stack([self.value.min(axis=1), self.value.max(axis=1)], axis=1)
-
-
-def sweep(D: NDArray[np.float64], settings: SweepSettings = PAPER_SWEEP) -> Trajectory:
-    """Return the smallest eigenvalues over the training loops of Algorithm 1.
+    They are in the order of the printed loops: scale outermost, rotation innermost.
 
     Raises TrajectoryError if ``D`` is not a list of 4x4 matrices.
 
@@ -94,4 +78,4 @@ def sweep(D: NDArray[np.float64], settings: SweepSettings = PAPER_SWEEP) -> Traj
         smallest = smallest_eigenvalue(by_inverse(D[:, None], M_inv), settings.reading)
         value[:, begin : begin + len(M_inv)] = smallest.value
         begin += len(M_inv)
-    return Trajectory(value=value, settings=settings)
+    return value

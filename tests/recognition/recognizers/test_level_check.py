@@ -78,7 +78,7 @@ def test_a_level_outside_every_band_is_unknown(pads, rng):
 def test_objects_with_one_level_share_the_probability_and_close_the_window(rng):
     grasps = [_grasp(PINCH, 0.5, rng, label=label) for label in "ab" for _ in range(8)]
     taught = LevelCheckTrainer().fit(grasps)
-    assert taught.levels.closed in (((0, 1),), ((1, 0),))
+    assert taught.levels.window[0] < 0.0
     values = [taught.measure(grasp)[0] for grasp in grasps]
     middle = grasps[int(np.argsort(values)[8])]
     posterior = taught.posterior(middle)
