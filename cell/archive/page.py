@@ -44,7 +44,7 @@ def archive_report(answers: Answers, target: str) -> Page:
         "confusions": {
             "title": "Which object is confused with which, and since when",
             "lines": _confusion_lines(answers),
-            "tables": [table.in_order(table.labels)] if table else [],
+            "tables": [table.without_empty()] if table else [],
         }
     }
     for question, (title, _) in _QUESTIONS.items():

@@ -71,22 +71,11 @@ class ConfusionTable:
         wrong = self.n - self.n_right - n_unknown
         return f"{self.n_right} of {self.n} right{unknown}, {wrong} wrong"
 
-    def in_order(self, labels: Sequence[str]) -> "ConfusionTable":
-        """Return it with rows and columns in the order of labels, without answers never given."""
-
-        def place(label: str) -> int:
-            return labels.index(label) if label in labels else len(labels)
-
-        rows = sorted(self.labels, key=place)
-        given = (c for c, n in zip(self.columns, self.counts.sum(axis=0), strict=True) if n)
-        columns = sorted({*self.labels, *given} & {*self.columns}, key=place)
-        counts = self.counts[[self.labels.index(one) for one in rows]]
-        return replace(
-            self,
-            labels=tuple(rows),
-            columns=tuple(columns),
-            counts=counts[:, [self.columns.index(one) for one in columns]],
-        )
+    def without_empty(self) -> "ConfusionTable":
+        """Return it without answers that are no label and were never given."""
+        used = self.counts.any(axis=0) | np.isin(self.columns, self.labels)
+        columns = tuple(c for c, one in zip(self.columns, used, strict=True) if one)
+        return replace(self, columns=columns, counts=self.counts[:, used])
 
 
 def score(

@@ -128,12 +128,14 @@ def _page(recording: Recording) -> Page:
     names, gripping = _pads(recording.pads, config)
     answers = list(answers_of(recording, config))
     taught = [grasp for grasp in recording.grasps if grasp.label]
-    scores = _scores(answers, taught, config.recognition.recognizer if config else "cell")
-    tables = [*scores.values()]
-    if {one.held for one in answers} == set(paper_table().labels):
-        tables.insert(0, paper_table())
-    named = [table.labels for table in tables] + [one.fused.labels for one in answers]
-    labels = tuple(dict.fromkeys(label for some in named for label in some))
+    paper = paper_table()
+    tables = [paper] if {one.held for one in answers} == set(paper.labels) else []
+    named = [table.labels for table in tables] + [(o.held, o.label) for o in answers if o.held]
+    named += [one.fused.labels for one in answers]
+    labels = tuple(dict.fromkeys(name for some in named for name in some if name != UNKNOWN))
+    recognizer = config.recognition.recognizer if config else "cell"
+    scores = _scores(answers, taught, recognizer, labels)
+    tables += scores.values()
     drawn = drawn_answers(answers)
     sizes = true_sizes(config) if config else {}
     felt = shapes_view([(one.held, one.label, one.shape) for one in answers], sizes)
@@ -146,7 +148,7 @@ def _page(recording: Recording) -> Page:
         for label, i in _examples(recording, answers)
     ]
     sections: dict[str, dict[str, Any]] = {
-        "result": {"title": "Confusion", "tables": [one.in_order(labels) for one in tables]},
+        "result": {"title": "Confusion", "tables": [one.without_empty() for one in tables]},
         "shapes": {"title": "Shape and size", "shapes": felt},
         "sequences": {
             "title": "Identifications",
@@ -246,7 +248,7 @@ def _force_n(grasp: Grasp) -> float:
 
 
 def _scores(
-    answers: list[Answered], taught: list[Grasp], default: str
+    answers: list[Answered], taught: list[Grasp], default: str, labels: Sequence[str]
 ) -> dict[str, ConfusionTable]:
     """Return the tables of the identifications whose held object is known.
 
@@ -265,10 +267,8 @@ def _scores(
         if compared and baseline is not None:
             posteriors[BASELINE] = baseline.posterior(one.grasps[0])
         trials.append((one.held, one.label, posteriors))
-    named = (label for truth, label, _ in trials for label in (truth, label))
-    return score_tables(
-        trials, tuple(dict.fromkeys(label for label in named if label != UNKNOWN)), default
-    )
+    named = {label for truth, label, _ in trials for label in (truth, label)}
+    return score_tables(trials, [label for label in labels if label in named], default)
 
 
 def drawn_answers(answers: list[Answered]) -> list[Answered]:

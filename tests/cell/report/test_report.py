@@ -19,7 +19,7 @@ from cell.errors import MissingExtraError, RecordingError, ReportError
 from cell.recording.reader import Recording, read_recording
 from cell.recording.recorder import Recorder
 from cell.report import recorded
-from cell.report.confusion import ConfusionTable, paper_table
+from cell.report.confusion import ConfusionTable, paper_table, score
 from cell.report.figures import colour, drawing, new_figure, pad_svg, picture
 from cell.report.health import HealthRow, count, health
 from cell.report.page import Page, percent, render_report, write_report
@@ -220,23 +220,20 @@ def test_many_labels_make_a_dense_table_and_few_sequences() -> None:
     assert (verdicts.count("wrong"), verdicts.count("right")) == (70, 2)
     others = [replace(one, held=f"another {one.held}") for one in answers]
     assert len(drawn_answers([*answers, *others])) == MAX_SEQUENCES
-    page = page_of(labels, tables=[table.in_order(labels)], n_hidden=36)
+    page = page_of(labels, tables=[table.without_empty()], n_hidden=36)
     assert 'class="confusion dense"' in page
     assert "36 more are not drawn" in page
     assert f'<th scope="col">{UNKNOWN}</th>' not in page  # nobody was named so
 
 
-def test_a_table_in_order_keeps_each_count() -> None:
-    paper = paper_table()
-    turned = paper.in_order(paper.labels[::-1])
-    assert turned.labels == turned.columns == paper.labels[::-1]
-    assert turned.counts.tolist() == paper.counts[::-1, ::-1].tolist()
-    assert (turned.n_right, turned.text) == (48, paper.text)
-    once = ConfusionTable(
-        name="", labels=("a", "b"), columns=("b", "a"), counts=np.eye(2, dtype=int)[:1].repeat(2, 0)
-    )
-    assert once.in_order(["a", "b"]).columns == ("a", "b")  # nobody was named a
-    assert "96.0 %" in (page := page_of(paper.labels, tables=[turned]))
+def test_a_table_has_its_labels_and_the_answers_that_were_given() -> None:
+    table = score("", ["a", "b"], ["b", "b"], ["a", "b"])
+    assert table.columns == ("a", "b", UNKNOWN)
+    shown = table.without_empty()
+    assert (shown.columns, shown.counts.tolist()) == (("a", "b"), [[0, 1], [0, 1]])
+    assert score("", ["a"], ["x"], ["a"]).without_empty().columns == ("a", UNKNOWN)
+    page = page_of(paper_table().labels, tables=[paper_table()])
+    assert "96.0 %" in page
     assert "86.5 to 98.9" in page  # Wilson
 
 
