@@ -12,7 +12,7 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jsonschema
 import numpy as np
@@ -749,18 +749,13 @@ def test_the_command_says_what_is_lost_and_never_overwrites(three: Path, tmp_pat
 # -- Retention: what goes by size and space, what stays, and that nothing stops the cell -----------
 
 
-class Keeper:
+class Keeper(NamedTuple):
     """A recording in a folder of jobs, and its retention."""
 
-    def __init__(self, folder: Path, **limits: Any) -> None:
-        self.clock, self.notes = Clock(100.0), list[str]()
-        self.folder = folder
-        job = folder / "serve-20270115-080000"
-        job.mkdir(parents=True)
-        self.recorder = Recorder(
-            job / "recording.mcap", self.clock, pads=PADS, note=self.notes.append
-        )
-        self.retention = Retention(self.recorder, folder, note=self.notes.append, **limits)
+    folder: Path
+    notes: list[str]
+    recorder: Recorder
+    retention: Retention
 
     def job(self, number: int, n_bytes: int = 1000) -> Path:
         """Add the recording of an earlier job."""
@@ -772,16 +767,14 @@ class Keeper:
 
 
 @pytest.fixture
-def keep(tmp_path: Path) -> Iterator[Any]:
-    made = list[Keeper]()
-
-    def make(**limits: Any) -> Keeper:
-        made.append(Keeper(tmp_path / "out", **limits))
-        return made[-1]
-
-    yield make
-    for keeper in made:
-        keeper.recorder.close()
+def keep(tmp_path: Path) -> Iterator[Callable[..., Keeper]]:
+    notes, folder = list[str](), tmp_path / "out"
+    path = folder / "serve-20270115-080000" / "recording.mcap"
+    path.parent.mkdir(parents=True)
+    with closing(Recorder(path, Clock(100.0), pads=PADS, note=notes.append)) as recorder:
+        yield lambda **limits: Keeper(
+            folder, notes, recorder, Retention(recorder, folder, note=notes.append, **limits)
+        )
 
 
 def test_the_oldest_recordings_go_by_size_and_marked_ones_stay(keep) -> None:
@@ -834,7 +827,7 @@ def test_the_recordings_that_programs_write_stay(keep, monkeypatch) -> None:
     path, own = keeper.job(1), keeper.recorder.path
     path.unlink()
     os.utime(own, (0, 0))
-    with closing(Recorder(path, keeper.clock, pads=PADS)):
+    with closing(Recorder(path, Clock(100.0), pads=PADS)):
         keeper.retention.enforce()
         assert path.exists()
     # Without locks only this program's recording is known to be open.
@@ -854,7 +847,7 @@ def test_only_recordings_in_folders_of_jobs_are_managed(keep) -> None:
     assert all(path.exists() for path in own)
     assert len(keeper.notes) == 1
     path = keeper.job(2)
-    with closing(Recorder(keeper.folder / "x.mcap", keeper.clock, pads=PADS)) as outside:
+    with closing(Recorder(keeper.folder / "x.mcap", Clock(100.0), pads=PADS)) as outside:
         Retention(outside, keeper.folder, keep_bytes=1).enforce()
     assert path.exists()
 
