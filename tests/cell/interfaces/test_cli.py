@@ -48,7 +48,6 @@ from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckTrainer
 from tests.cell.conftest import call, once, plain_grasp, quick_config
 from tests.fuzz.harness import Clock
-from tests.marks import LONG
 from tests.values import raising
 
 RUNNER = CliRunner()
@@ -602,30 +601,28 @@ def in_the_third_grasp(made: Any, act: Callable[[], object]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, LONG(signal.SIGTERM)])
+@pytest.mark.parametrize("left", [True, False])
 def test_a_signal_stops_the_job_and_keeps_grip_recording_and_what_was_grasped(
-    quick, tmp_path, fail, meddle, number
+    quick, tmp_path, fail, meddle, left
 ) -> None:
-    built = meddle(lambda made: in_the_third_grasp(made, lambda: os.kill(os.getpid(), number)))
-    said = fail("teach", "ball", "-n", 20, "-o", tmp_path / "d.npz", "-c", quick)
-    assert "the grip is kept until it is released on purpose. Recording so far: " in said
-    assert [grasp.label for grasp in read_dataset(tmp_path / "d.npz")] == ["ball", "ball"]
+    folder = tmp_path / "data"
+    folder.mkdir()
+
+    def stop() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        if not left:
+            folder.rmdir()
+
+    built = meddle(lambda made: in_the_third_grasp(made, stop))
+    said = fail("teach", "ball", "-n", 20, "-o", folder / "d.npz", "-c", quick)
     assert min(built[0].simulated.world.contact_force_n()) > 1.0
     (recording,) = (tmp_path / "out").glob("teach-*/recording.mcap")
     assert read_recording(recording).complete
-
-
-@pytest.mark.slow
-def test_grasps_whose_folder_is_gone_are_in_the_recording(quick, tmp_path, fail, meddle) -> None:
-    folder = tmp_path / "data"
-    folder.mkdir()
-    meddle(
-        lambda made: in_the_third_grasp(
-            made, lambda: (made.controller.life.cancel(), folder.rmdir())
-        )
-    )
-    said = fail("teach", "ball", "-n", 20, "-o", folder / "d.npz", "-c", quick)
-    assert "recording.mcap: use it with `tactile-cell model train`" in said
+    if left:
+        assert "the grip is kept until it is released on purpose. Recording so far: " in said
+        assert [grasp.label for grasp in read_dataset(folder / "d.npz")] == ["ball", "ball"]
+    else:
+        assert "recording.mcap: use it with `tactile-cell model train`" in said
 
 
 def test_a_report_that_cannot_be_written_does_not_cost_the_result(

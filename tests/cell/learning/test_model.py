@@ -26,13 +26,6 @@ from tests.recognition.conftest import OBJECTS, make_grasps, make_pads
 PADS = make_pads(shapes=((8, 5), (8, 5)), adc_max=255)
 
 
-class Bomb:
-    exploded = False
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return setattr, (Bomb, "exploded", True)
-
-
 @pytest.fixture(scope="module")
 def learnt() -> LevelCheckRecognizer:
     return LevelCheckTrainer().fit(make_grasps(4, seed=1, pads=PADS, objects=OBJECTS[:2]))
@@ -138,7 +131,6 @@ def test_model_of_another_version_is_refused(change, learnt, tmp_path, monkeypat
 @pytest.mark.parametrize(
     ("arrays", "says"),
     [
-        ({"model": np.array([Bomb()], dtype=object)}, "Object arrays cannot be loaded"),
         ({"counts": np.zeros(3)}, "it has no header; train a model first"),
         ({"grasp_offsets": np.zeros(3)}, "is a data set: `tactile-cell model train"),
         ({"model": np.zeros(3)}, "it has no header"),
@@ -147,11 +139,10 @@ def test_model_of_another_version_is_refused(change, learnt, tmp_path, monkeypat
         ({"model": np.array("[1]")}, "not an object"),
     ],
 )
-def test_what_is_no_model_is_refused_and_never_run(arrays, says, tmp_path) -> None:
+def test_what_is_no_model_is_refused(arrays, says, tmp_path) -> None:
     np.savez(tmp_path / "m.npz", **arrays)  # type: ignore[arg-type]
     with pytest.raises(ModelError, match=says):
         load_model(tmp_path / "m.npz")
-    assert not Bomb.exploded
 
 
 def test_recognizer_of_unknown_kind_is_not_written(learnt, tmp_path) -> None:

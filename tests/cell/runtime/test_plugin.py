@@ -76,6 +76,23 @@ def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -
         done(plugin, IdentifyGoal(present="nothing"))
 
 
+def test_a_part_that_nobody_can_bring_is_refused_at_once(plugin: Any) -> None:
+    unknown = "'nut'; there are ball, box; or write a shape"
+    for goal, error, complaint in (
+        (
+            {"task": "teach", "label": "nut"},
+            CellStateError,
+            r"`present` \(`--object`\), one of ball",
+        ),
+        ({"task": "identify", "present": "nut"}, ConfigError, unknown),
+        ({"task": "sort", "feed": ["box", "nut"]}, ConfigError, unknown),
+        ({"task": "identify"}, CellStateError, "name a part as `present`, one of ball, box"),
+    ):
+        with pytest.raises(error, match=complaint):
+            plugin.start(goal)
+    assert plugin.status().state == "IDLE"
+
+
 @pytest.mark.slow
 def test_a_refused_teaching_gives_no_part_a_name(plugin: Any) -> None:
     assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
@@ -171,7 +188,8 @@ def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
     # A cancel that comes too late stops nothing of the next job.
     plugin.cancel(job)
     plugin.cell.controller.life.cancel()
-    assert done(plugin, IdentifyGoal()).label == "ball"
+    answer = done(plugin, IdentifyGoal())  # of the part that is still there
+    assert (answer.label, answer.presented) == ("ball", "ball")
 
 
 def test_a_job_that_is_cancelled_as_soon_as_it_is_accepted_is_cancelled(plugin: Any) -> None:

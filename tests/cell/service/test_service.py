@@ -242,12 +242,11 @@ def test_a_repeated_request_is_not_done_twice(served) -> None:
     assert served.grip_n > 1.0
 
 
-def test_labels_have_ids_that_the_config_fixes(serve: Any) -> None:
-    assert serve().service.plugin.labels_by_id == ("ball", "box")
-    service = serve(serve__objects=["cube", "box"]).service
-    assert service.plugin.labels_by_id == ("cube", "box", "ball")
-    assert [service.plugin.label_id(label) for label in ("cube", "ball", "UNKNOWN")] == [1, 3, 0]
-    assert service.plugin.info()["labels"] == ("cube", "box", "ball")
+def test_labels_have_ids_that_the_config_fixes(make_plugin: Any, taught: Any) -> None:
+    config = small_config(serve__objects=["cube", "box"])
+    plugin = make_plugin(config, model=taught.result.model)
+    assert plugin.labels_by_id == plugin.info()["labels"] == ("cube", "box", "ball")
+    assert {one["label"]: one["label_id"] for one in plugin.taught()} == {"ball": 3, "box": 2}
 
 
 def test_each_command_is_remarked_with_its_client(served) -> None:
