@@ -36,6 +36,8 @@ from tests.fuzz.harness import Clock
 from tests.values import make_shape
 from tests.waiting import LIMIT_S, until
 
+BRISK = {"gripper__aperture_open_mm": 12.0, "sequence__force_n": [2.0, 4.0]}
+"""Short ways and ramps for plugins that need not name an object with certainty."""
 LEASE_S = 60.0
 """Time-out of leases: only the clock of the test lets it pass."""
 
@@ -165,8 +167,8 @@ def make_plugin() -> Iterator[Callable[..., Any]]:
     made: list[Any] = []
 
     def make(config: CellConfig | None = None, **options: Any) -> Any:
-        usual = small_config if options.get("model") else quick_config
-        made.append(TactileCellPlugin(config or usual(), **options))
+        usual = small_config(**BRISK) if options.get("model") else quick_config()
+        made.append(TactileCellPlugin(config or usual, **options))
         return made[-1]
 
     yield make
