@@ -153,17 +153,3 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     simulator.inject("can.unplugged")
     assert "the fingers are open" in run("hand", "release", "--confirm", *config)
     assert simulator.grip_n() == 0.0
-
-
-def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(simulator, tmp_path) -> None:
-    with running(*teaching(simulator, tmp_path)) as client:
-        simulator.wait_for_grip(0.5)
-        simulator.kill()
-        said = end(client, 1)
-    assert "Traceback" not in said
-    assert "recording so far: " in said
-    assert any(name in said for name in ("serial port", "servo", "CAN", "control unit")), said
-    recording = read_recording(only(tmp_path / "out", "teach-*/recording.mcap"))
-    assert len(recording.frames) > 10
-    kinds = [event["kind"] for event in recording.events if event["kind"] != "job"]
-    assert kinds[0] == "fault"

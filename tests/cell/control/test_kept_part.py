@@ -288,24 +288,22 @@ TO_BIN = Destination(label="ball", place="bin 1")
 
 
 @pytest.mark.slow
-def test_a_place_that_is_refused_leaves_the_part_in_the_grip(make_bench) -> None:
-    bench = make_bench(places=lambda _destination: "there")
-    bench.ready()
-    bench.controller.grip(3.0, Pose())
-    with pytest.raises(PositionerError, match="the part is kept"):
+@pytest.mark.parametrize(
+    ("answer", "error", "says"),
+    [
+        ("there", PositionerError, "the part is kept"),
+        (False, PositionerError, "the place bin 1 of ball"),
+        (None, CellStopped, "on the way to bin 1; the part is kept"),
+    ],
+)
+def test_a_refused_place_and_a_stop_on_the_way_leave_the_part_in_the_grip(
+    make_bench: MakeBench, answer, error, says
+) -> None:
+    bench = make_bench(places=lambda _to: bench.life.cancel() if answer is None else answer)
+    bench.ready().controller.grip(3.0, Pose())
+    with pytest.raises(error, match=says):
         bench.controller.moves.carry_to(TO_BIN)
     assert (bench.life.state, bench.life.fault) == (CellState.COMPLETE, None)
-    assert bench.grip_n > 1.0
-
-
-@pytest.mark.slow
-def test_a_stop_on_the_way_ends_the_way_and_keeps_the_part(make_bench: MakeBench) -> None:
-    bench = make_bench(places=lambda _destination: bench.life.cancel())
-    bench.ready()
-    bench.controller.grip(3.0, Pose())
-    with pytest.raises(CellStopped, match="on the way to bin 1; the part is kept"):
-        bench.controller.moves.carry_to(TO_BIN)
-    assert bench.life.state is CellState.COMPLETE
     assert bench.grip_n > 1.0
 
 

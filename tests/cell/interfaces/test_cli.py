@@ -39,7 +39,8 @@ from cell.interfaces.cli.terminal import (
     progress_bar,
     show,
 )
-from cell.learning.model import load_model
+from cell.learning.model import load_model, save_model
+from cell.learning.training import train
 from cell.recording import sink
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.recording.reader import read_recording
@@ -521,6 +522,10 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         paths[name] = folder / f"{name}.yaml"
         paths[name].write_text(text)
     given = {"dataset": taught.result.dataset, "model": taught.result.model}
+    given["level"] = folder / "level.npz"
+    level = train(taught.grasps, "level_check").recognizer
+    pads = taught.grasps[0].pads
+    save_model(given["level"], level, trainer_name="level_check", pads=pads)
     return paths | given | {"real": EXAMPLES / "paper-gripper.yaml"}
 
 
@@ -546,6 +551,8 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (2, "sort --config {operated}", "--model is missing"),
         (2, "teach ball -o {made} -c {real} --fault can.off", REAL_FAULT),
         (2, "identify x.npz -m m.npz --fault can.off", "leave it out for recorded grasps"),
+        (2, "identify --follow -m {model}", "--follow is for recorded grasps"),
+        (1, "identify --follow -m {level} {dataset}", "level_check cannot follow a drift"),
         (2, "teach x -o {made} --shape sphere:diameter=9mm --fault can.off", "for a drawing"),
         (2, "run -c {config} --fault taxels.saturated=10", "simulator: pad 10: pads are 0 to 9"),
         (1, "model train {none} -o {made}", "none.npz"),

@@ -8,17 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 from cell.control.early_end import EarlyDecider
 from cell.control.identification import Identification
 from cell.control.plan import GraspStep, Keep, Pose
 from cell.control.states import CellState
-from cell.errors import CellError, CellStopped, ConfigError, ModelError
-from cell.interfaces.cli.app import app
-from cell.learning.model import Trained, load_model, save_model
+from cell.errors import CellError, CellStopped
+from cell.learning.model import Trained, load_model
 from cell.learning.taught_model import TaughtModel
-from cell.learning.training import calibrate_model, identify_recorded, train
+from cell.learning.training import calibrate_model, identify_recorded
 from cell.recording.reader import read_recording
 from cell.runtime import tasks
 from cell.runtime.goals import IdentifyGoal, TeachGoal
@@ -250,26 +248,6 @@ def test_the_recording_names_the_drift_of_each_answer(taught) -> None:
     assert all(result["drift_unchanged"] > 0.4 for result in results)
     assert taught.result.as_json()["drift"]["n_grasps"] > results[1]["drift_n_grasps"]
     assert not taught.result.as_json()["remarks"]
-
-
-def test_a_cell_that_grasps_one_object_has_nothing_to_follow(taught) -> None:
-    with pytest.raises(ConfigError, match="--follow"):
-        CliRunner().invoke(
-            app, ["identify", "--follow", "-m", str(taught.result.model)], catch_exceptions=False
-        )
-
-
-def test_a_model_that_cannot_follow_is_refused(taught, tmp_path) -> None:
-    result = taught.result
-    model = tmp_path / "level.npz"
-    recognizer = train(taught.grasps, "level_check").recognizer
-    save_model(model, recognizer, trainer_name="level_check", pads=taught.grasps[0].pads)
-    with pytest.raises(ModelError, match="level_check cannot follow a drift"):
-        CliRunner().invoke(
-            app,
-            ["identify", "--follow", "-m", str(model), str(result.dataset)],
-            catch_exceptions=False,
-        )
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Jobs over recorded grasps: evaluate, identify, gauge, calibrate."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -81,9 +82,6 @@ def test_what_cannot_be_evaluated_says_why(taught: Any) -> None:
         evaluated(taught.grasps, train=[plain_grasp("ball")])
     with pytest.raises(CellError, match="force_ramp cannot be evaluated"):
         evaluated(taught.grasps[:3], train=taught.grasps[:2])
-
-
-# -- replay ---------------------------------------------------------------------------------------
 
 
 # -- identify -------------------------------------------------------------------------------------
@@ -203,68 +201,55 @@ def test_what_cannot_be_gauged_or_followed_says_why(taught, drifted, tmp_path) -
         )
 
 
+@pytest.fixture
+def calibrate(taught: Any, tmp_path: Path) -> Callable[..., tuple[str, Any, Any]]:
+    """Return what calibrates the taught model: what it prints, its JSON, the new recognizer."""
+    new, found = tmp_path / "new.npz", tmp_path / "c.json"
+
+    def run(*arguments: object) -> tuple[str, Any, Any]:
+        files = ("-m", taught.result.model, "-o", new, "--json", found)
+        text = call("model", "calibrate", *arguments, *files)
+        return text, json.loads(found.read_text(encoding="utf-8")), load_model(new).recognizer
+
+    return run
+
+
 @pytest.mark.slow
-def test_calibrate_writes_a_model_that_expects_the_drift(taught, drifted, tmp_path) -> None:
-    new = tmp_path / "gauged.npz"
-    text = call(
-        *("model", "calibrate", drifted, "--gauge", "ball", "-m", taught.result.model, "-o", new),
-        *("--json", tmp_path / "c.json"),
-    )
+def test_calibrate_writes_a_model_that_expects_the_drift(calibrate, drifted) -> None:
+    text, found, recognizer = calibrate(drifted, "--gauge", "ball")
     assert "5 grasps of ball: gain" in text
-    found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
     assert found["aperture_mm"] == pytest.approx(-1.0, abs=2.0 * found["aperture_sd_mm"])
     assert found["aperture_mm"] < 0.0
-    recognizer = load_model(new).recognizer
-    grasps = read_dataset(drifted)
-    assert all(recognizer.posterior(grasp).best == grasp.label for grasp in grasps)
-    named = [recognizer.posterior(grasp).name == grasp.label for grasp in grasps]
-    assert sum(named) >= 7
+    answers = [(recognizer.posterior(grasp), grasp.label) for grasp in read_dataset(drifted)]
+    assert all(posterior.best == label for posterior, label in answers)
+    assert sum(posterior.name == label for posterior, label in answers) >= 7
 
 
 @pytest.mark.slow
-def test_calibrate_follows_grasps_that_nobody_named(taught, tmp_path) -> None:
-    unnamed = tmp_path / "shift.npz"
+def test_calibrate_follows_grasps_that_nobody_named(taught, calibrate, tmp_path) -> None:
     drift = Drift(gains=(0.7,), aperture_offset_m=-3e-3)
     grasps = [drift.apply(grasp) for grasp in taught.grasps]
     mixed = [grasp for k in range(5) for grasp in (grasps[k], grasps[k + 5])]
-    write_dataset(unnamed, [replace(g, label="", start_ms=k) for k, g in enumerate(mixed)])
-    new = tmp_path / "followed.npz"
-    text = call(
-        *("model", "calibrate", unnamed, "-m", taught.result.model, "-o", new),
-        *("--json", tmp_path / "c.json"),
-    )
+    unnamed = [replace(g, label="", start_ms=k) for k, g in enumerate(mixed)]
+    write_dataset(tmp_path / "shift.npz", unnamed)
+    text, found, recognizer = calibrate(tmp_path / "shift.npz")
     assert "10 grasps of a shift: gain" in text
-    found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
     assert found["gauge"] is None
     assert found["aperture_mm"] == pytest.approx(-3.0, abs=2.0 * found["aperture_sd_mm"])
     assert found["aperture_mm"] < -2.0
-    recognizer = load_model(new).recognizer
     # Ten grasps leave the zero unsure by a millimetre, and the objects differ by half of one.
     assert sum(recognizer.posterior(grasp).best == grasp.label for grasp in grasps) >= 8
 
 
 @pytest.mark.slow
-def test_calibrate_on_the_cell_finds_that_nothing_drifted(taught, tmp_path) -> None:
+def test_calibrate_on_the_cell_finds_that_nothing_drifted(taught, calibrate, tmp_path) -> None:
     config = tmp_path / "cell.yaml"
     changes = {"recording.directory": str(tmp_path / "out")}
     config.write_text(config_text(changed_config(taught.config, changes)))
-    call(
-        *(
-            "model",
-            "calibrate",
-            "--gauge",
-            "ball",
-            "-m",
-            taught.result.model,
-            "-o",
-            tmp_path / "m.npz",
-        ),
-        *("-n", 3, "-c", config, "--json", tmp_path / "c.json"),
-    )
-    found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
+    _, found, recognizer = calibrate("--gauge", "ball", "-n", 3, "-c", config)
     assert found["n_grasps"] == 3
     assert abs(found["aperture_mm"]) < 2.0 * found["aperture_sd_mm"]
-    assert load_model(tmp_path / "m.npz").labels == ("ball", "box")
+    assert recognizer.labels == ("ball", "box")
 
 
 # -- The main job: teach, train, identify; its files, its figures, its page ------------------------
