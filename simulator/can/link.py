@@ -7,7 +7,6 @@ import bisect
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from enum import Enum
 from operator import attrgetter
 from typing import Protocol
 
@@ -31,14 +30,6 @@ _FLOOD_ID = 0x6FF
 """Identifier of flooding messages: an SDO request to the unused node 127."""
 _INBOX_LIMIT = 100_000
 """Most messages in the adapter's memory: half a minute of frames at 50 Hz."""
-
-
-class _Sender(Enum):
-    """Sender of a message on the wire."""
-
-    HOST = 0
-    DEVICE = 1
-    FLOOD = 2
 
 
 class CanDevice(Protocol):
@@ -93,7 +84,7 @@ class CanLink:
 
     def send(self, can_id: int, data: bytes, now_s: float, *, extended: bool = False) -> None:
         """Send a message of the host; it reaches the devices before this returns."""
-        self._wire.put(Burst(now_s, can_id, (data,), extended, _Sender.HOST), first=True)
+        self._wire.put(Burst(now_s, can_id, (data,), extended=extended, from_host=True))
         if not extended and not self.faults.bus_off:
             for device in tuple(self._devices):
                 device.receive(can_id, data, now_s)
@@ -142,19 +133,20 @@ class CanLink:
         """
         if len(self._inbox) + self._wire.n_waiting > _INBOX_LIMIT:
             return ready_s
-        self._wire.put(Burst(ready_s, can_id, burst, False, _Sender.DEVICE))
+        self._wire.put(Burst(ready_s, can_id, burst))
         return self._wire.end_s(ready_s, can_id)
 
     def _transmit(self, now_s: float) -> None:
         """Move messages sent until ``now_s`` s into the inbox, with the faults."""
         inbox = self._inbox
-        for ends_s, (_, can_id, _, _, sender), messages in self._wire.take(now_s):
+        disturbed = self.faults.disturbs
+        for ends_s, burst, messages in self._wire.take(now_s):
+            can_id = burst.can_id
             for through_s, data in zip(ends_s, messages, strict=True) if self.capture else ():
                 for capture in self.capture:
                     capture(through_s, can_id, data)
-            if sender is _Sender.HOST:
+            if burst.from_host:
                 continue
-            disturbed = sender is _Sender.DEVICE and self.faults.disturbs
             arrived: Iterable[can.Message]
             if disturbed:
                 arrived = self._disturbed(ends_s, can_id, messages)
@@ -182,7 +174,7 @@ class CanLink:
             self._flood_due_s = now_s
         while self._flood_due_s <= now_s:
             data = self._rng.bytes(8)
-            self._wire.put(Burst(self._flood_due_s, _FLOOD_ID, (data,), False, _Sender.FLOOD))
+            self._wire.put(Burst(self._flood_due_s, _FLOOD_ID, (data,)))
             self._flood_due_s += 1.0 / self.faults.flood_hz
 
     def _report_state(self, now_s: float) -> None:

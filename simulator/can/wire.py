@@ -38,7 +38,7 @@ def mean_bits(data: bytes) -> float:
     of 0x00). The result is within 3 % of the mean of the exact count (ISO 11898-1), at a fiftieth
     of its computing time.
     """
-    (length_s,) = _Queued(Burst(0.0, 0, (data,), False, None), 1.0).lengths_s
+    (length_s,) = _Queued(Burst(0.0, 0, (data,)), 1.0).lengths_s
     return length_s
 
 
@@ -49,10 +49,11 @@ class Burst(NamedTuple):
     """Time in s at which they are ready to send."""
     can_id: int
     messages: Sequence[bytes]
-    extended: bool
-    """Identifier, content of each (of one length), and whether the identifier has 29 bits."""
-    sender: object
-    """Value that the caller gets back with them."""
+    """Identifier, and content of each (of one length)."""
+    extended: bool = False
+    """Whether the identifier has 29 bits."""
+    from_host: bool = False
+    """Whether they go before all others."""
 
 
 class _Queued:
@@ -84,11 +85,11 @@ class CanWire:
         self._key, self._ends_s = 0.0, list[float]()
         """Queue whose messages go next, and the end in s of each; empty until worked out."""
 
-    def put(self, burst: Burst, *, first: bool = False) -> None:
-        """Let messages wait from their ``ready_s`` on; ``first`` before all others."""
+    def put(self, burst: Burst) -> None:
+        """Let messages wait from their ``ready_s`` on."""
         # A 29 bit identifier loses against 11 equal bits (ISO 11898-1, arbitration).
         key = (burst.can_id >> 18) + 0.5 if burst.extended else float(burst.can_id)
-        queue = self._queues.setdefault(-1.0 if first else key, deque())
+        queue = self._queues.setdefault(-1.0 if burst.from_host else key, deque())
         queue.append(_Queued(burst, 1.0 / self.bitrate))
         self.n_waiting += len(burst.messages)
         self._ends_s = []

@@ -77,12 +77,14 @@ class ServoBusDevice:
         ----------
         sent_after_s
             Earliest time in s at which the host may have sent them, if the exact time is not known:
-            a watchdog that expired since then was fed in time. None: ``now_s``.
+            a watchdog that expired since then was fed in time. None: just now; the caller has
+            advanced the servos.
         """
         faults = self.faults
         if faults.unplugged:
             return
-        self.advance_to(now_s if sent_after_s is None else min(sent_after_s, now_s))
+        if sent_after_s is not None:
+            self.advance_to(min(sent_after_s, now_s))
         end_s = max(now_s, self._line_free_s) + self._wire_s(len(data))
         self._line_free_s = end_s
         if faults.echo:

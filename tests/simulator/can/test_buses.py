@@ -87,7 +87,7 @@ def test_the_estimate_is_the_mean_of_the_exact_count(low: int, high: int, mean: 
 
 
 def waiting(ready_s: float, can_id: int, *data: bytes, extended: bool = False) -> Burst:
-    return Burst(ready_s, can_id, data, extended, None)
+    return Burst(ready_s, can_id, data, extended)
 
 
 def test_messages_wait_for_each_other_on_the_wire() -> None:
