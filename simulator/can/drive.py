@@ -229,11 +229,9 @@ class SimulatedDrive(CanopenDevice):
         """Go to fault: brake, then switch the power stage off; error code and EMCY."""
         if self.state in ("FAULT", "FAULT REACTION ACTIVE"):
             return
-        powered = self.state in _POWERED
         self._error_code = code
-        self._homing = None
-        self.state = "FAULT REACTION ACTIVE" if powered else "FAULT"
-        self.motion.stop(self._number("Quick stop deceleration") or 1e6)
+        self.state = "FAULT REACTION ACTIVE" if self.state in _POWERED else "FAULT"
+        self._brake()
         self._node.emcy.send(code, _REGISTER_GENERIC, b"")
 
     # -- objects -------------------------------------------------------------------------------
@@ -276,11 +274,7 @@ class SimulatedDrive(CanopenDevice):
                 self.state, self._error_code, self._lag_s = "SWITCH ON DISABLED", 0, 0.0
                 self._node.emcy.send(0, 0, b"")
             return
-        if self.state in (
-            "FAULT",
-            "FAULT REACTION ACTIVE",
-            "NOT READY TO SWITCH ON",
-        ):
+        if self.state in ("FAULT", "FAULT REACTION ACTIVE", "NOT READY TO SWITCH ON"):
             return
         low = word & 0x0F
         if not low & _VOLTAGE_BIT:
@@ -289,10 +283,12 @@ class SimulatedDrive(CanopenDevice):
             self._quick_stop()
         elif self.state == "QUICK STOP ACTIVE":
             pass  # transition 16 is optional: this drive lacks it
-        elif low & (_SWITCHED_ON_BIT | _ENABLE_BIT) == 0 or low == Control.SHUTDOWN:
+        elif not low & _SWITCHED_ON_BIT:
             self._switch_off("READY TO SWITCH ON")
         elif self.state != "SWITCH ON DISABLED":
-            self._switch_on(low)
+            if low == Control.SWITCH_ON and self.state == "OPERATION ENABLED":
+                self.motion.freeze()
+            self.state = "OPERATION ENABLED" if low & _ENABLE_BIT else "SWITCHED ON"
         if self.state == "OPERATION ENABLED":
             self._start(word, rising=bool(word & _START_BIT and not before & _START_BIT))
 
@@ -301,14 +297,6 @@ class SimulatedDrive(CanopenDevice):
         self._homing = None
         self.state = state
 
-    def _switch_on(self, low: int) -> None:
-        if low == Control.SWITCH_ON:
-            if self.state == "OPERATION ENABLED":
-                self.motion.freeze()
-            self.state = "SWITCHED ON"
-        elif low == Control.ENABLE_OPERATION:
-            self.state = "OPERATION ENABLED"
-
     def _abort_connection(self) -> None:
         """Carry out the option of 6007h when the host is lost or stopped the node (CiA 402-2)."""
         stops = self._number("Abort connection option code") == od.STOP_WHEN_HOST_IS_LOST
@@ -316,11 +304,13 @@ class SimulatedDrive(CanopenDevice):
             self._quick_stop()
 
     def _quick_stop(self) -> None:
-        if self.state != "OPERATION ENABLED":
-            if self.state != "QUICK STOP ACTIVE":
-                self._switch_off("SWITCH ON DISABLED")
-            return
-        self.state = "QUICK STOP ACTIVE"
+        if self.state == "OPERATION ENABLED":
+            self.state = "QUICK STOP ACTIVE"
+            self._brake()
+        elif self.state != "QUICK STOP ACTIVE":
+            self._switch_off("SWITCH ON DISABLED")
+
+    def _brake(self) -> None:
         self._homing = None
         self.motion.stop(self._number("Quick stop deceleration") or 1e6)
 
