@@ -97,7 +97,7 @@ class CanLink:
             messages = list(inbox)
             inbox.clear()
             return messages
-        arrived = min(limit, sum(message.timestamp <= now_s for message in inbox))
+        arrived = min(limit, bisect.bisect_right(inbox, now_s, key=_ARRIVAL_S))
         return [inbox.popleft() for _ in range(arrived)]
 
     def advance(self, now_s: float) -> None:

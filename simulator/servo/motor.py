@@ -183,6 +183,7 @@ class ServoMotor:
         self.encoder_offset_rad = 0.0
         """Offset of the encoder from the true angle in rad."""
         self.command = DriveCommand()
+        self.drive(self.command)
         self.place(angle_rad)
 
     def place(self, angle_rad: float) -> None:
@@ -240,6 +241,7 @@ class ServoMotor:
             self.reference_velocity_rad_s = 0.0
             self._integral_a = self._integral = 0.0
         self.command = command
+        self._limit_a, self._limit = abs(command.current_a), abs(command.duty)
 
     def measured_a(self) -> float:
         """Measure the current in A: of the winding, or of the supply (330 size)."""
@@ -273,7 +275,7 @@ class ServoMotor:
         supply_v = self.voltage_v if self.voltage_v > _LEAST_SUPPLY_V else _LEAST_SUPPLY_V
         back_emf_v = self._back_emf_v_s * self.kt_factor * self.velocity_rad_s
         goal_a, duty = self._demand(count, dt_s)
-        limit = abs(command.duty)
+        limit = self._limit
         if goal_a is None or self._of_supply:
             if goal_a is not None:
                 duty = self._duty_for_supply(goal_a, back_emf_v, supply_v)
@@ -300,7 +302,7 @@ class ServoMotor:
         mode = command.mode
         if mode == OperatingMode.CURRENT_BASED_POSITION:
             goal_a = self._position_loop(count, dt_s) * self.model.current_unit_a
-            limit_a = abs(command.current_a)
+            limit_a = self._limit_a
             return limit_a if goal_a > limit_a else -limit_a if goal_a < -limit_a else goal_a, 0.0
         if mode == OperatingMode.CURRENT:
             return command.current_a, 0.0

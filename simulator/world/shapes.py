@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,8 +151,9 @@ class Ellipsoid(_Sides):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Revolution:
-    """A solid of revolution about its long axis."""
+    """A solid of revolution about its long axis; it looks the same in any roll."""
 
+    roll_step_rad: ClassVar[float] = 0.0
     length_m: float
     """Length along the axis in m."""
     radius_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -161,11 +162,6 @@ class Revolution:
 
     def __post_init__(self) -> None:
         require_positive(length_m=self.length_m)
-
-    @property
-    def roll_step_rad(self) -> float:
-        """It looks the same in any roll."""
-        return 0.0
 
     def heights(
         self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], roll_rad: float
@@ -182,12 +178,9 @@ class Revolution:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Box(_Sides):
-    """A box."""
+    """A box; it rests on its four long faces."""
 
-    @property
-    def roll_step_rad(self) -> float:
-        """It rests on its four long faces."""
-        return 0.5 * math.pi
+    roll_step_rad: ClassVar[float] = 0.5 * math.pi
 
     def heights(
         self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], roll_rad: float
