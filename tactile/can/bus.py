@@ -40,7 +40,7 @@ _SEND_TIMEOUT_S = 0.1
 _LONGEST_LINE = 32
 """The longest line of a classic message is T + 8 + 1 + 16 characters, its end and a time stamp."""
 _MESSAGE = re.compile(
-    "(?:[tr][0-7][0-9A-Fa-f]{2}|[TR][01][0-9A-Fa-f]{7})([0-8])((?:[0-9A-Fa-f]{2})*)"
+    "([tr][0-7][0-9A-Fa-f]{2}|[TR][01][0-9A-Fa-f]{7})([0-8])((?:[0-9A-Fa-f]{2})*)"
 )
 """A message of slcan: identifier of 3 or 8 digits, length, data and time stamp."""
 _STAMP_DIGITS = 4
@@ -109,17 +109,26 @@ def _open_lock_file(path: Path) -> int:
     return os.open(path, flags | os.O_CREAT, 0o644)
 
 
-def _is_whole(line: str) -> bool:
-    """Return whether a line is one message with data of its length; a stamp may follow.
+def _message_of(line: str) -> can.Message | None:
+    """Return the message in a line if its data have their length; a stamp may follow.
 
     python-can's own parsing accepts signs, blanks and underscores in numbers, identifiers beyond
     29 bits, and data that are shorter than their length.
     """
     match = _MESSAGE.fullmatch(line)
     if match is None:
-        return False
-    digits = 0 if line[0] in "rR" else 2 * int(match[1])
-    return len(match[2]) in (digits, digits + _STAMP_DIGITS)
+        return None
+    kind, dlc, remote = line[0], int(match[2]), line[0] in "rR"
+    digits = 0 if remote else 2 * dlc
+    if len(match[3]) not in (digits, digits + _STAMP_DIGITS):
+        return None
+    return can.Message(
+        arbitration_id=int(match[1][1:], 16),
+        is_extended_id=kind in "TR",
+        is_remote_frame=remote,
+        dlc=dlc,
+        data=bytes.fromhex(match[3][:digits]),
+    )
 
 
 class BulkSlcanBus(slcanBus):
@@ -140,8 +149,7 @@ class BulkSlcanBus(slcanBus):
     """
 
     def __init__(self, channel: str, *, bitrate: int, tty_baudrate: int) -> None:
-        self._lines: deque[str] = deque()
-        self._changes: deque[can.Message] = deque()
+        self._messages: deque[can.Message] = deque()
         self._passing_over = False
         self._passive = False
         self._flags_due_s = time.monotonic()
@@ -165,14 +173,15 @@ class BulkSlcanBus(slcanBus):
         with can.exceptions.error_check("the serial port of the CAN adapter cannot be written"):
             self.serialPortOrig.write(string.encode("ascii") + self.LINE_TERMINATOR)
 
-    def _read(self, timeout: float | None) -> str | None:
-        if not self._lines:
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        self._ask_for_flags()
+        if not self._messages:
             with can.exceptions.error_check("the serial port of the CAN adapter cannot be read"):
                 if select.select([self.serialPortOrig.fileno()], [], [], timeout)[0]:
                     # Zero bytes on a readable port mean that its other end is gone: this raises.
                     self._buffer += self.serialPortOrig.read(self.serialPortOrig.in_waiting or 1)
             self._split()
-        return self._lines.popleft() if self._lines else None
+        return (self._messages.popleft() if self._messages else None), False
 
     def _split(self) -> None:
         """Split received data into complete lines; the end of an overlong line is bad, too."""
@@ -189,24 +198,10 @@ class BulkSlcanBus(slcanBus):
             text = line.decode("ascii", errors="replace")
             if flags := _FLAGS.fullmatch(text):
                 self._take_flags(int(flags[1], 16))
-            elif text[:1] in _MESSAGE_KINDS and not _is_whole(text):
-                self.bad_lines += 1
-            elif text:  # empty lines acknowledge commands
-                self._lines.append(text)
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        self._ask_for_flags()
-        while True:
-            if self._changes:
-                return self._changes.popleft(), False
-            try:
-                message, filtered = super()._recv_internal(timeout)
-            except (ValueError, IndexError, KeyError):
-                self.bad_lines += 1
-            else:
-                if message is not None or not (self._lines or self._changes):
-                    return message, filtered
-            timeout = 0.0
+            elif (message := _message_of(text)) is not None:
+                self._messages.append(message)
+            else:  # other lines answer commands
+                self.bad_lines += text[:1] in _MESSAGE_KINDS
 
     def _ask_for_flags(self) -> None:
         now_s = time.monotonic()
@@ -229,7 +224,7 @@ class BulkSlcanBus(slcanBus):
             is_error_frame=True,
             data=bytes((0, state, 0, 0, 0, 0, 0, 0)),
         )
-        self._changes.append(frame)
+        self._messages.append(frame)
 
     def shutdown(self) -> None:
         """Close channel and port; the port also if the adapter is gone."""
