@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import TareRefused
+from tactile.layout import TaxelLayout
 from tactile.sensor.filters import Mask, Neighbourhood, Values, fill_bad
 from tactile.sensor.settings import SensorSettings
 
@@ -114,18 +115,36 @@ def compute_tare(
                 "check its cable, or replace it"
             )
     offset = fill_bad(hood, frames.mean(axis=0, dtype=np.float64), health.bad)
-    _refuse_touch(hood, offset, limits)
+    smooth = hood.mean(offset)
+    rest_of_pad = np.array([np.median(smooth[layout.taxels_of(p)]) for p in range(layout.n_pads)])
     half = len(frames) // 2
     change = frames[half:].mean(axis=0) - frames[:half].mean(axis=0)
-    drift = np.abs(hood.mean(fill_bad(hood, change, health.bad)))
-    worst = int(np.argmax(drift))
-    if drift[worst] > limits.moved_share * layout.adc_max:
-        raise TareRefused(
-            f"the counts of {_place(hood, worst)} moved by {drift[worst]:.1f} while the zero was "
-            f"taken, allowed are {limits.moved_share * layout.adc_max:.1f}: keep the fingers still "
-            "and untouched, let the sensor warm up, and try again"
-        )
-    _refuse_pressed_pad(hood, offset, limits)
+    for counts, share, text in (
+        (
+            offset,
+            limits.rest_share,
+            "{place} reads {counts:.1f} counts, allowed are {limit:.1f} for an untouched taxel: "
+            "clear the pads and try again",
+        ),
+        (
+            smooth - rest_of_pad[layout.taxel_pad],
+            limits.bump_share,
+            "{place} reads {counts:.1f} counts more than the rest of its pad, allowed are "
+            "{limit:.1f}: something touches the pad; clear it and try again",
+        ),
+        (
+            np.abs(hood.mean(fill_bad(hood, change, health.bad))),
+            limits.moved_share,
+            "the counts of {place} moved by {counts:.1f} while the zero was taken, allowed are "
+            "{limit:.1f}: keep the fingers still and untouched, let the sensor warm up, and try "
+            "again",
+        ),
+    ):
+        worst, limit = int(np.argmax(counts)), share * layout.adc_max
+        if counts[worst] > limit:
+            place = _place(layout, worst)
+            raise TareRefused(text.format(place=place, counts=counts[worst], limit=limit))
+    _refuse_pressed_pad(layout, offset, limits)
     noise = frames.std(axis=0, dtype=np.float64)
     for array in (offset, noise):
         array.setflags(write=False)
@@ -134,48 +153,19 @@ def compute_tare(
     )
 
 
-def _place(hood: Neighbourhood, taxel: int) -> str:
-    pad = hood.layout.pads[int(hood.layout.taxel_pad[taxel])]
-    first = hood.layout.taxels_of(int(hood.layout.taxel_pad[taxel])).start
-    row, column = divmod(taxel - first, pad.columns)
+def _place(layout: TaxelLayout, taxel: int) -> str:
+    number = int(layout.taxel_pad[taxel])
+    pad = layout.pads[number]
+    row, column = divmod(taxel - layout.taxels_of(number).start, pad.columns)
     return f"pad {pad.name}, row {row}, column {column}"
 
 
-def _refuse_touch(hood: Neighbourhood, offset: Values, limits: SensorSettings) -> None:
-    layout = hood.layout
-    worst = int(np.argmax(offset))
-    limit = limits.rest_share * layout.adc_max
-    if offset[worst] > limit:
-        raise TareRefused(
-            f"{_place(hood, worst)} reads {offset[worst]:.1f} counts, allowed are {limit:.1f} for "
-            "an untouched taxel: clear the pads and try again"
-        )
-    smooth = hood.mean(offset)
-    limit = limits.bump_share * layout.adc_max
-    for index in range(layout.n_pads):
-        taxels = layout.taxels_of(index)
-        bump = smooth[taxels] - np.median(smooth[taxels])
-        highest = int(np.argmax(bump))
-        if bump[highest] > limit:
-            raise TareRefused(
-                f"{_place(hood, taxels.start + highest)} reads {bump[highest]:.1f} counts more "
-                f"than the rest of its pad, allowed are {limit:.1f}: something touches the pad; "
-                "clear it and try again"
-            )
-
-
-def _refuse_pressed_pad(hood: Neighbourhood, offset: Values, limits: SensorSettings) -> None:
-    layout = hood.layout
-    others = [
-        np.median(offset[layout.taxels_of(pad)])
-        for pad in range(layout.n_pads)
-        if pad not in layout.gripping_pads
-    ]
-    if not others:
-        return
+def _refuse_pressed_pad(layout: TaxelLayout, offset: Values, limits: SensorSettings) -> None:
+    pads = np.array([np.median(offset[layout.taxels_of(pad)]) for pad in range(layout.n_pads)])
+    others = np.delete(pads, layout.gripping_pads)
     limit = limits.pad_share * layout.adc_max
-    for pad in layout.gripping_pads:
-        excess = float(np.median(offset[layout.taxels_of(pad)])) - float(np.median(others))
+    for pad in layout.gripping_pads if len(others) else ():
+        excess = float(pads[pad] - np.median(others))
         if excess > limit:
             raise TareRefused(
                 f"pad {layout.pads[pad].name} reads {excess:.1f} counts more than the pads that "
