@@ -196,7 +196,7 @@ class TactileLink:
         flow = self._force_flow
         return SourceStatistics(
             frames=replace(self._assembler.counts),
-            forces=ForceStatistics() if flow is None else replace(flow.stream.counts),
+            forces=ForceStatistics() if flow is None else replace(flow.counts),
             recent_loss_rate=self._flow.recent_loss_rate,
             foreign=self._watch.foreign,
             malformed=self._unusable,
@@ -423,7 +423,7 @@ class TactileLink:
         frame = self._assembler.push(data, t_s)
         if frame is not None:
             self._frames.append(frame)
-            self._flow.on_frame(frame.counter)
+            self._flow.on_frame(self._assembler.counts.lost)
 
     def _on_force(self, _cob_id: int, data: bytes | bytearray, t_s: float) -> None:
         assert self._force_flow is not None

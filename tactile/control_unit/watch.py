@@ -24,7 +24,7 @@ from tactile.errors import (
     NodeStateChanged,
 )
 from tactile.frames.force_stream import ForceStream
-from tactile.source import COUNTER_MASK, ForceMessage
+from tactile.source import ForceMessage
 
 BOOT_UP = 0
 """State byte of a boot-up message (CiA 301, 7.2.8.3.3); canopen calls that state INITIALISING."""
@@ -270,7 +270,7 @@ class FrameFlow:
         self._max_loss_rate = settings.max_loss_rate
         self._burst_messages = burst_messages
         self._arrived: deque[bool] = deque(maxlen=_LOSS_FRAMES)
-        self._last_counter: int | None = None
+        self._lost = 0
         self._unanswered = 0
         self._ahead = 0
         """SYNCs sent, less the scans of the unit's counter since its first frame."""
@@ -308,16 +308,13 @@ class FrameFlow:
         self._unanswered += 1
         self._ahead += 1
 
-    def on_frame(self, counter: int) -> None:
-        """Add the counter of a complete frame; FrameTimeout if too many before it were lost."""
+    def on_frame(self, lost: int) -> None:
+        """Add a complete frame; FrameTimeout if too many were lost: so many in all."""
         self._unanswered = 0
-        step = 1
-        if self._last_counter is not None:
-            step = (counter - self._last_counter) & COUNTER_MASK
-            self._arrived.extend([False] * min(step - 1, _LOSS_FRAMES))
+        missing, self._lost = lost - self._lost, lost
+        self._arrived.extend([False] * min(missing, _LOSS_FRAMES))
         self._arrived.append(True)
-        self._last_counter = counter
-        self._ahead -= step
+        self._ahead -= 1 + missing
         lost_frames = self._arrived.count(False)
         if lost_frames > self._max_loss_rate * _LOSS_FRAMES:
             raise FrameTimeout(
@@ -333,7 +330,7 @@ class FrameFlow:
         return max(0, self._ahead - min(self._lags, default=0))
 
     def _check_late(self) -> None:
-        if self._last_counter is None:
+        if not self._lags:
             return
         late = self._late
         self._late_syncs = self._late_syncs + 1 if late >= self._late_periods else 0
@@ -352,13 +349,12 @@ class FrameFlow:
         return n
 
 
-class ForceFlow:
+class ForceFlow(ForceStream):
     """Supervision of the force messages: few lost, none late, none silent for long."""
 
     def __init__(self, name: str, settings: LinkSettings) -> None:
+        super().__init__(settings.force_period_s)
         self._name, self._settings = name, settings
-        self.stream = ForceStream(settings.force_period_s)
-        """Order and counts of the messages."""
         rate_hz, burst = 1.0 / settings.force_period_s, settings.force_timeout_s
         self._lost = TrafficLimit(
             "lost force messages",
@@ -385,11 +381,11 @@ class ForceFlow:
 
     def push(self, data: bytes | bytearray, t_s: float) -> ForceMessage | None:
         """Add a message and return it if it is valid and newer."""
-        message = self.stream.push(data, t_s)
+        message = super().push(data, t_s)
         if message is not None:
             self._last_s = max(self._last_s, t_s)
-        self._lost.reach(self.stream.counts.lost, t_s)
-        self._late.reach(self.stream.counts.late, t_s)
+        self._lost.reach(self.counts.lost, t_s)
+        self._late.reach(self.counts.late, t_s)
         return message
 
     def too_late(self, late_s: float) -> FrameTimeout:
@@ -405,8 +401,8 @@ class ForceFlow:
         """Raise FrameTimeout for late or missing force messages."""
         # Messages of a stall of the host were read at its end, and look late for a while.
         excuse_s = self._stall_s if now_s - self._stalled_s < _STALL_SHOWS_S else 0.0
-        if self.stream.behind_s - excuse_s > self._settings.force_late_s:
-            raise self.too_late(self.stream.behind_s)
+        if self.behind_s - excuse_s > self._settings.force_late_s:
+            raise self.too_late(self.behind_s)
         silent_s, limit_s = now_s - self._last_s, self._settings.force_timeout_s
         if silent_s > limit_s:
             raise FrameTimeout(
