@@ -7,8 +7,7 @@ scan, so a changing force causes no difference. The mean of more frames shows sm
 """
 
 from collections import deque
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from math import inf, isinf, nan
 
 import numpy as np
@@ -106,28 +105,6 @@ class ForceCentres:
         return np.sqrt(variance_m2)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FrameForces:
-    """Force in one frame. Pairs are of finger 0 and finger 1, or along and across the fingers."""
-
-    scanned_s: float
-    """Monotonic time of its scan in s."""
-    force_n: ArrayLike
-    """Force on each finger in N."""
-    centre_taxels: ArrayLike | None
-    """Centre of both pads in pitches; None without a touch."""
-    noise_n: float
-    """Standard deviation of each force in N."""
-    centre_noise_taxels: ArrayLike = (0.0, 0.0)
-    """Standard deviation of the centre by the noise of the taxels, in pitches."""
-    hidden_n: ArrayLike = (0.0, 0.0)
-    """Part of it in N that the messages may leave out: all of a finger without a taxel above the
-    threshold of the source."""
-    whole_n: ArrayLike = (0.0, 0.0)
-    """Force on all taxels of each finger in N. With a load spread over a pad each taxel may be
-    below the threshold."""
-
-
 _PAIR = np.dtype(
     [
         ("frame_n", "f8", 2),
@@ -167,19 +144,65 @@ class ForceCheck:
         self._messages.clear()
         self._pairs.clear()
 
-    def compare(self, frame: FrameForces) -> None:
+    def compare(
+        self,
+        scanned_s: float,
+        force_n: ArrayLike,
+        noise_n: float,
+        *,
+        centre_taxels: ArrayLike | None = None,
+        centre_noise_taxels: ArrayLike = (0.0, 0.0),
+        hidden_n: ArrayLike = (0.0, 0.0),
+        whole_n: ArrayLike = (0.0, 0.0),
+    ) -> None:
         """Compare a frame with the messages around its scan.
 
         Raises ForceContradicted if force or centre of the last frames differ from those of the
-        messages.
+        messages. Pairs are of finger 0 and finger 1, or along and across the fingers.
+
+        Parameters
+        ----------
+        scanned_s
+            Monotonic time of the scan of the frame in s.
+        force_n, noise_n
+            Force on each finger in N, and the standard deviation of each in N.
+        centre_taxels, centre_noise_taxels
+            Centre of both pads in pitches, None without a touch, and its standard deviation by the
+            noise of the taxels.
+        hidden_n
+            Part of the force in N that the messages may leave out: all of a finger without a taxel
+            above the threshold of the source.
+        whole_n
+            Force on all taxels of each finger in N. With a load spread over a pad each taxel may be
+            below the threshold.
         """
-        first_s, last_s = frame.scanned_s - _BEFORE_S, frame.scanned_s + _AFTER_S
-        while self._messages and self._messages[0].t_s < first_s:
+        while self._messages and self._messages[0].t_s < scanned_s - _BEFORE_S:
             self._messages.popleft()
-        within = [message for message in self._messages if message.t_s <= last_s]
-        if within:
-            self._pairs.appendleft(_pair(within, frame, self._taxel_noise_n))
-            _check(np.array(list(self._pairs), dtype=_PAIR))
+        messages = [one for one in self._messages if one.t_s <= scanned_s + _AFTER_S]
+        if not messages:
+            return
+        taxel_noise_n = self._taxel_noise_n
+        message_n = np.mean([message.force_n for message in messages], axis=0)
+        active_n, all_n = np.asarray(force_n), np.asarray(whole_n)
+        frame_n = np.maximum(active_n, np.minimum(all_n, message_n))
+        above_n = _LEAST_N + _LEAST_SHARE * np.maximum(frame_n, message_n)
+        below_n = above_n + _BELOW_SIGMAS * taxel_noise_n
+        above_n = np.maximum(above_n, hidden_n)
+        unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
+        below_n = np.where(frame_n == 0.0, np.maximum(below_n, unseen_n), below_n)
+        most_n = _OUTLIER_SIGMAS * noise_n
+        apart_n = np.clip(frame_n - message_n, -below_n - most_n, above_n + most_n)
+        grip_n, least_n = message_n.mean(), _CENTRE_LEAST_SIGMAS * taxel_noise_n
+        apart_taxels = np.full(2, nan)
+        heavy = min(active_n.mean(), grip_n) >= max(_CENTRE_LEAST_N, least_n)
+        if heavy and centre_taxels is not None:
+            # Messages without a centre, and a frame with one: the largest possible error.
+            apart_taxels = np.subtract(mean_centre_taxels(messages) or inf, centre_taxels)
+        variance = np.square(centre_noise_taxels)
+        below_share = (all_n - active_n).mean() / max(grip_n, _CENTRE_LEAST_N)
+        forces_n = active_n, message_n, apart_n, above_n, below_n, noise_n
+        self._pairs.appendleft((*forces_n, apart_taxels, variance, below_share))
+        _check(np.array(list(self._pairs), dtype=_PAIR))
 
 
 def _check(pairs: NDArray[np.void]) -> None:
@@ -217,29 +240,3 @@ def _beyond(apart: Array, allowed: Array) -> Iterator[tuple[int, int]]:
     for n in _WINDOWS:
         for column in np.flatnonzero(apart[n - 1 : n] > allowed[n - 1 : n]):
             yield n - 1, int(column)
-
-
-def _pair(
-    messages: Sequence[ForceMessage], frame: FrameForces, taxel_noise_n: float
-) -> tuple[ArrayLike, ...]:
-    """Return the pair of a frame and the messages around its scan, see `_PAIR`."""
-    message_n = np.mean([message.force_n for message in messages], axis=0)
-    active_n, whole_n = np.asarray(frame.force_n), np.asarray(frame.whole_n)
-    frame_n = np.maximum(active_n, np.minimum(whole_n, message_n))
-    above_n = _LEAST_N + _LEAST_SHARE * np.maximum(frame_n, message_n)
-    below_n = above_n + _BELOW_SIGMAS * taxel_noise_n
-    above_n = np.maximum(above_n, frame.hidden_n)
-    unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
-    below_n = np.where(frame_n == 0.0, np.maximum(below_n, unseen_n), below_n)
-    most_n = _OUTLIER_SIGMAS * frame.noise_n
-    apart_n = np.clip(frame_n - message_n, -below_n - most_n, above_n + most_n)
-    grip_n, least_n = message_n.mean(), _CENTRE_LEAST_SIGMAS * taxel_noise_n
-    apart_taxels = np.full(2, nan)
-    heavy = min(active_n.mean(), grip_n) >= max(_CENTRE_LEAST_N, least_n)
-    if heavy and frame.centre_taxels is not None:
-        # Messages without a centre, and a frame with one: the largest possible error.
-        apart_taxels = np.subtract(mean_centre_taxels(messages) or inf, frame.centre_taxels)
-    variance = np.square(frame.centre_noise_taxels)
-    below_share = (whole_n - active_n).mean() / max(grip_n, _CENTRE_LEAST_N)
-    forces_n = active_n, message_n, apart_n, above_n, below_n, frame.noise_n
-    return *forces_n, apart_taxels, variance, below_share

@@ -24,7 +24,7 @@ from tactile.sensor.filters import (
     fill_bad,
     typical_noise,
 )
-from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces
+from tactile.sensor.force_check import ForceCentres, ForceCheck
 from tactile.sensor.quality import QualityWatch
 from tactile.sensor.settings import SensorSettings
 from tactile.sensor.tare import TareResult, compute_tare, too_many_bad
@@ -432,16 +432,15 @@ class TactileSensor:
         mean = self._hood.weighted(counts) / _BINOMIAL
         light = [float(mean[one].max()) <= self._touch_counts for one in self._grips]
         force_n = self._on_fingers(scan_n)
-        forces = FrameForces(
-            scanned_s=frame.scanned_s,
-            force_n=force_n,
+        self._force_check.compare(
+            frame.scanned_s,
+            force_n,
+            self._frame_noise_n(noise_n),
             hidden_n=np.where(light, force_n, 0.0),
             centre_taxels=centre,
-            noise_n=self._frame_noise_n(noise_n),
             centre_noise_taxels=centre_noise,
             whole_n=self._on_fingers(all_n),
         )
-        self._force_check.compare(forces)
 
     @property
     def _mean_full(self) -> bool:

@@ -14,7 +14,7 @@ from simulator.can.messages import read_table
 from tactile.errors import ForceContradicted
 from tactile.frames.force_message import TABLE_NODES
 from tactile.sensor.calibration import FoamCalibration
-from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces
+from tactile.sensor.force_check import ForceCentres, ForceCheck
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.opening import force_table
 from tactile.sensor.sensor import TactileSensor
@@ -214,9 +214,7 @@ def compared(
     """Give the check the messages from around a scan, and the frame."""
     for one in messages:
         check.add(one)
-    check.compare(
-        FrameForces(scanned_s=at_s, force_n=frame_n, centre_taxels=centre, noise_n=noise_n)
-    )
+    check.compare(at_s, frame_n, noise_n, centre_taxels=centre)
 
 
 def around(at_s: float, *force_n: float, centre=(0.0, 0.0)) -> list[ForceMessage]:
@@ -232,15 +230,7 @@ def test_a_load_that_is_spread_over_a_pad_is_no_difference() -> None:
         whole_n = 2.5 + draw.normal(0.0, 0.045 * 8.0, 2)
         for one in around(0.02 * n, 2.5, 2.5):
             check.add(one)
-        check.compare(
-            FrameForces(
-                scanned_s=0.02 * n,
-                force_n=(0.0, 0.8),
-                centre_taxels=(1.5, 0.0),
-                noise_n=0.2,
-                whole_n=(float(whole_n[0]), float(whole_n[1])),
-            )
-        )
+        check.compare(0.02 * n, (0.0, 0.8), 0.2, centre_taxels=(1.5, 0.0), whole_n=whole_n)
 
 
 @pytest.mark.parametrize("hidden", [True, False])
@@ -252,10 +242,7 @@ def test_a_light_touch_of_a_quiet_pad_may_lack_in_the_messages(*, hidden: bool) 
         for n in range(30):
             for one in around(0.02 * n, 0.0, 0.0):
                 check.add(one)
-            frame = FrameForces(
-                scanned_s=0.02 * n, force_n=force_n, centre_taxels=None, noise_n=0.01
-            )
-            check.compare(replace(frame, hidden_n=force_n) if hidden else frame)
+            check.compare(0.02 * n, force_n, 0.01, hidden_n=force_n if hidden else (0.0, 0.0))
 
 
 def frames_until_found(check: ForceCheck, message_n: float, frame_n: float, **more: Any) -> int:
