@@ -7,6 +7,7 @@ goals and torque.
 from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
+from math import inf
 from typing import Self
 
 from gripper.clock import Clock
@@ -30,7 +31,7 @@ from gripper.force.approach.mechanics_proof import standing_rows
 from gripper.force.by_current import ForceByCurrent, assume_friction, cap_by_current_n
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
-from gripper.force.grasp import GraspRun
+from gripper.force.grasp import GraspRun, GripStep, HoldStep
 from gripper.force.loop import LoopRunner, Running
 from gripper.force.ramp import ForceRamp, check_ramp, largest_ramp_n
 from gripper.force.timing import LoopStatistics
@@ -350,7 +351,7 @@ class Gripper:
             raise LimitExceeded(f"duration_s is {duration_s}, must be above 0")
         with self._life.command("hold", observer):
             self._make_ready()
-            return self._grasping.hold(control, duration_s)
+            return self._runner.run(HoldStep(self.settings, control, duration_s).step)
 
     def hold_at(
         self, force_n: float, duration_s: float = 0.0, observer: Observer | None = None
@@ -375,12 +376,14 @@ class Gripper:
         with self._life.command("hold_at", observer):
             self._make_ready()
             if force_n != control.grip.setpoint_n:
-                state = self._grasping.follow(control, ramp)
+                state = self._runner.run(GripStep(self.settings, control, ramp).step)
             self._life.phase = GripperPhase.HOLDING
             if duration_s > 0.0 or force_n == control.grip.setpoint_n:
-                state = self._grasping.hold(control, max(duration_s, self.settings.period_s))
+                hold_s = max(duration_s, self.settings.period_s)
+                state = self._runner.run(HoldStep(self.settings, control, hold_s).step)
             self._servos.disarm_watchdog()
-        self._carried = self._grasping.hold_on(control, state.t_s)
+        carrying = HoldStep(self.settings, control, inf)
+        self._carried = self._runner.start_command(carrying.step, now_s=state.t_s)
         return state
 
     def squeeze(self, ramp: ForceRamp, observer: Observer | None = None) -> GraspOutcome:
@@ -461,7 +464,7 @@ class Gripper:
 
         The goals of a grip are frozen; moving fingers stop.
         """
-        self._runner.request_stop()
+        self._runner.stop_request.set()
         if self._one is not None:
             self._one.request_stop()
 
@@ -529,7 +532,7 @@ class Gripper:
         self._free.distrust()
         self._life.fault = None
         self._life.motion_unconfirmed = False
-        self._runner.forget_stop()
+        self._runner.stop_request.clear()
         self._carried = None
         if self._servos.goals_in_force and all(condition.torque_on for condition in conditions):
             self._life.rest()

@@ -158,7 +158,7 @@ class Lifecycle:
     @contextmanager
     def command(self, command: str, observer: Observer | None) -> Iterator[None]:
         """Run one command in its phase; a stop freezes the goals, or stops moving fingers."""
-        self._runner.forget_stop()
+        self._runner.stop_request.clear()
         self.phase = COMMANDS[command].running
         self._runner.observer = observer
         self.running = True
@@ -182,7 +182,7 @@ class Lifecycle:
 
         That gripper has responded to the fault already: nothing is written here.
         """
-        self._runner.forget_stop()
+        self._runner.stop_request.clear()
         self.phase = phase
         self.running = True
         try:

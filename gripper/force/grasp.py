@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf
 
 from gripper.errors import GripContradicted, GripperStateError, PartLost
 from gripper.force.approach.approach import Approach, ApproachEvent
@@ -16,11 +15,12 @@ from gripper.force.approach.mechanics_proof import (
 )
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
-from gripper.force.loop import Action, LoopRunner, Moment, Running
+from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.slip import LevelSlip
 from gripper.mechanics.kinematics import Linkage
+from gripper.servos.goal_limits import standing
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import STANDING_M_S, GripperPhase, ServoFeedback
@@ -156,23 +156,11 @@ class GraspRun:
         )
         self._runner.run(step.step)
 
-    def hold(self, control: GripControl, duration_s: float) -> ServoFeedback:
-        """Control the force at its last set-point for a time in s."""
-        return self._runner.run(HoldStep(self._settings, control, duration_s).step)
-
-    def hold_on(self, control: GripControl, now_s: float) -> Running:
-        """Return the control of the force at its last set-point, without an end."""
-        return self._runner.start_command(HoldStep(self._settings, control, inf).step, now_s=now_s)
-
     def squeeze(self, control: GripControl, ramp: ForceRamp) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Gripper.squeeze`."""
         begun = ramp.starting_from(control.grip.setpoint_n)
         step = GripStep(self._settings, control, begun, slip=LevelSlip(self._settings))
         return step.outcome(self._runner.run(step.step))
-
-    def follow(self, control: GripControl, ramp: ForceRamp) -> ServoFeedback:
-        """Follow a change of the held force to its end and until the force has settled."""
-        return self._runner.run(GripStep(self._settings, control, ramp).step)
 
     def _approach(self, settings: GripperSettings) -> Approach:
         """Close until the contact, or the end of the travel, and update the estimates."""
@@ -327,10 +315,7 @@ class GripStep:
         goals = control.goals(moment, setpoint_n, arrival_n=self._time.arrival_n)
         self._peak_n = max(self._peak_n, control.force_n)
         if self.lost:
-            goals = tuple(
-                replace(goal, angle_rad=angle_rad)
-                for angle_rad, goal in zip(moment.state.angles_rad, goals, strict=True)
-            )
+            goals = standing(goals, moment.state)
         elif self._slip is not None and not control.watch.suspicious:
             self._slip.check(moment, level, setpoint_n=setpoint_n)
         done = self.lost or self._time.settled(control.force_n)

@@ -1,39 +1,28 @@
 """The force loop: each period feedback and force in, one step of control, goals out."""
 
 import threading
-from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from math import ceil, inf
+from math import inf
 from operator import gt
 
 from gripper.clock import Clock
 from gripper.errors import (
     BusCorrupt,
     BusTimeout,
-    BusUnreliable,
-    FingerSilent,
     ForceSensorStale,
     GraspStopped,
-    GripperError,
     LimitExceeded,
 )
 from gripper.force.timing import LoopStatistics, LoopTimer
 from gripper.mechanics.impact import most_peak_n
+from gripper.servos.bus_loss import BusLossMonitor
 from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import Servos, holding_position, lowered
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample, ForceSensor
 from gripper.values.state import GRAIN_M, Cycle, GripperPhase, Observer, ServoFeedback
 
-_FREEZE_AT = 2
-"""Period without feedback, counted in a row, in which the stop goals are written. [chosen]"""
-_ONE_SIDED_PERIODS = 3
-"""Periods in a row with one silent and one answering servo that are a fault. [chosen]"""
-_LEAST_LOST_PERIODS = 3
-"""Periods in a row without feedback before the bus can count as lost: a pause alone is no loss.
-[chosen]"""
 _HEALTH_EVERY = 4
 """Periods between two health checks: each takes a transaction of the period. [chosen]"""
 _LONGEST_STEP = 2.0
@@ -119,7 +108,8 @@ class LoopRunner:
         self._settings = settings
         self._clock = clock
         self._timer = LoopTimer(settings.period_s)
-        self._stop = threading.Event()
+        self.stop_request = threading.Event()
+        """Set from any thread to stop the running command with GraspStopped."""
         self.phase = GripperPhase.OFF
         self.observer: Observer | None = None
         """Called once a period of the running command; None without one."""
@@ -131,14 +121,6 @@ class LoopRunner:
     def statistics(self) -> LoopStatistics:
         """Timing since the runner was made."""
         return self._timer.statistics()
-
-    def request_stop(self) -> None:
-        """Stop the running command with GraspStopped; safe from any thread."""
-        self._stop.set()
-
-    def forget_stop(self) -> None:
-        """Discard earlier requests to stop: a new command begins."""
-        self._stop.clear()
 
     def read(self) -> ServoFeedback | None:
         """Read the feedback; None while a lost answer is still tolerated.
@@ -174,7 +156,7 @@ class LoopRunner:
         Raises
         ------
         GraspStopped
-            After `request_stop`.
+            When `stop_request` is set.
         ForceSensorStale
             When the force is needed and its newest valid sample is too old.
         LimitExceeded
@@ -186,7 +168,7 @@ class LoopRunner:
             deadline_s = self._due_s
         running = self.start_command(step, needs_force=needs_force, now_s=deadline_s)
         while True:
-            if self._stop.is_set():
+            if self.stop_request.is_set():
                 raise GraspStopped("stopped on request")
             cycle = self.period(running)
             if cycle is not None and self.observer is not None:
@@ -351,104 +333,3 @@ class LoopRunner:
                 f"loop does not keep its rate; lower loop_rate_hz, or free the processor"
             )
         return deadline_s if in_time else now_s
-
-
-class BusLossMonitor:
-    """Counter of the periods without feedback, in a row and among the last ones.
-
-    A first lost answer is tolerated. In the second period in a row the stop goals are written;
-    after ``bus_loss_s`` the bus counts as lost. Single lost periods are allowed up to a share of
-    ``feedback_loss_max_share``.
-
-    Parameters
-    ----------
-    servos, settings
-        Of the gripper.
-    """
-
-    def __init__(self, servos: Servos, settings: GripperSettings) -> None:
-        self._servos = servos
-        self._settings = settings
-        self._since_s = 0.0
-        self._in_row = 0
-        self._one_sided = 0
-        # One loss of the bus just below its limit, with the period of its detection, does not
-        # exceed the share.
-        self._most_lost = max(
-            _LEAST_LOST_PERIODS, ceil(settings.bus_loss_s / settings.period_s) + 1
-        )
-        self._recent: deque[bool] = deque(
-            maxlen=ceil(self._most_lost / settings.feedback_loss_max_share)
-        )
-
-    def start_counting(self) -> None:
-        """Restart the count of periods in a row: the servos were not read for a while."""
-        self._in_row = self._one_sided = 0
-
-    def wait_longer(self, late_s: float) -> None:
-        """Extend the limit of a loss by a time in s without requests to the servos."""
-        self._since_s += late_s
-
-    def answered(self) -> None:
-        """Count a period with feedback."""
-        self.start_counting()
-        self._recent.append(False)
-
-    def missed(self, error: BusTimeout | BusCorrupt, asked_s: float, now_s: float) -> None:
-        """Count a period with a lost answer and a lost repetition.
-
-        Parameters
-        ----------
-        error
-            The error of the bus.
-        asked_s, now_s
-            Monotonic time before the request and now in s.
-
-        Raises
-        ------
-        FingerSilent
-            In the third period in a row with one silent and one answering servo.
-        BusTimeout, BusCorrupt
-            When nothing was received for ``bus_loss_s``.
-        BusUnreliable
-            When too many of the last periods had no feedback.
-        """
-        self._recent.append(True)
-        if self._in_row == 0:
-            self._since_s = asked_s
-        self._in_row += 1
-        lost_s = now_s - self._since_s
-        silent, living = self._servos.silent_and_living()
-        self._one_sided = self._one_sided + 1 if silent and living else 0
-        if self._one_sided >= _ONE_SIDED_PERIODS:
-            raise FingerSilent(
-                f"servo {silent[0]} is silent while servo {living[0]} answers: the other finger "
-                f"stands still, the part may still be gripped or have been dropped. Servo "
-                f"{silent[0]} may have lost its supply or be restarting: check both, and its cable "
-                f"({error})"
-            ) from error
-        if self._in_row >= _LEAST_LOST_PERIODS and lost_s > self._settings.bus_loss_s:
-            raise type(error)(
-                f"the servo bus was lost for {lost_s:.3f} s (bus_loss_s is "
-                f"{self._settings.bus_loss_s} s): a part may still be gripped; nothing more is "
-                f"written, the servos' own watchdog acts. {error}"
-            ) from error
-        # A lasting loss is a loss of the bus; the share is checked at the start of the next one.
-        if self._in_row == 1 and (lost := sum(self._recent)) > self._most_lost:
-            periods = self._recent.maxlen
-            self._recent.clear()
-            raise BusUnreliable(
-                f"{lost} of the last {periods} periods had no feedback of the servos, "
-                f"feedback_loss_max_share is {self._settings.feedback_loss_max_share:.0%}: the "
-                f"goals are frozen, the grip is kept; check cable, ground, termination and that "
-                f"nothing else sends on the servo line, then clear the fault. Last: {error}"
-            ) from error
-
-    def stop_fingers(self, phase: GripperPhase) -> None:
-        """Write the stop goals once, in the second period in a row: no finger pushes alone."""
-        if self._in_row == _FREEZE_AT:
-            with suppress(GripperError):
-                if phase.moving:
-                    self._servos.hold_position()
-                else:
-                    self._servos.freeze(goes_on=True)

@@ -87,6 +87,12 @@ class ServoGoal:
         return self.rest or self
 
 
+def standing(goals: Sequence[ServoGoal], state: ServoFeedback) -> tuple[ServoGoal, ...]:
+    """Return goals at the present positions, with the same currents."""
+    pairs = zip(goals, state.angles_rad, strict=True)
+    return tuple(replace(goal, angle_rad=angle_rad) for goal, angle_rad in pairs)
+
+
 class GoalGuard:
     """Limits of the goals: force, current, angle, speed, temperature, age of feedback."""
 

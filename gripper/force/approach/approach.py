@@ -1,7 +1,7 @@
 """Closing of both fingers until the pads are touched."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from math import inf
 
@@ -154,9 +154,8 @@ class Approach:
     @property
     def friction_advice(self) -> str:
         """Advice where a servo has the most current that the cap of the force allows, or empty."""
-        for servo, current_a, most_a in zip(
-            self.state.servos, self.currents_a, self._most_a, strict=True
-        ):
+        currents_a = zip(self.settings.servos, self.currents_a, self._most_a, strict=True)
+        for servo, current_a, most_a in currents_a:
             if current_a >= most_a:
                 return (
                     f"; or servo {servo.servo_id} does not overcome its friction with "
@@ -198,7 +197,7 @@ class Approach:
         angles_rad = self._linkage.angles_rad(self._aperture_m)
         stands = self.event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED)
         goals = []
-        for index, (finger, servo, goal_rad, current_a, least_rad) in enumerate(
+        for index, (finger, servo, ahead_rad, closing_a, least_rad) in enumerate(
             zip(self._fingers, state.servos, angles_rad, currents_a, self._least_rad, strict=True)
         ):
             waits = touched[index] and len(self._fingers) > 1
@@ -206,16 +205,16 @@ class Approach:
                 finger.waits_rad = None
             elif finger.waits_rad is None:
                 finger.waits_rad = servo.angle_rad
-            goal = ServoGoal(angle_rad=goal_rad, current_a=current_a)
+            angle_rad, current_a = ahead_rad, closing_a
             if stands:
-                goal = replace(goal, angle_rad=servo.angle_rad)
+                angle_rad = servo.angle_rad
             elif finger.waits_rad is not None:
-                goal = replace(goal, angle_rad=finger.waits_rad)
+                angle_rad = finger.waits_rad
             elif finger.braked_s is not None and self.event is ApproachEvent.CLOSING:
-                goal = self._creeping(moment, index)
+                angle_rad, current_a = self._creeping(moment, index)
             # A lead in mm is a large angle of a small pinion.
-            angle_rad = max(goal.angle_rad, min(least_rad, servo.angle_rad))
-            goals.append(replace(goal, angle_rad=angle_rad))
+            angle_rad = max(angle_rad, min(least_rad, servo.angle_rad))
+            goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
         return Action(goals=goals, done=self.event is not ApproachEvent.CLOSING)
 
     def _take(self, moment: Moment, sample: ForceSample) -> None:
@@ -286,22 +285,21 @@ class Approach:
             elif path.drive.measured:
                 finger.boost = max(1.0, finger.boost - 2.0 * step)
 
-    def _creeping(self, moment: Moment, index: int) -> ServoGoal:
-        """Return the goal of a braked finger: first at rest, then with growing force."""
+    def _creeping(self, moment: Moment, index: int) -> tuple[float, float]:
+        """Return goal angle and current of a braked finger: at rest, then with growing force."""
         finger, servo, path = self._fingers[index], moment.state.servos[index], self._paths[index]
         model = self.settings.servos[index].servo_model
         assert finger.braked_s is not None
         runs = -servo.velocity_rad_s > slow_rad_s(model)
         if runs or moment.now_s - finger.braked_s < _BRAKED_S:
-            return ServoGoal(angle_rad=servo.angle_rad, current_a=self.currents_a[index])
+            return servo.angle_rad, self.currents_a[index]
         finger.drive_n += _CREEP_N_S * moment.dt_s
         current_a = min(
             path.drive.breakaway_a + finger.drive_n / path.n_per_a,
             MOST_FRICTION * self._closing_a[index],
             self._most_a[index],
         )
-        margin_rad = closing_margin_rad(model, current_a)
-        return ServoGoal(angle_rad=servo.angle_rad - margin_rad, current_a=current_a)
+        return servo.angle_rad - closing_margin_rad(model, current_a), current_a
 
     def _touched(self) -> tuple[bool, ...]:
         """Return which pads are in contact: for a braked finger half the force is enough."""

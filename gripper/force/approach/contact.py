@@ -42,9 +42,8 @@ class FirstTouch:
     @property
     def lasts(self) -> tuple[bool, bool]:
         """Whether the mean of the last samples still shows a touch of finger 0 and of finger 1."""
-        sums_n = [sum(sample.force_n[finger] for sample in self._recent) for finger in (0, 1)]
-        least_n = _TOUCH_N * len(self._recent)
-        return sums_n[0] > least_n, sums_n[1] > least_n
+        first_n, second_n = self.means_n(max(1, len(self._recent)))
+        return first_n > _TOUCH_N, second_n > _TOUCH_N
 
     def means_n(self, samples: int) -> tuple[float, float]:
         """Return the mean force in N on finger 0 and finger 1 in so many of the newest samples.

@@ -81,12 +81,8 @@ class StiffnessEstimate:
         self._pairs: deque[tuple[float, float]] = deque(maxlen=_MEAN_SAMPLES)
         self._anchor: tuple[float, float] | None = None
         self._sample_s: float | None = None
-        self._stiffness_n_m: float | None = None
-
-    @property
-    def stiffness_n_m(self) -> float | None:
+        self.stiffness_n_m: float | None = None
         """Growth of the grip force for each m of closing; None before it was measured."""
-        return self._stiffness_n_m
 
     def push(self, moment: Moment) -> None:
         """Add the present opening and the newest sample, which may be the same as before."""
@@ -113,7 +109,7 @@ class StiffnessEstimate:
         mean_m = sum(pair[1] for pair in self._pairs) / _MEAN_SAMPLES
         if mean_n - self._anchor[0] >= _SLOPE_N:
             travel_m = max(self._anchor[1] - mean_m, GRAIN_M)
-            self._stiffness_n_m = min((mean_n - self._anchor[0]) / travel_m, STIFFEST_N_M)
+            self.stiffness_n_m = min((mean_n - self._anchor[0]) / travel_m, STIFFEST_N_M)
             self._anchor = (mean_n, mean_m)
 
 

@@ -1,7 +1,5 @@
 """Confirmation that nothing is held, before an opening without a request."""
 
-from dataclasses import replace
-
 from gripper.errors import GripContradicted
 from gripper.force.approach.approach import Approach, ApproachEvent
 from gripper.force.approach.contact import LOADED_SHARE
@@ -14,6 +12,7 @@ from gripper.force.supervision.part_watch import (
     FrameMean,
 )
 from gripper.mechanics.kinematics import Linkage, transmissions
+from gripper.servos.goal_limits import standing
 from gripper.settings import GripperSettings
 from gripper.values.recent import LEAST_SAMPLES, RecentForce
 from gripper.values.state import GRAIN_M, ServoFeedback
@@ -94,8 +93,7 @@ class EmptyGrip:
         if travel_m >= self._run_m or approach.event is ApproachEvent.LIMIT:
             self._ran = True
             self._watch_from(moment.now_s)
-            stands = zip(goals, state.angles_rad, strict=True)
-            return Action(goals=[replace(goal, angle_rad=angle_rad) for goal, angle_rad in stands])
+            return Action(goals=standing(goals, state))
         self._pads(moment)
         if moment.now_s >= self._late_s or approach.event is not ApproachEvent.CLOSING:
             raise GripContradicted(
