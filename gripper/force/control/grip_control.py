@@ -103,17 +103,18 @@ class GripControl:
             When the pads jump or contradict the currents, see `ForceLaw`.
         """
         grip, state, sample = self.grip, moment.state, moment.sample
+        if sample is not None and (not sample.valid or self.watch.suspicious):
+            sample = None
         rises_n = setpoint_n - grip.setpoint_n
         grip.setpoint_n = setpoint_n
         grip.apertures.add(moment.now_s, state.aperture_m)
-        usable = sample is not None and sample.valid and not self.watch.suspicious
-        if sample is not None and usable:
+        if sample is not None:
             self.watch.pads.take(sample)
             self.watch.check_pads(moment, rises=rises_n > 0.0)
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
         period = Period(
             moment=moment,
-            usable=usable,
+            sample=sample,
             setpoint_n=setpoint_n,
             end_n=setpoint_n if arrival_n is None else arrival_n,
             paths=paths,

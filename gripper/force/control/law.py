@@ -28,7 +28,7 @@ from statistics import fmean
 from gripper.dynamixel.drive import Drives
 from gripper.errors import LimitExceeded
 from gripper.force.control.observer import GripObserver
-from gripper.force.estimates.grip import Grip, History
+from gripper.force.estimates.grip import STIFFEST_N_M, Grip, History
 from gripper.force.loop import Moment
 from gripper.mechanics.impact import CURRENT_S, current_share, impact_limit
 from gripper.mechanics.kinematics import Transmission, driving_n
@@ -91,9 +91,9 @@ class Period:
     """One period of control: measurements, set-point, limits."""
 
     moment: Moment
-    """Feedback and newest sample."""
-    usable: bool
-    """Whether there is a usable sample: a valid one without doubt about the part."""
+    """Feedback of the servos."""
+    sample: ForceSample | None
+    """Newest sample; None where it is not valid, or the part may be gone."""
     setpoint_n: float
     end_n: float
     """Set-point of the grip force in N, and where its present change ends."""
@@ -107,11 +107,6 @@ class Period:
     def state(self) -> ServoFeedback:
         """Feedback of the servos."""
         return self.moment.state
-
-    @property
-    def sample(self) -> ForceSample | None:
-        """Newest sample; None where it is not usable."""
-        return self.moment.sample if self.usable else None
 
     def yielding_n(self, force_n: float) -> float:
         """Return the drive in N at which a force in N begins to fall, the mean of the servos."""
@@ -178,13 +173,11 @@ class Pushes:
 
     def __init__(self, drives: Drives) -> None:
         self._drives = drives
-        self._pushed_s, self._closing = -inf, True
+        self.shown_s, self._closing = -inf, True
+        """Time in s from which a measurement shows the effect of the last push."""
         self._from_n = self.growth_n = 0.0
         """Force in N before the last push, and its expected growth by it."""
-
-    def shows_push(self, sample: ForceSample) -> bool:
-        """Return whether a sample shows the effect of the last push."""
-        return sample.measured_s > self._pushed_s + _SHOWS_S
+        self._starts_n = -inf
 
     def push_n(
         self, observer: GripObserver, moment: Moment, frictions_n: tuple[float, float], sign: float
@@ -200,10 +193,21 @@ class Pushes:
         speed_m_s = beyond_n * moment.dt_s / observer.mass_kg
         self.growth_n = observer.stiffness_n_m * speed_m_s * moment.dt_s
         self._from_n, self._closing = observer.force_n, closing
-        self._pushed_s = moment.now_s
+        self.shown_s = moment.now_s + _SHOWS_S
+        self._starts_n = sign * (self._from_n + observer.missing_n) + friction_n + 0.5 * beyond_n
         # The current reaches the push at the end of the period only.
         observer.break_loose(sign * 0.5 * speed_m_s)
         return sign * (friction_n + beyond_n) / current_share(moment.dt_s)
+
+    def check(self, observer: GripObserver, drive_n: float) -> None:
+        """Undo the assumed effect of a push in the last period that a limit of the drive has cut.
+
+        ``drive_n``: the measured drive in N.
+        """
+        if (drive_n if self._closing else -drive_n) < self._starts_n:
+            observer.break_loose(0.0)
+            self.growth_n = 0.0
+        self._starts_n = -inf
 
     def _learn(self, observer: GripObserver, *, closing: bool) -> None:
         """Compare the growth of the force since the last push with the expected one."""
@@ -248,6 +252,7 @@ class ForceLaw:
         self._drives_n = History()
         self._setpoint_n, self._rates_n_s = grip.setpoint_n, deque([0.0], maxlen=3)
         self._started_m, self._most_m_s = grip.apertures.newest, 0.0
+        self._impact = impact_limit(grip.settings, grip.linkage)
         self._falls, self._still_s = False, 0.0
         self._estimated_n_m: float | None = None
         self._jumped_s: float | None = None
@@ -271,6 +276,7 @@ class ForceLaw:
         measured_n = driving_n(period.state, period.paths)
         before_n = self._drives_n.newest if self._drives_n else measured_n
         self._drives_n.add(period.moment.now_s, measured_n)
+        self._pushes.check(observer, measured_n)
         if sample is not None and self._jumps(sample, period):
             sample = None
         frictions_n = self._observe(period, sample, 0.5 * (before_n + measured_n))
@@ -326,8 +332,8 @@ class ForceLaw:
         self._rates_n_s.append((setpoint_n - self._setpoint_n) / dt_s)
         self._setpoint_n = setpoint_n
         ramp_n_s = fmean(self._rates_n_s)
-        impact = impact_limit(grip.settings, grip.linkage, period.state.angles_rad)
-        self._most_m_s = pressing_speed_m_s(grip.settings, impact, setpoint_n)
+        self._impact = impact_limit(grip.settings, grip.linkage, period.state.angles_rad)
+        self._most_m_s = pressing_speed_m_s(grip.settings, self._impact, setpoint_n)
         most_n_s2 = _INERTIA_N * stiffness / observer.mass_kg
         self.plan.step(
             dt_s,
@@ -360,7 +366,7 @@ class ForceLaw:
         least_n = max(_HOLD_N if rate_n_s == 0.0 else _RAMP_N, self.observer.force_sd_n)
         if sign * rate_n_s < 0.0 or (sign < 0.0 and rate_n_s == 0.0):
             least_n += _FALL_N
-        may_start = self._pushes.shows_push(sample) and (sign > 0.0 or period.may_open)
+        may_start = sample.measured_s > self._pushes.shown_s and (sign > 0.0 or period.may_open)
         if abs(error_n) <= least_n or not may_start or period.moment.dt_s <= 0.0:
             return 0.0
         self._started_m = period.state.aperture_m
@@ -376,11 +382,8 @@ class ForceLaw:
     ) -> float:
         """Return the push in N on moving fingers; ``speed_m_s`` is their next speed."""
         observer, plan = self.observer, self.plan
-        sign, mass_kg, stiffness = (
-            copysign(1.0, observer.speed_m_s),
-            observer.mass_kg,
-            observer.stiffness_n_m,
-        )
+        sign, mass_kg = copysign(1.0, observer.speed_m_s), observer.mass_kg
+        stiffness = observer.stiffness_n_m
         friction_n = frictions_n[0] if sign > 0.0 else frictions_n[1]
         wanted_m_s = (plan.rate_n_s + error_n / _FORCE_S) / stiffness
         wanted_m_s = min(max(wanted_m_s, -self._most_m_s), self._most_m_s)
@@ -421,12 +424,16 @@ class ForceLaw:
         if jump_n <= least_n:
             self._jumped_s = None
             return False
-        # A spring that a drive meets at speed is pressed by up to twice the excess of the drive.
+        # A spring that a drive meets at speed is pressed by up to twice the excess of the drive,
+        # and by the momentum of the fingers.
         friction_n = min(path.drive.least_breakaway_a * path.n_per_a for path in period.paths)
         drive_n = self._drives_n.most(since_s=sample.measured_s - FRAME_S - _SHOWS_S)
+        speed_m_s = max(0.0, observer.speed_m_s, -0.5 * period.state.aperture_velocity_m_s)
         least_n += 2.0 * max(0.0, drive_n - observer.force_n - friction_n)
+        least_n += self._impact.momentum_n_s_m * speed_m_s
         if jump_n <= least_n:
             # The part is stiffer than its estimate: the samples have to show the force.
+            observer.stiffness_n_m = min(_STIFFER * observer.stiffness_n_m, 2.0 * STIFFEST_N_M)
             observer.resume(jump_n)
             self._jumped_s = None
             return False

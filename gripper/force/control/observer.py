@@ -8,7 +8,9 @@ and part, pushes back. With the drive u, the torque of the measured currents as 
 d is the force that the drive lacks. A Kalman filter with this model (Ohnishi, Shibata and Murakami
 1996, reaction force observer) uses the positions of the servos and the force samples of the pads,
 each with its own noise. A sample is compared with the force at the time of its measurement, so its
-delay has no effect. Rare samples are the same with larger steps between them.
+delay has no effect. Rare samples are the same with larger steps between them. A period may be
+longer than the swing of a stiff part, so the model is integrated by the trapezoidal rule, which is
+stable with any step.
 
 Where friction locks the mass, v is 0 and nothing is learnt of d (Karnopp 1985, stick and slip).
 """
@@ -98,8 +100,14 @@ class GripObserver:
             return 0.0
         push_n, (closing_n, opening_n) = drive_n - self.missing_n - self.force_n, frictions_n
         braked_n = push_n - (closing_n if self.speed_m_s > 0.0 else -opening_n)
-        after_m_s = self.speed_m_s + braked_n * dt_s / self.mass_kg
+        kept, gain_m_s_n = self._step(dt_s)
+        after_m_s = kept * self.speed_m_s + gain_m_s_n * braked_n
         return after_m_s if after_m_s * self.speed_m_s > 0.0 else 0.0
+
+    def _step(self, dt_s: float) -> tuple[float, float]:
+        """Return the share of the speed that is left after a step, and its change in m/s per N."""
+        swing = 0.25 * self.stiffness_n_m * dt_s**2 / self.mass_kg
+        return (1.0 - swing) / (1.0 + swing), dt_s / self.mass_kg / (1.0 + swing)
 
     def predict(self, dt_s: float, drive_n: float, frictions_n: tuple[float, float]) -> None:
         """Advance by ``dt_s`` s under a drive in N; ``frictions_n`` as `speed_after_m_s`."""
@@ -112,9 +120,11 @@ class GripObserver:
         self.force_n = max(0.0, self.force_n + stiffness * way_m)
         self._way_m += way_m
         if before_m_s != 0.0 or self.speed_m_s != 0.0:
-            f = np.eye(4)
-            f[0, 1], f[3, 1] = stiffness * dt_s, dt_s
-            f[1, 0] = f[1, 2] = -dt_s / self.mass_kg
+            f, (kept, gain_m_s_n) = np.eye(4), self._step(dt_s)
+            f[1] = -gain_m_s_n, kept, -gain_m_s_n, 0.0
+            way = 0.5 * dt_s * np.array((-gain_m_s_n, 1.0 + kept, -gain_m_s_n, 0.0))
+            f[0] += stiffness * way
+            f[3] += way
             self._p = f @ self._p @ f.T
             self._p[0, 0] += (self.stiffness_sd * stiffness * way_m) ** 2
             self._p[1, 1] += _RIPPLE_M_S**2

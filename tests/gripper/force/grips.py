@@ -65,7 +65,7 @@ def make_period(
         servos=servos,
     )
     usual = {
-        "usable": sample is not None,
+        "sample": sample,
         "end_n": setpoint_n,
         "friction_n": FRICTION_N,
         "may_open": True,

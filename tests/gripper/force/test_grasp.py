@@ -27,7 +27,7 @@ RAMPS = {
 
 @pytest.mark.parametrize("kind", RAMPS)
 def test_the_set_point_stays_and_the_force_does_not_rise_any_more(make_started, kind: str) -> None:
-    cell = make_started(approach_speed_m_s=0.01)
+    cell = make_started(approach_speed_m_s=0.01, rate_hz=200.0)
     ask, after = cell.once(cell.gripper.end_ramp, at_n=3.5), []
 
     def observe(cycle: Cycle) -> None:

@@ -145,9 +145,14 @@ def test_pushes_show_the_stiction_and_the_next_grip_begins_with_it() -> None:
 
 
 def test_the_drive_of_a_hold_balances_the_force() -> None:
-    grip = Grip(1.0)
-    grip.follow(ramp(1.0, 5.0, 10.0, hold_s=1.0))
-    assert grip.grip.drive_n == pytest.approx(5.0, abs=0.5)
+    drives_n = []
+    for seed in range(9):
+        grip = Grip(1.0)
+        grip.random.seed(seed)
+        grip.follow(ramp(1.0, 5.0, 10.0, hold_s=1.0))
+        drives_n.append(grip.grip.drive_n)
+    assert median(drives_n) == pytest.approx(5.0, abs=0.5)
+    assert max(drives_n) < 5.0 + PATHS[0].friction_n
 
 
 def test_without_a_sample_nothing_pushes() -> None:
