@@ -1,6 +1,6 @@
 """World and devices of a simulated cell, without the host's ends of the buses."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,13 +28,13 @@ _PAST_MIDDLE_M = -0.01
 class CellFaults:
     """All fault knobs of a simulated cell; they are off by default."""
 
-    servo_wire: WireFaults
+    servo_wire: WireFaults = field(default_factory=WireFaults)
     """The line between host and servos."""
-    can: CanLinkFaults
+    can: CanLinkFaults = field(default_factory=CanLinkFaults)
     """The link between control unit and host."""
-    unit: ControlUnitFaults
+    unit: ControlUnitFaults = field(default_factory=ControlUnitFaults)
     """The control unit."""
-    boards: BoardFaults
+    boards: BoardFaults = field(default_factory=BoardFaults)
     """Sensor boards."""
 
 
@@ -52,33 +52,20 @@ class CellDevices:
             half_opening_min_m=max(_PAST_MIDDLE_M, settings.linkage.half_opening_min_m),
         )
         self.world = PhysicalWorld(settings.layout, self.mechanics, settings, start_s=start_s)
-        eeprom = {
-            "baud_rate": BAUD_RATES.index(settings.servo_baud_rate),
-            "return_delay_time": 0,
-        }
+        rate = BAUD_RATES.index(settings.servo_baud_rate)
+        eeprom = {"baud_rate": rate, "return_delay_time": 0}
         servos = [
             SimulatedServo(entry.servo_id, entry.model, motor, settings=eeprom)
             for entry, motor in zip(settings.servos, motors, strict=True)
         ]
-        self.servo_bus = ServoBusDevice(servos, settings.servo_baud_rate)
-        self.servo_bus.faults.rng.seed(settings.seed)
-        unit_faults = ControlUnitFaults()
+        faults = self.faults = CellFaults()
+        faults.servo_wire.rng.seed(settings.seed)
+        self.servo_bus = ServoBusDevice(servos, settings.servo_baud_rate, faults.servo_wire)
         if settings.mounts:
             order = taxel_order(settings.layout, settings.mounts)
-            unit_faults.mounted["mounts"] = np.argsort(order)
+            faults.unit.mounted["mounts"] = np.argsort(order)
         self.unit = SimulatedControlUnit(
-            self.world,
-            settings.layout,
-            settings.unit,
-            faults=unit_faults,
-            start_s=start_s,
-        )
-        can_faults = CanLinkFaults()
-        self.faults = CellFaults(
-            servo_wire=self.servo_bus.faults,
-            can=can_faults,
-            unit=unit_faults,
-            boards=BoardFaults(),
+            self.world, settings.layout, settings.unit, faults=faults.unit, start_s=start_s
         )
         self.boards: tuple[SerialBoard, ...] = ()
         """The sensor boards on their serial lines; none by default."""
@@ -87,8 +74,8 @@ class CellDevices:
             site = BoardSite(
                 world=self.world,
                 layout=settings.layout,
-                taxel_faults=unit_faults,
-                faults=self.faults.boards,
+                taxel_faults=faults.unit,
+                faults=faults.boards,
                 seed=settings.seed,
                 start_s=start_s,
             )
@@ -97,7 +84,7 @@ class CellDevices:
         self.can = CanLink(
             on_can or self.unit,
             bitrate=settings.unit.bitrate,
-            faults=can_faults,
+            faults=faults.can,
             seed=settings.seed,
         )
         """The bus of the control unit or of the sensor boards."""
@@ -135,11 +122,10 @@ class CellDevices:
 
     def advance_to(self, now_s: float) -> None:
         """Advance axes, fingers, object and servos to ``now_s`` s."""
-        if self.axes:
-            for axis in self.axes.values():
-                axis.advance(now_s)
-            if self.stage is not None:
-                self.stage.advance()
+        for axis in self.axes.values():
+            axis.advance(now_s)
+        if self.stage is not None:
+            self.stage.advance()
         self.world.advance_to(now_s)
         self.servo_bus.advance_to(now_s)
         for board in self.boards:

@@ -49,11 +49,13 @@ class ServoBusDevice:
         Line rate of the host in baud; a servo with another Baud Rate (8) stays silent.
     """
 
-    def __init__(self, servos: Sequence[SimulatedServo], baudrate: int) -> None:
+    def __init__(
+        self, servos: Sequence[SimulatedServo], baudrate: int, faults: WireFaults | None = None
+    ) -> None:
         self.servos = tuple(servos)
         self.baudrate = baudrate
         """Line rate of the host in baud; an endpoint sets it to the client's rate."""
-        self.faults = WireFaults()
+        self.faults = faults or WireFaults()
         self._parser = PacketParser()
         self._line_free_s = float("-inf")
         self._queue: list[tuple[float, int, bytes]] = []
