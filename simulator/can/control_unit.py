@@ -105,20 +105,13 @@ class SimulatedControlUnit(CanopenDevice):
         return min(self._boot_due_s, self._network.next_due_s, self._force_due_s)
 
     def advance(self, now_s: float) -> None:
-        """Let the time pass until ``now_s`` s: boot-up, heartbeat."""
-        self._boot(now_s)
-        if self._network.next_due_s <= now_s:
-            self._network.run(now_s, mute=self.faults.dead or self.faults.heartbeat_off)
-        self._network.now_s = now_s
+        """Let the time pass until ``now_s`` s: boot-up, heartbeat, force messages."""
+        super().advance(now_s)
         while self._force_due_s <= now_s:
             self._send_force(self._force_due_s)
             self._force_due_s += self._force_period_s * self.faults.forces_each
 
-    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
-        """Take one message from the bus at ``now_s`` s and answer it."""
-        self.advance(now_s)
-        if self.faults.dead or math.isfinite(self._boot_due_s):
-            return
+    def _take(self, can_id: int, data: bytes) -> None:
         if can_id == od.COB_NMT:
             self._nmt(data)
         elif self.state == _STOPPED:
@@ -249,6 +242,9 @@ class SimulatedControlUnit(CanopenDevice):
         self.scanner.overrun = True
         if code not in self.dictionary.errors:
             self.emergency(code, register=REGISTER_MANUFACTURER)
+
+    def _heartbeat_silenced(self) -> bool:
+        return self.faults.dead or self.faults.heartbeat_off
 
     def _silenced(self) -> bool:
         return self.faults.dead

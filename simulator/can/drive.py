@@ -176,10 +176,9 @@ class SimulatedDrive(CanopenDevice):
 
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s: boot-up, heartbeat, motion."""
-        if self._boot(now_s):
+        if self._boot_due_s <= now_s:
             self.state = "SWITCH ON DISABLED"
-        self._network.run(now_s, mute=self.dead)
-        self._network.now_s = now_s
+        super().advance(now_s)
         if now_s >= self._host_due_s:
             self._host_due_s = math.inf
             self._node.emcy.send(od.HOST_LOST_CODE, _REGISTER_COMMUNICATION, b"")
@@ -188,17 +187,13 @@ class SimulatedDrive(CanopenDevice):
             self._stepped_s += STEP_S
             self._step()
 
-    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
-        """Take one message from the bus at ``now_s`` s and answer it."""
-        self.advance(now_s)
-        if self.dead or math.isfinite(self._boot_due_s):
-            return
+    def _take(self, can_id: int, data: bytes) -> None:
         if can_id == od.COB_NMT and len(data) == 2 and data[1] in {0, self.mount.node_id}:
             self.command(data[0])
         elif can_id >> 7 == od.COB_HEARTBEAT >> 7:
             node_id, silence_ms = divmod(self._number("Consumer heartbeat time.Host"), 1 << 16)
             if can_id == od.COB_HEARTBEAT + node_id:
-                self._host_due_s = now_s + 1e-3 * silence_ms
+                self._host_due_s = self._network.now_s + 1e-3 * silence_ms
         elif can_id == self._node.sdo.rx_cobid and self._node.nmt.state != "STOPPED":
             self._serve(data)
 

@@ -3,6 +3,7 @@
 import logging
 import math
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -86,7 +87,7 @@ class DeviceNetwork(canopen.Network):
             self.next_due_s += self._period_s
 
 
-class CanopenDevice:
+class CanopenDevice(ABC):
     """A device on canopen's LocalNode, which serves SDO and makes heartbeat, boot-up and EMCY.
 
     It has no clock, the time is an argument.
@@ -122,16 +123,31 @@ class CanopenDevice:
         """Return when the device next sends something by itself, in s; infinity for never."""
         return min(self._boot_due_s, self._network.next_due_s)
 
-    def _boot(self, now_s: float) -> bool:
-        """Send the boot-up that is due by ``now_s`` s; return whether there was one."""
-        if self._boot_due_s > now_s:
-            return False
-        self._network.now_s = self._boot_due_s
-        self._boot_due_s = math.inf
-        # canopen sends the boot-up on entering, and starts the heartbeat on leaving this state.
-        self._node.nmt.state = "INITIALISING"
-        self._node.nmt.state = "PRE-OPERATIONAL"
-        return True
+    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
+        """Take one message from the bus at ``now_s`` s and answer it."""
+        self.advance(now_s)
+        if not (self._silenced() or math.isfinite(self._boot_due_s)):
+            self._take(can_id, data)
+
+    @abstractmethod
+    def _take(self, can_id: int, data: bytes) -> None:
+        """Take one message from the bus and answer it."""
+
+    def advance(self, now_s: float) -> None:
+        """Let the time pass until ``now_s`` s: boot-up, heartbeat."""
+        if self._boot_due_s <= now_s:
+            self._network.now_s = self._boot_due_s
+            self._boot_due_s = math.inf
+            # canopen sends the boot-up on entering, starts the heartbeat on leaving this state.
+            self._node.nmt.state = "INITIALISING"
+            self._node.nmt.state = "PRE-OPERATIONAL"
+        if self._network.next_due_s <= now_s:
+            self._network.run(now_s, mute=self._heartbeat_silenced())
+        self._network.now_s = now_s
+
+    def _heartbeat_silenced(self) -> bool:
+        """Return whether a fault keeps the device from sending its heartbeat."""
+        return self._silenced()
 
     def _silenced(self) -> bool:
         """Return whether a fault keeps the device from sending anything."""

@@ -6,6 +6,7 @@ reads, factory reset, clear, backup) are refused, as by a firmware without them.
 servo; `simulator.servo.bus` finds the packets and orders the answers.
 """
 
+import struct
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from simulator.servo.firmware import (
     ServoCore,
 )
 from simulator.servo.motor import ServoMotor
-from simulator.servo.protocol2 import ALERT, Instruction, StatusError, words
+from simulator.servo.protocol2 import ALERT, Instruction, StatusError
 
 BAUD_RATES = (
     *(9600, 57600, 115200, 1_000_000, 2_000_000),
@@ -105,10 +106,10 @@ class SimulatedServo(ServoCore):
     def execute(self, instruction: int, parameters: bytes, now_s: float) -> StatusBody:
         """Carry out an instruction that was sent to this servo or to all of them."""
         if instruction == Instruction.READ and len(parameters) == 4:
-            address, size = words(parameters)
+            address, size = struct.unpack("<HH", parameters)
             return self.read(address, size, now_s)
         if instruction == Instruction.WRITE and len(parameters) >= 3:
-            (address,) = words(parameters[:2])
+            address = int.from_bytes(parameters[:2], "little")
             return self.status(self.write(address, parameters[2:], now_s))
         if instruction == Instruction.PING:
             version = self.registers.data[ct.FIRMWARE_VERSION.address]

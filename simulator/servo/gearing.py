@@ -47,16 +47,23 @@ class DataSheet:
 
 
 def _sheet(
-    voltage_v: float, stall_nm: float, stall_a: float, no_load_rad_s: float, inertia_kg_m2: float
+    voltage_v: float,
+    stall_nm: float,
+    stall_a: float,
+    no_load_rad_s: float,
+    inertia_kg_m2: float,
+    *,
+    kt_nm_a: float | None = None,
+    friction_nm: float | None = None,
 ) -> DataSheet:
-    friction_nm = _FRICTION_SHARE * stall_nm
+    friction_nm = _FRICTION_SHARE * stall_nm if friction_nm is None else friction_nm
     return DataSheet(
         voltage_v=voltage_v,
         stall_torque_nm=stall_nm,
         stall_current_a=stall_a,
         no_load_rad_s=no_load_rad_s,
         inertia_kg_m2=inertia_kg_m2,
-        kt_nm_a=(stall_nm + friction_nm) / stall_a,
+        kt_nm_a=(stall_nm + friction_nm) / stall_a if kt_nm_a is None else kt_nm_a,
         friction_nm=friction_nm,
     )
 
@@ -64,28 +71,12 @@ def _sheet(
 _SHEETS = {
     # The performance graph of the XM430-W350 (forum.robotis.com/t/5827); 0.012 kg m² is an upper
     # bound of its inertia.
-    "XM430-W350": DataSheet(
-        voltage_v=12.0,
-        stall_torque_nm=4.1,
-        stall_current_a=2.3,
-        no_load_rad_s=46 * _RAD_S,
-        inertia_kg_m2=0.012,
-        kt_nm_a=1.769,
-        friction_nm=0.2214,
-    ),
+    "XM430-W350": _sheet(12.0, 4.1, 2.3, 46 * _RAD_S, 0.012, kt_nm_a=1.769, friction_nm=0.2214),
     "XM430-W210": _sheet(12.0, 3.0, 2.3, 77 * _RAD_S, 0.0043),
     "XL330-M288": _sheet(5.0, 0.52, 1.47, 103 * _RAD_S, 0.0012),
     "XC330-M288": _sheet(5.0, 0.93, 1.8, 81 * _RAD_S, 0.0012),
     # Peak current, closing speed of 75 mm/s; torque constant and friction are assumed.
-    "RH-P12-RN(A)": DataSheet(
-        voltage_v=24.0,
-        stall_torque_nm=32.0,
-        stall_current_a=3.33,
-        no_load_rad_s=0.76,
-        inertia_kg_m2=0.1,
-        kt_nm_a=10.0,
-        friction_nm=1.8,
-    ),
+    "RH-P12-RN(A)": _sheet(24.0, 32.0, 3.33, 0.76, 0.1, kt_nm_a=10.0, friction_nm=1.8),
 }
 
 

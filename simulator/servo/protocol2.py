@@ -29,11 +29,6 @@ _CRC_POLYNOMIAL = 0x8005
 """Polynomial of the CRC-16 (e-Manual, "CRC Calculation")."""
 
 
-def words(data: bytes | bytearray) -> tuple[int, ...]:
-    """Return the 16-bit unsigned numbers in bytes, low byte first."""
-    return struct.unpack(f"<{len(data) // 2}H", data)
-
-
 class Instruction(IntEnum):
     """Instruction codes of Protocol 2.0 that a servo carries out."""
 
