@@ -88,7 +88,7 @@ _FIRST_FORCE_N = 0.1
 class LinkageFit(NamedTuple):
     """A linkage fitted to closed fingers and blocks."""
 
-    linkage: Linkage
+    linkage: ParallelLinkage | RackPinion
     closed_rad: float
     """Angle of the linkage at which the pads meet."""
     residual_m: float
@@ -373,7 +373,7 @@ class _Hands:
         if isinstance(drive, ParallelLinkage):
             linkage = {"kind": "parallel_linkage", "offset_mm": round(drive.offset_m * 1e3, 3)}
             linkage["link_mm"] = round(drive.link_m * 1e3, 3)
-        elif isinstance(drive, RackPinion):
+        else:
             linkage["pinion_radius_mm"] = round(drive.pinion_radius_m * 1e3, 3)
         notes.settings |= {
             "gripper.servos": [servo.model_dump(mode="json") for servo in self._servos],

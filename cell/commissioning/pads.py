@@ -8,7 +8,6 @@ corrected. Functions of frames and loads judge: `judge_rest`, `pressed_at`, `mou
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -374,30 +373,22 @@ _LEAST_LOAD_N = 0.2
 """Smallest load in N that counts: the noise is a tenth of smaller ones."""
 
 
-class Factor(NamedTuple):
-    """Straight line through the origin from the shown forces to the true ones."""
-
-    factor: float
-    """True force over shown force."""
-    residual_n: float
-    """Root of the mean squared residual in N."""
-    residual_share: float
-    """The same over the largest true force."""
+Load = tuple[float, ...]
+"""True force and force shown in N, and the parts of `table_parts`."""
 
 
-def fit_factor(true_n: ArrayLike, measured_n: ArrayLike) -> Factor:
-    """Return the factor that fits the shown forces best to the true ones.
+def fit_factor(loads: Sequence[Load]) -> tuple[float, float]:
+    """Return the factor that fits the shown forces of loads best to the true ones.
 
-    Both are forces in N, (n,) float64. Raises ValueError without shown forces or loads.
+    With it comes the root of the mean squared residual in N. Raises ValueError without shown
+    forces or loads.
     """
-    true = np.asarray(true_n, dtype=np.float64)
-    measured = np.asarray(measured_n, dtype=np.float64)
+    true, measured = np.array([load[:2] for load in loads]).reshape(-1, 2).T
     power = float(measured @ measured)
     if not power > 0.0:
         raise ValueError("the pads show no force under these loads")
     factor = float(true @ measured) / power
-    residual_n = float(np.sqrt(np.mean((true - factor * measured) ** 2)))
-    return Factor(factor, residual_n, residual_n / float(true.max()))
+    return factor, float(np.sqrt(np.mean((true - factor * measured) ** 2)))
 
 
 def table_parts(tared_counts: ArrayLike, adc_max: int) -> list[float]:
@@ -478,10 +469,6 @@ def measure_law(bench: Bench, dialog: Dialog, notes: Notes) -> None:
 LAW = Step(measure_law, "pads_law", "Newtons of the pads", needs=("pads_pressed",))
 
 
-Load = tuple[float, ...]
-"""True force and force shown in N, and the parts of `table_parts`."""
-
-
 def _targets_n(bench: Bench) -> list[float]:
     """Return the planned loads in N: even steps over the forces of the config's sequence."""
     try:
@@ -548,25 +535,26 @@ def judge_law(
     """
     both = [load for of_finger in loads for load in of_finger if load[0] >= _LEAST_LOAD_N]
     try:
-        *fits, fit = (
-            fit_factor([load[0] for load in one], [load[1] for load in one])
-            for one in (*loads, both)
-        )
+        *fits, (factor, residual_n) = (fit_factor(one) for one in (*loads, both))
     except ValueError as error:
         text = f"No law can be found: {error}. Press on the middle of each pad."
         raise StepFailed(text) from error
-    notes.values |= {"loads_n": [[*map(list, one)] for one in loads], "factor": fit.factor}
+    notes.values |= {"loads_n": [[*map(list, one)] for one in loads], "factor": factor}
     notes.fact(
         f"{len(both)} loads up to {max(both)[0]:.1f} N: the pads show "
-        f"{(1.0 / fit.factor - 1.0):+.0%} of the scale's force, residual {fit.residual_n:.2f} N."
+        f"{(1.0 / factor - 1.0):+.0%} of the scale's force, residual {residual_n:.2f} N."
     )
-    bent = max(one.residual_share for one in fits) > _RESIDUAL_SHARE
-    differ = abs(fits[0].factor - fits[1].factor) / fit.factor > _FINGERS_APART
+    bent = any(
+        of_finger_n > _RESIDUAL_SHARE * max(one)[0]
+        for one, (_, of_finger_n) in zip(loads, fits, strict=True)
+    )
+    (first, _), (second, _) = fits
+    differ = abs(first - second) / factor > _FINGERS_APART
     gains = list(tactile.pad_gains)
     if differ:
-        gains = [g * one.factor / fit.factor for g, one in zip(gains, fits, strict=True)]
+        gains = [gains[0] * first / factor, gains[1] * second / factor]
     table = isinstance(tactile.calibration, TableCalibrationConfig)
-    off = abs(fit.factor - 1.0) > _RIGHT_SHARE
+    off = abs(factor - 1.0) > _RIGHT_SHARE
     tabled = (bent or (table and (off or differ))) and _rising(loads)
     if tabled and _set_table(loads, gains, adc_max, notes):
         bent = off = False
@@ -578,18 +566,18 @@ def judge_law(
     if differ:
         notes.settings["tactile.pad_gains"] = [round(gain, 4) for gain in gains]
         notes.warn(
-            f"The pads differ: factor {fits[0].factor:.2f} on finger 0, {fits[1].factor:.2f} on "
-            "finger 1; set in tactile.pad_gains. Check whether both have the same foam.",
+            f"The pads differ: factor {first:.2f} on finger 0, {second:.2f} on finger 1; set in "
+            "tactile.pad_gains. Check whether both have the same foam.",
             corrected=True,
         )
     law = tactile.calibration
     if off and not isinstance(law, TableCalibrationConfig):
         key = "force_per_count_n" if isinstance(law, LinearCalibrationConfig) else "gain"
         before = float(getattr(law, key))
-        notes.settings[f"tactile.calibration.{key}"] = round(before * fit.factor, 6)
+        notes.settings[f"tactile.calibration.{key}"] = round(before * factor, 6)
         notes.warn(
-            f"The law was {abs(1.0 / fit.factor - 1.0):.0%} off: tactile.calibration.{key} was "
-            f"{before:g}, is now {before * fit.factor:.3g}",
+            f"The law was {abs(1.0 / factor - 1.0):.0%} off: tactile.calibration.{key} was "
+            f"{before:g}, is now {before * factor:.3g}",
             corrected=True,
         )
 

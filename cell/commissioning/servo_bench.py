@@ -286,17 +286,11 @@ def error_gain(error_pulses: Floats, output_raw: Floats, p_gain: float) -> float
     return float(asked[used] @ asked[used] / (asked[used] @ output_raw[used]))
 
 
-def line(x: Floats, y: Floats) -> tuple[float, float]:
-    """Return slope and value at 0 of the straight line through points."""
-    slope, offset = np.polyfit(x, y, 1)
-    return float(slope), float(offset)
-
-
 def slope(x: Sequence[float], y: Sequence[float]) -> float | None:
     """Return the slope of the straight line through points; None with fewer than 3 different x."""
     if len(set(x)) < _FEWEST:
         return None
-    return line(np.array(x), np.array(y))[0]
+    return float(np.polyfit(x, y, 1)[0])
 
 
 def exponent(current_a: Sequence[float], pwm_share: Sequence[float]) -> float | None:
@@ -486,13 +480,14 @@ def free(rig: Rig, _dialog: Dialog) -> Values:
     """
     rig.start(OperatingMode.VELOCITY)
     points = []
-    for speed_rad_s in (sign * speed for speed in _SPEEDS_RAD_S for sign in (1, -1)):
-        rig.velocity(speed_rad_s)
-        rows = rig.watch(f"{speed_rad_s} rad/s", 1.5)[-150:]
+    for goal_rad_s in (sign * speed for speed in _SPEEDS_RAD_S for sign in (1, -1)):
+        rig.velocity(goal_rad_s)
+        rows = rig.watch(f"{goal_rad_s} rad/s", 1.5)[-150:]
         turned_rad = rows.position_pulses * rig.model.rad_per_pulse
         share = rows.pwm_share.mean()
         motor_a = winding_a(rig, rows.current_a.mean(), share)
-        points.append((line(rows.t_s, turned_rad)[0], motor_a, share * rows.voltage_v.mean()))
+        speed_rad_s = np.polyfit(rows.t_s, turned_rad, 1)[0]
+        points.append((speed_rad_s, motor_a, share * rows.voltage_v.mean()))
     speeds, currents, volts = np.array(points).T
     coulomb_a, viscous_a_s, offset_a = friction(speeds, currents)
     motor_v = volts - rig.model.winding_ohm * currents
