@@ -72,34 +72,33 @@ def make_frame(t_s: float, rng: np.random.Generator, n_taxels: int = 24) -> Tact
     return TactileFrame(t_s=t_s, counter=int(t_s * 50) & 0xFFFF, status=0, counts=counts)
 
 
+KNOWN: dict[str, Any] = {
+    "command": GraspCommand(x_m=1e-3, y_m=0.0, rotation_rad=0.3, roll_rad=0.0, force_n=8.0),
+    "zero": SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2]),
+}
+
+
 def record_grasp(recorder: Recorder, clock: Clock, label: str, n_frames: int = 20) -> Grasp:
-    rng = np.random.default_rng(int(clock.now_s * 1000))
-    Journal(recorder).pose(Pose(x_m=0.001, rotation_rad=0.3))
-    Journal(recorder).note("state", "EXECUTE")
-    frames = []
-    start_s = clock.now_s
-    for i in range(4 * n_frames):
-        clock.now_s = start_s + i * 0.005
-        recorder.cycle(make_cycle(clock.now_s))
-        if i % 4 == 0:
-            frames.append(make_frame(clock.now_s - 0.001, rng))
-            recorder.frame(frames[-1])
+    start_s, rng = clock.now_s, np.random.default_rng(int(clock.now_s * 1000))
     grasp = Grasp(
         pads=PADS,
-        counts=np.stack([frame.counts for frame in frames]),
-        t_s=np.array([frame.t_s for frame in frames]) - frames[0].t_s,
+        counts=np.stack([make_frame(0.0, rng).counts for _ in range(n_frames)]),
+        t_s=0.02 * np.arange(n_frames),
         aperture_m=np.linspace(0.03, 0.02, n_frames),
         force_n=np.linspace(0.0, 8.0, n_frames),
         label=label,
         source="test",
         start_ms=1_700_000_000_000,
-        command=GraspCommand(x_m=1e-3, y_m=0.0, rotation_rad=0.3, roll_rad=0.0, force_n=8.0)
-        if label.endswith("1")
-        else None,
-        zero=SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
-        if label.endswith("1")
-        else None,
+        **(KNOWN if label.endswith("1") else {}),
     )
+    Journal(recorder).pose(Pose(x_m=0.001, rotation_rad=0.3))
+    Journal(recorder).note("state", "EXECUTE")
+    for i in range(4 * n_frames):
+        clock.now_s = start_s + i * 0.005
+        recorder.cycle(make_cycle(clock.now_s))
+        if i % 4 == 0:
+            frame = make_frame(clock.now_s - 0.001, rng)
+            recorder.frame(replace(frame, counts=grasp.counts[i // 4]))
     recorder.grasp(grasp)
     return grasp
 
