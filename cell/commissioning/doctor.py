@@ -25,12 +25,6 @@ from cell.control.self_zero import drive_text, kept_zeros
 from cell.errors import CellError
 from cell.hand.connections import MISSING
 from cell.hand.interface import FORCE_FROM_FRAMES
-from gripper.dynamixel.control_table import (
-    FIRMWARE_VERSION,
-    HARDWARE_ERROR_STATUS,
-    MODEL_NUMBER,
-    SHUTDOWN,
-)
 from gripper.dynamixel.drive import DriveCharacteristic, disagreement
 from gripper.dynamixel.models import model_name
 from gripper.errors import AnswersOff, GripperError, VerificationFailed
@@ -228,15 +222,15 @@ def _servos(cell: Cell, named: str, earlier: Commissioning) -> list[Finding]:
     read = {(row.servo_id, row.item): row.actual for row in rows}
     servos = {
         row.servo_id: (
-            model_name(int(read[row.servo_id, MODEL_NUMBER.name])),
-            int(read[row.servo_id, FIRMWARE_VERSION.name]),
+            model_name(int(read[row.servo_id, "model_number"])),
+            int(read[row.servo_id, "firmware_version"]),
         )
         for row in rows
     }
     findings = earlier.changed_servos(servos)
     for row in rows:
         value = f"{row.actual} (expected {row.expected})"
-        if row.item == SHUTDOWN.name:
+        if row.item == "shutdown":
             value += f", {overload_text(int(row.actual))}"
         bad = Verdict.WARN if row.item in CORRECTABLE else Verdict.FAIL
         what = f"servo {row.servo_id} {row.item}"
@@ -245,7 +239,7 @@ def _servos(cell: Cell, named: str, earlier: Commissioning) -> list[Finding]:
 
 
 def _advice(row: VerificationRow, named: str) -> str:
-    if row.item == HARDWARE_ERROR_STATUS.name:
+    if row.item == "hardware_error_status":
         return f"remedy its cause, then `tactile-cell hand clear{named} --reboot`"
     if row.item == POSITION_ITEM:
         return (

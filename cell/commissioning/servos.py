@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from cell.commissioning.backup import (
     SETTLE_S,
@@ -21,10 +21,8 @@ from gripper.dynamixel.bus import ANSWERS_ALL, ServoBus, ServoIdentity
 from gripper.dynamixel.control_table import (
     BAUD_CODES,
     BAUD_RATE,
-    PRESENT_INPUT_VOLTAGE,
     REGISTERS,
     SERVO_ID,
-    SHUTDOWN,
     STATUS_RETURN_LEVEL,
     TORQUE_ENABLE,
 )
@@ -121,17 +119,10 @@ def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             f"{len(fingers)} servos answer on {port}, a gripper has one or two: give each servo of "
             "an axis a port of its own"
         )
-    configs = [
-        {"id": identity.servo_id, "model": model_name(identity.model_number)}
-        for identity in fingers
-    ]
-    notes.values["servos"] = [
-        servo | {"firmware": identity.firmware}
-        for servo, identity in zip(configs, fingers, strict=True)
-    ]
-    volts = set()
+    configs, volts = list[dict[str, Any]](), set[float]()
     for identity in fingers:
         name = model_name(identity.model_number)
+        configs.append({"id": identity.servo_id, "model": name})
         notes.fact(f"servo {identity.servo_id}: {name}, firmware {identity.firmware}")
         if name in MODELS:
             volts.add(MODELS[name].nominal_voltage_v)
@@ -140,6 +131,8 @@ def find_servos(bench: Bench, dialog: Dialog, notes: Notes) -> None:
                 f"servo {identity.servo_id} is {name}, whose grip force cannot be bounded here. "
                 f"Use one of {', '.join(MODELS)}"
             )
+    firmware = [{"firmware": identity.firmware} for identity in fingers]
+    notes.values["servos"] = [a | b for a, b in zip(configs, firmware, strict=True)]
     if len(volts) > 1:
         notes.fail(
             "the servos of the fingers need different supplies "
@@ -323,7 +316,7 @@ def _set_up(
                 "cause, switch its supply off and on"
             )
         changes[servo_id] = wanted_changes(models[servo_id], bench, table)
-        notes.fact(f"servo {servo_id}: {overload_text(table[SHUTDOWN.name])}")
+        notes.fact(f"servo {servo_id}: {overload_text(table['shutdown'])}")
     if notes.failed:
         return
     writes = [
@@ -378,7 +371,7 @@ def wanted_changes(
 def check_supply(servo_id: int, model: ServoModel, table: Mapping[str, int], notes: Notes) -> None:
     """Note a wrong supply voltage of a servo."""
     unit_v = model.voltage_unit_v
-    supply_v = table[PRESENT_INPUT_VOLTAGE.name] * unit_v
+    supply_v = table["present_input_voltage"] * unit_v
     least_v, most_v = model.min_voltage_raw * unit_v, model.max_voltage_raw * unit_v
     text = (
         f"servo {servo_id} has {supply_v:.1f} V, a {model.name} takes {least_v:.1f} to "

@@ -4,7 +4,7 @@ import json
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, get_args
 
@@ -59,8 +59,7 @@ _FRAMES = 10
 """Frames that prove that the link runs."""
 
 
-@contextmanager
-def unit_sensor(bench: Bench, *, mounted: bool = True) -> Iterator[TactileSensor]:
+def unit_sensor(bench: Bench, *, mounted: bool = True) -> AbstractContextManager[TactileSensor]:
     """Start the sensor of the config so far, and close it at the end.
 
     A busy machine may be late, and force messages are not used, because nothing is held. Raises
@@ -74,8 +73,7 @@ def unit_sensor(bench: Bench, *, mounted: bool = True) -> Iterator[TactileSensor
     tactile = bench.tactile() if mounted else bench.tactile(mounting=[])
     forces = {"force_period_ms": 0} if tactile.sensor.canopen else {}
     tactile = changed_config(tactile, {"silence_ms": 1e3 * _PATIENCE_S} | forces)
-    with _started(bench, tactile) as sensor:
-        yield sensor
+    return _started(bench, tactile)
 
 
 @contextmanager
