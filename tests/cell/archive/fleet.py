@@ -60,8 +60,7 @@ def record(
     closing_a: float = 0.13,
     hold_a: float = 0.33,
     n_grasps: int = 1,
-    closed: bool = True,
-) -> Path:
+) -> None:
     """Write a recording of grasps; one with an answer is an identification of its label."""
     clock = Clock()
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -92,23 +91,21 @@ def record(
                 | {"grasp_answers": [{"probabilities": [0.2, 0.7, 0.1], "unknown": 0.1}]}
                 | {"shape": {"kind": "sphere", "size_m": 0.03, "low_m": 0.029, "high_m": 0.031}},
             )
-    if closed:
-        recorder.close()
-    return path
+    recorder.close()
 
 
-def record_fleet(folder: Path, *, n_days: int = 10, n_each: int = 2) -> list[Path]:
+def record_fleet(folder: Path, *, n_days: int) -> None:
     """Write a recording of each of two cells on each day.
 
     Of press 2 each day the opening moves by 0.3 mm, pad 1 loses 5 % and the friction grows by 4 %;
     from the sixth day on it names boxes as balls. Press 1 stays as it is.
     """
-    rng, paths = np.random.default_rng(3), list[Path]()
+    rng = np.random.default_rng(3)
     for day in range(n_days):
         for cell in ("press 1", "press 2"):
             aged = day if cell == "press 2" else 0
             grasps, answers = list[Grasp](), list[str | None]()
-            for number in range(2 * n_each * len(SIZES_MM)):
+            for number in range(2 * len(SIZES_MM)):
                 label = list(SIZES_MM)[number % len(SIZES_MM)]
                 taken = FIRST_DAY + timedelta(days=day, minutes=number)
                 grasps.append(
@@ -123,14 +120,11 @@ def record_fleet(folder: Path, *, n_days: int = 10, n_each: int = 2) -> list[Pat
                 )
                 wrong = label == "box" and aged >= 5
                 answers.append(None if number % 2 else "ball" if wrong else label)
-            paths.append(
-                record(
-                    folder / f"run-{day:02d}-{cell[-1]}" / "recording.mcap",
-                    grasps,
-                    cell=cell,
-                    answers=answers,
-                    closing_a=0.13 * 1.04**aged,
-                    hold_a=0.2 + 0.13 * 1.04**aged,
-                )
+            record(
+                folder / f"run-{day:02d}-{cell[-1]}" / "recording.mcap",
+                grasps,
+                cell=cell,
+                answers=answers,
+                closing_a=0.13 * 1.04**aged,
+                hold_a=0.2 + 0.13 * 1.04**aged,
             )
-    return paths

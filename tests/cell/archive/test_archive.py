@@ -46,7 +46,7 @@ EXAMPLE = Path(__file__).parents[3] / "docs/examples/train_on_a_cluster.py"
 @pytest.fixture(scope="session")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fleet")
-    record_fleet(folder, n_days=3, n_each=1)
+    record_fleet(folder, n_days=3)
     return folder
 
 
@@ -367,7 +367,7 @@ def test_the_example_trains_and_evaluates_with_a_scheduler_and_two_workers(
 def aged(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return the archive of ten days of two cells, of which one ages."""
     folder = tmp_path_factory.mktemp("aged")
-    record_fleet(folder / "recordings", n_days=10, n_each=1)
+    record_fleet(folder / "recordings", n_days=10)
     target = str(folder / "archive")
     ingest(target, sources([folder / "recordings"]), progress=silent)
     return target

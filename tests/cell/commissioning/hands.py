@@ -26,7 +26,7 @@ class Script(Dialog):
 
     A list of replies is used up one by one, its last one stays. A question without a reply takes
     that of ``otherwise``, or its default; one without a default fails the test. ``leave_at`` names
-    a question, or ``approve`` or ``approve.STEP``, at which the person leaves, once.
+    a question, or ``approve``, at which the person leaves, once.
     """
 
     replies: Mapping[str, Reply | list[Reply]] = field(default_factory=dict)
@@ -37,7 +37,6 @@ class Script(Dialog):
     writes: list[ProposedChange] = field(default_factory=list)
     findings: dict[str, Notes] = field(default_factory=dict)
     watched: list[str] = field(default_factory=list)
-    began: list[str] = field(default_factory=list)
     otherwise: Callable[[Question], str | float | None] = lambda _question: None
     heard: Callable[[str], None] = lambda _text: None
     """Called with each text that is said, and is no question."""
@@ -46,7 +45,6 @@ class Script(Dialog):
 
     def start_step(self, step: Step, number: int, count: int) -> None:
         assert 1 <= number <= count
-        self.began.append(step.key)
 
     def show(self, step: Step, finding: Notes) -> None:
         self.findings[step.key] = finding
@@ -87,16 +85,15 @@ class Script(Dialog):
         return answer
 
     def approve(self, writes: Sequence[ProposedChange]) -> None:
-        for name in ("approve", f"approve.{self.began[-1]}" if self.began else ""):
-            if name in self.leave_at:
-                self.leave_at.remove(name)
-                raise WizardAborted("refused")
+        if "approve" in self.leave_at:
+            self.leave_at.remove("approve")
+            raise WizardAborted("refused")
         self.writes += writes
 
     @property
     def text(self) -> str:
-        """All that was said and found."""
-        return "\n".join([*self.said, *(line for f in self.findings.values() for line in f.lines)])
+        """All that was said."""
+        return "\n".join(self.said)
 
 
 class SimulatedLines(LineOpener):
