@@ -161,10 +161,10 @@ class Rig:
         _check(velocity_rad_s, _FASTEST_RAD_S, "rad/s")
         self.write(goal_velocity=round(velocity_rad_s / self.model.velocity_unit_rad_s))
 
-    def position(self, pulses: int, *, profile_raw: int = 0) -> None:
-        """Set Goal Position in pulses, at most `_FARTHEST_PULSES` away, and Profile Velocity."""
+    def position(self, pulses: int) -> None:
+        """Set Goal Position in pulses, at most `_FARTHEST_PULSES` away, without a profile."""
         _check(pulses - self.sample().position_pulses, _FARTHEST_PULSES, "pulses away")
-        self.write(profile_velocity=profile_raw, goal_position=pulses)
+        self.write(profile_velocity=0, goal_position=pulses)
         self._goal_pulses = pulses
 
     def sample(self, part: str = "") -> Reading:

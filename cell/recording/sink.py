@@ -13,6 +13,8 @@ from cell.fault_catalogue import error_text
 
 MAX_WAITING_BYTES = 16 << 20
 """Bytes that may wait for a slow disk before the recording stops."""
+CLOSE_TIMEOUT_S = 10.0
+"""Longest time in s that a disk may take for the rest at the end."""
 
 LEFT_BYTES = 1 << 20
 """Free bytes below which the disk is nearly full: room for the end of a recording."""
@@ -47,29 +49,19 @@ class RecordingSink:
     """File of the MCAP writer: one thread writes whole records.
 
     In the ``background`` a slow disk never delays the force loop; else `write` waits for the disk.
-    A failed write leaves no half record behind; it is in `error`, never raised. It is an error too
-    if more than ``max_waiting_bytes`` wait, because the disk is too slow, or if `close` waits in
-    the background for more than ``close_timeout_s`` s.
+    A failed write leaves no half record behind; it is in `error`, never raised. So is a disk that
+    is too slow in the background: more than `MAX_WAITING_BYTES` wait, or `close` does.
 
     Raises FileExistsError if the file exists: no recording is ever overwritten.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        *,
-        background: bool,
-        max_waiting_bytes: int = MAX_WAITING_BYTES,
-        close_timeout_s: float = 10.0,
-    ) -> None:
+    def __init__(self, path: Path, *, background: bool) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         self._handle = os.open(path, flags, 0o666)
         with suppress(OSError):  # a file system without locks; the lock ends with the program
             # `in_use` of another program may hold the lock for a moment.
             fcntl.flock(self._handle, fcntl.LOCK_EX)
         self._background = background
-        self._max_waiting_bytes = max_waiting_bytes
-        self._close_timeout_s = close_timeout_s if background else None
         self._queue: Queue[bytes | None] = Queue()
         self._taken_bytes = self._length = 0
         self._ended = False
@@ -88,10 +80,10 @@ class RecordingSink:
     def write(self, data: bytes, /) -> int:
         """Queue the bytes; after an error or the end do nothing."""
         waiting_bytes = self._taken_bytes - self._length
-        if self.error is None and waiting_bytes + len(data) > self._max_waiting_bytes:
+        if self.error is None and waiting_bytes + len(data) > MAX_WAITING_BYTES:
             self.error = OSError(
                 f"the disk is too slow: {waiting_bytes} bytes wait to be written, the limit is "
-                f"{self._max_waiting_bytes}"
+                f"{MAX_WAITING_BYTES}"
             )
         if self.error is None and not self._ended:
             self._taken_bytes += len(data)
@@ -118,9 +110,9 @@ class RecordingSink:
         A write that fails, or a file that was moved or removed, is an `error`.
         """
         self.end()
-        self._thread.join(self._close_timeout_s)
+        self._thread.join(CLOSE_TIMEOUT_S if self._background else None)
         if self._thread.is_alive():
-            text = f"the disk did not take the rest within {self._close_timeout_s} s"
+            text = f"the disk did not take the rest within {CLOSE_TIMEOUT_S} s"
             self.error = self.error or OSError(text)
 
     def _run(self) -> None:

@@ -155,9 +155,8 @@ def test_damage_is_refused_naming_file_and_array(name, change, says, good, tmp_p
     assert "bad.npz" in str(caught.value)
 
 
-def npy(header: bytes, length: int | None = None) -> bytes:
-    stated = (len(header) if length is None else length).to_bytes(4, "little")
-    return b"\x93NUMPY\2\0" + stated + header
+def npy(header: bytes) -> bytes:
+    return b"\x93NUMPY\2\0" + len(header).to_bytes(4, "little") + header
 
 
 LIE = npy(b"{'descr': '<u2', 'fortran_order': False, 'shape': (99999999999, 99), }") + bytes(64)

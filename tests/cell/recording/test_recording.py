@@ -450,10 +450,11 @@ def test_recorder_refuses_what_is_not_in_order(tmp_path) -> None:
         recorder.now(recording_schema.EVENT, {})
 
 
-def test_slow_disk_is_an_error_not_a_delay(tmp_path, go_on) -> None:
+def test_slow_disk_is_an_error_not_a_delay(tmp_path, go_on, monkeypatch) -> None:
+    monkeypatch.setattr(recorder_sink, "MAX_WAITING_BYTES", 100)
+    monkeypatch.setattr(recorder_sink, "CLOSE_TIMEOUT_S", 0.0)
     for sizes, says in (((60, 60), "too slow: 60 bytes wait"), ((60,), r"within 0.0 s")):
-        limits = {"max_waiting_bytes": 100, "close_timeout_s": 0.0}
-        file = RecordingSink(tmp_path / says, background=True, **limits)
+        file = RecordingSink(tmp_path / says, background=True)
         for size in sizes:
             file.write(bytes(size))
         file.close()
@@ -475,20 +476,15 @@ GOOD = {
 }
 
 
-def foreign(
-    path: Path,
-    *contents: bytes,
-    metadata: dict[str, str] | None = GOOD,
-    topic: str = "/tactile/frame",
-) -> Path:
-    """Write messages of a topic under a description, as another program might."""
+def foreign(path: Path, *contents: bytes, metadata: dict[str, str] | None = GOOD) -> Path:
+    """Write frames under a description, as another program might."""
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=1 << 30, compression=CompressionType.ZSTD)
         writer.start()
         if metadata is not None:
             metadata = metadata | {"crc32": recording_schema.metadata_crc32(metadata)}
             writer.add_metadata(recording_schema.METADATA, metadata)
-        channel = writer.register_channel(topic, "json", 0)
+        channel = writer.register_channel(recording_schema.FRAME, "json", 0)
         other = writer.register_channel("/tf", "protobuf", 0)
         for content in contents:
             writer.add_message(channel, 1, content, 1)
