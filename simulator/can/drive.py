@@ -157,11 +157,7 @@ class SimulatedDrive(CanopenDevice):
     @property
     def moving(self) -> bool:
         """Whether the set-point moves, or the mechanism has not reached it."""
-        return not self._stands or abs(self.motion.actual_speed) > _STANDING
-
-    @property
-    def _stands(self) -> bool:
-        return self.motion.speed == 0.0
+        return self.motion.speed != 0.0 or abs(self.motion.actual_speed) > _STANDING
 
     @property
     def statusword(self) -> int:
@@ -250,7 +246,7 @@ class SimulatedDrive(CanopenDevice):
         elif od.name == "Modes of operation":
             if value not in (0, ModeOfOperation.PROFILE_POSITION, ModeOfOperation.HOMING):
                 raise canopen.SdoAbortedError(VALUE_RANGE)
-            if not self._stands:
+            if self.motion.speed != 0.0:
                 raise canopen.SdoAbortedError(WRONG_STATE)
             self._acknowledged = self._reached = False
         elif od.name == "Host":
@@ -340,7 +336,7 @@ class SimulatedDrive(CanopenDevice):
         elif self.state == "OPERATION ENABLED":
             self._watch_switches()
         motion.step(STEP_S, blocked=self.blocked)
-        if self.state == "FAULT REACTION ACTIVE" and self._stands:
+        if self.state == "FAULT REACTION ACTIVE" and self.motion.speed == 0.0:
             self._switch_off("FAULT")
         if self.state == "OPERATION ENABLED":
             self._watch_lag()

@@ -24,7 +24,8 @@ FORM = "COMPONENT.FAULT[=VALUE][@START[..END]]"
 LONGEST_TEXT = 200
 """Most characters of a fault."""
 _TIME = re.compile(r"(?:(contact|moving)\+)?(\d{1,7}(?:\.\d{1,9})?)(ms|s)|(contact|moving)")
-_NAME = re.compile(r"[a-z]+[0-9]*\.[a-z_]+")
+_TEXT = re.compile(r"([a-z]+[0-9]*\.[a-z_]+)(?:=([^@]*))?(?:@(.*?)(?:\.\.(.*))?)?", re.DOTALL)
+"""Name, value, start and end of a fault."""
 _NUMBERED = re.compile(r"(servo|axis)([1-9][0-9]?)\.(.+)")
 
 
@@ -35,15 +36,14 @@ def check_fault(text: str, n_servos: int = 2, n_axes: int = 0) -> Fault:
     """
     if not isinstance(text, str) or len(text) > LONGEST_TEXT:
         raise SimulatorSettingsError(f"a fault is a text {FORM} of at most {LONGEST_TEXT} letters")
-    what, at, window = text.strip().partition("@")
-    name, equals, written = what.partition("=")
-    if not _NAME.fullmatch(name):
+    form = _TEXT.fullmatch(text.strip())
+    if form is None:
         raise SimulatorSettingsError(f"fault {text!r} is not of the form {FORM}")
-    if equals and not written:
+    name, written, start, end = form.groups()
+    if written == "":
         raise SimulatorSettingsError(f"fault {text!r} has no value after its '='")
-    start, dots, end = window.partition("..")
-    event, start_s = _when(text, start) if at else ("", 0.0)
-    end_event, end_s = _when(text, end) if dots else (event, math.inf)
+    event, start_s = ("", 0.0) if start is None else _when(text, start)
+    end_event, end_s = (event, math.inf) if end is None else _when(text, end)
     if event != end_event or end_s <= start_s:
         raise SimulatorSettingsError(
             f"fault {text!r} ends before it begins, or counts both from different events"
@@ -54,7 +54,7 @@ def check_fault(text: str, n_servos: int = 2, n_axes: int = 0) -> Fault:
     value = None
     if entry.value is not None:
         value = entry.value.read(name, written or str(entry.value.default))
-    elif equals:
+    elif written is not None:
         raise SimulatorSettingsError(f"fault {name} takes no value: leave it out")
     return Fault(
         text=text.strip(),

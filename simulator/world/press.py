@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,6 @@ class PadsMeet:
         # Reach of each pad's taxel field towards the other pad.
         self._reach_m = tuple(self._reach(side) for side in (0, 1))
         self._highest_m = float(self._reach_m[0].max())
-        self._table: ForceTable | None = None
 
     def _reach(self, side: int) -> NDArray[np.float64]:
         """Return the depth of a pad's cells in the other pad in m, relative to the middle."""
@@ -90,15 +90,13 @@ class PadsMeet:
         force_n, stiffness_n_m = table.lookup(table.reach_max_m - opening_m)
         return (force_n, force_n), (stiffness_n_m, stiffness_n_m)
 
-    @property
+    @cached_property
     def _forces(self) -> ForceTable:
         """Force over depth, computed when the pads first meet."""
-        if self._table is None:
-            reach_m = self._reach_m[0]
-            coarse_m = reach_m[_COARSE // 2 :: _COARSE, _COARSE // 2 :: _COARSE]
-            area_m2 = self._grids[0].cell_area_m2 * np.isfinite(reach_m).sum()
-            self._table = ForceTable(self._foam, coarse_m, area_m2 / np.isfinite(coarse_m).sum())
-        return self._table
+        reach_m = self._reach_m[0]
+        coarse_m = reach_m[_COARSE // 2 :: _COARSE, _COARSE // 2 :: _COARSE]
+        area_m2 = self._grids[0].cell_area_m2 * np.isfinite(reach_m).sum()
+        return ForceTable(self._foam, coarse_m, area_m2 / np.isfinite(coarse_m).sum())
 
     def taxel_force_n(self, side: int, position_m: tuple[float, float]) -> NDArray[np.float64]:
         """Return the force in N on each taxel of one pad, shape (rows * columns,), row-major."""
