@@ -2,7 +2,6 @@
 
 from typing import Self
 
-from simulator.can.control_unit import SimulatedControlUnit
 from simulator.can.memory_bus import InMemoryCanBus
 from simulator.clock import VirtualClock
 from simulator.devices import CellDevices
@@ -13,7 +12,6 @@ from simulator.servo.bus import MemoryServoStream
 from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
 from simulator.world.shapes import ObjectPose
-from simulator.world.world import PhysicalWorld
 from tactile.layout import TaxelLayout, paper_layout
 
 
@@ -34,6 +32,10 @@ class SimulatedCell:
         self.settings = settings or SimulatorSettings()
         self.clock = clock or VirtualClock()
         self.devices = CellDevices(self.settings, start_s=self.clock.monotonic())
+        self.world = self.devices.world
+        """The world between the fingers."""
+        self.unit = self.devices.unit
+        """The control unit."""
         self.injector = FaultInjector(self.devices, self.clock.monotonic())
         self.clock.on_advance += [self.devices.advance_to, self.injector.advance]
         self._servo_port = MemoryServoStream(self.devices.servo_bus, self.clock)
@@ -61,16 +63,6 @@ class SimulatedCell:
         if self._servo_port.closed and not self._closed:
             self._servo_port = MemoryServoStream(self.devices.servo_bus, self.clock)
         return self._servo_port
-
-    @property
-    def world(self) -> PhysicalWorld:
-        """The world between the fingers."""
-        return self.devices.world
-
-    @property
-    def unit(self) -> SimulatedControlUnit:
-        """The control unit."""
-        return self.devices.unit
 
     def inject(self, text: str) -> Fault:
         """Inject a fault by its text, for example ``can.loss=0.05@contact+0.5s``.

@@ -31,6 +31,13 @@ Handler = Callable[[dict[str, Any]], dict[str, Any]]
 """Carries out one request and returns the reply; a SimulatorError becomes an error reply."""
 
 
+_REQUESTS = (
+    *("place", "check", "define", "remove", "press", "lift"),
+    *("hand", "state", "kinds", "inject", "clear"),
+)
+"""Names of requests; each has a method of `CellRequests`."""
+
+
 class CellRequests:
     """Carries out requests, given as JSON objects.
 
@@ -59,19 +66,6 @@ class CellRequests:
     def __init__(self, devices: CellDevices, injector: FaultInjector) -> None:
         self._devices = devices
         self._injector = injector
-        self._requests: dict[str, Callable[[Any, dict[str, Any]], dict[str, Any]]] = {
-            "place": self._place,
-            "check": self._check,
-            "define": self._define,
-            "remove": self._remove,
-            "press": self._press,
-            "lift": self._lift,
-            "hand": self._hand,
-            "state": self._state,
-            "kinds": self._kinds,
-            "inject": self._inject,
-            "clear": self._clear,
-        }
 
     def __call__(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out one request.
@@ -79,10 +73,10 @@ class CellRequests:
         Raises SimulatorSettingsError or SimulatorStateError, without any change, if it cannot be
         carried out.
         """
-        named = [name for name in self._requests if name in request]
+        named = [name for name in _REQUESTS if name in request]
         if len(named) != 1:
             raise SimulatorSettingsError(
-                f"a request needs one of {', '.join(self._requests)}; got {', '.join(request)}"
+                f"a request needs one of {', '.join(_REQUESTS)}; got {', '.join(request)}"
             )
         (name,) = named
         value = request[name]
@@ -90,7 +84,8 @@ class CellRequests:
             raise SimulatorSettingsError(f"{name} takes true, got {value!r}")
         if name in ("inject", "clear") and not isinstance(value, str):
             raise SimulatorSettingsError(f"{name} takes the text of a fault, got {value!r:.40}")
-        return self._requests[name](value, request)
+        reply: dict[str, Any] = getattr(self, f"_{name}")(value, request)
+        return reply
 
     def _place(self, label: Any, request: dict[str, Any]) -> dict[str, Any]:
         devices, label = self._devices, self._label(label)
