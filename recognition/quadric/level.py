@@ -52,27 +52,6 @@ _NOISE_GRASPS = 30
 """About the number of disturbed taught grasps; more would change the result little."""
 
 
-def frames_near_full(grasp: Grasp) -> NDArray[np.int64]:
-    """Return the frames of a ramp near its full force.
-
-    It uses the commanded force if known. Else it uses the total load between its least and its
-    largest value, smoothed over three frames. The nearest frame is always included.
-    """
-    known = np.isfinite(grasp.force_n)
-    if known.any():
-        # Frames without a force are infinitely far.
-        reached = np.where(known, grasp.force_n, np.inf) / max(
-            float(np.max(grasp.force_n[known])), 1e-9
-        )
-    else:
-        total = grasp.counts.sum(axis=1, dtype=np.float64)
-        total = ndimage.median_filter(total, 3, mode="nearest")
-        least = float(total.min())
-        reached = (total - least) / max(float(total.max()) - least, 1e-9)
-    distance = np.abs(reached - 1.0)
-    return np.flatnonzero(distance <= max(_TOLERANCE, float(distance.min())))
-
-
 def main_patch(
     height: NDArray[np.float64], pads: PadArray, pad: int, threshold: float, *, rim: int = 0
 ) -> NDArray[np.int64]:
@@ -195,23 +174,32 @@ def level_of(grasp: Grasp, force_n: float | None = None) -> tuple[float, MeanFra
         return None
 
 
-def frames_at(grasp: Grasp, force_n: float | None) -> NDArray[np.int64]:
-    """Return the frames near a force in N, near the full force for None.
+def frames_at(grasp: Grasp, force_n: float | None = None) -> NDArray[np.int64]:
+    """Return the frames near a force in N; near the full force for None.
 
-    Grasps without recorded forces are used near their full load.
+    Without recorded forces they are near the full load: the total load between its least and its
+    largest value, smoothed over three frames. The frame nearest to the full one is always included.
 
-    Raises ContactError if the ramp never came near it.
+    Raises ContactError if the ramp never came near the force.
     """
     known = np.isfinite(grasp.force_n)
-    if force_n is None or not known.any():
-        return frames_near_full(grasp)
-    largest = float(np.max(grasp.force_n[known]))
-    distance = np.where(known, np.abs(grasp.force_n - force_n), np.inf)
-    frames = np.flatnonzero(distance <= _TOLERANCE * force_n)
+    if known.any():
+        # Frames without a force are infinitely far.
+        reached, full = np.where(known, grasp.force_n, np.inf), float(grasp.force_n[known].max())
+    else:
+        total = grasp.counts.sum(axis=1, dtype=np.float64)
+        reached = ndimage.median_filter(total, 3, mode="nearest")
+        reached, force_n = reached - reached.min(), None
+        full = float(reached.max())
+    wanted = full if force_n is None else force_n
+    distance = np.abs(reached - wanted)
+    limit = _TOLERANCE * wanted
+    if force_n is None:
+        limit = max(limit, float(distance.min()))
+    frames = np.flatnonzero(distance <= limit)
     if len(frames) == 0:
         raise ContactError(
-            f"no frame within {_TOLERANCE * force_n:.3g} N of {force_n:.3g} N; the ramp "
-            f"reached {largest:.3g} N"
+            f"no frame within {limit:.3g} N of {wanted:.3g} N; the ramp reached {full:.3g} N"
         )
     return frames
 

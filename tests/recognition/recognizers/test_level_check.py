@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from recognition.errors import ContactError, QuadricError
-from recognition.quadric.level import MeanFrames, frames_near_full, level_of
+from recognition.quadric.level import MeanFrames, frames_at, level_of
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
 from tests.recognition.conftest import grasp_of, make_pads, part
@@ -160,9 +160,9 @@ def test_the_level_is_a_quarter_over_the_fitted_peak_in_counts_of_255(pads, rng)
 
 def test_frames_near_the_full_force_or_load(rng):
     grasp = _grasp(PINCH, 0.5, rng)
-    assert frames_near_full(grasp).tolist() == list(range(25, 38))
+    assert frames_at(grasp).tolist() == list(range(25, 38))
     without = _grasp(PINCH, 0.5, rng, force=False)
-    assert set(frames_near_full(without)) >= set(range(28, 37))
+    assert set(frames_at(without)) >= set(range(28, 37))
 
 
 def test_a_fixed_force_that_was_not_reached_is_refused():
