@@ -57,8 +57,6 @@ class PressedPads:
     """(S, columns, n_y) float32: `across` of `bed` for the same spreads."""
     share: NDArray[np.float64]
     """(K, n_taxels) float64: mean rise of both pads' taxels as a share of the full scale."""
-    sd: NDArray[np.float64]
-    """(K, n_taxels) float64: standard deviation of each by noise and the error of the model."""
     pressed: NDArray[np.bool_]
     """(n_taxels,) bool: taxels above the noise at the last level; only these show the fit of a
     shape."""
@@ -137,7 +135,6 @@ def reduce_to_pads(grasp: Grasp, foam: FoamModel) -> PressedPads:
         along=np.stack([bed.along for bed in beds]).astype(np.float32),
         across=np.stack([bed.across for bed in beds]).astype(np.float32),
         share=share,
-        sd=sd,
         pressed=share[-1] > _PRESSED_SD * sd[-1],
         whitener=_whitener(share, noise),
         aperture_m=levels.aperture_mm[0, chosen] * 1e-3,

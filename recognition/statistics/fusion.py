@@ -5,21 +5,12 @@ from dataclasses import dataclass
 from enum import Enum, unique
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit, log_softmax, logit, logsumexp
 
 from recognition.recognizer import UNKNOWN, Posterior
 
 FLATTENING = 0.005
 """Share of the uniform distribution that each grasp gets before it is fused."""
-
-
-def evidence(probability: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the logarithm of flattened probabilities over the uniform ones, (n, C) for (n, C)."""
-    n_labels = probability.shape[1]
-    flattened = (1.0 - FLATTENING) * probability + FLATTENING / n_labels
-    log_ratio: NDArray[np.float64] = np.log(flattened * n_labels)
-    return log_ratio
 
 
 def independent_share(n_grasps: int, dependence: float) -> float:
@@ -111,8 +102,9 @@ def fuse(posteriors: Sequence[Posterior], *, dependence: float | None = None) ->
             raise ValueError(f"posteriors have different labels: {labels} and {p.labels}")
     n, n_labels = len(posteriors), len(labels)
     weight = independent_share(n, dependence)
-    each = evidence(np.stack([p.probability for p in posteriors]))
-    total = weight * np.sort(each, axis=0).sum(axis=0)
+    each = np.stack([p.probability for p in posteriors])
+    flattened = (1.0 - FLATTENING) * each + FLATTENING / n_labels
+    total = weight * np.sort(np.log(flattened * n_labels), axis=0).sum(axis=0)
     probability = np.exp(log_softmax(total))
     limit = float(expit(_MAX_UNKNOWN_LOGIT))
     log_odds = sorted(float(logit(np.clip(p.unknown, 1.0 - limit, limit))) for p in posteriors)
