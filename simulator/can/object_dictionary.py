@@ -78,7 +78,7 @@ class UnitDictionary:
         """Object 0x1001."""
         form = scanner.format
         shapes = bytes(size for pad in layout.pads for size in (pad.rows, pad.columns))
-        self._constants: dict[str, int | str | bytes] = {
+        self._values: dict[str, Any] = {
             "Taxel layout.Number of pads": layout.n_pads,
             "Taxel layout.Number of taxels": layout.n_taxels,
             "Taxel layout.Layout hash": layout.layout_hash,
@@ -89,8 +89,6 @@ class UnitDictionary:
             "Frame format.Header bytes": form.header_bytes,
             "Rows and columns of each pad": shapes,
             "Identity object.Serial number": serial_number,
-        }
-        self._live: dict[str, Callable[[int], int | bytes | None]] = {
             "Error register": lambda _subindex: self.error_register,
             _ERRORS: self._read_history,
             "Last frame": self._read_frame,
@@ -101,13 +99,13 @@ class UnitDictionary:
         node.add_write_callback(self._write)
 
     def pretend(self, name: str, value: int | str | bytes | None) -> int | str | bytes | None:
-        """Replace the value of a constant, by its name in the EDS; returns the previous one.
+        """Replace the value of a constant by its name in the EDS; returns the previous one.
 
         None is the value of the EDS.
         """
-        before = self._constants.pop(name, None)
+        before: int | str | bytes | None = self._values.pop(name, None)
         if value is not None:
-            self._constants[name] = value
+            self._values[name] = value
         return before
 
     def reset(self, *, everything: bool) -> None:
@@ -133,14 +131,11 @@ class UnitDictionary:
         value = self.number(_COB_IDS[pdo - 1])
         return None if value & unit_od.PDO_INVALID else value & _COB_ID_BITS
 
-    def _read(self, *, index: int, subindex: int, od: ODVariable) -> int | str | bytes | None:
+    def _read(self, *, index: int, subindex: int, od: ODVariable) -> Any:
         del index
         self._check_there(subindex, od)
-        constant = self._constants.get(od.qualname)
-        if constant is not None:
-            return constant
-        read = self._live.get(_object_name(od))
-        return None if read is None else read(subindex)
+        value = self._values.get(od.qualname, self._values.get(_object_name(od)))
+        return value(subindex) if callable(value) else value
 
     def _check_there(self, subindex: int, od: ODVariable) -> None:
         if _object_name(od) in self._missing:
