@@ -139,7 +139,6 @@ class CanLink:
     def _transmit(self, now_s: float) -> None:
         """Move messages sent until ``now_s`` s into the inbox, with the faults."""
         inbox = self._inbox
-        disturbed = self.faults.disturbs
         for ends_s, burst, messages in self._wire.take(now_s):
             can_id = burst.can_id
             for through_s, data in zip(ends_s, messages, strict=True) if self.capture else ():
@@ -147,6 +146,8 @@ class CanLink:
                     capture(through_s, can_id, data)
             if burst.from_host:
                 continue
+            # A capture may have injected a fault.
+            disturbed = self.faults.disturbs
             arrived: Iterable[can.Message]
             if disturbed:
                 arrived = self._disturbed(ends_s, can_id, messages)
