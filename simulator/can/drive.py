@@ -15,8 +15,7 @@ from canopen.profiles.p402 import State402
 
 from motion import object_dictionary as od
 from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, Status
-from simulator.can.node import BOOT_S, RESETS, CanopenDevice
-from simulator.can.object_dictionary import NO_SUBINDEX, VALUE_RANGE, WRONG_STATE
+from simulator.can.node import BOOT_S, RESETS, Abort, CanopenDevice
 
 STEP_S = 1e-3
 """Period in s of the drive's position loop."""
@@ -233,27 +232,27 @@ class SimulatedDrive(CanopenDevice):
 
     def _read(self, *, index: int, subindex: int, od: ODVariable) -> int | None:
         if subindex != od.subindex:
-            raise canopen.SdoAbortedError(NO_SUBINDEX)
+            raise canopen.SdoAbortedError(Abort.NO_SUBINDEX)
         live = self._live.get(od.name)
         return None if live is None else live()
 
     def _write(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         if subindex != od.subindex:
-            raise canopen.SdoAbortedError(NO_SUBINDEX)
+            raise canopen.SdoAbortedError(Abort.NO_SUBINDEX)
         value = int(od.decode_raw(data))
         if od.name == "Controlword":
             self._command(value)
         elif od.name == "Modes of operation":
             if value not in (0, ModeOfOperation.PROFILE_POSITION, ModeOfOperation.HOMING):
-                raise canopen.SdoAbortedError(VALUE_RANGE)
+                raise canopen.SdoAbortedError(Abort.VALUE_RANGE)
             if self.motion.speed != 0.0:
-                raise canopen.SdoAbortedError(WRONG_STATE)
+                raise canopen.SdoAbortedError(Abort.WRONG_STATE)
             self._acknowledged = self._reached = False
         elif od.name == "Host":
             # Supervision begins with the first heartbeat (CiA 301, 7.2.8.3.3).
             self._host_due_s = math.inf
         elif od.name == "Homing method" and value not in [0, *HomingMethod]:
-            raise canopen.SdoAbortedError(VALUE_RANGE)
+            raise canopen.SdoAbortedError(Abort.VALUE_RANGE)
 
     # -- state machine -------------------------------------------------------------------------
 

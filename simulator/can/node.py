@@ -5,6 +5,7 @@ import math
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from enum import IntEnum
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,8 +20,24 @@ RESETS = (NMT_COMMANDS["RESET"], NMT_COMMANDS["RESET COMMUNICATION"])
 
 BOOT_S = 0.02
 """Time in s from power-on or reset to the boot-up message."""
-UNKNOWN_COMMAND = 0x0504_0001
-"""SDO abort code (CiA 301, 7.2.4.3.17): command specifier that is unknown, or out of its turn."""
+
+
+class Abort(IntEnum):
+    """SDO abort codes (CiA 301, 7.2.4.3.17)."""
+
+    UNKNOWN_COMMAND = 0x0504_0001
+    """A command that is unknown, or out of its turn."""
+    NO_OBJECT = 0x0602_0000
+    NOT_MAPPABLE = 0x0604_0041
+    NO_SUBINDEX = 0x0609_0011
+    VALUE_RANGE = 0x0609_0030
+    VALUE_HIGH = 0x0609_0031
+    VALUE_LOW = 0x0609_0032
+    NOT_STORED = 0x0800_0020
+    WRONG_STATE = 0x0800_0022
+    NO_DATA = 0x0800_0024
+
+
 _ABORTED = 0x80
 """First byte of an SDO abort."""
 _ABORT, _INITIATE = struct.Struct("<BHBL"), struct.Struct("<BHB")
@@ -116,7 +133,7 @@ class CanopenDevice(ABC):
         except struct.error:
             # Its abort has the object of the last transfer, but there was no transfer.
             _, index, subindex = _INITIATE.unpack_from(request)
-            abort = _ABORT.pack(_ABORTED, index, subindex, UNKNOWN_COMMAND)
+            abort = _ABORT.pack(_ABORTED, index, subindex, Abort.UNKNOWN_COMMAND)
             self._network.send_message(sdo.tx_cobid, abort)
 
     def next_event_s(self) -> float:
