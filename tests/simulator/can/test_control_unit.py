@@ -19,7 +19,7 @@ from simulator.can.control_unit import (
 )
 from simulator.can.faults import ControlUnitFaults
 from simulator.can.messages import BurstFormat
-from simulator.can.pad_forces import PadForces
+from simulator.can.scanner import PadForces
 from simulator.errors import SimulatorStateError
 from tactile.control_unit import object_dictionary as od
 from tactile.frames.assembler import FrameAssembler
