@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from math import inf
 
 from gripper.errors import GripContradicted, GripperStateError, PartLost
 from gripper.force.approach.approach import Approach, ApproachEvent
@@ -18,12 +19,13 @@ from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.empty_grip import EmptyGrip
+from gripper.force.supervision.part_watch import RUN_M
 from gripper.force.supervision.slip import LevelSlip
 from gripper.mechanics.kinematics import Linkage
 from gripper.servos.goal_limits import standing
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
-from gripper.values.state import STANDING_M_S, GripperPhase, ServoFeedback
+from gripper.values.state import GripperPhase, ServoFeedback
 
 _BEGINS_M, _SURPRISE_M = 0.0005, 0.0015
 """Margin in m by which the next part may be wider than all earlier ones: the first value, and the
@@ -102,7 +104,8 @@ class GraspRun:
         if reached.event is ApproachEvent.OBSTRUCTED:
             raise _obstructed(reached)
         if reached.event is not ApproachEvent.CONTACT:
-            closing = -contact.aperture_velocity_m_s > STANDING_M_S
+            # Fingers that are slow stick and slip: their last way counts, not their speed.
+            closing = reached.stiffness.apertures.at(-inf) - contact.aperture_m > RUN_M
             closed = contact.aperture_m <= self._settings.aperture_min_m
             self._confirm_empty(contact, ran=closed or closing, approached=True)
             self._set_phase(GripperPhase.APPROACHING)
