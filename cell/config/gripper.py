@@ -238,7 +238,9 @@ def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSett
                 model=servo.model,
                 direction=servo.direction,
                 zero_raw=servo.zero_pulse,
-                measured=_measured(servo),
+                measured=measured_drive(Path(servo.measured), MODELS[servo.model])
+                if servo.measured
+                else None,
             )
             for servo in config.servos
         ),
@@ -247,10 +249,6 @@ def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSett
         corrected_registers=frozenset(config.servo_care.corrected_registers),
         **values,
     )
-
-
-def _measured(servo: ServoConfig) -> DriveCharacteristic | None:
-    return measured_drive(Path(servo.measured), MODELS[servo.model]) if servo.measured else None
 
 
 def measured_drive(path: Path, model: ServoModel) -> DriveCharacteristic:

@@ -114,11 +114,6 @@ class PadMountConfig(Section):
     turned by 180 degrees."""
 
 
-def _name_or_pads(value: object) -> str:
-    """Return the kind of a layout: ``name``, or ``pads`` for a custom layout."""
-    return "name" if isinstance(value, str) else "pads"
-
-
 LayoutName = Literal[
     "flexitac_12x32", "flexitac_16x16", "flexitac_16x32", "paper", "pinch", "uskin_4x4"
 ]
@@ -153,7 +148,7 @@ class TactileConfig(Section):
     """Required serial number of the unit (object 1018h:4); none: any."""
     layout: Annotated[
         Annotated[LayoutName, Tag("name")] | Annotated[PadsConfig, Tag("pads")],
-        Discriminator(_name_or_pads),
+        Discriminator(lambda value: "name" if isinstance(value, str) else "pads"),
     ] = "paper"
     """paper: 408 taxels, ten pads; pinch: two pads of 13 x 6, 12 bit; flexitac_12x32,
     flexitac_16x32 and flexitac_16x16: two pads of 2 mm pitch, rows along the finger; uskin_4x4: two
