@@ -155,16 +155,6 @@ PRACTICE: Practice = {
 """The practice with two servos on parallel links."""
 
 
-def practised(text: str, *, said: bool, otherwise: Practice) -> tuple[list[str], str]:
-    """Return what hands do and what is typed where the wizard asks a text, or only says it."""
-    for pattern, (words, typed) in [*otherwise.items(), *PRACTICE.items()]:
-        match = re.search(pattern.removeprefix("!"), text)
-        if match and said == pattern.startswith("!"):
-            hands = match.expand(words).split("; ")
-            return [one for one in hands if one], match.expand(typed)
-    return [], ""
-
-
 class Person:
     """Answers and hands of a person who does all that the wizard asks for.
 
@@ -202,11 +192,14 @@ class Person:
 
         return act
 
-    def typed(self, text: str) -> str:
-        """Do what the wizard asks for; return what is typed."""
-        words, typed = practised(text, said=False, otherwise=self.practice)
-        self.does(*words)()
-        return typed
+    def typed(self, text: str, *, said: bool = False) -> str:
+        """Do what the wizard asks for, or only says; return what is typed."""
+        for pattern, (words, typed) in [*self.practice.items(), *PRACTICE.items()]:
+            match = re.search(pattern.removeprefix("!"), text)
+            if match and said == pattern.startswith("!"):
+                self.does(*filter(None, match.expand(words).split("; ")))()
+                return match.expand(typed)
+        return ""
 
     def _answer(self, question: Question) -> str | float | None:
         typed = self.typed(question.text)
@@ -218,8 +211,7 @@ class Person:
 
     def heard(self, text: str) -> None:
         """Do what the wizard says."""
-        words, _ = practised(text, said=True, otherwise=self.practice)
-        self.does(*words)()
+        self.typed(text, said=True)
 
     def moment(self) -> None:
         """Feel the force on the soft part."""
