@@ -17,7 +17,7 @@ from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
-from simulator.faults.entry import Fault
+from simulator.faults.vocabulary import Fault
 
 
 @dataclass(frozen=True, kw_only=True)

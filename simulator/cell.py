@@ -6,8 +6,8 @@ from simulator.can.memory_bus import InMemoryCanBus
 from simulator.clock import VirtualClock
 from simulator.devices import CellDevices
 from simulator.errors import PortUnplugged, SimulatorStateError
-from simulator.faults.entry import Fault
 from simulator.faults.injector import FaultInjector
+from simulator.faults.vocabulary import Fault
 from simulator.servo.bus import MemoryServoStream
 from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings

@@ -7,10 +7,9 @@ from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.boards.site import SimulatedBoards
 from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
-from simulator.servo.encoder import ServoNoise
 from simulator.servo.gearing import IDEAL_GEARING, Gearing, drawn_gearing
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, ServoMount
-from simulator.servo.motor import OverloadRule, ServoMotor
+from simulator.servo.motor import OverloadRule, ServoMotor, ServoNoise
 from simulator.servo.wrist import WristMount
 from simulator.world.world import WorldSettings
 from tactile.layout import PadMount, TaxelLayout, paper_layout

@@ -1,7 +1,6 @@
 """The reference of simulated faults, made from the simulator's vocabulary."""
 
-from simulator.faults.entry import FaultEntry, Number
-from simulator.faults.vocabulary import VOCABULARY
+from simulator.faults.vocabulary import VOCABULARY, FaultEntry, Number
 
 
 def faults_page() -> str:

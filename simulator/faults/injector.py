@@ -12,8 +12,7 @@ from difflib import get_close_matches
 from simulator.clock import ROUNDING_S
 from simulator.devices import CellDevices
 from simulator.errors import SimulatorError, SimulatorSettingsError, SimulatorStateError
-from simulator.faults.entry import Fault, FaultEntry
-from simulator.faults.vocabulary import VOCABULARY
+from simulator.faults.vocabulary import VOCABULARY, Fault, FaultEntry
 
 CONTACT_N = 0.5
 """Force in N on both pads at the event ``contact``: a little below the contact force of grippers,

@@ -19,7 +19,7 @@ from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from simulator.cell import SimulatedCell
-from simulator.faults.entry import Fault
+from simulator.faults.vocabulary import Fault
 from simulator.world.world import PhysicalWorld
 
 CONTACT_N = 0.02

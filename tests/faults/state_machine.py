@@ -16,8 +16,7 @@ from cell.control.controller import CellController
 from cell.control.plan import GraspStep, Keep, Pose
 from cell.simulation import simulation_of
 from simulator.errors import SimulatorError
-from simulator.faults.entry import FaultEntry, Number
-from simulator.faults.vocabulary import VOCABULARY
+from simulator.faults.vocabulary import VOCABULARY, FaultEntry, Number
 from tests.cell.conftest import COARSE_PADS
 from tests.faults.campaign import PRODUCT_ERRORS, campaign_config
 from tests.faults.invariants import (

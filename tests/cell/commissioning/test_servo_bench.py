@@ -19,10 +19,9 @@ from gripper.dynamixel.serial_port import ByteStream
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
-from simulator.servo.encoder import ServoNoise
 from simulator.servo.gearing import drawn_gearing
 from simulator.servo.mechanics import FingerMechanics, RackLinkage, ServoMount
-from simulator.servo.motor import ServoMotor
+from simulator.servo.motor import ServoMotor, ServoNoise
 from tests.cell.commissioning.hands import Script
 
 ARM_M = 0.1

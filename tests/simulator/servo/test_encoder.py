@@ -7,8 +7,7 @@ from statistics import mean, pstdev
 import pytest
 
 from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W210, XM430_W350, OperatingMode
-from simulator.servo.encoder import ServoNoise, VelocityRegister
-from simulator.servo.motor import DriveCommand, ServoMotor
+from simulator.servo.motor import DriveCommand, ServoMotor, ServoNoise, VelocityRegister
 
 STEP_S = 1e-3
 
