@@ -75,7 +75,6 @@ def test_a_socket_is_used_where_one_is_named(make_bench, tmp_path) -> None:
     [
         ({}, BusNotOpened, "can-that-is-not-there"),
         ({"tactile__interface": "virtual"}, PortLost, "serial-that-is-not-there"),
-        LONG({"tactile__interface": "nonsense"}, BusNotOpened, "nonsense"),
     ],
 )
 def test_wrong_ports_are_named_and_nothing_stays_open(tmp_path, change, error, name) -> None:

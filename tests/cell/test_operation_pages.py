@@ -80,13 +80,6 @@ def test_the_page_on_updates_can_be_typed(here) -> None:
     assert re.search(r"\b(ball|box)\b", list(typed("update.md"))[-1])
 
 
-def test_a_wheel_of_the_page_has_the_name_that_a_build_gives_it() -> None:
-    names = set(re.findall(r"\S*\.whl", (PAGES / "update.md").read_text()))
-    assert {name.strip("'").split("[")[0] for name in names} == {
-        "./tactile_cell-0.3.0-py3-none-any.whl"
-    }
-
-
 @pytest.mark.slow
 def test_the_page_on_recordings_can_be_typed(here) -> None:
     (config,) = blocks("keep-recordings.md", "yaml")

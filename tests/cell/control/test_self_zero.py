@@ -111,7 +111,6 @@ def test_it_is_measured_on_other_hands(make_bench, hand: dict[str, Any]) -> None
     [
         ("always", "sphere:diameter=9.5mm"),
         ("on_demand", "cylinder:diameter=3mm,length=60mm"),
-        LONG("on_demand", "box:length=40mm,width=16mm,height=2mm"),
     ],
 )
 def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, when, part) -> None:
@@ -377,23 +376,13 @@ def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "seed",
-    [
-        10,
-        LONG(38),
-        LONG(45),
-    ],
-)
-def test_pads_on_each_other_stay_below_the_cap_and_contradict_no_message(
-    make_bench, seed: int
-) -> None:
+def test_pads_on_each_other_stay_below_the_cap_and_contradict_no_message(make_bench) -> None:
     """At twice the noise, which moves the centre of a load on all taxels far, and with one stronger
     motor. The set-point ends at 10 N, the cap is 15 N, and no servo was ever
     measured."""
     unlike = {"simulator__servos__friction": [0.5, 1.0], "simulator__servos__kt": [1.3, 1.0]}
     noisy = {"simulator__noise_level": 2.0, "tactile__tare_frames": 100}
-    bench = make_bench(small_config(self_zero="always", seed=seed, **unlike, **noisy))
+    bench = make_bench(small_config(self_zero="always", seed=10, **unlike, **noisy))
     forces_n: list[float] = []
     bench.simulated.clock.on_advance.append(
         lambda _now_s: forces_n.append(max(bench.simulated.world.contact_force_n()))

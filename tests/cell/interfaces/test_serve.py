@@ -23,7 +23,6 @@ from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands import serve as serving
 from cell.service.service import RELEASE_KEY
 from tests.cell.conftest import once
-from tests.marks import LONG
 from tests.waiting import LIMIT_S, until
 
 PROGRAM = (sys.executable, "-c", "from cell.interfaces.cli import main; main()")
@@ -62,8 +61,7 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(t
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", ["self-zero of the start", "ramp of a job"])
-@pytest.mark.parametrize("number", [LONG(signal.SIGINT), signal.SIGTERM])
-def test_a_signal_first_stops_the_motion(meddle, monkeypatch, tmp_path, moment, number) -> None:
+def test_a_signal_first_stops_the_motion(meddle, monkeypatch, tmp_path, moment) -> None:
     starts = moment == "self-zero of the start"
     zero = "always" if starts else "on_demand"
     (tmp_path / "cell.yaml").write_text(SMALL.format(zero=zero, kind="simulated"))
@@ -71,7 +69,7 @@ def test_a_signal_first_stops_the_motion(meddle, monkeypatch, tmp_path, moment, 
 
     def arrange(made: Any) -> None:
         def strike() -> None:
-            os.kill(os.getpid(), number)
+            os.kill(os.getpid(), signal.SIGTERM)
             until(lambda: made.controller.life.interrupted)  # the cell's time stands meanwhile
             pressed_n.append(min(made.simulated.world.contact_force_n()))
 

@@ -26,7 +26,6 @@ from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.session import running_cell
 from cell.interfaces.cli.signals import stopping
 from tests.cell.conftest import small_config
-from tests.marks import LONG
 from tests.values import raising
 from tests.waiting import LIMIT_S
 
@@ -167,15 +166,13 @@ with stopping(lambda: None, end_within_s=0.05, left='; the grip is kept'):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, *(LONG(one) for one in (signal.SIGTERM, signal.SIGHUP))]
-)
-def test_a_signal_while_the_program_ends_leaves_its_exit_code(number) -> None:
-    program = f"""
+def test_a_signal_while_the_program_ends_leaves_its_exit_code() -> None:
+    program = """
 import atexit, os, signal, sys
 from cell.interfaces.cli import main
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-atexit.register(lambda: os.kill(os.getpid(), {number:d}))
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    atexit.register(os.kill, os.getpid(), number)
 sys.argv = ['tactile-cell', 'config', 'check', '/nowhere/cell.yaml']
 main()
 """

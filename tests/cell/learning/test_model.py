@@ -146,23 +146,9 @@ def test_what_is_no_model_is_refused(arrays, says, tmp_path) -> None:
 
 
 def test_recognizer_of_unknown_kind_is_not_written(learnt, tmp_path) -> None:
-    class Guess:
-        labels = ("ball",)
-
-        def posterior(self, grasp: Grasp) -> Posterior:
-            raise NotImplementedError
-
-        def to_arrays(self) -> dict[str, NDArray[Any]]:
-            raise NotImplementedError
-
-        @classmethod
-        def from_arrays(cls, arrays: Any) -> "Guess":
-            raise NotImplementedError
-
     for recognizer, name, says in (
         (learnt, "magic", "installed are .*force_ramp"),
         (learnt, "force_ramp", "has no recognizer named"),
-        (Guess(), "level_check", "has no recognizer named 'Guess'"),
     ):
         with pytest.raises(ModelError, match=says):
             save_model(tmp_path / "m.npz", recognizer, trainer_name=name, pads=PADS)
