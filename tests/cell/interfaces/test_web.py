@@ -240,7 +240,8 @@ def test_faults_of_a_simulated_cell_begin_and_end_on_request(connect, capsys) ->
 
 @pytest.mark.slow
 def test_a_trainer_exchanges_the_part_and_an_own_name_is_taught(connect) -> None:
-    served, host = connect(cell={"model": None}, tactile__layout=COARSE_PADS)
+    quick = {"tactile__layout": COARSE_PADS, "sequence__force_n": [2.0, 3.0]}
+    served, host = connect(cell={"model": None}, gripper__aperture_open_mm=11.0, **quick)
     lease = host.post("/api/lease", name="trainer")["lease"]
     place = "/api/simulation/part"
     check_refusal(*host.ask("POST", place, {"lease": lease + 1, "part": "box"}), status=403)

@@ -116,7 +116,7 @@ def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(p
 
 @pytest.mark.slow
 def test_teach_then_identify(make_plugin: Any) -> None:
-    plugin = make_plugin(quick_config(gripper__aperture_open_mm=16.0))
+    plugin = make_plugin(quick_config(sequence__force_n=[2.0, 4.0]))
     for label in ("ball", "box"):
         job = plugin.start(TeachGoal(label=label, grasps=3, seed=len(label)))
         assert plugin.result(job, LIMIT_S) == 3
