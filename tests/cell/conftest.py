@@ -63,8 +63,12 @@ COARSE_PADS = {
 
 
 def quick_config(**changes: Any) -> CellConfig:
-    """Coarse pads and a short way, for tests that need no taught model; else as `small_config`."""
-    quick = {"tactile.layout": COARSE_PADS, "gripper.aperture_open_mm": 12.0}
+    """As `small_config`, with coarse pads, a shorter zero and way; for no taught model."""
+    quick = {
+        "tactile.layout": COARSE_PADS,
+        "tactile.tare_frames": 10,
+        "gripper.aperture_open_mm": 12.0,
+    }
     return small_config(**quick | changes)
 
 

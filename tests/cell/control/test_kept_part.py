@@ -54,7 +54,8 @@ def identify(bench: Any, recognizer: Scripted, keep: Keep, steps: Any = STEPS[:1
 
 
 @pytest.mark.slow
-def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(bench: Any) -> None:
+def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(make_bench) -> None:
+    bench = make_bench(quick_config(tactile__tare_frames=25)).ready()
     bench.idle(0.05)
     live = bench.controller.live
     assert live.force_n == pytest.approx(0.0, abs=0.1)
