@@ -88,19 +88,6 @@ class ShapeProblem:
         cells = data.bed.x_m[:, 0]
         self._cell_m = float(abs(cells[1] - cells[0])) if len(cells) > 1 else 1e-3
 
-    def start_m(self, theta: Array) -> Fine | None:
-        """Return the closing of the columns (K, n_x, n_y) in m as a start for others.
-
-        None for separate columns, which need no search.
-        """
-        if not self.foam.sideways:
-            return None
-        wanted_m, covered = self._wanted(theta[None], slice(self.depth, self.rest))
-        closed_m: Fine = closed_columns_m(
-            wanted_m, covered, self.foam.sideways, self._pushes, steps=_STEPS
-        )[0]
-        return closed_m
-
     def _wanted(self, theta: Array, depths: slice) -> tuple[Fine, Fine]:
         """Return the depth of the surface in the foam in m, and the covered share."""
         model = self.model
@@ -215,9 +202,10 @@ class ShapeProblem:
         surfaces = np.concatenate([surfaces, surfaces[:1]])
         levels = range(self.depth, self.rest)
         surfaces[-1, levels] = shifted[range(self.depth + 1, self.rest + 1), levels]
-        closed_m, covered = self._closed(
-            surfaces, slice(self.depth, self.rest), self.start_m(shifted[0])
-        )
+        depths, start_m = slice(self.depth, self.rest), None
+        if self.foam.sideways:
+            start_m = self._closed(shifted[:1], depths)[0][0]
+        closed_m, covered = self._closed(surfaces, depths, start_m)
         pressure = self._relative_pressure(closed_m, covered, surfaces)
         on_taxels = self._on_taxels(pressure, surfaces)
         every = np.repeat(on_taxels[:1], len(shifted), axis=0)
