@@ -46,7 +46,7 @@ def misfit_of(
     squared : (n_data,)
         Squared residuals over their variances.
     informative : (n_data,)
-        Whether each depends on a shape: see `PressedPads.informative`.
+        Whether each depends on a shape: not those of untouched taxels.
     n_determined
         Number of parameters that the data determine, not the prior.
     """
@@ -129,6 +129,9 @@ def fit_shape(
         problem.mean[problem.pose + 2] = theta[problem.pose + 2]
     theta, residuals, jacobian = _minimised(problem, theta)
     normal = jacobian.T @ jacobian
+    # Residuals are ordered by taxel, then by level; others follow.
+    informative = np.ones(len(residuals), dtype=bool)
+    informative[: data.share.size] = np.repeat(data.pressed, len(data.share))
     determined = np.trace(np.linalg.solve(normal + np.diag(problem.sd**-2), normal))
     return ShapeFit(
         model=model,
@@ -138,9 +141,7 @@ def fit_shape(
         prior_mean=problem.mean,
         prior_sd=problem.sd,
         chi2=float(residuals @ residuals),
-        misfit=misfit_of(
-            residuals * residuals, data.informative(len(residuals)), float(determined)
-        ),
+        misfit=misfit_of(residuals * residuals, informative, float(determined)),
         n_shared=problem.n - problem.rest,
     )
 

@@ -73,16 +73,6 @@ class PressedPads:
     spread_m2: NDArray[np.float64]
     """(2, 2) float64: second moments of the load about it."""
 
-    def informative(self, n_data: int) -> NDArray[np.bool_]:
-        """Return which of ``n_data`` residuals depend on a shape: not those of untouched taxels.
-
-        Residuals are ordered by taxel, then by level; others follow.
-        """
-        informative = np.ones(n_data, dtype=bool)
-        levels = np.repeat(self.pressed, len(self.share))
-        informative[: len(levels)] = levels
-        return informative
-
 
 def reduce_to_pads(grasp: Grasp, foam: FoamModel) -> PressedPads:
     """Return a grasp reduced to pressed pads.

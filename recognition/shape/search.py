@@ -68,13 +68,16 @@ def all_fits(data: PressedPads, foam: FoamModel) -> tuple[list[ShapeFit], list[f
     sure = gain + np.log(each_other / _KNOWN_PROBABILITY) < -_SURE
     for number, other in enumerate(others):
         here: Fits = {}
-        far = _far(last) if number else frozenset()
+        evidence = _evidence(last)
+        least = max(evidence.values()) - _FAR if number else -math.inf
         pads_of: ShapeFit | None = None
         for kind in SHAPE_MODELS:
             if number == 0 and kind in probed:
                 here[kind] = probed[kind]
-            elif sure or kind in far:
-                here[kind] = _as_it_was(last[kind], data, other)
+            elif sure or evidence[kind] < least:
+                # The last fit, with the priors of this foam.
+                sd = ShapeProblem(last[kind].model, data, other, _LOOSE).sd
+                here[kind] = replace(last[kind], prior_sd=sd)
             else:
                 here[kind] = _fit(kind, data, other, last, pads_of)
             pads_of = here[kind]
@@ -90,18 +93,6 @@ def _fit(
     return fit_shape(SHAPE_MODELS[kind], data, foam, _LOOSE, near=last[kind], pads_of=pads_of)
 
 
-def _as_it_was(fit: ShapeFit, data: PressedPads, foam: FoamModel) -> ShapeFit:
-    """Return the last fit with the priors of another foam."""
-    return replace(fit, prior_sd=ShapeProblem(fit.model, data, foam, _LOOSE).sd)
-
-
 def _evidence(fits: Mapping[str, ShapeFit]) -> dict[str, float]:
     scale = max(1.0, min(fit.misfit for fit in fits.values()))
     return {kind: joint_evidence([evidence_of(fit, scale)])[0] for kind, fit in fits.items()}
-
-
-def _far(last: Mapping[str, ShapeFit]) -> frozenset[str]:
-    """Return the kinds that are too unlikely under the last foam for a further one."""
-    evidence = _evidence(last)
-    best = max(evidence.values())
-    return frozenset(kind for kind, value in evidence.items() if value < best - _FAR)
