@@ -102,10 +102,7 @@ class ForceRampRecognizer(TaughtRecord):
 
         A grasp that never touched both pads gives even probabilities and is unknown with 1.
         """
-        return self.answer(grasp, self.evidence(grasp))
-
-    def answer(self, grasp: Grasp, evidence: Evidence | None) -> Posterior:
-        """Return the posterior of a grasp from its `evidence`."""
+        evidence = self.evidence(grasp)
         if evidence is None:
             return Posterior.uninformed(self.labels)
         grid = self.grid_at(grasp)
@@ -121,9 +118,11 @@ class ForceRampRecognizer(TaughtRecord):
         log_share = log_weight + evidence.of_any(_NEW_IN_ANSWER * self.caution)
         share = np.exp(log_share - logsumexp(log_share))
         odds_of_taught = 1.0 / float(np.clip((share * evidence.new).sum(), 1e-12, 1.0)) - 1.0
-        caution = self.caution
+        caution, moved_m = self.caution, 0.0
         if self.zero is not None and grasp.zero is not None:
             caution *= foam_odds(self.zero, grasp.zero)
+            # The offset of the opening since teaching, by both self-zeros.
+            moved_m = grasp.zero.opening_m - self.zero.opening_m
         drawn_m = self.drawn_m[int(probability.argmax())]
         drawn_m = drawn_m[np.isfinite(drawn_m)]
         mean_mm, sd_mm = grid.offset_mm(share)
@@ -133,7 +132,7 @@ class ForceRampRecognizer(TaughtRecord):
             labels=self.labels,
             probability=probability,
             unknown=caution / (caution + odds_of_taught),
-            drawn_m=tuple((drawn_m + 1e-3 * mean_mm + self._moved_m(grasp)).tolist()),
+            drawn_m=tuple((drawn_m + 1e-3 * mean_mm + moved_m).tolist()),
         )
 
     def evidence(self, grasp: Grasp, *, also: int = 0) -> Evidence | None:
@@ -199,17 +198,9 @@ class ForceRampRecognizer(TaughtRecord):
 
     def grid_at(self, grasp: Grasp) -> DriftGrid:
         """Return the drift at a grasp: a new self-zero gives a new prior."""
-        if self.zero is None or grasp.zero is None:
-            return self.grid
-        if grasp.zero == self.grid.zero:
+        if self.zero is None or grasp.zero is None or grasp.zero == self.grid.zero:
             return self.grid
         return DriftGrid(prior=prior_since(self.zero, grasp.zero), zero=grasp.zero)
-
-    def _moved_m(self, grasp: Grasp) -> float:
-        """Return the offset of the opening since teaching in m, by both self-zeros."""
-        if self.zero is None or grasp.zero is None:
-            return 0.0
-        return grasp.zero.opening_m - self.zero.opening_m
 
     def with_grid(self, grid: DriftGrid) -> Self:
         """Return a copy with another estimate of the drift."""
