@@ -2,6 +2,7 @@ import json
 import os
 import re
 from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, get_args
 
@@ -244,18 +245,12 @@ def declared(section: BaseModel, path: str) -> Iterator[tuple[str, FieldInfo, De
 KEYS = [*declared(CellConfig().gripper, "gripper"), *declared(CellConfig().loop, "loop")]
 
 
-def of_gripper(config: CellConfig, link: Declared) -> Any:
-    settings = config.gripper_settings
-    return getattr(settings, link.name)
-
-
 @pytest.mark.parametrize(("path", "key", "link"), KEYS, ids=[path for path, _, _ in KEYS])
 def test_a_key_has_the_default_of_its_setting_and_reaches_it(path, key, link) -> None:
-    plain = link.owner()
-    assert of_gripper(CellConfig(), link) == pytest.approx(getattr(plain, link.name))
+    plain, reached = getattr(link.owner(), link.name), attrgetter(f"gripper_settings.{link.name}")
+    assert reached(CellConfig()) == pytest.approx(plain)
     other = key.default + 1 if isinstance(key.default, int) else 0.98 * key.default
-    changed = changed_config(CellConfig(), {path: other})
-    assert of_gripper(changed, link) == pytest.approx(other * link.unit)
+    assert reached(changed_config(CellConfig(), {path: other})) == pytest.approx(other * link.unit)
 
 
 def test_the_channel_of_an_adapter_may_be_its_number() -> None:
