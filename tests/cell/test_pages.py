@@ -1,0 +1,292 @@
+"""Pages with commands, on operation and on hardware: each command is typed here, in order."""
+
+import json
+import os
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+import tomllib
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from benchmarks.__main__ import modules
+from cell import installation
+from cell.build import build_cell
+from cell.config.file import changed_config, config_text, load_config, parse_config
+from cell.control.plan import GraspStep, Pose
+from cell.interfaces.cli.app import app
+from cell.service.history import History
+from gripper.values.outcome import GraspResult
+from tests import ROOT
+from tests.cell.conftest import small_config
+
+PAGES = ROOT / "docs/how-to"
+
+
+def blocks(page: str, language: str) -> list[str]:
+    """Return the blocks of code of a page in a language."""
+    text = (PAGES / page).read_text("utf-8")
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def typed(page: str) -> Iterator[str]:
+    """Type each of our commands on a page, and yield what each prints."""
+    for line in "".join(blocks(page, "sh")).splitlines():
+        program, *arguments = shlex.split(line, comments=True)
+        if program == "tactile-cell":
+            # A person says yes where it asks.
+            found = CliRunner().invoke(app, arguments, input="y\n", catch_exceptions=False)
+            assert found.exit_code == 0, (line, found.output)
+            yield found.output
+
+
+@pytest.mark.slow
+def test_the_program_has_each_command_and_option_of_the_pages() -> None:
+    commands: dict[frozenset[str], list[str]] = {}
+    for page in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")):
+        text = page.read_text("utf-8").replace("\\\n", "")
+        code = "".join(re.findall(r"(?s:```(?:sh|text)\n.*?```)|^    .*\n", text, re.MULTILINE))
+        for line in re.findall(r"^(?:\$ |    )?tactile-cell (.*)", code, re.MULTILINE):
+            words = shlex.split(line, comments=True)
+            commands[frozenset(one for one in words if one[0] == "-") | {words[0]}] = words
+    assert len(commands) > 40
+    for words in commands.values():
+        assert CliRunner().invoke(app, [*words, "--help"]).exit_code == 0, words
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
+    """Go to the folder of a simulated cell with a model."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    config = small_config(name="press 4")
+    Path("tactile-cell.yaml").write_text(config_text(config))
+    model = Path(taught.result.model)
+    Path("parts.model.npz").write_bytes(model.read_bytes())
+    return Path.cwd()
+
+
+def test_the_config_of_the_page_on_keys_is_valid() -> None:
+    (shown,) = blocks("../reference/config.md", "yaml")
+    assert parse_config(shown, source="page").gripper.port.startswith("/dev")
+
+
+@pytest.mark.long
+def test_the_page_on_updates_can_be_typed(here) -> None:
+    Path("commissioning.md").write_text("signed")
+    back_up, put_back, *_ = blocks("update.md", "sh")
+    subprocess.run(["bash", "-ec", back_up + put_back], check=True)
+    for name in ("commissioning.md", "parts.model.npz", "tactile-cell.yaml"):
+        assert Path("../press-4", name).read_bytes() == Path(name).read_bytes()
+    assert re.search(r"\b(ball|box)\b", list(typed("update.md"))[-1])
+
+
+@pytest.mark.slow
+def test_the_page_on_recordings_can_be_typed(here) -> None:
+    (config,) = blocks("keep-recordings.md", "yaml")
+    Path("of-the-page.yaml").write_text(config)
+    kept = load_config(Path("of-the-page.yaml")).recording
+    assert kept == type(kept)()  # the page shows the defaults
+    recording = Path("out/serve-20270115-080000/recording.mcap")
+    recording.parent.mkdir(parents=True)
+    recording.touch()
+    listed, marked, unmarked = typed("keep-recordings.md")
+    assert str(recording) in listed
+    assert (marked, unmarked) == (f"{recording}: marked\n", f"{recording}: not marked\n")
+    history = History(Path("out/history-press-4.sqlite3"), lambda: STATE)
+    history.update()
+    history._close_link()
+    found: dict[str, Any] = {}
+    (example,) = blocks("keep-recordings.md", "python")
+    exec(example, found)
+    assert [row["kind"] for row in found["rows"]] == ["start"]
+
+
+class STATE:
+    """A cell without a fault."""
+
+    n_faults = 0
+    fault = None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "page", ["open-parallel-gripper", "rh-p12-rn", "connect-flexitac", "connect-uskin"]
+)
+def test_the_page_on_hardware_can_be_typed(page, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    *_, checked = typed(f"{page}.md")
+    assert "valid" in checked
+    (written,) = Path().glob("*.yaml")
+    config = load_config(written)
+    if page == "rh-p12-rn":
+        # The example says it: `tactile-cell hand zero` first, or the friction is unknown.
+        config = changed_config(config, {"self_zero": "always"})
+    cell = build_cell(config)
+    try:
+        cell.controller.start()
+        cell.controller.moves.present("box")
+        record = cell.controller.grasp(GraspStep(pose=Pose(), force_n=4.0))
+    finally:
+        cell.close()
+    assert record.outcome.result is not GraspResult.PART_LOST
+    assert record.outcome.final_force_n == pytest.approx(4.0, abs=1.0)
+
+
+# -- The README's test is that of a page; the example of hosts runs; what the README names exist----
+
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_readme_shows_the_test_that_is_run() -> None:
+    page = (ROOT / "docs/how-to/test-your-cell.md").read_text(encoding="utf-8")
+    shown, typed = (re.findall(r"```python\n.*?```", text, re.DOTALL) for text in (README, page))
+    assert shown == typed
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_the_example_teaches_and_identifies(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(ROOT / "docs/examples/host_program.py"), run_name="__main__")
+    printed = capsys.readouterr().out
+    assert printed.count("robot:") >= 19
+    name, shape, kept = printed.splitlines()[-3:]
+    assert name.startswith("box, ")
+    assert re.match(r"it feels like: flat, (9\.[7-9]|10\.[0-3]) mm", shape)
+    assert kept == "  robot: to the bin of box, the part in the grip: True"
+
+
+QUICK_START = README.partition("## Quick start")[2].partition("\n## ")[0]
+
+
+def test_the_quick_start_installs_what_its_commands_need() -> None:
+    (extras,) = re.findall(r"`pip install '\.\[(.*)\]'`", QUICK_START)
+    assert extras == "report,serve"
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_the_quick_start_does_what_its_comments_say(tmp_path: Path) -> None:
+    *commands, serve = re.findall(r"^    (.+)$", QUICK_START.partition("```")[0], re.MULTILINE)
+    folder = str(Path(sys.executable).parent)
+    env = os.environ | {"PATH": f"{folder}:{os.environ['PATH']}", "COLUMNS": "200"}
+
+    def shell(command: str) -> str:
+        done = subprocess.run(
+            ["bash", "-c", command],
+            check=False,
+            cwd=tmp_path,
+            env=env,
+            text=True,
+            capture_output=True,
+        )
+        assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+        return done.stdout
+
+    init, teach, draw, train, identify, sort = map(shell, commands)
+    assert "wrote tactile-cell.yaml" in init
+    for part in ("ball", "box", "cylinder"):
+        assert f"6 of 6 grasps of {part} added" in teach
+    assert "virtual grasps of pin added to parts.npz (18 before)" in draw
+    assert "4 objects taught" in train
+    assert "answer: ball" in identify
+    assert "20 parts sorted" in sort
+    assert "mistakes: none" in sort
+    assert not re.search(r"teach (oval|dumbbell)", sort)
+
+    printed, _, _ = serve.partition("#")
+    command = ["bash", "-c", f"exec {printed} --modbus 0 --xml-rpc 0 --http 0"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as running:
+        try:
+            assert running.stdout is not None
+            ports = json.loads(running.stdout.readline())
+            assert ports["modbus_port"]
+            assert ports["xmlrpc_port"]
+            url = f"http://127.0.0.1:{ports['http_port']}/"
+            with urllib.request.urlopen(url, timeout=10) as page:
+                assert b"<html" in page.read()
+        finally:
+            running.terminate()
+    assert running.returncode == 0
+
+
+def test_files_that_the_pages_at_the_root_name_exist() -> None:
+    for page in ROOT.glob("*.md"):
+        for target in re.findall(r"\]\(([^)#:]+)[^)]*\)", page.read_text(encoding="utf-8")):
+            assert (ROOT / target).exists(), f"{page.name} names {target}"
+
+
+def test_benchmarks_that_the_docs_name_exist() -> None:
+    pages = [ROOT / "README.md", *ROOT.glob("docs/*/*.md")]
+    named = [
+        (page.name, name)
+        for page in pages
+        for names in re.findall(r"`python -m benchmarks ([a-z_ ]+)`", page.read_text("utf-8"))
+        for name in names.split()
+    ]
+    assert len(named) > 8
+    assert not [found for found in named if found[1] not in modules()]
+
+
+# -- What belongs together is found together: packages of one installation, extras, examples -------
+
+
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [
+        ("gripper", "from cell import build_cell"),
+        ("tactile", "import cell.build"),
+        ("motion", "from cell import TactileCellPlugin"),
+        ("simulator", "import cell.runtime.plugin"),
+        ("recognition", "from cell.interfaces.cli import main; main()"),
+    ],
+)
+def test_a_module_that_hides_a_package_is_named_where_a_cell_is_wanted(
+    name: str, way: str, tmp_path: Path
+) -> None:
+    hiding = tmp_path / f"{name}.py"
+    hiding.write_text("")
+    code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}]; import cell.errors; {way}"
+    kind = "error" if "main" in way else "ImportError"
+    ended = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert f"{kind}: {hiding} hides the package {name!r} of tactile-cell" in ended.stderr
+
+
+def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert installation.missing_note("report", "report page") == ""
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    note = installation.missing_note("report", "report page")
+    assert note.startswith("no report page: jinja2 missing; install this project with its extra")
+
+
+def test_pages_install_what_exists_without_an_index() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    pages = [ROOT / "README.md", *ROOT.glob("docs/**/*.md"), *ROOT.glob("docs/**/*.toml")]
+    commands = [
+        (page.name, command.strip())
+        for page in pages
+        for command in re.findall(r"pip install ([^`#&\n]+)", page.read_text("utf-8"))
+    ]
+    assert len(commands) > 6
+    for page, command in commands:
+        what = command.split()[-1].strip("'")
+        assert what.startswith(".") or "--find-links" in command, (page, command)
+        extras = "".join(re.findall(r"\[(.*)\]", what)).split(",")
+        assert {*extras} - {""} <= {*project["optional-dependencies"]}, (page, command)
