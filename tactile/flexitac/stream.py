@@ -82,7 +82,9 @@ class FrameStream:
             behind = bytes(self._bytes[self._size : self._size + len(HEADER)])
             in_place = self._bytes.startswith(HEADER) and HEADER.startswith(behind)
             if not in_place:
-                self._unlock(now_s)
+                self.torn += 1
+                self.locked = False
+                self._find_lock(now_s)
                 break
             if not behind and now_s - self._begun_s > _BURST_SHARE * PERIOD_S:
                 # It is slow enough to end with a byte of the next frame, whose header will show it.
@@ -95,11 +97,6 @@ class FrameStream:
             BoardFrame(t_s=now_s - (last - number) * PERIOD_S, samples=samples)
             for number, samples in enumerate(frames)
         ]
-
-    def _unlock(self, now_s: float) -> None:
-        self.torn += 1
-        self.locked = False
-        self._find_lock(now_s)
 
     def _find_lock(self, now_s: float) -> None:
         """Lock if exactly one offset has a header in each of several frames."""

@@ -296,7 +296,9 @@ class TactileSensor:
         self._frames.clear()
         self.tare_result = result
         self._tare_status = frames[n_frames - 1].status
-        self._touch = self._new_touch(result)
+        least = self._settings.noise_share * self.layout.adc_max
+        noise = typical_noise(self.layout, result.noise_counts, least)
+        self._touch = ActiveTaxels(self._hood, noise / np.sqrt(self._settings.mean_frames))
         self._last_s = None
         self._quality.restart(result, frames[n_frames - 1])
         self._write_zero(result)
@@ -353,13 +355,6 @@ class TactileSensor:
             drift = self._quality.drift_anywhere(latest.tared_counts, latest.bad | latest.saturated)
             if drift:
                 raise ZeroDrifted(drift)
-
-    def _new_touch(self, tare: TareResult) -> ActiveTaxels:
-        """Return a finder of touched taxels with the typical noise of each pad."""
-        least = self._settings.noise_share * self.layout.adc_max
-        noise = typical_noise(self.layout, tare.noise_counts, least)
-        noise /= np.sqrt(self._settings.mean_frames)
-        return ActiveTaxels(self._hood, noise)
 
     def _wait(self, deadline_s: float, failure: str) -> None:
         left_s = deadline_s - self._clock.monotonic()
@@ -423,7 +418,14 @@ class TactileSensor:
     ) -> None:
         pad = self.layout.pads[self.layout.gripping_pads[0]]
         pitches_m = np.array([pad.pitch_x_m, pad.pitch_y_m])
-        noise_n, centre_m = self._touched_noise_n(counts, active), self._centres.of(scan_n)
+        # Noise of each touched taxel of a gripping pad in this frame: a count is more force on a
+        # loaded taxel than on an empty one.
+        slope = self.calibration.force_n(counts + 1.0) - self.calibration.force_n(counts)
+        noise_n = np.zeros(len(counts))
+        for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
+            noise_n[taxels] = taxel_n * (slope * active / self._per_count_n)[taxels]
+        least_n2 = (_LEAST_TOUCHED * taxel_n**2 for taxel_n in self._taxel_noise_n)
+        centre_m = self._centres.of(scan_n)
         centre, centre_noise = None, np.zeros(2)
         if centre_m is not None:
             centre = centre_m / pitches_m
@@ -435,7 +437,7 @@ class TactileSensor:
         self._force_check.compare(
             frame.scanned_s,
             force_n,
-            self._frame_noise_n(noise_n),
+            sqrt(_EDGE * max(*least_n2, *self._on_fingers(noise_n**2))),
             hidden_n=np.where(light, force_n, 0.0),
             centre_taxels=centre,
             centre_noise_taxels=centre_noise,
@@ -451,20 +453,6 @@ class TactileSensor:
         """Return the sum over the gripping pad of each finger."""
         first_n, second_n = (float(taxels_n[taxels].sum()) for taxels in self._grips)
         return first_n, second_n
-
-    def _touched_noise_n(self, counts: Values, active: NDArray[np.bool_]) -> Values:
-        """Return the noise in N of each taxel of a gripping pad in one frame; 0 if not touched."""
-        # A count is more force on a loaded taxel than on an empty one.
-        slope = self.calibration.force_n(counts + 1.0) - self.calibration.force_n(counts)
-        noise_n = np.zeros(len(counts))
-        for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
-            noise_n[taxels] = taxel_n * (slope * active / self._per_count_n)[taxels]
-        return noise_n
-
-    def _frame_noise_n(self, noise_n: Values) -> float:
-        """Return the noise in N of one finger's force in one frame, the larger one of both."""
-        least = (_LEAST_TOUCHED * taxel_n**2 for taxel_n in self._taxel_noise_n)
-        return sqrt(_EDGE * max(*least, *self._on_fingers(noise_n**2)))
 
     def _objection(
         self,
