@@ -291,7 +291,11 @@ class FrameFlow:
         Raises FrameTimeout for too many SYNCs without an answer or with late ones, DuplicateNode
         for two answers.
         """
-        n = self._weigh_messages()
+        n, self.messages = self.messages, 0
+        late = max(0, self._ahead - min(self._lags, default=0))
+        surplus = self._surplus + n / self._burst_messages - _SURPLUS_SHARE
+        # Late messages will arrive all at once.
+        self._surplus = max(surplus, -_DEFICIT_LIMIT - _SURPLUS_SHARE * late)
         out = self._unanswered >= self._timeout_periods
         if self._surplus > (_SURPLUS_SUSPECT if out else _SURPLUS_LIMIT):
             raise DuplicateNode(
@@ -304,7 +308,13 @@ class FrameFlow:
                 f"no whole frame from {self._name} after {self._unanswered} SYNCs: check bus "
                 "load, cable and the unit's mode, then start the link again"
             )
-        self._check_late()
+        self._late_syncs = self._late_syncs + 1 if self._lags and late >= self._late_periods else 0
+        if self._late_syncs >= _LATE_SYNCS:
+            raise FrameTimeout(
+                f"the frames of {self._name} come {late} periods later than before, allowed are "
+                f"{self._late_periods - 1}: the adapter or the host delays messages, or SYNCs do "
+                "not reach the unit; check both, then start the link again"
+            )
         self._unanswered += 1
         self._ahead += 1
 
@@ -323,30 +333,6 @@ class FrameFlow:
                 "termination, then start the link again"
             )
         self._lags.append(self._ahead)
-
-    @property
-    def _late(self) -> int:
-        """Number of SYNCs with outstanding frames, beyond the usual one."""
-        return max(0, self._ahead - min(self._lags, default=0))
-
-    def _check_late(self) -> None:
-        if not self._lags:
-            return
-        late = self._late
-        self._late_syncs = self._late_syncs + 1 if late >= self._late_periods else 0
-        if self._late_syncs >= _LATE_SYNCS:
-            raise FrameTimeout(
-                f"the frames of {self._name} come {late} periods later than before, allowed are "
-                f"{self._late_periods - 1}: the adapter or the host delays messages, or SYNCs do "
-                "not reach the unit; check both, then start the link again"
-            )
-
-    def _weigh_messages(self) -> int:
-        n, self.messages = self.messages, 0
-        surplus = self._surplus + n / self._burst_messages - _SURPLUS_SHARE
-        # Late messages will arrive all at once.
-        self._surplus = max(surplus, -_DEFICIT_LIMIT - _SURPLUS_SHARE * self._late)
-        return n
 
 
 class ForceFlow(ForceStream):
