@@ -157,13 +157,13 @@ def evaluate(
         ordered = [g for members in by_label(test).values() for g in members]
         here = [g for g in ordered if g.label in recognizer.labels]
         untaught = [g for g in test if g.label not in recognizer.labels]
-        answered = _labelled(recognizer, here, mapper)
+        answered = _answers(recognizer, here, mapper)
         known += answered
         runs += [list(run) for _, run in groupby(answered, itemgetter(1))]
         scored += _leave_out(train, here, trainer, unknown_groups, mapper)
         if untaught and here:
             n_untaught += len(untaught)
-            scored.append((answered, _labelled(recognizer, untaught, mapper)))
+            scored.append((answered, _answers(recognizer, untaught, mapper)))
         if len(parts) == 1:
             shift = evaluate_shift(recognizer, here, seed)
     if not known:
@@ -228,22 +228,16 @@ def evaluate_shift(recognizer: object, grasps: Sequence[Grasp], seed: int) -> Sh
     return ShiftFigures(before=_BEFORE, n=len(answered), accuracy=accuracy, **shares)
 
 
-def answers(
-    recognizer: Recognizer, grasps: Sequence[Grasp], mapper: Mapper = one_by_one
-) -> list[Posterior]:
-    """Return the posterior of each grasp, in order."""
-    chunks = [grasps[i : i + _CHUNK] for i in range(0, len(grasps), _CHUNK)]
-    return [p for part in mapper(partial(_posteriors, recognizer), chunks) for p in part]
-
-
-def _posteriors(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[Posterior]:
-    return [recognizer.posterior(g) for g in grasps]
-
-
-def _labelled(
+def _answers(
     recognizer: Recognizer, grasps: Sequence[Grasp], mapper: Mapper = one_by_one
 ) -> list[_Answer]:
-    return [(p, g.label) for p, g in zip(answers(recognizer, grasps, mapper), grasps, strict=True)]
+    """Return posterior and label of each grasp, in order."""
+    chunks = [grasps[i : i + _CHUNK] for i in range(0, len(grasps), _CHUNK)]
+    return [one for part in mapper(partial(_answers_of, recognizer), chunks) for one in part]
+
+
+def _answers_of(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[_Answer]:
+    return [(recognizer.posterior(g), g.label) for g in grasps]
 
 
 def _leave_out(
@@ -269,7 +263,7 @@ def _scores_without(
     train: Sequence[Grasp], test: Sequence[Grasp], trainer: Trainer, out: frozenset[str]
 ) -> _Scores:
     recognizer = trainer.fit([g for g in train if g.label not in out])
-    answered = _labelled(recognizer, test)
+    answered = _answers_of(recognizer, test)
     known = [one for one in answered if one[1] not in out]
     return known, [one for one in answered if one[1] in out]
 
