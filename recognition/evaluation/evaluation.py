@@ -228,9 +228,7 @@ def evaluate_shift(recognizer: object, grasps: Sequence[Grasp], seed: int) -> Sh
     return ShiftFigures(before=_BEFORE, n=len(answered), accuracy=accuracy, **shares)
 
 
-def _answers(
-    recognizer: Recognizer, grasps: Sequence[Grasp], mapper: Mapper = one_by_one
-) -> list[_Answer]:
+def _answers(recognizer: Recognizer, grasps: Sequence[Grasp], mapper: Mapper) -> list[_Answer]:
     """Return posterior and label of each grasp, in order."""
     chunks = [grasps[i : i + _CHUNK] for i in range(0, len(grasps), _CHUNK)]
     return [one for part in mapper(partial(_answers_of, recognizer), chunks) for one in part]

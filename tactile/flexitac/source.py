@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tactile.board_source import Board, PolledBoards
-from tactile.errors import LayoutError, LinkStateError
+from tactile.errors import LayoutError
 from tactile.flexitac.stream import PERIOD_S, BoardFrame, FrameStream, Profile
 from tactile.layout import TaxelLayout
 from tactile.source import FrameStatistics, TactileFrame
@@ -36,13 +36,9 @@ class BoardLine(Protocol):
 
 
 class _Board(Board):
-    """One board: its line and the frames in its bytes."""
+    """One board: the frames in its bytes."""
 
-    def __init__(
-        self, finger: int, open_line: Callable[[], BoardLine], profile: Profile, *, rows_along: bool
-    ) -> None:
-        self._open_line = open_line
-        self._line: BoardLine | None = None
+    def __init__(self, finger: int, profile: Profile, *, rows_along: bool) -> None:
         self.stream = FrameStream(profile)
         self._shape, self._rows_along = (profile.rows, profile.columns), rows_along
         self._changes: deque[bool] = deque(maxlen=_LIVELY_FRAMES)
@@ -61,23 +57,12 @@ class _Board(Board):
         why = "it repeats one frame" if self._repeated else self.stream.trouble
         return why or super().trouble
 
-    def open(self) -> None:
-        """Open the line anew."""
-        self.close()
-        self._line = self._open_line()
-
-    def close(self) -> None:
-        """Close the line."""
-        if self._line is not None:
-            self._line.close()
-            self._line = None
-
-    def receive(self, now_s: float, statistics: FrameStatistics, *, stalled: bool) -> None:
-        """Receive the available bytes."""
-        if self._line is None:
-            raise LinkStateError("the line of the sensor is closed: start it first")
+    def receive(
+        self, line: BoardLine, now_s: float, statistics: FrameStatistics, *, stalled: bool
+    ) -> None:
+        """Receive the available bytes of its line."""
         data = b""
-        while piece := self._line.read(_READ_BYTES, 0.0):
+        while piece := line.read(_READ_BYTES, 0.0):
             data += piece
         if stalled:
             self.stream.reset()
@@ -147,11 +132,10 @@ class FlexiTacSource(PolledBoards[_Board]):
         **options: Any,
     ) -> None:
         check_layout(layout, profile, rows_along=rows_along)
-        boards = [
-            _Board(n, line, profile, rows_along=rows_along) for n, line in enumerate(open_lines)
-        ]
+        boards = [_Board(finger, profile, rows_along=rows_along) for finger in (0, 1)]
         super().__init__("FlexiTac", boards, layout=layout, period_s=PERIOD_S, **options)
-        self._profile = profile
+        self._profile, self._open_lines = profile, open_lines
+        self._lines: list[BoardLine] = []
         self._polled_s = 0.0
 
     def _absent(self, board: _Board) -> str:
@@ -160,9 +144,9 @@ class FlexiTacSource(PolledBoards[_Board]):
 
     def open(self) -> None:
         """Open the lines."""
-        for board in self._boards:
+        for board, open_line in zip(self._boards, self._open_lines, strict=True):
             with self._line_of(board.name):
-                board.open()
+                self._lines.append(open_line())
         self._polled_s = self.clock.monotonic()
 
     def _receive(self) -> list[TactileFrame]:
@@ -171,12 +155,13 @@ class FlexiTacSource(PolledBoards[_Board]):
         if stalled:
             self._frames.lost += int((now_s - self._polled_s) / PERIOD_S)
         self._polled_s = now_s
-        for board in self._boards:
+        for board, line in zip(self._boards, self._lines, strict=True):
             with self._line_of(board.name):
-                board.receive(now_s, self._frames, stalled=stalled)
+                board.receive(line, now_s, self._frames, stalled=stalled)
         return self._new_frames()
 
     def close(self) -> None:
         """Close the lines."""
-        for board in self._boards:
-            board.close()
+        for line in self._lines:
+            line.close()
+        self._lines.clear()
