@@ -42,6 +42,9 @@ _ADVICE = (
 _COMPARED_S, _UNSEEN_RAD = 0.1, 0.01
 """Time in s over which the travels of motor and position are compared, and the difference in rad
 beyond their errors that is a contradiction: backlash, time between the readings. [chosen]"""
+_PAUSE_S = 0.025
+"""Time in s between two readings above which voltage and current between them are unknown: after
+two periods at 100 Hz the motor may have stopped meanwhile. [chosen]"""
 _SUPPLY_SD = 0.05
 """Error of the supply's voltage and of the current by it, as a share, on the 330 size. [assumed]"""
 _MEASURED_SD = 0.05
@@ -86,12 +89,15 @@ class MotorTravel:
         if servo.motor_a is None:
             self.pause()
             return
-        if sums and now_s - sums[-1].t_s > _COMPARED_S:
+        if sums and now_s - sums[-1].t_s > _PAUSE_S:
             self.pause()
-        last = sums[-1] if sums else _Sums(now_s, 0.0, 0.0, servo.angle_rad)
+        volt_v, motor_a = servo.supply_v * servo.pwm_share, servo.motor_a
+        last = sums[-1] if sums else _Sums(now_s, servo.angle_rad, volt_v, motor_a)
+        # After a lost answer the mean of both ends counts.
         dt_s = now_s - last.t_s
-        volt_s = last.volt_s + dt_s * servo.supply_v * servo.pwm_share
-        sums.append(_Sums(now_s, volt_s, last.amp_s + dt_s * servo.motor_a, servo.angle_rad))
+        volt_s = last.volt_s + 0.5 * dt_s * (last.volt_v + volt_v)
+        amp_s = last.amp_s + 0.5 * dt_s * (last.motor_a + motor_a)
+        sums.append(_Sums(now_s, servo.angle_rad, volt_v, motor_a, volt_s, amp_s))
         while len(sums) > 2 and now_s - sums[1].t_s >= _COMPARED_S:
             sums.popleft()
         old, new = sums[0], sums[-1]
@@ -132,12 +138,14 @@ class MotorTravel:
 
 
 class _Sums(NamedTuple):
-    """Voltage and current of a motor, summed up to a time, and its position there."""
+    """Position, voltage and current of a motor, and the sums of both up to a time."""
 
     t_s: float
-    volt_s: float
-    amp_s: float
     angle_rad: float
+    volt_v: float
+    motor_a: float
+    volt_s: float = 0.0
+    amp_s: float = 0.0
 
 
 class FeedbackCheck:
