@@ -14,8 +14,8 @@ from cell.control.identification import Identification
 from cell.control.part import Part
 from cell.control.records import GraspRecord
 from cell.learning.taught_model import TaughtModel
+from tactile.sensor.sensor import TaxelForces
 from tactile.sensor.tare import TareResult
-from tactile.sensor.taxel_forces import TaxelForces
 
 _POINTS_MAX = 300
 """Most points of a curve, enough for a display."""

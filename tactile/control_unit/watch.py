@@ -23,7 +23,7 @@ from tactile.errors import (
     NodeRebooted,
     NodeStateChanged,
 )
-from tactile.frames.force_stream import ForceStream
+from tactile.frames.force_message import ForceStream
 from tactile.source import ForceMessage
 
 BOOT_UP = 0

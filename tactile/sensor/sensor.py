@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from math import inf, sqrt
 from typing import Self
@@ -16,6 +17,7 @@ from tactile.errors import (
     FrameTimeout,
     ZeroDrifted,
 )
+from tactile.layout import TaxelLayout
 from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import (
     ActiveTaxels,
@@ -485,3 +487,24 @@ class TactileSensor:
             if too_many_bad(n_bad, taxels.stop - taxels.start, share):
                 return f"{n_bad} taxels of finger {finger} bad"
         return ""
+
+
+class TaxelForces:
+    """Converts counts of single frames to newtons for displays, as the sensor does with a mean."""
+
+    def __init__(self, layout: TaxelLayout, calibration: Calibration, zero: TareResult) -> None:
+        self._hood = Neighbourhood(layout)
+        self._calibration = calibration
+        self._zero = zero
+        # Counts are integers, so smaller noise is not visible.
+        noise = typical_noise(layout, zero.noise_counts, 1.0)
+        self._untouched = ActiveTaxels(self._hood, noise)
+
+    def of(self, counts: NDArray[np.uint16]) -> NDArray[np.float32]:
+        """Return the force in N on each taxel, (n_taxels,) float32; 0 on untouched taxels."""
+        bad = self._zero.health.bad
+        tared = fill_bad(self._hood, counts - self._zero.offset_counts, bad)
+        # A copy, because frames are independent and come from several threads.
+        active = copy(self._untouched).step(tared)
+        force_n = np.where(active, self._calibration.force_n(tared), 0.0)
+        return np.maximum(force_n, 0.0).astype(np.float32)

@@ -36,7 +36,7 @@ from tactile.control_unit import object_dictionary as od
 from tactile.errors import NodeMissing
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
-from tactile.frames.force_stream import ForceStream
+from tactile.frames.force_message import ForceStream
 from tactile.layout import paper_layout
 from tactile.source import ForceMessage, ForceStatus, TactileFrame
 from tests.fuzz.harness import Clock, bad_input, damages, disturbed, pieces, spoilt

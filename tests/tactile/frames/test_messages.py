@@ -14,12 +14,12 @@ from tactile.frames.codec import PHASE_SHIFT, FrameFormat
 from tactile.frames.force_message import (
     BAD_TAXEL,
     TABLE_NODES,
+    ForceStream,
     crc8,
     decode_force_message,
     encode_table,
     encode_zero,
 )
-from tactile.frames.force_stream import ForceStream
 from tactile.source import ForceMessage, ForceStatus, TactileFrame
 
 PAPER = FrameFormat(n_taxels=408, sample_bytes=1)

@@ -14,9 +14,9 @@ from tactile.sensor.filters import (
     fill_bad,
     smoothing_gain,
 )
+from tactile.sensor.sensor import TaxelForces
 from tactile.sensor.settings import SensorSettings
 from tactile.sensor.tare import compute_tare
-from tactile.sensor.taxel_forces import TaxelForces
 from tests.tactile.conftest import counts_of
 
 LAYOUT = paper_layout()
