@@ -51,7 +51,7 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (REST, "unit.stuck", FAIL, "The counts do not change at rest"),
         (REST, "unit.off", FAIL, "did not boot"),
         (FORCE, "can.loss=0.0003", WARN, "The line of the pads loses messages"),
-        (FORCE, "servos.loss=0.01", WARN, "The servos' line loses answers"),
+        (FORCE, "servos.loss=0.02", WARN, "The servos' line loses answers"),
         (FORCE, "servo1.watchdog_off", FAIL, "watchdog is not proven to stop the motors: servo 1"),
         (FORCE, "taxels.stuck_at=20-60:3000", FAIL, "taxels of pad finger0.inner are bad"),
         (FORCE, "servo2.turned", FAIL, "on its own side"),
