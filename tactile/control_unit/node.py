@@ -32,6 +32,7 @@ from tactile.control_unit.watch import OPERATIONAL, ForceFlow, FrameFlow, NodeWa
 from tactile.errors import (
     BusOff,
     DuplicateNode,
+    FrameTimeout,
     LinkFault,
     LinkStateError,
     NodeMissing,
@@ -53,6 +54,8 @@ from tactile.source import (
 
 _Result = TypeVar("_Result")
 
+_TRIPS = 10
+"""Answers of which one must come in time: a busy host may delay some."""
 _SURPLUS_ANSWERS = 3
 """Surplus of SDO answers over requests that shows a second unit, not one double message."""
 _LEAST_GAP = 0.9
@@ -241,9 +244,10 @@ class TactileLink:
         self._command("RESET COMMUNICATION")
         self._wait_for(lambda: watch.boot_ups > 0, "did not boot")
         identity = refuse_other_unit(objects, self.layout, self._node_id, settings.identity)
+        table = self._force_table if self._answers_in_time() else None
         set_up(objects, settings)
-        if self._force_table is not None and objects.find(od.FORCE_MESSAGE) is not None:
-            frame_id = set_up_forces(objects, settings, self._node_id, self._force_table)
+        if table is not None:
+            frame_id = set_up_forces(objects, settings, self._node_id, table)
             self._force_flow = ForceFlow(self._name, settings)
             self._network.unsubscribe(od.COB_TPDO1 + self._node_id)
             self._network.subscribe(frame_id, self._on_frame)
@@ -262,6 +266,21 @@ class TactileLink:
             self._force_flow.enter_operation(now_s)
         self._service()
         return replace(identity, sends_forces=self.sends_forces)
+
+    def _answers_in_time(self) -> bool:
+        """Return whether the unit has force messages; FrameTimeout if its answers come too late."""
+        limit_s = self.settings.force_late_s
+        for _ in range(_TRIPS):
+            asked_s = self._clock.monotonic()
+            has_forces = self.objects.find(od.FORCE_MESSAGE) is not None
+            trip_s = self._clock.monotonic() - asked_s
+            if self._force_table is None or not has_forces or trip_s <= limit_s:
+                return has_forces
+        raise FrameTimeout(
+            f"{self._name} answers after {1e3 * trip_s:.0f} ms, allowed for its force messages are "
+            f"{1e3 * limit_s:.0f} ms: a gateway or the latency timer of the CAN adapter delays "
+            "them. Use a direct adapter, set its timer to 1 ms, then start the link again"
+        )
 
     def poll(self) -> Arrivals:
         """Return the complete frames and force messages since the last call; does not wait."""

@@ -57,6 +57,17 @@ def test_the_force_comes_by_table_and_zero_each_three_milliseconds(sending) -> N
     assert sending.link.statistics.forces.lost == 0
 
 
+def test_messages_that_a_gateway_delays_are_refused_before_the_set_up(make_forces) -> None:
+    bench = make_forces()
+    bench.bus.faults.delay_s = 0.03
+    with pytest.raises(FrameTimeout, match=r"answers after 31 ms, allowed .* are 15 ms"):
+        bench.link.start()
+    assert bench.clock.monotonic() < 103.0
+    bench.bus.faults.delay_s = 0.005
+    bench.link.stop()
+    assert started(bench).forces(0.3)
+
+
 def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(sending) -> None:
     sending.traffic.clear()
     frames = sending.run(0.3, 0.001)
