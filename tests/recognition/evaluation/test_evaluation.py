@@ -191,6 +191,7 @@ def test_nothing_to_test_is_refused(train, fresh):
         evaluate([(train, renamed)], make_trainer("level_check"))
 
 
+@pytest.mark.slow
 @pytest.mark.shared_data
 @pytest.mark.skipif(
     "TACTILE_CELL_DATA" not in os.environ,
