@@ -82,27 +82,26 @@ COMMAND_COLUMNS, ZERO_COLUMNS = (
 
 
 def keep_array(
-    record: object, name: str, values: ArrayLike, dtype: DTypeLike | None = None
+    record: object,
+    name: str,
+    values: ArrayLike,
+    dtype: DTypeLike | None = None,
+    shape: tuple[int, ...] | None = None,
 ) -> NDArray[Any]:
     """Set a field of a frozen record to a read-only array, and return it.
 
     It is a copy, except of an array that nobody can write: that of another record, or its part.
+    Raises ValueError for another shape than the given one.
     """
     array: NDArray[Any] = np.asarray(values, dtype=dtype)
     owner = array if array.base is None else array.base
     if array.flags.writeable or not isinstance(owner, np.ndarray) or owner.flags.writeable:
         array = array.copy()
         array.setflags(write=False)
+    if shape is not None and array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
     object.__setattr__(record, name, array)
     return array
-
-
-def _keep(
-    record: object, name: str, values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...]
-) -> None:
-    actual = keep_array(record, name, values, dtype).shape
-    if actual != shape:
-        raise ValueError(f"{name} has shape {actual}, expected {shape}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,9 +120,9 @@ class PadArray(ArrayRecord):
     def __post_init__(self) -> None:
         n_pads = len(np.atleast_2d(self.pad_shape))
         n_taxels = len(np.atleast_1d(self.taxel_pad))
-        _keep(self, "pad_shape", self.pad_shape, np.int64, (n_pads, 2))
-        _keep(self, "taxel_pad", self.taxel_pad, np.int64, (n_taxels,))
-        _keep(self, "taxel_xy_m", self.taxel_xy_m, np.float64, (n_taxels, 2))
+        keep_array(self, "pad_shape", self.pad_shape, np.int64, (n_pads, 2))
+        keep_array(self, "taxel_pad", self.taxel_pad, np.int64, (n_taxels,))
+        keep_array(self, "taxel_xy_m", self.taxel_xy_m, np.float64, (n_taxels, 2))
         if self.adc_max < 1:
             raise ValueError(f"adc_max is {self.adc_max}, must be at least 1")
         if not np.all(np.isfinite(self.taxel_xy_m)):
@@ -255,12 +254,12 @@ class Grasp:
                 f"counts has shape {counts.shape}, expected {(n_frames, self.pads.n_taxels)}: one "
                 f"column for each taxel of the {self.pads.n_pads} pads, {per_pad}"
             )
-        _keep(self, "counts", counts, np.uint16, counts.shape)
+        keep_array(self, "counts", counts, np.uint16, counts.shape)
         for name in ("t_s", "aperture_m", "force_n"):
             value = getattr(self, name)
             if np.ndim(value) == 0 and name != "t_s":
                 value = np.full(n_frames, value)
-            _keep(self, name, value, np.float64, (n_frames,))
+            keep_array(self, name, value, np.float64, (n_frames,))
 
     @property
     def n_frames(self) -> int:

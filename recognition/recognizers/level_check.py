@@ -57,9 +57,7 @@ class LevelCheckRecognizer(TaughtRecord):
 
     def __post_init__(self) -> None:
         for name in ("mean", "spread", "low", "high"):
-            array = keep_array(self, name, getattr(self, name), np.float64)
-            if array.shape != (len(self.labels),):
-                raise ValueError(f"{name} has shape {array.shape}, labels are {len(self.labels)}")
+            keep_array(self, name, getattr(self, name), np.float64, (len(self.labels),))
 
     @property
     def levels(self) -> LevelBands:
