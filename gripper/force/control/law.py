@@ -177,7 +177,6 @@ class Pushes:
         """Time in s from which a measurement shows the effect of the last push."""
         self._from_n = self.growth_n = 0.0
         """Force in N before the last push, and its expected growth by it."""
-        self._starts_n = -inf
 
     def push_n(
         self, observer: GripObserver, moment: Moment, frictions_n: tuple[float, float], sign: float
@@ -194,20 +193,9 @@ class Pushes:
         self.growth_n = observer.stiffness_n_m * speed_m_s * moment.dt_s
         self._from_n, self._closing = observer.force_n, closing
         self.shown_s = moment.now_s + _SHOWS_S
-        self._starts_n = sign * (self._from_n + observer.missing_n) + friction_n + 0.5 * beyond_n
         # The current reaches the push at the end of the period only.
         observer.break_loose(sign * 0.5 * speed_m_s)
         return sign * (friction_n + beyond_n) / current_share(moment.dt_s)
-
-    def check(self, observer: GripObserver, drive_n: float) -> None:
-        """Undo the assumed effect of a push in the last period that a limit of the drive has cut.
-
-        ``drive_n``: the measured drive in N.
-        """
-        if (drive_n if self._closing else -drive_n) < self._starts_n:
-            observer.break_loose(0.0)
-            self.growth_n = 0.0
-        self._starts_n = -inf
 
     def _learn(self, observer: GripObserver, *, closing: bool) -> None:
         """Compare the growth of the force since the last push with the expected one."""
@@ -249,7 +237,7 @@ class ForceLaw:
             grip, now_s, stiffness_n_m=self._stiffness[0], stiffness_sd=self._stiffness[1]
         )
         self.plan = ForcePlan(self.observer.force_n)
-        self._drives_n = History()
+        self._drives_n, self._balance_n = History(), grip.balance_n
         self._setpoint_n, self._rates_n_s = grip.setpoint_n, deque([0.0], maxlen=3)
         self._started_m, self._most_m_s = grip.apertures.newest, 0.0
         self._impact = impact_limit(grip.settings, grip.linkage)
@@ -276,7 +264,8 @@ class ForceLaw:
         measured_n = driving_n(period.state, period.paths)
         before_n = self._drives_n.newest if self._drives_n else measured_n
         self._drives_n.add(period.moment.now_s, measured_n)
-        self._pushes.check(observer, measured_n)
+        # A drive at its cap shows nothing of what is missing beyond it.
+        observer.missing_n -= max(0.0, self._balance_n - grip.balance_n)
         if sample is not None and self._jumps(sample, period):
             sample = None
         frictions_n = self._observe(period, sample, 0.5 * (before_n + measured_n))
@@ -286,6 +275,7 @@ class ForceLaw:
         way_m = 0.5 * (observer.speed_m_s + speed_m_s) * _ACTS_S
         force_n = observer.force_n + observer.stiffness_n_m * way_m
         grip.force_n, grip.balance_n = observer.force_n, force_n + observer.missing_n
+        self._balance_n = grip.balance_n
         if sample is None:
             return grip.balance_n
         error_n = self.plan.force_n + self.plan.rate_n_s * _ACTS_S - force_n
