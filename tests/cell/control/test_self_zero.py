@@ -92,9 +92,6 @@ def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
                 "simulator__pads__stiffness": [1.6, 1.9],
                 "simulator__noise_level": 0.5,
             },
-            marks=pytest.mark.xfail(
-                strict=True, reason="an XL330 with these pads gets no self-zero"
-            ),
             id="a small position gain",
         ),
     ],
