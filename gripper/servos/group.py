@@ -32,6 +32,7 @@ from gripper.servos.goal_limits import (
     GoalWriter,
     ServoGoal,
     closing_margin_rad,
+    standing,
 )
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
@@ -423,10 +424,8 @@ def holding_position(
 
     No finger pushes on, and none yields by more than position control of the servos does.
     """
-    return [
-        replace(goal, angle_rad=servo.angle_rad, current_a=share * goal.current_a)
-        for goal, servo in zip(frozen(last, state), state.servos, strict=True)
-    ]
+    goals = standing(frozen(last, state), state)
+    return [replace(goal, current_a=share * goal.current_a) for goal in goals]
 
 
 def lowered(

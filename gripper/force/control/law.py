@@ -30,7 +30,7 @@ from gripper.errors import LimitExceeded
 from gripper.force.control.observer import GripObserver
 from gripper.force.estimates.grip import STIFFEST_N_M, Grip, History
 from gripper.force.loop import Moment
-from gripper.mechanics.impact import CURRENT_S, current_share, impact_limit
+from gripper.mechanics.impact import CURRENT_S, ImpactLimit, current_share, impact_limit
 from gripper.mechanics.kinematics import Transmission, driving_n
 from gripper.servos.goal_limits import MOST_STICTION, pressing_speed_m_s
 from gripper.values.force_sensor import ForceSample
@@ -240,7 +240,6 @@ class ForceLaw:
         self._drives_n, self._balance_n = History(), grip.balance_n
         self._setpoint_n, self._rates_n_s = grip.setpoint_n, deque([0.0], maxlen=3)
         self._started_m, self._most_m_s = grip.apertures.newest, 0.0
-        self._impact = impact_limit(grip.settings, grip.linkage)
         self._falls, self._still_s = False, 0.0
         self._estimated_n_m: float | None = None
         self._jumped_s: float | None = None
@@ -322,8 +321,7 @@ class ForceLaw:
         self._rates_n_s.append((setpoint_n - self._setpoint_n) / dt_s)
         self._setpoint_n = setpoint_n
         ramp_n_s = fmean(self._rates_n_s)
-        self._impact = impact_limit(grip.settings, grip.linkage, period.state.angles_rad)
-        self._most_m_s = pressing_speed_m_s(grip.settings, self._impact, setpoint_n)
+        self._most_m_s = pressing_speed_m_s(grip.settings, _impact(grip, period), setpoint_n)
         most_n_s2 = _INERTIA_N * stiffness / observer.mass_kg
         self.plan.step(
             dt_s,
@@ -420,7 +418,7 @@ class ForceLaw:
         drive_n = self._drives_n.most(since_s=sample.measured_s - FRAME_S - _SHOWS_S)
         speed_m_s = max(0.0, observer.speed_m_s, -0.5 * period.state.aperture_velocity_m_s)
         least_n += 2.0 * max(0.0, drive_n - observer.force_n - friction_n)
-        least_n += self._impact.momentum_n_s_m * speed_m_s
+        least_n += _impact(self._grip, period).momentum_n_s_m * speed_m_s
         if jump_n <= least_n:
             # The part is stiffer than its estimate: the samples have to show the force.
             observer.stiffness_n_m = min(_STIFFER * observer.stiffness_n_m, 2.0 * STIFFEST_N_M)
@@ -451,3 +449,8 @@ class ForceLaw:
                 f"{limit_n:.2f} N: the sensor shows {force_n:.2f} N where the current makes "
                 f"{force_n + missing_n:.2f} N. Check the pads, the tare and the torque figures"
             )
+
+
+def _impact(grip: Grip, period: Period) -> ImpactLimit:
+    """Return the limit of closing fingers where they are now."""
+    return impact_limit(grip.settings, grip.linkage, period.state.angles_rad)
