@@ -5,42 +5,5 @@ fast: tactile-cell and its libraries are imported when a test requests a fixture
 `pytest_tactile_cell.fixtures`; docs/how-to/test-your-cell.md shows how to use it.
 """
 
-from pytest_tactile_cell.fixtures import (
-    can_bus,
-    can_clock,
-    cell_bench,
-    cell_config,
-    cell_faults,
-    cell_process,
-    cell_runtime,
-    inject_fault,
-    servo_bus,
-    servo_clock,
-    servo_stream,
-    simulated_cell,
-)
-from pytest_tactile_cell.options import (
-    pytest_addoption,
-    pytest_configure,
-    pytest_generate_tests,
-    pytest_report_header,
-)
-
-__all__ = [
-    "can_bus",
-    "can_clock",
-    "cell_bench",
-    "cell_config",
-    "cell_faults",
-    "cell_process",
-    "cell_runtime",
-    "inject_fault",
-    "pytest_addoption",
-    "pytest_configure",
-    "pytest_generate_tests",
-    "pytest_report_header",
-    "servo_bus",
-    "servo_clock",
-    "servo_stream",
-    "simulated_cell",
-]
+pytest_plugins = ("pytest_tactile_cell.options", "pytest_tactile_cell.fixtures")
+"""Modules with the options and the fixtures, which pytest loads with this one."""

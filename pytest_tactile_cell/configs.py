@@ -15,7 +15,6 @@ def simulated_config(
     objects: Mapping[str, str] | None = None,
     seed: int | None = None,
     changes: Mapping[str, Any] | None = None,
-    callback: bool = False,
 ) -> CellConfig:
     """Return a config with simulated ports; other values stay.
 
@@ -31,8 +30,6 @@ def simulated_config(
         Seed instead of the config's.
     changes
         Further values by dotted path.
-    callback
-        Whether a mover of the test moves the object; else the simulated cell places it.
 
     Raises
     ------
@@ -45,7 +42,7 @@ def simulated_config(
         "gripper.port": SIMULATED,
         "tactile.interface": SIMULATED,
         "tactile.channel": "",
-        "positioner": {"kind": "callback" if callback else "simulated"},
+        "positioner": {"kind": "simulated"},
     }
     if config.tactile.serial_ports:
         ours["tactile.sensor.ports"] = [SIMULATED] * len(config.tactile.serial_ports)

@@ -2,18 +2,17 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import pytest
 
-from pytest_tactile_cell.faults import FaultHandle, FaultRegistry
+from pytest_tactile_cell.faults import FaultHandle, FaultRegistry, FaultTarget
 from pytest_tactile_cell.options import HardwareOptions, config_path, refuse_shadows
 
 if TYPE_CHECKING:
-    from cell.build import Mover
     from cell.config.model import CellConfig
-    from cell.control.positioner import CarryCallback
     from gripper.clock import Clock
     from gripper.dynamixel.bus import ServoBus
     from gripper.dynamixel.serial_port import ByteStream
@@ -24,74 +23,25 @@ if TYPE_CHECKING:
     from tactile.can.bus import CanBus
 
 
+class MadeCell(FaultTarget, Protocol):
+    """A simulated cell of a test."""
+
+    def end(self) -> None:
+        """End it."""
+
+
+Made = TypeVar("Made", bound=MadeCell)
+
+
 @dataclass(frozen=True, slots=True)
-class _Maker:
-    """Makes cells on simulated devices; ``faults`` closes them."""
+class MakeCell(Generic[Made]):
+    """Makes cells on simulated devices; the end of the test ends them."""
 
     config: "CellConfig"
+    """Config of the test run."""
     faults: FaultRegistry
-
-    def checked(self, config: "CellConfig | Path | str | None", **changes: Any) -> "CellConfig":
-        """Return the config of a cell, by default that of the test run."""
-        from pytest_tactile_cell.configs import simulated_config
-
-        return simulated_config(self.config if config is None else config, **changes)
-
-
-class MakeSimulatedCell(_Maker):
-    """Makes simulated cells in virtual time."""
-
-    def __call__(
-        self,
-        config: "CellConfig | Path | str | None" = None,
-        *,
-        objects: Mapping[str, str] | None = None,
-        seed: int | None = None,
-        mover: "Mover | None" = None,
-        places: "CarryCallback | None" = None,
-        changes: Mapping[str, Any] | None = None,
-        folder: Path | None = None,
-    ) -> "VirtualCell":
-        """Return a cell that is not started.
-
-        Parameters
-        ----------
-        config
-            Config or its file; by default `cell_config`. Simulated ports replace its ports.
-        objects
-            Shapes by label: ``{"pin": "cylinder:diameter=6mm,length=20mm"}``.
-        seed
-            Seed of noise and poses.
-        mover
-            Replaces the simulated positioner: called with each pose, like that of a host program.
-        places
-            Brings kept parts to their places, like that of a host program.
-        changes
-            Other values of the config by dotted path: ``{"tactile.tare_frames": 25}``.
-        folder
-            Folder of the recording; None: no recording.
-
-        Raises
-        ------
-        cell.errors.ConfigError
-            If the resulting config is not valid.
-        """
-        from cell.build import build_cell
-        from pytest_tactile_cell.virtual import VirtualCell
-
-        checked = self.checked(
-            config, objects=objects, seed=seed, changes=changes, callback=mover is not None
-        )
-        cell = build_cell(checked, mover=mover, places=places, folder=folder)
-        if cell.simulated is None:
-            raise AssertionError("a config with simulated ports gave a cell with real ones")
-        made = VirtualCell(config=checked, cell=cell, simulated=cell.simulated)
-        self.faults.add(made, cell.close)
-        return made
-
-
-class MakeCellRuntime(_Maker):
-    """Loads the plugin of a host program on simulated devices."""
+    make: Callable[..., Made]
+    """Makes a cell of a config and further options."""
 
     def __call__(
         self,
@@ -101,54 +51,35 @@ class MakeCellRuntime(_Maker):
         seed: int | None = None,
         changes: Mapping[str, Any] | None = None,
         **options: Any,
-    ) -> "CellRuntime":
-        """Return a `TactileCellPlugin` that is ready for jobs.
+    ) -> Made:
+        """Return a new cell.
 
-        ``options`` are further arguments of `TactileCellPlugin`: ``mover``, ``places``, ``model``,
-        ``save``, ``folder``. The rest is as `MakeSimulatedCell`.
-
-        Raises
-        ------
-        cell.errors.ConfigError
-            If the resulting config is not valid; else as `TactileCellPlugin`.
-        """
-        from pytest_tactile_cell.runtime import CellRuntime
-
-        checked = self.checked(config, objects=objects, seed=seed, changes=changes)
-        cell = CellRuntime(checked, **options)
-        self.faults.add(cell, cell.close)
-        return cell
-
-
-@dataclass(frozen=True, slots=True)
-class MakeCellProcess(_Maker):
-    """Starts simulated cells in separate processes."""
-
-    report: Callable[[str, str, str], None]
-
-    def __call__(
-        self,
-        config: "CellConfig | Path | str | None" = None,
-        *,
-        objects: Mapping[str, str] | None = None,
-        seed: int | None = None,
-        changes: Mapping[str, Any] | None = None,
-    ) -> "CellProcess":
-        """Return a running cell; arguments as `MakeSimulatedCell`.
+        Parameters
+        ----------
+        config
+            Config or its file; by default `cell_config`. Simulated ports replace its ports.
+        objects
+            Shapes by label: ``{"pin": "cylinder:diameter=6mm,length=20mm"}``.
+        seed
+            Seed of noise and poses.
+        changes
+            Other values of the config by dotted path: ``{"tactile.tare_frames": 25}``.
+        options
+            Further arguments; the fixture has their names.
 
         Raises
         ------
         cell.errors.CellError
-            If the config is not valid, or the process does not start; its log is in the message.
+            If the resulting config is not valid, or the cell cannot be made.
         """
-        from pytest_tactile_cell.process import CellProcess
+        from pytest_tactile_cell.configs import simulated_config
 
-        cell = CellProcess(self.checked(config, objects=objects, seed=seed, changes=changes))
-        self.faults.add(cell, cell.end)
-        self.faults.at_end(
-            lambda: self.report("teardown", f"tactile-cell simulate {cell.pid}", cell.log)
+        wanted = self.config if config is None else config
+        made = self.make(
+            simulated_config(wanted, objects=objects, seed=seed, changes=changes), **options
         )
-        return cell
+        self.faults.add(made, made.end)
+        return made
 
 
 @pytest.fixture
@@ -194,30 +125,38 @@ def cell_bench(
 
 
 @pytest.fixture
-def simulated_cell(cell_config: "CellConfig", cell_faults: FaultRegistry) -> MakeSimulatedCell:
+def simulated_cell(
+    cell_config: "CellConfig", cell_faults: FaultRegistry
+) -> "MakeCell[VirtualCell]":
     """Make simulated cells in virtual time: ``cell = simulated_cell(objects=..., seed=...)``.
 
     Each has a CellController, the simulated devices and their clock. Time passes only during
     waits, so a grasp takes a fraction of a second. Hardware is never used: simulated ports replace
-    those of the config. Settings: config, objects, seed, mover, places, changes, folder::
+    those of the config. Settings: config, objects, seed, changes; mover, which gets each pose, and
+    places, which brings kept parts, as those of a host program; folder of the recording::
 
         def test_grip(simulated_cell):
             cell = simulated_cell(objects={"pin": "cylinder:diameter=6mm,length=20mm"})
             record = cell.start("pin").grasp(force_n=3.0)
             assert record.outcome.final_force_n == pytest.approx(3.0, abs=0.5)
     """
-    return MakeSimulatedCell(cell_config, cell_faults)
+    from pytest_tactile_cell.virtual import VirtualCell
+
+    return MakeCell(cell_config, cell_faults, VirtualCell.of)
 
 
 @pytest.fixture
-def cell_runtime(cell_config: "CellConfig", cell_faults: FaultRegistry) -> MakeCellRuntime:
+def cell_runtime(cell_config: "CellConfig", cell_faults: FaultRegistry) -> "MakeCell[CellRuntime]":
     """Load the plugin of a host program on simulated devices: ``cell = cell_runtime(mover=move)``.
 
     This is the TactileCellPlugin of the README, in virtual time on a thread of its own: start,
     feedback, result, release. grip_n() is the true force. Hardware is never used. Settings: config,
-    objects, seed, changes, and the arguments of TactileCellPlugin. The end of the test closes it.
+    objects, seed, changes, and the arguments of TactileCellPlugin: mover, places, model, save,
+    folder. The end of the test closes it.
     """
-    return MakeCellRuntime(cell_config, cell_faults)
+    from pytest_tactile_cell.runtime import CellRuntime
+
+    return MakeCell(cell_config, cell_faults, CellRuntime)
 
 
 @pytest.fixture
@@ -261,7 +200,7 @@ def can_clock(cell_bench: "LinkBench") -> "Clock":
 @pytest.fixture
 def cell_process(
     request: pytest.FixtureRequest, cell_config: "CellConfig", cell_faults: FaultRegistry
-) -> MakeCellProcess:
+) -> "MakeCell[CellProcess]":
     """Start ``tactile-cell simulate`` in real time: ``cell = cell_process(objects=..., seed=...)``.
 
     Servos and CAN adapter are on pseudo-terminals. The result has servo_port, can_channel,
@@ -269,7 +208,11 @@ def cell_process(
     The end of the test ends the process. A process that ended by itself fails the test with its
     log.
     """
-    return MakeCellProcess(cell_config, cell_faults, request.node.add_report_section)
+    from pytest_tactile_cell.process import CellProcess
+
+    return MakeCell(
+        cell_config, cell_faults, partial(CellProcess, report=request.node.add_report_section)
+    )
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ import sys
 import tempfile
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,8 @@ class CellProcess(AskedCell):
     ----------
     config
         The cell to simulate; its ports do not matter.
+    report
+        Gets the log at the end: its phase, its title and its text.
 
     Raises
     ------
@@ -96,7 +99,10 @@ class CellProcess(AskedCell):
         If it does not start.
     """
 
-    def __init__(self, config: CellConfig) -> None:
+    def __init__(
+        self, config: CellConfig, *, report: Callable[[str, str, str], object] = lambda *_: None
+    ) -> None:
+        self._report = report
         # The path of the socket must be short, so the folder of the test cannot be used.
         self._folder = tempfile.TemporaryDirectory(prefix="cell-")
         folder = Path(self._folder.name)
@@ -195,6 +201,7 @@ class CellProcess(AskedCell):
             If the process had ended by itself; the message has its exit code and log.
         """
         died, log = not self.running and not self._ended_by_us, self.log
+        self._report("teardown", f"tactile-cell simulate {self.pid}", log)
         if self.running:
             self._ended_by_us = True
             os.kill(self.pid, signal.SIGCONT)  # the test may have stopped it

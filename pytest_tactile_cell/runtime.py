@@ -15,6 +15,8 @@ class CellRuntime(TactileCellPlugin, AskedCell):
         """Whether it takes requests: false after `close`."""
         return not self._closed
 
+    end = TactileCellPlugin.close
+
     def ask(self, **request: Any) -> dict[str, Any]:
         """Send a request to the simulated devices, for example ``state=True``; return the reply.
 

@@ -2,13 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
 
-from cell.build import Cell
+from cell.build import Cell, Mover, build_cell
+from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import SequenceConfig
 from cell.control.controller import CellController
 from cell.control.identification import Identification
 from cell.control.plan import GraspStep, Pose, plan
+from cell.control.positioner import CarryCallback
 from cell.control.records import GraspRecord
 from cell.learning.shape_reading import shape_reader
 from cell.learning.training import train
@@ -30,6 +34,27 @@ class VirtualCell:
     """Controller and both links, from `cell.build.build_cell` as for every cell."""
     simulated: SimulatedCell
     """The simulated devices, with true values that only a simulator has."""
+
+    @classmethod
+    def of(
+        cls,
+        config: CellConfig,
+        *,
+        mover: Mover | None = None,
+        places: CarryCallback | None = None,
+        folder: Path | None = None,
+    ) -> Self:
+        """Build the cell of a config with simulated ports; arguments as `build_cell`."""
+        if mover is not None:
+            config = changed_config(config, {"positioner": {"kind": "callback"}})
+        cell = build_cell(config, mover=mover, places=places, folder=folder)
+        if cell.simulated is None:
+            raise AssertionError("a config with simulated ports gave a cell with real ones")
+        return cls(config=config, cell=cell, simulated=cell.simulated)
+
+    def end(self) -> None:
+        """Close the cell."""
+        self.cell.close()
 
     @property
     def controller(self) -> CellController:

@@ -77,7 +77,7 @@ def loaded(modules: str) -> set[str]:
     [
         ("cell.runtime.plugin", ("scipy", "matplotlib", *CAN, "dynamixel_sdk")),
         (
-            "pytest_tactile_cell",
+            "pytest_tactile_cell.fixtures, pytest_tactile_cell.options",
             (
                 "numpy",
                 "pydantic",
