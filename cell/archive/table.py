@@ -15,7 +15,7 @@ import pyarrow.dataset as ds
 from cell.archive.selection import cell_of, day_of, of_cell
 from cell.errors import CellError
 from cell.formats import ARCHIVE
-from cell.recording.reader import Recording
+from cell.recording.reader import Recording, between
 from gripper.values.state import GripperPhase
 from recognition.features.aperture import sizes_mm
 from recognition.features.groups import FEATURE_VERSION, features_of
@@ -159,10 +159,10 @@ def _answers(recording: Recording) -> dict[int, dict[str, Any]]:
 def _servos(recording: Recording, grasp: Grasp, t_s: float) -> dict[str, Any]:
     """Return the servo values before and at the end of a grasp; empty without a period."""
     length_s = float(grasp.t_s[-1])
-    closing = recording.cycles.between(t_s - _BEFORE_S, t_s + length_s)
-    holding = recording.cycles.between(t_s + 0.9 * length_s, t_s + length_s)
+    closing = between(recording.cycles, t_s - _BEFORE_S, t_s + length_s)
+    holding = between(recording.cycles, t_s + 0.9 * length_s, t_s + length_s)
     values = {}
-    moving = np.array(closing.phase) == GripperPhase.APPROACHING.name
+    moving = closing.phase == GripperPhase.APPROACHING.name
     if moving.any():
         values["closing_current_a"] = float(np.nanmedian(np.abs(closing.current_a[moving])))
     if len(holding):

@@ -5,20 +5,18 @@ No checksum or value in the file is trusted: what does not fit is left out and n
 
 import os
 import struct
-import sys
-from array import array
+from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, Self
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import zstandard
 from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
-from numpy.typing import NDArray
 from pydantic import ValidationError
 from pydantic_core import from_json
 
@@ -183,48 +181,20 @@ def _refusal(cause: ValueError) -> str:
     return f"{where}{value}: {first['msg']}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RecordedFrames:
-    """Tactile frames in the order of time."""
-
-    t_s: NDArray[np.float64]
-    """(n,) float64: monotonic time in s."""
-    number: NDArray[np.int64]
-    """(n,) int64: number of the frame in the recording; a gap is a lost chunk."""
-    counts: NDArray[np.uint16]
-    """(n, n_taxels) uint16: raw counts."""
-    extra: NDArray[np.uint16]
-    """(n, n_taxels, k) uint16: further samples of each taxel; k is 0 without any."""
-
-    def __len__(self) -> int:
-        return len(self.t_s)
+Rows = np.recarray[Any, Any]
+"""(n,) records in the order of time; each field is an array: ``rows.t_s``."""
+_CYCLE_NUMBERS = (
+    "t_s", "setpoint_n", "goal_current_a", "aperture_m", "current_a", "temperature_c",
+)  # fmt: skip
+_CYCLE = np.dtype(
+    [("phase", "U16"), *((name, "f8") for name in _CYCLE_NUMBERS), ("force_n", "f8", 2)], align=True
+)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RecordedCycles:
-    """Periods of the force loop in the order of time; NaN where a value was not known."""
-
-    t_s: NDArray[np.float64]
-    """(n,) float64: monotonic time in s."""
-    phase: tuple[str, ...]
-    """Phase of the gripper in each period."""
-    setpoint_n: NDArray[np.float64]
-    goal_current_a: NDArray[np.float64]
-    aperture_m: NDArray[np.float64]
-    current_a: NDArray[np.float64]
-    temperature_c: NDArray[np.float64]
-    """(n,) float64: set-point in N, goal current in A, opening in m, present current in A,
-    temperature of the warmest servo in degrees Celsius."""
-    force_n: NDArray[np.float64]
-    """(n, 2) float64: tactile force on both fingers in N."""
-
-    def __len__(self) -> int:
-        return len(self.t_s)
-
-    def between(self, begin_s: float, end_s: float) -> Self:
-        """Return the periods of a span of time in s, both ends included."""
-        part = slice(*np.searchsorted(self.t_s, [begin_s, np.nextafter(end_s, np.inf)]))
-        return type(self)(**{name: getattr(self, name)[part] for name in self.__slots__})
+def between(rows: Rows, begin_s: float, end_s: float) -> Rows:
+    """Return the rows of a span of time in s, both ends included."""
+    part = slice(bisect_left(rows.t_s, begin_s), bisect_right(rows.t_s, end_s))
+    return rows[part].view(np.recarray)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -237,9 +207,13 @@ class Recording:
     """Its path, its metadata, the pads of its frames."""
     wall_clock_start_ns: int
     """Wall clock at the start in ns."""
-    frames: RecordedFrames
-    cycles: RecordedCycles
-    """As arrays."""
+    frames: Rows
+    """Tactile frames: ``t_s`` is monotonic time in s, ``number`` counts all frames, a gap is a lost
+    chunk; ``counts`` (n, n_taxels) uint16 are raw, ``extra`` (n, n_taxels, k) uint16 further
+    samples, k is 0 without any."""
+    cycles: Rows
+    """Periods of the force loop: ``phase`` of the gripper, its numbers as in `schema.Cycle`, among
+    them ``force_n`` (n, 2) of both fingers; NaN where a value was not known."""
     poses: tuple[dict[str, Any], ...] = ()
     events: tuple[dict[str, Any], ...] = ()
     results: tuple[dict[str, Any], ...] = ()
@@ -281,49 +255,36 @@ def read_recording(path: Path | str) -> Recording:
     is missing.
     """
     messages = RecordedMessages(Path(path))
-    arrays: list[array[Any]] = [array(kind) for kind in "dqHHd"]
-    times_s, numbers, counts, extra, cycles = arrays
-    phases: list[str] = []
+    frames, frame_kind, cycles = bytearray(), np.dtype([]), bytearray()
     rows: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
     for topic, content, _ in messages:
         if topic == schema.FRAME:
-            times_s.append(content["t_s"])
-            numbers.append(content["number"])
-            counts.extend(content["counts"])
-            extra.extend(content.get("extra", ()))
+            extra = np.reshape(content.get("extra", ()), (messages.pads.n_taxels, -1))
+            frame_kind = frame_kind if frames else _frame_kind(*extra.shape)
+            values = (content["t_s"], content["number"], content["counts"], extra)
+            frames += np.array(values, frame_kind).tobytes()
         elif topic == schema.CYCLE:
             force_n = content.get("force_n", ())
-            cycles.extend(content.get(name, np.nan) for name in _CYCLE_COLUMNS)
-            cycles.extend(force_n if len(force_n) == 2 else (np.nan, np.nan))
-            phases.append(sys.intern(content["phase"]))
+            numbers = (content.get(name, np.nan) for name in _CYCLE_NUMBERS)
+            both_n = force_n if len(force_n) == 2 else (np.nan, np.nan)
+            cycles += np.array((content["phase"], *numbers, both_n), _CYCLE).tobytes()
         else:
             rows[topic].append(content)
-    n_frames, n_taxels = len(times_s), messages.pads.n_taxels
-    columns = _rows(cycles, (-1, len(_CYCLE_COLUMNS) + 2))
-    frames = RecordedFrames(
-        t_s=_rows(times_s, n_frames),
-        number=_rows(numbers, n_frames),
-        counts=_rows(counts, (n_frames, n_taxels)),
-        extra=_rows(extra, (n_frames, n_taxels, len(extra) // max(1, len(counts)))),
-    )
-    grasps = _grasps(rows[schema.GRASP], frames, messages)
+    recorded = _rows(frames, frame_kind if frames else _frame_kind(messages.pads.n_taxels, 0))
+    grasps = _grasps(rows[schema.GRASP], recorded, messages)
     if (
         not messages.lost_reason
         and schema.RECOVERED not in messages.metadata
-        and np.any(frames.number != np.arange(n_frames))
+        and np.any(recorded.number != np.arange(len(recorded)))
     ):
-        messages.lose(f"its {n_frames} frames are not all that were recorded")
+        messages.lose(f"its {len(recorded)} frames are not all that were recorded")
     return Recording(
         path=messages.path,
         metadata=messages.metadata,
         pads=messages.pads,
         wall_clock_start_ns=messages.wall_clock_start_ns,
-        frames=frames,
-        cycles=RecordedCycles(
-            **dict(zip(_CYCLE_COLUMNS, columns.T, strict=False)),
-            phase=tuple(phases),
-            force_n=columns[:, -2:],
-        ),
+        frames=recorded,
+        cycles=_rows(cycles, _CYCLE),
         poses=tuple(rows[schema.POSE]),
         events=tuple(rows[schema.EVENT]),
         results=tuple(rows[schema.RESULT]),
@@ -332,7 +293,7 @@ def read_recording(path: Path | str) -> Recording:
         grasps=tuple(grasps.values()),
         grasp_numbers=tuple(grasps),
         grasp_t_s=tuple(
-            float(frames.t_s[np.searchsorted(frames.number, rows[schema.GRASP][i]["first_frame"])])
+            float(recorded.t_s[bisect_left(recorded.number, rows[schema.GRASP][i]["first_frame"])])
             for i in grasps
         ),
         n_broken_grasps=messages.n_of[schema.GRASP] - len(grasps),
@@ -356,27 +317,25 @@ def recording_grasps(path: Path | str) -> tuple[Grasp, ...]:
     return recording.grasps
 
 
-_CYCLE_COLUMNS = (
-    "t_s", "setpoint_n", "goal_current_a", "aperture_m", "current_a", "temperature_c",
-)  # fmt: skip
-"""Columns of `RecordedCycles` with one number each."""
+def _frame_kind(n_taxels: int, n_extra: int) -> np.dtype[Any]:
+    counts, extra = ("counts", "u2", (n_taxels,)), ("extra", "u2", (n_taxels, n_extra))
+    return np.dtype([("t_s", "f8"), ("number", "i8"), counts, extra], align=True)
 
 
-def _rows(values: "array[Any]", shape: int | tuple[int, ...]) -> NDArray[Any]:
-    """Return an array of a shape; it takes less memory than the messages."""
-    rows = np.asarray(values).reshape(shape)
+def _rows(data: bytearray, kind: np.dtype[Any]) -> Rows:
+    rows = np.frombuffer(data, kind).view(np.recarray)
     rows.setflags(write=False)
     return rows
 
 
 def _grasps(
-    rows: list[dict[str, Any]], frames: RecordedFrames, messages: RecordedMessages
+    rows: list[dict[str, Any]], frames: Rows, messages: RecordedMessages
 ) -> dict[int, Grasp]:
     """Return each whole grasp by its number."""
     grasps, n_used = dict[int, Grasp](), 0
     for number, row in enumerate(rows):
         first_frame, n_frames = row["first_frame"], row["n_frames"]
-        first = int(np.searchsorted(frames.number, first_frame))
+        first = bisect_left(frames.number, first_frame)
         part = slice(first, first + n_frames)
         try:
             numbers = frames.number[part]
@@ -393,7 +352,7 @@ def _grasps(
     return grasps
 
 
-def _grasp(row: dict[str, Any], pads: PadArray, frames: RecordedFrames, part: slice) -> Grasp:
+def _grasp(row: dict[str, Any], pads: PadArray, frames: Rows, part: slice) -> Grasp:
     """Return a grasp of these frames. Raises ValueError if it is refused."""
     known = ("label", "shape", "source", "start_ms", "aperture_m", "force_n")
     t_s = frames.t_s[part] - frames.t_s[part.start]
@@ -428,8 +387,7 @@ def _write(file: BinaryIO, recording: Recording) -> None:
     entries = {key: value for key, value in recording.metadata.items() if key != "crc32"}
     if recording.lost_reason:
         entries[schema.RECOVERED] = f"from {recording.path.name}: {recording.lost_reason}"
-    writer = MessageWriter(file)
-    writer.start(entries)
+    writer = MessageWriter(file, entries)
     n_written = n_grasps = 0
     for topic, content, data in RecordedMessages(recording.path):
         n_grasps += topic == schema.GRASP

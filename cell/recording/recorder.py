@@ -30,9 +30,9 @@ CHUNK_BYTES = 64 << 10
 
 
 class MessageWriter:
-    """Writes messages with their schemas after a description of the recording."""
+    """Writes messages after a description of the recording and their schemas."""
 
-    def __init__(self, file: "BinaryIO | RecordingSink") -> None:
+    def __init__(self, file: "BinaryIO | RecordingSink", entries: Mapping[str, str]) -> None:
         self._writer = Writer(
             file,  # type: ignore[arg-type]
             chunk_size=CHUNK_BYTES,
@@ -40,9 +40,6 @@ class MessageWriter:
             enable_data_crcs=True,
         )
         self._channels: dict[str, int] = {}
-
-    def start(self, entries: Mapping[str, str]) -> None:
-        """Write the description and the schemas."""
         self._writer.start(profile="", library="tactile-cell")
         described = {**entries, "crc32": schema.metadata_crc32(entries)}
         self._writer.add_metadata(schema.METADATA, described)
@@ -94,8 +91,7 @@ class RecordingFile:
             raise RecordingError(
                 f"cannot record to {path}: {cause.strerror}; check folder and rights"
             ) from cause
-        self._writer = MessageWriter(self.sink)
-        self._writer.start(entries)
+        self._writer = MessageWriter(self.sink, entries)
         self.check()
 
     def add(self, topic: str, t_s: float, values: Mapping[str, Any]) -> None:

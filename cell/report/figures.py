@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cell.errors import ReportError
 from cell.files import write_atomically
 from cell.installation import extra
-from cell.recording.reader import RecordedCycles
+from cell.recording.reader import Rows
 from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp
 
@@ -109,7 +109,7 @@ def write_picture(path: Path, figure: "Figure") -> None:
     )
 
 
-def timeline_figure(cycles: RecordedCycles) -> "Figure":
+def timeline_figure(cycles: Rows) -> "Figure":
     """Draw force and set-point, goal current and opening over time, from the first period on.
 
     Unknown forces leave gaps.
@@ -132,7 +132,7 @@ def timeline_figure(cycles: RecordedCycles) -> "Figure":
         current.set(ylabel="goal current / mA")
         opening.plot(t_s, 1e3 * cycles.aperture_m[every], color=colour(6))
         opening.set(ylabel="opening / mm", xlabel="time / s")
-        ramps = np.flatnonzero(np.array(cycles.phase) == GripperPhase.RAMPING.name)
+        ramps = np.flatnonzero(cycles.phase == GripperPhase.RAMPING.name)
         for axes in (force, current, opening):
             axes.margins(x=0.01)
             for contact_s in since_s[ramps[:1]]:

@@ -23,7 +23,7 @@ from cell.errors import CellError, RecordingError, reason_text
 from cell.learning.blas import one_blas_thread
 from cell.learning.shape_reading import in_words
 from cell.learning.training import train
-from cell.recording.reader import Recording
+from cell.recording.reader import Recording, between
 from cell.report.confusion import BASELINE, ConfusionTable, paper_table, score_tables
 from cell.report.figures import pad_svg, picture, timeline_figure
 from cell.report.health import health
@@ -298,7 +298,7 @@ def _examples(recording: Recording, answers: list[Answered]) -> list[tuple[str, 
 def _grasp_view(recording: Recording, label: str, number: int) -> dict[str, Any]:
     """Return one grasp: force, current and opening over time."""
     grasp, begin_s = recording.grasps[number], recording.grasp_t_s[number]
-    cycles = recording.cycles.between(begin_s, begin_s + float(grasp.t_s[-1]))
+    cycles = between(recording.cycles, begin_s, begin_s + float(grasp.t_s[-1]))
     return {
         "label": label,
         "note": f"{_pose(recording, number)}; ramp to {_force_n(grasp):.1f} N",

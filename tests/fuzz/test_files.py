@@ -234,7 +234,7 @@ def same(ours: Recording, other: Recording) -> bool:
         np.array_equal(ours.frames.counts, other.frames.counts)
         and np.array_equal(ours.frames.t_s, other.frames.t_s)
         and np.array_equal(ours.cycles.setpoint_n, other.cycles.setpoint_n)
-        and ours.cycles.phase == other.cycles.phase
+        and np.array_equal(ours.cycles.phase, other.cycles.phase)
         and ours.events == other.events
         and ours.metadata == other.metadata
         and same_grasps(ours.grasps, other.grasps)
