@@ -40,17 +40,13 @@ class LineOpener:
         """
         return tuple(p for p in serial_candidates() if not Path(p).name.startswith("ttyS"))
 
-    def open_servos(self, port: str, baud_rate: int) -> ByteStream:
+    def open_serial(self, port: str, baud_rate: int) -> ByteStream:
         """Open a serial port. Raises gripper.errors.PortLost."""
         return SerialStream(port, baud_rate)
 
     def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:
         """Open a CAN bus. Raises tactile.errors.BusNotOpened."""
         return open_bus(interface, channel, bitrate=bitrate)
-
-    def open_board(self, port: str, baud_rate: int) -> ByteStream:
-        """Open the serial line of a sensor board. Raises gripper.errors.PortLost."""
-        return SerialStream(port, baud_rate)
 
 
 class Bench:
@@ -121,15 +117,14 @@ class Bench:
         }
         return changed_config(base, values | dict(changes))
 
-    def ports_beside(self, *used: str) -> list[str]:
-        """Return the serial ports without those in use."""
-        taken = {realpath(port) for port in used}
-        return [port for port in self.lines.serial_ports() if realpath(port) not in taken]
+    def ports_beside(self, used: str) -> list[str]:
+        """Return the serial ports without the one in use."""
+        return [port for port in self.lines.serial_ports() if realpath(port) != realpath(used)]
 
     def board_openers(self, tactile: TactileConfig) -> list[Callable[[], ByteStream]]:
         """Return functions that open the lines of the sensor's boards; empty for CAN."""
         rate = tactile.sensor.baud_rate
-        return [partial(self.lines.open_board, port, rate) for port in tactile.serial_ports]
+        return [partial(self.lines.open_serial, port, rate) for port in tactile.serial_ports]
 
     def servo_bus(self, port: str | None = None, baud_rate: int | None = None) -> closing[ServoBus]:
         """Open the line of the servos, and close it at the end of the block; goals and torque stay.
@@ -139,7 +134,7 @@ class Bench:
         gripper = self.gripper()
         rate = baud_rate or gripper.baud_rate
         bus = ServoBus(
-            self.lines.open_servos(port or gripper.port, rate),
+            self.lines.open_serial(port or gripper.port, rate),
             baudrate=rate,
             clock=self.clock,
             allowance_s=_PATIENCE_S,
@@ -148,17 +143,9 @@ class Bench:
         return closing(bus)
 
     @contextmanager
-    def can_bus(
-        self, interface: str | None = None, channel: str | None = None, bitrate: int | None = None
-    ) -> Iterator[CanBus]:
-        """Open the CAN bus of the control unit, and close it at the end.
-
-        Arguments are by default those of the config so far.
-        """
-        tactile = self.tactile()
-        bus = self.lines.open_can(
-            interface or tactile.interface, channel or tactile.channel, bitrate or tactile.bitrate
-        )
+    def can_bus(self, interface: str, channel: str, bitrate: int) -> Iterator[CanBus]:
+        """Open a CAN bus, and close it at the end."""
+        bus = self.lines.open_can(interface, channel, bitrate)
         try:
             yield bus
         finally:

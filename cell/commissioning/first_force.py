@@ -391,7 +391,7 @@ def _opened(bench: Bench, config: CellConfig) -> Hand:
     if bench.clock is time and config.loop.own_process:
         return HandProcess(config)
     lines = HandConnections(
-        lambda: bench.lines.open_servos(gripper.port, gripper.baud_rate),
+        lambda: bench.lines.open_serial(gripper.port, gripper.baud_rate),
         lambda: (
             MissingBus()
             if not tactile.sensor.on_can

@@ -30,7 +30,7 @@ def find_port(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         checks = check_port("gripper.port", port)
         notes.findings += [one for one in checks if one.verdict is not Verdict.PASS]
     else:
-        bench.lines.open_servos(port, 57600).close()
+        bench.lines.open_serial(port, 57600).close()
 
 
 PORTS = Step(find_port, "ports", "Ports")

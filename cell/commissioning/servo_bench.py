@@ -344,27 +344,6 @@ _WATCHDOG_RAW, _SILENT_S = 5, 0.5
 Values = dict[str, Any]
 
 
-class BenchStep(NamedTuple):
-    """One step of the protocol."""
-
-    run: Callable[[Rig, Dialog], Values]
-    """Measures; returns values by name, None for what its readings do not show. Its docstring tells
-    the person the set-up by hand and the motion that follows."""
-    title: str
-    minutes: int
-    """Heading and usual time."""
-
-    @property
-    def key(self) -> str:
-        """Name in the log."""
-        return self.run.__name__
-
-    @property
-    def text(self) -> str:
-        """What the step measures, and its set-up, for the person."""
-        return " ".join((self.run.__doc__ or "").split())
-
-
 def winding_a(rig: Rig, current_a: float, pwm_share: float) -> float:
     """Return the current of the winding in A from that of the register.
 
@@ -579,15 +558,17 @@ def watchdog(rig: Rig, dialog: Dialog) -> Values:
     return values | {"held_share": after_nm / before_nm if before_nm > 0.0 else None}
 
 
-STEPS = (
-    BenchStep(registers, "Registers", 1),
-    BenchStep(velocity, "Velocity register", 3),
-    BenchStep(scale, "Torque", 12),
-    BenchStep(free, "Friction and back-EMF", 8),
-    BenchStep(heat, "Overload and heat", 14),
-    BenchStep(watchdog, "Silence", 2),
-)
-"""The steps in their order: a cold servo first."""
+STEPS: dict[Callable[[Rig, Dialog], Values], tuple[str, int]] = {
+    registers: ("Registers", 1),
+    velocity: ("Velocity register", 3),
+    scale: ("Torque", 12),
+    free: ("Friction and back-EMF", 8),
+    heat: ("Overload and heat", 14),
+    watchdog: ("Silence", 2),
+}
+"""Title and usual time in minutes of the steps in their order, a cold servo first. Each returns
+values by name, None for what its readings do not show. Its docstring tells the person the set-up by
+hand and the motion that follows; its name is in the log."""
 
 
 # The result: a log, a file with the values, and their comparison with the model
@@ -648,22 +629,23 @@ def run_bench(rig: Rig, dialog: Dialog, folder: Path) -> tuple[Path, ...]:
     values: Values = {}
     done: list[str] = []
     try:
-        for number, step in enumerate(STEPS, start=1):
+        for number, (step, (title, minutes)) in enumerate(STEPS.items(), start=1):
+            key, text = step.__name__, " ".join((step.__doc__ or "").split())
             answer = dialog.choose(
-                f"{step.key}.begin",
-                f"{number}/{len(STEPS)} {step.title} (about {step.minutes} min)\n{step.text}",
+                f"{key}.begin",
+                f"{number}/{len(STEPS)} {title} (about {minutes} min)\n{text}",
                 {"run": "ready: run the step", "leave": "leave the step out"},
                 "run",
             )
             if answer == "leave":
                 continue
             try:
-                with rig.running(step.key):
-                    results = step.run(rig, dialog)
+                with rig.running(key):
+                    results = step(rig, dialog)
                 values |= {name: value for name, value in results.items() if value is not None}
-                done.append(step.key)
+                done.append(key)
             except (StepFailed, GripperError) as why:
-                dialog.say(f"{step.title} failed: {why}")
+                dialog.say(f"{title} failed: {why}")
     finally:
         for line in findings(rig.model, values):
             dialog.say(line)

@@ -1,26 +1,26 @@
-"""Step `servos`: finds the servos at any baud rate, numbers new ones, checks and sets each."""
+"""Step `servos`: finds the servos at any baud rate, numbers new ones, checks and sets each.
 
-from collections.abc import Mapping, Sequence
+The control table of each servo is kept in a backup, which can be restored.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
-from cell.commissioning.backup import (
-    SETTLE_S,
-    Backup,
-    keep,
-    read_control_table,
-    register_writes,
-    since_backup,
-)
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
-from cell.commissioning.findings import Notes
+from cell.commissioning.findings import Notes, ProposedChange
 from cell.config.gripper import use_servo_models
+from cell.errors import CellError
+from cell.files import free_name
+from cell.formats import SERVO_BACKUP, read_json, write_json
 from cell.plugins import SERVO_MODELS
 from gripper.dynamixel.bus import ANSWERS_ALL, ServoBus, ServoIdentity
 from gripper.dynamixel.control_table import (
     BAUD_CODES,
     BAUD_RATE,
+    MODEL_NUMBER,
     REGISTERS,
     SERVO_ID,
     STATUS_RETURN_LEVEL,
@@ -28,7 +28,8 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.models import MODELS, ServoModel, model_name
-from gripper.dynamixel.transactions import protocol_1_text
+from gripper.dynamixel.transactions import HIGHEST_ID, protocol_1_text
+from gripper.errors import ServoRejected
 from gripper.servos.verification import Requirement, compare, requirements
 from gripper.values.servo_checks import hardware_error_names, overload_text
 
@@ -40,6 +41,12 @@ _BOOT_S = 1.0
 """Wait in s for new servos to boot."""
 _MOST_FINGER_SERVOS = 2
 """Most servos of the fingers."""
+_RATES = {code: rate for rate, code in BAUD_CODES.items()}
+"""Baud rate in bit/s by its raw value."""
+_ADDRESS = (BAUD_RATE.name, SERVO_ID.name)
+"""Items that a restore leaves: new servos share an ID, and would disturb each other again."""
+SETTLE_S = 0.1
+"""Time in s between a change of ID or baud rate and the next request."""
 _UNDO = "`tactile-cell commission --restore` writes the backups back"
 """How a person reverts the writes."""
 _VOLTAGE_MARGIN = 1.05
@@ -272,7 +279,7 @@ def _renumber(
         where = f"servo {old_id} at {servo.baud_rate} bit/s"
         undo = "write the old values with the program of the servos' maker"
         dialog.approve(register_writes(where, changes, undo))
-        keep(bench, dialog, Backup(servo_id=new_id, registers=table))
+        keep(bench, dialog, new_id, table)
         if new_id != old_id:
             bus.write(old_id, SERVO_ID, new_id)
             bench.clock.sleep(SETTLE_S)
@@ -331,7 +338,7 @@ def _set_up(
         torque_off(bus, dialog, servo_id, table[TORQUE_ENABLE.name])
     dialog.approve(writes)
     for servo_id, table in tables.items():
-        keep(bench, dialog, Backup(servo_id=servo_id, registers=table))
+        keep(bench, dialog, servo_id, table)
         for name, (_, after) in changes[servo_id].items():
             bus.write(servo_id, REGISTERS[name], after)
         values = {name: bus.read(servo_id, REGISTERS[name]) for name in table}
@@ -381,3 +388,155 @@ def check_supply(servo_id: int, model: ServoModel, table: Mapping[str, int], not
         notes.fail(f"{text}: check the power supply and the wires to the servo")
     elif supply_v < _VOLTAGE_MARGIN * least_v:
         notes.warn(f"{text}: too little under load; use {model.nominal_voltage_v:g} V")
+
+
+# Backup: the whole control table of each servo before its first write, and its restore. The cell's
+# folder has a file for each: backup-servo1.json is of the servo that has ID 1 now. The first backup
+# stays: it has the original state of the servo.
+
+
+def register_writes(
+    where: str, changes: Mapping[str, tuple[object, object]], undo: str
+) -> list[ProposedChange]:
+    """Return the writes of some items of a servo, given by name with present and new value."""
+    return [
+        ProposedChange(where, f"{name} ({REGISTERS[name].address})", str(before), str(after), undo)
+        for name, (before, after) in changes.items()
+    ]
+
+
+def read_control_table(bus: ServoBus, servo_id: int) -> dict[str, int]:
+    """Return the raw values of all items that a servo has, by name."""
+    table = {}
+    bus.ping(servo_id)  # says which control table it has
+    for register in REGISTERS.values():
+        try:
+            table[register.name] = bus.read(servo_id, register)
+        except ServoRejected:
+            # Not every model has every item.
+            continue
+    return table
+
+
+def backup_file(folder: Path, servo_id: int) -> Path:
+    """Return the path of the backup of a servo."""
+    return folder / f"backup-servo{servo_id}.json"
+
+
+def keep(bench: Bench, dialog: Dialog, servo_id: int, registers: Mapping[str, int]) -> None:
+    """Write the backup of a servo, and name its file; a backup of the same model stays.
+
+    A backup of another model belongs to an exchanged servo, and is kept under another name.
+
+    Parameters
+    ----------
+    servo_id
+        ID of the servo after its commissioning.
+    registers
+        Raw values by the name of the item, read before the first write.
+    """
+    path = backup_file(bench.folder, servo_id)
+    if earlier := read_backup(path):
+        if earlier[MODEL_NUMBER.name] == registers[MODEL_NUMBER.name]:
+            return
+        path.rename(free_name(path))
+    bench.folder.mkdir(parents=True, exist_ok=True)
+    content = {"servo_id": servo_id, "registers": registers}
+    write_json(path, SERVO_BACKUP, content, error=CellError)
+    dialog.say(f"backup of servo {servo_id}: {path}")
+
+
+def restore(
+    bench: Bench, dialog: Dialog, port: str, begin: Callable[[], object] = lambda: None
+) -> tuple[str, ...]:
+    """Write the EEPROM of each servo back from its backup; return the results as lines.
+
+    Each item is read back. ID and baud rate stay. ``begin`` is called before the first write, which
+    ends the commissioned state of the servos. Raises WizardAborted when the changes are refused;
+    nothing is written then. Raises CellError if there is no backup or one of its values is invalid.
+    Raises it if a servo is of another model, has its torque on, or does not keep a value. Raises
+    GripperError if a servo does not answer.
+    """
+    backups = {
+        servo_id: registers
+        for servo_id in range(HIGHEST_ID + 1)
+        if (registers := read_backup(backup_file(bench.folder, servo_id))) is not None
+    }
+    if not backups:
+        raise CellError(f"{bench.folder} has no backup of a servo (backup-servo*.json)")
+    undo = "run `tactile-cell commission --redo servos`"
+    with bench.servo_bus(port) as bus:
+        changes = {}
+        for servo_id, registers in backups.items():
+            differing = _differing(bus, servo_id, registers)
+            changes[servo_id] = {n: c for n, c in differing.items() if n not in _ADDRESS}
+        writes = [
+            write
+            for servo_id, items in changes.items()
+            for write in register_writes(f"servo {servo_id}", items, undo)
+        ]
+        if not writes:
+            return ("all servos are as they were found",)
+        dialog.approve(writes)
+        begin()
+        for servo_id, items in changes.items():
+            bus.demand_answers((servo_id,))
+            for name, (_, wanted) in items.items():
+                bus.write(servo_id, REGISTERS[name], wanted)
+                if (now := bus.read(servo_id, REGISTERS[name])) != wanted:
+                    raise CellError(
+                        f"servo {servo_id} did not keep {name}: wrote {wanted}, is {now}"
+                    )
+    return tuple(
+        f"servo {number}: {len(items)} items restored" for number, items in changes.items()
+    )
+
+
+def since_backup(folder: Path, bus: ServoBus, servo_id: int) -> list[tuple[str, str, str]]:
+    """Return the items of a servo's EEPROM that differ from its backup: name, old and new value.
+
+    Empty without a backup. Raises CellError as `restore`.
+    """
+
+    def text(name: str, raw: int) -> str:
+        return f"{_RATES.get(raw, raw)} bit/s" if name == BAUD_RATE.name else str(raw)
+
+    registers = read_backup(backup_file(folder, servo_id))
+    differing = {} if registers is None else _differing(bus, servo_id, registers)
+    return [(name, text(name, was), text(name, now)) for name, (now, was) in differing.items()]
+
+
+def read_backup(path: Path) -> dict[str, int] | None:
+    """Return the registers in a backup by name; None without the file.
+
+    Raises CellError if it is damaged, or of another servo than its name says.
+    """
+    content = read_json(path, SERVO_BACKUP, error=CellError)
+    if content is None:
+        return None
+    registers: dict[str, int] = content["registers"]
+    if backup_file(path.parent, content["servo_id"]) != path:
+        raise CellError(
+            f"{path} is of servo {content['servo_id']}, nothing was written; {SERVO_BACKUP.remedy}"
+        )
+    return registers
+
+
+def _differing(
+    bus: ServoBus, servo_id: int, before: Mapping[str, int]
+) -> dict[str, tuple[int, int]]:
+    """Return the items of the EEPROM that differ from a backup: present and wanted value."""
+    now = read_control_table(bus, servo_id)
+    if now[MODEL_NUMBER.name] != before[MODEL_NUMBER.name]:
+        raise CellError(
+            f"servo {servo_id} has model number {now[MODEL_NUMBER.name]}, its backup has "
+            f"{before[MODEL_NUMBER.name]}: this is another servo, so nothing was written; "
+            "choose the backup of this servo"
+        )
+    if now[TORQUE_ENABLE.name]:
+        raise CellError(
+            f"servo {servo_id} has its torque on and may hold a part, so nothing was written: "
+            "release the part first"
+        )
+    items = [r.name for r in REGISTERS.values() if r.eeprom and r.name in now and r.name in before]
+    return {name: (now[name], before[name]) for name in items if now[name] != before[name]}

@@ -10,12 +10,10 @@ from typing import Any
 
 import pytest
 
-from cell.commissioning.backup import Backup, backup_file
 from cell.commissioning.findings import read_commissioned
+from cell.commissioning.servos import backup_file, read_backup
 from cell.config.file import load_config
 from cell.control.self_zero import kept_zeros
-from cell.errors import CellError
-from cell.formats import SERVO_BACKUP, read_json
 from cell.service.history import read_day
 from tests.cell.conftest import call
 
@@ -73,8 +71,7 @@ def test_findings_and_backups_of_the_commissioning_are_read(release: Path) -> No
     folder = release / "commissioned"
     assert len(read_commissioned(folder / "commissioning.json").steps) == 8
     for servo_id in (1, 2):
-        path = backup_file(folder, servo_id)
-        values = read_json(path, SERVO_BACKUP, error=CellError)
-        assert values is not None
-        assert Backup(**values).servo_id == servo_id
+        registers = read_backup(backup_file(folder, servo_id))
+        assert registers is not None
+        assert registers["model_number"] == 1020
     assert load_config(folder / "tactile-cell.yaml").tactile.board_serial_numbers == (1, 2)

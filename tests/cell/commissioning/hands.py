@@ -111,15 +111,14 @@ class SimulatedLines(LineOpener):
     def serial_ports(self) -> tuple[str, ...]:
         return self.ports
 
-    def open_servos(self, port: str, baud_rate: int) -> ByteStream:
+    def open_serial(self, port: str, baud_rate: int) -> ByteStream:
+        if "ACM" in port:
+            return self.cell.open_board(int(port[-1]))
         if port not in self.ports:
             raise PortLost(f"cannot open serial port {port}")
         self.opened.append((port, baud_rate))
         self.cell.devices.servo_bus.baudrate = baud_rate
         return open_servo_port(self.cell)
-
-    def open_board(self, port: str, _baud_rate: int) -> ByteStream:
-        return self.cell.open_board(int(port[-1]))
 
     def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:
         return open_can_bus(self.cell, bitrate)

@@ -50,7 +50,7 @@ def test_the_port_is_the_only_one_or_found_by_pulling_its_plug(
 
 def test_a_port_that_is_taken_or_gone_is_named(tmp_path) -> None:
     class Taken(SimulatedLines):
-        def open_servos(self, port: str, baud_rate: int) -> None:  # type: ignore[override]
+        def open_serial(self, port: str, baud_rate: int) -> None:  # type: ignore[override]
             raise PortLost(f"serial port {port} is used by another program")
 
     notes = carry_out(PORTS, Bench(tmp_path, Taken(SimulatedCell())), Script())

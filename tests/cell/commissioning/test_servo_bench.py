@@ -158,7 +158,7 @@ def test_each_step_can_be_left_out_and_each_reading_is_in_the_log(tmp_path: Path
     script = person(bench, "velocity")
     log, _ = run_bench(bench.rig, script, tmp_path)
     assert [key.partition(".")[0] for key in script.asked if key.endswith("begin")] == [
-        step.key for step in STEPS
+        step.__name__ for step in STEPS
     ]
     rows = list(csv.DictReader(log.read_text().splitlines()))
     assert len(rows) == len(bench.rig.log) > 300
@@ -206,7 +206,7 @@ class OneLine(LineOpener):
         self.clock = bench.clock
         self._bench = bench
 
-    def open_servos(self, _port: str, baud_rate: int) -> ByteStream:
+    def open_serial(self, _port: str, baud_rate: int) -> ByteStream:
         self._bench.device.baudrate = baud_rate
         return MemoryServoStream(self._bench.device, self._bench.clock)
 

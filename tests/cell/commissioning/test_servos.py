@@ -4,10 +4,9 @@ import json
 
 import pytest
 
-from cell.commissioning.backup import backup_file, restore
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import WizardAborted
-from cell.commissioning.servos import SERVOS
+from cell.commissioning.servos import SERVOS, backup_file, restore
 from cell.errors import CellError
 from cell.formats import SERVO_BACKUP, write_json
 from gripper.errors import GripperError

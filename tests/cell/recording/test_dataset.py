@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from cell import formats
 from cell.archive.store import Archive
-from cell.commissioning.backup import since_backup
 from cell.commissioning.findings import read_commissioned
+from cell.commissioning.servos import read_backup
 from cell.config.file import load_config
 from cell.config.gripper import measured_drive
 from cell.control.self_zero import SelfZeros
@@ -285,17 +285,13 @@ def self_zero(path: Path) -> None:
     raise CellError(SelfZeros(path=path).refused)
 
 
-def servo_backup(path: Path) -> None:
-    since_backup(path.parent, None, 1)  # type: ignore[arg-type]  # its file is read first
-
-
 KINDS: list[tuple[Format, Callable[[Path, str], None], Callable[[Path], Any]]] = [
     (formats.CONFIG, text, load_config),
     (formats.DATASET, arrays, read_dataset),
     (formats.MODEL, arrays, load_model),
     (formats.RECORDING, recording, read_recording),
     (formats.COMMISSIONING, text, read_commissioned),
-    (formats.SERVO_BACKUP, text, servo_backup),
+    (formats.SERVO_BACKUP, text, read_backup),
     (formats.SERVO_BENCH, text, lambda path: measured_drive(path, XM430_W350)),
     (formats.SELF_ZERO, text, self_zero),
     (formats.ARCHIVE, archive, lambda path: Archive(str(path))),

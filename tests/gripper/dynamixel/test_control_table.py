@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from cell.commissioning.backup import read_control_table
+from cell.commissioning.servos import read_control_table
 from cell.config.file import load_config
 from cell.simulation import simulation_of
 from gripper.dynamixel import control_table as table

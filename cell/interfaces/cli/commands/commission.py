@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from cell.commissioning.backup import restore as restore_servos
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Engine, WizardAborted
 from cell.commissioning.servo_bench import open_rig, run_bench
+from cell.commissioning.servos import restore as restore_servos
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
 from cell.interfaces.cli.dialog import TerminalDialog
