@@ -6,9 +6,9 @@ some hundred times a second, a standing one is not polled. canopen's own profile
 """
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 from canopen.nmt import NMT_COMMANDS, NMT_STATES
 
@@ -19,7 +19,6 @@ from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, Sta
 from tactile.can.sdo_client import (
     COB_SDO_REQUEST,
     COB_SDO_RESPONSE,
-    ObjectAccess,
     PolledSdoClient,
     SdoNotAnswered,
 )
@@ -96,15 +95,15 @@ class Cia402Drive(Axis):
         self._bus = bus
         self._node_id = node_id
         self._client = PolledSdoClient(
-            node_id=node_id,
-            dictionary=od.of_node(node_id),
+            node_id,
+            od.of_node(node_id),
+            name=self.label,
             clock=bus.clock,
             service=self.check,
             wait=bus.wait,
             timeout_s=_SDO_SHARE * bus.loss_s,
         )
         self._client.network = bus  # it names the failures of the interface
-        self._objects = ObjectAccess(self._client, name=self.label)
         self._heard_s = 0.0
         self._nmt_state = _OPERATIONAL
         self._surplus = 0
@@ -296,7 +295,7 @@ class Cia402Drive(Axis):
             self._write(name, value)
             if (answer := self._read(name)) != value:
                 raise errors.AxisMissing(
-                    f"{self.label} keeps {answer} in {self._objects.label(name)} instead of "
+                    f"{self.label} keeps {answer} in {self._client.label(name)} instead of "
                     f"{value}: correct the config or the drive's own limits"
                 )
 
@@ -406,33 +405,29 @@ class Cia402Drive(Axis):
         return self._read("Statusword")
 
     def _read(self, name: str) -> int:
-        variable = self._objects.dictionary[name]
-        data = self._transfer(self._objects.read, name)
-        if 8 * len(data) != len(variable):
-            raise errors.AxisAnswerWrong(
-                f"{self.label} sends {self._objects.label(name)} with a length of {len(data)} "
-                f"instead of {len(variable) // 8} bytes: {_ANSWER_REMEDY}"
-            )
-        return int(variable.decode_raw(data))
+        with self._asking(name):
+            return int(self._client[name].raw)
 
     def _write(self, name: str, value: int) -> None:
-        data = self._objects.dictionary[name].encode_raw(int(value))
-        self._transfer(self._objects.write, name, data)
+        with self._asking(name):
+            self._client[name].raw = int(value)
 
-    def _transfer(self, transfer: Callable[..., Any], name: str, *data: bytes) -> Any:
+    @contextmanager
+    def _asking(self, name: str) -> Iterator[None]:
+        """Convert the errors of a transfer."""
         self.check()
         try:
-            return transfer(name, *data)
+            yield
         except ObjectRefused as error:
             raise errors.AxisMissing(
-                f"{self.label} refused {self._objects.label(name)} ({error.__cause__}): the drive "
+                f"{self.label} refused {self._client.label(name)} ({error.__cause__}): the drive "
                 "does not have what CiA 402 asks for, or its limits are narrower"
             ) from error
         except NodeMissing as error:
             if isinstance(error.__cause__, SdoNotAnswered):
                 raise errors.AxisSilent(str(error)) from error
             raise errors.AxisAnswerWrong(
-                f"{self.label} answers wrongly ({self._objects.label(name)}; {error.__cause__}): "
+                f"{self.label} answers wrongly ({self._client.label(name)}; {error.__cause__}): "
                 f"{_ANSWER_REMEDY}"
             ) from error
 

@@ -1,4 +1,4 @@
-"""SDO: client of canopen that waits by the injected clock, and access to objects by index."""
+"""SDO client of canopen that waits by the injected clock; its errors name object and node."""
 
 import logging
 from collections.abc import Callable
@@ -61,8 +61,14 @@ class SdoNotAnswered(SdoCommunicationError):
 class PolledSdoClient(SdoClient):
     """canopen's client without the real-time wait of its queue: one thread, real or virtual time.
 
+    ``client["Identity object.Vendor-ID"].raw`` reads an object by its name in the EDS, and an
+    assignment writes it. Lost transfers are repeated. Raises NodeMissing without a usable answer,
+    ObjectRefused for an abort, and BusOff if the CAN interface fails.
+
     Parameters
     ----------
+    name
+        The node in words.
     service
         Processes received messages and calls `on_response` with the responses.
     wait
@@ -73,9 +79,10 @@ class PolledSdoClient(SdoClient):
 
     def __init__(
         self,
-        *,
         node_id: int,
         dictionary: canopen.ObjectDictionary,
+        *,
+        name: str,
         clock: Clock,
         service: Callable[[], None],
         wait: Callable[[float], None],
@@ -86,11 +93,34 @@ class PolledSdoClient(SdoClient):
             COB_SDO_RESPONSE + node_id,
             dictionary,
         )
+        self.name = name
         self._clock = clock
         self._service = service
         self._wait = wait
         self._timeout_s = timeout_s
         self._requests = self._answers = 0
+
+    def __getitem__(self, index: int | str) -> Any:
+        """Return an object of the node, by its name in the EDS."""
+        return super().__getitem__(index)
+
+    def find(self, name: str) -> Any:
+        """Return the value of an object, None if the node does not have it."""
+        try:
+            return self[name].raw
+        except ObjectRefused as error:
+            if error.__cause__ != SdoAbortedError(_NO_OBJECT):
+                raise
+            return None
+
+    def label(self, name: str) -> str:
+        """Return the name of an object for people: ``Vendor-ID (1018h:01)``."""
+        variable = self[name].od
+        return f"{variable.name} ({variable.index:04X}h:{variable.subindex:02X})"
+
+    def defaults(self, record: str) -> dict[str, int]:
+        """Return the values that the EDS has for the objects of a record, by their names."""
+        return {one.qualname: one.default for one in self[record].od.values()}
 
     @property
     def surplus(self) -> int:
@@ -103,6 +133,17 @@ class PolledSdoClient(SdoClient):
         super().send_request(request)  # type: ignore[no-untyped-call]
 
     def upload(self, index: int, subindex: int) -> bytes:
+        """Return the bytes of an object."""
+        return self._repeated("read", index, subindex, self._upload)
+
+    def download(self, index: int, subindex: int, data: bytes, force_segment: bool = False) -> None:
+        """Write the bytes of an object."""
+        write = super().download
+        self._repeated(
+            "write", index, subindex, lambda *place: write(*place, data, force_segment) or b""
+        )
+
+    def _upload(self, index: int, subindex: int) -> bytes:
         """Return an object's bytes; SdoCommunicationError if it is too long or incomplete.
 
         canopen's own method reads segments as long as the server announces more of them.
@@ -120,8 +161,11 @@ class PolledSdoClient(SdoClient):
         variable = self.od.get_variable(index, subindex)
         if variable is None or not variable.fixed_size:
             return bytes(data)
+        length = len(variable) // 8
+        if len(data) < length:
+            raise SdoCommunicationError(f"{len(data)} bytes came, the object has {length}")
         # Units may send four bytes for a shorter object.
-        return bytes(data[: len(variable) // 8])
+        return bytes(data[:length])
 
     def on_response(self, can_id: int, data: bytes | bytearray, timestamp: float) -> None:
         """Process a message of the SDO server; some servers leave out the unused bytes."""
@@ -149,65 +193,14 @@ class PolledSdoClient(SdoClient):
             raise SdoAbortedError(int.from_bytes(response[4:8], "little"))
         return response
 
-
-class ObjectAccess:
-    """Reads and writes objects by their names in the EDS, as ``Identity object.Vendor-ID``.
-
-    Lost transfers are repeated; errors name object and unit.
-    """
-
-    def __init__(self, client: PolledSdoClient, *, name: str) -> None:
-        self._client = client
-        self.dictionary: Any = client.od
-        self.name = name
-
-    def label(self, name: str) -> str:
-        """Return the name of an object for people: ``Vendor-ID (1018h:01)``."""
-        variable = self.dictionary[name]
-        return f"{variable.name} ({variable.index:04X}h:{variable.subindex:02X})"
-
-    def defaults(self, record: str) -> dict[str, int]:
-        """Return the values that the EDS has for the objects of a record, by their names."""
-        return {one.qualname: one.default for one in self.dictionary[record].values()}
-
-    def read(self, name: str) -> bytes:
-        """Return the bytes of an object."""
-        data: bytes = self._transfer(self._client.upload, "read", name)
-        return data
-
-    def read_unsigned(self, name: str) -> int:
-        """Return an unsigned integer."""
-        return int.from_bytes(self.read(name), "little")
-
-    def read_text(self, name: str) -> str:
-        """Return a visible string."""
-        return self.read(name).rstrip(b"\0").decode("ascii", errors="replace")
-
-    def find(self, name: str) -> bytes | None:
-        """Return the bytes of an object, None if the unit does not have it."""
-        try:
-            return self.read(name)
-        except ObjectRefused as error:
-            if error.__cause__ != SdoAbortedError(_NO_OBJECT):
-                raise
-            return None
-
-    def write(self, name: str, data: bytes) -> None:
-        """Write the bytes of an object."""
-        self._transfer(self._client.download, "write", name, data)
-
-    def write_unsigned(self, name: str, value: int) -> None:
-        """Write an unsigned integer."""
-        self.write(name, self.dictionary[name].encode_raw(value))
-
-    def _transfer(self, transfer: Callable[..., Any], verb: str, name: str, *data: bytes) -> Any:
-        variable = self.dictionary[name]
-        place = variable.index, variable.subindex
-        what = f"{verb} of object 0x{place[0]:04X}:{place[1]:02X} of {self.name}"
+    def _repeated(
+        self, verb: str, index: int, subindex: int, transfer: Callable[[int, int], bytes]
+    ) -> bytes:
+        what = f"{verb} of object 0x{index:04X}:{subindex:02X} of {self.name}"
         failure: Exception | None = None
         for _ in range(_ATTEMPTS):
             try:
-                return transfer(*place, *data)
+                return transfer(index, subindex)
             except SdoCommunicationError as error:
                 failure = error
             except SdoAbortedError as error:

@@ -17,7 +17,7 @@ from canopen.nmt import NMT_COMMANDS
 
 from tactile.can.bus import MissingBus, bad_lines
 from tactile.can.receiver import interface_failed, message_source, of_another_kind
-from tactile.can.sdo_client import ObjectAccess, PolledSdoClient
+from tactile.can.sdo_client import PolledSdoClient
 from tactile.clock import Clock
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.settings import LinkSettings, NodeIdentity
@@ -161,17 +161,17 @@ class TactileLink:
         node_id = self._node_id
         self._network = canopen.Network(self._bus)
         self._network.unsubscribe(self._network.lss.LSS_RX_COBID)
-        self._client = PolledSdoClient(
-            node_id=node_id,
-            dictionary=od.of_node(node_id),
+        self.objects = PolledSdoClient(
+            node_id,
+            od.of_node(node_id),
+            name=self._name,
             clock=self._clock,
             service=self._service,
             wait=self._source.wait,
             timeout_s=self.settings.sdo_timeout_s,
         )
-        self._client.network = self._network
-        self.objects = ObjectAccess(self._client, name=self._name)
         """Reads and writes the unit's objects."""
+        self.objects.network = self._network
         self._watch = NodeWatch(self._name, self.settings)
         frame_format = FrameFormat.of(self.layout)
         self._assembler = FrameAssembler(frame_format, self._mounting.order)
@@ -186,7 +186,7 @@ class TactileLink:
         for cob_id, handler in (
             (od.COB_TPDO1 + node_id, self._on_frame),
             (od.COB_EMCY + node_id, self._watch.on_emergency),
-            (od.COB_SDO_RESPONSE + node_id, self._client.on_response),
+            (od.COB_SDO_RESPONSE + node_id, self.objects.on_response),
             (od.COB_HEARTBEAT + node_id, self._watch.on_heartbeat),
         ):
             self._network.subscribe(cob_id, handler)
@@ -230,7 +230,7 @@ class TactileLink:
         return self._guarded(self._commission)
 
     @contextmanager
-    def reading(self) -> Iterator[ObjectAccess]:
+    def reading(self) -> Iterator[PolledSdoClient]:
         """Give access to the objects of a unit, whatever it is, without a start."""
         self._source.start()
         try:
@@ -308,10 +308,10 @@ class TactileLink:
         sent = encode_zero(zero.touch_counts, zero.offset_counts[order], zero.bad[order], adc_max)
 
         def write() -> None:
-            self.objects.write(od.FORCE_ZERO, sent)
+            self.objects[od.FORCE_ZERO].raw = sent
             written_s = self._clock.monotonic()
             self._take_forces()
-            stored = self.objects.read(od.FORCE_ZERO)
+            stored = self.objects[od.FORCE_ZERO].raw
             later = self._take_forces()
             old_s = [one.t_s for one in later if not one.status & ForceStatus.ZEROED]
             # The last scan before the zero was half a period earlier, on average. A busy host may
@@ -379,7 +379,7 @@ class TactileLink:
         now_s = self._looked_s = self._clock.monotonic()
         self._watch.check(now_s, self._unusable + self._assembler.counts.short)
         if self._next_sync_s is None:
-            surplus = self._client.surplus
+            surplus = self.objects.surplus
             if surplus >= _SURPLUS_ANSWERS:
                 raise DuplicateNode(
                     f"{surplus} SDO answers more came from {self._name} than were asked for: a "

@@ -12,7 +12,7 @@ import can
 from canopen.network import NodeScanner
 
 from tactile.can.receiver import message_source, of_another_kind
-from tactile.can.sdo_client import ObjectAccess
+from tactile.can.sdo_client import PolledSdoClient
 from tactile.clock import Clock
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import TactileLink
@@ -140,8 +140,8 @@ def read_unit(bus: can.BusABC, node_id: int) -> FoundUnit:
     """
     with _objects_of(bus, node_id) as objects:
         identity = read_identity(objects)
-        n_taxels = objects.read_unsigned("Taxel layout.Number of taxels")
-        shapes = objects.read("Rows and columns of each pad")
+        n_taxels = objects["Taxel layout.Number of taxels"].raw
+        shapes = objects["Rows and columns of each pad"].raw
         if len(shapes) % 2:
             raise NodeMissing(
                 f"object 2102h of node {node_id} has {len(shapes)} bytes, two for each pad are "
@@ -152,12 +152,12 @@ def read_unit(bus: can.BusABC, node_id: int) -> FoundUnit:
         return FoundUnit(
             node_id=node_id,
             identity=identity,
-            layout_hash=objects.read_text("Taxel layout.Layout hash"),
+            layout_hash=objects["Taxel layout.Layout hash"].raw,
             n_taxels=n_taxels,
-            adc_max=objects.read_unsigned("Taxel layout.Full scale of the counts"),
+            adc_max=objects["Taxel layout.Full scale of the counts"].raw,
             pad_shapes=tuple(zip(shapes[::2], shapes[1::2], strict=True)),
             sends_forces=sends_forces,
-            registers=tuple((text, objects.read_unsigned(name)) for text, name in written.items()),
+            registers=tuple((text, objects[name].raw) for text, name in written.items()),
         )
 
 
@@ -167,12 +167,11 @@ def read_vendor(bus: can.BusABC, node_id: int) -> tuple[int, int]:
     Raises NodeMissing if the node does not answer.
     """
     with _objects_of(bus, node_id) as objects:
-        names = "Vendor-ID", "Product code"
-        vendor_id, product_code = (objects.read_unsigned(f"Identity object.{n}") for n in names)
-        return vendor_id, product_code
+        identity = objects["Identity object"]
+        return identity["Vendor-ID"].raw, identity["Product code"].raw
 
 
-def _objects_of(bus: can.BusABC, node_id: int) -> AbstractContextManager[ObjectAccess]:
+def _objects_of(bus: can.BusABC, node_id: int) -> AbstractContextManager[PolledSdoClient]:
     """Return access to the objects of a node, whatever it is; its frames are not looked at."""
     clock: Clock = getattr(bus, "clock", time)
     return TactileLink(bus, node_id=node_id, layout=paper_layout(), clock=clock).reading()

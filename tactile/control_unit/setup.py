@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from tactile.can.sdo_client import ObjectAccess
+from tactile.can.sdo_client import PolledSdoClient
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.settings import ExpectedIdentity, LinkSettings, NodeIdentity
 from tactile.errors import IdentityMismatch
@@ -40,16 +40,16 @@ class Check:
         return self.expected is None or self.expected == self.actual
 
 
-def read_identity(objects: ObjectAccess) -> NodeIdentity:
+def read_identity(objects: PolledSdoClient) -> NodeIdentity:
     """Read the identity object, the device name and the boards of the pads."""
-    number, boards = objects.read_unsigned, "Serial numbers of the boards.Board of finger"
+    boards = "Serial numbers of the boards.Board of finger"
     return NodeIdentity(
-        vendor_id=number("Identity object.Vendor-ID"),
-        product_code=number("Identity object.Product code"),
-        revision=number("Identity object.Revision number"),
-        serial=number("Identity object.Serial number"),
-        name=objects.read_text("Manufacturer device name"),
-        boards=(number(f"{boards} 0"), number(f"{boards} 1")),
+        vendor_id=objects["Identity object.Vendor-ID"].raw,
+        product_code=objects["Identity object.Product code"].raw,
+        revision=objects["Identity object.Revision number"].raw,
+        serial=objects["Identity object.Serial number"].raw,
+        name=objects["Manufacturer device name"].raw,
+        boards=(objects[f"{boards} 0"].raw, objects[f"{boards} 1"].raw),
     )
 
 
@@ -69,7 +69,7 @@ def identity_checks(identity: NodeIdentity, expected: ExpectedIdentity) -> list[
 
 
 def refuse_other_unit(
-    objects: ObjectAccess, layout: TaxelLayout, node_id: int, expected: ExpectedIdentity
+    objects: PolledSdoClient, layout: TaxelLayout, node_id: int, expected: ExpectedIdentity
 ) -> NodeIdentity:
     """Return the identity of the unit; IdentityMismatch if it is not the one of the config.
 
@@ -95,25 +95,24 @@ def refuse_other_unit(
         od.FRAMES_COB_ID: od.COB_TPDO1 + node_id,
         **objects.defaults("TPDO1 mapping parameter"),
     }
-    unit_hash = objects.read_text("Taxel layout.Layout hash")
+    unit_hash = objects["Taxel layout.Layout hash"].raw
     layout_check = Check("Layout hash", layout.layout_hash, unit_hash)
     refuse_mismatch([layout_check, *_checks(objects, expected_numbers)], other)
-    overflow = int.from_bytes(objects.find(_SYNC_OVERFLOW) or b"", "little")
     stored = [
-        *_checks(objects, {_FRAMES_TYPE: objects.dictionary[_FRAMES_TYPE].default}),
-        Check(objects.label(_SYNC_OVERFLOW), 0, overflow),
+        *_checks(objects, {_FRAMES_TYPE: objects[_FRAMES_TYPE].od.default}),
+        Check(objects.label(_SYNC_OVERFLOW), 0, objects.find(_SYNC_OVERFLOW) or 0),
     ]
     refuse_mismatch(stored, f"{objects.name} has stored values that do not fit", _CHECK_STORED)
     return identity
 
 
-def _checks(objects: ObjectAccess, expected: Mapping[str, int]) -> list[Check]:
+def _checks(objects: PolledSdoClient, expected: Mapping[str, int]) -> list[Check]:
     """Read unsigned objects, and return them with their expected values."""
     return [
         Check(
             objects.label(name),
             number,
-            objects.read_unsigned(name) & (_COB_ID_MASK if name in _COB_IDS else -1),
+            objects[name].raw & (_COB_ID_MASK if name in _COB_IDS else -1),
         )
         for name, number in expected.items()
     ]
@@ -134,7 +133,7 @@ def refuse_mismatch(checks: list[Check], problem: str, advice: str = _CHECK_CONF
         raise IdentityMismatch(f"{problem}: {rows}. {advice}")
 
 
-def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
+def set_up(objects: PolledSdoClient, settings: LinkSettings) -> None:
     """Write periods and mode, clear a zero of the unit, and read back all values.
 
     The samples stay raw. The host applies the zero, because a zero in the unit clips noise at zero
@@ -147,13 +146,15 @@ def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
         "Producer heartbeat time": round(settings.heartbeat_s * 1e3),
     }
     for name, number in numbers.items():
-        objects.write_unsigned(name, number)
+        objects[name].raw = number
     refuse_mismatch(_checks(objects, numbers), "the control unit did not keep its set-up")
-    if objects.read_unsigned("Tare.Result") == od.TARE_DONE:
-        objects.write_unsigned("Tare.Command", od.TARE_CLEAR_SIGNATURE)
+    if objects["Tare.Result"].raw == od.TARE_DONE:
+        objects["Tare.Command"].raw = od.TARE_CLEAR_SIGNATURE
 
 
-def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, table: bytes) -> int:
+def set_up_forces(
+    objects: PolledSdoClient, settings: LinkSettings, node_id: int, table: bytes
+) -> int:
     """Write the table of counts to force and start the force messages; all values are read back.
 
     The frames get a lower priority, because a force message must not wait for a burst of 7 ms.
@@ -164,7 +165,7 @@ def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, t
     table
         Object 0x2141, see `tactile.frames.force_message.encode_table`.
     """
-    objects.write(od.FORCE_TABLE, table)
+    objects[od.FORCE_TABLE].raw = table
     numbers = {
         od.FRAMES_COB_ID: od.COB_TPDO3 + node_id,
         od.FORCES_COB_ID: od.COB_TPDO2 + node_id,
@@ -173,10 +174,10 @@ def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, t
     }
     frame_id = numbers[od.FRAMES_COB_ID]
     # A PDO's identifier may be changed only while the PDO is off (CiA 301, 7.5.2.37).
-    objects.write_unsigned(od.FRAMES_COB_ID, od.PDO_INVALID | frame_id)
-    objects.write_unsigned(od.FRAMES_COB_ID, frame_id)
-    objects.write_unsigned(od.FORCES_TIMER, numbers[od.FORCES_TIMER])
-    stored = objects.read(od.FORCE_TABLE)
+    objects[od.FRAMES_COB_ID].raw = od.PDO_INVALID | frame_id
+    objects[od.FRAMES_COB_ID].raw = frame_id
+    objects[od.FORCES_TIMER].raw = numbers[od.FORCES_TIMER]
+    stored = objects[od.FORCE_TABLE].raw
     text = stored[-2:].hex() if stored == table else f"{len(stored)} bytes of another table"
     checks = [Check(od.FORCE_TABLE, table[-2:].hex(), text), *_checks(objects, numbers)]
     refuse_mismatch(checks, "the control unit did not keep the set-up of its force messages")

@@ -5,7 +5,6 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
-import canopen
 import pytest
 
 from gripper.dynamixel.control_table import (
@@ -30,6 +29,7 @@ from motion import object_dictionary as motion_od
 from motion.errors import AxisNotOperational
 from motion.object_dictionary import Control, ModeOfOperation, state_of
 from tactile.control_unit import object_dictionary as od
+from tactile.errors import ObjectRefused
 
 READ, WRITE = 0x02, 0x03
 UNKNOWN_INSTRUCTION = 0x77
@@ -246,8 +246,8 @@ def test_without_sync_no_frame_comes(unit) -> None:
 def test_the_last_frame_can_be_read_by_sdo_too(unit) -> None:
     unit.link.start()
     frames = unit.frames(0.1)
-    samples = unit.link.objects.read("Last frame")
-    counter = unit.link.objects.read_unsigned("Counter of the last frame read")
+    samples = unit.link.objects["Last frame"].raw
+    counter = unit.link.objects["Counter of the last frame read"].raw
     frames += unit.frames(0.1)
     (same,) = [frame for frame in frames if frame.counter == counter]
     assert same.counts.astype(f"<u{unit.link.layout.sample_bytes}").tobytes() == samples
@@ -348,7 +348,7 @@ def test_what_is_set_up_is_read_back(drive: Any) -> None:
 
 
 def test_an_object_that_is_not_there_is_refused(drive: Any) -> None:
-    with pytest.raises(canopen.SdoAbortedError, match="06090011"):
+    with pytest.raises(ObjectRefused, match="06090011"):
         drive.device._client.upload(0x1018, 9)
 
 

@@ -31,7 +31,7 @@ from simulator.servo.protocol2 import (
     unstuff,
 )
 from tactile.can.bus import BulkSlcanBus
-from tactile.can.sdo_client import MAX_OBJECT_BYTES, ObjectAccess, PolledSdoClient
+from tactile.can.sdo_client import MAX_OBJECT_BYTES, PolledSdoClient
 from tactile.control_unit import object_dictionary as od
 from tactile.errors import NodeMissing
 from tactile.frames.assembler import FrameAssembler
@@ -129,12 +129,13 @@ def bus() -> Iterator[QuietBus]:
     made.shutdown()
 
 
-def read(bus: QuietBus, answer: Callable[[bytes], list[bytes]]) -> bytes:
+def read(bus: QuietBus, answer: Callable[[bytes], list[bytes]]) -> str:
     """Return the device name as our client reads it; `answer` gives the responses to a request."""
     clock = Clock()
     client = PolledSdoClient(
-        node_id=NODE,
-        dictionary=od.of_node(NODE),
+        NODE,
+        od.of_node(NODE),
+        name="the unit",
         clock=clock,
         service=lambda: None,
         wait=clock.sleep,
@@ -151,7 +152,8 @@ def read(bus: QuietBus, answer: Callable[[bytes], list[bytes]]) -> bytes:
             client.on_response(0x580 + NODE, data, 0.0)
 
     bus.on_send = respond
-    return ObjectAccess(client, name="the unit").read("Manufacturer device name")
+    name: str = client["Manufacturer device name"].raw
+    return name
 
 
 def test_an_object_without_an_end_is_given_up(bus: QuietBus) -> None:

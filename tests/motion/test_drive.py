@@ -95,7 +95,7 @@ def test_nothing_moves_beyond_a_limit(make_drive, x_m) -> None:
         (
             "short",
             AxisAnswerWrong,
-            "sends .* \\((6041|1000)h:00\\) with a length of 1 instead of [24] bytes",
+            "answers wrongly .* \\((6041|1000)h:00\\); 1 bytes came, the object has [24]",
         ),
         ("no state", AxisFault, "left OPERATION ENABLED for UNKNOWN"),
         ("jump", PositionImplausible, r"reads a position of \d{4}.\d\d mm, its limits are -20.00"),

@@ -68,8 +68,8 @@ def test_whole_frames_and_the_same_by_sdo(link, unit) -> None:
     assert statistics.frames.lost == statistics.frames.torn == statistics.frames.corrupt == 0
     assert all(one.shape == (408,) for one in counts)
     assert any((a != b).any() for a, b in pairwise(counts))
-    assert len(link.objects.read("Last frame")) == 408
-    assert link.objects.read_unsigned("Counter of the last frame read") >= 11
+    assert len(link.objects["Last frame"].raw) == 408
+    assert link.objects["Counter of the last frame read"].raw >= 11
 
 
 def test_a_unit_that_dies_is_noticed(link, unit) -> None:
