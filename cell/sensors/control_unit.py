@@ -60,15 +60,15 @@ class ControlUnitConfig(SensorConfig):
 
     def open_source(self, tactile: TactileConfig, lines: SensorLines) -> FrameSource:
         """Return the link to the unit; raises BusNotOpened where there is no bus."""
-        from tactile.sensor.opening import open_link
+        from tactile.control_unit.node import TactileLink
 
         layout = layout_from_config(tactile)
-        return open_link(
+        return TactileLink(
             lines.can_bus,
-            layout,
-            make_calibration(tactile, layout),
             node_id=tactile.node_id,
-            link=link_settings(tactile),
+            layout=layout,
+            settings=link_settings(tactile),
+            force_law=make_calibration(tactile, layout).force_n,
             reopen=lines.reopen_can,
         )
 

@@ -5,6 +5,7 @@ and emergencies, are not used: an exception there is one log line, and they fail
 and unknown states, which some units send.
 """
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -40,7 +41,7 @@ from tactile.errors import (
 )
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
-from tactile.frames.force_message import encode_zero
+from tactile.frames.force_message import ForceLaw, encode_zero, force_table
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.source import (
     Arrivals,
@@ -118,10 +119,8 @@ class TactileLink:
         An open bus.
     node_id
         CANopen node-ID of the unit, 1 to 127.
-    clock
-        Monotonic time: the module ``time``, or that of a simulated bus.
-    force_table
-        Object 0x2141, the table for the unit's sum of the force; None: no force messages.
+    force_law
+        Counts to forces for the unit's sum of the force; None: no force messages.
     reopen
         Opens a lost bus again; without it a lost bus stays lost.
     """
@@ -132,9 +131,8 @@ class TactileLink:
         *,
         node_id: int,
         layout: TaxelLayout,
-        clock: Clock,
         settings: LinkSettings | None = None,
-        force_table: bytes | None = None,
+        force_law: ForceLaw | None = None,
         reopen: Callable[[], can.BusABC] | None = None,
     ) -> None:
         if not 1 <= node_id <= 127:
@@ -143,13 +141,14 @@ class TactileLink:
         self._bus, self._reopen, self._node_id = bus, reopen, node_id
         self.layout = layout
         """The taxels of the unit."""
-        self._clock = clock
+        # A simulated bus has the time of its devices.
+        self._clock: Clock = getattr(bus, "clock", time)
         self.settings = settings or LinkSettings()
         """Periods and limits."""
         self._mounting = Mounting(layout, self.settings.mounts)
         # The unit's sums are valid only for the gripping pads in their mounting.
         sums = self.settings.force_period_s and self._mounting.unit_can_sum
-        self._force_table = force_table if sums else None
+        self._force_table = force_table(layout, force_law) if sums and force_law else None
         self._source = message_source(self._bus, self._clock)
         self._running = False
         self.fault: LinkFault | None = None

@@ -173,5 +173,4 @@ def read_vendor(bus: can.BusABC, node_id: int) -> tuple[int, int]:
 
 def _objects_of(bus: can.BusABC, node_id: int) -> AbstractContextManager[PolledSdoClient]:
     """Return access to the objects of a node, whatever it is; its frames are not looked at."""
-    clock: Clock = getattr(bus, "clock", time)
-    return TactileLink(bus, node_id=node_id, layout=paper_layout(), clock=clock).reading()
+    return TactileLink(bus, node_id=node_id, layout=paper_layout()).reading()

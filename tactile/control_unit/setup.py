@@ -163,7 +163,7 @@ def set_up_forces(
     Parameters
     ----------
     table
-        Object 0x2141, see `tactile.frames.force_message.encode_table`.
+        Object 0x2141, see `tactile.frames.force_message.force_table`.
     """
     objects[od.FORCE_TABLE].raw = table
     numbers = {

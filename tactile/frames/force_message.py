@@ -13,6 +13,7 @@ sum of counts is not a force. All numbers of both are u16 little-endian.
 
 import struct
 from collections import deque
+from collections.abc import Callable
 from math import inf
 from operator import itemgetter
 from typing import Any
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from tactile.errors import FrameError
 from tactile.frames.codec import CRC_BYTES, MESSAGE_BYTES, crc16_ccitt
+from tactile.layout import TaxelLayout
 from tactile.source import ForceMessage, ForceStatistics, ForceStatus
 
 FORCE_N = 0.002
@@ -86,17 +88,20 @@ def decode_force_message(data: bytes | bytearray, t_s: float) -> ForceMessage:
     )
 
 
-def encode_table(force_n: NDArray[np.float64]) -> bytes:
-    """Return the object of the tables of both pads.
+ForceLaw = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""Forces of all taxels in N, of their tared counts: `Calibration.force_n` of the sensor."""
 
-    Parameters
-    ----------
-    force_n : (2, TABLE_NODES) float64
-        Force of a taxel in N at counts from 0 to full scale, rising.
-    """
-    if force_n.shape != (2, TABLE_NODES) or not np.isfinite(force_n).all():
-        raise FrameError(f"a force table has shape (2, {TABLE_NODES}), got {force_n.shape}")
-    return _with_crc(np.clip(np.rint(force_n / TABLE_N), 0, 0xFFFF))
+
+def force_table(layout: TaxelLayout, law: ForceLaw) -> bytes:
+    """Return object 0x2141, the table of counts to force of both gripping pads."""
+    table_n = np.empty((2, TABLE_NODES))
+    for node in range(TABLE_NODES):
+        force_n = law(np.full(layout.n_taxels, layout.adc_max * node / (TABLE_NODES - 1)))
+        for finger, pad in enumerate(layout.gripping_pads):
+            table_n[finger, node] = force_n[layout.taxels_of(pad)].mean()
+    if not np.isfinite(table_n).all():
+        raise FrameError("the calibration has forces that are not finite: correct it")
+    return _with_crc(np.clip(np.rint(table_n / TABLE_N), 0, 0xFFFF))
 
 
 def encode_zero(

@@ -3,13 +3,10 @@
 import time
 from collections.abc import Callable
 
-import numpy as np
-
 from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.clock import Clock
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
-from tactile.frames.force_message import TABLE_NODES, encode_table
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration
 from tactile.sensor.sensor import TactileSensor
@@ -67,7 +64,14 @@ def open_sensor(
     clock: Clock = getattr(bus, "clock", time)
     try:
         return TactileSensor(
-            open_link(bus, layout, calibration, node_id=node_id, link=link, reopen=reopen),
+            TactileLink(
+                bus,
+                node_id=node_id,
+                layout=layout,
+                settings=link,
+                force_law=calibration.force_n,
+                reopen=reopen,
+            ),
             calibration,
             clock=clock,
             settings=settings,
@@ -77,35 +81,3 @@ def open_sensor(
         if owned:
             close_bus(bus)
         raise
-
-
-def open_link(
-    bus: CanBus,
-    layout: TaxelLayout,
-    calibration: Calibration,
-    *,
-    node_id: int = 5,
-    link: LinkSettings | None = None,
-    reopen: Callable[[], CanBus] | None = None,
-) -> TactileLink:
-    """Return the link to the control unit on an open bus; arguments as `open_sensor`."""
-    return TactileLink(
-        bus,
-        node_id=node_id,
-        layout=layout,
-        clock=getattr(bus, "clock", time),
-        settings=link,
-        force_table=force_table(layout, calibration),
-        reopen=reopen,
-    )
-
-
-def force_table(layout: TaxelLayout, calibration: Calibration) -> bytes:
-    """Return object 0x2141, the table of counts to force of both gripping pads."""
-    table_n = np.empty((2, TABLE_NODES))
-    for node in range(TABLE_NODES):
-        counts = np.full(layout.n_taxels, layout.adc_max * node / (TABLE_NODES - 1))
-        force_n = calibration.force_n(counts)
-        for finger, pad in enumerate(layout.gripping_pads):
-            table_n[finger, node] = force_n[layout.taxels_of(pad)].mean()
-    return encode_table(table_n)

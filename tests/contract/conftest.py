@@ -216,7 +216,6 @@ def unit(
         bus,
         node_id=wanted.node_id,
         layout=layout_from_config(wanted),
-        clock=clock,
         settings=LinkSettings(
             sync_period_s=wanted.sync_period_ms * 1e-3,
             heartbeat_s=wanted.heartbeat_ms * 1e-3,

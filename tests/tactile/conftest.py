@@ -14,6 +14,7 @@ from simulator.clock import VirtualClock
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
 from tactile.errors import LinkFault
+from tactile.frames.force_message import ForceLaw
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.sensor.calibration import Calibration
 from tactile.source import ForceMessage, FrameSource, TactileFrame
@@ -56,7 +57,7 @@ class Bench:
         layout: TaxelLayout,
         *,
         unit: ControlUnitSettings | None = None,
-        table: bytes | None = None,
+        law: ForceLaw | None = None,
         **settings: object,
     ) -> None:
         self.clock = VirtualClock(100.0)
@@ -69,9 +70,8 @@ class Bench:
             self.bus,
             node_id=NODE,
             layout=layout,
-            clock=self.clock,
             settings=LinkSettings(**settings),  # type: ignore[arg-type]
-            force_table=table,
+            force_law=law,
         )
         self.clock.sleep(BOOT_S)
 

@@ -44,7 +44,7 @@ def unit() -> Iterator["subprocess.Popen[str]"]:
 @pytest.fixture
 def link() -> Iterator[TactileLink]:
     bus = open_bus("socketcan", CHANNEL)
-    made = TactileLink(bus, node_id=NODE, layout=LAYOUT, clock=time, settings=SETTINGS)
+    made = TactileLink(bus, node_id=NODE, layout=LAYOUT, settings=SETTINGS)
     yield made
     made.close()
     close_bus(bus)

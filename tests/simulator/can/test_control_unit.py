@@ -24,10 +24,9 @@ from simulator.errors import SimulatorStateError
 from tactile.control_unit import object_dictionary as od
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
-from tactile.frames.force_message import decode_force_message, encode_zero
+from tactile.frames.force_message import decode_force_message, encode_zero, force_table
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
-from tactile.sensor.opening import force_table
 from tactile.source import ForceMessage, ForceStatus, FrameStatus, TactileFrame
 from tests.tactile.conftest import Skin, counts_of
 
@@ -198,7 +197,7 @@ def test_a_force_message_waits_for_the_one_before_and_says_so(line) -> None:
 
 
 def test_table_and_zero_need_a_right_checksum_and_can_be_read_back(line) -> None:
-    table = force_table(line.layout, FoamCalibration(255))
+    table = force_table(line.layout, FoamCalibration(255).force_n)
     assert line.write(0x2141, 0, table) == 0
     assert line.read(0x2141) == table
     damaged = bytes((table[0] ^ 1,)) + table[1:]
@@ -358,7 +357,7 @@ class Unit:
         self.n = sum(layout.pads[pad].n_taxels for pad in layout.gripping_pads)
         self.zero = np.full(self.n, 10.0)
         self.forces = PadForces(layout)
-        self.forces.take_table(force_table(layout, calibration))
+        self.forces.take_table(force_table(layout, calibration.force_n))
         dead = np.isin(np.arange(self.n), bad)
         self.forces.take_zero(encode_zero(0.016 * layout.adc_max, self.zero, dead, layout.adc_max))
 

@@ -15,22 +15,23 @@ from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import Mounting
 from tactile.control_unit.settings import LinkSettings
 from tactile.errors import FrameTimeout, IdentityMismatch, LayoutError, LinkFault
-from tactile.frames.force_message import encode_zero
+from tactile.frames.force_message import encode_zero, force_table
 from tactile.layout import PadMount, paper_layout, pinch_layout, taxel_order
 from tactile.sensor.calibration import FoamCalibration
-from tactile.sensor.opening import force_table, open_sensor
+from tactile.sensor.opening import open_sensor
 from tactile.source import ForceMessage, ForceStatus, PadZero
 from tests.tactile.conftest import Bench
 
 LAYOUT = paper_layout()
-TABLE = force_table(LAYOUT, FoamCalibration(255))
+LAW = FoamCalibration(255).force_n
+TABLE = force_table(LAYOUT, LAW)
 ZERO = PadZero(offset_counts=np.zeros(128), touch_counts=4.0, bad=np.zeros(128, dtype=np.bool_))
 
 
 @pytest.fixture
 def make_forces(make_bench: Callable[..., Bench]) -> Callable[..., Bench]:
     """Return what makes a bench whose unit sends its force each 3 ms."""
-    return partial(make_bench, table=TABLE, force_period_s=0.003)
+    return partial(make_bench, law=LAW, force_period_s=0.003)
 
 
 def started(bench: Bench) -> Bench:

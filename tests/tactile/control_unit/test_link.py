@@ -464,7 +464,7 @@ def test_settings_out_of_range_are_refused(change) -> None:
 @pytest.mark.parametrize("node_id", [0, 128])
 def test_node_id_out_of_range_is_refused(idle, node_id) -> None:
     with pytest.raises(ValueError, match="1 to 127"):
-        TactileLink(idle.bus, node_id=node_id, layout=paper_layout(), clock=idle.clock)
+        TactileLink(idle.bus, node_id=node_id, layout=paper_layout())
 
 
 # --- the EDS by an independent checker, the load of the bus, texts --------------------------------

@@ -13,13 +13,13 @@ from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import PHASE_SHIFT, FrameFormat
 from tactile.frames.force_message import (
     BAD_TAXEL,
-    TABLE_NODES,
     ForceStream,
     crc8,
     decode_force_message,
-    encode_table,
     encode_zero,
+    force_table,
 )
+from tactile.layout import paper_layout
 from tactile.source import ForceMessage, ForceStatus, TactileFrame
 
 PAPER = FrameFormat(n_taxels=408, sample_bytes=1)
@@ -166,13 +166,6 @@ def test_a_unit_that_counts_from_zero_again_is_followed_within_ten_messages(star
     assert all(took[9:])
 
 
-def test_the_table_comes_back_within_half_a_step() -> None:
-    table_n = np.linspace(0.0, [14.0, 20.0], TABLE_NODES).T
-    np.testing.assert_allclose(read_table(encode_table(table_n)), table_n, atol=0.00026)
-    with pytest.raises(FrameError, match="shape"):
-        encode_table(table_n[:, :-1])
-
-
 def test_the_zero_comes_back_and_names_the_taxels_that_fail() -> None:
     zero_counts = np.array([0.0, 8.03, 250.0, 17.5])
     bad = np.array([False, False, True, False])
@@ -185,7 +178,7 @@ def test_the_zero_comes_back_and_names_the_taxels_that_fail() -> None:
 
 
 def test_a_damaged_object_is_refused() -> None:
-    data = bytearray(encode_table(np.zeros((2, TABLE_NODES))))
+    data = bytearray(force_table(paper_layout(), np.zeros_like))
     data[17] ^= 4
     with pytest.raises(DamagedObject, match="CRC"):
         read_table(bytes(data))
