@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import can
@@ -134,14 +135,15 @@ class PolledSdoClient(SdoClient):
 
     def upload(self, index: int, subindex: int) -> bytes:
         """Return the bytes of an object."""
-        return self._repeated("read", index, subindex, self._upload)
+        data: bytes = self._repeated(
+            "read", index, subindex, partial(self._upload, index, subindex)
+        )
+        return data
 
     def download(self, index: int, subindex: int, data: bytes, force_segment: bool = False) -> None:
         """Write the bytes of an object."""
-        write = super().download
-        self._repeated(
-            "write", index, subindex, lambda *place: write(*place, data, force_segment) or b""
-        )
+        write = partial(super().download, index, subindex, data, force_segment)
+        self._repeated("write", index, subindex, write)
 
     def _upload(self, index: int, subindex: int) -> bytes:
         """Return an object's bytes; SdoCommunicationError if it is too long or incomplete.
@@ -193,14 +195,12 @@ class PolledSdoClient(SdoClient):
             raise SdoAbortedError(int.from_bytes(response[4:8], "little"))
         return response
 
-    def _repeated(
-        self, verb: str, index: int, subindex: int, transfer: Callable[[int, int], bytes]
-    ) -> bytes:
+    def _repeated(self, verb: str, index: int, subindex: int, transfer: Callable[[], Any]) -> Any:
         what = f"{verb} of object 0x{index:04X}:{subindex:02X} of {self.name}"
         failure: Exception | None = None
         for _ in range(_ATTEMPTS):
             try:
-                return transfer(index, subindex)
+                return transfer()
             except SdoCommunicationError as error:
                 failure = error
             except SdoAbortedError as error:
