@@ -6,13 +6,7 @@ from typing import TypeVar
 from cell.config.model import CellConfig
 from cell.control.early_end import EarlyDecider
 from cell.control.grasping import NOTHING_HELD, Grasper
-from cell.control.identification import (
-    Identification,
-    Judge,
-    OnGrasp,
-    ReadShape,
-    grasp_and_classify,
-)
+from cell.control.identification import Identification, Judge, OnGrasp, ReadShape
 from cell.control.journal import Journal
 from cell.control.kept_part import KeptPart
 from cell.control.lifecycle import UNTIL_RELEASED, CellLifecycle
@@ -303,18 +297,18 @@ class CellController:
         """
         self.check_plan(plan)
         self.journal.begin()
-        answer = grasp_and_classify(
-            self._grasp,
-            recognizer,
-            plan,
+        judge = Judge(
+            recognizer=recognizer,
+            plan=plan,
             error_rate=self._config.sequence.error_rate,
             keep=keep,
             regrasps=self._config.sequence.regrasp == "fixture",
             early=early,
             read_shape=read_shape,
             on_grasp=on_grasp,
-            execute=self._start_answer,
+            compute=self._start_answer,
         )
+        answer = judge.identify(self._grasp)
         self.journal.result(answer)
         return answer
 

@@ -34,21 +34,6 @@ class PartDecision:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judge:
-    """Computes the answer to a grasp, and decides what to do with its part."""
-
-    start_answer: Callable[[GraspRecord], None]
-    """Called at the end of a ramp. If the force loop has its own process, the answer is computed
-    during the motion that follows."""
-    decide: Callable[[], PartDecision]
-    """Waits for the answer and decides; called while the part is held."""
-    holds: bool
-    """Whether the part is held until the decision; else it is released while it is classified."""
-    keeps: bool
-    """Whether it may be kept; it is then measured for a later comparison."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Identification:
     """The answer of one grasp-then-classify sequence, with all its grasps: megabytes."""
 
@@ -95,41 +80,90 @@ _Answer = tuple[Posterior, ShapeAnswer | None, Exception | None]
 AnswerExecutor = Callable[[Callable[[], _Answer]], Callable[[], _Answer]]
 """Starts to compute, now or later, and returns the function that waits for the answer."""
 
+CarryOut = Callable[[GraspStep, EarlyDecider | None, "Judge"], tuple[GraspRecord, bool]]
+"""Carries out one step; the early checks may end its ramp, the judge decides about the part.
+
+Returns the record and whether the part was kept.
+"""
+
 
 @dataclass(kw_only=True)
-class SequenceAnswers:
-    """Answers to the grasps of one sequence so far, and the decision after each."""
+class Judge:
+    """Carries a plan out until its answers satisfy the stop rule, and decides about each part."""
 
     recognizer: Recognizer
-    rule: StopRule
-    """When the sequence ends."""
-    read_shape: ReadShape | None
+    plan: Sequence[GraspStep]
+    """Steps in order, at least one."""
+    error_rate: float
+    """Wanted rate of wrong answers at which the sequence stops early."""
+    keep: Keep = Keep.NEVER
+    """When the part stays in the grip. A part that may be kept is held while it is classified."""
+    regrasps: bool = True
+    """False if a part must not be released before the answer: the steps after the first one are
+    further ramps in the same grip."""
+    early: bool = False
+    """Whether each ramp is checked while it runs. With the earlier grasps it may be decided before
+    its end; the answer of that moment then counts."""
+    read_shape: ReadShape | None = None
     """Reads shape and size of a grasp; see `recognition.recognizer.Posterior.with_size`."""
-    on_grasp: OnGrasp | None
-    compute: AnswerExecutor
-    """How the answers are computed."""
+    on_grasp: OnGrasp | None = None
+    compute: AnswerExecutor = lambda answer: answer
+    """How answers are computed; by default when the sequence waits for them."""
     posteriors: list[Posterior] = field(default_factory=list)
     records: list[GraspRecord] = field(default_factory=list)
     """Answers to the grasps so far, and their records, in order."""
-    _coming: tuple[GraspRecord, Callable[[], _Answer]] | None = None
+    decision: Decision = field(init=False)
+    """Decision after the grasps so far."""
+    _coming: tuple[GraspRecord, Callable[[], _Answer]] = field(init=False)
     _complaints: list[str] = field(default_factory=list)
     _shapes: list[ShapeAnswer | None] = field(default_factory=list)
-    _decision: Decision | None = None
+
+    def __post_init__(self) -> None:
+        self._steps = iter(self.plan)
+        self._rule = StopRule(error_rate=self.error_rate, max_grasps=len(self.plan))
 
     @property
-    def decision(self) -> Decision:
-        """Decision after the grasps so far. Raises ValueError before the first one."""
-        if self._decision is None:
-            raise ValueError("nothing was grasped yet")
-        return self._decision
+    def keeps(self) -> bool:
+        """Whether the part may be kept; it is then measured for a later comparison."""
+        return self.keep is not Keep.NEVER
+
+    @property
+    def holds(self) -> bool:
+        """Whether the part is held until the decision; else it is released before."""
+        return self.keeps or not self.regrasps
 
     @property
     def over(self) -> bool:
         """Whether the sequence needs no further grasp."""
         return self.decision.kind is not DecisionKind.CONTINUE
 
+    def identify(self, grasp: CarryOut) -> Identification:
+        """Grasp until the stop rule is satisfied or the plan ends."""
+        in_grip = False
+        while not (self.records and self.over):
+            early_checks = None
+            if self.early:
+                early_checks = EarlyDecider(self.recognizer, self.posteriors, self._rule)
+            _, in_grip = grasp(next(self._steps), early_checks, self)
+            if not self.holds:
+                self.add()
+            if early_checks is not None and early_checks.error is not None:
+                ramp = f"early checks of the ramp of grasp {len(self.records)}"
+                self.complain(ramp, early_checks.error)
+        return self._identification(in_grip=in_grip)
+
+    def decide(self) -> PartDecision:
+        """Wait for the answer and decide; called while the part is held."""
+        self.add()
+        if self.over:
+            return PartDecision(keep=self.keep.keeps(self.decision.label))
+        return PartDecision() if self.regrasps else PartDecision(further=next(self._steps))
+
     def start_answer(self, record: GraspRecord) -> None:
-        """Begin to compute the answer to a grasp; `add` follows."""
+        """Begin to compute the answer to a grasp at the end of its ramp; `add` follows.
+
+        If the force loop has its own process, it is computed during the motion that follows.
+        """
         self._coming = record, self.compute(lambda: self._answer(record))
 
     def _answer(self, record: GraspRecord) -> _Answer:
@@ -143,8 +177,6 @@ class SequenceAnswers:
 
     def add(self) -> None:
         """Wait for the started answer and add it."""
-        if self._coming is None:
-            raise ValueError("nothing was grasped yet")
         record, answer = self._coming
         posterior, shape, error = answer()
         if record.same_grip:
@@ -163,9 +195,9 @@ class SequenceAnswers:
                 self.on_grasp(number, record, posterior, shape)
             except Exception as error:
                 self.complain(f"after grasp {number}", error)
-        self._decision = decide(self.posteriors, self.rule)
+        self.decision = decide(self.posteriors, self._rule)
 
-    def identification(self, *, in_grip: bool) -> Identification:
+    def _identification(self, *, in_grip: bool) -> Identification:
         """Return the answer of the sequence."""
         shape = self._fused_shape()
         return Identification(
@@ -193,68 +225,3 @@ class SequenceAnswers:
         except Exception as error:
             self.complain("shape of all grasps", error)
             return None
-
-
-def grasp_and_classify(
-    grasp: Callable[[GraspStep, EarlyDecider | None, Judge], tuple[GraspRecord, bool]],
-    recognizer: Recognizer,
-    plan: Sequence[GraspStep],
-    *,
-    error_rate: float,
-    keep: Keep = Keep.NEVER,
-    regrasps: bool = True,
-    early: bool = False,
-    read_shape: ReadShape | None = None,
-    on_grasp: OnGrasp | None = None,
-    execute: AnswerExecutor = lambda answer: answer,
-) -> Identification:
-    """Grasp until the stop rule is satisfied or the plan ends.
-
-    Parameters
-    ----------
-    grasp
-        Carries out one step. The early checks may end its ramp; the judge decides what to do with
-        the part. Returns the record and whether the part was kept.
-    plan
-        Steps in order, at least one.
-    error_rate
-        Wanted rate of wrong answers at which the sequence stops early.
-    keep
-        When the part stays in the grip. A part that may be kept is held while it is classified.
-    regrasps
-        False if a part must not be released before the answer: the steps after the first one are
-        further ramps in the same grip.
-    read_shape
-        Reads shape and size of a grasp; see `recognition.recognizer.Posterior.with_size`.
-    early
-        Whether each ramp is checked while it runs. With the earlier grasps it may be decided before
-        its end; the answer of that moment then counts.
-    execute
-        How answers are computed; by default when the sequence waits for them.
-    """
-    rule = StopRule(error_rate=error_rate, max_grasps=len(plan))
-    answers = SequenceAnswers(
-        recognizer=recognizer, rule=rule, read_shape=read_shape, on_grasp=on_grasp, compute=execute
-    )
-    steps = iter(plan)
-
-    def decide() -> PartDecision:
-        answers.add()
-        if answers.over:
-            return PartDecision(keep=keep.keeps(answers.decision.label))
-        return PartDecision() if regrasps else PartDecision(further=next(steps))
-
-    keeps = keep is not Keep.NEVER
-    judge = Judge(
-        start_answer=answers.start_answer, decide=decide, holds=keeps or not regrasps, keeps=keeps
-    )
-    in_grip = False
-    while not (answers.records and answers.over):
-        early_checks = EarlyDecider(recognizer, answers.posteriors, rule) if early else None
-        _, in_grip = grasp(next(steps), early_checks, judge)
-        if not judge.holds:
-            answers.add()
-        if early_checks is not None and early_checks.error is not None:
-            ramp = f"early checks of the ramp of grasp {len(answers.records)}"
-            answers.complain(ramp, early_checks.error)
-    return answers.identification(in_grip=in_grip)

@@ -17,7 +17,7 @@ from cell.config.sequence import (
 )
 from cell.control.controller import CellController
 from cell.control.grasping import Grasper
-from cell.control.identification import Identification, Judge, grasp_and_classify
+from cell.control.identification import Identification, Judge
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import GraspRecord
 from cell.errors import CellError, NoPartFound
@@ -165,9 +165,8 @@ def identified(
         return record, False
 
     recognizer = Scripted(*(answers or (UNSURE, SURE)), drawn_m=drawn_m)
-    return grasp_and_classify(
-        grasp, recognizer, [record.step] * n_steps, error_rate=0.02, **options
-    )
+    plan = [record.step] * n_steps
+    return Judge(recognizer=recognizer, plan=plan, error_rate=0.02, **options).identify(grasp)
 
 
 @pytest.mark.slow
