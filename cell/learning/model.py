@@ -111,34 +111,17 @@ class LoadedModel(Trained):
     """The file."""
 
 
-def save_model(
-    path: Path | str,
-    recognizer: Recognizer,
-    *,
-    trainer_name: str,
-    pads: PadArray,
-    training_set: Arrays | None = None,
-) -> None:
-    """Write a taught recognizer, whole or not at all.
+def save_model(path: Path | str, trained: Trained, pads: PadArray) -> None:
+    """Write a taught recognizer and the pads that it was taught on, whole or not at all.
 
-    Raises ModelError if the kind is unknown or the write fails.
-
-    Parameters
-    ----------
-    path
-        The model file; an older one stays until the new one is whole.
-    trainer_name
-        Its kind, one of `cell.plugins.RECOGNIZERS`.
-    pads
-        The pads that it was taught on.
-    training_set
-        As `Trained.training_set`.
+    An older file stays until the new one is whole. Raises ModelError if the kind is unknown or the
+    write fails.
     """
-    path = Path(path)
-    kind = type(recognizer)
+    path, trainer_name = Path(path), trained.trainer_name
+    kind = type(trained.recognizer)
     if _class_of(path, trainer_name, kind.__name__) is not kind:
         raise ModelError(f"cannot write model {path}: {kind.__name__} is not of {trainer_name!r}")
-    parts = {_PREFIX: recognizer.to_arrays(), _TRAINING: training_set or {}}
+    parts = {_PREFIX: trained.recognizer.to_arrays(), _TRAINING: trained.training_set}
     arrays: dict[str, NDArray[Any]] = pads.to_arrays(_PADS) | {
         prefix + name: np.asarray(array)
         for prefix, part in parts.items()

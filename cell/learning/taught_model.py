@@ -1,24 +1,23 @@
 """The taught model of a cell: its objects, its answers, and the drift that it follows."""
 
+import hashlib
+import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
+import numpy as np
+
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.records import GraspRecord, pad_array
-from cell.errors import CellError, CellStateError, RequestRefused, TrainingSetMissing
-from cell.learning.model import LoadedModel, Trained, check_pads, load_model, save_model
+from cell.errors import CellError, CellStateError, ModelError, RequestRefused, TrainingSetMissing
+from cell.learning.model import Arrays, LoadedModel, Trained, check_pads, load_model, save_model
 from cell.learning.shape_reading import shape_reader
 from cell.learning.teaching_summary import ToldApart, told_apart
 from cell.learning.training import gaugeable, gauged, train
-from cell.learning.training_set import (
-    check_training_set,
-    saved_training_set,
-    training_section,
-)
 from cell.plugins import RECOGNIZERS
 from cell.recording.dataset import read_dataset, write_dataset
 from gripper.values.outcome import GraspResult
@@ -68,7 +67,7 @@ class TaughtModel:
         self._lacks_remarked: set[str] = set()
         if model is not None:
             check_pads(model, self._pads)
-            check_training_set(model, self.training_set)
+            _check_training_set(model, self.training_set)
             self._trained = model.with_caution(config.recognition.caution)
 
     @classmethod
@@ -86,7 +85,7 @@ class TaughtModel:
         cannot be read, or does not fit the config.
         """
         model = load_model(path, pad_array(layout_from_config(config.tactile)))
-        grasps = saved_training_set(model) if training_set is None else read_dataset(training_set)
+        grasps = _saved_training_set(model) if training_set is None else read_dataset(training_set)
         return cls(config, model, training_set=grasps)
 
     def check_taught(self) -> Trained:
@@ -334,18 +333,64 @@ class TaughtModel:
             if self._written[0] is not grasps or self._written[1].parent != path.parent:
                 write_dataset(dataset := training_set_file(path), grasps)
                 self._written = (grasps, dataset)
-            training_set = training_section(*self._written)
+            training_set = _training_section(*self._written)
         if followed and isinstance(recognizer, DriftFollowing):
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_kept())
-        save_model(
-            path,
-            recognizer,
-            trainer_name=trained.trainer_name,
-            pads=self._pads,
-            training_set=training_set,
-        )
+        trained = replace(trained, recognizer=recognizer, training_set=training_set)
+        save_model(path, trained, self._pads)
 
 
 def training_set_file(model: Path) -> Path:
     """Return the data set that `TaughtModel.save` writes beside a model file."""
     return model.with_name(f"{model.stem}.grasps.npz")
+
+
+def _training_section(grasps: Sequence[Grasp], file: Path) -> Arrays:
+    """Return what a model file has of its training set: name and checksum of the data set."""
+    return {
+        "file": np.array(file.name),
+        "sha256": np.array(_checksum(grasps)),
+        "grasps": np.array(len(grasps)),
+    }
+
+
+def _saved_training_set(model: LoadedModel) -> tuple[Grasp, ...]:
+    """Return the training set that was saved with a model, if it is still beside it.
+
+    Raises DatasetError if it cannot be read.
+    """
+    name = str(model.training_set.get("file", ""))
+    path = model.path.parent / name
+    return read_dataset(path) if Path(name).name == name and os.path.isfile(path) else ()
+
+
+def _check_training_set(model: LoadedModel, grasps: Sequence[Grasp]) -> None:
+    """Raise ModelError for grasps that cannot have trained a model.
+
+    Further grasps after those of the model are accepted: the data set is written first, and the
+    program may have ended before the model was written.
+    """
+    if not grasps:
+        return
+    labels = {grasp.label for grasp in grasps}
+    section = model.training_set
+    checksum, count = section.get("sha256"), str(section.get("grasps", len(grasps)))
+    n_trained = int(count) if count.isdecimal() and len(count) < 10 else len(grasps)
+    if (
+        not labels.issuperset(model.labels)
+        or not grasps[0].pads.same_as(model.pads)
+        or (checksum is not None and str(checksum) != _checksum(grasps[:n_trained]))
+    ):
+        raise ModelError(
+            f"{model.path} ({', '.join(model.labels)}) was trained with another training set than "
+            f"these {len(grasps)} grasps of {', '.join(sorted(labels))}: name its own"
+        )
+
+
+def _checksum(grasps: Sequence[Grasp]) -> str:
+    """Return the SHA-256 of labels, times and frames, which a data set keeps exactly."""
+    digest = hashlib.sha256()
+    for grasp in grasps:
+        digest.update(f"{grasp.label}|{grasp.start_ms}|{grasp.counts.shape}|".encode())
+        digest.update(np.asarray(grasp.counts, dtype="<u2").tobytes())
+    return digest.hexdigest()

@@ -111,12 +111,11 @@ def test_a_damaged_data_set_is_refused_or_unchanged(tmp_path, harm):
 @functools.cache
 def good_model(kind: str) -> tuple[bytes, dict[str, NDArray[Any]]]:
     """Return a model file, and what was learnt."""
-    recognizer = train(good_grasps(), kind).recognizer
+    trained = train(good_grasps(), kind)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "good.npz"
-        pads = good_grasps()[0].pads
-        save_model(path, recognizer, trainer_name=kind, pads=pads)
-        return path.read_bytes(), dict(recognizer.to_arrays())
+        save_model(path, trained, good_grasps()[0].pads)
+        return path.read_bytes(), dict(trained.recognizer.to_arrays())
 
 
 def loaded(path: Path, data: bytes, kind: str) -> str:

@@ -523,9 +523,7 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         paths[name].write_text(text)
     given = {"dataset": taught.result.dataset, "model": taught.result.model}
     given["level"] = folder / "level.npz"
-    level = train(taught.grasps, "level_check").recognizer
-    pads = taught.grasps[0].pads
-    save_model(given["level"], level, trainer_name="level_check", pads=pads)
+    save_model(given["level"], train(taught.grasps, "level_check"), taught.grasps[0].pads)
     return paths | given | {"real": EXAMPLES / "paper-gripper.yaml"}
 
 

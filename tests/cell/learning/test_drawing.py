@@ -13,9 +13,8 @@ from cell.control.plan import Pose
 from cell.control.records import pad_array
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.app import app
+from cell.learning.drawing import course_of, reaches_m, teach_drawing
 from cell.learning.shape_reading import shape_reader, usual_foam
-from cell.learning.teach_from_drawing import course_of, teach_drawing
-from cell.learning.virtual_grasps import reaches_m
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.runtime.goals import checked_goal
 from cell.simulation import drawn_shape, simulator_settings

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cell.errors import CellError, ModelError, RequestRefused
-from cell.learning.model import load_model, save_model
+from cell.learning.model import Trained, load_model, save_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.teaching_summary import ToldApart, teaching_notes, told_apart
 from cell.runtime.tasks import ModelFile
@@ -26,6 +26,10 @@ from tests.recognition.conftest import OBJECTS, make_grasps, make_pads
 PADS = make_pads(shapes=((8, 5), (8, 5)), adc_max=255)
 
 
+def trained(recognizer: Any, name: str = "level_check", **more: Any) -> Trained:
+    return Trained(recognizer=recognizer, trainer_name=name, **more)
+
+
 @pytest.fixture(scope="module")
 def learnt() -> LevelCheckRecognizer:
     return LevelCheckTrainer().fit(make_grasps(4, seed=1, pads=PADS, objects=OBJECTS[:2]))
@@ -34,7 +38,7 @@ def learnt() -> LevelCheckRecognizer:
 @pytest.fixture(scope="module")
 def good(learnt: LevelCheckRecognizer, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("model") / "model.npz"
-    save_model(path, learnt, trainer_name="level_check", pads=PADS)
+    save_model(path, trained(learnt), PADS)
     return path
 
 
@@ -51,7 +55,7 @@ def test_loaded_model_answers_like_the_taught_one(learnt, good) -> None:
 def test_the_section_of_the_training_set_comes_back(learnt, good, tmp_path) -> None:
     path = tmp_path / "more.npz"
     section = {"file": np.array("a.npz")}
-    save_model(path, learnt, trainer_name="level_check", pads=PADS, training_set=section)
+    save_model(path, trained(learnt, training_set=section), PADS)
     assert load_model(path, PADS).training_set == section
     assert load_model(good).training_set == {}
 
@@ -123,7 +127,7 @@ def test_changed_model_is_refused(change, says, good, tmp_path) -> None:
 def test_model_of_another_version_is_refused(change, learnt, tmp_path, monkeypatch) -> None:
     arrays = {n: a for n, a in (learnt.to_arrays() | change).items() if a is not None}
     monkeypatch.setattr(LevelCheckRecognizer, "to_arrays", lambda _self: arrays)
-    save_model(tmp_path / "m.npz", learnt, trainer_name="level_check", pads=PADS)
+    save_model(tmp_path / "m.npz", trained(learnt), PADS)
     with pytest.raises(ModelError, match=r"does not fit tactile-cell.*train it again"):
         load_model(tmp_path / "m.npz")
 
@@ -151,7 +155,7 @@ def test_recognizer_of_unknown_kind_is_not_written(learnt, tmp_path) -> None:
         (learnt, "force_ramp", "has no recognizer named"),
     ):
         with pytest.raises(ModelError, match=says):
-            save_model(tmp_path / "m.npz", recognizer, trainer_name=name, pads=PADS)
+            save_model(tmp_path / "m.npz", trained(recognizer, name), PADS)
     assert not list(tmp_path.iterdir())
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -60,12 +61,7 @@ def train(
     if any(map(is_archive, datasets)):
         trained, prior = with_spread(trained, grasps)
     labels = trained.recognizer.labels
-    save_model(
-        model,
-        trained.recognizer,
-        trainer_name=recognizer,
-        pads=grasps[0].pads,
-    )
+    save_model(model, trained, grasps[0].pads)
     last = model.with_name(LAST_MODEL)
     write_text(last, f"{model.name}\n", error=CellError, what="name of the last model")
     lines = [
@@ -146,13 +142,7 @@ def calibrate(
             taken[label] = [g for g in cell.plugin.model.training_set if g.label == label]
         corrected = calibrate_model(loaded, taken)
         n_grasps = sum(map(len, taken.values()))
-    save_model(
-        output,
-        corrected,
-        trainer_name=loaded.trainer_name,
-        pads=loaded.pads,
-        training_set=loaded.training_set,
-    )
+    save_model(output, replace(loaded, recognizer=corrected), loaded.pads)
     values = {"model": output, "gauge": gauge, **corrected.grid.values, "n_grasps": n_grasps}
     line = (
         f"{n_grasps} grasps of {' and '.join(gauge) if gauge else 'a shift'}: "

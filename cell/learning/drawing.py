@@ -1,4 +1,4 @@
-"""Virtual grasps: the frames that a drawing would give on the cell's pads, without a cell.
+"""Teaching from a drawing: the frames that it would give on the cell's pads, without a cell.
 
 `recognition.shape.foam` presses a rigid shape between two foam pads. The grasp is like that of the
 cell: the fingers close at the approach speed, meet the object with some impact, follow the force
@@ -7,17 +7,27 @@ tared, like those of the cell.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from cell.control.plan import GraspStep, Pose
+from cell.config.gripper import ParallelLinkageConfig
+from cell.config.model import CellConfig
+from cell.config.sequence import ramp_from_config
+from cell.config.tactile import layout_from_config
+from cell.control.plan import GraspStep, Pose, plan
+from cell.control.records import pad_array
+from cell.errors import CellError, raised_as
+from cell.learning.blas import one_blas_thread
+from cell.learning.progress import Progress, silent
+from cell.learning.shape_reading import usual_foam
+from cell.simulation import converter_noise
 from gripper.force.ramp import ForceRamp
 from recognition.drift.self_zero import drawn_zero
-from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray
+from recognition.grasp import DRAWING_SOURCE, Grasp
 from recognition.shape.foam import FoamModel, PadBed
 from recognition.shape.models import Drawing, posed, resting_roll_rad
 
@@ -30,6 +40,8 @@ _N_DEPTHS = 48
 _SLOW_WAY_M = 2e-3
 """Distance in m before the touch of the widest part in which fast fingers slow down: 0.5 mm margin
 and 1.5 mm for mass and servo."""
+_PULSES = 4096
+"""Pulses of a turn of a servo."""
 _SLOW_S = 0.5
 """Time constant of the foam's creep in s."""
 
@@ -119,10 +131,6 @@ def shared_force(
     return shared_n
 
 
-Noise = Callable[[np.random.Generator, int], NDArray[np.float64]]
-"""Noise of the taxels: returns counts (n_frames, n_taxels) to add, for that number of frames."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
     """Motion and sensor of a cell, with their uncertainties; some values come from the config."""
@@ -170,25 +178,17 @@ class Course:
     """Largest difference in N between the forces on both pads: the object is held a little."""
 
 
-@dataclass(kw_only=True)
 class VirtualPads:
-    """The two gripping pads and their foam; draws grasps."""
+    """The two gripping pads of a cell and their foam; draws grasps with a course."""
 
-    pads: PadArray
-    gripping: tuple[int, int]
-    """All taxels, and the two pads that face each other."""
-    foam: FoamModel
-    """Foam and sensor."""
-    course: Course
-    """Motion of the cell."""
-    noise: Noise
-    """Noise that is added to the counts."""
-
-    def __post_init__(self) -> None:
+    def __init__(self, config: CellConfig, course: Course) -> None:
+        layout = layout_from_config(config.tactile)
+        self.pads, self.foam, self.course = pad_array(layout), usual_foam(config), course
+        self._noise = converter_noise(config)
         # The spread is drawn from few values: their matrices are computed once.
         shares = np.exp(self.course.spread_sd * np.array([-1.2, -0.4, 0.4, 1.2]))
         self._beds = [
-            tuple(PadBed(self.pads, pad, float(spread_m)) for pad in self.gripping)
+            tuple(PadBed(self.pads, pad, float(spread_m)) for pad in layout.gripping_pads)
             for spread_m in self.foam.spread_m * shares
         ]
 
@@ -306,7 +306,9 @@ class VirtualPads:
         of_sensor = rng.spawn(1)[0]
         bend = of_sensor.lognormal(0.0, course.bend_sd)
         lag = course.lag * of_sensor.uniform()
-        counts = of_sensor.lognormal(0.0, course.noise_sd) * self.noise(rng, len(force_n))
+        shape = len(force_n), self.pads.n_taxels
+        noise = self._noise(rng, math.prod(shape)).reshape(shape)
+        counts = of_sensor.lognormal(0.0, course.noise_sd) * noise
         slack_n = 0.5 * course.imbalance_n * rng.uniform(-1.0, 1.0)
         depth_sum_m = np.zeros(len(force_n))
         for bed, pressed, sign in zip(beds, presses, (1.0, -1.0), strict=True):
@@ -377,3 +379,74 @@ def _measured(
     phase_m = rng.uniform(0.0, step_m)
     steps: NDArray[np.float64] = np.rint((aperture_m + shift_m - phase_m) / step_m)
     return steps * step_m + phase_m
+
+
+@one_blas_thread()
+def teach_drawing(
+    config: CellConfig,
+    label: str,
+    drawing: Drawing,
+    n_grasps: int,
+    *,
+    kind: str = "",
+    course: Course | None = None,
+    seed: int = 0,
+    start_ms: int = 0,
+    progress: Progress = silent,
+) -> list[Grasp]:
+    """Grasp a drawing ``n_grasps`` times as the cell would, at the poses and forces of its plan.
+
+    Raises CellError if the object does not fit between the open pads, is too thin to be felt, or
+    lies beside them.
+
+    Parameters
+    ----------
+    config
+        The cell: pads, speeds, ramp, plan.
+    label, drawing, kind
+        Name, shape and class of shape of the object.
+    course
+        Motion with all uncertainties; by default the usual one of the cell.
+    seed
+        Of poses, forces, noise and all uncertain values.
+    start_ms
+        Time of the first grasp; each next grasp is a second later.
+    """
+    virtual = VirtualPads(config, course or course_of(config))
+    rng = np.random.default_rng([seed, 1])
+    grasps: list[Grasp] = []
+    steps = plan(config.sequence, n_grasps, seed=seed)
+    for number, step in enumerate(steps):
+        with raised_as(CellError, ValueError, where=f"{label} cannot be grasped"):
+            if not grasps:
+                virtual.check(drawing, steps)
+            grasp = virtual.grasp(
+                drawing,
+                step,
+                ramp_from_config(config.sequence.ramp, step.force_n),
+                rng,
+                label=label,
+                shape=kind,
+                start_ms=start_ms + 1000 * number,
+            )
+        grasps.append(grasp)
+        progress(f"draw {label}", len(grasps), n_grasps)
+    return grasps
+
+
+def course_of(config: CellConfig) -> Course:
+    """Return the motion of the configured cell."""
+    drive, settings = config.gripper.linkage, config.gripper_settings
+    arm_mm = drive.link_mm if isinstance(drive, ParallelLinkageConfig) else drive.pinion_radius_mm
+    step_mm = arm_mm * math.tau / _PULSES * (2 if len(config.gripper.servos) == 1 else 1)
+    return Course(
+        period_s=config.tactile.frame_period_s,
+        aperture_open_m=settings.aperture_open_m,
+        aperture_min_m=settings.aperture_min_m,
+        approach_speed_m_s=settings.approach_speed_m_s,
+        travel_speed_m_s=settings.travel_speed_m_s,
+        aperture_step_m=1e-3 * step_mm,
+        # What stops a finger is a contact from half of that force on.
+        contact_n=settings.contact_force_n,
+        impact_n=(0.5 * settings.contact_force_n, settings.contact_force_n + 0.3),
+    )
