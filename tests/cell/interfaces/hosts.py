@@ -474,29 +474,28 @@ class Word(int):
 _TYPES: dict[str, type] = {"BOOL": bool, "UINT": int, "WORD": Word}
 
 
-def _expression(text: str) -> str:
-    """Return an expression of Structured Text as one of Python."""
-    text = text.replace("AND WORD#", "& WORD#").replace("UINT_TO_WORD(", "Word(")
-    text = re.sub(r"WORD#16#([0-9A-Fa-f]+)", r"Word(0x\1)", text)
-    text = re.sub(r"16#([0-9A-Fa-f]+)", r"0x\1", text)
-    text = re.sub(r"(?<![<>:])=", "==", text).replace("<>", "!=")
-    for word, python in (
-        ("AND", "and"),
-        ("OR", "or"),
-        ("NOT", "not"),
-        ("TRUE", "True"),
-        ("FALSE", "False"),
-    ):
-        text = re.sub(rf"\b{word}\b", python, text)
-    return text
+_PYTHON = (
+    (r"\bCASE (\w+) OF", r"match \1:"),
+    (r"^( +)(\d+):\s*", r"\1case \2:\n\1    "),
+    (r"\bIF (.*) THEN", r"if \1:"),
+    (r"\bELSE\b", "else:"),
+    (r"^ *END_(IF|CASE);\n", ""),
+    (r"EdgeExecute\(.*\)", "edge()"),
+    (r"AND WORD#", "& WORD#"),
+    (r"UINT_TO_WORD\(", "Word("),
+    (r"WORD#16#(\w+)", r"Word(0x\1)"),
+    (r"16#(\w+)", r"0x\1"),
+    (r"(?<![<>:])=", "=="),
+    (r"<>", "!="),
+    (r":=", "="),
+    (r";", ""),
+    (r"\b(AND|OR|NOT)\b", lambda found: found[1].lower()),
+    (r"\b(TRUE|FALSE)\b", lambda found: found[1].title()),
+)
+"""Expressions of Structured Text, in this order, and what they are in Python.
 
-
-def _names(text: str, names: set[str]) -> str:
-    return re.sub(
-        r"\b(EdgeExecute\.Q|\w+)\b",
-        lambda found: f"me[{found[1]!r}]" if found[1] in names else found[1],
-        text,
-    )
+The block is indented as Python is; what is not in this table is no Python.
+"""
 
 
 class FunctionBlock:
@@ -517,7 +516,13 @@ class FunctionBlock:
                 self._types[name] = _TYPES[kind]
                 self.values[name] = _TYPES[kind]()
         self._last = False
-        self._code = compile(self._python(body.split("END_FUNCTION_BLOCK")[0]), str(BLOCK), "exec")
+        text = body.split("END_FUNCTION_BLOCK")[0]
+        for expression, python in _PYTHON:
+            text = re.sub(expression, python, text, flags=re.MULTILINE)
+        self._code = compile(re.sub(r"[A-Z][\w.]*", self._variable, text), str(BLOCK), "exec")
+
+    def _variable(self, found: re.Match[str]) -> str:
+        return f"me[{found[0]!r}]" if found[0] in self.values else found[0]
 
     def __getitem__(self, name: str) -> Any:
         return self.values[name]
@@ -542,43 +547,3 @@ class FunctionBlock:
         now = self.values["Execute"]
         self.values["EdgeExecute.Q"] = now and not self._last
         self._last = now
-
-    def _python(self, body: str) -> str:
-        """Return the statements as Python; what is not understood is an error."""
-        names = set(self.values)
-        flat = re.sub(r"\s+", " ", body)
-        flat = re.sub(r"\b(THEN|OF|ELSE|\d+:)(?= )", r"\1;", flat)
-        out, depth, first = [], 0, False
-        for statement in (one.strip() for one in flat.split(";")):
-            line, before, after = statement, 0, 0
-            if not statement:
-                continue
-            if found := re.fullmatch(r"(IF|ELSIF) (.*) THEN", statement):
-                word, inside = ("if", 0) if found[1] == "IF" else ("elif", 1)
-                before, after = -inside, 1
-                line = f"{word} {_names(_expression(found[2]), names)}:"
-            elif statement == "ELSE":
-                before, after, line = -1, 1, "else:"
-            elif found := re.fullmatch(r"CASE (\w+) OF", statement):
-                line, after, first = f"match me[{found[1]!r}]:", 1, True
-            elif found := re.fullmatch(r"(\d+):", statement):
-                before, after, line, first = (0 if first else -1), 1, f"case {found[1]}:", False
-            elif statement == "END_IF":
-                depth -= 1
-                continue
-            elif statement == "END_CASE":
-                depth -= 2
-                continue
-            elif statement.startswith("EdgeExecute("):
-                line = "edge()"
-            else:
-                target, _, value = statement.partition(":=")
-                assert value, statement
-                line = (
-                    f"{_names(target.strip(), names)} = {_names(_expression(value.strip()), names)}"
-                )
-            # A step of CASE ends where the next one begins.
-            depth += before
-            out.append("    " * depth + line)
-            depth += after
-        return "\n".join(out)
